@@ -1,0 +1,2 @@
+//! The photocurrent command.
+fn main() {}

@@ -1,0 +1,96 @@
+//! What a node may ask while it runs: its rows, its seed, whether to stop, where to write files.
+//!
+//! There is no clock, no environment and no thread-local randomness here, because a node's output is a function of its inputs,
+//! parameters, declared files and seed.
+
+use crate::error::NodeError;
+use crate::extent::Rows;
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Hears how far a node is.
+pub trait Progress: Send + Sync {
+    /// There are `total` items to do, named by `unit`: "rows", "frames".
+    fn begin(&self, total: u64, unit: &str);
+    /// `items` more are done.
+    fn advance(&self, items: u64);
+}
+
+/// Hears nothing.
+pub struct Silent;
+
+impl Progress for Silent {
+    fn begin(&self, _: u64, _: &str) {}
+    fn advance(&self, _: u64) {}
+}
+
+/// What a node may ask while it runs.
+pub struct Context<'a> {
+    rows: Rows,
+    seed: u64,
+    wanted: &'a BTreeSet<String>,
+    progress: &'a dyn Progress,
+    cancel: &'a AtomicBool,
+    export: Option<&'a Path>,
+    notes: &'a Mutex<Vec<String>>,
+}
+
+impl<'a> Context<'a> {
+    /// Made by the scheduler, and by tests.
+    pub fn new(
+        rows: Rows,
+        seed: u64,
+        wanted: &'a BTreeSet<String>,
+        progress: &'a dyn Progress,
+        cancel: &'a AtomicBool,
+        export: Option<&'a Path>,
+        notes: &'a Mutex<Vec<String>>,
+    ) -> Context<'a> {
+        Context { rows, seed, wanted, progress, cancel, export, notes }
+    }
+
+    /// The rows to produce. A node whose grain is `Whole` gets all rows of its first output.
+    pub fn rows(&self) -> Rows {
+        self.rows
+    }
+
+    /// The seed of the pipeline, for nodes that draw ([`crate::random::Random`]).
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Does anybody want this output? An output that nobody wants may be left out (or cheap).
+    pub fn wants(&self, port: &str) -> bool {
+        self.wanted.contains(port)
+    }
+
+    /// Says how much there is to do.
+    pub fn begin(&self, total: u64, unit: &str) {
+        self.progress.begin(total, unit);
+    }
+
+    /// Says that `items` more are done; call it often, it is cheap and safe from many threads.
+    ///
+    /// # Errors
+    /// When the user interrupted the run: pass the error on.
+    pub fn advance(&self, items: u64) -> Result<(), NodeError> {
+        self.progress.advance(items);
+        if self.cancel.load(Ordering::Relaxed) { Err(NodeError::interrupted()) } else { Ok(()) }
+    }
+
+    /// An empty folder for the files of a node that exports; the engine moves it to its place when the node is done.
+    ///
+    /// # Errors
+    /// When the node did not declare that it exports.
+    pub fn export_dir(&self) -> Result<&Path, NodeError> {
+        self.export.ok_or_else(|| NodeError::failed("this node writes files but does not declare `exports`"))
+    }
+
+    /// Tells the user something that is no error: "31 pixels did not converge". Kept with the result, shown again on a cache hit.
+    /// Say it in an order that does not depend on threads.
+    pub fn note(&self, text: impl Into<String>) {
+        self.notes.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(text.into());
+    }
+}

@@ -1,0 +1,47 @@
+//! The vocabulary of photocurrent: what every other crate agrees on.
+//!
+//! Nothing here opens a file or starts a thread. In reading order:
+//!
+//! - [`time`], [`extent`], [`quantity`]: instants in nanoseconds, pixels and rows, values with units.
+//! - [`events`], [`frames`], [`tracks`], [`map`], [`table`], [`sensor`]: the data, each with one canonical order.
+//! - [`value`]: the closed set of things that flow between nodes, and [`value::Meta`], what is known of them before data.
+//! - [`node`], [`ports`], [`context`]: what a node is, what its sockets are, what it may ask while it runs.
+//! - [`digest`]: the name of a content. [`random`]: numbers that depend on (seed, pixel, index) only.
+//! - [`document`], [`schema`]: TOML with its positions kept, so that a mistake can be shown where it stands.
+//! - [`testing`]: small helpers that the tests of several crates share.
+
+pub mod context;
+pub mod digest;
+pub mod document;
+pub mod error;
+pub mod events;
+pub mod extent;
+pub mod frames;
+pub mod handle;
+pub mod map;
+pub mod node;
+pub mod ports;
+pub mod quantity;
+pub mod random;
+pub mod schema;
+pub mod sensor;
+pub mod table;
+pub mod testing;
+pub mod time;
+pub mod tracks;
+pub mod value;
+
+pub use context::Context;
+pub use digest::Digest;
+pub use error::{DataError, NodeError};
+pub use events::{EventBand, EventStream, EventsMeta, Polarity};
+pub use extent::{Extent, Rows};
+pub use frames::{FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Truth};
+pub use map::{MapBand, MapMeta, MapSet};
+pub use node::{Catalogue, Decl, FileRef, Grain, Kind, Node};
+pub use ports::{PortMetas, PortValues, Ports};
+pub use sensor::Sensor;
+pub use table::Table;
+pub use time::{Exposure, TimeSpan, Timestamp};
+pub use tracks::{TrackBand, TrackSet, TracksMeta};
+pub use value::{DataType, Meta, Value};

@@ -1,0 +1,329 @@
+//! Checks a [`Tree`] against the JSON Schema that a `Params` struct generates, reporting every mistake at its place.
+//!
+//! The struct stays the only statement of what is allowed: its doc comments, ranges and units become the schema (through `schemars`), the
+//! schema becomes checks here, the manual, and completion in an editor. Beyond JSON Schema there are four keys of ours: `x-quantity` (a text with
+//! a unit, see [`crate::quantity`]), `x-min` and `x-max` (bounds of a quantity, with unit), and `x-path` (a path, relative to the file that wrote it).
+
+use crate::document::{Item, Problem, Tree};
+use crate::quantity::Dimension;
+use serde_json::Value as Json;
+
+/// Checks `tree` against a whole schema and appends every problem found.
+/// `what` names the thing in messages: "parameter of solve/pixel".
+pub fn validate(tree: &Tree, schema: &Json, what: &str, problems: &mut Vec<Problem>) {
+    Checker { root: schema, what }.check(tree, schema, problems);
+}
+
+struct Checker<'a> {
+    root: &'a Json,
+    what: &'a str,
+}
+
+/// Follows `$ref` and a nullable `anyOf` to the schema that counts; keys beside `$ref` (such as `x-min`) are looked up by the caller first.
+fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
+    loop {
+        if let Some(target) = schema["$ref"].as_str().and_then(|r| r.strip_prefix('#')).and_then(|pointer| root.pointer(pointer)) {
+            schema = target;
+        } else if let Some([one]) = alternatives(schema).as_deref() {
+            schema = one;
+        } else {
+            return schema;
+        }
+    }
+}
+
+/// The non-null alternatives of `anyOf` or `oneOf`, when there are any.
+fn alternatives(schema: &Json) -> Option<Vec<&Json>> {
+    let list = schema["anyOf"].as_array().or_else(|| schema["oneOf"].as_array())?;
+    Some(list.iter().filter(|s| s["type"] != "null").collect())
+}
+
+/// The texts that a schema of fixed words allows.
+fn words<'a>(root: &'a Json, schema: &'a Json) -> Option<Vec<&'a str>> {
+    if let Some(list) = schema["enum"].as_array() {
+        return list.iter().filter(|word| !word.is_null()).map(Json::as_str).collect();
+    }
+    if let Some(word) = schema["const"].as_str() {
+        return Some(vec![word]);
+    }
+    let words: Option<Vec<Vec<&str>>> = alternatives(schema)?.into_iter().map(|s| words(root, resolve(root, s))).collect();
+    Some(words?.concat())
+}
+
+fn allows(schema: &Json, name: &str) -> bool {
+    schema["type"] == name || schema["type"].as_array().is_some_and(|types| types.iter().any(|t| t == name))
+}
+
+impl Checker<'_> {
+    fn check(&self, tree: &Tree, outer: &Json, problems: &mut Vec<Problem>) {
+        let schema = resolve(self.root, outer);
+        if let Some(words) = words(self.root, schema) {
+            return self.check_word(tree, &words, problems);
+        }
+        if let Some(alternatives) = alternatives(schema) {
+            return self.check_alternatives(tree, &alternatives, problems);
+        }
+        if let Some(dimension) = schema["x-quantity"].as_str().and_then(Dimension::named) {
+            return self.check_quantity(tree, dimension, outer, schema, problems);
+        }
+        let expected = if allows(schema, "object") {
+            "a table"
+        } else if allows(schema, "array") {
+            "a list"
+        } else if allows(schema, "boolean") {
+            "`true` or `false`"
+        } else if allows(schema, "integer") {
+            "an integer"
+        } else if allows(schema, "number") {
+            "a number"
+        } else if allows(schema, "string") {
+            "a text in quotes"
+        } else {
+            return;
+        };
+        match (&tree.item, expected) {
+            (Item::Table(_), "a table") => self.check_table(tree, schema, problems),
+            (Item::Array(items), "a list") => {
+                if let Some(least) = schema["minItems"].as_u64().filter(|least| (items.len() as u64) < *least) {
+                    problems.push(Problem::at(&tree.origin, format!("a list of at least {least} is needed, found {}", items.len())));
+                }
+                items.iter().for_each(|item| self.check(item, &schema["items"], problems));
+            }
+            (Item::Boolean(_), "`true` or `false`") | (Item::String(_), "a text in quotes") => {}
+            (Item::Integer(number), "an integer" | "a number") => self.check_range(tree, *number as f64, outer, schema, problems),
+            (Item::Float(number), "a number") if number.is_finite() => self.check_range(tree, *number, outer, schema, problems),
+            _ => problems.push(Problem::at(&tree.origin, format!("expected {expected}, found {}", tree.describe())).label(format!("expected {expected}"))),
+        }
+    }
+
+    fn check_word(&self, tree: &Tree, words: &[&str], problems: &mut Vec<Problem>) {
+        let list = words.iter().map(|word| format!("\"{word}\"")).collect::<Vec<_>>().join(", ");
+        match tree.as_str() {
+            Some(text) if words.contains(&text) => {}
+            Some(text) => {
+                let problem = Problem::at(&tree.origin, format!("\"{text}\" is not one of {list}")).label("unknown value");
+                problems.push(match crate::document::nearest(text, words.iter().copied()) {
+                    Some(word) => problem.help(format!("did you mean \"{word}\"?")),
+                    None => problem,
+                });
+            }
+            None => problems.push(Problem::at(&tree.origin, format!("expected one of {list}, found {}", tree.describe())).label("expected a text in quotes")),
+        }
+    }
+
+    /// Accepts what any alternative accepts; otherwise reports the complaints of the alternative that complains deepest inside.
+    fn check_alternatives(&self, tree: &Tree, alternatives: &[&Json], problems: &mut Vec<Problem>) {
+        let mut best: Option<Vec<Problem>> = None;
+        for schema in alternatives {
+            let mut found = Vec::new();
+            self.check(tree, schema, &mut found);
+            if found.is_empty() {
+                return;
+            }
+            let depth = |list: &[Problem]| list.iter().filter(|p| p.at.as_ref() != Some(&tree.origin)).count();
+            if best.as_ref().is_none_or(|best| depth(&found) > depth(best)) {
+                best = Some(found);
+            }
+        }
+        problems.extend(best.unwrap_or_default());
+    }
+
+    fn check_quantity(&self, tree: &Tree, dimension: Dimension, outer: &Json, schema: &Json, problems: &mut Vec<Problem>) {
+        let Some(text) = tree.as_str() else {
+            let problem = Problem::at(&tree.origin, format!("expected a {} with its unit, found {}", dimension.name(), tree.describe()));
+            let help = match tree.item {
+                Item::Integer(_) | Item::Float(_) => {
+                    format!("write it as text with a unit, such as \"{}\" (units: {})", dimension.example(), dimension.unit_list())
+                }
+                _ => format!("such as \"{}\"", dimension.example()),
+            };
+            problems.push(problem.label("a unit is needed").help(help));
+            return;
+        };
+        let value = match dimension.read(text) {
+            Ok(value) => value,
+            Err(error) => {
+                problems.push(Problem::at(&tree.origin, error.what).label(format!("expected a {}", dimension.name())).help(format!(
+                    "such as \"{}\" (units: {})",
+                    dimension.example(),
+                    dimension.unit_list()
+                )));
+                return;
+            }
+        };
+        let bound = |key: &str| outer[key].as_str().or_else(|| schema[key].as_str());
+        let number = |text: &str| dimension.read(text).unwrap_or(f64::NAN);
+        if let Some(least) = bound("x-min").filter(|least| value < number(least)) {
+            problems.push(Problem::at(&tree.origin, format!("{text} is below the smallest allowed value, {least}")).label("too small"));
+        }
+        if let Some(most) = bound("x-max").filter(|most| value > number(most)) {
+            problems.push(Problem::at(&tree.origin, format!("{text} is above the largest allowed value, {most}")).label("too large"));
+        }
+    }
+
+    fn check_range(&self, tree: &Tree, value: f64, outer: &Json, schema: &Json, problems: &mut Vec<Problem>) {
+        let bound = |key: &str| outer[key].as_f64().or_else(|| schema[key].as_f64());
+        let mut refuse = |text: String, label: &str| problems.push(Problem::at(&tree.origin, text).label(label));
+        if let Some(least) = bound("minimum").filter(|least| value < *least) {
+            refuse(format!("{value} is below the smallest allowed value, {least}"), "too small");
+        }
+        if let Some(least) = bound("exclusiveMinimum").filter(|least| value <= *least) {
+            refuse(format!("{value} must be greater than {least}"), "too small");
+        }
+        if let Some(most) = bound("maximum").filter(|most| value > *most) {
+            refuse(format!("{value} is above the largest allowed value, {most}"), "too large");
+        }
+        if let Some(most) = bound("exclusiveMaximum").filter(|most| value >= *most) {
+            refuse(format!("{value} must be less than {most}"), "too large");
+        }
+    }
+
+    fn check_table(&self, tree: &Tree, schema: &Json, problems: &mut Vec<Problem>) {
+        let Some(table) = tree.as_table() else { return };
+        let properties = schema["properties"].as_object();
+        for (key, value) in &table.entries {
+            if let Some(property) = properties.and_then(|p| p.get(&key.name)) {
+                self.check(value, property, problems);
+            } else if schema["additionalProperties"].is_object() {
+                self.check(value, &schema["additionalProperties"], problems);
+            } else if schema["additionalProperties"] == Json::Bool(false) {
+                let known: Vec<&str> = properties.map(|p| p.keys().map(String::as_str).collect()).unwrap_or_default();
+                problems.push(Problem::at(&key.origin, format!("`{}` is not a {}", key.name, self.what)).label("unknown key").did_you_mean(&key.name, known));
+            }
+        }
+        for name in schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str) {
+            if table.get(name).is_none() {
+                problems.push(Problem::at(&tree.origin, format!("`{name}` is missing")).label(format!("needs `{name}`")));
+            }
+        }
+    }
+}
+
+/// Turns a checked tree into JSON; paths are joined to the folder of the file that wrote them.
+pub fn to_json(tree: &Tree, schema: &Json) -> Json {
+    convert(tree, schema, schema)
+}
+
+fn convert(tree: &Tree, schema: &Json, root: &Json) -> Json {
+    let schema = resolve(root, schema);
+    match &tree.item {
+        Item::String(text) if schema["x-path"] == Json::Bool(true) => Json::String(tree.origin.source.folder.join(text).to_string_lossy().into_owned()),
+        Item::String(text) | Item::Datetime(text) => Json::String(text.clone()),
+        Item::Integer(number) => Json::from(*number),
+        Item::Float(number) => Json::from(*number),
+        Item::Boolean(value) => Json::Bool(*value),
+        Item::Array(items) => Json::Array(items.iter().map(|item| convert(item, &schema["items"], root)).collect()),
+        Item::Table(table) => {
+            let property = |name: &str| if schema["properties"][name].is_null() { &schema["additionalProperties"] } else { &schema["properties"][name] };
+            Json::Object(table.entries.iter().map(|(key, value)| (key.name.clone(), convert(value, property(&key.name), root))).collect())
+        }
+    }
+}
+
+/// Removes every value that the schema calls a path.
+pub fn strip_paths(value: &mut Json, schema: &Json) {
+    strip(value, schema, schema);
+}
+
+fn strip(value: &mut Json, schema: &Json, root: &Json) {
+    let schema = resolve(root, schema);
+    match value {
+        Json::Object(map) => {
+            map.retain(|name, _| resolve(root, &schema["properties"][name.as_str()])["x-path"] != Json::Bool(true));
+            map.iter_mut().for_each(|(name, value)| strip(value, &schema["properties"][name.as_str()], root));
+        }
+        Json::Array(items) => {
+            if resolve(root, &schema["items"])["x-path"] == Json::Bool(true) {
+                items.clear();
+            }
+            items.iter_mut().for_each(|item| strip(item, &schema["items"], root));
+        }
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::document::{Source, parse};
+    use crate::quantity::{Duration, InputPath, Rate};
+    use schemars::JsonSchema;
+    use serde::{Deserialize, Serialize};
+
+    /// Parameters of every form.
+    #[derive(Default, Serialize, Deserialize, JsonSchema)]
+    #[serde(default, deny_unknown_fields)]
+    struct Params {
+        /// A rate.
+        rate: Rate,
+        /// A time within bounds.
+        #[schemars(extend("x-min" = "0 ns", "x-max" = "1 s"))]
+        exposure: Option<Duration>,
+        /// A weight.
+        #[schemars(range(min = 0.0, max = 10.0))]
+        weight: f64,
+        /// Words.
+        shutter: Shutter,
+        /// Where.
+        path: Option<InputPath>,
+        /// Several.
+        labels: Vec<String>,
+    }
+
+    #[derive(Default, Serialize, Deserialize, JsonSchema)]
+    #[serde(rename_all = "snake_case")]
+    enum Shutter {
+        /// All at once.
+        #[default]
+        Global,
+        /// Row by row.
+        Rolling,
+    }
+
+    fn check(text: &str) -> (Vec<String>, Json) {
+        let schema = schemars::schema_for!(Params).to_value();
+        let source = Source::new("m.toml", "some/folder", text);
+        let table = parse(&source).unwrap();
+        let tree = Tree { item: Item::Table(table), origin: crate::document::Origin { source, span: 0..0 } };
+        let mut problems = Vec::new();
+        validate(&tree, &schema, "parameter of test/node", &mut problems);
+        let shown = problems
+            .iter()
+            .map(|p| format!("{}: {}{}", p.at.as_ref().unwrap(), p.message, p.help.as_ref().map(|h| format!(" | {h}")).unwrap_or_default()))
+            .collect();
+        (shown, to_json(&tree, &schema))
+    }
+
+    #[test]
+    fn what_is_right_passes_and_becomes_the_struct() {
+        let (problems, json) = check("rate = \"1 kHz\"\nexposure = \"1 ms\"\nweight = 2\nshutter = \"rolling\"\npath = \"a.h5\"\nlabels = [\"x\"]\n");
+        assert_eq!(problems, [""; 0]);
+        let params: Params = serde_json::from_value(json).unwrap();
+        assert_eq!(params.rate.hz(), 1000.0);
+        assert_eq!(params.path.unwrap().path(), std::path::Path::new("some/folder/a.h5"));
+    }
+
+    #[test]
+    fn every_mistake_is_reported_at_its_place() {
+        let (problems, _) = check("rate = 5\nexposure = \"2 s\"\nweight = -1.0\nshutter = \"roling\"\nlabels = [3]\nwieght = 1\n");
+        assert_eq!(
+            problems,
+            [
+                "m.toml:1:8: expected a rate with its unit, found the integer 5 | write it as text with a unit, such as \"10 kHz\" (units: Hz, fps, kHz, MHz)",
+                "m.toml:2:12: 2 s is above the largest allowed value, 1 s",
+                "m.toml:3:10: -1 is below the smallest allowed value, 0",
+                "m.toml:4:11: \"roling\" is not one of \"global\", \"rolling\" | did you mean \"rolling\"?",
+                "m.toml:5:11: expected a text in quotes, found the integer 3",
+                "m.toml:6:1: `wieght` is not a parameter of test/node | did you mean `weight`?",
+            ]
+        );
+    }
+
+    #[test]
+    fn paths_are_taken_out_of_what_is_hashed() {
+        let schema = schemars::schema_for!(Params).to_value();
+        let mut json = serde_json::json!({"weight": 1.0, "path": "a.h5"});
+        strip_paths(&mut json, &schema);
+        assert_eq!(json, serde_json::json!({"weight": 1.0}));
+    }
+}

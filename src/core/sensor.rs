@@ -1,0 +1,250 @@
+//! The sensor description: what is known of one sensor, in TOML (`format = "photocurrent-sensor/1"`).
+//!
+//! A field that is absent is unknown, not zero, where zero would be a claim. So most fields are optional, and who needs one asks
+//! with [`Sensor::need`], which says what to add to the description.
+
+use crate::document::{Item, Origin, Problem, Source, Tree, parse};
+use crate::error::NodeError;
+use crate::quantity::Duration;
+use crate::schema;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The version of the form.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum SensorFormat {
+    /// The only one so far.
+    #[serde(rename = "photocurrent-sensor/1")]
+    V1,
+}
+
+/// A sensor description.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Sensor {
+    /// `photocurrent-sensor/1`.
+    pub format: SensorFormat,
+    /// A name for people.
+    #[serde(default)]
+    pub name: String,
+    /// Photodiode to front-end voltage.
+    #[serde(default)]
+    pub front_end: FrontEnd,
+    /// Front-end voltage to event.
+    #[serde(default)]
+    pub comparator: Comparator,
+    /// Event to stamp.
+    #[serde(default)]
+    pub readout: Readout,
+    /// Photodiode to digital number.
+    #[serde(default)]
+    pub frames: Frames,
+    /// Light to photocurrent.
+    #[serde(default)]
+    pub optics: Optics,
+    /// Anything beyond the paper's model, by catalogue id.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub effects: BTreeMap<String, serde_json::Map<String, serde_json::Value>>,
+}
+
+/// Photodiode to front-end voltage: `tau = tau_0 + alpha / i_pd`, Eq. (3).
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct FrontEnd {
+    /// Time constant in bright light.
+    #[schemars(extend("x-min" = "0 ns"))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub tau_0: Option<Duration>,
+    /// Time times photocurrent unit.
+    #[schemars(extend("x-min" = "0 ns"))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub alpha: Option<Duration>,
+}
+
+/// Front-end voltage to event, Eq. (4).
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Comparator {
+    /// ON threshold, natural-log units, positive.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub threshold_on: Option<f64>,
+    /// OFF threshold, natural-log units, positive.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub threshold_off: Option<f64>,
+    /// Sigma of the threshold drawn at each reset, natural-log units; absent = unknown.
+    #[schemars(range(min = 0.0))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub threshold_noise: Option<f64>,
+    /// What the reference does after an event.
+    pub reset: Reset,
+}
+
+/// What the reference voltage does after an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Reset {
+    /// `V_ref := V_FE` at `t_off + refractory`: the paper's law.
+    #[default]
+    Resample,
+    /// `V_ref` moves by one threshold at `t_in`; a crossing inside the blind time fires at its end.
+    Advance,
+    /// The same, but a crossing inside the blind time is lost.
+    AdvanceLossy,
+}
+
+/// Event to stamp.
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Readout {
+    /// Refractory period `t_rp`, from `t_off` on.
+    #[schemars(extend("x-min" = "0 ns"))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub refractory: Option<Duration>,
+    /// Smallest `t_off - t_in`.
+    #[schemars(extend("x-min" = "0 ns"))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub latency_min: Option<Duration>,
+}
+
+/// Photodiode to digital number: `DN = black_level + gain x integral of i_pd dt`, Eq. (5).
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Frames {
+    /// DN per second and photocurrent unit.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gain: Option<f64>,
+    /// DN of darkness.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub black_level_dn: Option<f64>,
+    /// DN from which a pixel counts as saturated.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub saturation_dn: Option<f64>,
+    /// Delay from one row's exposure to the next.
+    #[schemars(extend("x-min" = "0 ns"))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub row_time: Option<Duration>,
+    /// Sigma of read noise, DN.
+    #[schemars(range(min = 0.0))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub read_noise_dn: Option<f64>,
+    /// Electrons at `saturation_dn` above black level; 0 = photon shot noise unknown.
+    #[schemars(range(min = 0.0))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub full_well_e: Option<f64>,
+}
+
+/// Light to photocurrent.
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Optics {
+    /// Photocurrent units per lux on the scene.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub photocurrent_per_lux: Option<f64>,
+}
+
+impl Sensor {
+    /// A description that knows nothing.
+    pub fn unknown(name: impl Into<String>) -> Sensor {
+        Sensor {
+            format: SensorFormat::V1,
+            name: name.into(),
+            front_end: FrontEnd::default(),
+            comparator: Comparator::default(),
+            readout: Readout::default(),
+            frames: Frames::default(),
+            optics: Optics::default(),
+            effects: BTreeMap::new(),
+        }
+    }
+
+    /// From TOML text.
+    ///
+    /// # Errors
+    /// Every mistake, at its place.
+    pub fn parse(source: &Arc<Source>) -> Result<Sensor, Vec<Problem>> {
+        let table = parse(source)?;
+        let tree = Tree { item: Item::Table(table), origin: Origin { source: source.clone(), span: 0..0 } };
+        let schema = schemars::schema_for!(Sensor).to_value();
+        let mut problems = Vec::new();
+        schema::validate(&tree, &schema, "field of a sensor description", &mut problems);
+        if !problems.is_empty() {
+            return Err(problems);
+        }
+        serde_json::from_value(schema::to_json(&tree, &schema)).map_err(|error| vec![Problem::at(&tree.origin, error.to_string())])
+    }
+
+    /// As JSON in field order, for digests and the cache.
+    pub fn canonical_json(&self) -> String {
+        serde_json::to_string(self).expect("a sensor description is plain data")
+    }
+
+    /// A field that somebody cannot do without.
+    ///
+    /// # Errors
+    /// When the description does not state it; `field` is its TOML path, `who` the one that needs it.
+    pub fn need<T: Copy>(&self, value: Option<T>, field: &str, who: &str) -> Result<T, NodeError> {
+        value.ok_or_else(|| {
+            NodeError::usage(format!("{who} needs `{field}`, and the sensor description \"{}\" does not state it", self.name))
+                .hint(format!("add `{field}` to the sensor description"))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HYBRID: &str = r#"
+format = "photocurrent-sensor/1"
+name   = "hybrid, indoor"
+[front_end]
+tau_0 = "20 us"
+alpha = "12 ms"
+[comparator]
+threshold_on = 0.20
+threshold_off = 0.21
+reset = "advance_lossy"
+[readout]
+refractory = "50 us"
+[frames]
+gain = 850
+[effects]
+leak_events = { rate = "0.1 Hz" }
+"#;
+
+    #[test]
+    fn absent_is_unknown_and_not_zero() {
+        let sensor = Sensor::parse(&Source::new("s.toml", "", HYBRID)).unwrap();
+        assert_eq!(sensor.comparator.reset, Reset::AdvanceLossy);
+        assert_eq!(sensor.frames.gain, Some(850.0));
+        assert_eq!(sensor.frames.black_level_dn, None);
+        assert_eq!(sensor.effects["leak_events"]["rate"], "0.1 Hz");
+        let error = sensor.need(sensor.frames.row_time, "frames.row_time", "render/rows").unwrap_err();
+        assert_eq!(error.message, "render/rows needs `frames.row_time`, and the sensor description \"hybrid, indoor\" does not state it");
+    }
+
+    #[test]
+    fn it_survives_being_written_as_json() {
+        let sensor = Sensor::parse(&Source::new("s.toml", "", HYBRID)).unwrap();
+        assert_eq!(serde_json::from_str::<Sensor>(&sensor.canonical_json()).unwrap(), sensor);
+    }
+
+    #[test]
+    fn mistakes_are_all_reported() {
+        let text = HYBRID.replace("threshold_on = 0.20", "threshold_on = -0.2").replace("refractory = \"50 us\"", "refractory = 50\nrefactory = 1");
+        let problems = Sensor::parse(&Source::new("s.toml", "", text)).unwrap_err();
+        let messages: Vec<&str> = problems.iter().map(|p| p.message.as_str()).collect();
+        assert_eq!(
+            messages,
+            ["-0.2 must be greater than 0", "expected a time with its unit, found the integer 50", "`refactory` is not a field of a sensor description"]
+        );
+        assert_eq!(problems[2].help.as_deref(), Some("did you mean `refractory`?"));
+    }
+}

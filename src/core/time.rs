@@ -1,0 +1,116 @@
+//! Instants and intervals in whole nanoseconds.
+//!
+//! A sensor's clock has no float: a microsecond stamp converts exactly, and a time-to-digital converter's
+//! sub-microsecond stamp survives. Seconds in `f64` appear only inside an equation, at its door.
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::ops::{Add, Sub};
+
+/// Nanoseconds in a second.
+pub const NS_PER_S: f64 = 1e9;
+
+/// An instant, in nanoseconds since the recording's own zero. May be negative.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Timestamp(pub i64);
+
+impl Timestamp {
+    /// Seconds since `origin`; exact below 2^53 ns (104 days).
+    pub fn seconds_since(self, origin: Timestamp) -> f64 {
+        (self.0 - origin.0) as f64 / NS_PER_S
+    }
+}
+
+impl Add<i64> for Timestamp {
+    type Output = Timestamp;
+    fn add(self, ns: i64) -> Timestamp {
+        Timestamp(self.0 + ns)
+    }
+}
+
+impl Sub for Timestamp {
+    type Output = i64;
+    fn sub(self, other: Timestamp) -> i64 {
+        self.0 - other.0
+    }
+}
+
+impl fmt::Display for Timestamp {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{:06} ms", self.0.div_euclid(1_000_000), self.0.rem_euclid(1_000_000))
+    }
+}
+
+/// A half-open interval of time, `start <= t < end`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct TimeSpan {
+    /// First instant inside.
+    pub start: Timestamp,
+    /// First instant after.
+    pub end: Timestamp,
+}
+
+impl TimeSpan {
+    /// From nanoseconds; an end before the start gives an empty span at the start.
+    pub fn new(start_ns: i64, end_ns: i64) -> TimeSpan {
+        TimeSpan { start: Timestamp(start_ns), end: Timestamp(end_ns.max(start_ns)) }
+    }
+
+    /// Length in nanoseconds, never negative.
+    pub fn length_ns(&self) -> i64 {
+        self.end - self.start
+    }
+
+    /// The smallest span that holds both.
+    pub fn union(self, other: TimeSpan) -> TimeSpan {
+        TimeSpan { start: self.start.min(other.start), end: self.end.max(other.end) }
+    }
+}
+
+/// When a row of photodiodes collects light: `t_s`, `t_e` of Eq. (5), for one row of one frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Exposure {
+    /// `t_s`: the exposure starts.
+    pub start: Timestamp,
+    /// `t_e`: the exposure ends.
+    pub end: Timestamp,
+}
+
+impl Exposure {
+    /// From nanoseconds.
+    pub fn new(start_ns: i64, end_ns: i64) -> Exposure {
+        Exposure { start: Timestamp(start_ns), end: Timestamp(end_ns) }
+    }
+
+    /// Length in nanoseconds.
+    pub fn length_ns(&self) -> i64 {
+        self.end - self.start
+    }
+
+    /// The middle, rounded towards the start.
+    pub fn mid(&self) -> Timestamp {
+        Timestamp(self.start.0 + self.length_ns().div_euclid(2))
+    }
+
+    /// The same exposure of a row that is read `delay_ns` later.
+    pub fn delayed(&self, delay_ns: i64) -> Exposure {
+        Exposure { start: self.start + delay_ns, end: self.end + delay_ns }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_negative_instant_prints_with_its_whole_milliseconds_below_it() {
+        assert_eq!(Timestamp(1_500_000).to_string(), "1.500000 ms");
+        assert_eq!(Timestamp(-500_000).to_string(), "-1.500000 ms");
+    }
+
+    #[test]
+    fn the_middle_of_an_odd_exposure_rounds_towards_its_start() {
+        assert_eq!(Exposure::new(10, 13).mid(), Timestamp(11));
+    }
+}
