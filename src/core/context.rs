@@ -5,10 +5,10 @@
 
 use crate::error::NodeError;
 use crate::extent::Rows;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Hears how far a node is.
 pub trait Progress: Send + Sync {
@@ -26,6 +26,37 @@ impl Progress for Silent {
     fn advance(&self, _: u64) {}
 }
 
+/// What a node told the user while it ran, whatever the number of row bands and threads.
+#[derive(Default)]
+pub struct Notes(Mutex<NoteBook>);
+
+#[derive(Default)]
+struct NoteBook {
+    texts: BTreeSet<String>,
+    counts: BTreeMap<String, u64>,
+}
+
+impl Notes {
+    fn book(&self) -> MutexGuard<'_, NoteBook> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn say(&self, text: String) {
+        self.book().texts.insert(text);
+    }
+
+    fn count(&self, n: u64, what: &str) {
+        *self.book().counts.entry(what.into()).or_default() += n;
+    }
+
+    /// Texts, then counts, each in alphabetical order.
+    pub fn lines(&self) -> Vec<String> {
+        let book = self.book();
+        let counts = book.counts.iter().filter(|(_, n)| **n > 0).map(|(what, n)| format!("{n} {what}"));
+        book.texts.iter().cloned().chain(counts).collect()
+    }
+}
+
 /// What a node may ask while it runs.
 pub struct Context<'a> {
     rows: Rows,
@@ -34,7 +65,7 @@ pub struct Context<'a> {
     progress: &'a dyn Progress,
     cancel: &'a AtomicBool,
     export: Option<&'a Path>,
-    notes: &'a Mutex<Vec<String>>,
+    notes: &'a Notes,
 }
 
 impl<'a> Context<'a> {
@@ -46,7 +77,7 @@ impl<'a> Context<'a> {
         progress: &'a dyn Progress,
         cancel: &'a AtomicBool,
         export: Option<&'a Path>,
-        notes: &'a Mutex<Vec<String>>,
+        notes: &'a Notes,
     ) -> Context<'a> {
         Context { rows, seed, wanted, progress, cancel, export, notes }
     }
@@ -88,9 +119,15 @@ impl<'a> Context<'a> {
         self.export.ok_or_else(|| NodeError::failed("this node writes files but does not declare `exports`"))
     }
 
-    /// Tells the user something that is no error: "31 pixels did not converge". Kept with the result, shown again on a cache hit.
-    /// Say it in an order that does not depend on threads.
+    /// Tells the user something that is no error: "row_time of the recording wins over the description's". Kept with the result, shown
+    /// again on a cache hit. The same text said for several row bands counts once.
     pub fn note(&self, text: impl Into<String>) {
-        self.notes.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push(text.into());
+        self.notes.say(text.into());
+    }
+
+    /// Tells the user how many of something there were: `count(31, "pixels did not converge")`. Counts of one text add up over threads and row
+    /// bands, so the sum does not depend on either; a zero is not shown.
+    pub fn count(&self, n: u64, what: &str) {
+        self.notes.count(n, what);
     }
 }

@@ -39,7 +39,7 @@ impl Polarity {
 pub struct EventsMeta {
     /// Size of the sensor.
     pub extent: Extent,
-    /// From the first stamp to just after the last; `None` when there is no event.
+    /// The time that the stream covers, at least from the first stamp to just after the last; `None` when that is not known and there is no event.
     pub span: Option<TimeSpan>,
     /// Does every event carry its in-pixel time?
     pub has_t_in: bool,

@@ -31,7 +31,7 @@ pub mod time;
 pub mod tracks;
 pub mod value;
 
-pub use context::Context;
+pub use context::{Context, Notes};
 pub use digest::Digest;
 pub use error::{DataError, NodeError};
 pub use events::{EventBand, EventStream, EventsMeta, Polarity};

@@ -1,6 +1,6 @@
 //! Small helpers that the tests of several crates share: made-up data of every type, and a context to run a node in.
 
-use crate::context::{Context, Silent};
+use crate::context::{Context, Notes, Silent};
 use crate::events::{Event, EventBand, EventStream, EventsMeta, Polarity};
 use crate::extent::{Extent, Rows};
 use crate::frames::{FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta};
@@ -8,8 +8,8 @@ use crate::random::Random;
 use crate::time::{Exposure, TimeSpan};
 use crate::tracks::{TrackBand, TrackSet, TracksMeta};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex};
 
 /// Random events with both stamps, about ten a pixel, over 100 ms.
 pub fn events(width: u32, height: u32) -> EventStream {
@@ -93,7 +93,7 @@ pub fn tracks(width: u32, height: u32) -> TrackSet {
 /// Calls `work` with a context for some rows, all of `wanted` outputs wanted; gives back its result and the notes made.
 pub fn with_context<T>(rows: Rows, wanted: &[&str], work: impl FnOnce(&Context) -> T) -> (T, Vec<String>) {
     let wanted: BTreeSet<String> = wanted.iter().map(|port| port.to_string()).collect();
-    let (cancel, notes) = (AtomicBool::new(false), Mutex::new(Vec::new()));
+    let (cancel, notes) = (AtomicBool::new(false), Notes::default());
     let result = work(&Context::new(rows, 7, &wanted, &Silent, &cancel, None, &notes));
-    (result, notes.into_inner().unwrap_or_default())
+    (result, notes.lines())
 }

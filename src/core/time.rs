@@ -88,6 +88,11 @@ impl Exposure {
         self.end - self.start
     }
 
+    /// Length in seconds.
+    pub fn seconds(&self) -> f64 {
+        self.length_ns() as f64 / NS_PER_S
+    }
+
     /// The middle, rounded towards the start.
     pub fn mid(&self) -> Timestamp {
         Timestamp(self.start.0 + self.length_ns().div_euclid(2))

@@ -1,0 +1,42 @@
+# Two commands do everything on a fresh machine: `make demo` and `make test`.
+# Both install what is missing first: Debian's libhdf5 (through apt) and nothing else. Rust itself must be there: https://rustup.rs
+
+BIN := target/release/photocurrent
+
+.PHONY: demo test lint setup clean
+
+demo: setup
+	cargo build --release --locked
+	$(BIN) run pipelines/quickstart.toml
+	@echo
+	@echo "Look at:"
+	@echo "  out/quickstart/sheet/contact_sheet.png   truth, what the camera saw, and six reconstructions"
+	@echo "  out/quickstart/table/table.md            the table above"
+	@echo "  out/quickstart/frames/                   1,000 frames per second as 16-bit PNG, times in frames.csv"
+	@echo "Try next:"
+	@echo "  $(BIN) run pipelines/quickstart.toml                                        # again: nothing runs"
+	@echo "  $(BIN) explain pipelines/quickstart.toml solve_all --set nodes.solve_all.params.cis_weight=2"
+	@echo "  $(BIN) run pipelines/davis346.toml                                          # a real camera"
+	@echo "  $(BIN) graph pipelines/quickstart.toml --format svg > graph.svg"
+
+test: setup
+	cargo test --workspace --locked
+
+lint: setup
+	cargo fmt --all --check
+	cargo clippy --workspace --all-targets --locked -- -D warnings
+
+# HDF5 with its headers: the one native prerequisite. Nothing happens when it is there.
+setup:
+	@command -v cargo >/dev/null || { echo "Rust is missing: install it from https://rustup.rs, then run this again." >&2; exit 1; }
+	@if ! pkg-config --exists hdf5 2>/dev/null && ! ls /usr/include/hdf5/serial/hdf5.h /usr/include/hdf5.h /usr/local/include/hdf5.h >/dev/null 2>&1; then \
+		echo "Installing libhdf5-dev ..."; \
+		SUDO=$$( [ $$(id -u) = 0 ] || echo sudo ); \
+		if command -v apt-get >/dev/null; then $$SUDO apt-get update -qq && $$SUDO apt-get install -y -qq libhdf5-dev pkg-config; \
+		else echo "No apt-get here: install HDF5 1.10 or later with its headers by hand." >&2; exit 1; fi; \
+	fi
+	@command -v cc >/dev/null || { echo "A C compiler is missing: apt-get install gcc" >&2; exit 1; }
+
+clean:
+	cargo clean
+	rm -rf out

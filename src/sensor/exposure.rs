@@ -1,0 +1,192 @@
+//! Exposure: from photocurrent to the digital number (DN) of a frame pixel.
+//!
+//! A frame pixel adds up photocurrent while its row is exposed. With a rolling shutter each row starts a
+//! little later than the one above, so the same formula runs with other limits: that is all there is to
+//! rolling-shutter correction here.
+//!
+//! Source: Eq. (5) and Section 4.1 ("Rolling Shutter (RS) Effect Correction"). The photocurrent of a solved
+//! pixel is a zero-order hold: `i[k]` from knot `k` to knot `k + 1`, `i[0]` before the first, the last for ever.
+//!
+//! Times are whole nanoseconds, so limits and overlaps are exact; only the photocurrent is `f64`. An overlap
+//! becomes an `f64` exactly up to 2^53 ns (104 days). Rendering thousands of frames per second from one track
+//! goes through [`ExposureCursor`], which gives the same bits without searching anew.
+
+use photocurrent_core::Exposure;
+
+/// How a collected charge becomes a digital number: `DN = black_level + gain * integral`, Eq. (5).
+///
+/// The paper has no black level; zero gives its form.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DigitalNumber {
+    /// DN of a dark exposure.
+    pub black_level: f64,
+    /// DN per photocurrent and second.
+    pub gain: f64,
+}
+
+impl DigitalNumber {
+    /// The DN of `integral`, photocurrent times seconds. Linear: no clipping, no rounding.
+    pub fn of(&self, integral: f64) -> f64 {
+        self.black_level + self.gain * integral
+    }
+}
+
+/// A pixel's photocurrent over time as a zero-order hold. Photocurrents may be `f32` or `f64`; sums are taken in `f64`.
+#[derive(Clone, Copy, Debug)]
+pub struct HeldTrack<'a, P = f64> {
+    knots_ns: &'a [i64],
+    photocurrent: &'a [P],
+}
+
+impl<'a, P: Copy + Into<f64>> HeldTrack<'a, P> {
+    /// Holds `photocurrent[k]` from `knots_ns[k]` to `knots_ns[k + 1]`.
+    ///
+    /// # Panics
+    ///
+    /// When the slices are empty, differ in length, or the knots go back in time: the integral below relies on
+    /// order. Equal knots are allowed (the earlier one then holds for no time).
+    pub fn new(knots_ns: &'a [i64], photocurrent: &'a [P]) -> Self {
+        assert!(!knots_ns.is_empty(), "a track has at least one knot");
+        assert_eq!(knots_ns.len(), photocurrent.len(), "a track has one photocurrent per knot");
+        assert!(knots_ns.is_sorted(), "knots of a track are in time order");
+        HeldTrack { knots_ns, photocurrent }
+    }
+
+    /// The integral of the photocurrent over `exposure`, in photocurrent times seconds: Eq. (5) without its gain.
+    pub fn integral(&self, exposure: Exposure) -> f64 {
+        let after = self.knots_ns.partition_point(|&knot| knot <= exposure.start.0);
+        self.integral_from(after.saturating_sub(1), exposure)
+    }
+
+    /// Sums the holds from `first`, the one that holds at the exposure's start. Both ways in end here, so they
+    /// round alike.
+    fn integral_from(&self, first: usize, exposure: Exposure) -> f64 {
+        let mut sum = 0.0;
+        let mut from = exposure.start.0;
+        let mut k = first;
+        while from < exposure.end.0 {
+            let hold_ends = self.knots_ns.get(k + 1).copied().unwrap_or(i64::MAX);
+            let to = hold_ends.min(exposure.end.0);
+            sum += self.photocurrent[k].into() * (to - from) as f64;
+            from = to;
+            k += 1;
+        }
+        sum / 1e9
+    }
+}
+
+/// Integrates many exposures of one track, remembering where the last one started.
+///
+/// For exposures in time order (overlapping, abutting or apart) the search is one pass over the track.
+/// Any other order is right as well, but walks back.
+///
+/// ```
+/// # use photocurrent_core::Exposure;
+/// # use photocurrent_sensor::exposure::{ExposureCursor, HeldTrack};
+/// let track = HeldTrack::new(&[0, 50_000], &[1.0, 3.0]);
+/// let mut cursor = ExposureCursor::new(track);
+/// assert_eq!(cursor.integral(Exposure::new(0, 100_000)), 200e-6);
+/// ```
+#[derive(Clone, Debug)]
+pub struct ExposureCursor<'a, P = f64> {
+    track: HeldTrack<'a, P>,
+    holding: usize,
+}
+
+impl<'a, P: Copy + Into<f64>> ExposureCursor<'a, P> {
+    /// Starts at the beginning of `track`.
+    pub fn new(track: HeldTrack<'a, P>) -> Self {
+        ExposureCursor { track, holding: 0 }
+    }
+
+    /// The same bits as [`HeldTrack::integral`].
+    pub fn integral(&mut self, exposure: Exposure) -> f64 {
+        let knots = self.track.knots_ns;
+        while self.holding + 1 < knots.len() && knots[self.holding + 1] <= exposure.start.0 {
+            self.holding += 1;
+        }
+        while self.holding > 0 && knots[self.holding] > exposure.start.0 {
+            self.holding -= 1;
+        }
+        self.track.integral_from(self.holding, exposure)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const KNOTS: [i64; 3] = [100, 200, 400];
+    const CURRENT: [f64; 3] = [1.0, 10.0, 100.0];
+
+    fn integral(start_ns: i64, end_ns: i64) -> f64 {
+        HeldTrack::new(&KNOTS, &CURRENT).integral(Exposure::new(start_ns, end_ns))
+    }
+
+    #[test]
+    fn each_hold_counts_for_its_overlap() {
+        assert_eq!(integral(150, 450), (50.0 + 2000.0 + 5000.0) / 1e9);
+    }
+
+    #[test]
+    fn the_first_photocurrent_holds_before_the_first_knot() {
+        assert_eq!(integral(0, 150), 150e-9);
+        assert_eq!(integral(-100, -50), 50e-9);
+    }
+
+    #[test]
+    fn the_last_photocurrent_holds_for_ever() {
+        assert_eq!(integral(1000, 1001), 100e-9);
+    }
+
+    #[test]
+    fn an_empty_exposure_collects_nothing() {
+        assert_eq!(integral(250, 250), 0.0);
+    }
+
+    #[test]
+    fn an_exposure_on_a_knot_takes_the_new_photocurrent() {
+        assert_eq!(integral(200, 201), 10e-9);
+    }
+
+    #[test]
+    fn the_later_of_two_equal_knots_wins() {
+        let track = HeldTrack::new(&[0, 10, 10], &[1.0, 50.0, 2.0]);
+        assert_eq!(track.integral(Exposure::new(0, 20)), 30e-9);
+    }
+
+    #[test]
+    fn a_dark_exposure_reads_the_black_level() {
+        let dn = DigitalNumber { black_level: 64.0, gain: 1.5e5 };
+        assert_eq!(dn.of(0.0), 64.0);
+        assert_eq!(dn.of(1e-3), 64.0 + 150.0);
+    }
+
+    #[test]
+    fn abutting_windows_add_up_to_the_whole() {
+        let mut cursor = ExposureCursor::new(HeldTrack::new(&KNOTS, &CURRENT));
+        let sum: f64 = (0..25).map(|n| cursor.integral(Exposure::new(20 * n, 20 * n + 20))).sum();
+        assert!((sum / integral(0, 500) - 1.0).abs() < 1e-14);
+    }
+
+    proptest! {
+        #[test]
+        fn the_cursor_gives_the_same_bits_as_a_fresh_search(
+            gaps in prop::collection::vec(0_i64..500, 1..40),
+            windows in prop::collection::vec((-100_i64..400, 0_i64..900), 1..60),
+        ) {
+            let mut now = -300;
+            let knots: Vec<i64> = gaps.iter().map(|gap| { now += gap; now }).collect();
+            let current: Vec<f64> = (0..knots.len()).map(|k| 0.1 + (k as f64 * 0.7) % 1.3).collect();
+            let track = HeldTrack::new(&knots, &current);
+            let mut cursor = ExposureCursor::new(track);
+            let mut start = -500;
+            for (advance, length) in windows {
+                start += advance; // sometimes backwards, often overlapping
+                let exposure = Exposure::new(start, start + length);
+                prop_assert_eq!(cursor.integral(exposure).to_bits(), track.integral(exposure).to_bits());
+            }
+        }
+    }
+}

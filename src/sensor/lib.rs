@@ -1,0 +1,32 @@
+//! The physics of a hybrid sensor that takes frames (CIS) and events (EVS) with one photodiode array.
+//!
+//! Every equation of the model is written once, here, and the simulator, the solver and the diagnosis all call it.
+//! The crate knows no files, no graphs and no image layout: it sees one pixel (or one pixel row) at a time,
+//! as plain slices of seconds, nanoseconds, photocurrents and natural-log voltages.
+//!
+//! The equations follow "Sensor inverse modeling" (Eqs. 1-13); deviations are said where they happen.
+//!
+//! In reading order:
+//!
+//! - [`scalar`]: the numbers the equations are written over: `f64` and dual numbers.
+//! - [`front_end`]: photocurrent to front-end voltage, a light-dependent low-pass, Eqs. (1)-(3).
+//! - [`comparator`]: when a voltage change becomes an event, Eq. (4).
+//! - [`readout`]: the voltage change missed during readout and refractory period, Eqs. (9)-(12).
+//! - [`exposure`]: row timing and the exposure integral of a frame, Eq. (5).
+//! - [`forward`]: light in, events and frame values out, for one pixel.
+//! - [`residuals`]: measured minus predicted for a candidate photocurrent, with its Jacobian.
+//! - [`inverse`]: events and frames in, photocurrent out: the least-squares problem of Eq. (13).
+//! - [`effects`]: non-idealities beyond the model above, one file each.
+//!
+//! Results are the same bits on every machine: no fused multiply-add and no platform `exp` or `ln`
+//! (the `libm` crate instead). Keep it so; a method call such as `x.exp()` on an `f64` is the platform's.
+
+pub mod comparator;
+pub mod effects;
+pub mod exposure;
+pub mod forward;
+pub mod front_end;
+pub mod inverse;
+pub mod readout;
+pub mod residuals;
+pub mod scalar;
