@@ -1,1 +1,20 @@
-//! placeholder
+//! Every node kind of photocurrent: one file each, in families.
+//!
+//! A node knows its inputs, parameters and seed, and nothing of the graph around it. [`catalog`] is the one list of all
+//! of them. What several nodes share stands beside the families: [`sampling`] (when virtual frames are exposed), [`pixel_events`] (a pixel's events as
+//! signed steps).
+
+pub mod baseline;
+pub mod catalog;
+pub mod compensate;
+pub mod pixel_events;
+pub mod read;
+pub mod render;
+pub mod sampling;
+pub mod score;
+pub mod simulate;
+pub mod solve;
+pub mod split;
+pub mod write;
+
+pub use catalog::catalogue;

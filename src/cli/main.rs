@@ -1,2 +1,50 @@
-//! The photocurrent command.
-fn main() {}
+//! The photocurrent command: arguments, exit codes, what the terminal shows. Nothing numerical.
+//!
+//! Data go to stdout, talk to stderr. Exit codes: 0 done, 1 a node failed, 2 manifest or usage error (nothing ran), 3 input data failed a
+//! check, 4 an ablation finished with failed variants, 130 interrupted (artefacts intact).
+
+mod args;
+mod cache;
+mod common;
+mod graph;
+mod inspect;
+mod nodes;
+mod plan;
+mod problems;
+mod progress;
+mod run;
+mod tables;
+
+use args::{Args, Command};
+use clap::Parser;
+use common::Failure;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    let args = Args::parse();
+    let done = match &args.command {
+        Command::Run(options) => run::run(options),
+        Command::Plan(options) => plan::plan(options),
+        Command::Explain(options) => plan::explain(options),
+        Command::Check(options) => plan::check(options),
+        Command::Graph(options) => graph::graph(options),
+        Command::Inspect(options) => inspect::inspect(options),
+        Command::Nodes(options) => nodes::nodes(options),
+        Command::Schema => nodes::schema(),
+        Command::Completions(options) => nodes::completions(options),
+        Command::Cache(options) => cache::cache(options),
+    };
+    match done {
+        Ok(code) => ExitCode::from(code),
+        Err(Failure::Problems(found)) => {
+            problems::show(&found);
+            ExitCode::from(2)
+        }
+        Err(Failure::Other { message, code }) => {
+            eprintln!("error: {message}");
+            ExitCode::from(code)
+        }
+        // The reader of our output went away (`photocurrent nodes | head`): that is no failure of ours.
+        Err(Failure::ReaderGone) => ExitCode::SUCCESS,
+    }
+}

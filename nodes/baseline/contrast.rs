@@ -1,0 +1,297 @@
+//! `baseline/contrast`: one contrast threshold for a whole recording, searched so that the double integral looks right.
+//!
+//! Idea: with too small a threshold the latent picture stays blurred and its edges miss the events' edges; with too large a one it gets a
+//! wild relief. So the energy is `lambda x sum |Sobel L| - sum edge(L) x edge(M)`: relief of the latent picture, less the agreement of its
+//! edges with those of the event picture M (events weighted by exp(-|t - f| / decay) around the middle f of an exposure). Fibonacci search over
+//! the stated interval, energies summed over several frames of the recording.
+//!
+//! Source: the energy of Pan et al. as the public port davis-EDI-rs states it (lambda 0.15, interval 0.1 to 0.5, 15 points, edges by 3x3 Sobel, scaled to [0, 1]
+//! and cut at mean + (1 - mean) / 3); the authors' own interval is not public. Limits: one threshold for both polarities and all pixels; the
+//! energy is not convex, and the search finds one of its valleys.
+
+use super::repeat::black_level;
+use crate::pixel_events::clock_offset;
+use photocurrent_core::events::{EventBand, Polarity};
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::table::{Column, TableMeta};
+use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_sensor::exposure::HeldTrack;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of `baseline/contrast`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// Lower end of the interval, natural-log units.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub lowest: f64,
+    /// Upper end of the interval, natural-log units.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub highest: f64,
+    /// The smallest Fibonacci number of at least this many points is used.
+    #[schemars(range(min = 3, max = 1000))]
+    pub points: u32,
+    /// Weight of the relief term.
+    #[schemars(range(min = 0.0))]
+    pub lambda: f64,
+    /// Decay of an event's weight away from the middle of the exposure.
+    #[schemars(extend("x-min" = "1 us"))]
+    pub decay: Duration,
+    /// Most frames to look at, spread over the recording.
+    #[schemars(range(min = 1))]
+    pub frames: u32,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Params { lowest: 0.1, highest: 0.5, points: 15, lambda: 0.15, decay: Duration::new(20_000_000), frames: 8 }
+    }
+}
+
+photocurrent_core::ports! {
+    /// Inputs.
+    pub struct In {
+        /// Events.
+        events: EventStream,
+        /// Captured frames.
+        frames: FrameSequence,
+        /// Black level and clock offset.
+        sensor: Option<Arc<Sensor>>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// Outputs.
+    pub struct Out {
+        /// One row: `contrast`, and the `energy` there.
+        contrast: Arc<Table>,
+    }
+}
+
+/// The node.
+pub struct BaselineContrast {
+    params: Params,
+}
+
+impl Node for BaselineContrast {
+    const DECL: Decl = Decl {
+        kind: "baseline/contrast",
+        about: "Searches one contrast threshold for the double integral, by the sharpness of the latent pictures.",
+        revision: 1,
+        grain: Grain::Whole,
+        draws: false,
+        exports: false,
+        sources: &["Pan et al., CVPR 2019, section 4; davis-EDI-rs"],
+        example: r#"
+[nodes.contrast]
+kind   = "baseline/contrast"
+in     = { events = "recording.events", frames = "recording.frames" }
+params = { lowest = 0.1, highest = 0.5 }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params) -> Result<Self, NodeError> {
+        if params.lowest >= params.highest {
+            return Err(NodeError::usage(format!("the interval from {} to {} is empty", params.lowest, params.highest)).param("lowest"));
+        }
+        Ok(BaselineContrast { params })
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
+        if events.extent != frames.extent || frames.channels != 1 || frames.times.is_empty() {
+            return Err(NodeError::usage(format!(
+                "events are {}; {} frames are {} with {} channel(s)",
+                events.extent,
+                frames.times.len(),
+                frames.extent,
+                frames.channels
+            ))
+            .hint("at least one grey frame of the events' size is needed"));
+        }
+        Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let sensor = input.sensor.as_deref();
+        let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
+        let events = input.events.read(input.events.rows())?;
+        let frames = &input.frames;
+        let count = frames.len().min(self.params.frames as usize);
+        // Spread over the recording, ends left out where there is a choice.
+        let chosen: Vec<usize> = (0..count).map(|i| (2 * i + 1) * frames.len() / (2 * count)).collect();
+        let scenes: Result<Vec<Scene>, NodeError> =
+            chosen.iter().map(|&l| Scene::new(frames, &events, l, shift_ns, black_level(sensor), self.params.decay.seconds())).collect();
+        let scenes = scenes?;
+        let steps = fibonacci_steps(self.params.points);
+        cx.begin((steps + 2) as u64, "thresholds");
+        let energy = |contrast: f64| -> Result<f64, NodeError> {
+            cx.advance(1)?;
+            Ok(scenes.par_iter().map(|scene| scene.energy(contrast, self.params.lambda)).collect::<Vec<f64>>().iter().sum())
+        };
+        let (contrast, lowest) = fibonacci_search(self.params.lowest, self.params.highest, steps, energy)?;
+        let edge = 0.02 * (self.params.highest - self.params.lowest);
+        if contrast - self.params.lowest < edge || self.params.highest - contrast < edge {
+            cx.note(format!("the threshold found, {contrast:.3}, lies at the end of the interval {} to {}: widen it", self.params.lowest, self.params.highest));
+        }
+        let table = Table::default().with("contrast", Column::Numbers(vec![contrast])).with("energy", Column::Numbers(vec![lowest]));
+        Ok(Out { contrast: Arc::new(table.note("frames", format!("{chosen:?}"))) })
+    }
+}
+
+/// Number of evaluations that a search over at least `points` takes: n - 2 for the smallest Fibonacci number F(n) not below them.
+fn fibonacci_steps(points: u32) -> u32 {
+    let (mut n, mut a, mut b) = (2u32, 1u64, 1u64);
+    while b < u64::from(points) {
+        (a, b, n) = (b, a + b, n + 1);
+    }
+    n - 2
+}
+
+fn fibonacci(n: u32) -> f64 {
+    (0..n).fold((0.0, 1.0), |(a, b), _| (b, a + b)).0
+}
+
+/// Minimises over [a, b]: each step keeps the side with the smaller value and reuses one evaluation. Returns (place, value).
+fn fibonacci_search(mut a: f64, mut b: f64, steps: u32, energy: impl Fn(f64) -> Result<f64, NodeError>) -> Result<(f64, f64), NodeError> {
+    let part = |n: u32, a: f64, b: f64| a + fibonacci(n) / fibonacci(n + 2) * (b - a);
+    let (mut left, mut right) = (part(steps, a, b), b - (part(steps, a, b) - a));
+    let (mut at_left, mut at_right) = (energy(left)?, energy(right)?);
+    for n in (1..steps).rev() {
+        if at_left <= at_right {
+            (b, right, at_right) = (right, left, at_left);
+            left = part(n, a, b);
+            at_left = energy(left)?;
+        } else {
+            (a, left, at_left) = (left, right, at_right);
+            right = b - (part(n, a, b) - a);
+            at_right = energy(right)?;
+        }
+    }
+    Ok(if at_left <= at_right { (left, at_left) } else { (right, at_right) })
+}
+
+/// One frame with the events around it.
+struct Scene {
+    width: usize,
+    height: usize,
+    /// Blurred frame scaled to [0, 1].
+    blurred: Vec<f64>,
+    exposures: Vec<Exposure>,
+    /// Per pixel: times and signs.
+    events: Vec<Vec<(i64, f64)>>,
+    event_edges: Vec<f64>,
+}
+
+impl Scene {
+    fn new(frames: &FrameSequence, events: &EventBand, l: usize, shift_ns: i64, black: f64, decay_s: f64) -> Result<Scene, NodeError> {
+        let meta = &frames.meta;
+        let (width, height) = (meta.extent.width as usize, meta.extent.height as usize);
+        let block = frames.read(l..l + 1, frames.rows())?;
+        let above: Vec<f64> = block.dn.iter().map(|dn| if dn.is_finite() { (f64::from(*dn) - black).max(0.0) } else { 0.0 }).collect();
+        let peak = above.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+        let exposures: Vec<Exposure> = (0..meta.extent.height).map(|row| meta.times.exposure(l, row)).collect();
+        let mut per_pixel = vec![Vec::new(); width * height];
+        let mut event_picture = vec![0.0; width * height];
+        for y in 0..height {
+            let row = events.row(y as u32);
+            let middle = exposures[y].mid().0;
+            for k in 0..row.len() {
+                let (t, sign) = (row.t[k] - shift_ns, Polarity::from_bit(row.on[k]).sign());
+                let pixel = y * width + row.x[k] as usize;
+                if (exposures[y].start.0..exposures[y].end.0).contains(&t) {
+                    per_pixel[pixel].push((t, sign));
+                }
+                event_picture[pixel] += sign * libm::exp(-((t - middle).abs() as f64 * 1e-9) / decay_s);
+            }
+        }
+        let event_edges = binary_edges(&event_picture, width, height);
+        Ok(Scene { width, height, blurred: above.iter().map(|v| v / peak).collect(), exposures, events: per_pixel, event_edges })
+    }
+
+    /// Relief of the latent picture less the agreement of its edges with the events'.
+    fn energy(&self, contrast: f64, lambda: f64) -> f64 {
+        let latent = self.latent(contrast);
+        let relief: f64 = sobel(&latent, self.width, self.height).iter().sum();
+        let agreement: f64 = binary_edges(&latent, self.width, self.height).iter().zip(&self.event_edges).map(|(a, b)| a * b).sum();
+        lambda * relief - agreement
+    }
+
+    /// The latent picture in the middle of the exposure, clipped to [0, 1.1].
+    fn latent(&self, contrast: f64) -> Vec<f64> {
+        let (mut t, mut light) = (Vec::new(), Vec::new());
+        (0..self.width * self.height)
+            .map(|pixel| {
+                let exposure = self.exposures[pixel / self.width];
+                let middle = exposure.mid().0;
+                t.clear();
+                light.clear();
+                t.push(exposure.start.0);
+                light.push(1.0);
+                let mut log_light = 0.0;
+                for (at, sign) in &self.events[pixel] {
+                    log_light += sign * contrast;
+                    t.push(*at);
+                    light.push(libm::exp(log_light));
+                }
+                let mean = HeldTrack::new(&t, &light).integral(exposure) / exposure.seconds();
+                let held = t.partition_point(|&at| at <= middle).saturating_sub(1);
+                (self.blurred[pixel] * light[held] / mean).clamp(0.0, 1.1)
+            })
+            .collect()
+    }
+}
+
+/// Magnitude of the 3x3 Sobel gradient; zero on the border.
+fn sobel(picture: &[f64], width: usize, height: usize) -> Vec<f64> {
+    let mut magnitude = vec![0.0; picture.len()];
+    for y in 1..height.saturating_sub(1) {
+        for x in 1..width.saturating_sub(1) {
+            let at = |dx: usize, dy: usize| picture[(y + dy - 1) * width + x + dx - 1];
+            let horizontal = at(2, 0) + 2.0 * at(2, 1) + at(2, 2) - at(0, 0) - 2.0 * at(0, 1) - at(0, 2);
+            let vertical = at(0, 2) + 2.0 * at(1, 2) + at(2, 2) - at(0, 0) - 2.0 * at(1, 0) - at(2, 0);
+            magnitude[y * width + x] = (horizontal * horizontal + vertical * vertical).sqrt();
+        }
+    }
+    magnitude
+}
+
+/// Edges scaled to [0, 1] and cut at mean + (1 - mean) / 3.
+fn binary_edges(picture: &[f64], width: usize, height: usize) -> Vec<f64> {
+    let magnitude = sobel(picture, width, height);
+    let highest = magnitude.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let mean = magnitude.iter().sum::<f64>() / highest / magnitude.len() as f64;
+    magnitude.iter().map(|m| f64::from(m / highest >= mean + (1.0 - mean) / 3.0)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_search_finds_the_valley_of_a_parabola() {
+        let (place, _) = fibonacci_search(0.1, 0.5, fibonacci_steps(200), |c| Ok((c - 0.237) * (c - 0.237))).unwrap();
+        // F(13) = 233 points over 0.4: within two of their spacings.
+        assert!((place - 0.237).abs() < 2.0 * 0.4 / 233.0, "{place}");
+    }
+
+    #[test]
+    fn fifteen_points_take_the_eighth_fibonacci_number() {
+        assert_eq!(fibonacci(8), 21.0);
+        assert_eq!(fibonacci_steps(15), 6);
+    }
+
+    #[test]
+    fn a_vertical_step_has_its_edge_where_it_is() {
+        let picture: Vec<f64> = (0..25).map(|i| f64::from(i % 5 >= 3)).collect();
+        let edges = binary_edges(&picture, 5, 5);
+        let columns: Vec<usize> = (0..25).filter(|i| edges[*i] > 0.0).map(|i| i % 5).collect();
+        assert!(!columns.is_empty() && columns.iter().all(|x| *x == 2 || *x == 3));
+    }
+}

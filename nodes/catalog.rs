@@ -1,0 +1,33 @@
+//! The table of contents: every node kind, in the order in which data flows. Nothing else registers nodes.
+
+use crate::{baseline, compensate, read, render, score, simulate, solve, split, write};
+use photocurrent_core::{Catalogue, Kind};
+
+/// All node kinds.
+pub fn catalogue() -> Catalogue {
+    Catalogue::new(vec![
+        // Data come in, or are made.
+        Kind::of::<read::recording::ReadRecording>(),
+        Kind::of::<read::aedat4::ReadAedat4>(),
+        Kind::of::<read::sensor::ReadSensor>(),
+        Kind::of::<simulate::pellet::SimulatePellet>(),
+        // Parts are set aside.
+        Kind::of::<split::frames::SplitFrames>(),
+        // Events and frames become photocurrent.
+        Kind::of::<compensate::readout::CompensateReadout>(),
+        Kind::of::<solve::pixel::SolvePixel>(),
+        // Photocurrent becomes frames.
+        Kind::of::<render::rows::RenderRows>(),
+        // The same by other methods.
+        Kind::of::<baseline::repeat::BaselineRepeat>(),
+        Kind::of::<baseline::contrast::BaselineContrast>(),
+        Kind::of::<baseline::edi::BaselineEdi>(),
+        // How good it is.
+        Kind::of::<score::psnr::ScorePsnr>(),
+        Kind::of::<score::heldout::ScoreHeldout>(),
+        // What the user takes away.
+        Kind::of::<write::frames::WriteFrames>(),
+        Kind::of::<write::table::WriteTable>(),
+        Kind::of::<write::contact_sheet::WriteContactSheet>(),
+    ])
+}

@@ -1,0 +1,3 @@
+//! Latency compensation for methods that have no latch of their own.
+
+pub mod readout;

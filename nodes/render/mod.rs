@@ -1,0 +1,3 @@
+//! From photocurrent to pictures.
+
+pub mod rows;

@@ -1,0 +1,211 @@
+//! `render/rows`: frames from tracks, at any instant and for any exposure.
+//!
+//! Idea: once the photocurrent of every pixel is known as a function of time, a frame is its integral over an exposure that is chosen
+//! freely, Eq. (5). Exposing all rows at once removes the rolling shutter; exposing for 100 us removes the blur; doing so 10,000 times a
+//! second is the interpolation. Integrals of the zero-order hold are exact.
+//!
+//! Limits: grey only. A pixel without any knot is unknown and comes out as NaN.
+
+use crate::sampling::{Sampling, scale_seconds, virtual_frames};
+use photocurrent_core::{Context, Decl, Exposure, Extent, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackSet};
+use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, HeldTrack};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of `render/rows`.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default)]
+#[schemars(deny_unknown_fields)]
+pub struct Params {
+    /// Steady sampling, when nothing is connected to `at`.
+    #[serde(flatten)]
+    pub sampling: Sampling,
+}
+
+photocurrent_core::ports! {
+    /// Inputs.
+    pub struct In {
+        /// Photocurrent of every pixel.
+        tracks: TrackSet,
+        /// Gain and black level; row time for a rolling shutter.
+        sensor: Arc<Sensor>,
+        /// Frames whose exposures, row time and scale are to be imitated.
+        at: Option<FrameSequence>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// Outputs.
+    pub struct Out {
+        /// The rendered frames, linear DN.
+        frames: FrameSequence,
+    }
+}
+
+/// The node.
+pub struct RenderRows {
+    params: Params,
+}
+
+impl Node for RenderRows {
+    const DECL: Decl = Decl {
+        kind: "render/rows",
+        about: "Frames from tracks: sharp, free of rolling shutter, at any rate and for any exposure.",
+        revision: 1,
+        grain: Grain::Pixel,
+        draws: false,
+        exports: false,
+        sources: &["Jiang et al., CVPR 2024, Eq. (5) and section 4.1"],
+        example: r#"
+[nodes.render]
+kind   = "render/rows"
+in     = { tracks = "solve.tracks", sensor = "sensor" }
+params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params) -> Result<Self, NodeError> {
+        Ok(RenderRows { params })
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let tracks = inputs.tracks("tracks")?;
+        let sensor = inputs.sensor("sensor")?;
+        digital_number(sensor)?;
+        let at = inputs.has("at").then(|| inputs.frames("at")).transpose()?;
+        let meta = virtual_frames(&self.params.sampling, at.map(|at| &**at), tracks.extent, tracks.span, tracks.nominal_exposure_ns, Some(sensor))?;
+        Ok(vec![Meta::Frames(Arc::new(meta))])
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let tracks = &input.tracks;
+        let at = input.at.as_ref().map(|at| &*at.meta);
+        let meta = virtual_frames(&self.params.sampling, at, tracks.meta.extent, tracks.meta.span, tracks.meta.nominal_exposure_ns, Some(&input.sensor))?;
+        let dn = digital_number(&input.sensor)?;
+        let rows = cx.rows();
+        cx.begin(rows.len() as u64, "rows");
+        let band = tracks.read(rows)?;
+        let render_row = |row: u32| -> Result<Vec<f32>, NodeError> {
+            let exposures: Vec<Exposure> = (0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect();
+            let seconds: Vec<f64> = exposures.iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
+            let picture = render_pixels(&band, row, meta.extent, &exposures, &seconds, dn);
+            cx.advance(1)?;
+            Ok(picture)
+        };
+        let pictures: Result<Vec<Vec<f32>>, NodeError> = rows.iter().into_par_iter().map(render_row).collect();
+        Ok(Out { frames: from_rows(meta, rows, pictures?) })
+    }
+}
+
+/// All frames of one row as [frame][x].
+fn render_pixels(band: &photocurrent_core::TrackBand, row: u32, extent: Extent, exposures: &[Exposure], seconds: &[f64], dn: DigitalNumber) -> Vec<f32> {
+    let width = extent.width as usize;
+    let mut picture = vec![f32::NAN; exposures.len() * width];
+    for x in 0..width {
+        let track = band.pixel(x as u32, row);
+        if track.t.is_empty() {
+            continue;
+        }
+        let mut cursor = ExposureCursor::new(HeldTrack::new(track.t, track.photocurrent));
+        for (frame, exposure) in exposures.iter().enumerate() {
+            let mean = cursor.integral(*exposure) / exposure.seconds();
+            picture[frame * width + x] = dn.of(mean * seconds[frame]) as f32;
+        }
+    }
+    picture
+}
+
+/// Frames from one buffer [frame][value] per row.
+pub(crate) fn from_rows(meta: FramesMeta, rows: photocurrent_core::Rows, pictures: Vec<Vec<f32>>) -> FrameSequence {
+    let mut block = FrameBlock::zeros(0..meta.times.len(), rows, meta.row_values());
+    for (row, picture) in rows.iter().zip(pictures) {
+        for (frame, values) in picture.chunks_exact(meta.row_values()).enumerate() {
+            block.row_mut(frame, row).copy_from_slice(values);
+        }
+    }
+    FrameSequence::in_memory(Arc::new(meta), block)
+}
+
+fn digital_number(sensor: &Sensor) -> Result<DigitalNumber, NodeError> {
+    let gain = sensor.need(sensor.frames.gain, "frames.gain", "render/rows")?;
+    Ok(DigitalNumber { black_level: sensor.frames.black_level_dn.unwrap_or(0.0), gain })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sampling::Shutter;
+    use photocurrent_core::quantity::{Duration, Rate};
+    use photocurrent_core::{FrameScale, Ports, Rows, TimeSpan, TrackBand, TracksMeta, testing};
+
+    fn sensor() -> Arc<Sensor> {
+        let mut sensor = Sensor::unknown("test");
+        sensor.frames.gain = Some(1000.0);
+        sensor.frames.black_level_dn = Some(10.0);
+        sensor.frames.row_time = Some(Duration::new(1_000_000));
+        Arc::new(sensor)
+    }
+
+    /// Every pixel jumps from 1 to 3 at 5 ms; pixel (1, 0) is unknown.
+    fn tracks() -> TrackSet {
+        let extent = Extent { width: 2, height: 3 };
+        let mut band = TrackBand::begin(0, 2);
+        for pixel in 0..6 {
+            band.push([(0, 1.0), (5_000_000, 3.0)].into_iter().filter(|_| pixel != 1));
+        }
+        TrackSet::in_memory(Arc::new(TracksMeta { extent, span: TimeSpan::new(0, 10_000_000), nominal_exposure_ns: 4_000_000, count_hint: None }), band)
+    }
+
+    fn render(sampling: Sampling, at: Option<FrameSequence>) -> FrameSequence {
+        let node = RenderRows { params: Params { sampling } };
+        let (out, _) = testing::with_context(Rows { start: 0, end: 3 }, &["frames"], |cx| node.run(In { tracks: tracks(), sensor: sensor(), at }, cx));
+        out.unwrap().frames
+    }
+
+    fn values(frames: &FrameSequence, x: usize, row: u32) -> Vec<f32> {
+        let block = frames.read_rows(frames.rows()).unwrap();
+        (0..frames.len()).map(|frame| block.row(frame, row)[x]).collect()
+    }
+
+    #[test]
+    fn a_short_exposure_shows_the_instant_at_the_nominal_scale() {
+        // DN = 10 + 1000 x 4 ms x current; the frame around 5 ms straddles the jump.
+        let frames = render(Sampling { rate: Rate::new(400.0), ..Sampling::default() }, None);
+        assert_eq!(frames.meta.scale, FrameScale::Nominal { exposure_ns: 4_000_000 });
+        assert_eq!(values(&frames, 0, 2), [14.0, 14.0, 18.0, 22.0]);
+    }
+
+    #[test]
+    fn a_rolling_shutter_sees_lower_rows_later() {
+        let sampling = Sampling { rate: Rate::new(400.0), shutter: Shutter::Rolling, ..Sampling::default() };
+        // Row 1 is 1 ms later: its frame at 5 ms lies behind the jump.
+        assert_eq!(values(&render(sampling, None), 0, 1), [14.0, 14.0, 22.0, 22.0]);
+    }
+
+    #[test]
+    fn imitated_frames_integrate_over_their_own_exposure() {
+        let at = testing::captured(Extent { width: 2, height: 3 }, vec![Exposure::new(3_000_000, 7_000_000)], 1_000_000, |_, _, _| 0.0);
+        let frames = render(Sampling::default(), Some(at));
+        assert_eq!(frames.meta.scale, FrameScale::Captured);
+        // Row 2 is exposed from 5 to 9 ms: all of it after the jump.
+        assert_eq!((values(&frames, 0, 0), values(&frames, 0, 2)), (vec![10.0 + 8.0], vec![10.0 + 12.0]));
+    }
+
+    #[test]
+    fn an_unknown_pixel_stays_unknown() {
+        assert!(values(&render(Sampling::default(), None), 1, 0).iter().all(|dn| dn.is_nan()));
+    }
+
+    #[test]
+    fn unknown_parameters_are_refused_although_the_sampling_is_flattened() {
+        let kind = photocurrent_core::Kind::of::<RenderRows>();
+        assert!(kind.schema["properties"]["rate"].is_object(), "{}", kind.schema);
+        assert!(kind.schema["unevaluatedProperties"] == false || kind.schema["additionalProperties"] == false);
+        assert_eq!(In::specs().len(), 3);
+    }
+}

@@ -1,0 +1,3 @@
+//! Recordings with known truth.
+
+pub mod pellet;

@@ -1,0 +1,3 @@
+//! From events and frames to photocurrent.
+
+pub mod pixel;

@@ -1,0 +1,542 @@
+//! Draws several sequences side by side: one row per method, one column per instant.
+//!
+//! For each of a few instants the frame whose exposure middle is nearest is shown. All rows share one grey range, taken from the first row (the
+//! true frames, when they are connected), so that a method which is too dark looks too dark. It is for looking only: values beyond the
+//! range are clipped, and a display gamma of 2.2 brightens the shadows. What is measured stands in the scores, what was rendered in
+//! `write/frames`.
+//!
+//! Limits: every sequence must have the same extent. Middles are those of row 0; under a rolling shutter, lower rows are later.
+//! A value that is not known (NaN) is drawn black.
+
+use super::font;
+use super::frames::nominal_exposure_ns;
+use super::picture::Picture;
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::table::{Column, TableMeta};
+use photocurrent_core::{Context, Decl, Extent, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Table, Truth};
+use png::BitDepth;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of `write/contact_sheet`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// Names of the rows: one text for each connected sequence, in the same order, all different. True frames are called "truth".
+    pub labels: Vec<String>,
+    /// Number of instants, evenly spaced; 1 to 100. Not used when `times` is given.
+    #[schemars(range(min = 1, max = 100))]
+    pub columns: usize,
+    /// First instant, on the recording's clock. Default: the first exposure middle that all sequences have reached.
+    pub start: Option<Duration>,
+    /// Last instant. Default: the last exposure middle that all sequences reach.
+    pub end: Option<Duration>,
+    /// The instants themselves, on the recording's clock.
+    pub times: Option<Vec<Duration>>,
+    /// Picture dots for each pixel, 1 to 64. Default: as many as make a row about 1600 dots wide.
+    #[schemars(range(min = 1, max = 64))]
+    pub scale: Option<u32>,
+    /// Show only this part of each frame.
+    pub crop: Option<Crop>,
+}
+
+impl Default for Params {
+    fn default() -> Params {
+        Params { labels: Vec::new(), columns: 5, start: None, end: None, times: None, scale: None, crop: None }
+    }
+}
+
+/// A part of a frame, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Crop {
+    /// Leftmost column, counted from 0.
+    pub x: u32,
+    /// Topmost row, counted from 0.
+    pub y: u32,
+    /// Number of columns, 1 or more.
+    #[schemars(range(min = 1))]
+    pub width: u32,
+    /// Number of rows, 1 or more.
+    #[schemars(range(min = 1))]
+    pub height: u32,
+}
+
+photocurrent_core::ports! {
+    /// What is drawn.
+    pub struct In {
+        /// Sequences to compare, one per row.
+        frames: Vec<FrameSequence>,
+        /// True frames of simulated data, shown as the first row.
+        truth: Option<Truth>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// What was drawn.
+    pub struct Out {
+        /// Which frame stands where: label, column, frame, t_ns (middle of its exposure), asked_ns (the instant of the column).
+        listing: Arc<Table>,
+    }
+}
+
+/// The node.
+pub struct WriteContactSheet {
+    params: Params,
+}
+
+/// Dots between things.
+const GAP: u32 = 6;
+/// The width that a row of pictures should have.
+const WIDTH_WANTED: u32 = 1600;
+/// The largest picture, in dots: enough for a wall, and far from what viewers refuse.
+const LARGEST: u64 = 400_000_000;
+/// Exponent of the display: a screen shows `value ^ GAMMA`.
+const GAMMA: f64 = 2.2;
+const FOR_LOOKING: &str = "For looking only: one grey range for all rows (0.5 to 99.5 percent of the first row), display gamma 2.2.";
+
+/// A frame that is shown.
+struct Shown {
+    frame: usize,
+    t_ns: i64,
+    /// Values as [row][x][channel].
+    dn: Vec<f32>,
+}
+
+/// The frame whose exposure middle is nearest to `t_ns`; the earlier one of two. Middles need not rise when exposures differ in length.
+fn nearest(times: &FrameTimes, t_ns: i64) -> usize {
+    let away = |l: &usize| times.exposures[*l].mid().0.abs_diff(t_ns);
+    (0..times.len()).min_by_key(away).unwrap_or(0)
+}
+
+/// First and last exposure middle.
+fn middles(times: &FrameTimes) -> Option<(i64, i64)> {
+    let middles = || times.exposures.iter().map(|exposure| exposure.mid().0);
+    Some((middles().min()?, middles().max()?))
+}
+
+impl WriteContactSheet {
+    fn crop(&self, extent: Extent) -> Crop {
+        self.params.crop.unwrap_or(Crop { x: 0, y: 0, width: extent.width, height: extent.height })
+    }
+
+    /// The instants of the columns.
+    fn instants(&self, sequences: &[&FramesMeta]) -> Vec<i64> {
+        if let Some(times) = &self.params.times {
+            return times.iter().map(|time| time.ns()).collect();
+        }
+        let spans: Vec<(i64, i64)> = sequences.iter().filter_map(|meta| middles(&meta.times)).collect();
+        let common = spans.iter().copied().reduce(|a, b| (a.0.max(b.0), a.1.min(b.1))).filter(|(first, last)| first <= last);
+        // Sequences without common time: the first row says what to look at.
+        let (first, last) = common.or(spans.first().copied()).unwrap_or((0, 0));
+        let first = self.params.start.map_or(first, Duration::ns);
+        let last = self.params.end.map_or(last, Duration::ns).max(first);
+        match self.params.columns {
+            1 => vec![first + (last - first) / 2],
+            n => (0..n).map(|k| first + ((last - first) as f64 * k as f64 / (n - 1) as f64).round() as i64).collect(),
+        }
+    }
+
+    /// Refuses what cannot be drawn.
+    fn check(&self, sequences: &[(&str, &FramesMeta)]) -> Result<(), NodeError> {
+        let Some((first_label, first)) = sequences.first() else { return Err(NodeError::usage("no frames are connected to write/contact_sheet")) };
+        for (label, meta) in sequences {
+            if meta.extent != first.extent {
+                return Err(NodeError::usage(format!("\"{label}\" has {} pixels, and \"{first_label}\" has {}", meta.extent, first.extent))
+                    .hint("a contact sheet compares frames of one extent; draw one sheet for each"));
+            }
+            if meta.channels != 1 && meta.channels != 3 {
+                return Err(NodeError::usage(format!("\"{label}\" has {} channels; only grey (1) and RGB (3) can be drawn", meta.channels)));
+            }
+            if meta.times.is_empty() {
+                return Err(NodeError::usage(format!("\"{label}\" has no frame to show")).hint("look at the time window of the node that makes it"));
+            }
+        }
+        let (crop, extent) = (self.crop(first.extent), first.extent);
+        let fits = |start: u32, length: u32, limit: u32| length > 0 && start.checked_add(length).is_some_and(|end| end <= limit);
+        if !fits(crop.x, crop.width, extent.width) || !fits(crop.y, crop.height, extent.height) {
+            return Err(NodeError::usage(format!(
+                "`crop` asks for {} x {} pixels at ({}, {}), and the frames have {extent}",
+                crop.width, crop.height, crop.x, crop.y
+            ))
+            .param("crop"));
+        }
+        let columns = self.params.times.as_ref().map_or(self.params.columns, Vec::len);
+        let layout = Layout::new(crop, self.params.scale, columns, sequences.len(), 0);
+        if layout.width() * layout.height() > LARGEST {
+            return Err(NodeError::usage(format!("the contact sheet would have {} x {} dots", layout.width(), layout.height()))
+                .hint("take fewer `columns`, a smaller `scale` or a `crop`")
+                .param(if self.params.scale.is_some() { "scale" } else { "columns" }));
+        }
+        Ok(())
+    }
+}
+
+/// Where things stand on the sheet.
+struct Layout {
+    crop: Crop,
+    zoom: u32,
+    /// Size of a dot of the font.
+    dot: u32,
+    cell_width: u32,
+    columns: usize,
+    rows: usize,
+}
+
+impl Layout {
+    /// `widest` is the width of the widest time label in dots of the font.
+    fn new(crop: Crop, scale: Option<u32>, columns: usize, rows: usize, widest: u32) -> Layout {
+        let across = (crop.width as u64 * columns as u64).max(1);
+        let zoom = scale.unwrap_or((u64::from(WIDTH_WANTED) / across).clamp(1, 64) as u32);
+        let dot = if across * u64::from(zoom) >= 1000 { 2 } else { 1 };
+        let cell_width = (crop.width * zoom).max(widest * dot);
+        Layout { crop, zoom, dot, cell_width, columns, rows }
+    }
+
+    fn text_height(&self) -> u32 {
+        font::CELL_HEIGHT * self.dot
+    }
+
+    fn x(&self, column: usize) -> u32 {
+        GAP + column as u32 * (self.cell_width + GAP)
+    }
+
+    /// Top of a row's label.
+    fn y(&self, row: usize) -> u32 {
+        let one = GAP + self.text_height() + GAP / 2 + self.crop.height * self.zoom;
+        GAP + self.text_height() + row as u32 * (one + GAP)
+    }
+
+    /// Top of a row's pictures.
+    fn picture_y(&self, row: usize) -> u32 {
+        self.y(row) + GAP + self.text_height() + GAP / 2
+    }
+
+    fn width(&self) -> u64 {
+        u64::from(GAP) + self.columns as u64 * u64::from(self.cell_width + GAP)
+    }
+
+    fn height(&self) -> u64 {
+        let one = u64::from(2 * GAP + self.text_height() + GAP / 2) + u64::from(self.crop.height) * u64::from(self.zoom);
+        u64::from(GAP + self.text_height()) + self.rows as u64 * one
+    }
+}
+
+/// The sheet while it is drawn: white, `channels` bytes a dot.
+struct Sheet {
+    width: u32,
+    channels: u32,
+    bytes: Vec<u8>,
+}
+
+impl Sheet {
+    fn set(&mut self, x: u32, y: u32, value: &[u8]) {
+        let at = (y as usize * self.width as usize + x as usize) * self.channels as usize;
+        for c in 0..self.channels as usize {
+            self.bytes[at + c] = value[c.min(value.len() - 1)];
+        }
+    }
+
+    /// Writes a text, cut off at `limit` dots.
+    fn text(&mut self, x: u32, y: u32, dot: u32, limit: u32, text: &str) {
+        font::dots(text, |column, row| {
+            if (column + 1) * dot <= limit {
+                for (dx, dy) in (0..dot).flat_map(|dy| (0..dot).map(move |dx| (dx, dy))) {
+                    self.set(x + column * dot + dx, y + row * dot + dy, &[0]);
+                }
+            }
+        });
+    }
+}
+
+/// The 0.5 and 99.5 percentile of all known values.
+fn grey_range(row: &[Shown]) -> (f32, f32) {
+    let mut values: Vec<f32> = row.iter().flat_map(|shown| shown.dn.iter().copied()).filter(|dn| dn.is_finite()).collect();
+    if values.is_empty() {
+        return (0.0, 1.0);
+    }
+    let last = (values.len() - 1) as f64;
+    let mut at = |part: f64| *values.select_nth_unstable_by((last * part).round() as usize, f32::total_cmp).1;
+    let (dark, bright) = (at(0.005), at(0.995));
+    (dark, if bright > dark { bright } else { dark + 1.0 })
+}
+
+/// What a screen has to be sent to show a value: NaN is black.
+fn display((dark, bright): (f32, f32), dn: f32) -> u8 {
+    let linear = f64::from((dn - dark) / (bright - dark)).clamp(0.0, 1.0);
+    (255.0 * libm::pow(linear, 1.0 / GAMMA)).round() as u8
+}
+
+impl Node for WriteContactSheet {
+    const DECL: Decl = Decl {
+        kind: "write/contact_sheet",
+        about: "Draws several sequences side by side, one row per method and one column per instant, for looking.",
+        revision: 1,
+        grain: Grain::Whole,
+        draws: false,
+        exports: true,
+        sources: &[],
+        example: r#"
+[nodes.recording]
+kind   = "read/recording"
+params = { path = "scene.h5" }
+
+[nodes.split]
+kind   = "split/frames"
+in     = { frames = "recording.frames" }
+
+[nodes.sheet]
+kind   = "write/contact_sheet"
+in     = { frames = ["split.kept", "split.held"] }
+params = { labels = ["kept", "held out"], columns = 4 }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params) -> Result<Self, NodeError> {
+        if !(1..=100).contains(&params.columns) {
+            return Err(NodeError::usage(format!("`columns` is {}, and must be 1 to 100", params.columns)).param("columns"));
+        }
+        if let Some(scale) = params.scale.filter(|scale| !(1..=64).contains(scale)) {
+            return Err(NodeError::usage(format!("`scale` is {scale}, and must be 1 to 64")).param("scale"));
+        }
+        if params.times.as_ref().is_some_and(|times| !(1..=100).contains(&times.len())) {
+            return Err(NodeError::usage("`times` must list 1 to 100 instants").hint("leave it out to get evenly spaced ones").param("times"));
+        }
+        if params.times.is_some() && (params.start.is_some() || params.end.is_some()) {
+            return Err(NodeError::usage("`times` states every instant, so `start` and `end` have no meaning")
+                .hint("leave one or the other out")
+                .param("times"));
+        }
+        if let (Some(start), Some(end)) = (params.start, params.end)
+            && end < start
+        {
+            return Err(NodeError::usage(format!("the window ends at {end}, before it begins at {start}")).param("end"));
+        }
+        Ok(WriteContactSheet { params })
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let frames = inputs.all("frames");
+        super::check_labels(&self.params.labels, frames.len(), "frames")?;
+        let truth = inputs.all("truth").iter().filter_map(|meta| if let Meta::Truth(meta) = meta { Some(("truth", &**meta)) } else { None });
+        let frames = frames
+            .iter()
+            .zip(&self.params.labels)
+            .filter_map(|(meta, label)| if let Meta::Frames(meta) = meta { Some((label.as_str(), &**meta)) } else { None });
+        self.check(&truth.chain(frames).collect::<Vec<_>>())?;
+        Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let folder = cx.export_dir()?;
+        super::check_labels(&self.params.labels, input.frames.len(), "frames")?;
+        let truth = input.truth.iter().map(|truth| ("truth", &truth.0));
+        let sequences: Vec<(&str, &FrameSequence)> = truth.chain(self.params.labels.iter().map(String::as_str).zip(&input.frames)).collect();
+        self.check(&sequences.iter().map(|(label, frames)| (*label, &*frames.meta)).collect::<Vec<_>>())?;
+
+        let instants = self.instants(&sequences.iter().map(|(_, frames)| &*frames.meta).collect::<Vec<_>>());
+        let captions: Vec<String> = instants.iter().map(|&t| format!("{:.3} ms", t as f64 / 1e6)).collect();
+        let widest = captions.iter().map(|caption| font::width(caption)).max().unwrap_or(0);
+        let layout = Layout::new(self.crop(sequences[0].1.meta.extent), self.params.scale, instants.len(), sequences.len(), widest);
+
+        cx.begin((sequences.len() * instants.len()) as u64, "pictures");
+        let mut rows = Vec::new();
+        for (_, frames) in &sequences {
+            let mut row = Vec::new();
+            for &t in &instants {
+                row.push(read_cropped(frames, nearest(&frames.meta.times, t), layout.crop)?);
+                cx.advance(1)?;
+            }
+            rows.push(row);
+        }
+
+        let channels = if sequences.iter().any(|(_, frames)| frames.meta.channels == 3) { 3 } else { 1 };
+        let (width, height) = (layout.width() as u32, layout.height() as u32);
+        let mut sheet = Sheet { width, channels, bytes: vec![255; width as usize * height as usize * channels as usize] };
+        let range = grey_range(&rows[0]);
+        for (column, caption) in captions.iter().enumerate() {
+            sheet.text(layout.x(column), GAP, layout.dot, layout.cell_width, caption);
+        }
+        for (r, ((label, frames), row)) in sequences.iter().zip(&rows).enumerate() {
+            (GAP..width - GAP).for_each(|x| sheet.set(x, layout.y(r) + GAP / 2, &[200]));
+            sheet.text(GAP, layout.y(r) + GAP, layout.dot, width - 2 * GAP, label);
+            for (column, shown) in row.iter().enumerate() {
+                draw(&mut sheet, &layout, (layout.x(column), layout.picture_y(r)), shown, frames.meta.channels as usize, range);
+            }
+        }
+        let comment = Some(FOR_LOOKING);
+        Picture { width, height, channels, depth: BitDepth::Eight, bytes: &sheet.bytes, comment }.save(&folder.join("contact_sheet.png"))?;
+
+        let unknown = rows.iter().flatten().flat_map(|shown| &shown.dn).filter(|dn| dn.is_nan()).count();
+        cx.count(unknown as u64, "values are not known (NaN) and were drawn black");
+        cx.note(format!("contact_sheet.png is for looking only: {:.2} to {:.2} DN, display gamma 2.2", range.0, range.1));
+        let exposures: Vec<Option<i64>> = sequences.iter().map(|(_, frames)| nominal_exposure_ns(&frames.meta)).collect();
+        if let Some(other) = exposures.iter().position(|exposure| *exposure != exposures[0]) {
+            let ns = |row: usize| exposures[row].unwrap_or(0);
+            let ((first, _), (label, _)) = (sequences[0], sequences[other]);
+            cx.note(format!("brightness differs by exposure: \"{first}\" has DN of {} ns, \"{label}\" of {} ns", ns(0), ns(other)));
+        }
+        let cells = || rows.iter().enumerate().flat_map(|(r, row)| row.iter().enumerate().map(move |(column, shown)| (r, column, shown)));
+        let listing = Table::default()
+            .with("label", Column::Texts(cells().map(|(r, ..)| sequences[r].0.to_string()).collect()))
+            .with("column", Column::Integers(cells().map(|(_, column, _)| column as i64).collect()))
+            .with("frame", Column::Integers(cells().map(|(.., shown)| shown.frame as i64).collect()))
+            .with("t_ns", Column::Integers(cells().map(|(.., shown)| shown.t_ns).collect()))
+            .with("asked_ns", Column::Integers(cells().map(|(_, column, _)| instants[column]).collect()));
+        Ok(Out { listing: Arc::new(listing) })
+    }
+}
+
+fn read_cropped(frames: &FrameSequence, frame: usize, crop: Crop) -> Result<Shown, NodeError> {
+    let rows = Rows { start: crop.y, end: crop.y + crop.height };
+    let block = frames.read(frame..frame + 1, rows)?;
+    let channels = frames.meta.channels as usize;
+    let columns = crop.x as usize * channels..(crop.x + crop.width) as usize * channels;
+    let dn = rows.iter().flat_map(|row| block.row(frame, row)[columns.clone()].iter().copied()).collect();
+    Ok(Shown { frame, t_ns: frames.meta.times.exposures[frame].mid().0, dn })
+}
+
+fn draw(sheet: &mut Sheet, layout: &Layout, (left, top): (u32, u32), shown: &Shown, channels: usize, range: (f32, f32)) {
+    for (pixel, dn) in shown.dn.chunks(channels).enumerate() {
+        let (x, y) = (pixel as u32 % layout.crop.width * layout.zoom, pixel as u32 / layout.crop.width * layout.zoom);
+        let mut value = [0; 3];
+        value.iter_mut().zip(dn).for_each(|(value, dn)| *value = display(range, *dn));
+        for (dx, dy) in (0..layout.zoom).flat_map(|dy| (0..layout.zoom).map(move |dx| (dx, dy))) {
+            sheet.set(left + x + dx, top + y + dy, &value[..channels]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::picture::load;
+    use super::super::testing::exporting;
+    use super::*;
+    use photocurrent_core::{Exposure, FrameBlock, FrameScale, testing};
+    use std::collections::BTreeMap;
+    use std::path::Path;
+
+    const EXTENT: Extent = Extent { width: 48, height: 32 };
+
+    /// A bright disc that moves to the right; `gain` is the method's mistake.
+    fn disc(count: i64, gain: f32) -> FrameSequence {
+        let exposures = (0..count).map(|l| Exposure::new(l * 1_000_000, l * 1_000_000 + 200_000)).collect();
+        testing::captured(EXTENT, exposures, 0, |l, x, y| {
+            let centre = 8.0 + 32.0 * l as f32 / count as f32;
+            let distance = ((x as f32 - centre).powi(2) + (y as f32 - 16.0).powi(2)).sqrt();
+            gain * (100.0 + 700.0 / (1.0 + libm::expf(distance - 6.0)) + 2.0 * y as f32)
+        })
+    }
+
+    fn params(labels: &[&str]) -> Params {
+        Params { labels: labels.iter().map(|label| label.to_string()).collect(), ..Params::default() }
+    }
+
+    fn draw_sheet(params: Params, frames: Vec<FrameSequence>, truth: Option<Truth>, look: impl FnOnce(Table, Vec<String>, &Path)) {
+        let node = WriteContactSheet::build(params).unwrap();
+        exporting(|cx| node.run(In { frames, truth }, cx).unwrap(), |out, notes, folder| look((*out.listing).clone(), notes, folder));
+    }
+
+    #[test]
+    fn the_nearest_exposure_middle_is_shown_and_listed() {
+        // Middles at 0.1, 1.1, 2.1 ... ms; every fifth frame of the second sequence.
+        let (all, some) = (disc(11, 1.0), disc(11, 0.6).select(vec![0, 5, 10]));
+        draw_sheet(Params { columns: 3, ..params(&["all", "some"]) }, vec![all, some], None, |listing, notes, folder| {
+            assert_eq!(listing.column("t_ns"), Some(&Column::Integers(vec![100_000, 5_100_000, 10_100_000, 100_000, 5_100_000, 10_100_000])));
+            assert_eq!(listing.column("frame"), Some(&Column::Integers(vec![0, 5, 10, 0, 1, 2])));
+            assert_eq!(listing.column("label").unwrap().cell(3), "some");
+            assert!(notes[0].starts_with("contact_sheet.png is for looking only"), "{notes:?}");
+            let (_, info) = load(&folder.join("contact_sheet.png"));
+            // Three columns of 48 pixels fill 1600 dots at 11 dots a pixel.
+            assert_eq!((info.width, info.color_type), (6 + 3 * (48 * 11 + 6), png::ColorType::Grayscale));
+            assert!(info.uncompressed_latin1_text[0].text.contains("gamma 2.2"));
+        });
+    }
+
+    #[test]
+    fn all_rows_share_the_range_of_the_first_and_gamma_brightens_the_middle() {
+        let flat = |dn: f32| testing::captured(Extent { width: 2, height: 1 }, vec![Exposure::new(0, 10)], 0, move |_, x, _| if x == 0 { 0.0 } else { dn });
+        let params = Params { columns: 1, scale: Some(1), ..params(&["half", "twice"]) };
+        draw_sheet(params, vec![flat(50.0), flat(200.0)], Some(Truth(flat(100.0))), |listing, _, folder| {
+            assert_eq!(listing.column("label").unwrap().cell(0), "truth");
+            let (values, info) = load(&folder.join("contact_sheet.png"));
+            let layout = Layout::new(Crop { x: 0, y: 0, width: 2, height: 1 }, Some(1), 1, 3, font::width("0.000 ms"));
+            assert_eq!((u64::from(info.width), u64::from(info.height)), (layout.width(), layout.height()));
+            let row = |r: usize| {
+                let at = (layout.picture_y(r) * info.width + layout.x(0)) as usize;
+                values[at..at + 2].to_vec()
+            };
+            // 255 x 0.5^(1 / 2.2) = 186.08.
+            assert_eq!([row(0), row(1), row(2)], [vec![0, 255], vec![0, 186], vec![0, 255]]);
+        });
+    }
+
+    #[test]
+    fn a_crop_shows_the_part_that_was_asked_for() {
+        let coordinates = testing::captured(EXTENT, vec![Exposure::new(0, 10)], 0, |_, x, y| (100 * y + x) as f32);
+        let shown = read_cropped(&coordinates, 0, Crop { x: 3, y: 2, width: 2, height: 2 }).unwrap();
+        assert_eq!(shown.dn, [203.0, 204.0, 303.0, 304.0]);
+    }
+
+    #[test]
+    fn colour_next_to_grey_gives_a_colour_sheet() {
+        let grey = testing::captured(Extent { width: 2, height: 2 }, vec![Exposure::new(0, 10)], 0, |_, x, _| x as f32);
+        let meta = FramesMeta { channels: 3, scale: FrameScale::Captured, ..(*grey.meta).clone() };
+        let block = FrameBlock { frames: 0..1, rows: meta.extent.rows(), row_values: 6, dn: [1.0, 0.0, 0.0].repeat(4) };
+        let red = FrameSequence::in_memory(Arc::new(meta), block);
+        draw_sheet(Params { columns: 1, scale: Some(1), ..params(&["grey", "red"]) }, vec![grey, red], None, |_, _, folder| {
+            let (values, info) = load(&folder.join("contact_sheet.png"));
+            assert_eq!(info.color_type, png::ColorType::Rgb);
+            assert!(values.chunks(3).any(|dot| dot == [255, 0, 0]));
+        });
+    }
+
+    #[test]
+    fn rows_whose_numbers_stand_for_different_exposures_are_told() {
+        let of = |length: i64| testing::captured(EXTENT, vec![Exposure::new(0, length)], 0, |_, x, _| x as f32);
+        draw_sheet(Params { columns: 1, ..params(&["a", "b"]) }, vec![of(10), of(20)], None, |_, notes, _| {
+            assert_eq!(notes[0], "brightness differs by exposure: \"a\" has DN of 10 ns, \"b\" of 20 ns");
+        });
+    }
+
+    #[test]
+    fn instants_are_stated_or_spaced_over_the_common_time() {
+        let (long, short) = (disc(11, 1.0), disc(11, 1.0).select((3..8).collect()));
+        let instants = |params: Params| WriteContactSheet::build(params).unwrap().instants(&[&long.meta, &short.meta]);
+        assert_eq!(instants(Params { columns: 3, ..Params::default() }), [3_100_000, 5_100_000, 7_100_000]);
+        assert_eq!(instants(Params { columns: 1, start: Some(Duration::new(10)), end: Some(Duration::new(20)), ..Params::default() }), [15]);
+        assert_eq!(instants(Params { times: Some(vec![Duration::new(7)]), ..Params::default() }), [7]);
+        assert_eq!(nearest(&long.meta.times, i64::MAX), 10);
+    }
+
+    #[test]
+    fn what_cannot_be_drawn_is_refused_before_any_data() {
+        let meta = |frames: &FrameSequence| Meta::Frames(frames.meta.clone());
+        let plan = |params: Params, metas: Vec<Meta>| WriteContactSheet::build(params)?.plan(&PortMetas::new(BTreeMap::from([("frames".to_string(), metas)])));
+        let (disc, other) = (disc(2, 1.0), testing::frames(5, 5, 2));
+        assert!(plan(params(&["a"]), vec![meta(&disc)]).is_ok());
+        let refused = |params: Params, metas: Vec<Meta>| plan(params, metas).unwrap_err().message;
+        assert_eq!(refused(params(&["a", "b"]), vec![meta(&disc)]), "`labels` has 2 texts, and 1 inputs are connected to `frames`");
+        assert_eq!(refused(params(&["a", "b"]), vec![meta(&disc), meta(&other)]), "\"b\" has 5 x 5 pixels, and \"a\" has 48 x 32");
+        let crop = Some(Crop { x: 40, y: 0, width: 9, height: 1 });
+        assert_eq!(refused(Params { crop, ..params(&["a"]) }, vec![meta(&disc)]), "`crop` asks for 9 x 1 pixels at (40, 0), and the frames have 48 x 32");
+        let huge = Params { columns: 100, scale: Some(64), ..params(&["a", "b", "c", "d"]) };
+        assert!(refused(huge, vec![meta(&disc); 4]).contains("the contact sheet would have"));
+        assert!(refused(Params { columns: 0, ..params(&["a"]) }, vec![]).contains("1 to 100"));
+    }
+
+    /// Writes a sheet of a moving disc into the folder that this variable names, to be looked at.
+    #[test]
+    #[ignore = "makes a picture for people: SHEET=. cargo test -p photocurrent-nodes a_sheet_to_look_at -- --ignored"]
+    fn a_sheet_to_look_at() {
+        let to = std::env::var("SHEET").unwrap();
+        let labels = params(&["repeat nearest frame", "ours: slope + low_pass (28.50 dB)"]);
+        draw_sheet(labels, vec![disc(20, 0.8).select(vec![0, 10, 19]), disc(20, 1.1)], Some(Truth(disc(20, 1.0))), |_, _, folder| {
+            std::fs::copy(folder.join("contact_sheet.png"), Path::new(&to).join("sheet.png")).unwrap();
+        });
+    }
+}

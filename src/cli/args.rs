@@ -1,0 +1,236 @@
+//! The arguments: what clap turns into help, completions and checks.
+
+use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+
+/// Solves for the photocurrent of every pixel of a hybrid frame and event sensor.
+#[derive(Parser)]
+#[command(version, about, long_about = None, max_term_width = 110)]
+#[command(after_help = "First steps: photocurrent run pipelines/quickstart.toml")]
+pub struct Args {
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+#[derive(Subcommand)]
+pub enum Command {
+    /// Run a pipeline or an ablation; what the cache has is not run again
+    Run(RunOptions),
+    /// Show what a run would do, in order, and why; writes nothing
+    Plan(PlanOptions),
+    /// Say why a node would run again, one reason a line
+    Explain(ExplainOptions),
+    /// Check a manifest, or a recording, without running anything
+    Check(CheckOptions),
+    /// Draw the graph of a pipeline
+    Graph(GraphOptions),
+    /// Show what is in a recording or a cached artefact
+    Inspect(InspectOptions),
+    /// List the node kinds, or print the manual of one
+    Nodes(NodesOptions),
+    /// Print the JSON Schema of manifests, for completion in an editor
+    Schema,
+    /// Print completions for a shell
+    Completions(CompletionOptions),
+    /// Look after the cache
+    Cache(CacheOptions),
+}
+
+/// Which part of which manifest.
+#[derive(ClapArgs)]
+pub struct Target {
+    /// The pipeline, a TOML file
+    pub manifest: PathBuf,
+    /// Lay a value over the manifest: nodes.solve.params.cis_weight=2
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub sets: Vec<String>,
+    /// Only variants of an ablation with this name, or part of it: front_end=on
+    #[arg(long = "variant", value_name = "NAME")]
+    pub variants: Vec<String>,
+    /// Only these nodes and what they need
+    #[arg(long = "to", value_name = "NODE")]
+    pub to: Vec<String>,
+    /// Where results are kept for later runs
+    #[arg(long, value_name = "FOLDER", default_value = ".photocurrent")]
+    pub cache: PathBuf,
+    /// Where files for you are written [default: out/NAME of the manifest]
+    #[arg(long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+}
+
+#[derive(ClapArgs)]
+pub struct RunOptions {
+    #[command(flatten)]
+    pub target: Target,
+    /// Run these nodes even when the cache has them
+    #[arg(long = "force", value_name = "NODE")]
+    pub force: Vec<String>,
+    /// Threads, for nodes side by side and inside nodes [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub threads: Option<u32>,
+    /// Memory for data, such as 800MB or 8GiB [default: half of the machine's]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    pub memory: Option<u64>,
+    /// Height of row bands, instead of what memory asks for; results do not depend on it
+    #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u32).range(1..))]
+    pub band_rows: Option<u32>,
+    /// Print the outcome as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Say only what went wrong
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct PlanOptions {
+    #[command(flatten)]
+    pub target: Target,
+    /// Print as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct ExplainOptions {
+    #[command(flatten)]
+    pub target: Target,
+    /// The node
+    pub node: String,
+    /// Print as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct CheckOptions {
+    /// A manifest (.toml) or a recording (.h5)
+    pub file: PathBuf,
+    /// Lay a value over the manifest
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub sets: Vec<String>,
+}
+
+#[derive(Clone, Copy, ValueEnum)]
+pub enum GraphStyle {
+    Dot,
+    Mermaid,
+    Svg,
+    Json,
+}
+
+#[derive(ClapArgs)]
+pub struct GraphOptions {
+    /// The pipeline, a TOML file
+    pub manifest: PathBuf,
+    /// How to draw
+    #[arg(long, value_enum, default_value = "dot")]
+    pub format: GraphStyle,
+    /// Lay a value over the manifest
+    #[arg(long = "set", value_name = "PATH=VALUE")]
+    pub sets: Vec<String>,
+    /// Which variant of an ablation [default: the first]
+    #[arg(long, value_name = "NAME")]
+    pub variant: Option<String>,
+}
+
+#[derive(ClapArgs)]
+pub struct InspectOptions {
+    /// A recording or a cached artefact (.h5)
+    pub file: PathBuf,
+    /// Print as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct NodesOptions {
+    /// A kind, such as solve/pixel
+    pub kind: Option<String>,
+    /// Print as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Print the whole manual as Markdown (docs/nodes.md)
+    #[arg(long, conflicts_with_all = ["kind", "json"])]
+    pub markdown: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct CompletionOptions {
+    /// The shell
+    #[arg(value_enum)]
+    pub shell: clap_complete::Shell,
+}
+
+#[derive(ClapArgs)]
+pub struct CacheOptions {
+    #[command(subcommand)]
+    pub command: CacheCommand,
+    /// Where results are kept
+    #[arg(long, value_name = "FOLDER", default_value = ".photocurrent", global = true)]
+    pub cache: PathBuf,
+    /// Print as JSON
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+#[derive(Subcommand)]
+pub enum CacheCommand {
+    /// List what is kept
+    Ls,
+    /// Say how much room it takes
+    Du,
+    /// Remove what was not used for long, or what is over a size
+    Gc {
+        /// Remove what was not used for this many days
+        #[arg(long, value_name = "DAYS")]
+        older_than: Option<u64>,
+        /// Remove the least recently used until no more than this is left, such as 20GB
+        #[arg(long, value_name = "SIZE", value_parser = bytes)]
+        max_size: Option<u64>,
+        /// Only say what would be removed
+        #[arg(long)]
+        dry_run: bool,
+    },
+    /// Read everything and compare it with its digest
+    Verify,
+}
+
+/// `800MB`, `8GiB`, `1000000`: a number of bytes.
+pub fn bytes(text: &str) -> Result<u64, String> {
+    let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let (number, unit) = (text[..split].trim(), text[split..].trim());
+    let scale = match unit {
+        "" | "B" => 1.0,
+        "kB" | "KB" => 1e3,
+        "MB" | "M" => 1e6,
+        "GB" | "G" => 1e9,
+        "TB" => 1e12,
+        "KiB" => 1024.0,
+        "MiB" => 1024.0 * 1024.0,
+        "GiB" => 1024.0 * 1024.0 * 1024.0,
+        _ => return Err(format!("unknown unit `{unit}`; use B, kB, MB, GB, TB, KiB, MiB or GiB")),
+    };
+    match number.parse::<f64>() {
+        Ok(number) if number.is_finite() && number >= 0.0 => Ok((number * scale) as u64),
+        _ => Err(format!("`{number}` is not a number of bytes; such as 800MB or 8GiB")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_read_with_their_unit() {
+        assert_eq!(bytes("1.5GB"), Ok(1_500_000_000));
+        assert_eq!(bytes("2 GiB"), Ok(2 << 30));
+        assert!(bytes("12 parsec").is_err() && bytes("-1").is_err() && bytes("").is_err());
+    }
+
+    #[test]
+    fn the_arguments_are_well_formed() {
+        use clap::CommandFactory;
+        Args::command().debug_assert();
+    }
+}

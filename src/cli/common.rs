@@ -1,0 +1,103 @@
+//! What the commands share: how they fail, how they write, how they find a project.
+
+use crate::args::Target;
+use photocurrent_core::document::Problem;
+use photocurrent_engine::{Plan, Project, Selection};
+use photocurrent_store::StoreError;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Why a command stops.
+pub enum Failure {
+    /// The manifest or what it asks for is wrong; nothing ran.
+    Problems(Vec<Problem>),
+    /// Anything else.
+    Other {
+        /// What, in the reader's terms.
+        message: String,
+        /// For the shell.
+        code: u8,
+    },
+    /// Nobody reads our output any more.
+    ReaderGone,
+}
+
+impl Failure {
+    /// With exit code 1.
+    pub fn other(message: impl Into<String>) -> Failure {
+        Failure::Other { message: message.into(), code: 1 }
+    }
+}
+
+impl From<Vec<Problem>> for Failure {
+    fn from(problems: Vec<Problem>) -> Failure {
+        Failure::Problems(problems)
+    }
+}
+
+impl From<StoreError> for Failure {
+    fn from(error: StoreError) -> Failure {
+        Failure::other(error.to_string())
+    }
+}
+
+impl From<std::io::Error> for Failure {
+    fn from(error: std::io::Error) -> Failure {
+        if error.kind() == std::io::ErrorKind::BrokenPipe { Failure::ReaderGone } else { Failure::other(error.to_string()) }
+    }
+}
+
+/// An exit code, or why not.
+pub type Done = Result<u8, Failure>;
+
+/// Writes data to stdout, whole.
+pub fn print(text: &str) -> Result<(), Failure> {
+    let mut stdout = std::io::stdout().lock();
+    stdout.write_all(text.as_bytes())?;
+    if !text.ends_with('\n') {
+        stdout.write_all(b"\n")?;
+    }
+    Ok(stdout.flush()?)
+}
+
+/// Writes JSON to stdout, indented.
+pub fn print_json(value: &serde_json::Value) -> Result<(), Failure> {
+    print(&serde_json::to_string_pretty(value).map_err(|error| Failure::other(error.to_string()))?)
+}
+
+impl Target {
+    /// Loads and plans.
+    pub fn plan(&self) -> Result<(Project, Plan), Failure> {
+        let catalogue = photocurrent_nodes::catalogue();
+        let project = Project::load(&self.manifest, &self.sets, &catalogue)?;
+        let selection = Selection { variants: self.variants.clone(), to: self.to.clone() };
+        let plan = Plan::new(&project, &catalogue, &selection)?;
+        Ok((project, plan))
+    }
+
+    /// Where files for the user go.
+    pub fn out_dir(&self) -> PathBuf {
+        self.out.clone().unwrap_or_else(|| Path::new("out").join(self.manifest.file_stem().unwrap_or_default()))
+    }
+}
+
+/// `1.2 GB`.
+pub fn human_bytes(bytes: u64) -> String {
+    let units = ["B", "kB", "MB", "GB", "TB"];
+    let mut value = bytes as f64;
+    let mut unit = 0;
+    while value >= 999.5 && unit + 1 < units.len() {
+        value /= 1000.0;
+        unit += 1;
+    }
+    if unit == 0 { format!("{bytes} B") } else { format!("{value:.1} {}", units[unit]) }
+}
+
+/// `85 ms`, `3.2 s`, `4 min 10 s`.
+pub fn human_seconds(seconds: f64) -> String {
+    match seconds {
+        s if s < 1.0 => format!("{:.0} ms", s * 1e3),
+        s if s < 60.0 => format!("{s:.1} s"),
+        s => format!("{:.0} min {:.0} s", (s / 60.0).floor(), s % 60.0),
+    }
+}

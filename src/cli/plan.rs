@@ -1,0 +1,102 @@
+//! `photocurrent plan`, `explain`, `check`: what would happen and why. None of them writes anything.
+
+use crate::args::{CheckOptions, ExplainOptions, PlanOptions, Target};
+use crate::common::{Done, Failure, human_bytes, human_seconds, print, print_json};
+use crate::tables::draw;
+use photocurrent_engine::{Plan, Project, Selection, State, TaskStatus, status};
+use photocurrent_store::Cache;
+use serde_json::{Value, json};
+
+/// A cache to look into: the one there is, or an empty one that is gone afterwards, so that looking makes no folder.
+struct Look {
+    cache: Cache,
+    _empty: Option<tempfile::TempDir>,
+}
+
+impl Look {
+    fn new(target: &Target) -> Result<Look, Failure> {
+        if target.cache.is_dir() {
+            return Ok(Look { cache: Cache::open(&target.cache)?, _empty: None });
+        }
+        let empty = tempfile::tempdir()?;
+        Ok(Look { cache: Cache::open(empty.path())?, _empty: Some(empty) })
+    }
+}
+
+fn word(state: &State) -> &'static str {
+    match state {
+        State::Hit => "hit",
+        State::Miss { .. } => "miss",
+        State::Waits { .. } => "waits",
+    }
+}
+
+fn reasons(state: &State) -> Vec<String> {
+    match state {
+        State::Hit => Vec::new(),
+        State::Miss { reasons } => reasons.clone(),
+        State::Waits { on, reasons } => std::iter::once(format!("waits for {}", on.join(", "))).chain(reasons.iter().cloned()).collect(),
+    }
+}
+
+fn as_json(plan: &Plan, status: &TaskStatus) -> Value {
+    let task = &plan.tasks[status.task];
+    json!({
+        "node": task.label, "kind": task.decl.kind, "uses": task.uses, "params": task.params, "changed_params": task.changed_params,
+        "state": word(&status.state), "reasons": reasons(&status.state), "key": status.key,
+        "predicted_bytes": status.predicted_bytes, "predicted_seconds": status.predicted_seconds,
+    })
+}
+
+/// Shows every task in running order.
+pub fn plan(options: &PlanOptions) -> Done {
+    let (_, plan) = options.target.plan()?;
+    let look = Look::new(&options.target)?;
+    let all = status(&plan, &look.cache, &options.target.out_dir());
+    if options.json {
+        print_json(&json!({"variants": plan.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(), "tasks": all.iter().map(|s| as_json(&plan, s)).collect::<Vec<_>>()}))?;
+        return Ok(0);
+    }
+    let mut rows = vec![["node", "kind", "state", "size", "time", "why", "parameters that differ from their defaults"].map(String::from).to_vec()];
+    for status in &all {
+        let task = &plan.tasks[status.task];
+        let seconds = status.predicted_seconds.map(human_seconds).unwrap_or_default();
+        rows.push(vec![task.label.clone(), task.decl.kind.into(), word(&status.state).into(), human_bytes(status.predicted_bytes), seconds, reasons(&status.state).join("; "), task.changed_params.join(", ")]);
+    }
+    print(&draw(&rows))?;
+    let count = |name: &str| all.iter().filter(|s| word(&s.state) == name).count();
+    let variants = if plan.is_ablation { format!(" for {} variants", plan.variants.len()) } else { String::new() };
+    eprintln!("\n{} nodes{variants}: {} in the cache, {} to run, {} waiting", all.len(), count("hit"), count("miss"), count("waits"));
+    Ok(0)
+}
+
+/// Says why a node would run.
+pub fn explain(options: &ExplainOptions) -> Done {
+    let (_, plan) = options.target.plan()?;
+    let look = Look::new(&options.target)?;
+    let found = photocurrent_engine::explain(&plan, &look.cache, &options.target.out_dir(), &options.node).map_err(|problem| Failure::Problems(vec![problem]))?;
+    if options.json {
+        print_json(&found.iter().map(|e| json!({"variants": e.variants, "status": as_json(&plan, &e.status), "lines": e.lines})).collect())?;
+        return Ok(0);
+    }
+    let mut text = String::new();
+    for explanation in &found {
+        let variants = if plan.is_ablation { format!(" [{}]", explanation.variants.join("; ")) } else { String::new() };
+        text.push_str(&format!("{}{variants}: {}\n", options.node, explanation.lines[0]));
+        explanation.lines[1..].iter().for_each(|line| text.push_str(&format!("  {line}\n")));
+    }
+    print(&text)?;
+    Ok(0)
+}
+
+/// Checks a manifest with everything it names, or a recording.
+pub fn check(options: &CheckOptions) -> Done {
+    if options.file.extension().is_some_and(|extension| extension == "h5" || extension == "hdf5") {
+        return crate::inspect::check_recording(&options.file);
+    }
+    let catalogue = photocurrent_nodes::catalogue();
+    let project = Project::load(&options.file, &options.sets, &catalogue)?;
+    let plan = Plan::new(&project, &catalogue, &Selection::default())?;
+    eprintln!("{}: {} nodes in {} variant(s), no mistake found", options.file.display(), plan.tasks.len(), plan.variants.len());
+    Ok(0)
+}

@@ -1,0 +1,214 @@
+//! `photocurrent run`.
+
+use crate::args::RunOptions;
+use crate::common::{Done, Failure, human_bytes, human_seconds, print, print_json};
+use crate::progress::Watcher;
+use crate::tables::draw;
+use photocurrent_core::document::Problem;
+use photocurrent_core::{Table, Value};
+use photocurrent_engine::{End, Options, Outcome, Plan, Project};
+use photocurrent_store::Cache;
+use serde_json::json;
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+/// Runs a pipeline or an ablation.
+pub fn run(options: &RunOptions) -> Done {
+    let (project, plan) = options.target.plan()?;
+    check_forced(options, &plan)?;
+    let cancel = Arc::new(AtomicBool::new(false));
+    stop_on_signal(&cancel)?;
+    let cache = Cache::open(&options.target.cache)?;
+    let out_dir = options.target.out_dir();
+    let defaults = Options::default();
+    let threads = options.threads.map_or(defaults.threads, |threads| threads as usize);
+    // The pool inside nodes; it can only fail when something made it before us, and then it works as well.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+    let how = Options {
+        threads,
+        memory: options.memory.unwrap_or(defaults.memory),
+        band_rows: options.band_rows,
+        out_dir: out_dir.clone(),
+        force: options.force.iter().cloned().collect(),
+    };
+    let started = Instant::now();
+    let watcher = Watcher::new(&plan, options.quiet);
+    let outcome = photocurrent_engine::run(&plan, &cache, &how, &watcher, &cancel);
+    let seconds = started.elapsed().as_secs_f64();
+    report(options, &project, &outcome, &cache, &out_dir, seconds)?;
+    Ok(outcome.exit_code())
+}
+
+fn check_forced(options: &RunOptions, plan: &Plan) -> Result<(), Failure> {
+    let problems: Vec<Problem> = options
+        .force
+        .iter()
+        .filter(|node| plan.tasks_of(node).is_empty())
+        .map(|node| Problem::new(format!("--force {node}: there is no such node in this plan")).did_you_mean(node, plan.node_names()))
+        .collect();
+    if problems.is_empty() { Ok(()) } else { Err(problems.into()) }
+}
+
+/// The first Ctrl-C lets running nodes stop at their next step; the second one ends the process, which the cache survives too.
+fn stop_on_signal(cancel: &Arc<AtomicBool>) -> Result<(), Failure> {
+    let cancel = cancel.clone();
+    ctrlc::set_handler(move || {
+        if cancel.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+        eprintln!("\nstopping; what is finished stays (again to stop at once)");
+    })
+    .map_err(|error| Failure::other(format!("cannot listen for Ctrl-C: {error}")))
+}
+
+fn report(options: &RunOptions, project: &Project, outcome: &Outcome, cache: &Cache, out_dir: &Path, seconds: f64) -> Result<(), Failure> {
+    let (single, pooled) = outcome.metrics(cache)?;
+    if !single.is_empty() || !pooled.is_empty() {
+        write_lines(&out_dir.join("metrics.jsonl"), &single)?;
+        write_lines(&out_dir.join("metrics.pooled.jsonl"), &pooled)?;
+    }
+    if options.json {
+        print_json(&as_json(outcome, seconds))?;
+    } else {
+        let text = tables(project, outcome, cache, &pooled)?;
+        if !text.is_empty() {
+            print(&text)?;
+        }
+    }
+    talk(options, outcome, out_dir, seconds);
+    Ok(())
+}
+
+fn as_json(outcome: &Outcome, seconds: f64) -> serde_json::Value {
+    let end = |end: End| format!("{end:?}").to_lowercase();
+    let tasks = outcome.tasks.iter().map(|task| {
+        json!({
+            "node": task.label, "kind": task.kind, "uses": task.uses, "end": end(task.end), "seconds": task.seconds, "key": task.key, "outputs": task.outputs,
+            "notes": task.notes, "error": task.error.as_ref().map(ToString::to_string), "because": task.because, "files": task.export,
+        })
+    });
+    json!({
+        "executed": outcome.count(End::Executed), "reused": outcome.count(End::Reused), "failed": outcome.count(End::Failed),
+        "skipped": outcome.count(End::Skipped), "interrupted": outcome.count(End::Interrupted), "seconds": seconds,
+        "variants": outcome.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(), "warnings": outcome.warnings, "tasks": tasks.collect::<Vec<_>>(),
+    })
+}
+
+/// The tables that the user asked for: those written by `write/table`, an ablation's metrics, or else every pooled score.
+fn tables(project: &Project, outcome: &Outcome, cache: &Cache, pooled: &[serde_json::Value]) -> Result<String, Failure> {
+    if let Some(ablation) = &project.ablation {
+        return Ok(ablation_table(ablation, outcome, pooled));
+    }
+    let mut text = String::new();
+    for variant in &outcome.variants {
+        for (node, _) in &variant.nodes {
+            let Some(task) = outcome.node(&variant.name, node).filter(|task| task.kind == "write/table") else { continue };
+            if let (Some(port), true) = (task.outputs.keys().next(), matches!(task.end, End::Executed | End::Reused))
+                && let Some(Value::Table(table)) = outcome.value(cache, &variant.name, node, port)?
+            {
+                text.push_str(&drawn(&table));
+                text.push('\n');
+            }
+        }
+    }
+    if text.is_empty() && !pooled.is_empty() {
+        let cell = |line: &serde_json::Value, key: &str| line[key].as_str().unwrap_or_default().to_string();
+        let value = |line: &serde_json::Value| line["value"].as_f64().map_or("-".into(), |v| format!("{v:.3}"));
+        let mut rows = vec![["node", "metric", "value", "unit"].map(String::from).to_vec()];
+        rows.extend(pooled.iter().map(|line| vec![cell(line, "node"), cell(line, "metric"), value(line), cell(line, "unit")]));
+        text = draw(&rows);
+    }
+    Ok(text)
+}
+
+fn drawn(table: &Table) -> String {
+    let mut rows = vec![table.columns().iter().map(|(name, _)| name.clone()).collect()];
+    rows.extend((0..table.len()).map(|row| table.columns().iter().map(|(_, column)| column.cell(row)).collect::<Vec<_>>()));
+    draw(&rows)
+}
+
+fn ablation_table(ablation: &photocurrent_engine::Ablation, outcome: &Outcome, pooled: &[serde_json::Value]) -> String {
+    let names: Vec<(String, String)> = if ablation.metrics.is_empty() {
+        let all: BTreeSet<(String, String)> = pooled.iter().filter_map(|l| Some((l["node"].as_str()?.to_string(), l["metric"].as_str()?.to_string()))).collect();
+        all.into_iter().collect()
+    } else {
+        ablation.metrics.clone()
+    };
+    let value = |variant: &str, node: &str, metric: &str| pooled.iter().find(|l| l["variant"] == variant && l["node"] == node && l["metric"] == metric).and_then(|l| l["value"].as_f64());
+    let mut head: Vec<String> = ablation.axes.iter().map(|(axis, _)| axis.rsplit('.').next().unwrap_or(axis).to_string()).collect();
+    for (node, metric) in &names {
+        head.push(format!("{node}.{metric}"));
+        if ablation.baseline.is_some() {
+            head.push("gain".into());
+        }
+    }
+    let mut rows = vec![head];
+    for variant in &outcome.variants {
+        let mut row: Vec<String> = variant.levels.iter().map(|(_, level)| level.clone()).collect();
+        for (node, metric) in &names {
+            let here = value(&variant.name, node, metric);
+            let failed = !outcome.variant_is_whole(variant);
+            row.push(here.map_or(if failed { "failed".into() } else { "-".into() }, |v| format!("{v:.3}")));
+            if let Some(baseline) = &ablation.baseline {
+                let gain = here.zip(value(baseline, node, metric)).map(|(here, there)| here - there);
+                row.push(gain.map_or("-".into(), |gain| format!("{gain:+.3}")));
+            }
+        }
+        rows.push(row);
+    }
+    draw(&rows)
+}
+
+/// What happened, on stderr.
+fn talk(options: &RunOptions, outcome: &Outcome, out_dir: &Path, seconds: f64) {
+    for (_, task) in outcome.failures() {
+        let error = task.error.as_ref().map(ToString::to_string).unwrap_or_default();
+        eprintln!("\nerror: node {} ({}) failed: {error}", task.label, task.kind);
+        if let Some(error) = task.error.as_ref().filter(|error| !error.problems.is_empty()) {
+            crate::problems::show(&error.problems);
+        }
+    }
+    for task in outcome.tasks.iter().filter(|task| task.end == End::Skipped) {
+        eprintln!("skipped: {} needs {}", task.label, task.because.join(", "));
+    }
+    if options.quiet {
+        return;
+    }
+    for task in &outcome.tasks {
+        task.notes.iter().for_each(|note| eprintln!("note: {}: {note}", task.label));
+    }
+    let (executed, reused) = (outcome.count(End::Executed), outcome.count(End::Reused));
+    let whole = executed + reused == outcome.tasks.len();
+    let written: u64 = outcome.tasks.iter().filter(|task| task.end == End::Executed).map(photocurrent_engine::TaskOutcome::bytes).sum();
+    let took = human_seconds(seconds);
+    match (executed, whole) {
+        (0, true) => eprintln!("\n0 nodes executed: all {reused} results were in the cache ({took})"),
+        (_, true) => eprintln!("\n{executed} nodes executed, {reused} reused from the cache, {} stored ({took})", human_bytes(written)),
+        (_, false) => eprintln!(
+            "\n{executed} nodes executed, {reused} reused, {} failed, {} skipped, {} interrupted ({took}); what is finished stays in the cache",
+            outcome.count(End::Failed),
+            outcome.count(End::Skipped),
+            outcome.count(End::Interrupted)
+        ),
+    }
+    if outcome.tasks.iter().any(|task| task.export.is_some() && matches!(task.end, End::Executed | End::Reused)) {
+        eprintln!("files are in {}", out_dir.display());
+    }
+}
+
+/// Writes JSON Lines whole or not at all.
+fn write_lines(path: &Path, lines: &[serde_json::Value]) -> Result<(), Failure> {
+    let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write: {error}", path.display()));
+    let folder = path.parent().unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder).map_err(failed)?;
+    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(failed)?;
+    for line in lines {
+        std::io::Write::write_all(&mut file, format!("{line}\n").as_bytes()).map_err(failed)?;
+    }
+    file.as_file().sync_all().map_err(failed)?;
+    file.persist(path).map_err(|error| failed(error.error))?;
+    Ok(())
+}

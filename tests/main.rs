@@ -1,0 +1,20 @@
+//! The integration tests, as one binary. What belongs where:
+//!
+//! - `conformance`: every node kind keeps the promises that all of them make.
+//! - `manifests`: every mistake in a manifest gives its message (`manifests/bad`).
+//! - `pipelines`: the pipelines that people run, and their ablations, do run.
+//! - `cache`: what runs again after a change, and what does not.
+//! - `crash`: kills at random moments, two runs at once, damage: never a wrong artefact.
+//! - `determinism`: the same bits for any number of threads, any band height, any machine.
+//! - `recordings`: input data that are empty, odd, damaged or wrong.
+//! - `tidy`: the invariants of docs/architecture.md.
+
+mod cache;
+mod conformance;
+mod crash;
+mod determinism;
+mod manifests;
+mod pipelines;
+mod recordings;
+mod support;
+mod tidy;
