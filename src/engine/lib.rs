@@ -1,1 +1,41 @@
-//! placeholder
+//! The engine: from a manifest's text to results in the cache. It knows graphs, not sensors: node kinds come in as a catalogue.
+//!
+//! Stages as types, in reading order:
+//!
+//! - [`manifest`]: the text as written, every key with its line.
+//! - [`resolve`], [`ablation`], [`pipeline`]: overlays laid over each other; [`Project`] holds one [`Pipeline`] per variant.
+//! - `typed`, [`plan`]: kinds, sockets and metas checked; a [`Plan`] holds every task once, whatever number of variants share it.
+//! - `key`, [`status`], [`explain`]: what a result depends on, whether the cache has it, and why not.
+//! - [`schedule`], [`export`], [`observer`], [`outcome`]: [`run`] it, watch it, see what came of it.
+//! - [`graph`], [`schema`]: pictures of a pipeline, and the manifest's JSON Schema for editors.
+
+pub mod ablation;
+pub mod explain;
+pub mod export;
+pub mod graph;
+mod key;
+pub mod manifest;
+pub mod observer;
+pub mod outcome;
+pub mod pipeline;
+pub mod plan;
+pub mod resolve;
+pub mod schedule;
+pub mod schema;
+pub mod status;
+mod typed;
+
+#[cfg(test)]
+mod tests;
+
+pub use ablation::{Ablation, BASE};
+pub use explain::{Explanation, explain};
+pub use graph::{GraphFormat, graph};
+pub use observer::{End, Observer, Unobserved};
+pub use outcome::{Outcome, TaskOutcome};
+pub use pipeline::Pipeline;
+pub use plan::{Plan, PlannedVariant, Selection, Task, TaskId};
+pub use resolve::Project;
+pub use schedule::{Options, run};
+pub use schema::manifest_schema;
+pub use status::{State, TaskStatus, status};

@@ -1,1 +1,26 @@
-//! placeholder
+//! Where data live on disk: recordings that come from outside, artefacts that the tool makes, and the cache that names them.
+//!
+//! - [`recording`]: the documented HDF5 recording, `photocurrent-recording/1`; read by row band, checked while reading.
+//! - [`layout`]: one HDF5 layout per type of value, `photocurrent-artefact/1`; written band by band, read lazily.
+//! - [`cache`]: key -> record -> content, safe for several processes and for a kill at any moment.
+//! - [`error`]: the one error type of this crate.
+//!
+//! This is the only crate that names HDF5. Files from outside are not trusted: links to other files, external and virtual storage and
+//! filter plugins are refused, and a claim about size is compared with the file before memory is taken (`hdf`).
+//! What remains is libhdf5 itself: a file crafted against its parser is beyond these checks.
+
+pub mod cache;
+pub mod error;
+mod hdf;
+pub mod layout;
+pub mod recording;
+
+pub use cache::{
+    Cache, CacheWriter, CheckReport, DiskUse, Export, FileInput, GcOptions, GcReport, Ingredients, Listing, Lookup, Params, PortInput, Record, StoredOutput,
+};
+pub use error::StoreError;
+pub use layout::{ValueWriter, open_value};
+pub use recording::{DnType, Inspection, Recording, RecordingContent, write_recording};
+
+/// The version that is written into every file and record.
+pub const TOOL_VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -1,0 +1,75 @@
+//! Keys: what a result depends on, and whether the cache has it.
+//!
+//! A key is a hash over the kind, its revision, the canonical parameters, the content of every input and declared file, and the seed if the
+//! node draws. It needs the *contents* of the inputs, so a task's key is known only when those before it are done or found; in return a task
+//! that was run again with an equal result changes no key after it.
+
+use crate::export;
+use crate::plan::{Task, TaskId};
+use photocurrent_core::schema::strip_paths;
+use photocurrent_core::{Digest, NodeError};
+use photocurrent_store::{Cache, FileInput, Ingredients, Lookup, Params, PortInput, Record};
+use std::path::Path;
+
+/// Everything that enters a task's key; `None` while the content of an input is not known.
+pub(crate) fn ingredients(task: &Task, cache: &Cache, content: &dyn Fn(TaskId, &str) -> Option<Digest>) -> Result<Option<Ingredients>, NodeError> {
+    let mut inputs = Vec::new();
+    for input in &task.inputs {
+        for (index, (from, port)) in input.from.iter().enumerate() {
+            let Some(digest) = content(*from, port) else { return Ok(None) };
+            let (data_type, layout) = (input.data_type, input.data_type.layout_version());
+            inputs.push(PortInput { port: input.port.to_string(), index: index as u32, data_type, layout, digest });
+        }
+    }
+    let mut files = Vec::new();
+    for file in &task.files {
+        let digest = cache.file_digest(&file.path).map_err(|error| NodeError::from(error).param(file.param.clone()))?;
+        files.push(FileInput { param: file.param.clone(), path: file.path.display().to_string(), digest });
+    }
+    Ok(Some(Ingredients { kind: task.decl.kind.to_string(), revision: task.decl.revision, params: params(task), inputs, files, seed: task.seed }))
+}
+
+/// A task's parameters as they enter the key; the readable form without the paths, which do not.
+pub(crate) fn params(task: &Task) -> Params {
+    let mut readable = task.params.clone();
+    strip_paths(&mut readable, &task.schema);
+    Params { canonical: task.canonical_params.clone(), readable: readable.as_object().cloned().unwrap_or_default() }
+}
+
+/// Can a task's result be taken from the cache?
+pub(crate) enum Reuse {
+    /// Yes.
+    Hit(Box<Record>),
+    /// No: something is missing besides the record, which is there.
+    Partly {
+        /// What is missing, one line each.
+        reasons: Vec<String>,
+    },
+    /// No: there is no record of this key, or it cannot be read.
+    Nothing {
+        /// What is wrong with it, when it is there.
+        damage: Option<String>,
+    },
+}
+
+/// Looks a task up. Stored outputs are seen to be there in full length; whether their bytes are right is known when they are read.
+pub(crate) fn look_up(task: &Task, key: &Digest, cache: &Cache, out_dir: &Path) -> Reuse {
+    let record = match cache.record(key) {
+        Lookup::Found(record) => record,
+        Lookup::Missing => return Reuse::Nothing { damage: None },
+        Lookup::Damaged { why } => return Reuse::Nothing { damage: Some(why) },
+    };
+    let mut reasons = Vec::new();
+    for output in task.stored() {
+        match record.outputs.get(output.port) {
+            Some(Some(_)) => {}
+            Some(None) | None => reasons.push(format!("output {} was not stored", output.port)),
+        }
+    }
+    if let Some(folder) = &task.export
+        && let Err(reason) = export::check_current(&out_dir.join(folder), key)
+    {
+        reasons.push(reason);
+    }
+    if reasons.is_empty() { Reuse::Hit(record) } else { Reuse::Partly { reasons } }
+}

@@ -1,0 +1,175 @@
+//! A manifest as written: a TOML file whose outline is checked and whose every key still knows its line.
+//!
+//! What is checked here needs no knowledge of nodes: which tables there are, which keys they may have, what a node may be called.
+//! Whether a kind exists, takes these parameters and fits its neighbours is for [`crate::typed`]. A mistake never stops the reading:
+//! it is noted, the node it stands in is left out of later checks, and the rest goes on, so that one run shows every mistake.
+
+use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
+use photocurrent_core::schema;
+use serde_json::{Value as Json, json};
+use std::collections::BTreeSet;
+use std::path::{Component, Path, PathBuf};
+use std::sync::Arc;
+
+/// The manifest format that this version reads and writes.
+pub const FORMAT: i64 = 1;
+
+/// One manifest, as written, with everything it extends merged below it.
+#[derive(Debug, Default)]
+pub(crate) struct Manifest {
+    /// The merged document, without `format` and `extends`.
+    pub table: Table,
+    /// Every mistake found so far.
+    pub problems: Vec<Problem>,
+    /// Nodes that have a mistake: later checks pass over them.
+    pub broken: BTreeSet<String>,
+}
+
+/// Reads a manifest and, below it, what it extends.
+pub(crate) fn read(path: &Path) -> Manifest {
+    let mut manifest = Manifest::default();
+    read_chain(path, None, &mut Vec::new(), &mut manifest);
+    manifest
+}
+
+fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, manifest: &mut Manifest) {
+    let problem = |message: String| asked_by.map_or_else(|| Problem::new(message.clone()), |origin| Problem::at(origin, message.clone()));
+    let shown = shorten(path);
+    let text = match std::fs::read_to_string(path) {
+        Ok(text) => text,
+        Err(error) => return manifest.problems.push(problem(format!("cannot read {}: {error}", shown.display()))),
+    };
+    let canonical = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+    if chain.contains(&canonical) {
+        return manifest.problems.push(problem(format!("{} extends itself", shown.display())).label("leads back to a manifest that is being read"));
+    }
+    chain.push(canonical);
+    let folder = shown.parent().map(Path::to_path_buf).unwrap_or_default();
+    let source = Source::new(shown.display().to_string(), folder.clone(), text);
+    let mut table = match document::parse(&source) {
+        Ok(table) => table,
+        Err(problems) => return manifest.problems.extend(problems),
+    };
+    check_format(&table, &source, &mut manifest.problems);
+    check_outline(&mut table, &source, manifest);
+    table.remove("format");
+    if let Some((_, tree)) = table.remove("extends")
+        && let Some(base) = tree.as_str()
+    {
+        read_chain(&folder.join(base), Some(&tree.origin), chain, manifest);
+    }
+    crate::resolve::overlay(&mut manifest.table, &table);
+}
+
+/// Takes `a/../` out of a path for display; links are not followed, as the text is for people.
+fn shorten(path: &Path) -> PathBuf {
+    let mut short = PathBuf::new();
+    for part in path.components() {
+        let last_is_name = short.components().next_back().is_some_and(|last| matches!(last, Component::Normal(_)));
+        match part {
+            Component::ParentDir if last_is_name => drop(short.pop()),
+            Component::CurDir => {}
+            part => short.push(part),
+        }
+    }
+    short
+}
+
+fn check_format(table: &Table, source: &Arc<Source>, problems: &mut Vec<Problem>) {
+    match table.get("format") {
+        None => problems.push(
+            Problem::at(&Origin { source: source.clone(), span: 0..0 }, "`format` is missing").help(format!("write `format = {FORMAT}` as the first line")),
+        ),
+        Some(Tree { item: Item::Integer(FORMAT), .. }) => {}
+        Some(Tree { item: Item::Integer(other), origin }) => {
+            problems.push(Problem::at(origin, format!("this manifest has format {other}, and this version reads format {FORMAT}")));
+        }
+        // A wrong type is reported with the rest of the outline.
+        Some(_) => {}
+    }
+}
+
+fn object(properties: Json) -> Json {
+    json!({ "type": "object", "additionalProperties": false, "properties": properties })
+}
+
+fn table_of(values: Json) -> Json {
+    json!({ "type": "object", "additionalProperties": values })
+}
+
+fn list_of(items: Json) -> Json {
+    json!({ "type": "array", "items": items })
+}
+
+/// Checks one level of the outline; takes out what has the wrong form, so that later stages see only what they can read.
+fn check(tree: &Tree, form: &Json, what: &str, problems: &mut Vec<Problem>) -> bool {
+    let before = problems.len();
+    schema::validate(tree, form, what, problems);
+    problems.len() == before
+}
+
+fn check_outline(table: &mut Table, source: &Arc<Source>, manifest: &mut Manifest) {
+    let text = || json!({ "type": "string" });
+    let any_table = || table_of(json!({}));
+    let top = object(json!({
+        "format": { "type": "integer" }, "extends": text(), "pipeline": any_table(), "nodes": any_table(), "ablation": any_table(),
+    }));
+    let root = Tree { item: Item::Table(table.clone()), origin: Origin { source: source.clone(), span: 0..0 } };
+    check(&root, &top, "key of a manifest", &mut manifest.problems);
+    table.entries.retain(|(key, tree)| match key.name.as_str() {
+        "pipeline" | "nodes" | "ablation" => tree.as_table().is_some(),
+        name => matches!(name, "format" | "extends"),
+    });
+    let ablation = object(json!({
+        "about": text(), "metrics": list_of(text()), "baseline": any_table(), "skip": list_of(any_table()),
+        "axes": table_of(table_of(any_table())), "sweep": any_table(),
+    }));
+    if table.get("ablation").is_some_and(|tree| !check(tree, &ablation, "key of an ablation", &mut manifest.problems)) {
+        table.remove("ablation");
+    }
+    check_overlay(table, manifest);
+}
+
+/// Checks what a file, a level and `--set` have in common: the tables `pipeline` and `nodes`.
+pub(crate) fn check_overlay(table: &mut Table, manifest: &mut Manifest) {
+    let pipeline = object(json!({ "about": { "type": "string" }, "seed": { "type": "integer", "minimum": 0 }, "keep": list_of(json!({ "type": "string" })) }));
+    if table.get("pipeline").is_some_and(|tree| !check(tree, &pipeline, "key of a pipeline", &mut manifest.problems)) {
+        table.remove("pipeline");
+    }
+    if let Some(nodes) = table.get("nodes").and_then(Tree::as_table) {
+        for (key, node) in &nodes.entries {
+            if !check_node(key, node, &mut manifest.problems) {
+                manifest.broken.insert(key.name.clone());
+            }
+        }
+    }
+}
+
+fn check_node(key: &Key, node: &Tree, problems: &mut Vec<Problem>) -> bool {
+    let form = object(json!({
+        "kind": { "type": "string" }, "in": table_of(json!({})), "params": table_of(json!({})), "bypass": { "type": "boolean" },
+    }));
+    let before = problems.len();
+    if !is_node_id(&key.name) {
+        let problem = Problem::at(&key.origin, format!("`{}` is not a name for a node", key.name));
+        problems.push(problem.help("names are small letters, digits and `_`, and begin with a letter"));
+    }
+    check(node, &form, "key of a node", problems);
+    let ports = node.as_table().and_then(|node| node.get("in")).and_then(Tree::as_table);
+    for (port, wire) in ports.iter().flat_map(|ports| &ports.entries) {
+        let items = match &wire.item {
+            Item::Array(items) => items.as_slice(),
+            _ => std::slice::from_ref(wire),
+        };
+        for item in items.iter().filter(|item| item.as_str().is_none()) {
+            let problem = Problem::at(&item.origin, format!("`in.{}` takes \"node.port\", found {}", port.name, item.describe()));
+            problems.push(problem.label("expected a text in quotes"));
+        }
+    }
+    problems.len() == before
+}
+
+/// Small letters, digits and `_`, a letter first: safe in paths, references and overlays.
+pub fn is_node_id(name: &str) -> bool {
+    name.starts_with(|c: char| c.is_ascii_lowercase()) && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
+}

@@ -1,0 +1,190 @@
+//! From manifests to pipelines: what `extends`, levels and `--set` lay over each other.
+//!
+//! Tables merge key by key; scalars and lists replace. Later wins: what is extended, the file, the level, `--set`. A changed `kind` drops
+//! the old `params`, which belonged to another method, and keeps `in`, because within a role the sockets are the same.
+//! There are no conditions, loops or interpolation: what a manifest means can be seen by reading it.
+
+use crate::ablation::{self, Ablation};
+use crate::manifest::{self, Manifest};
+use crate::pipeline::Pipeline;
+use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
+use photocurrent_core::{Catalogue, Digest};
+use std::path::{Path, PathBuf};
+
+/// A manifest with its overlays resolved: one pipeline per variant.
+#[derive(Debug)]
+pub struct Project {
+    /// The manifest's path as given.
+    pub path: PathBuf,
+    /// Names the manifest in the cache's history: the digest of its canonical path.
+    pub manifest_id: Digest,
+    /// What the ablation says, when there is one.
+    pub ablation: Option<Ablation>,
+    /// One per variant, in the order of the axes; exactly one, called `base`, without an ablation.
+    pub pipelines: Vec<Pipeline>,
+}
+
+impl Project {
+    /// Reads a manifest, lays `--set` texts such as `nodes.solve.params.cis_weight=2` over it, and checks all of it against the catalogue.
+    ///
+    /// # Errors
+    /// Every independent mistake, each at its place.
+    pub fn load(path: &Path, sets: &[String], catalogue: &Catalogue) -> Result<Project, Vec<Problem>> {
+        let (project, mut problems) = Project::resolve(path, sets);
+        // What could be read is checked further even when something else is wrong, so that one run shows every mistake.
+        for pipeline in &project.pipelines {
+            crate::typed::check(pipeline, catalogue, &mut problems);
+        }
+        let problems = distinct(problems);
+        if problems.is_empty() { Ok(project) } else { Err(problems) }
+    }
+
+    /// The part of [`Project::load`] that needs no catalogue.
+    pub(crate) fn resolve(path: &Path, sets: &[String]) -> (Project, Vec<Problem>) {
+        let mut manifest = manifest::read(path);
+        let sets = read_sets(sets, &mut manifest);
+        let (ablation, variants) = ablation::variants(&mut manifest);
+        let mut pipelines = Vec::new();
+        for variant in variants {
+            let mut table = manifest.table.clone();
+            overlay(&mut table, &variant.overlay);
+            sets.iter().for_each(|set| overlay(&mut table, set));
+            pipelines.push(Pipeline::from_table(&table, variant, &manifest.broken, &mut manifest.problems));
+        }
+        let canonical = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+        let manifest_id = Digest::of_bytes(canonical.to_string_lossy().as_bytes());
+        (Project { path: path.to_path_buf(), manifest_id, ablation, pipelines }, manifest.problems)
+    }
+
+    /// A variant's pipeline.
+    pub fn pipeline(&self, variant: &str) -> Option<&Pipeline> {
+        self.pipelines.iter().find(|pipeline| pipeline.variant == variant)
+    }
+}
+
+/// The variants of one manifest share most of their text; a mistake in it is shown once.
+pub(crate) fn distinct(problems: Vec<Problem>) -> Vec<Problem> {
+    let mut seen: Vec<Problem> = Vec::new();
+    for problem in problems {
+        if !seen.iter().any(|other| other.at == problem.at && other.message == problem.message) {
+            seen.push(problem);
+        }
+    }
+    seen
+}
+
+/// Lays one document over another, with the rule for a changed `kind`.
+pub(crate) fn overlay(base: &mut Table, over: &Table) {
+    let kind = |node: &Tree| node.as_table().and_then(|node| node.get("kind")).and_then(Tree::as_str).map(str::to_string);
+    for (key, node) in over.get("nodes").and_then(Tree::as_table).iter().flat_map(|nodes| &nodes.entries) {
+        let Some(Tree { item: Item::Table(nodes), .. }) = base.get_mut("nodes") else { continue };
+        let Some(old) = nodes.get_mut(&key.name) else { continue };
+        if kind(node).is_some_and(|new| kind(old).is_some_and(|old| old != new))
+            && let Item::Table(old) = &mut old.item
+        {
+            old.remove("params");
+        }
+    }
+    merge(base, over);
+}
+
+/// Tables merge key by key; everything else replaces.
+pub(crate) fn merge(base: &mut Table, over: &Table) {
+    for (key, tree) in &over.entries {
+        match (base.get_mut(&key.name), &tree.item) {
+            (Some(Tree { item: Item::Table(old), .. }), Item::Table(new)) => merge(old, new),
+            _ => base.set(key.clone(), tree.clone()),
+        }
+    }
+}
+
+/// Checks that an overlay speaks of nodes that exist, and of nothing but nodes and the pipeline; notes what does not.
+pub(crate) fn check_targets(over: &mut Table, manifest: &mut Manifest) {
+    for (key, tree) in &over.entries {
+        let allowed = ["nodes", "pipeline"];
+        if !allowed.contains(&key.name.as_str()) {
+            let problem = Problem::at(&key.origin, format!("`{}` cannot be laid over a manifest", key.name)).label("unknown key");
+            manifest.problems.push(problem.did_you_mean(&key.name, allowed));
+        } else if tree.as_table().is_none() {
+            manifest.problems.push(Problem::at(&tree.origin, format!("`{}` is a table, found {}", key.name, tree.describe())));
+        }
+    }
+    over.entries.retain(|(key, tree)| matches!(key.name.as_str(), "nodes" | "pipeline") && tree.as_table().is_some());
+    let known: Vec<String> = node_names(&manifest.table);
+    if let Some(Tree { item: Item::Table(nodes), .. }) = over.get_mut("nodes") {
+        for (key, _) in nodes.entries.iter().filter(|(key, _)| !known.contains(&key.name)) {
+            let problem = Problem::at(&key.origin, format!("there is no node `{}` to change", key.name)).label("unknown node");
+            manifest.problems.push(problem.did_you_mean(&key.name, known.iter().map(String::as_str)));
+        }
+        nodes.entries.retain(|(key, _)| known.contains(&key.name));
+    }
+    manifest::check_overlay(over, manifest);
+}
+
+/// The names of the nodes in a document.
+pub(crate) fn node_names(table: &Table) -> Vec<String> {
+    let nodes = table.get("nodes").and_then(Tree::as_table);
+    nodes.iter().flat_map(|nodes| &nodes.entries).map(|(key, _)| key.name.clone()).collect()
+}
+
+fn read_sets(sets: &[String], manifest: &mut Manifest) -> Vec<Table> {
+    let mut tables = Vec::new();
+    for text in sets {
+        match read_set(text) {
+            Ok(mut table) => {
+                check_targets(&mut table, manifest);
+                tables.push(table);
+            }
+            Err(problems) => manifest.problems.extend(problems),
+        }
+    }
+    tables
+}
+
+/// Reads one `path=value`. A value that is no TOML value, such as `10 kHz`, is taken as text: a shell has eaten its quotes.
+fn read_set(text: &str) -> Result<Table, Vec<Problem>> {
+    let source = Source::new("--set", "", text);
+    let whole = Origin { source: source.clone(), span: 0..text.len() };
+    let Some(equals) = text.find('=') else {
+        let problem = Problem::at(&whole, "`--set` takes path=value").help("such as --set nodes.solve.params.cis_weight=2");
+        return Err(vec![problem]);
+    };
+    if let Ok(table) = document::parse(&source) {
+        return Ok(table);
+    }
+    let path = read_path(&Source::new("--set", "", &text[..equals]))
+        .map_err(|_| vec![Problem::at(&Origin { source: source.clone(), span: 0..equals }, format!("`{}` is not a path of keys", text[..equals].trim()))])?;
+    let value = Origin { source: source.clone(), span: equals + 1..text.len() };
+    let item = Item::String(text[equals + 1..].trim().to_string());
+    // The keys were read from the part before the `=`: the same bytes, so their places hold in the whole text.
+    let keys = path.into_iter().map(|key| Key { origin: Origin { source: source.clone(), span: key.origin.span }, ..key }).collect();
+    Ok(nested(keys, Tree { item, origin: value }))
+}
+
+/// Reads a dotted path of keys; the places are those inside `source`.
+pub(crate) fn read_path(source: &std::sync::Arc<Source>) -> Result<Vec<Key>, Vec<Problem>> {
+    let probe = Source::new(source.name.clone(), source.folder.clone(), format!("{}=0", source.text));
+    let mut table = document::parse(&probe)?;
+    let mut path = Vec::new();
+    while let Some((key, tree)) = table.entries.pop() {
+        path.push(key);
+        match tree.item {
+            Item::Table(inner) => table = inner,
+            _ => break,
+        }
+    }
+    Ok(path)
+}
+
+/// A value inside one table per key.
+pub(crate) fn nested(path: Vec<Key>, value: Tree) -> Table {
+    let mut tree = value;
+    for key in path.into_iter().rev() {
+        let origin = key.origin.clone();
+        tree = Tree { item: Item::Table(Table { entries: vec![(key, tree)] }), origin };
+    }
+    match tree.item {
+        Item::Table(table) => table,
+        _ => Table::default(),
+    }
+}

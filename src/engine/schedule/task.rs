@@ -1,0 +1,294 @@
+//! One task: looked up, and when the cache does not have it, run band by band, stored, and recorded last.
+
+use super::Shared;
+use super::bands::{self, Bands, same_meta};
+use super::writer::{Message, Stored, guarded};
+use crate::export::{Staging, StampedFile};
+use crate::key::{self, Reuse};
+use crate::observer::{End, Observer};
+use crate::plan::{Task, TaskId};
+use crossbeam::channel::{Sender, bounded};
+use photocurrent_core::context::{Notes, Progress};
+use photocurrent_core::error::Trouble;
+use photocurrent_core::ports::PortValues;
+use photocurrent_core::{Context, Digest, Meta, NodeError, Rows, Value};
+use photocurrent_store::{Cache, Export, Ingredients, Lookup, Record, StoredOutput, TOOL_VERSION};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::atomic::Ordering;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+/// Computes a task's key and looks it up: ends it as reused, or lets it wait for memory.
+pub(super) fn look_up(shared: &Shared<'_>, id: TaskId) {
+    let task = &shared.plan.tasks[id];
+    let contents: BTreeMap<(TaskId, &str), Digest> = {
+        let state = shared.state();
+        let sources = task.inputs.iter().flat_map(|input| &input.from);
+        sources.filter_map(|(from, port)| Some(((*from, *port), state.slots[*from].outputs.get(*port)?.digest))).collect()
+    };
+    let ingredients = guarded(|| {
+        let found = key::ingredients(task, shared.cache, &|from, port| contents.get(&(from, port)).copied())?;
+        found.ok_or_else(|| NodeError::failed("an input has no stored content: the plan marks as wanted what others take"))
+    });
+    let ingredients = match ingredients {
+        Ok(ingredients) => ingredients,
+        Err(error) => return end_with_error(shared, id, error, 0.0),
+    };
+    let key = ingredients.key();
+    let force = shared.state().slots[id].force;
+    let reuse = if force { Reuse::Nothing { damage: None } } else { key::look_up(task, &key, shared.cache, &shared.options.out_dir) };
+    if let Reuse::Nothing { damage: Some(why) } = &reuse {
+        shared.warn(format!("{}: the cache's record is damaged and is made again: {why}", task.label));
+    }
+    if let Reuse::Hit(record) = reuse {
+        remember(shared, task, &key);
+        let mut state = shared.state();
+        let slot = &mut state.slots[id];
+        slot.key = Some(key);
+        slot.notes = record.notes.clone();
+        slot.seconds = record.seconds;
+        slot.outputs = record.outputs.into_iter().filter_map(|(port, output)| Some((port, output?))).collect();
+        let ended = state.finish(shared.plan, id, End::Reused);
+        drop(state);
+        return shared.announce(ended);
+    }
+    // Three quarters of the budget are for running tasks, the rest for results that are kept for those that take them.
+    let share = shared.options.memory / 4 * 3 / shared.options.threads.max(1) as u64;
+    let bands = bands::cut(shared.plan, task, share, shared.options.band_rows);
+    shared.state().admit(id, key, ingredients, bands);
+    shared.changed.notify_all();
+}
+
+/// The cache's history is for explanations: a run does not stop when it cannot be written.
+fn remember(shared: &Shared<'_>, task: &Task, key: &Digest) {
+    let manifest = shared.plan.manifest_id.to_string();
+    for (variant, node) in &task.uses {
+        if let Err(error) = shared.cache.remember(&manifest, variant, node, key) {
+            shared.warn(format!("{}: the cache's history could not be written: {error}", task.label));
+            return;
+        }
+    }
+}
+
+pub(super) fn end_with_error(shared: &Shared<'_>, id: TaskId, error: NodeError, seconds: f64) {
+    let end = if error.trouble == Trouble::Interrupted { End::Interrupted } else { End::Failed };
+    let mut state = shared.state();
+    state.slots[id].seconds = seconds;
+    state.slots[id].error = (end == End::Failed).then_some(error);
+    let ended = state.finish(shared.plan, id, end);
+    drop(state);
+    shared.announce(ended);
+}
+
+/// What running a task gave.
+struct Product {
+    stored: Stored,
+    notes: Vec<String>,
+    /// The values, when the task ran in one band.
+    values: BTreeMap<&'static str, Value>,
+}
+
+/// Why a task did not come to its end.
+enum Stopped {
+    /// It failed.
+    Error(NodeError),
+    /// A stored input cannot be read: this task waits until `producer` has made it again.
+    SentBack,
+}
+
+impl From<NodeError> for Stopped {
+    fn from(error: NodeError) -> Stopped {
+        Stopped::Error(error)
+    }
+}
+
+/// Runs a task whose memory was granted.
+pub(super) fn run(shared: &Shared<'_>, id: TaskId, writer: &Sender<Message>) {
+    let task = &shared.plan.tasks[id];
+    let begun = Instant::now();
+    let product = inputs(shared, id).and_then(|inputs| {
+        shared.observer.task_started(id, &task.label);
+        Ok(produce(shared, id, inputs, writer, begun)?)
+    });
+    shared.state().release(id);
+    let seconds = begun.elapsed().as_secs_f64();
+    match product {
+        Ok(product) => {
+            let mut state = shared.state();
+            let room = (shared.options.memory / 4).saturating_sub(state.retained);
+            let bytes = product.values.values().map(|value| value.meta().estimated_bytes()).sum();
+            let slot = &mut state.slots[id];
+            (slot.outputs, slot.notes, slot.seconds) = (product.stored, product.notes, seconds);
+            if bytes <= room {
+                (slot.values, slot.retained) = (product.values, bytes);
+                state.retained += bytes;
+            }
+            let ended = state.finish(shared.plan, id, End::Executed);
+            drop(state);
+            shared.announce(ended);
+        }
+        Err(Stopped::Error(error)) => {
+            // The writer is gone only when the whole run is being torn down.
+            let _ = writer.send(Message::Abandon { task: id });
+            end_with_error(shared, id, error, seconds);
+        }
+        Err(Stopped::SentBack) => shared.changed.notify_all(),
+    }
+}
+
+/// The values that a task takes: those still in memory, others opened in the store.
+fn inputs(shared: &Shared<'_>, id: TaskId) -> Result<PortValues, Stopped> {
+    let task = &shared.plan.tasks[id];
+    let mut values = PortValues::new();
+    for input in &task.inputs {
+        for &(from, port) in &input.from {
+            values.entry(input.port).or_default().push(value(shared, id, from, port)?);
+        }
+    }
+    Ok(values)
+}
+
+fn value(shared: &Shared<'_>, consumer: TaskId, from: TaskId, port: &'static str) -> Result<Value, Stopped> {
+    let digest = {
+        let state = shared.state();
+        let slot = &state.slots[from];
+        if let Some(value) = slot.values.get(port) {
+            return Ok(value.clone());
+        }
+        slot.outputs.get(port).map(|output| output.digest)
+    };
+    let digest = digest.ok_or_else(|| NodeError::failed(format!("{} has no stored `{port}`", shared.plan.tasks[from].label)))?;
+    let error = match guarded(|| Ok(shared.cache.load(&digest))) {
+        Ok(Ok(value)) => {
+            shared.state().slots[from].values.insert(port, value.clone());
+            return Ok(value);
+        }
+        Ok(Err(error)) => error,
+        Err(panic) => return Err(Stopped::Error(panic)),
+    };
+    if error.is_damage() && shared.state().send_back(from, consumer) {
+        shared.warn(format!("{}: output {port} is made again: {error}", shared.plan.tasks[from].label));
+        return Err(Stopped::SentBack);
+    }
+    Err(Stopped::Error(error.into()))
+}
+
+fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<Message>, begun: Instant) -> Result<Product, NodeError> {
+    let task = &shared.plan.tasks[id];
+    let (ingredients, bands) = {
+        let state = shared.state();
+        let slot = &state.slots[id];
+        (slot.ingredients.clone().expect("an admitted task has ingredients"), slot.bands.clone().expect("an admitted task has bands"))
+    };
+    let key = ingredients.key();
+    let staging = task.export.as_ref().map(|folder| Staging::create(&shared.options.out_dir.join(folder))).transpose()?;
+    let notes = Notes::default();
+    let mut kept = BTreeMap::new();
+    let progress = TaskProgress { observer: shared.observer, task: id, silent: bands.bands.len() > 1 };
+    if progress.silent {
+        shared.observer.progress_begin(id, bands.rows.len() as u64, "rows");
+    }
+    for &band in &bands.bands {
+        if shared.cancel.load(Ordering::Relaxed) {
+            return Err(NodeError::interrupted());
+        }
+        let wanted: BTreeSet<String> = task.outputs.iter().filter(|output| output.wanted).map(|output| output.port.to_string()).collect();
+        let export = staging.as_ref().map(Staging::path);
+        let context = Context::new(band, task.seed.unwrap_or(0), &wanted, &progress, shared.cancel, export, &notes);
+        let given = guarded(|| task.node.run(cut(&inputs, &bands, band), &context))?;
+        let whole = bands.bands.len() == 1;
+        for (port, meta, value) in checked(task, given, (!whole).then_some(band))? {
+            if whole {
+                kept.insert(port, value.clone());
+            }
+            let message = Message::Write { task: id, port, meta, value };
+            writer.send(message).map_err(|_| NodeError::failed("the writer has stopped"))?;
+        }
+        if progress.silent {
+            shared.observer.progress_advance(id, band.len() as u64);
+        }
+    }
+    let (reply, answer) = bounded(1);
+    let finish = Message::Finish { task: id, reply };
+    writer.send(finish).map_err(|_| NodeError::failed("the writer has stopped"))?;
+    let stored = answer.recv().map_err(|_| NodeError::failed("the writer has stopped"))??;
+    let exports = staging.map(|staging| staging.publish(key)).transpose()?.unwrap_or_default();
+    let notes = notes.lines();
+    shared.cache.commit(&record(shared.cache, ingredients, &stored, exports, &notes, begun.elapsed().as_secs_f64()))?;
+    remember(shared, task, &key);
+    Ok(Product { stored, notes, values: kept })
+}
+
+fn record(cache: &Cache, ingredients: Ingredients, stored: &Stored, exports: Vec<StampedFile>, notes: &[String], seconds: f64) -> Record {
+    let key = ingredients.key();
+    let mut outputs: BTreeMap<String, Option<StoredOutput>> = stored.iter().map(|(port, output)| (port.clone(), Some(*output))).collect();
+    // Another pipeline may have wanted other outputs of the same key: what it stored stays named.
+    if let Lookup::Found(old) = cache.record(&key) {
+        for (port, output) in old.outputs {
+            outputs.entry(port).or_insert(output);
+        }
+    }
+    let exports = exports.into_iter().map(|file| Export { name: file.name, bytes: file.bytes, digest: file.digest }).collect();
+    let created_unix_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    Record { key, tool_version: TOOL_VERSION.into(), seconds, created_unix_s, notes: notes.to_vec(), ingredients, outputs, exports }
+}
+
+/// The inputs of one band: what has the rows of the task is cut to the band and its halo; everything else stays whole.
+fn cut(inputs: &PortValues, bands: &Bands, band: Rows) -> PortValues {
+    if bands.bands.len() == 1 {
+        return inputs.clone();
+    }
+    let reach = band.with_halo(bands.halo, bands.rows);
+    let cut = |value: &Value| if value.rows() == Some(bands.rows) { value.cut(reach) } else { value.clone() };
+    inputs.iter().map(|(port, values)| (*port, values.iter().map(cut).collect())).collect()
+}
+
+/// The wanted outputs, held against the plan: a node that gives something else than it planned would poison every key after it.
+fn checked(task: &Task, mut given: PortValues, band: Option<Rows>) -> Result<Vec<(&'static str, Meta, Value)>, NodeError> {
+    let broken =
+        |text: String| NodeError::failed(format!("{} broke its promise: {text}", task.decl.kind)).hint("this is a mistake in the node; please report it");
+    let mut outputs = Vec::new();
+    for output in &task.outputs {
+        let values = given.remove(output.port).unwrap_or_default();
+        let absent = matches!(output.meta, Meta::Absent { .. });
+        let value = match values.into_iter().next() {
+            Some(_) if absent => return Err(broken(format!("its plan said that there is no `{}`, and there is one", output.port))),
+            None if output.wanted && !absent => return Err(broken(format!("its plan said that there is `{}`, and there is none", output.port))),
+            Some(value) if output.wanted => value,
+            _ => continue,
+        };
+        let meta = value.meta();
+        if !same_meta(&output.meta, &meta) {
+            return Err(broken(format!("`{}` is not as planned", output.port)).note(format!("planned {:?}", output.meta)).note(format!("found   {meta:?}")));
+        }
+        let value = match (band, value.rows()) {
+            (Some(band), Some(rows)) if !rows.contains(band) => {
+                return Err(broken(format!("`{}` has {rows} where {band} were asked for", output.port)));
+            }
+            (Some(band), Some(_)) => value.cut(band),
+            _ => value,
+        };
+        outputs.push((output.port, meta, value));
+    }
+    Ok(outputs)
+}
+
+/// Passes a node's progress on; a task in bands counts its bands' rows instead.
+struct TaskProgress<'a> {
+    observer: &'a dyn Observer,
+    task: TaskId,
+    silent: bool,
+}
+
+impl Progress for TaskProgress<'_> {
+    fn begin(&self, total: u64, unit: &str) {
+        if !self.silent {
+            self.observer.progress_begin(self.task, total, unit);
+        }
+    }
+
+    fn advance(&self, items: u64) {
+        if !self.silent {
+            self.observer.progress_advance(self.task, items);
+        }
+    }
+}

@@ -1,0 +1,81 @@
+//! The one thread that writes results: bands come through a bounded channel, so that a slow disk slows the nodes instead of filling memory.
+//!
+//! HDF5 works behind one lock anyway; a thread of its own lets the next band be computed while this one is packed and written.
+
+use crossbeam::channel::{Receiver, Sender, bounded};
+use photocurrent_core::{Meta, NodeError, Value};
+use photocurrent_store::{Cache, CacheWriter, StoredOutput};
+use std::any::Any;
+use std::collections::{BTreeMap, HashMap};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use crate::plan::TaskId;
+
+/// What a finished task has in the store.
+pub(crate) type Stored = BTreeMap<String, StoredOutput>;
+
+/// An order to the writer.
+pub(crate) enum Message {
+    /// Append a band to an output.
+    Write { task: TaskId, port: &'static str, meta: Meta, value: Value },
+    /// All bands were sent: put the outputs in their place and say what they are.
+    Finish { task: TaskId, reply: Sender<Result<Stored, NodeError>> },
+    /// The task failed: drop what it wrote.
+    Abandon { task: TaskId },
+}
+
+/// A channel to a writer that will run [`write`]; it holds at most `bands` bands.
+pub(crate) fn channel(bands: usize) -> (Sender<Message>, Receiver<Message>) {
+    bounded(bands.max(1))
+}
+
+/// Writes until every sender is gone.
+pub(crate) fn write(cache: &Cache, messages: &Receiver<Message>) {
+    let mut open: HashMap<TaskId, Result<BTreeMap<&'static str, CacheWriter<'_>>, NodeError>> = HashMap::new();
+    for message in messages {
+        match message {
+            Message::Write { task, port, meta, value } => {
+                let outputs = open.entry(task).or_insert_with(|| Ok(BTreeMap::new()));
+                // The first failure stays; what comes after it is dropped.
+                if let Ok(writers) = outputs
+                    && let Err(error) = guarded(|| append(cache, writers, port, &meta, &value))
+                {
+                    *outputs = Err(error);
+                }
+            }
+            Message::Finish { task, reply } => {
+                let result = open.remove(&task).unwrap_or_else(|| Ok(BTreeMap::new()));
+                let finish = |(port, writer): (&'static str, CacheWriter<'_>)| Ok((port.to_string(), writer.finish()?));
+                let stored = result.and_then(|writers| guarded(|| writers.into_iter().map(finish).collect()));
+                // Nobody waits any more only when the run is being torn down.
+                let _ = reply.send(stored);
+            }
+            Message::Abandon { task } => drop(open.remove(&task)),
+        }
+    }
+}
+
+fn append<'a>(
+    cache: &'a Cache,
+    writers: &mut BTreeMap<&'static str, CacheWriter<'a>>,
+    port: &'static str,
+    meta: &Meta,
+    value: &Value,
+) -> Result<(), NodeError> {
+    let writer = match writers.entry(port) {
+        std::collections::btree_map::Entry::Occupied(entry) => entry.into_mut(),
+        std::collections::btree_map::Entry::Vacant(entry) => entry.insert(cache.writer(meta)?),
+    };
+    Ok(writer.append(value)?)
+}
+
+/// A value may be computed only when it is read, so a node's panic can come up here; it is that node's failure.
+pub(crate) fn guarded<T>(work: impl FnOnce() -> Result<T, NodeError>) -> Result<T, NodeError> {
+    catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|panic| Err(panicked(panic.as_ref())))
+}
+
+fn panicked(panic: &(dyn Any + Send)) -> NodeError {
+    let text = panic.downcast_ref::<&str>().map(|text| text.to_string()).or_else(|| panic.downcast_ref::<String>().cloned());
+    NodeError::failed(format!("the node broke off: {}", text.unwrap_or_else(|| "a panic without a message".into())))
+        .hint("this is a mistake in the node, not in the manifest; please report it")
+}

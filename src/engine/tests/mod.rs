@@ -1,0 +1,8 @@
+//! The engine's claims, told with toy nodes: graphs without sensors.
+
+mod exports;
+mod mistakes;
+mod overlays;
+mod pictures;
+mod running;
+mod toys;

@@ -1,0 +1,373 @@
+//! What a run does, what it does not do again, and what it leaves behind when something goes wrong.
+
+use super::toys::{self, Folder, catalogue, snapshot};
+use crate::{End, Observer, Options, Outcome, Plan, Project, Selection, State, TaskId, Unobserved, explain, run, status};
+use photocurrent_core::{Digest, Value};
+use photocurrent_store::Cache;
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+const CHAIN: &str = r#"
+format = 1
+[pipeline]
+seed = 7
+[nodes.source]
+kind = "read/source"
+[nodes.solve]
+kind = "solve/add"
+in.plane = "source"
+params.amount = 2.0
+[nodes.smooth]
+kind = "refine/smooth"
+in.plane = "solve"
+[nodes.sum]
+kind = "score/sum"
+in.planes = ["smooth", "solve"]
+"#;
+
+/// A folder with a manifest, a cache and a place for files.
+struct Bench {
+    folder: Folder,
+    cache: Cache,
+}
+
+impl Bench {
+    fn new() -> Bench {
+        let folder = Folder::new();
+        let cache = Cache::open(&folder.path("cache")).unwrap();
+        Bench { folder, cache }
+    }
+
+    fn plan_to(&self, text: &str, sets: &[&str], to: &[&str]) -> Plan {
+        let path = self.folder.write("m.toml", text);
+        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
+        let project = Project::load(&path, &sets, &catalogue()).unwrap_or_else(|p| panic!("{p:#?}"));
+        let selection = Selection { variants: Vec::new(), to: to.iter().map(|node| node.to_string()).collect() };
+        Plan::new(&project, &catalogue(), &selection).unwrap_or_else(|p| panic!("{p:#?}"))
+    }
+
+    fn plan(&self, text: &str, sets: &[&str]) -> Plan {
+        self.plan_to(text, sets, &[])
+    }
+
+    fn options(&self) -> Options {
+        Options { threads: 2, out_dir: self.folder.path("out"), ..Options::default() }
+    }
+
+    fn run(&self, text: &str, sets: &[&str]) -> Outcome {
+        run(&self.plan(text, sets), &self.cache, &self.options(), &Unobserved, &AtomicBool::new(false))
+    }
+
+    fn run_with(&self, plan: &Plan, options: &Options) -> Outcome {
+        run(plan, &self.cache, options, &Unobserved, &AtomicBool::new(false))
+    }
+
+    /// Nodes and their reasons, as `plan` would print them.
+    fn status(&self, text: &str, sets: &[&str]) -> Vec<String> {
+        let plan = self.plan(text, sets);
+        let line = |status: crate::TaskStatus| {
+            let label = &plan.tasks[status.task].label;
+            match status.state {
+                State::Hit => format!("{label}: hit"),
+                State::Miss { reasons } => format!("{label}: {}", reasons.join("; ")),
+                State::Waits { on, reasons } => format!("{label}: waits for {} {}", on.join(", "), reasons.join("; ")).trim_end().to_string(),
+            }
+        };
+        status(&plan, &self.cache, &self.folder.path("out")).into_iter().map(line).collect()
+    }
+}
+
+/// The names of the tasks that ended so.
+fn ended(outcome: &Outcome, end: End) -> Vec<&str> {
+    outcome.tasks.iter().filter(|task| task.end == end).map(|task| task.label.as_str()).collect()
+}
+
+fn digests(outcome: &Outcome) -> BTreeMap<String, Digest> {
+    let all = outcome.tasks.iter().flat_map(|task| task.outputs.iter().map(|(port, output)| (format!("{}.{port}", task.label), output.digest)));
+    all.collect()
+}
+
+fn assert_well(outcome: &Outcome) {
+    let errors: Vec<_> = outcome.failures().map(|(_, task)| (&task.label, &task.error)).collect();
+    assert!(errors.is_empty(), "{errors:#?}");
+}
+
+#[test]
+fn a_second_run_executes_nothing() {
+    let bench = Bench::new();
+    let first = bench.run(CHAIN, &[]);
+    assert_well(&first);
+    assert_eq!(ended(&first, End::Executed), ["source", "solve", "smooth", "sum"]);
+    let second = bench.run(CHAIN, &[]);
+    assert_eq!(ended(&second, End::Reused), ["source", "solve", "smooth", "sum"]);
+    assert_eq!(digests(&first), digests(&second));
+    assert_eq!(second.node("base", "solve").unwrap().notes, ["12 rows were added to"]);
+    assert_eq!(second.exit_code(), 0);
+}
+
+#[test]
+fn values_are_what_the_nodes_say() {
+    let bench = Bench::new();
+    let outcome = bench.run(CHAIN, &["nodes.source.params = { width = 1, height = 2, offset = 1.0 }"]);
+    // Rows 1.0 and 1.5, plus 2: 3.0 and 3.5; their mean twice: 3.25.
+    let Some(Value::Table(table)) = outcome.value(&bench.cache, "base", "sum", "scores").unwrap() else { panic!("a table is stored") };
+    let sums: Vec<f64> = table.as_scores().unwrap().iter().map(|score| score.value).collect();
+    assert_eq!(sums, [6.5, 6.5, 13.0]);
+    let (single, pooled) = outcome.metrics(&bench.cache).unwrap();
+    assert_eq!(single.len(), 2);
+    assert_eq!(
+        pooled[0].to_string(),
+        r#"{"variant":"base","node":"sum","metric":"sum","frame":-1,"t_ns":0,"value":13.0,"unit":"1","card":"sum of all pixels"}"#
+    );
+}
+
+#[test]
+fn a_changed_parameter_reruns_the_node_and_what_follows() {
+    let bench = Bench::new();
+    bench.run(CHAIN, &[]);
+    let outcome = bench.run(CHAIN, &["nodes.solve.params.amount=3"]);
+    assert_eq!(ended(&outcome, End::Executed), ["solve", "smooth", "sum"]);
+}
+
+#[test]
+fn a_comment_and_the_order_of_keys_rerun_nothing() {
+    let bench = Bench::new();
+    bench.run(CHAIN, &[]);
+    let outcome = bench.run(&format!("# A comment.\n{}", CHAIN.replace("params.amount = 2.0", "params = { direction = \"up\", amount = 2 }")), &[]);
+    assert_eq!(ended(&outcome, End::Executed), [""; 0]);
+}
+
+#[test]
+fn an_equal_result_upstream_stops_the_rerun() {
+    let bench = Bench::new();
+    let text = format!("{CHAIN}[nodes.sign]\nkind = \"refine/sign\"\nin.plane = \"solve\"\n[nodes.after]\nkind = \"solve/scale\"\nin.plane = \"sign\"\n");
+    bench.run(&text, &[]);
+    let outcome = bench.run(&text, &["nodes.solve.params.amount=3"]);
+    assert_eq!(ended(&outcome, End::Reused), ["source", "after"]);
+}
+
+#[test]
+fn variants_share_equal_branches_and_run_them_once() {
+    let bench = Bench::new();
+    let text = format!("{CHAIN}[ablation.sweep]\n\"nodes.solve.params.amount\" = [1, 2, 3]\n");
+    let outcome = bench.run(&text, &[]);
+    assert_well(&outcome);
+    assert_eq!(outcome.count(End::Executed), 1 + 3 * 3);
+    assert_eq!(outcome.node("amount=1", "source").unwrap().key, outcome.node("amount=3", "source").unwrap().key);
+    // The base pipeline has the amount 2: its results are there already.
+    assert_eq!(ended(&bench.run(CHAIN, &[]), End::Executed), [""; 0]);
+}
+
+#[test]
+fn bands_of_any_height_and_any_number_of_threads_give_the_same() {
+    let text =
+        format!("{CHAIN}[nodes.noise]\nkind = \"simulate/noise\"\nin.plane = \"smooth\"\n[nodes.halves]\nkind = \"split/halves\"\nin.plane = \"noise\"\n");
+    let mut seen = None;
+    for threads in [1, 2] {
+        for height in [None, Some(1), Some(5), Some(11), Some(12), Some(100)] {
+            let bench = Bench::new();
+            let options = Options { threads, band_rows: height, ..bench.options() };
+            let outcome = bench.run_with(&bench.plan(&text, &[]), &options);
+            assert_well(&outcome);
+            assert_eq!(outcome.node("base", "solve").unwrap().notes, ["12 rows were added to"]);
+            let found = digests(&outcome);
+            assert_eq!(seen.get_or_insert(found.clone()), &found, "{threads} threads, bands of {height:?}");
+        }
+    }
+}
+
+#[test]
+fn a_small_budget_cuts_into_bands_and_gives_the_same() {
+    let (roomy, tight) = (Bench::new(), Bench::new());
+    let large = ["nodes.source.params = { width = 64, height = 64 }"];
+    let expected = digests(&roomy.run(CHAIN, &large));
+    #[derive(Default)]
+    struct Rows(Mutex<Vec<u64>>);
+    impl Observer for Rows {
+        fn progress_advance(&self, _: TaskId, items: u64) {
+            self.0.lock().unwrap().push(items);
+        }
+    }
+    let (rows, options) = (Rows::default(), Options { memory: 40_000, ..tight.options() });
+    let outcome = run(&tight.plan(CHAIN, &large), &tight.cache, &options, &rows, &AtomicBool::new(false));
+    assert_well(&outcome);
+    assert_eq!(digests(&outcome), expected);
+    // 15 000 bytes are a task's share and a row of `solve` needs 3 x 256; 19 such rows fit.
+    assert!(rows.0.lock().unwrap().contains(&19), "{rows:?}", rows = rows.0.lock().unwrap());
+}
+
+#[test]
+fn the_memory_budget_is_kept() {
+    let bench = Bench::new();
+    let heavy: String = (0..6).map(|i| format!("[nodes.h{i}]\nkind = \"solve/heavy\"\nin.plane = \"source\"\nparams.amount = {i}\n")).collect();
+    let text = format!("format = 1\n[nodes.source]\nkind = \"read/source\"\nparams = {{ width = 100, height = 100 }}\n{heavy}");
+    // One heavy node counts 3 x 40 000 bytes: two fit beside each other and beside what is kept, three do not.
+    let options = Options { threads: 6, memory: 360_000, ..bench.options() };
+    let outcome = bench.run_with(&bench.plan(&text, &[]), &options);
+    assert_well(&outcome);
+    assert_eq!(toys::HEAVY_MOST.load(Ordering::SeqCst), 240_000);
+    // One alone is larger than this budget, and runs alone.
+    toys::HEAVY_MOST.store(0, Ordering::SeqCst);
+    let options = Options { force: (0..6).map(|i| format!("h{i}")).collect(), memory: 1000, ..options };
+    assert_well(&bench.run_with(&bench.plan(&text, &[]), &options));
+    assert_eq!(toys::HEAVY_MOST.load(Ordering::SeqCst), 120_000);
+}
+
+fn with_mischief(mischief: &str) -> String {
+    let trouble = format!("[nodes.bad]\nkind = \"solve/trouble\"\nin.plane = \"source\"\nparams.mischief = \"{mischief}\"\n");
+    format!(
+        "{CHAIN}{trouble}[nodes.after]\nkind = \"refine/smooth\"\nin.plane = \"bad\"\n[nodes.last]\nkind = \"score/sum\"\nin.planes = [\"after\", \"smooth\"]\n"
+    )
+}
+
+#[test]
+fn a_failed_node_skips_only_what_hangs_on_it() {
+    let bench = Bench::new();
+    let outcome = bench.run(&with_mischief("fails"), &[]);
+    assert_eq!(ended(&outcome, End::Failed), ["bad"]);
+    assert_eq!(ended(&outcome, End::Skipped), ["after", "last"]);
+    assert_eq!(ended(&outcome, End::Executed), ["source", "solve", "smooth", "sum"]);
+    assert_eq!(outcome.node("base", "last").unwrap().because, ["bad"]);
+    assert_eq!(outcome.node("base", "bad").unwrap().error.as_ref().unwrap().to_string(), "nothing works today\n  hint: try tomorrow");
+    assert_eq!(outcome.exit_code(), 1);
+    assert_eq!(bench.run(&with_mischief("bad_input"), &[]).exit_code(), 3);
+    let ablation = "[ablation.axes.x]\nbad = { }\ngood = { nodes.bad.params.mischief = \"none\" }\n";
+    let outcome = bench.run(&format!("{}{ablation}", with_mischief("fails")), &[]);
+    assert_eq!(outcome.exit_code(), 4);
+    assert_eq!(outcome.variants.iter().map(|variant| outcome.variant_is_whole(variant)).collect::<Vec<_>>(), [false, true]);
+}
+
+#[test]
+fn a_panic_is_that_node_s_failure() {
+    let bench = Bench::new();
+    let outcome = bench.run(&with_mischief("panics"), &[]);
+    assert_eq!(ended(&outcome, End::Failed), ["bad"]);
+    assert_eq!(outcome.node("base", "bad").unwrap().error.as_ref().unwrap().message, "the node broke off: index 5 is beyond 3");
+    assert_eq!(ended(&outcome, End::Executed), ["source", "solve", "smooth", "sum"]);
+}
+
+#[test]
+fn an_output_that_is_not_as_planned_is_refused() {
+    let bench = Bench::new();
+    let outcome = bench.run(&with_mischief("lies"), &[]);
+    assert_eq!(outcome.node("base", "bad").unwrap().error.as_ref().unwrap().message, "solve/trouble broke its promise: `plane` is not as planned");
+}
+
+#[test]
+fn a_cancelled_run_leaves_the_cache_whole() {
+    let bench = Bench::new();
+    let cancel = AtomicBool::new(false);
+    struct Canceller<'a>(&'a AtomicBool);
+    impl Observer for Canceller<'_> {
+        fn task_started(&self, _: TaskId, label: &str) {
+            if label == "bad" {
+                self.0.store(true, Ordering::Relaxed);
+            }
+        }
+    }
+    let plan = bench.plan(&with_mischief("waits"), &[]);
+    let outcome = run(&plan, &bench.cache, &bench.options(), &Canceller(&cancel), &cancel);
+    assert!(ended(&outcome, End::Interrupted).contains(&"bad") && ended(&outcome, End::Interrupted).contains(&"last"));
+    assert_eq!(outcome.exit_code(), 130);
+    assert_eq!(bench.cache.verify().unwrap().damaged, [""; 0]);
+    assert_well(&bench.run(&with_mischief("none"), &[]));
+}
+
+#[test]
+fn a_damaged_artefact_is_made_again_with_a_warning() {
+    let bench = Bench::new();
+    let first = bench.run(CHAIN, &[]);
+    let digest = first.node("base", "solve").unwrap().outputs["plane"].digest;
+    let path = bench.folder.path(&format!("cache/data/{digest}.h5"));
+    let mut bytes = std::fs::read(&path).unwrap();
+    let last = bytes.len() - 1;
+    bytes[last] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    // The length is right, so the damage shows when somebody reads it: `smooth`, which has to run with another halo of interest.
+    let cache = Cache::open(&bench.folder.path("cache")).unwrap();
+    let options = Options { force: ["smooth".to_string(), "sum".to_string()].into(), ..bench.options() };
+    let outcome = run(&bench.plan(CHAIN, &[]), &cache, &options, &Unobserved, &AtomicBool::new(false));
+    assert_well(&outcome);
+    assert_eq!(ended(&outcome, End::Executed), ["solve", "smooth", "sum"]);
+    assert_eq!(digests(&outcome), digests(&first));
+    assert!(outcome.warnings[0].starts_with("solve: output plane is made again: "), "{:?}", outcome.warnings);
+    // Cut short, it is seen at once.
+    std::fs::write(&path, &bytes[..last]).unwrap();
+    let shown = bench.status(CHAIN, &[]);
+    assert!(shown[1].starts_with("solve: record damaged: output `plane`"), "{shown:?}");
+    let outcome = bench.run(CHAIN, &[]);
+    assert_eq!(ended(&outcome, End::Executed), ["solve"]);
+    assert!(outcome.warnings[0].starts_with("solve: the cache's record is damaged"), "{:?}", outcome.warnings);
+}
+
+#[test]
+fn two_runs_at_once_on_one_cache_are_both_right() {
+    let bench = Bench::new();
+    let plan = bench.plan(CHAIN, &[]);
+    let one = || {
+        let cache = Cache::open(&bench.folder.path("cache")).unwrap();
+        run(&plan, &cache, &bench.options(), &Unobserved, &AtomicBool::new(false))
+    };
+    let (a, b) = std::thread::scope(|scope| {
+        let (a, b) = (scope.spawn(one), scope.spawn(one));
+        (a.join().unwrap(), b.join().unwrap())
+    });
+    assert_well(&a);
+    assert_well(&b);
+    assert_eq!(digests(&a), digests(&b));
+    assert_eq!(ended(&bench.run(CHAIN, &[]), End::Executed), [""; 0]);
+}
+
+#[test]
+fn the_status_names_what_changed_and_writes_nothing() {
+    let bench = Bench::new();
+    let before = snapshot(&bench.folder.path("cache"));
+    assert_eq!(bench.status(CHAIN, &[]), ["source: never ran", "solve: waits for source", "smooth: waits for solve", "sum: waits for solve, smooth"]);
+    assert_eq!(snapshot(&bench.folder.path("cache")), before);
+    let data = bench.folder.write("data.bin", "four");
+    let text =
+        format!("{CHAIN}[nodes.halves]\nkind = \"split/halves\"\nin.plane = \"smooth\"\n[nodes.low]\nkind = \"refine/sign\"\nin.plane = \"halves.low\"\n")
+            .replace("kind = \"read/source\"", "kind = \"read/source\"\nparams.path = \"data.bin\"");
+    assert_well(&bench.run(&text, &[]));
+    let before = snapshot(&bench.folder.path("cache"));
+    assert!(bench.status(&text, &[]).iter().all(|line| line.ends_with(": hit")));
+    let shown = bench.status(&text, &["nodes.solve.params = { amount = 3, rate = \"2 kHz\" }"]);
+    assert_eq!(shown[..3], ["source: hit", "solve: params.amount 2.0 -> 3.0; params.rate \"1 kHz\" -> \"2 kHz\"", "smooth: waits for solve"]);
+    let kept = text.replace("seed = 7", "keep = [\"halves.high\"]");
+    assert_eq!(bench.status(&kept, &[])[4], "halves: output high was not stored");
+    std::fs::write(&data, "five!").unwrap();
+    assert_eq!(bench.status(&text, &[])[0], format!("source: file {} changed content", data.display()));
+    assert_eq!(snapshot(&bench.folder.path("cache")), before);
+    let told = explain(&bench.plan(&text, &["nodes.solve.params.amount=3"]), &bench.cache, &bench.folder.path("out"), "solve").unwrap();
+    assert_eq!(told[0].lines, ["waits for source", "params.amount 2.0 -> 3.0"]);
+    let problem = explain(&bench.plan(&text, &[]), &bench.cache, &bench.folder.path("out"), "slove").unwrap_err();
+    assert_eq!(problem.help.as_deref(), Some("did you mean `solve`?"));
+}
+
+#[test]
+fn another_seed_reruns_only_what_draws_and_what_follows() {
+    let bench = Bench::new();
+    let text = format!("{CHAIN}[nodes.noise]\nkind = \"simulate/noise\"\nin.plane = \"source\"\n");
+    bench.run(&text, &[]);
+    assert_eq!(bench.status(&text, &["pipeline.seed=8"])[4], "noise: seed 7 -> 8");
+    assert_eq!(ended(&bench.run(&text, &["pipeline.seed=8"]), End::Executed), ["noise"]);
+}
+
+#[test]
+fn a_part_of_the_pipeline_runs_alone() {
+    let bench = Bench::new();
+    let plan = bench.plan_to(CHAIN, &[], &["solve"]);
+    let outcome = bench.run_with(&plan, &bench.options());
+    assert_eq!(ended(&outcome, End::Executed), ["source", "solve"]);
+}
+
+#[test]
+fn outputs_that_another_pipeline_stored_stay_named() {
+    let bench = Bench::new();
+    let halves =
+        format!("{CHAIN}[nodes.halves]\nkind = \"split/halves\"\nin.plane = \"smooth\"\n[nodes.x]\nkind = \"refine/sign\"\nin.plane = \"halves.PORT\"\n");
+    bench.run(&halves.replace("PORT", "low"), &[]);
+    assert_eq!(ended(&bench.run(&halves.replace("PORT", "high"), &[]), End::Executed), ["halves", "x"]);
+    assert_eq!(ended(&bench.run(&halves.replace("PORT", "low"), &[]), End::Executed), [""; 0]);
+}

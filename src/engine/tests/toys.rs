@@ -1,0 +1,556 @@
+//! Toy nodes: small numbers on small planes, one for every way a node can behave.
+
+use photocurrent_core::document::Problem;
+use photocurrent_core::handle::Band;
+use photocurrent_core::quantity::{InputPath, Rate};
+use photocurrent_core::table::{Score, TableMeta};
+use photocurrent_core::{
+    Catalogue, Context, DataType, Decl, Extent, FileRef, FrameSequence, Grain, Kind, MapBand, MapMeta, MapSet, Meta, Node, NodeError, PortMetas, Table, testing,
+};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+pub fn catalogue() -> Catalogue {
+    Catalogue::new(vec![
+        Kind::of::<Source>(),
+        Kind::of::<Add>(),
+        Kind::of::<Scale>(),
+        Kind::of::<Smooth>(),
+        Kind::of::<Sign>(),
+        Kind::of::<Split>(),
+        Kind::of::<Noise>(),
+        Kind::of::<Sum>(),
+        Kind::of::<Trouble>(),
+        Kind::of::<Frames>(),
+        Kind::of::<Write>(),
+        Kind::of::<Heavy>(),
+        Kind::of::<Grey>(),
+    ])
+}
+
+const fn decl(kind: &'static str, grain: Grain) -> Decl {
+    Decl { kind, about: "A toy.", revision: 1, grain, draws: false, exports: false, sources: &[], example: "" }
+}
+
+photocurrent_core::ports! {
+    /// Nothing.
+    pub struct Nothing {}
+}
+photocurrent_core::ports! {
+    /// One plane.
+    pub struct Plane {
+        /// The plane.
+        plane: MapSet,
+    }
+}
+
+fn meta(width: u32, height: u32) -> MapMeta {
+    MapMeta { extent: Extent { width, height }, planes: vec!["value".into()] }
+}
+
+fn plane_meta(inputs: &PortMetas) -> Meta {
+    inputs.all("plane")[0].clone()
+}
+
+/// Each pixel of the rows asked for, from the same pixel of the input.
+fn map_pixels(input: &MapSet, cx: &Context, f: impl Fn(f32) -> f32) -> Result<MapSet, NodeError> {
+    let mut band = input.read(cx.rows())?;
+    band.values.iter_mut().for_each(|value| *value = f(*value));
+    Ok(MapSet::in_memory(input.meta.clone(), band))
+}
+
+/// Where a plane begins.
+pub struct Source(SourceParams);
+
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SourceParams {
+    /// Columns.
+    #[schemars(range(min = 1))]
+    width: u32,
+    /// Rows.
+    #[schemars(range(min = 1))]
+    height: u32,
+    /// Added to every pixel.
+    offset: f64,
+    /// A file whose length is added.
+    path: Option<InputPath>,
+}
+
+impl Default for SourceParams {
+    fn default() -> Self {
+        SourceParams { width: 4, height: 12, offset: 1.0, path: None }
+    }
+}
+
+impl Node for Source {
+    const DECL: Decl = decl("read/source", Grain::Whole);
+    type Params = SourceParams;
+    type In = Nothing;
+    type Out = Plane;
+    fn build(params: SourceParams) -> Result<Self, NodeError> {
+        Ok(Source(params))
+    }
+    fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![Meta::Map(Arc::new(meta(self.0.width, self.0.height)))])
+    }
+    fn run(&self, _: Nothing, cx: &Context) -> Result<Plane, NodeError> {
+        let meta = meta(self.0.width, self.0.height);
+        let extra = self.0.path.as_ref().map_or(Ok(0), |path| std::fs::read(path.path()).map(|bytes| bytes.len()));
+        let extra = extra.map_err(|error| NodeError::files(error.to_string()))?;
+        let mut band = MapBand::zeros(cx.rows(), &meta);
+        for y in cx.rows().iter() {
+            for (x, value) in band.row_mut(0, y).iter_mut().enumerate() {
+                *value = (self.0.offset + extra as f64) as f32 + x as f32 * 0.25 + y as f32 * 0.5;
+            }
+        }
+        Ok(Plane { plane: MapSet::in_memory(Arc::new(meta), band) })
+    }
+    fn files(&self) -> Vec<FileRef> {
+        self.0.path.iter().map(|path| FileRef { param: "path".into(), path: path.path().to_path_buf() }).collect()
+    }
+}
+
+#[derive(Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct AddParams {
+    /// How much.
+    #[schemars(range(min = -100.0, max = 100.0))]
+    amount: f64,
+    /// With a unit.
+    rate: Rate,
+    /// Which way.
+    direction: Direction,
+}
+
+#[derive(Clone, Copy, Default, Serialize, Deserialize, JsonSchema, PartialEq)]
+#[serde(rename_all = "snake_case")]
+pub enum Direction {
+    /// More.
+    #[default]
+    Up,
+    /// Less.
+    Down,
+}
+
+impl Default for AddParams {
+    fn default() -> Self {
+        AddParams { amount: 1.0, rate: Rate::new(1000.0), direction: Direction::Up }
+    }
+}
+
+/// Adds a number; refuses 13 while planning, and 14 with a rate while building.
+pub struct Add(AddParams);
+
+impl Node for Add {
+    const DECL: Decl = decl("solve/add", Grain::Pixel);
+    type Params = AddParams;
+    type In = Plane;
+    type Out = Plane;
+    fn build(params: AddParams) -> Result<Self, NodeError> {
+        if params.amount == 14.0 {
+            return Err(NodeError::usage("`amount` must not be 14").param("amount").hint("take 15"));
+        }
+        Ok(Add(params))
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        if self.0.amount == 13.0 {
+            return Err(NodeError::usage("`amount` must not be 13 here").param("amount").note("somebody is superstitious").hint("take 15"));
+        }
+        Ok(vec![plane_meta(inputs)])
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
+        let sign = if self.0.direction == Direction::Up { 1.0 } else { -1.0 };
+        cx.count(cx.rows().len() as u64, "rows were added to");
+        Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value + (sign * self.0.amount) as f32)? })
+    }
+}
+
+#[derive(Serialize, Deserialize, JsonSchema, Default)]
+#[serde(default, deny_unknown_fields)]
+pub struct ScaleParams {
+    /// By how much.
+    factor: f64,
+}
+
+/// Another method of the same role as [`Add`], with other parameters.
+pub struct Scale(ScaleParams);
+
+impl Node for Scale {
+    const DECL: Decl = decl("solve/scale", Grain::Pixel);
+    type Params = ScaleParams;
+    type In = Plane;
+    type Out = Plane;
+    fn build(params: ScaleParams) -> Result<Self, NodeError> {
+        Ok(Scale(params))
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![plane_meta(inputs)])
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
+        Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value * self.0.factor as f32)? })
+    }
+}
+
+#[derive(Serialize, Deserialize, JsonSchema, Default)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoParams {}
+
+/// Mean of a row and its two neighbours.
+pub struct Smooth;
+
+impl Node for Smooth {
+    const DECL: Decl = decl("refine/smooth", Grain::Row { halo: 1 });
+    type Params = NoParams;
+    type In = Plane;
+    type Out = Plane;
+    fn build(_: NoParams) -> Result<Self, NodeError> {
+        Ok(Smooth)
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![plane_meta(inputs)])
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
+        let all = input.plane.meta.extent.rows();
+        let around = input.plane.read(cx.rows().with_halo(1, all))?;
+        let mut band = MapBand::zeros(cx.rows(), &input.plane.meta);
+        for y in cx.rows().iter() {
+            let rows: Vec<u32> = [y.checked_sub(1), Some(y), Some(y + 1)].into_iter().flatten().filter(|&y| y < all.end).collect();
+            for x in 0..input.plane.meta.extent.width as usize {
+                band.row_mut(0, y)[x] = rows.iter().map(|&y| around.row(0, y)[x]).sum::<f32>() / rows.len() as f32;
+            }
+            cx.advance(1)?;
+        }
+        Ok(Plane { plane: MapSet::in_memory(input.plane.meta.clone(), band) })
+    }
+}
+
+/// The sign of each pixel: equal for many inputs.
+pub struct Sign;
+
+impl Node for Sign {
+    const DECL: Decl = decl("refine/sign", Grain::Pixel);
+    type Params = NoParams;
+    type In = Plane;
+    type Out = Plane;
+    fn build(_: NoParams) -> Result<Self, NodeError> {
+        Ok(Sign)
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![plane_meta(inputs)])
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
+        Ok(Plane { plane: map_pixels(&input.plane, cx, f32::signum)? })
+    }
+}
+
+photocurrent_core::ports! {
+    /// Two planes, and frames that never come.
+    pub struct Halves {
+        /// What is below the mean.
+        low: MapSet,
+        /// What is above.
+        high: MapSet,
+        /// Never there.
+        frames: Option<FrameSequence>,
+    }
+}
+
+/// Two outputs of one type, and an absent one.
+pub struct Split;
+
+impl Node for Split {
+    const DECL: Decl = decl("split/halves", Grain::Pixel);
+    type Params = NoParams;
+    type In = Plane;
+    type Out = Halves;
+    fn build(_: NoParams) -> Result<Self, NodeError> {
+        Ok(Split)
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let absent = Meta::Absent { data_type: DataType::Frames, why: "the toy has no frames".into() };
+        Ok(vec![plane_meta(inputs), plane_meta(inputs), absent])
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Halves, NodeError> {
+        let high = map_pixels(&input.plane, cx, |value| value.max(4.0))?;
+        Ok(Halves { low: map_pixels(&input.plane, cx, |value| value.min(4.0))?, high, frames: None })
+    }
+}
+
+/// Draws from the seed.
+pub struct Noise;
+
+impl Node for Noise {
+    const DECL: Decl = Decl { draws: true, ..decl("simulate/noise", Grain::Pixel) };
+    type Params = NoParams;
+    type In = Plane;
+    type Out = Plane;
+    fn build(_: NoParams) -> Result<Self, NodeError> {
+        Ok(Noise)
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![plane_meta(inputs)])
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
+        let mut band = input.plane.read(cx.rows())?;
+        for y in cx.rows().iter() {
+            for (x, value) in band.row_mut(0, y).iter_mut().enumerate() {
+                *value += photocurrent_core::random::Random::new(cx.seed(), &[x as u64, u64::from(y)]).uniform() as f32;
+            }
+        }
+        Ok(Plane { plane: MapSet::in_memory(input.plane.meta.clone(), band) })
+    }
+}
+
+photocurrent_core::ports! {
+    /// Any number of planes.
+    pub struct Planes {
+        /// The planes.
+        planes: Vec<MapSet>,
+        /// Frames, which do not count.
+        frames: Option<FrameSequence>,
+    }
+}
+photocurrent_core::ports! {
+    /// A table.
+    pub struct Scores {
+        /// The sums.
+        scores: Arc<Table>,
+    }
+}
+
+/// The sum of every plane, as a score.
+pub struct Sum;
+
+impl Node for Sum {
+    const DECL: Decl = decl("score/sum", Grain::Whole);
+    type Params = NoParams;
+    type In = Planes;
+    type Out = Scores;
+    fn build(_: NoParams) -> Result<Self, NodeError> {
+        Ok(Sum)
+    }
+    fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
+    }
+    fn run(&self, input: Planes, _: &Context) -> Result<Scores, NodeError> {
+        let mut total = 0.0;
+        let mut scores = Vec::new();
+        for (i, plane) in input.planes.iter().enumerate() {
+            let sum = plane.read(plane.rows())?.values.iter().map(|&value| f64::from(value)).sum::<f64>();
+            scores.push(Score { metric: "sum".into(), frame: i as i64, t_ns: 0, value: sum, unit: "1".into() });
+            total += sum;
+        }
+        scores.push(Score { metric: "sum".into(), frame: -1, t_ns: 0, value: total, unit: "1".into() });
+        Ok(Scores { scores: Arc::new(Table::scores(scores, "sum of all pixels")) })
+    }
+}
+
+#[derive(Clone, Copy, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Mischief {
+    /// Passes its input on.
+    #[default]
+    None,
+    /// Returns an error.
+    Fails,
+    /// Returns an error about its input.
+    BadInput,
+    /// Panics.
+    Panics,
+    /// Gives another plane than it planned.
+    Lies,
+    /// Waits until the run is cancelled.
+    Waits,
+    /// Complains about a text file, while planning.
+    Complains,
+}
+
+#[derive(Serialize, Deserialize, JsonSchema, Default)]
+#[serde(default, deny_unknown_fields)]
+pub struct TroubleParams {
+    /// What goes wrong.
+    mischief: Mischief,
+}
+
+/// Goes wrong in the way asked for.
+pub struct Trouble(TroubleParams);
+
+impl Node for Trouble {
+    const DECL: Decl = decl("solve/trouble", Grain::Pixel);
+    type Params = TroubleParams;
+    type In = Plane;
+    type Out = Plane;
+    fn build(params: TroubleParams) -> Result<Self, NodeError> {
+        Ok(Trouble(params))
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        if matches!(self.0.mischief, Mischief::Complains) {
+            return Err(NodeError::usage("the description has a mistake").problems(vec![Problem::new("line 3 is wrong")]));
+        }
+        Ok(vec![plane_meta(inputs)])
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
+        match self.0.mischief {
+            Mischief::None | Mischief::Complains => Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value)? }),
+            Mischief::Fails => Err(NodeError::failed("nothing works today").hint("try tomorrow")),
+            Mischief::BadInput => Err(NodeError::input("pixel 3 is not a number")),
+            Mischief::Panics => panic!("index 5 is beyond 3"),
+            Mischief::Lies => {
+                let meta = meta(1, 1);
+                let band = MapBand::zeros(meta.extent.rows(), &meta);
+                Ok(Plane { plane: MapSet::in_memory(Arc::new(meta), band) })
+            }
+            Mischief::Waits => loop {
+                cx.advance(1)?;
+                std::thread::sleep(std::time::Duration::from_millis(2));
+            },
+        }
+    }
+}
+
+photocurrent_core::ports! {
+    /// Frames.
+    pub struct FramesOut {
+        /// The frames.
+        frames: FrameSequence,
+    }
+}
+
+/// Another data type.
+pub struct Frames;
+
+impl Node for Frames {
+    const DECL: Decl = decl("read/frames", Grain::Whole);
+    type Params = NoParams;
+    type In = Nothing;
+    type Out = FramesOut;
+    fn build(_: NoParams) -> Result<Self, NodeError> {
+        Ok(Frames)
+    }
+    fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![Meta::Frames(testing::frames(3, 4, 2).meta)])
+    }
+    fn run(&self, _: Nothing, _: &Context) -> Result<FramesOut, NodeError> {
+        Ok(FramesOut { frames: testing::frames(3, 4, 2) })
+    }
+}
+
+/// Needs frames.
+pub struct Grey;
+
+impl Node for Grey {
+    const DECL: Decl = decl("refine/grey", Grain::Frame);
+    type Params = NoParams;
+    type In = FramesOut;
+    type Out = FramesOut;
+    fn build(_: NoParams) -> Result<Self, NodeError> {
+        Ok(Grey)
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![Meta::Frames(inputs.frames("frames")?.clone())])
+    }
+    fn run(&self, input: FramesOut, _: &Context) -> Result<FramesOut, NodeError> {
+        Ok(input)
+    }
+}
+
+/// Writes the numbers as text.
+pub struct Write;
+
+impl Node for Write {
+    const DECL: Decl = Decl { exports: true, ..decl("write/text", Grain::Whole) };
+    type Params = NoParams;
+    type In = Plane;
+    type Out = Nothing;
+    fn build(_: NoParams) -> Result<Self, NodeError> {
+        Ok(Write)
+    }
+    fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(Vec::new())
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Nothing, NodeError> {
+        let band = input.plane.read(input.plane.rows())?;
+        let folder = cx.export_dir()?.join("rows");
+        std::fs::create_dir_all(&folder).map_err(|error| NodeError::files(error.to_string()))?;
+        for y in band.rows().iter() {
+            std::fs::write(folder.join(format!("{y:03}.txt")), format!("{:?}", band.row(0, y))).map_err(|error| NodeError::files(error.to_string()))?;
+        }
+        Ok(Nothing {})
+    }
+}
+
+/// Estimates of the heavy nodes that run now, and the most there ever were together.
+pub static HEAVY_NOW: AtomicU64 = AtomicU64::new(0);
+pub static HEAVY_MOST: AtomicU64 = AtomicU64::new(0);
+
+/// Takes a while, and records how much memory its kind takes together.
+pub struct Heavy;
+
+impl Node for Heavy {
+    const DECL: Decl = decl("solve/heavy", Grain::Whole);
+    type Params = AddParams;
+    type In = Plane;
+    type Out = Plane;
+    fn build(_: AddParams) -> Result<Self, NodeError> {
+        Ok(Heavy)
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![plane_meta(inputs)])
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
+        // One input and, waiting for the writer, two outputs: as the scheduler counts.
+        let bytes = 3 * Meta::Map(input.plane.meta.clone()).estimated_bytes();
+        HEAVY_MOST.fetch_max(HEAVY_NOW.fetch_add(bytes, Ordering::SeqCst) + bytes, Ordering::SeqCst);
+        std::thread::sleep(std::time::Duration::from_millis(30));
+        HEAVY_NOW.fetch_sub(bytes, Ordering::SeqCst);
+        Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value)? })
+    }
+}
+
+/// A folder with manifests in it.
+pub struct Folder(pub tempfile::TempDir);
+
+impl Folder {
+    pub fn new() -> Folder {
+        Folder(tempfile::tempdir().unwrap())
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    pub fn write(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.path(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
+    /// Problems as plain text: `file:line:col: message`, notes and help indented below.
+    pub fn show(&self, problems: &[Problem]) -> String {
+        let root = format!("{}/", self.0.path().display());
+        problems.iter().map(show).collect::<String>().replace(&root, "")
+    }
+}
+
+fn show(problem: &Problem) -> String {
+    let place = problem.at.as_ref().map(|at| format!("{at}: ")).unwrap_or_default();
+    let notes: String = problem.notes.iter().map(|note| format!("\n  {note}")).collect();
+    let help = problem.help.as_ref().map(|help| format!("\n  hint: {help}")).unwrap_or_default();
+    format!("{place}{}{notes}{help}\n", problem.message)
+}
+
+/// All files below a folder with their bytes, to see that nothing changed.
+pub fn snapshot(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() { found.extend(snapshot(&path)) } else { found.push((path.clone(), std::fs::read(&path).unwrap())) }
+    }
+    found.sort();
+    found
+}

@@ -1,0 +1,117 @@
+//! Everything that can go wrong between memory and disk, each with its file, what was found and what to do next.
+
+use photocurrent_core::{DataError, NodeError};
+use std::path::{Path, PathBuf};
+
+/// A file could not be read, written or believed.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The operating system refused.
+    #[error("{}: cannot {doing}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was tried: "open the file".
+        doing: &'static str,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The file is no HDF5 file, or it is cut short.
+    #[error("{}: {found}\n  hint: {hint}", path.display())]
+    NotReadable {
+        /// The file.
+        path: PathBuf,
+        /// What stands there instead.
+        found: String,
+        /// What to do next.
+        hint: String,
+    },
+    /// The HDF5 library refused.
+    #[error("{}: {at}: cannot {doing}: {detail}", path.display())]
+    Library {
+        /// The file.
+        path: PathBuf,
+        /// Dataset, group or attribute: `/events/t`.
+        at: String,
+        /// What was tried.
+        doing: &'static str,
+        /// The library's reason.
+        detail: String,
+    },
+    /// Something in the file is not as its format says.
+    #[error("{}: {at}: found {found}, expected {expected}\n  hint: {hint}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// Dataset, group or attribute: `/events/t`.
+        at: String,
+        /// What is there.
+        found: String,
+        /// What should be there.
+        expected: String,
+        /// What to do next.
+        hint: String,
+    },
+    /// An entry of the cache does not hold what its name promises; a run makes it again.
+    #[error("{}: damaged cache entry: {why}", path.display())]
+    Damaged {
+        /// The file.
+        path: PathBuf,
+        /// How that was noticed.
+        why: String,
+    },
+    /// The caller broke the contract of a writer.
+    #[error("{}: {what}", path.display())]
+    Misuse {
+        /// The file being written.
+        path: PathBuf,
+        /// What went wrong.
+        what: String,
+    },
+    /// Somebody else uses the cache.
+    #[error("{}: the cache is in use by another run\n  hint: wait until it has finished, then try again", path.display())]
+    Busy {
+        /// Root of the cache.
+        path: PathBuf,
+    },
+}
+
+impl StoreError {
+    /// Of the operating system.
+    pub(crate) fn io(path: &Path, doing: &'static str, source: std::io::Error) -> StoreError {
+        StoreError::Io { path: path.into(), doing, source }
+    }
+
+    /// Of something that is not as its format says.
+    pub(crate) fn content(path: &Path, at: &str, found: impl Into<String>, expected: impl Into<String>, hint: impl Into<String>) -> StoreError {
+        StoreError::Content { path: path.into(), at: at.into(), found: found.into(), expected: expected.into(), hint: hint.into() }
+    }
+
+    /// Would running the node again mend it? True for what is wrong with one entry of the cache, false for a full disk.
+    pub fn is_damage(&self) -> bool {
+        match self {
+            StoreError::Damaged { .. } | StoreError::NotReadable { .. } | StoreError::Content { .. } | StoreError::Library { .. } => true,
+            StoreError::Io { source, .. } => source.kind() == std::io::ErrorKind::NotFound,
+            StoreError::Misuse { .. } | StoreError::Busy { .. } => false,
+        }
+    }
+}
+
+impl From<StoreError> for DataError {
+    fn from(error: StoreError) -> DataError {
+        DataError::new(error.to_string())
+    }
+}
+
+impl From<StoreError> for NodeError {
+    fn from(error: StoreError) -> NodeError {
+        match error {
+            StoreError::Content { path, at, found, expected, hint } => {
+                NodeError::input(format!("{}: {at}: found {found}, expected {expected}", path.display())).hint(hint)
+            }
+            StoreError::NotReadable { path, found, hint } => NodeError::input(format!("{}: {found}", path.display())).hint(hint),
+            StoreError::Misuse { .. } => NodeError::failed(error.to_string()),
+            other => NodeError::files(other.to_string()),
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! The door to HDF5: opening files with care, and texts and attributes in whichever way other programs write them.
+//!
+//! The library has one global lock, so heavy work is kept outside it: chunks are packed and unpacked by us in parallel
+//! ([`pack`]) and pass through the library as raw bytes ([`grid`], [`write`]). No lock is held while rayon works, or a stolen task could
+//! wait for its own thread.
+//!
+//! Care means: external links are unregistered and plugins are off before the first file is opened; a dataset whose bytes lie in
+//! other files is refused; and what a dataset claims to hold is compared with what the file can hold.
+
+pub(crate) mod grid;
+pub(crate) mod pack;
+pub(crate) mod text;
+pub(crate) mod write;
+
+use crate::error::StoreError;
+use hdf5::dataset::Layout;
+use hdf5::{Dataset, File, Group};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::LazyLock;
+
+/// A number that can stand in a dataset.
+pub(crate) trait Item: hdf5::H5Type + bytemuck::Pod + Default + Send + Sync {}
+impl<T: hdf5::H5Type + bytemuck::Pod + Default + Send + Sync> Item for T {}
+
+/// Deflate cannot shrink by more than about 1032, so a dataset that claims more than this factor was never written, or lies.
+const LARGEST_RATIO: u64 = 1100;
+
+/// No chunk may be larger: the library would take that much memory for one number.
+const LARGEST_CHUNK: u64 = 1 << 30;
+
+/// Runs library calls under the library's lock, with its printing off and the doors to other files shut.
+pub(crate) fn locked<T>(calls: impl FnOnce() -> T) -> T {
+    static SHUT: LazyLock<()> = LazyLock::new(|| {
+        hdf5::sync::sync(|| {
+            let mut no_plugins = 0;
+            // SAFETY: both are plain calls into an initialised library, under its lock; the pointer is valid for the call.
+            unsafe {
+                hdf5_sys::h5l::H5Lunregister(hdf5_sys::h5l::H5L_type_t::H5L_TYPE_EXTERNAL);
+                hdf5_sys::h5pl::H5PLset_loading_state(&mut no_plugins);
+            }
+        });
+    });
+    LazyLock::force(&SHUT);
+    hdf5::sync::sync(calls)
+}
+
+/// An open file and its name, for messages.
+#[derive(Clone)]
+pub(crate) struct Opened {
+    pub path: PathBuf,
+    pub file: File,
+    /// Size of the file when it was opened: no chunk can be larger.
+    pub bytes: u64,
+}
+
+impl Opened {
+    /// Opens for reading.
+    pub fn read(path: &Path) -> Result<Opened, StoreError> {
+        let bytes = refuse_what_is_not_hdf5(path)?;
+        let file = locked(|| File::open(path)).map_err(|error| StoreError::NotReadable {
+            path: path.into(),
+            found: format!("the HDF5 library cannot open the file: {}", short(&error)),
+            hint: "the file is probably cut short or damaged: copy or record it again".into(),
+        })?;
+        Ok(Opened { path: path.into(), file, bytes })
+    }
+
+    /// Creates, replacing what is there.
+    pub fn create(path: &Path) -> Result<Opened, StoreError> {
+        let file = locked(|| File::create(path)).map_err(|error| StoreError::Library {
+            path: path.into(),
+            at: "/".into(),
+            doing: "create the file",
+            detail: short(&error),
+        })?;
+        Ok(Opened { path: path.into(), file, bytes: 0 })
+    }
+
+    /// Turns a library error into ours.
+    pub fn wrap<T>(&self, at: &str, doing: &'static str, result: hdf5::Result<T>) -> Result<T, StoreError> {
+        result.map_err(|error| StoreError::Library { path: self.path.clone(), at: at.into(), doing, detail: short(&error) })
+    }
+
+    /// An error about something inside.
+    pub fn content(&self, at: &str, found: impl Into<String>, expected: impl Into<String>, hint: impl Into<String>) -> StoreError {
+        StoreError::content(&self.path, at, found, expected, hint)
+    }
+
+    /// A group of the root; `None` when there is none.
+    pub fn group(&self, name: &str) -> Result<Option<Group>, StoreError> {
+        if !locked(|| self.file.link_exists(name)) {
+            return Ok(None);
+        }
+        self.wrap(&format!("/{name}"), "open the group", locked(|| self.file.group(name))).map(Some)
+    }
+
+    /// A dataset, `group/name` or `name`, after the checks of this module; `None` when there is none.
+    pub fn dataset(&self, name: &str) -> Result<Option<Dataset>, StoreError> {
+        if let Some((group, _)) = name.split_once('/')
+            && self.group(group)?.is_none()
+        {
+            return Ok(None);
+        }
+        if !locked(|| self.file.link_exists(name)) {
+            return Ok(None);
+        }
+        let at = format!("/{name}");
+        let dataset = self.wrap(&at, "open the dataset", locked(|| self.file.dataset(name)))?;
+        self.refuse_foreign_or_absurd(&at, &dataset)?;
+        Ok(Some(dataset))
+    }
+
+    fn refuse_foreign_or_absurd(&self, at: &str, dataset: &Dataset) -> Result<(), StoreError> {
+        let plist = self.wrap(at, "read how the dataset is stored", locked(|| dataset.create_plist()))?;
+        let layout = self.wrap(at, "read how the dataset is stored", locked(|| plist.get_layout()))?;
+        let external = self.wrap(at, "read how the dataset is stored", locked(|| plist.get_external()))?;
+        if layout == Layout::Virtual || !external.is_empty() {
+            return Err(self.content(at, "a dataset whose bytes lie in other files", "a dataset that is stored in this file", "copy the data into one file"));
+        }
+        let item = self.wrap(at, "read the number type", locked(|| dataset.dtype()))?.size() as u64;
+        let shape = locked(|| dataset.shape());
+        let claimed = shape.iter().try_fold(item, |bytes, &n| bytes.checked_mul(n as u64));
+        let stored = locked(|| dataset.storage_size());
+        let file_bytes = self.bytes;
+        let possible = match layout {
+            Layout::Chunked => stored.min(file_bytes).saturating_mul(LARGEST_RATIO),
+            _ => stored.min(file_bytes),
+        };
+        if claimed.is_none_or(|claimed| claimed > possible) {
+            return Err(self.content(
+                at,
+                format!("a shape {shape:?} of {item}-byte numbers, but only {stored} bytes are stored (the file has {file_bytes})"),
+                "as many numbers as the shape says",
+                "the file is cut short, or its writer stopped early: copy or record it again",
+            ));
+        }
+        let chunk_bytes = locked(|| dataset.chunk()).map_or(0, |chunk| chunk.iter().fold(item, |bytes, &n| bytes.saturating_mul(n as u64)));
+        if chunk_bytes > LARGEST_CHUNK {
+            return Err(self.content(at, format!("chunks of {chunk_bytes} bytes"), "chunks of at most 1 GiB", "write the file again with smaller chunks"));
+        }
+        Ok(())
+    }
+}
+
+/// The library's message in one line: the deepest frame says most, and the rest repeats it.
+pub(crate) fn short(error: &hdf5::Error) -> String {
+    error.to_string().lines().next().unwrap_or("no reason given").to_string()
+}
+
+/// Gives the size of the file when it begins as HDF5 does.
+fn refuse_what_is_not_hdf5(path: &Path) -> Result<u64, StoreError> {
+    const SIGNATURE: [u8; 8] = [0x89, b'H', b'D', b'F', b'\r', b'\n', 0x1a, b'\n'];
+    let io = |error| StoreError::io(path, "open the file", error);
+    let mut file = std::fs::File::open(path).map_err(io)?;
+    let metadata = file.metadata().map_err(io)?;
+    let not = |found: String| StoreError::NotReadable {
+        path: path.into(),
+        found,
+        hint: "give an HDF5 file; other formats are converted with `photocurrent convert`".into(),
+    };
+    if !metadata.is_file() {
+        return Err(not("this is no regular file".into()));
+    }
+    // The signature stands at 0, or after a user block at 512, 1024, 2048 ...
+    let mut at = 0;
+    let mut first = [0; 8];
+    while at + 8 <= metadata.len() {
+        let mut bytes = [0; 8];
+        file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut bytes)).map_err(io)?;
+        if bytes == SIGNATURE {
+            return Ok(metadata.len());
+        }
+        if at == 0 {
+            first = bytes;
+        }
+        at = if at == 0 { 512 } else { at * 2 };
+    }
+    Err(not(if metadata.len() == 0 {
+        "the file is empty, so it is no HDF5 file".into()
+    } else {
+        format!("the file ({} bytes, beginning with \"{}\") is no HDF5 file", metadata.len(), first.escape_ascii())
+    }))
+}

@@ -1,0 +1,147 @@
+//! Writing numbers: chunks packed in parallel, then handed to the library as raw bytes in a fixed order.
+
+use super::pack::pack;
+use super::{Item, Opened, locked};
+use crate::error::StoreError;
+use hdf5::{Dataset, Extent, Extents, SimpleExtents};
+use hdf5_sys::h5::hsize_t;
+use rayon::prelude::*;
+
+/// Numbers in a chunk of a column: 512 kB of stamps.
+pub(crate) const COLUMN_CHUNK: usize = 1 << 16;
+
+/// Chunks that a column collects before it packs them together.
+const COLUMN_BATCH: usize = 16;
+
+/// A dataset of fixed shape, written chunk by chunk.
+pub(crate) struct GridWriter {
+    opened: Opened,
+    at: String,
+    dataset: Dataset,
+}
+
+impl GridWriter {
+    /// Creates `/name` with shuffle and deflate; `growing` lets the first dimension grow later.
+    /// A shape without numbers is stored without chunks, and nothing may be written to it.
+    pub fn create<T: Item>(opened: &Opened, name: &str, shape: &[usize], chunk: &[usize], growing: bool) -> Result<GridWriter, StoreError> {
+        let at = format!("/{name}");
+        let dataset = locked(|| {
+            // Times of modification would make equal contents unequal files.
+            let builder = opened.file.new_dataset::<T>().obj_track_times(false);
+            if shape.contains(&0) && !growing {
+                return builder.no_chunk().shape(shape).create(name);
+            }
+            let extents: Vec<Extent> = shape.iter().enumerate().map(|(d, &n)| if growing && d == 0 { Extent::resizable(n) } else { Extent::from(n) }).collect();
+            builder.shuffle().deflate(1).chunk(chunk).shape(Extents::Simple(SimpleExtents::new(extents))).create(name)
+        });
+        Ok(GridWriter { opened: opened.clone(), at: at.clone(), dataset: opened.wrap(&at, "create the dataset", dataset)? })
+    }
+
+    /// The dataset, for its attributes.
+    pub fn dataset(&self) -> &Dataset {
+        &self.dataset
+    }
+
+    /// Writes whole chunks, each with its origin and padded to full size; packs them in parallel.
+    pub fn write<T: Item, C: AsRef<[T]> + Sync>(&self, chunks: &[(Vec<usize>, C)]) -> Result<(), StoreError> {
+        let packed: Vec<(Vec<u8>, u32)> = chunks.par_iter().map(|(_, values)| pack(values.as_ref())).collect();
+        for ((origin, _), (bytes, mask)) in chunks.iter().zip(packed) {
+            let offset: Vec<hsize_t> = origin.iter().map(|&o| o as hsize_t).collect();
+            let defaults = hdf5_sys::h5p::H5P_DEFAULT;
+            // SAFETY: the dataset is open and chunked, `offset` has one entry per dimension, and the buffer its stated length.
+            let status =
+                locked(|| unsafe { hdf5_sys::h5d::H5Dwrite_chunk(self.dataset.id(), defaults, mask, offset.as_ptr(), bytes.len(), bytes.as_ptr().cast()) });
+            if status < 0 {
+                let detail = format!("the chunk at {origin:?} was refused; is the disk full?");
+                return Err(StoreError::Library { path: self.opened.path.clone(), at: self.at.clone(), doing: "write numbers", detail });
+            }
+        }
+        Ok(())
+    }
+
+    fn grow(&self, length: usize) -> Result<(), StoreError> {
+        self.opened.wrap(&self.at, "enlarge the dataset", locked(|| self.dataset.resize(length)))
+    }
+}
+
+/// A column of numbers whose length is not known before its end.
+pub(crate) struct ColumnWriter<T> {
+    opened: Opened,
+    name: String,
+    writer: Option<GridWriter>,
+    written: usize,
+    pending: Vec<T>,
+}
+
+impl<T: Item> ColumnWriter<T> {
+    /// Of the dataset `/name`, which comes into being with the first full chunk, or at the end.
+    pub fn new(opened: &Opened, name: &str) -> ColumnWriter<T> {
+        ColumnWriter { opened: opened.clone(), name: name.into(), writer: None, written: 0, pending: Vec::new() }
+    }
+
+    /// Numbers so far.
+    pub fn len(&self) -> usize {
+        self.written + self.pending.len()
+    }
+
+    /// Adds numbers.
+    pub fn append(&mut self, values: &[T]) -> Result<(), StoreError> {
+        for part in values.chunks(COLUMN_BATCH * COLUMN_CHUNK) {
+            self.pending.extend_from_slice(part);
+            if self.pending.len() >= COLUMN_BATCH * COLUMN_CHUNK {
+                let whole = self.pending.len() - self.pending.len() % COLUMN_CHUNK;
+                self.flush(whole, COLUMN_CHUNK)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn flush(&mut self, count: usize, chunk: usize) -> Result<(), StoreError> {
+        let writer = match self.writer.take() {
+            Some(writer) => writer,
+            None => GridWriter::create::<T>(&self.opened, &self.name, &[0], &[chunk], true)?,
+        };
+        writer.grow(self.written + count)?;
+        let chunks: Vec<(Vec<usize>, std::borrow::Cow<[T]>)> = self.pending[..count]
+            .chunks(chunk)
+            .enumerate()
+            .map(|(i, part)| {
+                let mut part = std::borrow::Cow::Borrowed(part);
+                if part.len() < chunk {
+                    part.to_mut().resize(chunk, T::default());
+                }
+                (vec![self.written + i * chunk], part)
+            })
+            .collect();
+        writer.write(&chunks)?;
+        drop(chunks);
+        self.written += count;
+        self.pending.drain(..count);
+        self.writer = Some(writer);
+        Ok(())
+    }
+
+    /// Writes the rest and gives the dataset, for its attributes.
+    pub fn finish(mut self) -> Result<GridWriter, StoreError> {
+        if !self.pending.is_empty() {
+            // A short column gets one chunk of its own length.
+            let chunk = if self.writer.is_some() { COLUMN_CHUNK } else { self.pending.len().min(COLUMN_CHUNK) };
+            self.flush(self.pending.len(), chunk)?;
+        }
+        match self.writer {
+            Some(writer) => Ok(writer),
+            None => GridWriter::create::<T>(&self.opened, &self.name, &[0], &[1], false),
+        }
+    }
+}
+
+/// Rows that stand together in a chunk of frames or maps: at most 8, so that a band reads little it does not need, and fewer when a
+/// strip of so many rows through everything would not fit 64 MiB.
+pub(crate) fn rows_per_chunk(height: usize, bytes_per_row: usize) -> usize {
+    ((64 << 20) / bytes_per_row.max(1)).clamp(1, 8).min(height.max(1))
+}
+
+/// Frames that stand together in a chunk: 8 keeps a single frame cheap to read, and a chunk stays below 1 MiB.
+pub(crate) fn frames_per_chunk(frames: usize, rows: usize, row_bytes: usize) -> usize {
+    ((1 << 20) / (rows * row_bytes).max(1)).clamp(1, 8).min(frames.max(1))
+}

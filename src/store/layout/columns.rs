@@ -1,0 +1,248 @@
+//! Events and tracks: flat columns in canonical order, with offsets per row or per pixel, so that a row band is one piece.
+
+use crate::error::StoreError;
+use crate::hdf::Opened;
+use crate::hdf::grid::Grid;
+use crate::hdf::write::ColumnWriter;
+use photocurrent_core::handle::{Band, BandMeta, BandSource, Handle};
+use photocurrent_core::value::ValueDigest;
+use photocurrent_core::{DataError, Digest, EventBand, EventStream, EventsMeta, Rows, TrackBand, TrackSet, TracksMeta};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Rows that are read, hashed and packed together.
+const ROWS_AT_ONCE: u32 = 64;
+
+const DAMAGED: &str = "the artefact is damaged: run the pipeline again";
+
+/// Reads a part band by band and adds its rows to the digest.
+pub(super) fn each_band<M: BandMeta>(
+    opened: &Opened,
+    part: &Handle<M>,
+    digest: &mut ValueDigest,
+    mut take: impl FnMut(M::Band) -> Result<(), StoreError>,
+) -> Result<(), StoreError> {
+    for rows in part.rows().bands(ROWS_AT_ONCE) {
+        let band = part.read(rows).map_err(|error| unreadable(opened, error))?;
+        let digests: Vec<Digest> = rows.iter().into_par_iter().map(|row| band.row_digest(row)).collect();
+        digest.add_rows(&digests);
+        take(band)?;
+    }
+    Ok(())
+}
+
+pub(super) fn unreadable(opened: &Opened, error: DataError) -> StoreError {
+    StoreError::Misuse { path: opened.path.clone(), what: format!("the data to write cannot be read: {}", error.message) }
+}
+
+/// Events being written.
+pub(super) struct EventsBody {
+    x: ColumnWriter<u16>,
+    p: ColumnWriter<u8>,
+    t: ColumnWriter<i64>,
+    t_in: Option<ColumnWriter<i64>>,
+    step: Option<ColumnWriter<f32>>,
+    row_offsets: Vec<u64>,
+}
+
+impl EventsBody {
+    pub fn create(opened: &Opened, meta: &EventsMeta) -> Result<EventsBody, StoreError> {
+        create_group(opened, "events")?;
+        Ok(EventsBody {
+            x: ColumnWriter::new(opened, "events/x"),
+            p: ColumnWriter::new(opened, "events/p"),
+            t: ColumnWriter::new(opened, "events/t"),
+            t_in: meta.has_t_in.then(|| ColumnWriter::new(opened, "events/t_in")),
+            step: meta.has_step.then(|| ColumnWriter::new(opened, "events/step")),
+            row_offsets: vec![0],
+        })
+    }
+
+    pub fn append(&mut self, opened: &Opened, part: &EventStream, digest: &mut ValueDigest) -> Result<(), StoreError> {
+        each_band(opened, part, digest, |band| {
+            if band.t_in.is_some() != self.t_in.is_some() || band.step.is_some() != self.step.is_some() {
+                return Err(StoreError::Misuse { path: opened.path.clone(), what: "a band has other event columns than its stream announces".into() });
+            }
+            let before = self.t.len() as u64;
+            self.row_offsets.extend(band.offsets()[1..].iter().map(|&offset| before + offset as u64));
+            self.x.append(&band.x)?;
+            self.p.append(&band.on)?;
+            self.t.append(&band.t)?;
+            if let (Some(column), Some(values)) = (&mut self.t_in, &band.t_in) {
+                column.append(values)?;
+            }
+            if let (Some(column), Some(values)) = (&mut self.step, &band.step) {
+                column.append(values)?;
+            }
+            Ok(())
+        })
+    }
+
+    pub fn finish(self, opened: &Opened) -> Result<(), StoreError> {
+        self.x.finish()?;
+        self.p.finish()?;
+        let times = [Some(self.t.finish()?), self.t_in.map(ColumnWriter::finish).transpose()?];
+        for column in times.iter().flatten() {
+            opened.set_text_attribute(column.dataset(), "unit", "ns")?;
+        }
+        self.step.map(ColumnWriter::finish).transpose()?;
+        write_offsets(opened, "events/row_offsets", &self.row_offsets)
+    }
+}
+
+/// Tracks being written.
+pub(super) struct TracksBody {
+    t: ColumnWriter<i64>,
+    photocurrent: ColumnWriter<f32>,
+    pixel_offsets: ColumnWriter<u64>,
+}
+
+impl TracksBody {
+    pub fn create(opened: &Opened, _: &TracksMeta) -> Result<TracksBody, StoreError> {
+        create_group(opened, "tracks")?;
+        let mut pixel_offsets = ColumnWriter::new(opened, "tracks/pixel_offsets");
+        pixel_offsets.append(&[0])?;
+        Ok(TracksBody { t: ColumnWriter::new(opened, "tracks/t"), photocurrent: ColumnWriter::new(opened, "tracks/photocurrent"), pixel_offsets })
+    }
+
+    pub fn append(&mut self, opened: &Opened, part: &TrackSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
+        each_band(opened, part, digest, |band| {
+            let before = self.t.len() as u64;
+            let offsets: Vec<u64> = band.offsets()[1..].iter().map(|&offset| before + offset as u64).collect();
+            self.pixel_offsets.append(&offsets)?;
+            self.t.append(&band.t)?;
+            self.photocurrent.append(&band.photocurrent)
+        })
+    }
+
+    pub fn finish(self, opened: &Opened) -> Result<(), StoreError> {
+        opened.set_text_attribute(self.t.finish()?.dataset(), "unit", "ns")?;
+        self.photocurrent.finish()?;
+        self.pixel_offsets.finish()?;
+        Ok(())
+    }
+}
+
+fn write_offsets(opened: &Opened, name: &str, offsets: &[u64]) -> Result<(), StoreError> {
+    let mut column = ColumnWriter::new(opened, name);
+    column.append(offsets)?;
+    column.finish().map(drop)
+}
+
+/// Makes a group, before anything is put into it.
+pub(crate) fn create_group(opened: &Opened, name: &str) -> Result<hdf5::Group, StoreError> {
+    opened.wrap(&format!("/{name}"), "create the group", crate::hdf::locked(|| opened.file.create_group(name)))
+}
+
+/// A dataset that the artefact must have.
+pub(super) fn required<T: crate::hdf::Item>(opened: &Opened, name: &str) -> Result<Grid<T>, StoreError> {
+    Grid::open(opened, name)?.ok_or_else(|| opened.content(&format!("/{name}"), "nothing", "a dataset", DAMAGED))
+}
+
+/// A column as long as the others.
+fn column<T: crate::hdf::Item>(opened: &Opened, name: &str, length: usize) -> Result<Grid<T>, StoreError> {
+    let grid = required(opened, name)?;
+    if grid.shape != [length] {
+        return Err(opened.content(&format!("/{name}"), format!("the shape {:?}", grid.shape), format!("[{length}]"), DAMAGED));
+    }
+    Ok(grid)
+}
+
+/// Checks that some offsets rise and end inside the columns, and gives them relative to the first.
+fn relative(opened: &Opened, at: &str, offsets: Vec<u64>, length: usize) -> Result<(usize, Vec<usize>), StoreError> {
+    let first = offsets.first().copied().unwrap_or(0);
+    if !offsets.is_sorted() || offsets.last().is_some_and(|&last| last > length as u64) {
+        return Err(opened.content(at, "offsets that do not rise, or point outside", format!("rising offsets up to {length}"), DAMAGED));
+    }
+    Ok((first as usize, offsets.iter().map(|&offset| (offset - first) as usize).collect()))
+}
+
+struct EventsSource {
+    opened: Opened,
+    x: Grid<u16>,
+    p: Grid<u8>,
+    t: Grid<i64>,
+    t_in: Option<Grid<i64>>,
+    step: Option<Grid<f32>>,
+    row_offsets: Grid<u64>,
+}
+
+impl EventsSource {
+    fn band(&self, rows: Rows) -> Result<EventBand, StoreError> {
+        let offsets = self.row_offsets.column(rows.start as usize..rows.start as usize + rows.len() + 1)?;
+        let (first, offsets) = relative(&self.opened, "/events/row_offsets", offsets, self.t.shape[0])?;
+        let range = first..first + offsets.last().copied().unwrap_or(0);
+        let ((x, p), (t, t_in)) = rayon::join(
+            || (self.x.column(range.clone()), self.p.column(range.clone())),
+            || (self.t.column(range.clone()), self.t_in.as_ref().map(|column| column.column(range.clone())).transpose()),
+        );
+        let step = self.step.as_ref().map(|column| column.column(range)).transpose()?;
+
+        EventBand::from_columns(rows.start, offsets, x?, p?, t?, t_in?, step)
+            .map_err(|error| self.opened.content("/events", error.message, "columns in (y, t, x) order", DAMAGED))
+    }
+}
+
+impl BandSource<EventBand> for EventsSource {
+    fn read(&self, rows: Rows) -> Result<EventBand, DataError> {
+        Ok(self.band(rows)?)
+    }
+}
+
+pub(super) fn open_events(opened: &Opened, meta: &EventsMeta) -> Result<EventStream, StoreError> {
+    let t: Grid<i64> = required(opened, "events/t")?;
+    let n = t.shape.first().copied().unwrap_or(0);
+    let source = EventsSource {
+        opened: opened.clone(),
+        x: column(opened, "events/x", n)?,
+        p: column(opened, "events/p", n)?,
+        t: column(opened, "events/t", n)?,
+        t_in: meta.has_t_in.then(|| column(opened, "events/t_in", n)).transpose()?,
+        step: meta.has_step.then(|| column(opened, "events/step", n)).transpose()?,
+        row_offsets: column(opened, "events/row_offsets", meta.extent.height as usize + 1)?,
+    };
+    let meta = EventsMeta { count_hint: Some(n as u64), ..meta.clone() };
+    let rows = meta.extent.rows();
+    Ok(EventStream::new(Arc::new(meta), rows, Arc::new(source)))
+}
+
+struct TracksSource {
+    opened: Opened,
+    width: usize,
+    t: Grid<i64>,
+    photocurrent: Grid<f32>,
+    pixel_offsets: Grid<u64>,
+}
+
+impl TracksSource {
+    fn band(&self, rows: Rows) -> Result<TrackBand, StoreError> {
+        let pixels = rows.start as usize * self.width;
+        let offsets = self.pixel_offsets.column(pixels..pixels + rows.len() * self.width + 1)?;
+        let (first, offsets) = relative(&self.opened, "/tracks/pixel_offsets", offsets, self.t.shape[0])?;
+        let range = first..first + offsets.last().copied().unwrap_or(0);
+        let (t, photocurrent) = rayon::join(|| self.t.column(range.clone()), || self.photocurrent.column(range.clone()));
+        TrackBand::from_columns(rows.start, self.width as u32, offsets, t?, photocurrent?)
+            .map_err(|error| self.opened.content("/tracks", error.message, "whole rows of pixels", DAMAGED))
+    }
+}
+
+impl BandSource<TrackBand> for TracksSource {
+    fn read(&self, rows: Rows) -> Result<TrackBand, DataError> {
+        Ok(self.band(rows)?)
+    }
+}
+
+pub(super) fn open_tracks(opened: &Opened, meta: &TracksMeta) -> Result<TrackSet, StoreError> {
+    let t: Grid<i64> = required(opened, "tracks/t")?;
+    let n = t.shape.first().copied().unwrap_or(0);
+    let source = TracksSource {
+        opened: opened.clone(),
+        width: meta.extent.width as usize,
+        t: column(opened, "tracks/t", n)?,
+        photocurrent: column(opened, "tracks/photocurrent", n)?,
+        pixel_offsets: column(opened, "tracks/pixel_offsets", meta.extent.pixels() + 1)?,
+    };
+    let meta = TracksMeta { count_hint: Some(n as u64), ..meta.clone() };
+    let rows = meta.extent.rows();
+    Ok(TrackSet::new(Arc::new(meta), rows, Arc::new(source)))
+}

@@ -1,0 +1,160 @@
+//! Frames and true frames of a recording: the header checked at once, the numbers read lazily.
+
+use super::{column, group_integer, has_group, required};
+use crate::error::StoreError;
+use crate::hdf::Opened;
+use crate::hdf::grid::{Grid, number_type};
+use photocurrent_core::frames::FrameSource;
+use photocurrent_core::{DataError, Exposure, Extent, FrameBlock, Rows, Timestamp};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// Memory for unpacked chunks: recorders like one frame per chunk, and a row band touches them all.
+const KEPT_BYTES: usize = 128 << 20;
+
+/// The frames of a recording.
+pub(super) struct Frames {
+    pub exposures: Vec<Exposure>,
+    pub row_time_ns: Option<i64>,
+    pub colour: String,
+    pub dn: Arc<Numbers>,
+}
+
+/// Digital numbers as they are stored.
+enum Stored {
+    F32(Grid<f32>),
+    U16(Grid<u16>),
+}
+
+/// Digital numbers, read as f32.
+pub(super) struct Numbers {
+    stored: Stored,
+    pub count: usize,
+    pub channels: usize,
+    width: usize,
+    rank: usize,
+}
+
+impl Numbers {
+    pub fn number_type(&self) -> &'static str {
+        match self.stored {
+            Stored::F32(_) => "f32",
+            Stored::U16(_) => "u16",
+        }
+    }
+
+    fn open(opened: &Opened, name: &str, extent: Extent, u16_allowed: bool) -> Result<Numbers, StoreError> {
+        let at = format!("/{name}");
+        let found = number_type(opened, name)?.map(|kind| kind.to_string());
+        let stored = match found.as_deref() {
+            Some("uint16") if u16_allowed => Stored::U16(required::<u16>(opened, name, None)?.keeping(KEPT_BYTES)),
+            Some("float32") | None => Stored::F32(required::<f32>(opened, name, None)?.keeping(KEPT_BYTES)),
+            Some(found) => {
+                let expected = if u16_allowed { "float32 or uint16" } else { "float32" };
+                return Err(opened.content(&at, format!("numbers of type {found}"), expected, "write the frames as linear digital numbers of that type"));
+            }
+        };
+        let shape = match &stored {
+            Stored::F32(grid) => &grid.shape,
+            Stored::U16(grid) => &grid.shape,
+        };
+        let rank = shape.len();
+        if !(rank == 3 || (rank == 4 && u16_allowed)) {
+            let expected = if u16_allowed { "[frames, height, width] or [frames, height, width, channels]" } else { "[frames, height, width]" };
+            return Err(opened.content(&at, format!("the shape {shape:?}"), expected, "write all frames as one dataset"));
+        }
+        let (height, width, channels) = (shape[1], shape[2], shape.get(3).copied().unwrap_or(1));
+        let (sensor_height, sensor_width) = (extent.height as usize, extent.width as usize);
+        if (height, width) != (sensor_height, sensor_width) {
+            let multiple =
+                height > 0 && height.is_multiple_of(sensor_height) && width.is_multiple_of(sensor_width) && height / sensor_height == width / sensor_width;
+            let hint = if multiple {
+                format!("frames of {} times the events' extent are not supported yet: bin them to the events' pixels first", height / sensor_height)
+            } else {
+                "crop or bin the frames to the pixels of the event sensor".into()
+            };
+            return Err(opened.content(&at, format!("frames of {width} x {height} pixels"), format!("{extent}, as the attributes say"), hint));
+        }
+        if channels == 0 {
+            return Err(opened.content(&at, "no channel at all", "at least one", "leave the last dimension out for grey frames"));
+        }
+        let count = shape[0];
+        Ok(Numbers { stored, count, channels, width, rank })
+    }
+
+    fn block(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, StoreError> {
+        let start = [frames.start, rows.start as usize, 0, 0];
+        let count = [frames.len(), rows.len(), self.width, self.channels];
+        let dn = match &self.stored {
+            Stored::F32(grid) => grid.read(&start[..self.rank], &count[..self.rank])?,
+            // Every u16 is exact in f32.
+            Stored::U16(grid) => grid.read(&start[..self.rank], &count[..self.rank])?.into_iter().map(f32::from).collect(),
+        };
+        Ok(FrameBlock { frames, rows, row_values: self.width * self.channels, dn })
+    }
+}
+
+impl FrameSource for Numbers {
+    fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
+        Ok(self.block(frames, rows)?)
+    }
+}
+
+impl Frames {
+    pub fn open(opened: &Opened, extent: Extent) -> Result<Option<Frames>, StoreError> {
+        if !has_group(opened, "frames") {
+            return Ok(None);
+        }
+        let dn = Numbers::open(opened, "frames/dn", extent, true)?;
+        let colour = match opened.group("frames")? {
+            Some(group) => opened.text_attribute(&group, "/frames", "colour")?,
+            None => None,
+        };
+        let colour = colour.unwrap_or_else(|| "mono".into());
+        let expected = if colour == "rgb" { 3 } else { 1 };
+        if dn.channels != expected {
+            let hint = "set `colour` to \"rgb\" for three channels; a mosaic has one channel";
+            return Err(opened.content("/frames/dn", format!("{} channels", dn.channels), format!("{expected} for colour = \"{colour}\""), hint));
+        }
+        let start = column::<i64>(opened, "frames/exposure_start", dn.count, "/frames/dn", Some("ns"))?.column(0..dn.count)?;
+        let end = column::<i64>(opened, "frames/exposure_end", dn.count, "/frames/dn", Some("ns"))?.column(0..dn.count)?;
+        let exposures: Vec<Exposure> = start.iter().zip(&end).map(|(&start, &end)| Exposure { start: Timestamp(start), end: Timestamp(end) }).collect();
+        check_exposures(opened, &start, &end)?;
+        let row_time_ns = group_integer(opened, "frames", "row_time_ns")?;
+        Ok(Some(Frames { exposures, row_time_ns, colour, dn: Arc::new(dn) }))
+    }
+}
+
+fn check_exposures(opened: &Opened, start: &[i64], end: &[i64]) -> Result<(), StoreError> {
+    let empty: Vec<usize> = (0..start.len()).filter(|&l| end[l] <= start[l]).collect();
+    if let Some(&l) = empty.first() {
+        let found = format!("an empty exposure in {} of {} frames, first in frame {l} ({} to {} ns)", empty.len(), start.len(), start[l], end[l]);
+        return Err(opened.content("/frames/exposure_end", found, "exposure_end > exposure_start", "were the two datasets swapped, or is the unit not ns?"));
+    }
+    if let Some(l) = (1..start.len()).find(|&l| start[l] < start[l - 1]) {
+        let found = format!("frame {l} starting at {} ns, before frame {} at {} ns", start[l], l - 1, start[l - 1]);
+        return Err(opened.content("/frames/exposure_start", found, "frames in time order", "sort the frames by the start of their exposure"));
+    }
+    Ok(())
+}
+
+/// The true frames of simulated data.
+pub(super) struct TruthFrames {
+    pub times: Vec<Timestamp>,
+    pub dn: Arc<Numbers>,
+}
+
+impl TruthFrames {
+    pub fn open(opened: &Opened, extent: Extent) -> Result<Option<TruthFrames>, StoreError> {
+        if !has_group(opened, "truth") {
+            return Ok(None);
+        }
+        let dn = Numbers::open(opened, "truth/dn", extent, false)?;
+        let times = column::<i64>(opened, "truth/t", dn.count, "/truth/dn", Some("ns"))?.column(0..dn.count)?;
+        if let Some(m) = (1..times.len()).find(|&m| times[m] < times[m - 1]) {
+            let found = format!("instant {m} at {} ns, before instant {} at {} ns", times[m], m - 1, times[m - 1]);
+            return Err(opened.content("/truth/t", found, "instants in time order", "sort the true frames by time"));
+        }
+        Ok(Some(TruthFrames { times: times.into_iter().map(Timestamp).collect(), dn: Arc::new(dn) }))
+    }
+}

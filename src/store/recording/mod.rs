@@ -1,0 +1,239 @@
+//! Recordings: the HDF5 file in which data come from outside, `photocurrent-recording/1`.
+//!
+//! Opening reads the header only. Events stand in the file by time, and come out by row band: a read scans the file in blocks of bounded
+//! memory and keeps the rows asked for. The first scan also checks every event, so that a mistake is told the same way
+//! whichever band is read first. Frames are read lazily by frames and rows.
+//!
+//! Either stream may be missing, or be there with nothing in it. NaN in a frame is data: a value that is not known.
+//! Limit: frames must have the extent of the events; the format's integer multiples are refused by name.
+
+mod events;
+mod frames;
+mod inspect;
+mod write;
+
+pub use inspect::{EventsSummary, FramesSummary, Inspection, Spread, TruthSummary};
+pub use write::{DnType, RecordingContent, write_recording};
+
+use crate::error::StoreError;
+use crate::hdf::grid::Grid;
+use crate::hdf::{Item, Opened, locked};
+use events::Events;
+use frames::{Frames, TruthFrames};
+use photocurrent_core::frames::FrameSource;
+use photocurrent_core::handle::BandSource;
+use photocurrent_core::{
+    DataError, EventBand, EventStream, EventsMeta, Exposure, Extent, FrameScale, FrameSequence, FrameTimes, FramesMeta, Rows, Timestamp, Truth,
+};
+use std::path::Path;
+use std::sync::Arc;
+
+/// The format, as the attribute `format` says it.
+pub const FORMAT: &str = "photocurrent-recording/1";
+
+/// An open recording. Cheap to clone; may be read from many threads.
+#[derive(Clone)]
+pub struct Recording {
+    inner: Arc<Inner>,
+}
+
+struct Inner {
+    opened: Opened,
+    extent: Extent,
+    events: Option<Events>,
+    frames: Option<Frames>,
+    sensor: Option<String>,
+    truth: Option<TruthFrames>,
+}
+
+impl Recording {
+    /// Opens a file and reads its header: attributes, shapes, exposures, the first and the last stamp.
+    ///
+    /// # Errors
+    /// When the file is no recording or its header contradicts the format. Event by event checks come with the first read.
+    pub fn open(path: &Path) -> Result<Recording, StoreError> {
+        let opened = Opened::read(path)?;
+        let format = opened.text_attribute(&opened.file, "/", "format")?;
+        if format.as_deref() != Some(FORMAT) {
+            let found = format.map_or("no attribute `format`".into(), |format| format!("format = \"{format}\""));
+            let hint = "this is no recording of ours: convert it with `photocurrent convert`, or set the attribute if the layout is the documented one";
+            return Err(opened.content("/", found, format!("format = \"{FORMAT}\""), hint));
+        }
+        let extent = Extent { width: side(&opened, "width")?, height: side(&opened, "height")? };
+        let events = Events::open(&opened, extent)?;
+        let frames = Frames::open(&opened, extent)?;
+        let truth = TruthFrames::open(&opened, extent)?;
+        let sensor = opened.dataset("sensor")?.map(|dataset| opened.text("/sensor", &dataset)).transpose()?;
+        Ok(Recording { inner: Arc::new(Inner { opened, extent, events, frames, sensor, truth }) })
+    }
+
+    /// Where it is.
+    pub fn path(&self) -> &Path {
+        &self.inner.opened.path
+    }
+
+    /// Size of the sensor.
+    pub fn extent(&self) -> Extent {
+        self.inner.extent
+    }
+
+    /// What is known about the events; `None` without an event stream.
+    pub fn events_meta(&self) -> Option<&Arc<EventsMeta>> {
+        self.inner.events.as_ref().map(|events| &events.meta)
+    }
+
+    /// Number of events; 0 without an event stream.
+    pub fn event_count(&self) -> u64 {
+        self.inner.events.as_ref().map_or(0, |events| events.count as u64)
+    }
+
+    /// The events of some rows in canonical order; a scan of the whole file. Without an event stream, a band without events.
+    ///
+    /// # Errors
+    /// When a row is outside the sensor, events contradict the format, or the file cannot be read.
+    pub fn read_events(&self, rows: Rows) -> Result<EventBand, StoreError> {
+        if !self.extent().rows().contains(rows) {
+            return Err(StoreError::Misuse { path: self.path().into(), what: format!("{rows} were asked for, but the sensor has {}", self.extent().rows()) });
+        }
+        match &self.inner.events {
+            Some(events) => events.read(&self.inner.opened, rows),
+            None => EventBand::from_events(rows, Vec::new()).map_err(|error| StoreError::Misuse { path: self.path().into(), what: error.message }),
+        }
+    }
+
+    /// The events as a stream that is read by row band; `None` without an event stream.
+    pub fn events(&self) -> Option<EventStream> {
+        let meta = self.events_meta()?.clone();
+        Some(EventStream::new(meta, self.extent().rows(), Arc::new(self.clone())))
+    }
+
+    /// Exposures of row 0; `None` without frames.
+    pub fn exposures(&self) -> Option<&[Exposure]> {
+        self.inner.frames.as_ref().map(|frames| frames.exposures.as_slice())
+    }
+
+    /// Delay from one row's exposure to the next as the recorder states it, ns; `None` when it does not.
+    pub fn row_time_ns(&self) -> Option<i64> {
+        self.inner.frames.as_ref().and_then(|frames| frames.row_time_ns)
+    }
+
+    /// How pixels are coloured: `mono`, `rgb`, `bayer_rggb` ...; `None` without frames.
+    pub fn colour(&self) -> Option<&str> {
+        self.inner.frames.as_ref().map(|frames| frames.colour.as_str())
+    }
+
+    /// Values per pixel; `None` without frames.
+    pub fn channels(&self) -> Option<u32> {
+        self.inner.frames.as_ref().map(|frames| frames.dn.channels as u32)
+    }
+
+    /// What is known about the frames, with a row time that the caller settled (the recorder's word wins over the sensor description's).
+    pub fn frames_meta(&self, row_time_ns: i64) -> Option<FramesMeta> {
+        let frames = self.inner.frames.as_ref()?;
+        let times = FrameTimes { exposures: Arc::new(frames.exposures.clone()), row_time_ns };
+        Some(FramesMeta { extent: self.extent(), channels: frames.dn.channels as u32, times, scale: FrameScale::Captured })
+    }
+
+    /// The frames' numbers, u16 or f32 as f32; `None` without frames.
+    pub fn frames_source(&self) -> Option<Arc<dyn FrameSource>> {
+        self.inner.frames.as_ref().map(|frames| frames.dn.clone() as Arc<dyn FrameSource>)
+    }
+
+    /// The frames as a sequence; `None` without frames.
+    pub fn frames(&self, row_time_ns: i64) -> Option<FrameSequence> {
+        Some(FrameSequence::new(Arc::new(self.frames_meta(row_time_ns)?), self.extent().rows(), self.frames_source()?))
+    }
+
+    /// The nominal sensor description, as TOML text.
+    pub fn sensor_text(&self) -> Option<&str> {
+        self.inner.sensor.as_deref()
+    }
+
+    /// Instants of the true frames; `None` for real data.
+    pub fn truth_times(&self) -> Option<&[Timestamp]> {
+        self.inner.truth.as_ref().map(|truth| truth.times.as_slice())
+    }
+
+    /// The true frames' numbers; `None` for real data.
+    pub fn truth_source(&self) -> Option<Arc<dyn FrameSource>> {
+        self.inner.truth.as_ref().map(|truth| truth.dn.clone() as Arc<dyn FrameSource>)
+    }
+
+    /// The true frames; `None` for real data. An instant is written as an exposure of 1 ns; numbers are scaled to the median exposure
+    /// of the frames, or count as captured when there is no frame.
+    pub fn truth(&self) -> Option<Truth> {
+        let exposures = self.truth_times()?.iter().map(|t| Exposure { start: *t, end: *t + 1 }).collect();
+        let nominal = self.frames_meta(0).and_then(|frames| frames.times.nominal_exposure_ns());
+        let scale = nominal.map_or(FrameScale::Captured, |exposure_ns| FrameScale::Nominal { exposure_ns });
+        let meta = FramesMeta { extent: self.extent(), channels: 1, times: FrameTimes { exposures: Arc::new(exposures), row_time_ns: 0 }, scale };
+        Some(Truth(FrameSequence::new(Arc::new(meta), self.extent().rows(), self.truth_source()?)))
+    }
+}
+
+impl BandSource<EventBand> for Recording {
+    fn read(&self, rows: Rows) -> Result<EventBand, DataError> {
+        Ok(self.read_events(rows)?)
+    }
+}
+
+fn side(opened: &Opened, name: &str) -> Result<u32, StoreError> {
+    let hint = "set `width` and `height` to the sensor's size in pixels";
+    let value = opened.integer_attribute(&opened.file, "/", name)?;
+    match value {
+        // Columns and rows are u16 in the file.
+        Some(value @ 1..=65536) => Ok(value as u32),
+        Some(value) => Err(opened.content("/", format!("{name} = {value}"), "1 to 65536 pixels", hint)),
+        None => Err(opened.content("/", format!("no attribute `{name}`"), "an integer", hint)),
+    }
+}
+
+/// A dataset that the format demands, with `unit` when it holds times.
+fn required<T: Item>(opened: &Opened, name: &str, unit: Option<&str>) -> Result<Grid<T>, StoreError> {
+    let at = format!("/{name}");
+    let missing = || opened.content(&at, "nothing", format!("a dataset of {}", T::type_descriptor()), format!("write {at} as the recording format says"));
+    let grid = Grid::open(opened, name)?.ok_or_else(missing)?;
+    if let Some(unit) = unit {
+        check_unit(opened, name, unit)?;
+    }
+    Ok(grid)
+}
+
+/// Microseconds that pass for nanoseconds would go unnoticed for long, so a unit must be stated.
+fn check_unit(opened: &Opened, name: &str, unit: &str) -> Result<(), StoreError> {
+    let at = format!("/{name}");
+    let Some(dataset) = opened.dataset(name)? else { return Ok(()) };
+    let found = opened.text_attribute(&dataset, &at, "unit")?;
+    if found.as_deref() == Some(unit) {
+        return Ok(());
+    }
+    let found = found.map_or("no attribute `unit`".into(), |found| format!("unit = \"{found}\""));
+    Err(opened.content(&at, found, format!("unit = \"{unit}\""), format!("write times as i64 nanoseconds and set the attribute `unit` to \"{unit}\"")))
+}
+
+/// A column of `count` numbers.
+fn column<T: Item>(opened: &Opened, name: &str, count: usize, like: &str, unit: Option<&str>) -> Result<Grid<T>, StoreError> {
+    let grid = required(opened, name, unit)?;
+    check_column(opened, name, &grid, count, like)?;
+    Ok(grid)
+}
+
+fn check_column<T: Item>(opened: &Opened, name: &str, grid: &Grid<T>, count: usize, like: &str) -> Result<(), StoreError> {
+    if grid.shape != [count] {
+        let expected = format!("[{count}], as {like} has");
+        return Err(opened.content(&format!("/{name}"), format!("the shape {:?}", grid.shape), expected, "datasets that belong together have one length"));
+    }
+    Ok(())
+}
+
+/// An integer attribute of a group.
+fn group_integer(opened: &Opened, group: &str, name: &str) -> Result<Option<i64>, StoreError> {
+    match opened.group(group)? {
+        Some(found) => opened.integer_attribute(&found, &format!("/{group}"), name),
+        None => Ok(None),
+    }
+}
+
+/// Is there such a group?
+fn has_group(opened: &Opened, name: &str) -> bool {
+    locked(|| opened.file.link_exists(name))
+}
