@@ -10,7 +10,10 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 /// Runs one of the cache's commands.
 pub fn cache(options: &CacheOptions) -> Done {
     if !options.cache.is_dir() {
-        return Err(Failure::Other { message: format!("there is no cache at {}; `photocurrent run` makes one, --cache names another", options.cache.display()), code: 2 });
+        return Err(Failure::Other {
+            message: format!("there is no cache at {}; `photocurrent run` makes one, --cache names another", options.cache.display()),
+            code: 2,
+        });
     }
     match &options.command {
         CacheCommand::Ls => ls(options),
@@ -33,7 +36,15 @@ fn ls(options: &CacheOptions) -> Done {
     }
     let now = now_unix_s();
     let head = ["key", "kind", "size", "took", "last used"].map(String::from).to_vec();
-    let rows = listings.iter().map(|l| vec![l.key.short(), l.kind.clone(), human_bytes(l.bytes), human_seconds(l.seconds), format!("{} ago", human_seconds(now.saturating_sub(l.used_unix_s) as f64))]);
+    let rows = listings.iter().map(|l| {
+        vec![
+            l.key.short(),
+            l.kind.clone(),
+            human_bytes(l.bytes),
+            human_seconds(l.seconds),
+            format!("{} ago", human_seconds(now.saturating_sub(l.used_unix_s) as f64)),
+        ]
+    });
     print(&draw(&std::iter::once(head).chain(rows).collect::<Vec<_>>()))?;
     Ok(0)
 }
@@ -41,7 +52,9 @@ fn ls(options: &CacheOptions) -> Done {
 fn du(options: &CacheOptions) -> Done {
     let used = Cache::open(&options.cache)?.du()?;
     if options.json {
-        print_json(&json!({"records": used.records, "contents": used.contents, "content_bytes": used.content_bytes, "unreferenced_bytes": used.unreferenced_bytes, "temporary_bytes": used.temporary_bytes}))?;
+        print_json(
+            &json!({"records": used.records, "contents": used.contents, "content_bytes": used.content_bytes, "unreferenced_bytes": used.unreferenced_bytes, "temporary_bytes": used.temporary_bytes}),
+        )?;
     } else {
         print(&format!(
             "{} in {} contents, named by {} records\n{} of it named by no record (cache gc removes it)\n{} temporary\n",
@@ -59,10 +72,18 @@ fn gc(options: &CacheOptions, older_than_days: Option<u64>, max_bytes: Option<u6
     let older_than = older_than_days.map(|days| Duration::from_secs(days.saturating_mul(86_400)));
     let report = Cache::gc(&options.cache, &GcOptions { max_bytes, older_than, dry_run, ..GcOptions::default() })?;
     if options.json {
-        print_json(&json!({"dry_run": dry_run, "records": report.records, "contents": report.contents, "freed_bytes": report.freed_bytes, "kept_bytes": report.kept_bytes}))?;
+        print_json(
+            &json!({"dry_run": dry_run, "records": report.records, "contents": report.contents, "freed_bytes": report.freed_bytes, "kept_bytes": report.kept_bytes}),
+        )?;
     } else {
         let verb = if dry_run { "would remove" } else { "removed" };
-        print(&format!("{verb} {} records and {} contents, {}; {} stay\n", report.records, report.contents, human_bytes(report.freed_bytes), human_bytes(report.kept_bytes)))?;
+        print(&format!(
+            "{verb} {} records and {} contents, {}; {} stay\n",
+            report.records,
+            report.contents,
+            human_bytes(report.freed_bytes),
+            human_bytes(report.kept_bytes)
+        ))?;
     }
     Ok(0)
 }

@@ -32,7 +32,12 @@ pub fn inspect(options: &InspectOptions) -> Done {
             if let (Some(rate), Some(per_pixel)) = (events.events_per_s, events.events_per_pixel_s) {
                 let _ = writeln!(text, "         {rate:.0} events/s, {per_pixel:.2} per pixel and second");
             }
-            let _ = writeln!(text, "         stamps: off-pixel{}{}", if events.has_t_in { " and in-pixel" } else { " only" }, events.t_resolution_ns.map(|ns| format!(", resolution {ns} ns")).unwrap_or_default());
+            let _ = writeln!(
+                text,
+                "         stamps: off-pixel{}{}",
+                if events.has_t_in { " and in-pixel" } else { " only" },
+                events.t_resolution_ns.map(|ns| format!(", resolution {ns} ns")).unwrap_or_default()
+            );
         }
     }
     match &found.frames {

@@ -21,7 +21,11 @@ pub fn nodes(options: &NodesOptions) -> Done {
         None => catalogue.kinds().iter().collect(),
         Some(name) => {
             let names = catalogue.kinds().iter().map(|kind| kind.decl.kind);
-            vec![catalogue.get(name).ok_or_else(|| Failure::Problems(vec![Problem::new(format!("there is no node kind `{name}`")).did_you_mean(name, names)]))?]
+            vec![
+                catalogue
+                    .get(name)
+                    .ok_or_else(|| Failure::Problems(vec![Problem::new(format!("there is no node kind `{name}`")).did_you_mean(name, names)]))?,
+            ]
         }
     };
     if options.json {
@@ -52,7 +56,9 @@ pub fn completions(options: &CompletionOptions) -> Done {
 }
 
 fn describe(kind: &Kind) -> Value {
-    let ports = |ports: &[PortSpec]| -> Value { ports.iter().map(|p| json!({"name": p.name, "type": p.data_type.name(), "takes": takes(p.arity), "about": p.about})).collect() };
+    let ports = |ports: &[PortSpec]| -> Value {
+        ports.iter().map(|p| json!({"name": p.name, "type": p.data_type.name(), "takes": takes(p.arity), "about": p.about})).collect()
+    };
     let decl = &kind.decl;
     json!({
         "kind": decl.kind, "about": decl.about, "revision": decl.revision, "grain": grain(decl.grain), "uses_seed": decl.draws, "writes_files": decl.exports,
@@ -119,7 +125,14 @@ fn page(kind: &Kind) -> String {
         }
         text.push('\n');
     }
-    let _ = writeln!(text, "Grain: {}. Revision {}.{} Source: {}.\n", grain(decl.grain), decl.revision, if decl.draws { " Uses the seed." } else { "" }, decl.sources.join("; "));
+    let _ = writeln!(
+        text,
+        "Grain: {}. Revision {}.{} Source: {}.\n",
+        grain(decl.grain),
+        decl.revision,
+        if decl.draws { " Uses the seed." } else { "" },
+        decl.sources.join("; ")
+    );
     let _ = writeln!(text, "```toml\n{}\n```", decl.example.trim());
     text
 }

@@ -54,14 +54,24 @@ pub fn plan(options: &PlanOptions) -> Done {
     let look = Look::new(&options.target)?;
     let all = status(&plan, &look.cache, &options.target.out_dir());
     if options.json {
-        print_json(&json!({"variants": plan.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(), "tasks": all.iter().map(|s| as_json(&plan, s)).collect::<Vec<_>>()}))?;
+        print_json(
+            &json!({"variants": plan.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(), "tasks": all.iter().map(|s| as_json(&plan, s)).collect::<Vec<_>>()}),
+        )?;
         return Ok(0);
     }
     let mut rows = vec![["node", "kind", "state", "size", "time", "why", "parameters that differ from their defaults"].map(String::from).to_vec()];
     for status in &all {
         let task = &plan.tasks[status.task];
         let seconds = status.predicted_seconds.map(human_seconds).unwrap_or_default();
-        rows.push(vec![task.label.clone(), task.decl.kind.into(), word(&status.state).into(), human_bytes(status.predicted_bytes), seconds, reasons(&status.state).join("; "), task.changed_params.join(", ")]);
+        rows.push(vec![
+            task.label.clone(),
+            task.decl.kind.into(),
+            word(&status.state).into(),
+            human_bytes(status.predicted_bytes),
+            seconds,
+            reasons(&status.state).join("; "),
+            task.changed_params.join(", "),
+        ]);
     }
     print(&draw(&rows))?;
     let count = |name: &str| all.iter().filter(|s| word(&s.state) == name).count();
@@ -74,7 +84,8 @@ pub fn plan(options: &PlanOptions) -> Done {
 pub fn explain(options: &ExplainOptions) -> Done {
     let (_, plan) = options.target.plan()?;
     let look = Look::new(&options.target)?;
-    let found = photocurrent_engine::explain(&plan, &look.cache, &options.target.out_dir(), &options.node).map_err(|problem| Failure::Problems(vec![problem]))?;
+    let found =
+        photocurrent_engine::explain(&plan, &look.cache, &options.target.out_dir(), &options.node).map_err(|problem| Failure::Problems(vec![problem]))?;
     if options.json {
         print_json(&found.iter().map(|e| json!({"variants": e.variants, "status": as_json(&plan, &e.status), "lines": e.lines})).collect())?;
         return Ok(0);

@@ -136,7 +136,9 @@ impl Observer for Watcher {
                     bars.say(&format!("{label:>18} {:<12} {kind}, {}, {}", word(end), human_seconds(seconds), human_bytes(bytes)));
                 }
             }
-            Watcher::Lines(lines) => line(json!({"event": "finished", "node": lines.labels[task].0, "end": word(end).to_lowercase(), "seconds": seconds, "bytes": bytes})),
+            Watcher::Lines(lines) => {
+                line(json!({"event": "finished", "node": lines.labels[task].0, "end": word(end).to_lowercase(), "seconds": seconds, "bytes": bytes}))
+            }
             Watcher::Quiet => {}
         }
     }

@@ -132,12 +132,15 @@ fn drawn(table: &Table) -> String {
 
 fn ablation_table(ablation: &photocurrent_engine::Ablation, outcome: &Outcome, pooled: &[serde_json::Value]) -> String {
     let names: Vec<(String, String)> = if ablation.metrics.is_empty() {
-        let all: BTreeSet<(String, String)> = pooled.iter().filter_map(|l| Some((l["node"].as_str()?.to_string(), l["metric"].as_str()?.to_string()))).collect();
+        let all: BTreeSet<(String, String)> =
+            pooled.iter().filter_map(|l| Some((l["node"].as_str()?.to_string(), l["metric"].as_str()?.to_string()))).collect();
         all.into_iter().collect()
     } else {
         ablation.metrics.clone()
     };
-    let value = |variant: &str, node: &str, metric: &str| pooled.iter().find(|l| l["variant"] == variant && l["node"] == node && l["metric"] == metric).and_then(|l| l["value"].as_f64());
+    let value = |variant: &str, node: &str, metric: &str| {
+        pooled.iter().find(|l| l["variant"] == variant && l["node"] == node && l["metric"] == metric).and_then(|l| l["value"].as_f64())
+    };
     let mut head: Vec<String> = ablation.axes.iter().map(|(axis, _)| axis.rsplit('.').next().unwrap_or(axis).to_string()).collect();
     for (node, metric) in &names {
         head.push(format!("{node}.{metric}"));

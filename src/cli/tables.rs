@@ -6,10 +6,12 @@ pub fn draw(rows: &[Vec<String>]) -> String {
     let width = |column: usize| rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0);
     let widths: Vec<usize> = (0..columns).map(width).collect();
     let is_number = |cell: &str| cell == "-" || cell.parse::<f64>().is_ok();
-    let right: Vec<bool> = (0..columns).map(|column| rows.len() > 1 && rows[1..].iter().filter_map(|row| row.get(column)).all(|cell| is_number(cell))).collect();
+    let right: Vec<bool> =
+        (0..columns).map(|column| rows.len() > 1 && rows[1..].iter().filter_map(|row| row.get(column)).all(|cell| is_number(cell))).collect();
     let mut text = String::new();
     for (r, row) in rows.iter().enumerate() {
-        let cells: Vec<String> = row.iter().enumerate().map(|(c, cell)| if right[c] { format!("{cell:>0$}", widths[c]) } else { format!("{cell:<0$}", widths[c]) }).collect();
+        let cells: Vec<String> =
+            row.iter().enumerate().map(|(c, cell)| if right[c] { format!("{cell:>0$}", widths[c]) } else { format!("{cell:<0$}", widths[c]) }).collect();
         text.push_str(cells.join("  ").trim_end());
         text.push('\n');
         if r == 0 {

@@ -223,8 +223,8 @@ fn stepped(tree: &Tree, table: &Table) -> Result<Vec<Tree>, Problem> {
     };
     let value = |step: i64| {
         let part = step as f64 / (steps - 1) as f64;
-        let exact = if is_log { first * (last / first).powf(part) } else { first + (last - first) * part };
-        // Six digits print well and, unlike the last bits of a power, are equal on every machine: the value enters a key.
+        let exact = if is_log { first * libm::pow(last / first, part) } else { first + (last - first) * part };
+        // Six digits print well in names and tables; the value that runs is the one that is printed.
         let rounded: f64 = format!("{exact:.5e}").parse().unwrap_or(exact);
         if whole && !is_log && rounded.fract() == 0.0 { Item::Integer(rounded as i64) } else { Item::Float(rounded) }
     };

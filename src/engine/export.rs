@@ -2,7 +2,7 @@
 //!
 //! A node that exports gets an empty folder next to its destination. When it is done the engine adds a stamp (the key, each file's size and
 //! digest), makes everything reach the disk, and exchanges the two folders in one step: a reader sees the old files or the new ones,
-//! never a mixture. A folder that holds anything the stamp does not name is somebody's own and is never replaced.
+//! never a mixture. What a killed run left half-made is removed by the next one. A folder that holds anything the stamp does not name is somebody's own and is never replaced.
 
 use photocurrent_core::{Digest, NodeError};
 use serde::{Deserialize, Serialize};
@@ -91,9 +91,25 @@ fn list(folder: &Path) -> io::Result<Vec<String>> {
     Ok(names)
 }
 
+/// How the name of a folder in the making ends.
+const PARTIAL: &str = ".partial";
+
+/// Removes half-made folders beside a destination whose makers are gone. What cannot be removed does no harm where it is.
+fn remove_what_the_dead_left(parent: &Path, name: &str) {
+    for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
+        let found = entry.file_name();
+        let is_partial = found.to_str().is_some_and(|found| found.starts_with(&format!(".{name}.")) && found.ends_with(PARTIAL));
+        if is_partial && fs::File::open(entry.path()).is_ok_and(|folder| folder.try_lock().is_ok()) {
+            let _ = fs::remove_dir_all(entry.path());
+        }
+    }
+}
+
 /// A folder in the making; removed unless it is published.
 pub(crate) struct Staging {
     folder: PathBuf,
+    /// Held as long as this lives; the system lets go of it when the process dies, however it dies.
+    _lock: fs::File,
     destination: PathBuf,
 }
 
@@ -104,11 +120,19 @@ impl Staging {
         check_free(destination)?;
         let parent = destination.parent().unwrap_or(Path::new(""));
         let name = destination.file_name().unwrap_or_default().to_string_lossy();
-        // The process and a count in the name: two runs at once never share a folder.
-        let count = COUNT.fetch_add(1, Ordering::Relaxed);
-        let folder = parent.join(format!(".{name}.{}-{count}.partial", std::process::id()));
-        fs::create_dir_all(&folder).map_err(|error| files_error(&folder, "make the folder", &error))?;
-        Ok(Staging { folder, destination: destination.to_path_buf() })
+        remove_what_the_dead_left(parent, &name);
+        loop {
+            // The process and a count in the name: two runs at once never share a folder.
+            let count = COUNT.fetch_add(1, Ordering::Relaxed);
+            let folder = parent.join(format!(".{name}.{}-{count}{PARTIAL}", std::process::id()));
+            let lock = fs::create_dir_all(&folder).and_then(|()| fs::File::open(&folder)).map_err(|error| files_error(&folder, "make the folder", &error))?;
+            // A file system without locks serves one run at a time just as well.
+            let _ = lock.lock();
+            // Between making and locking, another run may have taken the folder for a dead one's.
+            if folder.exists() {
+                return Ok(Staging { folder, _lock: lock, destination: destination.to_path_buf() });
+            }
+        }
     }
 
     /// Where the node writes.

@@ -1,7 +1,7 @@
 //! A manifest as written: a TOML file whose outline is checked and whose every key still knows its line.
 //!
 //! What is checked here needs no knowledge of nodes: which tables there are, which keys they may have, what a node may be called.
-//! Whether a kind exists, takes these parameters and fits its neighbours is for [`crate::typed`]. A mistake never stops the reading:
+//! Whether a kind exists, takes these parameters and fits its neighbours is for `typed`. A mistake never stops the reading:
 //! it is noted, the node it stands in is left out of later checks, and the rest goes on, so that one run shows every mistake.
 
 use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};

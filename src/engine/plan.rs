@@ -2,7 +2,7 @@
 //!
 //! Every node says what its outputs will look like before data exist; what cannot work is refused here, at its line, and nothing has
 //! run yet. Tasks of different variants that do the same to the same are one task, found by a hash over kind, revision, parameters, files,
-//! seed and the tasks before them. That hash only tells tasks apart inside one plan; what names results for ever is the key ([`crate::key`]),
+//! seed and the tasks before them. That hash only tells tasks apart inside one plan; what names results for ever is the key (`key`),
 //! which knows contents.
 
 use crate::pipeline::Pipeline;
@@ -129,12 +129,14 @@ impl Plan {
         let mut problems = Vec::new();
         let pipelines = select_variants(project, &selection.variants, &mut problems);
         let is_ablation = project.ablation.is_some();
-        let mut planner = Planner { is_ablation, tasks: Vec::new(), known: HashMap::new(), problems };
+        let mut planner = Planner { is_ablation, tasks: Vec::new(), known: HashMap::new(), problems: Vec::new() };
         let mut variants = Vec::new();
+        let mut found = Vec::new();
         for pipeline in pipelines {
             variants.push(planner.add(pipeline, catalogue, &selection.to));
+            found.push((pipeline.variant.as_str(), std::mem::take(&mut planner.problems)));
         }
-        let problems = distinct(planner.problems);
+        let problems = distinct(problems, found);
         if problems.is_empty() { Ok(Plan { manifest_id: project.manifest_id, tasks: planner.tasks, variants, is_ablation }) } else { Err(problems) }
     }
 

@@ -30,12 +30,15 @@ impl Project {
     /// # Errors
     /// Every independent mistake, each at its place.
     pub fn load(path: &Path, sets: &[String], catalogue: &Catalogue) -> Result<Project, Vec<Problem>> {
-        let (project, mut problems) = Project::resolve(path, sets);
+        let (project, problems) = Project::resolve(path, sets);
         // What could be read is checked further even when something else is wrong, so that one run shows every mistake.
+        let mut variants = Vec::new();
         for pipeline in &project.pipelines {
+            let mut problems = Vec::new();
             crate::typed::check(pipeline, catalogue, &mut problems);
+            variants.push((pipeline.variant.as_str(), problems));
         }
-        let problems = distinct(problems);
+        let problems = distinct(problems, variants);
         if problems.is_empty() { Ok(project) } else { Err(problems) }
     }
 
@@ -62,15 +65,32 @@ impl Project {
     }
 }
 
-/// The variants of one manifest share most of their text; a mistake in it is shown once.
-pub(crate) fn distinct(problems: Vec<Problem>) -> Vec<Problem> {
-    let mut seen: Vec<Problem> = Vec::new();
-    for problem in problems {
-        if !seen.iter().any(|other| other.at == problem.at && other.message == problem.message) {
-            seen.push(problem);
+/// The mistakes of all variants, each once: they share most of their text. One that only some variants make says in which.
+pub(crate) fn distinct(common: Vec<Problem>, variants: Vec<(&str, Vec<Problem>)>) -> Vec<Problem> {
+    let same = |a: &Problem, b: &Problem| a.at == b.at && a.message == b.message;
+    let mut seen: Vec<(Problem, Vec<&str>)> = Vec::new();
+    let count = variants.len();
+    for (variant, problem) in variants.into_iter().flat_map(|(variant, problems)| problems.into_iter().map(move |problem| (variant, problem))) {
+        match seen.iter_mut().find(|(other, _)| same(other, &problem)) {
+            Some((_, of)) if of.last() != Some(&variant) => of.push(variant),
+            Some(_) => {}
+            None => seen.push((problem, vec![variant])),
         }
     }
-    seen
+    let placed = seen.into_iter().map(|(problem, of)| match of[..] {
+        [first, ..] if of.len() < count => {
+            let more = if of.len() > 1 { format!(" and {} more", of.len() - 1) } else { String::new() };
+            problem.note(format!("in variant {first}{more}"))
+        }
+        _ => problem,
+    });
+    let mut all: Vec<Problem> = Vec::new();
+    for problem in common.into_iter().chain(placed) {
+        if !all.iter().any(|other| same(other, &problem)) {
+            all.push(problem);
+        }
+    }
+    all
 }
 
 /// Lays one document over another, with the rule for a changed `kind`.

@@ -1,4 +1,5 @@
-//! What a run would do, and why: for `plan` and `explain`. Writes nothing.
+//! What a run would do, and why: for `plan` and `explain`. Writes no result and no history; at most the cache remembers the digest of an
+//! outside file that it had to read.
 //!
 //! A task is compared with the record of its node's last run in this manifest and variant; when there is none, with the most similar
 //! record of its kind. Behind a task that will run, keys are not known yet: what follows *waits*, and may still turn out to be there when

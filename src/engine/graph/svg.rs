@@ -110,8 +110,10 @@ pub(super) fn draw(model: &Model) -> String {
          <rect width=\"100%\" height=\"100%\" fill=\"#fff\"/>\n<text x=\"{MARGIN}\" y=\"{MARGIN}\" font-weight=\"bold\">{title}</text>\n",
         title = escape(&model.title)
     );
-    for (edge, route) in model.edges.iter().zip(&layout.routes) {
-        svg += &arrow(edge, route, &x, &y, &layout);
+    for (at, (edge, route)) in model.edges.iter().zip(&layout.routes).enumerate() {
+        // Several arrows may join the same two boxes directly: each gets a place of its own.
+        let twin = layout.routes[..at].iter().filter(|other| *other == route).count();
+        svg += &arrow(edge, route, twin, &x, &y, &layout);
     }
     for (at, node) in model.nodes.iter().enumerate() {
         let (left, middle) = (x(at), y(at));
@@ -132,12 +134,12 @@ pub(super) fn draw(model: &Model) -> String {
     svg + "</svg>\n"
 }
 
-fn arrow(edge: &Edge, route: &[usize], x: &dyn Fn(usize) -> f64, y: &dyn Fn(usize) -> f64, layout: &Layout) -> String {
+fn arrow(edge: &Edge, route: &[usize], twin: usize, x: &dyn Fn(usize) -> f64, y: &dyn Fn(usize) -> f64, layout: &Layout) -> String {
     // Arrows that end at one box end at different heights, so that their labels can be told apart.
     let spread = |at: usize, neighbours: &[usize], other: usize| {
         let mut sorted: Vec<usize> = neighbours.to_vec();
         sorted.sort_by(|a, b| y(*a).total_cmp(&y(*b)));
-        let place = sorted.iter().position(|&n| n == other).unwrap_or(0) as f64 + 1.0;
+        let place = (sorted.iter().position(|&n| n == other).unwrap_or(0) + twin) as f64 + 1.0;
         y(at) + BOX_HEIGHT * (place / (sorted.len() as f64 + 1.0) - 0.5)
     };
     let last = route.len() - 1;

@@ -55,7 +55,8 @@ pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> 
         Grain::Frame | Grain::Whole => None,
     };
     // Only what has rows can be put together from bands, and files are written in one go.
-    let can_be_cut = !outputs.is_empty() && outputs.iter().all(|meta| meta.rows() == Some(rows)) && task.export.is_none() && !rows.is_empty();
+    let can_be_cut =
+        task.stored().next().is_some() && task.stored().all(|output| output.meta.rows() == Some(rows)) && task.export.is_none() && !rows.is_empty();
     let Some(halo) = halo.filter(|_| can_be_cut) else {
         return Bands { rows, bands: vec![rows], halo: 0, estimate: size.at(1.0, 1.0) };
     };

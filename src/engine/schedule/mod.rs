@@ -1,7 +1,7 @@
 //! Runs a plan: independent tasks at the same time, inside a memory budget, with one thread that writes.
 //!
-//! Each worker takes the next task that can go ([`state`]), looks it up, and runs it when the cache does not have it ([`task`]), cut into row
-//! bands where the node allows ([`bands`]). Neither the number of threads nor the height of a band changes a result; a failed node stops only
+//! Each worker takes the next task that can go (`state`), looks it up, and runs it when the cache does not have it (`task`), cut into row
+//! bands where the node allows (`bands`). Neither the number of threads nor the height of a band changes a result; a failed node stops only
 //! what hangs on it; an interrupted run leaves the cache whole, because a record is written after everything it names.
 //!
 //! Inside a node the work is split by rayon's global pool, whose size is the process's own choice: the command sets it to the same number
@@ -156,7 +156,7 @@ fn work(shared: &Shared<'_>, writer: &crossbeam::channel::Sender<writer::Message
                     shared.announce(ended);
                     state = shared.state();
                 }
-                match state.claim(shared.plan) {
+                match state.claim() {
                     // The flag is set from outside and rings no bell, so the wait is short.
                     Claim::Wait => state = shared.changed.wait_timeout(state, Duration::from_millis(50)).unwrap_or_else(PoisonError::into_inner).0,
                     claim => break claim,

@@ -63,6 +63,8 @@ pub(crate) enum Claim {
 /// Where every task stands.
 pub(crate) struct State {
     pub slots: Vec<Slot>,
+    /// The tasks that each one needs, from the plan.
+    needs: Vec<Vec<TaskId>>,
     /// The memory budget.
     pub memory: u64,
     /// Estimates of the tasks that run.
@@ -94,7 +96,8 @@ impl State {
             notes: Vec::new(),
             seconds: 0.0,
         };
-        State { slots: (0..plan.tasks.len()).map(slot).collect(), memory, used: 0, running: 0, retained: 0, warnings: Vec::new(), broken: false }
+        let needs = plan.tasks.iter().map(|task| task.needs().into_iter().collect()).collect();
+        State { slots: (0..plan.tasks.len()).map(slot).collect(), needs, memory, used: 0, running: 0, retained: 0, warnings: Vec::new(), broken: false }
     }
 
     fn ended_well(&self, task: TaskId) -> bool {
@@ -102,14 +105,14 @@ impl State {
     }
 
     /// The next thing to do; marks it as taken.
-    pub fn claim(&mut self, plan: &Plan) -> Claim {
+    pub fn claim(&mut self) -> Claim {
         if self.broken {
             return Claim::Stop;
         }
         let mut idle = true;
-        for (id, task) in plan.tasks.iter().enumerate() {
+        for id in 0..self.slots.len() {
             let twin_ended = self.slots[id].twin.is_none_or(|twin| matches!(self.slots[twin].phase, Phase::Done(_)));
-            let ready = twin_ended && task.needs().into_iter().all(|need| self.ended_well(need));
+            let ready = twin_ended && self.needs[id].iter().all(|&need| self.ended_well(need));
             match self.slots[id].phase {
                 Phase::Admitted if ready && self.fits(id) => {
                     self.slots[id].phase = Phase::Running;
@@ -161,7 +164,7 @@ impl State {
             let mut because: BTreeMap<TaskId, String> = BTreeMap::from([(task, plan.tasks[task].label.clone())]);
             // The plan's order lets one pass find all descendants.
             for id in task + 1..plan.tasks.len() {
-                let Some(reason) = plan.tasks[id].needs().iter().find_map(|need| because.get(need)).cloned() else { continue };
+                let Some(reason) = self.needs[id].iter().find_map(|need| because.get(need)).cloned() else { continue };
                 // What has ended already keeps its result, even when a result before it could not be made again.
                 if matches!(self.slots[id].phase, Phase::Waiting | Phase::Admitted) {
                     because.insert(id, reason.clone());
@@ -171,16 +174,16 @@ impl State {
                 }
             }
         }
-        self.let_go(plan);
+        self.let_go();
         ended
     }
 
     /// Drops the handles of results that everybody who takes them is done with.
-    fn let_go(&mut self, plan: &Plan) {
+    fn let_go(&mut self) {
         let mut asked = vec![false; self.slots.len()];
-        for (id, task) in plan.tasks.iter().enumerate() {
-            if !matches!(self.slots[id].phase, Phase::Done(_)) {
-                task.needs().into_iter().for_each(|need| asked[need] = true);
+        for (slot, needs) in self.slots.iter().zip(&self.needs) {
+            if !matches!(slot.phase, Phase::Done(_)) {
+                needs.iter().for_each(|&need| asked[need] = true);
             }
         }
         for (slot, asked) in self.slots.iter_mut().zip(asked) {

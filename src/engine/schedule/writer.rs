@@ -14,6 +14,9 @@ use crate::plan::TaskId;
 /// What a finished task has in the store.
 pub(crate) type Stored = BTreeMap<String, StoredOutput>;
 
+/// About how many bytes are read and written at once.
+const PIECE: u64 = 64 << 20;
+
 /// An order to the writer.
 pub(crate) enum Message {
     /// Append a band to an output.
@@ -24,7 +27,7 @@ pub(crate) enum Message {
     Abandon { task: TaskId },
 }
 
-/// A channel to a writer that will run [`write`]; it holds at most `bands` bands.
+/// A channel to a writer that will run `write`; it holds at most `bands` bands.
 pub(crate) fn channel(bands: usize) -> (Sender<Message>, Receiver<Message>) {
     bounded(bands.max(1))
 }
@@ -66,7 +69,11 @@ fn append<'a>(
         std::collections::btree_map::Entry::Occupied(entry) => entry.into_mut(),
         std::collections::btree_map::Entry::Vacant(entry) => entry.insert(cache.writer(meta)?),
     };
-    Ok(writer.append(value)?)
+    let Some(rows) = value.rows().filter(|rows| !rows.is_empty()) else { return Ok(writer.append(value)?) };
+    // A reader's value may be a whole recording that is read only now: piece by piece, or it would fill the memory.
+    let per_row = meta.estimated_bytes() / meta.rows().map_or(1, |all| all.len() as u64).max(1);
+    let height = (PIECE / per_row.max(1)).clamp(1, u64::from(u32::MAX)) as u32;
+    rows.bands(height).into_iter().try_for_each(|piece| Ok(writer.append(&value.cut(piece))?))
 }
 
 /// A value may be computed only when it is read, so a node's panic can come up here; it is that node's failure.

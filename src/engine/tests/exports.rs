@@ -1,6 +1,7 @@
 //! Files for the user: whole or not there, made again when they are gone, and never over somebody's own.
 
-use super::toys::{Folder, catalogue, snapshot};
+use super::folder::{Folder, snapshot};
+use super::toys::catalogue;
 use crate::{End, Options, Outcome, Plan, Project, Selection, Unobserved, run};
 use photocurrent_store::Cache;
 use std::path::PathBuf;
@@ -121,4 +122,16 @@ fn every_variant_has_a_folder_of_its_own() {
     assert_eq!(executed(&outcome), ["source", "text", "text", "source", "text"]);
     let firsts: Vec<String> = bench.names().into_iter().filter(|name| name.ends_with("000.txt")).collect();
     assert_eq!(firsts, ["x=a/text/rows/000.txt", "x=b/text/rows/000.txt", "x=c/text/rows/000.txt"]);
+}
+
+#[test]
+fn what_a_killed_run_left_is_removed_and_what_a_living_one_makes_is_not() {
+    let bench = Bench::new();
+    bench.folder.write("out/.text.1-0.partial/rows/000.txt", "half");
+    bench.folder.write("out/.text.2-0.partial/rows/000.txt", "in the making");
+    let living = std::fs::File::open(bench.out(".text.2-0.partial")).unwrap();
+    living.lock().unwrap();
+    bench.run(TEXT, &[]);
+    assert_eq!(bench.names()[0], ".text.2-0.partial/rows/000.txt");
+    assert_eq!(bench.names().len(), 4);
 }

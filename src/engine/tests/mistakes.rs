@@ -1,6 +1,7 @@
 //! Every kind of mistake, with the words that the reader sees and the place they point to.
 
-use super::toys::{Folder, catalogue};
+use super::folder::Folder;
+use super::toys::catalogue;
 use crate::{Plan, Project, Selection};
 
 const SOURCE: &str = "format = 1\n[nodes.source]\nkind = \"read/source\"\n";
@@ -193,7 +194,10 @@ fn an_ablation_is_checked() {
         "m.toml:5:40: both ends of a `log` range are above zero\n"
     );
     assert!(ablation("[ablation.sweep]\nnodes.source.params.offset = [1]\n").contains("is not the path of a parameter"));
-    assert_eq!(ablation("[ablation.sweep]\n\"nodes.source.params.width\" = [1, \"x\"]\n"), "m.toml:5:35: expected an integer, found the text \"x\"\n");
+    assert_eq!(
+        ablation("[ablation.sweep]\n\"nodes.source.params.width\" = [1, \"x\"]\n"),
+        "m.toml:5:35: expected an integer, found the text \"x\"\n  in variant width=x\n"
+    );
 }
 
 #[test]
@@ -210,4 +214,16 @@ fn every_independent_mistake_is_reported_at_once_and_none_that_only_follows() {
             "m.toml:13:8: nodes.d: input `plane` (map) is not connected",
         ]
     );
+}
+
+#[test]
+fn a_mistake_of_some_variants_says_in_which() {
+    let text = |levels: &str| {
+        said_after(&format!("[nodes.solve]\nkind = \"solve/add\"\nin.plane = \"source\"\n[ablation.sweep]\n\"nodes.solve.params.amount\" = {levels}\n"))
+    };
+    assert_eq!(
+        text("[1, 13]"),
+        "m.toml:8:35: nodes.solve: `amount` must not be 13 here\n  somebody is superstitious\n  in variant amount=13\n  hint: take 15\n"
+    );
+    assert!(!text("[13]").contains("in variant"));
 }

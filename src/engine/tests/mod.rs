@@ -1,8 +1,10 @@
 //! The engine's claims, told with toy nodes: graphs without sensors.
 
 mod exports;
+mod folder;
 mod mistakes;
 mod overlays;
 mod pictures;
 mod running;
 mod toys;
+mod troubles;

@@ -1,6 +1,7 @@
 //! What lies over what: `extends`, levels, `--set`, and how variants are made of them.
 
-use super::toys::{Folder, catalogue};
+use super::folder::Folder;
+use super::toys::catalogue;
 use crate::{Plan, Project, Selection};
 use photocurrent_core::document::Item;
 use std::path::Path;

@@ -1,6 +1,7 @@
 //! Pictures and the schema: they parse, and everything is in them.
 
-use super::toys::{Folder, catalogue};
+use super::folder::Folder;
+use super::toys::catalogue;
 use crate::{GraphFormat, Project, graph, manifest_schema};
 use serde_json::Value as Json;
 
@@ -57,6 +58,19 @@ fn svg_is_balanced_and_its_text_is_escaped() {
     }
     assert_eq!(svg.matches("marker-end").count(), 5, "one arrow per edge");
     assert!(!svg.contains("NaN"));
+}
+
+#[test]
+fn two_arrows_between_the_same_boxes_do_not_cover_each_other() {
+    let folder = Folder::new();
+    let text = TEXT.replace("\"smooth\", \"halves.high\", \"source\"", "\"halves.low\", \"halves.high\"");
+    let project = Project::load(&folder.write("m.toml", &text), &[], &catalogue()).unwrap();
+    let svg = graph(&project.pipelines[0], &catalogue(), GraphFormat::Svg);
+    let mut paths: Vec<&str> = svg.lines().filter(|line| line.contains("marker-end")).collect();
+    let count = paths.len();
+    paths.sort();
+    paths.dedup_by_key(|line| line.split('"').nth(1).unwrap());
+    assert_eq!((paths.len(), count), (4, 4));
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! What a run does, what it does not do again, and what it leaves behind when something goes wrong.
 
-use super::toys::{self, Folder, catalogue, snapshot};
+use super::folder::{Folder, snapshot};
+use super::toys::catalogue;
+use super::troubles;
 use crate::{End, Observer, Options, Outcome, Plan, Project, Selection, State, TaskId, Unobserved, explain, run, status};
 use photocurrent_core::{Digest, Value};
 use photocurrent_store::Cache;
@@ -206,12 +208,14 @@ fn the_memory_budget_is_kept() {
     let options = Options { threads: 6, memory: 360_000, ..bench.options() };
     let outcome = bench.run_with(&bench.plan(&text, &[]), &options);
     assert_well(&outcome);
-    assert_eq!(toys::HEAVY_MOST.load(Ordering::SeqCst), 240_000);
+    // Whether two really meet is up to a busy machine; that a third never joins them is up to the scheduler.
+    let most = troubles::HEAVY_MOST.load(Ordering::SeqCst);
+    assert!((120_000..=240_000).contains(&most), "{most}");
     // One alone is larger than this budget, and runs alone.
-    toys::HEAVY_MOST.store(0, Ordering::SeqCst);
+    troubles::HEAVY_MOST.store(0, Ordering::SeqCst);
     let options = Options { force: (0..6).map(|i| format!("h{i}")).collect(), memory: 1000, ..options };
     assert_well(&bench.run_with(&bench.plan(&text, &[]), &options));
-    assert_eq!(toys::HEAVY_MOST.load(Ordering::SeqCst), 120_000);
+    assert_eq!(troubles::HEAVY_MOST.load(Ordering::SeqCst), 120_000);
 }
 
 fn with_mischief(mischief: &str) -> String {

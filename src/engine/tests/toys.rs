@@ -1,6 +1,6 @@
 //! Toy nodes: small numbers on small planes, one for every way a node can behave.
 
-use photocurrent_core::document::Problem;
+use super::troubles::{Heavy, Trouble};
 use photocurrent_core::handle::Band;
 use photocurrent_core::quantity::{InputPath, Rate};
 use photocurrent_core::table::{Score, TableMeta};
@@ -9,9 +9,7 @@ use photocurrent_core::{
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 pub fn catalogue() -> Catalogue {
     Catalogue::new(vec![
@@ -31,7 +29,7 @@ pub fn catalogue() -> Catalogue {
     ])
 }
 
-const fn decl(kind: &'static str, grain: Grain) -> Decl {
+pub const fn decl(kind: &'static str, grain: Grain) -> Decl {
     Decl { kind, about: "A toy.", revision: 1, grain, draws: false, exports: false, sources: &[], example: "" }
 }
 
@@ -47,16 +45,16 @@ photocurrent_core::ports! {
     }
 }
 
-fn meta(width: u32, height: u32) -> MapMeta {
+pub fn meta(width: u32, height: u32) -> MapMeta {
     MapMeta { extent: Extent { width, height }, planes: vec!["value".into()] }
 }
 
-fn plane_meta(inputs: &PortMetas) -> Meta {
+pub fn plane_meta(inputs: &PortMetas) -> Meta {
     inputs.all("plane")[0].clone()
 }
 
 /// Each pixel of the rows asked for, from the same pixel of the input.
-fn map_pixels(input: &MapSet, cx: &Context, f: impl Fn(f32) -> f32) -> Result<MapSet, NodeError> {
+pub fn map_pixels(input: &MapSet, cx: &Context, f: impl Fn(f32) -> f32) -> Result<MapSet, NodeError> {
     let mut band = input.read(cx.rows())?;
     band.values.iter_mut().for_each(|value| *value = f(*value));
     Ok(MapSet::in_memory(input.meta.clone(), band))
@@ -349,69 +347,6 @@ impl Node for Sum {
     }
 }
 
-#[derive(Clone, Copy, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Mischief {
-    /// Passes its input on.
-    #[default]
-    None,
-    /// Returns an error.
-    Fails,
-    /// Returns an error about its input.
-    BadInput,
-    /// Panics.
-    Panics,
-    /// Gives another plane than it planned.
-    Lies,
-    /// Waits until the run is cancelled.
-    Waits,
-    /// Complains about a text file, while planning.
-    Complains,
-}
-
-#[derive(Serialize, Deserialize, JsonSchema, Default)]
-#[serde(default, deny_unknown_fields)]
-pub struct TroubleParams {
-    /// What goes wrong.
-    mischief: Mischief,
-}
-
-/// Goes wrong in the way asked for.
-pub struct Trouble(TroubleParams);
-
-impl Node for Trouble {
-    const DECL: Decl = decl("solve/trouble", Grain::Pixel);
-    type Params = TroubleParams;
-    type In = Plane;
-    type Out = Plane;
-    fn build(params: TroubleParams) -> Result<Self, NodeError> {
-        Ok(Trouble(params))
-    }
-    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        if matches!(self.0.mischief, Mischief::Complains) {
-            return Err(NodeError::usage("the description has a mistake").problems(vec![Problem::new("line 3 is wrong")]));
-        }
-        Ok(vec![plane_meta(inputs)])
-    }
-    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
-        match self.0.mischief {
-            Mischief::None | Mischief::Complains => Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value)? }),
-            Mischief::Fails => Err(NodeError::failed("nothing works today").hint("try tomorrow")),
-            Mischief::BadInput => Err(NodeError::input("pixel 3 is not a number")),
-            Mischief::Panics => panic!("index 5 is beyond 3"),
-            Mischief::Lies => {
-                let meta = meta(1, 1);
-                let band = MapBand::zeros(meta.extent.rows(), &meta);
-                Ok(Plane { plane: MapSet::in_memory(Arc::new(meta), band) })
-            }
-            Mischief::Waits => loop {
-                cx.advance(1)?;
-                std::thread::sleep(std::time::Duration::from_millis(2));
-            },
-        }
-    }
-}
-
 photocurrent_core::ports! {
     /// Frames.
     pub struct FramesOut {
@@ -481,76 +416,4 @@ impl Node for Write {
         }
         Ok(Nothing {})
     }
-}
-
-/// Estimates of the heavy nodes that run now, and the most there ever were together.
-pub static HEAVY_NOW: AtomicU64 = AtomicU64::new(0);
-pub static HEAVY_MOST: AtomicU64 = AtomicU64::new(0);
-
-/// Takes a while, and records how much memory its kind takes together.
-pub struct Heavy;
-
-impl Node for Heavy {
-    const DECL: Decl = decl("solve/heavy", Grain::Whole);
-    type Params = AddParams;
-    type In = Plane;
-    type Out = Plane;
-    fn build(_: AddParams) -> Result<Self, NodeError> {
-        Ok(Heavy)
-    }
-    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        Ok(vec![plane_meta(inputs)])
-    }
-    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
-        // One input and, waiting for the writer, two outputs: as the scheduler counts.
-        let bytes = 3 * Meta::Map(input.plane.meta.clone()).estimated_bytes();
-        HEAVY_MOST.fetch_max(HEAVY_NOW.fetch_add(bytes, Ordering::SeqCst) + bytes, Ordering::SeqCst);
-        std::thread::sleep(std::time::Duration::from_millis(30));
-        HEAVY_NOW.fetch_sub(bytes, Ordering::SeqCst);
-        Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value)? })
-    }
-}
-
-/// A folder with manifests in it.
-pub struct Folder(pub tempfile::TempDir);
-
-impl Folder {
-    pub fn new() -> Folder {
-        Folder(tempfile::tempdir().unwrap())
-    }
-
-    pub fn path(&self, name: &str) -> PathBuf {
-        self.0.path().join(name)
-    }
-
-    pub fn write(&self, name: &str, text: &str) -> PathBuf {
-        let path = self.path(name);
-        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        std::fs::write(&path, text).unwrap();
-        path
-    }
-
-    /// Problems as plain text: `file:line:col: message`, notes and help indented below.
-    pub fn show(&self, problems: &[Problem]) -> String {
-        let root = format!("{}/", self.0.path().display());
-        problems.iter().map(show).collect::<String>().replace(&root, "")
-    }
-}
-
-fn show(problem: &Problem) -> String {
-    let place = problem.at.as_ref().map(|at| format!("{at}: ")).unwrap_or_default();
-    let notes: String = problem.notes.iter().map(|note| format!("\n  {note}")).collect();
-    let help = problem.help.as_ref().map(|help| format!("\n  hint: {help}")).unwrap_or_default();
-    format!("{place}{}{notes}{help}\n", problem.message)
-}
-
-/// All files below a folder with their bytes, to see that nothing changed.
-pub fn snapshot(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
-    let mut found = Vec::new();
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() { found.extend(snapshot(&path)) } else { found.push((path.clone(), std::fs::read(&path).unwrap())) }
-    }
-    found.sort();
-    found
 }

@@ -157,7 +157,7 @@ fn refuse_what_is_not_hdf5(path: &Path) -> Result<u64, StoreError> {
     let not = |found: String| StoreError::NotReadable {
         path: path.into(),
         found,
-        hint: "give an HDF5 file; other formats are converted with `photocurrent convert`".into(),
+        hint: "give an HDF5 recording; AEDAT4 files are read by the node read/aedat4".into(),
     };
     if !metadata.is_file() {
         return Err(not("this is no regular file".into()));

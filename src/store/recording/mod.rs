@@ -56,7 +56,7 @@ impl Recording {
         let format = opened.text_attribute(&opened.file, "/", "format")?;
         if format.as_deref() != Some(FORMAT) {
             let found = format.map_or("no attribute `format`".into(), |format| format!("format = \"{format}\""));
-            let hint = "this is no recording of ours: convert it with `photocurrent convert`, or set the attribute if the layout is the documented one";
+            let hint = "docs/formats.md states the layout of a recording; set the attribute if the file keeps to it";
             return Err(opened.content("/", found, format!("format = \"{FORMAT}\""), hint));
         }
         let extent = Extent { width: side(&opened, "width")?, height: side(&opened, "height")? };
