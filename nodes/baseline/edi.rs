@@ -39,6 +39,9 @@ pub struct Params {
     pub stamp: Stamp,
     /// A constant latency to take off every stamp; negative moves events later.
     pub latency: Duration,
+    /// Length over which a captured frame's blur is taken, around the middle of its exposure; absent = its exposure as recorded.
+    #[schemars(extend("x-min" = "1 ns"))]
+    pub blur: Option<Duration>,
 }
 
 photocurrent_core::ports! {
@@ -131,7 +134,7 @@ params = { rate = "1 kHz", latency = "40 us" }
         let searched = input.contrast.as_deref().map(contrast_of).transpose()?;
         let rule = self.rule(sensor, &input.events.meta, searched)?;
         let meta = output_meta(&self.params.sampling, &input.frames.meta, Some(&input.events.meta), input.at.as_ref().map(|at| &*at.meta), sensor)?;
-        let job = Job { captured: &input.frames.meta, output: &meta, rule, black: black_level(sensor) };
+        let job = Job { captured: &input.frames.meta, output: &meta, rule, black: black_level(sensor), blur: self.params.blur };
         cx.begin(cx.rows().len() as u64, "rows");
         let events = input.events.read(cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
@@ -158,9 +161,18 @@ struct Job<'a> {
     output: &'a FramesMeta,
     rule: StepRule,
     black: f64,
+    blur: Option<Duration>,
 }
 
 impl Job<'_> {
+    /// The interval over which a captured frame is taken to be the mean of the light.
+    fn blurred_over(&self, exposure: Exposure) -> Exposure {
+        self.blur.map_or(exposure, |blur| {
+            let start = exposure.mid().0 - blur.ns() / 2;
+            Exposure::new(start, start + blur.ns())
+        })
+    }
+
     /// All output frames of one row as [frame][x].
     fn row(&self, row: u32, events: &EventRow, frames: &FrameBlock) -> Vec<f32> {
         let width = self.captured.extent.width as usize;
@@ -177,7 +189,9 @@ impl Job<'_> {
             level.extend((0..self.captured.times.len()).map(|l| {
                 let exposure = self.captured.times.exposure(l, row);
                 let above_black = f64::from(frames.row(l, row)[x]) - self.black;
-                above_black / cursor.integral(exposure)
+                // The mean over the blur, as charge of the exposure: with the recorded exposure, the plain integral.
+                let mean = cursor.integral(self.blurred_over(exposure)) / self.blurred_over(exposure).seconds();
+                above_black / (mean * exposure.seconds())
             }));
             for (l, exposure) in outputs.iter().enumerate() {
                 let mean = cursor.integral(*exposure) / exposure.seconds();
@@ -267,6 +281,14 @@ mod tests {
         let late = Params { latency: Duration::new(1_000_000), ..params(1000.0) };
         let dn = edi(late, vec![on(3_500_000)], vec![Exposure::new(0, 5_000_000)], 30.0);
         assert!((dn[2] - 20.0).abs() < 1e-4 && (dn[3] - 40.0).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_longer_blur_takes_in_events_outside_the_exposure() {
+        // Exposed from 2 to 4 ms without an event, but blurred over 0 to 6 ms with a doubling at 5 ms: the mean is (5 + 2) / 6 of L.
+        let blurred = Params { blur: Some(Duration::new(6_000_000)), ..params(1000.0) };
+        let dn = edi(blurred, vec![on(5_000_000)], vec![Exposure::new(2_000_000, 4_000_000)], 70.0);
+        assert!((dn[0] - 60.0).abs() < 1e-3, "{dn:?}");
     }
 
     #[test]

@@ -55,7 +55,13 @@ fn recording(events: usize) -> (EventStream, FrameSequence) {
     let mut all = Vec::new();
     for x in 0..EXTENT.width {
         let mut random = Random::new(3, &[x.into()]);
-        all.extend(instants(x, events).into_iter().map(|t| Event { x: x as u16, y: 0, polarity: Polarity::from_bit((random.bits() & 1) as u8), t, t_in: None }));
+        all.extend(instants(x, events).into_iter().map(|t| Event {
+            x: x as u16,
+            y: 0,
+            polarity: Polarity::from_bit((random.bits() & 1) as u8),
+            t,
+            t_in: None,
+        }));
     }
     let exposures = (0..19).map(|l| Exposure::new(l * 8_333_333, l * 8_333_333 + 6_500_000)).collect();
     (testing::stream(EXTENT, all), testing::captured(EXTENT, exposures, 0, |_, x, _| 100.0 + x as f32))

@@ -115,7 +115,7 @@ impl Observer for Watcher {
                 let mut done = locked(&lines.done);
                 let (at, total, told) = done.entry(task).or_default();
                 *at += items;
-                let tenth = if *total == 0 { 0 } else { 10 * *at / *total };
+                let tenth = (10 * *at).checked_div(*total).unwrap_or(0);
                 if tenth > *told {
                     *told = tenth;
                     line(json!({"event": "progress", "node": lines.labels[task].0, "done": *at, "total": *total}));
