@@ -1,1 +1,377 @@
-//! Being written.
+//! Kills at random moments, interrupts, two runs at once, damaged files, nodes that fail: never a wrong artefact, and the next run comes to the
+//! right end.
+//!
+//! Moments come from a fixed seed and are spread over the length of an undisturbed run. How far a killed run gets depends on the machine; what
+//! is asserted afterwards holds at every moment.
+
+use crate::recordings;
+use crate::support::{self, Bench, digests, executed};
+use photocurrent_core::events::{Event, Polarity};
+use photocurrent_core::random::Random;
+use photocurrent_core::testing;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+
+/// The small pipeline, a little larger: long enough to be hit in every phase.
+fn bench() -> Bench {
+    let bench = Bench::new();
+    let text = support::small_pipeline();
+    let larger = text.replace("width = 32, height = 24, duration = \"40 ms\"", "width = 64, height = 48, duration = \"60 ms\"");
+    assert_ne!(larger, text);
+    bench.write("m.toml", &larger);
+    bench
+}
+
+/// Every file below a folder that a user sees, with its bytes.
+fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    fn walk(top: &Path, folder: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
+        for entry in std::fs::read_dir(folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                walk(top, &path, found);
+            } else {
+                found.insert(path.strip_prefix(top).expect("below").to_path_buf(), std::fs::read(&path).expect("a file"));
+            }
+        }
+    }
+    let mut found = BTreeMap::new();
+    walk(folder, folder, &mut found);
+    found
+}
+
+fn is_hidden(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'))
+}
+
+/// Every exported folder that is there is whole: its stamp names its files, all of them, each with its size and content.
+fn assert_exports_are_whole(out: &Path, when: &str) {
+    let folders = std::fs::read_dir(out).into_iter().flatten().map(|entry| entry.expect("an entry").path());
+    for folder in folders.filter(|path| path.is_dir() && !is_hidden(path)) {
+        let stamp = std::fs::read_to_string(folder.join(".photocurrent.toml")).unwrap_or_else(|error| panic!("{when}: {} has no stamp: {error}", folder.display()));
+        let stamp: toml::Table = toml::from_str(&stamp).expect("a stamp is TOML");
+        let mut there = files(&folder);
+        there.remove(Path::new(".photocurrent.toml"));
+        for file in stamp["files"].as_array().expect("files") {
+            let name = file["name"].as_str().expect("a name");
+            let bytes = there.remove(Path::new(name)).unwrap_or_else(|| panic!("{when}: {name} is stamped and missing"));
+            assert_eq!(file["bytes"].as_integer(), Some(bytes.len() as i64), "{when}: {name}");
+            assert_eq!(file["digest"].as_str(), Some(blake3::hash(&bytes).to_hex().as_str()), "{when}: {name}");
+        }
+        assert!(there.is_empty(), "{when}: {} holds what its stamp does not name: {:?}", folder.display(), there.keys());
+    }
+}
+
+fn assert_cache_is_whole(bench: &Bench, when: &str) {
+    let done = bench.run(&["cache", "verify"]);
+    assert_eq!(done.code, 0, "{when}: {}{}", done.stdout, done.stderr);
+    assert!(!done.stdout.contains("damaged"), "{when}: {}", done.stdout);
+}
+
+fn start(bench: &Bench, arguments: &[&str]) -> Child {
+    let mut all = vec!["run", "m.toml"];
+    all.extend(arguments);
+    bench.command(&all).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("the command starts")
+}
+
+/// What an undisturbed run leaves: digests, exported files, and how long it took.
+struct Undisturbed {
+    digests: BTreeMap<String, String>,
+    files: BTreeMap<PathBuf, Vec<u8>>,
+    took: Duration,
+}
+
+fn undisturbed(arguments: &[&str]) -> Undisturbed {
+    let bench = bench();
+    let started = Instant::now();
+    let mut all = vec!["m.toml"];
+    all.extend(arguments);
+    let outcome = bench.outcome(&all);
+    Undisturbed { took: started.elapsed(), digests: digests(&outcome), files: files(&bench.path("out/m")) }
+}
+
+fn assert_ends_as(bench: &Bench, arguments: &[&str], expected: &Undisturbed, when: &str) {
+    let mut all = vec!["m.toml"];
+    all.extend(arguments);
+    let outcome = bench.outcome(&all);
+    assert_eq!(digests(&outcome), expected.digests, "{when}");
+    assert_exports_are_whole(&bench.path("out/m"), when);
+    let mut found = files(&bench.path("out/m"));
+    // A run killed while it wrote the metrics leaves its temporary file beside them.
+    found.retain(|path, _| !path.to_string_lossy().starts_with(".tmp"));
+    assert_eq!(found.keys().collect::<Vec<_>>(), expected.files.keys().collect::<Vec<_>>(), "{when}");
+    assert!(found == expected.files, "{when}: a file differs");
+}
+
+#[test]
+fn a_run_killed_at_any_moment_leaves_nothing_wrong_and_the_next_one_completes() {
+    // All on one cache and one output folder, never cleaned. Each seed of the pipeline is killed four times before it may finish, so that later
+    // kills find what earlier ones left, and replace the files of the seed before.
+    let bench = bench();
+    let mut random = Random::new(20, &[]);
+    let mut killed = 0;
+    for seed in 1..=5 {
+        let set = format!("pipeline.seed={seed}");
+        let expected = undisturbed(&["--set", &set]);
+        for kill in 0..4 {
+            // The first moment is the very start, so that at least one run is always hit.
+            let moment = expected.took.mul_f64(if seed == 1 && kill == 0 { 0.0 } else { random.uniform() });
+            let when = format!("seed {seed}, kill {kill} after {moment:?}");
+            let mut child = start(&bench, &["--set", &set, "-q"]);
+            std::thread::sleep(moment);
+            child.kill().expect("a signal can be sent to a child that was not waited for");
+            killed += usize::from(child.wait().expect("it ends").code().is_none());
+            if bench.path(".photocurrent").is_dir() {
+                assert_cache_is_whole(&bench, &when);
+            }
+            assert_exports_are_whole(&bench.path("out/m"), &when);
+        }
+        assert_ends_as(&bench, &["--set", &set], &expected, &format!("seed {seed}"));
+        assert_cache_is_whole(&bench, &format!("seed {seed}, at the end"));
+    }
+    assert!(killed > 0, "no run was hit: nothing was tested");
+}
+
+/// Reads what the command says until it says that a node has begun; false when it ended before.
+fn wait_for_start(child: &mut Child, node: &str) -> bool {
+    let lines = BufReader::new(child.stderr.take().expect("stderr is a pipe"));
+    let mark = format!("{{\"event\":\"started\",\"node\":\"{node}\"");
+    let mut seen = false;
+    let mut lines = lines.lines();
+    while let Some(Ok(line)) = lines.next() {
+        if line.starts_with(&mark) {
+            seen = true;
+            break;
+        }
+    }
+    // The rest is read too: a full pipe would hold the command up.
+    std::thread::spawn(move || lines.for_each(drop));
+    seen
+}
+
+#[test]
+fn an_interrupt_ends_with_130_and_the_next_run_goes_on() {
+    let bench = bench();
+    let mut interrupted = None;
+    // A run may be over before the signal arrives; another seed then tries again.
+    for seed in 1..=50 {
+        let set = format!("pipeline.seed={seed}");
+        let mut child = start(&bench, &["--set", &set]);
+        assert!(wait_for_start(&mut child, "scene"));
+        // The shell's own `kill` is there wherever a shell is.
+        let sent = std::process::Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().expect("a shell");
+        let code = child.wait().expect("it ends").code();
+        assert!(code == Some(130) || code == Some(0), "{code:?}, signal sent: {sent}");
+        assert_cache_is_whole(&bench, &set);
+        assert_exports_are_whole(&bench.path("out/m"), &set);
+        if code == Some(130) {
+            interrupted = Some(set);
+            break;
+        }
+    }
+    let set = interrupted.expect("one of fifty runs is interrupted before it is over");
+    let after = ["--set", set.as_str()];
+    // The description was read before the scene began, and what is finished stays.
+    let plan = bench.run(&["plan", "m.toml", "--json", after[0], after[1]]);
+    let plan: Value = serde_json::from_str(&plan.stdout).expect("JSON");
+    assert_eq!((&plan["tasks"][0]["node"], &plan["tasks"][0]["state"]), (&"sensor".into(), &"hit".into()));
+    assert_ends_as(&bench, &after, &undisturbed(&after), &set);
+}
+
+#[test]
+fn two_runs_at_once_on_one_cache_and_one_folder_are_both_right() {
+    let bench = bench();
+    for seed in 1..=4 {
+        let set = format!("pipeline.seed={seed}");
+        let spawn = |threads: &str| {
+            let mut command = bench.command(&["run", "m.toml", "--json", "--set", &set, "--threads", threads]);
+            command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the command starts")
+        };
+        let both = [spawn("1"), spawn("2")];
+        let ended = both.map(|child| child.wait_with_output().expect("it ends"));
+        let expected = undisturbed(&["--set", &set]);
+        for output in ended {
+            assert_eq!(output.status.code(), Some(0), "seed {seed}: {}", String::from_utf8_lossy(&output.stderr));
+            let outcome: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+            assert_eq!(digests(&outcome), expected.digests, "seed {seed}");
+        }
+        assert_cache_is_whole(&bench, &set);
+        assert_ends_as(&bench, &["--set", &set], &expected, &set);
+    }
+}
+
+/// A run of the small pipeline, to be damaged.
+struct Damaged {
+    bench: Bench,
+    outcome: Value,
+}
+
+impl Damaged {
+    fn new() -> Damaged {
+        let bench = bench();
+        let outcome = bench.outcome(&["m.toml"]);
+        Damaged { bench, outcome }
+    }
+
+    fn data(&self, output: &str) -> PathBuf {
+        self.bench.path(".photocurrent/data").join(format!("{}.h5", digests(&self.outcome)[output]))
+    }
+
+    fn record(&self, node: &str) -> PathBuf {
+        let task = self.outcome["tasks"].as_array().expect("tasks").iter().find(|task| task["node"] == node).expect("the node");
+        self.bench.path(".photocurrent/keys").join(format!("{}.toml", task["key"].as_str().expect("a key")))
+    }
+
+    /// The next run says what is damaged, runs these nodes, and everything is as before and stays so.
+    fn is_mended(&self, arguments: &[&str], nodes: &[&str], damaged: &Path) {
+        let mut all = vec!["run", "--json", "m.toml"];
+        all.extend(arguments);
+        let done = self.bench.run(&all);
+        assert_eq!(done.code, 0, "{}", done.stderr);
+        let outcome: Value = serde_json::from_str(&done.stdout).expect("JSON");
+        assert_eq!(executed(&outcome), nodes);
+        assert_eq!(digests(&outcome), digests(&self.outcome));
+        let name = damaged.file_name().expect("a name").to_string_lossy().into_owned();
+        let warnings = outcome["warnings"].as_array().expect("warnings");
+        assert!(warnings.iter().any(|warning| warning.as_str().expect("a text").contains(&name)), "{name} is not named in {warnings:?}");
+        assert!(done.stderr.contains(&name), "{}", done.stderr);
+        assert_cache_is_whole(&self.bench, &name);
+        assert_eq!(executed(&self.bench.outcome(&["m.toml"])), [""; 0]);
+    }
+}
+
+fn flip_a_byte(path: &Path) {
+    let mut bytes = std::fs::read(path).expect("the file");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(path, bytes).expect("written");
+}
+
+fn truncate(path: &Path) {
+    let bytes = std::fs::read(path).expect("the file");
+    std::fs::write(path, &bytes[..bytes.len() / 2]).expect("written");
+}
+
+fn delete(path: &Path) {
+    std::fs::remove_file(path).expect("removed");
+}
+
+#[test]
+fn a_result_that_is_cut_short_or_gone_is_made_again() {
+    let damaged = Damaged::new();
+    let events = damaged.data("scene.events");
+    for harm in [truncate, delete] {
+        harm(&events);
+        assert_eq!(damaged.bench.run(&["cache", "verify"]).code, 3);
+        let plan = damaged.bench.run(&["explain", "m.toml", "scene"]);
+        assert!(plan.stdout.starts_with("scene: would run\n  record damaged: output `events`: "), "{}", plan.stdout);
+        damaged.is_mended(&[], &["scene"], &events);
+    }
+}
+
+#[test]
+fn a_result_with_a_wrong_byte_is_noticed_when_it_is_read_and_made_again() {
+    let damaged = Damaged::new();
+    let events = damaged.data("scene.events");
+    flip_a_byte(&events);
+    let verified = damaged.bench.run(&["cache", "verify"]);
+    assert_eq!(verified.code, 3);
+    assert!(verified.stdout.contains(&format!("damaged: .photocurrent/data/{}", events.file_name().expect("a name").to_string_lossy())), "{}", verified.stdout);
+    damaged.is_mended(&["--force", "solve"], &["scene", "solve"], &events);
+}
+
+#[test]
+fn a_table_with_a_wrong_byte_is_made_again_and_not_an_error_for_ever() {
+    // Every run reads the tables of scores, for its report.
+    let damaged = Damaged::new();
+    let scores = damaged.data("psnr.scores");
+    flip_a_byte(&scores);
+    damaged.is_mended(&[], &["psnr"], &scores);
+}
+
+#[test]
+fn a_damaged_record_is_made_again() {
+    let damaged = Damaged::new();
+    let record = damaged.record("solve");
+    let harms: [fn(&Path); 3] = [truncate, |path| std::fs::write(path, "key = 7").expect("written"), |path| {
+        let text = std::fs::read_to_string(path).expect("the record");
+        let other = text.replace("revision = 1", "revision = 2");
+        assert_ne!(other, text);
+        std::fs::write(path, other).expect("written");
+    }];
+    for harm in harms {
+        harm(&record);
+        assert_eq!(damaged.bench.run(&["cache", "verify"]).code, 3);
+        damaged.is_mended(&[], &["solve"], &record);
+    }
+}
+
+#[test]
+fn a_record_that_is_gone_is_a_plain_miss() {
+    let damaged = Damaged::new();
+    delete(&damaged.record("solve"));
+    let outcome = damaged.bench.outcome(&["m.toml"]);
+    assert_eq!((executed(&outcome), digests(&outcome)), (vec!["solve".to_string()], digests(&damaged.outcome)));
+    assert_eq!(outcome["warnings"].as_array(), Some(&vec![]));
+}
+
+/// A recording with an event outside its sensor: nobody can know before the events are read.
+fn write_bad_recording(path: &Path) {
+    let mut events = recordings::pulses();
+    events.push(Event { x: 4000, y: 1, polarity: Polarity::On, t: 8_000_000, t_in: Some(7_999_000) });
+    recordings::write_with_truth(path, &testing::stream(recordings::EXTENT, events));
+}
+
+const SCORED: &str = r#"
+[nodes.psnr]
+kind = "score/psnr"
+in = { frames = "render", truth = "recording.truth" }
+"#;
+
+#[test]
+fn a_node_that_fails_stops_only_what_hangs_on_it() {
+    let bench = Bench::new();
+    write_bad_recording(&bench.path("rec.h5"));
+    let aside = "[nodes.scene]\nkind = \"simulate/pellet\"\nin.sensor = \"sensor\"\nparams = { width = 16, height = 16, radius = 2.0 }\n[nodes.aside]\nkind = \"write/frames\"\nin.frames = \"scene.frames\"\n";
+    bench.write("m.toml", &format!("{}{aside}", recordings::pipeline()));
+    let done = bench.run(&["run", "--json", "m.toml"]);
+    assert_eq!(done.code, 3, "{}", done.stderr);
+    for part in ["node recording (read/recording) failed", "rec.h5", "x = 4000, y = 1", "hint: ", "skipped: frames needs recording", "what is finished stays in the cache"] {
+        assert!(done.stderr.contains(part), "`{part}` is missing from\n{}", done.stderr);
+    }
+    let outcome: Value = serde_json::from_str(&done.stdout).expect("JSON");
+    assert_eq!(executed(&outcome), ["aside", "scene", "sensor"]);
+    let ends = |end: &str| outcome["tasks"].as_array().expect("tasks").iter().filter(|task| task["end"] == end).map(|task| task["node"].as_str().expect("a name")).collect::<Vec<_>>();
+    assert_eq!((ends("failed"), ends("skipped")), (vec!["recording"], vec!["solve", "render", "frames"]));
+    assert!(bench.path("out/m/aside/frames.csv").is_file() && !bench.path("out/m/frames").exists());
+
+    // Mended input: what was finished is not run again.
+    recordings::write(&bench.path("rec.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
+    assert_eq!(executed(&bench.outcome(&["m.toml"])), ["frames", "recording", "render", "solve"]);
+}
+
+#[test]
+fn an_ablation_goes_on_without_a_variant_that_fails() {
+    let bench = Bench::new();
+    write_bad_recording(&bench.path("bad.h5"));
+    recordings::write_with_truth(&bench.path("rec.h5"), &recordings::events());
+    // Where the true frames end, nothing is to be rendered.
+    let base = recordings::pipeline().replace("in = { tracks = \"solve.tracks\", sensor = \"sensor\" }", "in = { tracks = \"solve.tracks\", sensor = \"sensor\" }\nparams = { end = \"20 ms\" }");
+    let ablation = "[ablation]\nmetrics = [\"psnr.psnr_db\"]\nbaseline = { input = \"good\" }\n[ablation.axes.input]\ngood = { nodes.recording.params.path = \"rec.h5\" }\nbad = { nodes.recording.params.path = \"bad.h5\" }\n";
+    bench.write("m.toml", &format!("{base}{SCORED}{ablation}"));
+    let done = bench.run(&["run", "m.toml"]);
+    assert_eq!(done.code, 4, "{}", done.stderr);
+    let rows: Vec<Vec<&str>> = done.stdout.lines().map(|line| line.split_whitespace().collect()).collect();
+    assert_eq!(rows[0], ["input", "psnr.psnr_db", "gain"]);
+    assert_eq!((rows[2][0], rows[2][2], rows[3].as_slice()), ("good", "+0.000", &["bad", "failed", "-"][..]), "{}", done.stdout);
+    assert!(rows[2][1].parse::<f64>().is_ok_and(f64::is_finite), "{}", done.stdout);
+    assert!(done.stderr.contains("x = 4000, y = 1"), "{}", done.stderr);
+    assert!(bench.path("out/m/input=good/frames/frames.csv").is_file() && !bench.path("out/m/input=bad/frames").exists());
+    // Nothing that is finished runs again, and the failed variant fails again.
+    let again = bench.run(&["run", "--json", "m.toml"]);
+    let outcome: Value = serde_json::from_str(&again.stdout).expect("JSON");
+    assert_eq!((again.code, outcome["executed"].as_u64(), outcome["failed"].as_u64()), (4, Some(0), Some(1)));
+}

@@ -240,10 +240,15 @@ pub fn parse(source: &Arc<Source>) -> Result<Table, Vec<Problem>> {
         .iter()
         .map(|error| {
             let span = error.span().unwrap_or(0..0);
-            Problem::at(&Origin { source: source.clone(), span }, format!("not TOML: {}", error.message().trim_end()))
+            let message = match error.message().trim_end() {
+                "duplicate key" => format!("not TOML: `{}` stands twice", source.text.get(span.clone()).unwrap_or_default()),
+                other => format!("not TOML: {other}"),
+            };
+            Problem::at(&Origin { source: source.clone(), span }, message)
         })
         .collect();
     let table = convert_table(source, root.get_ref(), &mut problems);
+    problems.sort_by_key(|problem| problem.at.as_ref().map(|at| at.span.start));
     if problems.is_empty() { Ok(table) } else { Err(problems) }
 }
 

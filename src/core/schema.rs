@@ -92,6 +92,9 @@ impl Checker<'_> {
             (Item::Boolean(_), "`true` or `false`") | (Item::String(_), "a text in quotes") => {}
             (Item::Integer(number), "an integer" | "a number") => self.check_range(tree, *number as f64, outer, schema, problems),
             (Item::Float(number), "a number") if number.is_finite() => self.check_range(tree, *number, outer, schema, problems),
+            (Item::Float(_), "a number") => {
+                problems.push(Problem::at(&tree.origin, format!("expected a finite number, found {}", tree.describe())).label("not finite"))
+            }
             _ => problems.push(Problem::at(&tree.origin, format!("expected {expected}, found {}", tree.describe())).label(format!("expected {expected}"))),
         }
     }

@@ -68,6 +68,9 @@ pub enum StoreError {
         /// What went wrong.
         what: String,
     },
+    /// What was to be written could not be read: the trouble lies where it comes from, not in the file being written.
+    #[error(transparent)]
+    Source(DataError),
     /// Somebody else uses the cache.
     #[error("{}: the cache is in use by another run\n  hint: wait until it has finished, then try again", path.display())]
     Busy {
@@ -92,7 +95,7 @@ impl StoreError {
         match self {
             StoreError::Damaged { .. } | StoreError::NotReadable { .. } | StoreError::Content { .. } | StoreError::Library { .. } => true,
             StoreError::Io { source, .. } => source.kind() == std::io::ErrorKind::NotFound,
-            StoreError::Misuse { .. } | StoreError::Busy { .. } => false,
+            StoreError::Misuse { .. } | StoreError::Source(_) | StoreError::Busy { .. } => false,
         }
     }
 }
@@ -111,6 +114,7 @@ impl From<StoreError> for NodeError {
             }
             StoreError::NotReadable { path, found, hint } => NodeError::input(format!("{}: {found}", path.display())).hint(hint),
             StoreError::Misuse { .. } => NodeError::failed(error.to_string()),
+            StoreError::Source(error) => error.into(),
             other => NodeError::files(other.to_string()),
         }
     }

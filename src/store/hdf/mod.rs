@@ -61,7 +61,7 @@ impl Opened {
         let file = locked(|| File::open(path)).map_err(|error| StoreError::NotReadable {
             path: path.into(),
             found: format!("the HDF5 library cannot open the file: {}", short(&error)),
-            hint: "the file is probably cut short or damaged: copy or record it again".into(),
+            hint: hint_for(&short(&error)).into(),
         })?;
         Ok(Opened { path: path.into(), file, bytes })
     }
@@ -140,6 +140,15 @@ impl Opened {
             return Err(self.content(at, format!("chunks of {chunk_bytes} bytes"), "chunks of at most 1 GiB", "write the file again with smaller chunks"));
         }
         Ok(())
+    }
+}
+
+/// What to do about a file that begins as HDF5 does and still cannot be opened.
+fn hint_for(detail: &str) -> &'static str {
+    if detail.contains("unable to lock file") {
+        "another program has the file open for writing: close it there, or wait until it has finished"
+    } else {
+        "the file is probably cut short or damaged: copy or record it again"
     }
 }
 

@@ -17,22 +17,17 @@ const DAMAGED: &str = "the artefact is damaged: run the pipeline again";
 
 /// Reads a part band by band and adds its rows to the digest.
 pub(super) fn each_band<M: BandMeta>(
-    opened: &Opened,
     part: &Handle<M>,
     digest: &mut ValueDigest,
     mut take: impl FnMut(M::Band) -> Result<(), StoreError>,
 ) -> Result<(), StoreError> {
     for rows in part.rows().bands(ROWS_AT_ONCE) {
-        let band = part.read(rows).map_err(|error| unreadable(opened, error))?;
+        let band = part.read(rows).map_err(StoreError::Source)?;
         let digests: Vec<Digest> = rows.iter().into_par_iter().map(|row| band.row_digest(row)).collect();
         digest.add_rows(&digests);
         take(band)?;
     }
     Ok(())
-}
-
-pub(super) fn unreadable(opened: &Opened, error: DataError) -> StoreError {
-    StoreError::Misuse { path: opened.path.clone(), what: format!("the data to write cannot be read: {}", error.message) }
 }
 
 /// Events being written.
@@ -59,7 +54,7 @@ impl EventsBody {
     }
 
     pub fn append(&mut self, opened: &Opened, part: &EventStream, digest: &mut ValueDigest) -> Result<(), StoreError> {
-        each_band(opened, part, digest, |band| {
+        each_band(part, digest, |band| {
             if band.t_in.is_some() != self.t_in.is_some() || band.step.is_some() != self.step.is_some() {
                 return Err(StoreError::Misuse { path: opened.path.clone(), what: "a band has other event columns than its stream announces".into() });
             }
@@ -105,8 +100,8 @@ impl TracksBody {
         Ok(TracksBody { t: ColumnWriter::new(opened, "tracks/t"), photocurrent: ColumnWriter::new(opened, "tracks/photocurrent"), pixel_offsets })
     }
 
-    pub fn append(&mut self, opened: &Opened, part: &TrackSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
-        each_band(opened, part, digest, |band| {
+    pub fn append(&mut self, part: &TrackSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
+        each_band(part, digest, |band| {
             let before = self.t.len() as u64;
             let offsets: Vec<u64> = band.offsets()[1..].iter().map(|&offset| before + offset as u64).collect();
             self.pixel_offsets.append(&offsets)?;

@@ -1,6 +1,6 @@
 //! Frames and maps: dense grids in chunks of a few rows (and a few frames), so that a row band and a time range are both cheap.
 
-use super::columns::{create_group, each_band, required, unreadable};
+use super::columns::{create_group, each_band, required};
 use crate::error::StoreError;
 use crate::hdf::Opened;
 use crate::hdf::grid::Grid;
@@ -121,9 +121,9 @@ impl FramesBody {
         StripWriter::create::<f32>(opened, "frames/dn", meta.times.len(), meta.extent.height as usize, &[meta.row_values()]).map(FramesBody)
     }
 
-    pub fn append(&mut self, opened: &Opened, part: &FrameSequence, digest: &mut ValueDigest) -> Result<(), StoreError> {
+    pub fn append(&mut self, part: &FrameSequence, digest: &mut ValueDigest) -> Result<(), StoreError> {
         for rows in part.rows().bands(self.0.rows_at_once()) {
-            let block = part.read_rows(rows).map_err(|error| unreadable(opened, error))?;
+            let block = part.read_rows(rows).map_err(StoreError::Source)?;
             let digests: Vec<Digest> = rows.iter().into_par_iter().map(|row| block.row_digest(row)).collect();
             digest.add_rows(&digests);
             self.0.append(&block, |dn| dn)?;
@@ -155,8 +155,8 @@ impl MapBody {
         Ok(MapBody { writer, chunk_rows, row_values: planes * width, first_row: 0, pending: Vec::new() })
     }
 
-    pub fn append(&mut self, opened: &Opened, part: &MapSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
-        each_band(opened, part, digest, |band| {
+    pub fn append(&mut self, part: &MapSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
+        each_band(part, digest, |band| {
             self.pending.extend_from_slice(&band.values);
             if self.pending.len() >= QUEUE * self.chunk_rows * self.row_values { self.flush(false) } else { Ok(()) }
         })

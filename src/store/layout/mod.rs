@@ -109,9 +109,9 @@ impl ValueWriter {
         }
         match (&mut self.body, part) {
             (Body::Events(body), Value::Events(part)) => body.append(&self.opened, part, &mut self.digest),
-            (Body::Frames(body), Value::Frames(part) | Value::Truth(Truth(part))) => body.append(&self.opened, part, &mut self.digest),
-            (Body::Tracks(body), Value::Tracks(part)) => body.append(&self.opened, part, &mut self.digest),
-            (Body::Map(body), Value::Map(part)) => body.append(&self.opened, part, &mut self.digest),
+            (Body::Frames(body), Value::Frames(part) | Value::Truth(Truth(part))) => body.append(part, &mut self.digest),
+            (Body::Tracks(body), Value::Tracks(part)) => body.append(part, &mut self.digest),
+            (Body::Map(body), Value::Map(part)) => body.append(part, &mut self.digest),
             (Body::Whole(whole @ None), part) => {
                 *whole = Some(part.clone());
                 Ok(())

@@ -90,16 +90,12 @@ fn covers(path: &Path, what: &str, extent: Extent, rows: photocurrent_core::Rows
     Ok(())
 }
 
-fn unreadable(opened: &Opened, error: photocurrent_core::DataError) -> StoreError {
-    StoreError::Misuse { path: opened.path.clone(), what: format!("the data to write cannot be read: {}", error.message) }
-}
-
 fn write_events(opened: &Opened, events: &EventStream) -> Result<(), StoreError> {
     let group = create_group(opened, "events")?;
     if let Some(step) = events.meta.t_resolution_ns {
         opened.set_integer_attribute(&group, "t_resolution_ns", step)?;
     }
-    let band = events.read(events.rows()).map_err(|error| unreadable(opened, error))?;
+    let band = events.read(events.rows()).map_err(StoreError::Source)?;
     // Stable: equal stamps stay in row order, and inside a row in their own order.
     let mut order: Vec<usize> = (0..band.len()).collect();
     order.sort_by_key(|&i| band.t[i]);
@@ -163,7 +159,7 @@ fn write_numbers<T: Item>(opened: &Opened, name: &str, frames: &FrameSequence, c
     let tail = if channels == 1 { &tail[..1] } else { &tail[..] };
     let mut writer = StripWriter::create::<T>(opened, name, frames.len(), frames.meta.extent.height as usize, tail)?;
     for rows in frames.rows().bands(writer.rows_at_once()) {
-        let block = frames.read_rows(rows).map_err(|error| unreadable(opened, error))?;
+        let block = frames.read_rows(rows).map_err(StoreError::Source)?;
         writer.append(&block, &convert)?;
     }
     Ok(())

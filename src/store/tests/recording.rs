@@ -285,6 +285,22 @@ fn a_recording_that_is_cut_short_is_an_error_at_any_length() {
 }
 
 #[test]
+fn a_file_that_somebody_writes_is_not_called_damaged() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("egg.h5");
+    write_full(&path);
+    let writer = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
+    writer.lock().unwrap();
+    // A library that was built or told not to lock reads it all the same.
+    if let Err(error) = Recording::open(&path) {
+        let error = error.to_string();
+        assert!(error.contains("egg.h5") && error.contains("another program has the file open for writing"), "{error}");
+    }
+    drop(writer);
+    Recording::open(&path).unwrap();
+}
+
+#[test]
 fn a_dataset_stored_in_another_file_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let secret = folder.path().join("secret");
