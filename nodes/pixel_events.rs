@@ -6,6 +6,7 @@
 
 use photocurrent_core::events::{EventRow, Polarity};
 use photocurrent_core::quantity::Duration;
+use photocurrent_core::sensor::Reset;
 use photocurrent_core::{EventsMeta, NodeError, Sensor};
 use photocurrent_sensor::effects::clock_offset::ClockOffset;
 use schemars::JsonSchema;
@@ -95,10 +96,13 @@ pub fn clock_offset(sensor: &Sensor) -> Result<ClockOffset, NodeError> {
     }
 }
 
-/// Effects of the description that the caller's model leaves out, as a sentence for the user; `None` when there is none.
-pub fn effects_left_out(sensor: &Sensor) -> Option<String> {
-    let left: Vec<&str> = sensor.effects.keys().map(String::as_str).filter(|id| *id != "clock_offset").collect();
-    (!left.is_empty()).then(|| format!("effects of the sensor description that are not modelled here: {}", left.join(", ")))
+/// What the description states and neither solver nor simulator models yet, as a sentence for the user; `None` when there is nothing.
+pub fn left_out(sensor: &Sensor) -> Option<String> {
+    let mut left: Vec<String> = sensor.effects.keys().filter(|id| *id != "clock_offset").map(|id| format!("effects.{id}")).collect();
+    if sensor.comparator.reset != Reset::Resample {
+        left.push("comparator.reset (V_ref is taken as resampled)".into());
+    }
+    (!left.is_empty()).then(|| format!("stated in the sensor description \"{}\" but not modelled here: {}", sensor.name, left.join(", ")))
 }
 
 #[cfg(test)]
@@ -123,6 +127,13 @@ mod tests {
             assert_eq!(rule.time(&band.row(0), 0), expected);
             assert_eq!(rule.step(&band.row(0), 0), -0.3);
         }
+    }
+
+    #[test]
+    fn what_is_not_modelled_is_said() {
+        assert_eq!(left_out(&sensor("[effects]\nclock_offset = { offset = \"6 ms\" }")), None);
+        let said = left_out(&sensor("[effects]\nleak_events = { rate = \"1 Hz\" }")).unwrap();
+        assert!(said.ends_with("not modelled here: effects.leak_events"), "{said}");
     }
 
     #[test]

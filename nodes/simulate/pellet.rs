@@ -6,6 +6,7 @@
 //!
 //! Limits: grey, no photon noise in the event path, readout latency drawn per event (no queue). Light sampled in steps of [`LIGHT_STEP_NS`].
 
+use crate::pixel_events::{clock_offset, left_out};
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
@@ -142,7 +143,7 @@ impl SimulatePellet {
     fn metas(&self, sensor: &Sensor) -> Result<(EventsMeta, FramesMeta, FramesMeta), NodeError> {
         let extent = self.extent();
         let duration = self.params.duration.ns();
-        let events = EventsMeta { extent, span: Some(TimeSpan::new(0, duration)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
+        let events = EventsMeta { extent, span: Some(TimeSpan::new(0, duration).moved(clock_offset(sensor)?.offset_ns)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
         let frames = FramesMeta { extent, channels: 1, times: self.frame_times(sensor)?, scale: FrameScale::Captured };
         let period = 1e9 / self.params.truth_rate.hz();
         let instants = (0..).map(|k| (f64::from(k) * period).round() as i64).take_while(|t| *t < duration);
@@ -156,6 +157,9 @@ impl SimulatePellet {
 
     fn pixel(&self, sensor: &Sensor) -> Result<Pixel, NodeError> {
         const WHO: &str = "simulate/pellet";
+        if let Some(left_out) = left_out(sensor) {
+            return Err(NodeError::usage(left_out).hint("simulate with a description that states only what is modelled"));
+        }
         Ok(Pixel {
             front_end: FrontEnd {
                 tau_0_s: sensor.need(sensor.front_end.tau_0, "front_end.tau_0", WHO)?.seconds(),
@@ -210,6 +214,7 @@ params = { duration = "60 ms", frame_rate = "120 fps", truth_rate = "1 kHz", spe
         let sensor = inputs.sensor("sensor")?;
         self.pixel(sensor)?;
         sensor.need(sensor.frames.gain, "frames.gain", "simulate/pellet")?;
+        clock_offset(sensor)?;
         let (events, frames, truth) = self.metas(sensor)?;
         Ok(vec![Meta::Events(Arc::new(events)), Meta::Frames(Arc::new(frames)), Meta::Truth(Arc::new(truth))])
     }
@@ -220,6 +225,7 @@ params = { duration = "60 ms", frame_rate = "120 fps", truth_rate = "1 kHz", spe
         let pixel = self.pixel(sensor)?;
         let scene = Scene::new(&self.params, cx.seed());
         let capture = Capture::new(sensor, &self.params)?;
+        let offset = clock_offset(sensor)?;
         let rows = cx.rows();
         cx.begin(rows.len() as u64, "rows");
         let simulate_row = |y: u32| -> Result<RowData, NodeError> {
@@ -231,13 +237,12 @@ params = { duration = "60 ms", frame_rate = "120 fps", truth_rate = "1 kHz", spe
                     let mut noise =
                         ThresholdNoise { random: Random::new(cx.seed(), &[x.into(), y.into(), 1]), sigma: sensor.comparator.threshold_noise.unwrap_or(0.0) };
                     let fired = simulate_events(&pixel, &light, 0, self.params.duration.ns(), &mut noise);
-                    row.events.extend(fired.iter().filter(|e| e.t_off_ns < self.params.duration.ns()).map(|e| Event {
-                        x: x as u16,
-                        y: y as u16,
-                        polarity: if e.polarity > 0 { Polarity::On } else { Polarity::Off },
-                        t: e.t_off_ns,
-                        t_in: Some(e.t_in_ns),
-                    }));
+                    for event in fired.iter().filter(|event| event.t_off_ns < self.params.duration.ns()) {
+                        let mut stamps = [event.t_in_ns, event.t_off_ns];
+                        offset.record(&mut stamps).map_err(|error| NodeError::failed(error.to_string()))?;
+                        let polarity = if event.polarity > 0 { Polarity::On } else { Polarity::Off };
+                        row.events.push(Event { x: x as u16, y: y as u16, polarity, t: stamps[1], t_in: Some(stamps[0]) });
+                    }
                 }
                 let mut random = Random::new(cx.seed(), &[x.into(), y.into(), 2]);
                 for l in 0..frames_meta.times.len() {
@@ -511,6 +516,25 @@ mod tests {
             }
         }
         assert!(checked > 500);
+    }
+
+    #[test]
+    fn a_clock_offset_moves_every_stamp_and_nothing_else() {
+        let rows = Rows { start: 0, end: 16 };
+        let mut late = sensor();
+        late.effects.insert("clock_offset".into(), serde_json::json!({ "offset": "6 ms" }).as_object().unwrap().clone());
+        let node = SimulatePellet::build(small()).unwrap();
+        let moved = testing::with_context(rows, &["events"], |cx| node.run(In { sensor: Arc::new(late) }, cx)).0.unwrap().events;
+        let plain = run(small(), rows).events;
+        let (moved, plain) = (moved.read(rows).unwrap(), plain.read(rows).unwrap());
+        assert!(moved.t.iter().zip(&plain.t).all(|(a, b)| a - b == 6_000_000) && moved.x == plain.x);
+    }
+
+    #[test]
+    fn what_the_simulation_does_not_model_is_refused() {
+        let mut leaky = sensor();
+        leaky.effects.insert("leak_events".into(), serde_json::Map::new());
+        assert!(SimulatePellet::build(small()).unwrap().pixel(&leaky).unwrap_err().message.contains("effects.leak_events"));
     }
 
     #[test]

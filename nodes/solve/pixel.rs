@@ -12,7 +12,7 @@
 //! problem does not converge gets the safe estimate (a double integral) and is counted; the `map` output shows where.
 
 use crate::compensate::readout::check_events;
-use crate::pixel_events::{Stamp, StepRule, effects_left_out};
+use crate::pixel_events::{Stamp, StepRule, left_out};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::handle::Band;
 use photocurrent_core::{
@@ -257,7 +257,7 @@ params = { front_end = "low_pass", readout = "slope", cis_weight = 1.0, evs_weig
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let meta = SolvePixel::tracks_meta(&input.events.meta, &input.frames.meta)?;
         let model = self.model(&input.sensor, &input.events.meta)?;
-        if let Some(note) = effects_left_out(&input.sensor) {
+        if let Some(note) = left_out(&input.sensor) {
             cx.note(note);
         }
         let rows = cx.rows();

@@ -530,13 +530,4 @@ mod tests {
     }
 
     /// Writes a sheet of a moving disc into the folder that this variable names, to be looked at.
-    #[test]
-    #[ignore = "makes a picture for people: SHEET=. cargo test -p photocurrent-nodes a_sheet_to_look_at -- --ignored"]
-    fn a_sheet_to_look_at() {
-        let to = std::env::var("SHEET").unwrap();
-        let labels = params(&["repeat nearest frame", "ours: slope + low_pass (28.50 dB)"]);
-        draw_sheet(labels, vec![disc(20, 0.8).select(vec![0, 10, 19]), disc(20, 1.1)], Some(Truth(disc(20, 1.0))), |_, _, folder| {
-            std::fs::copy(folder.join("contact_sheet.png"), Path::new(&to).join("sheet.png")).unwrap();
-        });
-    }
 }

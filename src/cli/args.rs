@@ -68,7 +68,7 @@ pub struct RunOptions {
     /// Threads, for nodes side by side and inside nodes [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub threads: Option<u32>,
-    /// Memory for data, such as 800MB or 8GiB [default: half of the machine's]
+    /// Memory for data, such as 800MB or 8GiB [default: half of what is free]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     pub memory: Option<u64>,
     /// Height of row bands, instead of what memory asks for; results do not depend on it

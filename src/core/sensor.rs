@@ -12,6 +12,56 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
+/// The ids that `[effects]` may name: what a sensor may do beyond the paper's model. The list grows, ids never change meaning.
+pub const EFFECT_IDS: [&str; 41] = [
+    // Front end.
+    "dark_current",
+    "time_constant",
+    "second_pole",
+    "large_signal_front_end",
+    "slew_limit",
+    "high_pass_front_end",
+    "bandwidth_gradient",
+    // Comparator and reset.
+    "threshold_scale",
+    "threshold_asymmetry",
+    "threshold_mismatch",
+    "threshold_noise",
+    "threshold_drift",
+    "threshold_gradient",
+    "refractory",
+    "refractory_spread",
+    "refractory_light",
+    "reset_memory",
+    "leak_events",
+    "parasitic_leak",
+    "background_activity",
+    "hot_pixels",
+    "hot_rows",
+    "lateral_inhibition",
+    // Readout and time.
+    "readout_queue",
+    "event_loss",
+    "timestamp_quantization",
+    "timestamp_jitter",
+    "clock_offset",
+    "clock_drift",
+    "row_skew",
+    "frame_coupling",
+    // Optics.
+    "misalignment",
+    "blur",
+    "crosstalk",
+    // Exposure.
+    "black_level",
+    "frame_nonlinearity",
+    "vignetting",
+    "row_time",
+    "exposure_time",
+    "frame_gain_steps",
+    "image_lag",
+];
+
 /// The version of the form.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum SensorFormat {
@@ -174,6 +224,13 @@ impl Sensor {
         let schema = schemars::schema_for!(Sensor).to_value();
         let mut problems = Vec::new();
         schema::validate(&tree, &schema, "field of a sensor description", &mut problems);
+        let effects = tree.as_table().and_then(|table| table.get("effects")).and_then(Tree::as_table);
+        for (key, _) in effects.iter().flat_map(|effects| &effects.entries) {
+            if !EFFECT_IDS.contains(&key.name.as_str()) {
+                let problem = Problem::at(&key.origin, format!("`{}` is no effect of the catalogue", key.name)).label("unknown id");
+                problems.push(problem.did_you_mean(&key.name, EFFECT_IDS));
+            }
+        }
         if !problems.is_empty() {
             return Err(problems);
         }
@@ -234,6 +291,14 @@ leak_events = { rate = "0.1 Hz" }
     fn it_survives_being_written_as_json() {
         let sensor = Sensor::parse(&Source::new("s.toml", "", HYBRID)).unwrap();
         assert_eq!(serde_json::from_str::<Sensor>(&sensor.canonical_json()).unwrap(), sensor);
+    }
+
+    #[test]
+    fn an_effect_that_is_not_in_the_catalogue_is_refused() {
+        let text = HYBRID.replace("leak_events", "leek_events");
+        let problems = Sensor::parse(&Source::new("s.toml", "", text)).unwrap_err();
+        assert_eq!(problems[0].message, "`leek_events` is no effect of the catalogue");
+        assert_eq!(problems[0].help.as_deref(), Some("did you mean `leak_events`?"));
     }
 
     #[test]

@@ -62,6 +62,11 @@ impl TimeSpan {
         self.end - self.start
     }
 
+    /// The same length, `ns` later.
+    pub fn moved(self, ns: i64) -> TimeSpan {
+        TimeSpan { start: self.start + ns, end: self.end + ns }
+    }
+
     /// The smallest span that holds both.
     pub fn union(self, other: TimeSpan) -> TimeSpan {
         TimeSpan { start: self.start.min(other.start), end: self.end.max(other.end) }
