@@ -143,7 +143,14 @@ impl SimulatePellet {
     fn metas(&self, sensor: &Sensor) -> Result<(EventsMeta, FramesMeta, FramesMeta), NodeError> {
         let extent = self.extent();
         let duration = self.params.duration.ns();
-        let events = EventsMeta { extent, span: Some(TimeSpan::new(0, duration).moved(clock_offset(sensor)?.offset_ns)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
+        let events = EventsMeta {
+            extent,
+            span: Some(TimeSpan::new(0, duration).moved(clock_offset(sensor)?.offset_ns)),
+            has_t_in: true,
+            has_step: false,
+            t_resolution_ns: None,
+            count_hint: None,
+        };
         let frames = FramesMeta { extent, channels: 1, times: self.frame_times(sensor)?, scale: FrameScale::Captured };
         let period = 1e9 / self.params.truth_rate.hz();
         let instants = (0..).map(|k| (f64::from(k) * period).round() as i64).take_while(|t| *t < duration);

@@ -528,6 +528,4 @@ mod tests {
         assert!(refused(huge, vec![meta(&disc); 4]).contains("the contact sheet would have"));
         assert!(refused(Params { columns: 0, ..params(&["a"]) }, vec![]).contains("1 to 100"));
     }
-
-    /// Writes a sheet of a moving disc into the folder that this variable names, to be looked at.
 }
