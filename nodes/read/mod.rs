@@ -21,12 +21,11 @@ fn need_path(path: &InputPath, example: &str) -> Result<(), NodeError> {
 
 /// A file that could not be read, in the reader's terms.
 fn cannot_read(path: &Path, error: &std::io::Error) -> NodeError {
-    let trouble = match error.kind() {
-        std::io::ErrorKind::NotFound => "there is no such file".to_string(),
-        std::io::ErrorKind::InvalidData => "it is not text in UTF-8".to_string(),
-        _ => error.to_string(),
+    let hint = match error.kind() {
+        std::io::ErrorKind::InvalidData => "save it as UTF-8",
+        _ => "paths are relative to the manifest that names them",
     };
-    NodeError::files(format!("cannot read {}: {trouble}", path.display())).hint("paths are relative to the manifest that names them").param("path")
+    NodeError::files(photocurrent_core::error::cannot_read(path, error)).hint(hint).param("path")
 }
 
 /// The file's name without its folder: what messages call it.

@@ -59,7 +59,11 @@ impl ReadRecording {
         }
         let path = self.params.path.path();
         // The system's word for a missing file comes without a hint about where paths start.
-        std::fs::metadata(path).map_err(|error| super::cannot_read(path, &error))?;
+        if std::fs::metadata(path).map_err(|error| super::cannot_read(path, &error))?.is_dir() {
+            return Err(NodeError::files(format!("{}: this is no regular file but a folder", path.display()))
+                .hint("name the HDF5 recording itself, such as `path = \"scene.h5\"`")
+                .param("path"));
+        }
         let recording = Recording::open(path).map_err(|error| NodeError::from(error).param("path"))?;
         Ok(self.opened.get_or_init(|| recording))
     }
@@ -105,7 +109,7 @@ impl Node for ReadRecording {
         grain: Grain::Pixel,
         draws: false,
         exports: false,
-        sources: &[],
+        sources: &["photocurrent-recording/1 (docs/formats.md)"],
         example: r#"
 [nodes.recording]
 kind   = "read/recording"

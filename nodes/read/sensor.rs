@@ -9,8 +9,9 @@
 use photocurrent_core::document::Source;
 use photocurrent_core::quantity::InputPath;
 use photocurrent_core::{Context, Decl, FileRef, Grain, Meta, Node, NodeError, PortMetas, Sensor};
-use schemars::JsonSchema;
+use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value as Json};
 use std::sync::Arc;
 
 /// Parameters of `read/sensor`.
@@ -19,6 +20,22 @@ use std::sync::Arc;
 pub struct Params {
     /// The description, a TOML file in the form `photocurrent-sensor/1`; relative to the manifest that names it.
     pub path: InputPath,
+    /// Fields to lay over the file's, in its own form: `{ comparator = { threshold_on = 0.3 } }`. For sweeps over what is not known well.
+    #[schemars(schema_with = "fields_of_a_sensor")]
+    #[serde(skip_serializing_if = "Map::is_empty")]
+    pub change: Map<String, Json>,
+}
+
+/// The schema of a description in which every field may be left out.
+fn fields_of_a_sensor(generator: &mut SchemaGenerator) -> Schema {
+    let mut schema = Sensor::json_schema(generator);
+    schema.remove("required");
+    schema.insert(
+        "description".into(),
+        "Fields to lay over the file's, in its own form: `{ comparator = { threshold_on = 0.3 } }`. For sweeps over what is not known well.".into(),
+    );
+    schema.insert("default".into(), Json::Object(Map::new()));
+    schema
 }
 
 photocurrent_core::ports! {
@@ -48,7 +65,11 @@ impl ReadSensor {
             let mistakes = if problems.len() == 1 { "a mistake".into() } else { format!("{} mistakes", problems.len()) };
             NodeError::usage(format!("the sensor description {} has {mistakes}", path.display())).param("path").problems(problems)
         })?;
-        Ok(Arc::new(sensor))
+        if self.params.change.is_empty() {
+            return Ok(Arc::new(sensor));
+        }
+        let changed = sensor.changed(&self.params.change).map_err(|why| NodeError::usage(why).param("change"))?;
+        Ok(Arc::new(changed))
     }
 }
 
@@ -60,7 +81,7 @@ impl Node for ReadSensor {
         grain: Grain::Whole,
         draws: false,
         exports: false,
-        sources: &[],
+        sources: &["photocurrent-sensor/1 (docs/formats.md)"],
         example: r#"
 [nodes.sensor]
 kind   = "read/sensor"
@@ -97,7 +118,23 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("hybrid.toml");
         std::fs::write(&path, text).unwrap();
-        ReadSensor::build(Params { path: InputPath::new(path) })?.plan(&PortMetas::default())
+        ReadSensor::build(Params { path: InputPath::new(path), ..Params::default() })?.plan(&PortMetas::default())
+    }
+
+    #[test]
+    fn a_change_is_laid_over_field_by_field() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("hybrid.toml");
+        std::fs::write(&path, "format = \"photocurrent-sensor/1\"\n[comparator]\nthreshold_on = 0.2\nthreshold_off = 0.3\n").unwrap();
+        let with = |change: Json| {
+            let params = Params { path: InputPath::new(&path), change: change.as_object().unwrap().clone() };
+            ReadSensor::build(params).unwrap().read()
+        };
+        let sensor = with(serde_json::json!({ "comparator": { "threshold_on": 0.25 }, "effects": { "clock_offset": { "offset": "4 ms" } } })).unwrap();
+        assert_eq!((sensor.comparator.threshold_on, sensor.comparator.threshold_off), (Some(0.25), Some(0.3)));
+        assert_eq!(sensor.effects["clock_offset"]["offset"], "4 ms");
+        let error = with(serde_json::json!({ "effects": { "clock_ofset": {} } })).unwrap_err();
+        assert!(error.message.contains("`clock_ofset` is no effect of the catalogue"), "{}", error.message);
     }
 
     #[test]
@@ -118,7 +155,7 @@ mod tests {
 
     #[test]
     fn a_missing_file_is_named() {
-        let error = ReadSensor::build(Params { path: InputPath::new("no/such.toml") }).unwrap().plan(&PortMetas::default()).unwrap_err();
+        let error = ReadSensor::build(Params { path: InputPath::new("no/such.toml"), ..Params::default() }).unwrap().plan(&PortMetas::default()).unwrap_err();
         assert!(error.message.contains("no/such.toml"), "{error}");
         assert_eq!(error.param.as_deref(), Some("path"));
         assert!(ReadSensor::build(Params::default()).err().unwrap().message.contains("`path` is missing"));

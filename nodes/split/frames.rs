@@ -81,7 +81,7 @@ impl Node for SplitFrames {
         grain: Grain::Pixel,
         draws: false,
         exports: false,
-        sources: &[],
+        sources: &["leave-one-out prediction"],
         example: r#"
 [nodes.recording]
 kind   = "read/recording"

@@ -276,7 +276,7 @@ impl Node for WriteContactSheet {
         grain: Grain::Whole,
         draws: false,
         exports: true,
-        sources: &[],
+        sources: &["8-bit PNG with display gamma 2.2, for looking only"],
         example: r#"
 [nodes.recording]
 kind   = "read/recording"

@@ -153,7 +153,7 @@ impl Node for WriteFrames {
         grain: Grain::Whole,
         draws: false,
         exports: true,
-        sources: &[],
+        sources: &["16-bit PNG, linear (docs/formats.md)"],
         example: r#"
 [nodes.recording]
 kind   = "read/recording"

@@ -326,7 +326,7 @@ impl Node for WriteTable {
         grain: Grain::Whole,
         draws: false,
         exports: true,
-        sources: &[],
+        sources: &["photocurrent-table/1: Markdown, CSV, JSON (docs/formats.md)"],
         example: r#"
 [nodes.recording]
 kind   = "read/recording"

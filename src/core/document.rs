@@ -113,12 +113,16 @@ impl Problem {
     }
 }
 
-/// The known name nearest to `found`, when it is near enough to be a slip of the hand.
+/// The known name nearest to `found`, when it is near enough to be a slip of the hand: less than half of the letters differ, and of a long
+/// name few.
 pub fn nearest<'a>(found: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     known
         .into_iter()
         .map(|name| (strsim::damerau_levenshtein(found, name), name))
-        .filter(|(distance, name)| *distance <= 1 + name.len().max(found.len()) / 4)
+        .filter(|(distance, name)| {
+            let longer = name.chars().count().max(found.chars().count());
+            *distance <= 1 + longer / 4 && 2 * *distance < longer
+        })
         .min()
         .map(|(_, name)| name)
 }
@@ -315,5 +319,6 @@ mod tests {
         let known = ["cis_weight", "evs_weight", "readout"];
         assert_eq!(nearest("cis_wieght", known), Some("cis_weight"));
         assert_eq!(nearest("colour", known), None);
+        assert_eq!((nearest("none", ["off", "on"]), nearest("of", ["off", "on"])), (None, Some("off")));
     }
 }

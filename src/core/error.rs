@@ -2,6 +2,7 @@
 
 use crate::document::Problem;
 use std::fmt;
+use std::path::Path;
 
 /// Data could not be read: a file, a damaged artefact, or a request outside what a handle holds.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -16,6 +17,19 @@ impl DataError {
     pub fn new(message: impl Into<String>) -> DataError {
         DataError { message: message.into() }
     }
+}
+
+/// Why a file could not be read, in the reader's terms: "cannot read scene.h5: there is no such file".
+pub fn cannot_read(path: &Path, error: &std::io::Error) -> String {
+    use std::io::ErrorKind;
+    let trouble = match error.kind() {
+        ErrorKind::NotFound => "there is no such file".to_string(),
+        ErrorKind::InvalidData => "it is not text in UTF-8".to_string(),
+        ErrorKind::IsADirectory => "it is a folder, not a file".to_string(),
+        ErrorKind::PermissionDenied => "its permissions forbid it".to_string(),
+        _ => error.to_string(),
+    };
+    format!("cannot read {}: {trouble}", path.display())
 }
 
 /// What kind of trouble stopped a node; decides the exit code.

@@ -77,18 +77,27 @@ impl Dimension {
         if unit.is_empty() {
             return Err(bad(format!("`{text}` has no unit")));
         }
-        let value: f64 = number.parse().map_err(|_| bad(format!("`{number}` is not a number")))?;
+        let value: f64 = number.parse().map_err(|_| bad(format!("`{text}` does not begin with a number")))?;
         if !value.is_finite() {
             return Err(bad(format!("`{text}` is not finite")));
         }
         // "µ" exists twice in Unicode; both mean micro.
         let unit = unit.replace(['\u{b5}', '\u{3bc}'], "u");
         let size = self.units().iter().find(|(name, _)| *name == unit).map(|(_, size)| *size);
-        let size = size.ok_or_else(|| bad(format!("unknown unit `{unit}`")))?;
+        let size = size.ok_or_else(|| {
+            let knows_it = |other: &Dimension| *other != self && other.units().iter().any(|(name, _)| *name == unit);
+            bad(match Dimension::ALL.into_iter().find(knows_it) {
+                Some(other) => format!("`{unit}` is a unit of {}, not of {}", other.name(), self.name()),
+                None => format!("unknown unit `{unit}`"),
+            })
+        })?;
         let base = value * size;
         if self == Dimension::Time {
             let whole = base.round();
-            if (base - whole).abs() > 1e-6 * size.clamp(1.0, 1e3) || whole.abs() > i64::MAX as f64 / 4.0 {
+            if whole.abs() > i64::MAX as f64 / 4.0 {
+                return Err(bad(format!("`{text}` is longer than the clock can count (about 73 years)")));
+            }
+            if (base - whole).abs() > 1e-6 * size.clamp(1.0, 1e3) {
                 return Err(bad(format!("`{text}` is not a whole number of nanoseconds")));
             }
             return Ok(whole);
@@ -274,6 +283,17 @@ mod tests {
         assert_eq!(error, "`100` has no unit; expected a time such as \"100 us\" (units: ns, us, ms, s, min)");
         assert!("3 parsec".parse::<Rate>().unwrap_err().to_string().starts_with("unknown unit `parsec`"));
         assert!("0.3 ns".parse::<Duration>().unwrap_err().to_string().contains("whole number of nanoseconds"));
+    }
+
+    #[test]
+    fn a_wrong_quantity_is_told_from_a_wrong_unit_and_from_a_wrong_number() {
+        let said = |error: QuantityError| error.what;
+        assert_eq!(said("8 ms".parse::<Rate>().unwrap_err()), "`ms` is a unit of time, not of rate");
+        assert_eq!(said("10 kHz".parse::<Duration>().unwrap_err()), "`kHz` is a unit of rate, not of time");
+        assert_eq!(said("fast Hz".parse::<Rate>().unwrap_err()), "`fast Hz` does not begin with a number");
+        for text in ["9e12 s", "-9e12 s", "9e300 min"] {
+            assert_eq!(said(text.parse::<Duration>().unwrap_err()), format!("`{text}` is longer than the clock can count (about 73 years)"));
+        }
     }
 
     #[test]

@@ -1,17 +1,18 @@
 //! Checks a [`Tree`] against the JSON Schema that a `Params` struct generates, reporting every mistake at its place.
 //!
 //! The struct stays the only statement of what is allowed: its doc comments, ranges and units become the schema (through `schemars`), the
-//! schema becomes checks here, the manual, and completion in an editor. Beyond JSON Schema there are four keys of ours: `x-quantity` (a text with
-//! a unit, see [`crate::quantity`]), `x-min` and `x-max` (bounds of a quantity, with unit), and `x-path` (a path, relative to the file that wrote it).
+//! schema becomes checks here, the manual, and completion in an editor. Beyond JSON Schema there are five keys of ours: `x-quantity` (a text with
+//! a unit, see [`crate::quantity`]), `x-min` and `x-max` (bounds of a quantity, with unit), `x-path` (a path, relative to the file that wrote it),
+//! and `x-example` (what to write instead of a value of the wrong form).
 
-use crate::document::{Item, Problem, Tree};
+use crate::document::{Item, Problem, Tree, nearest};
 use crate::quantity::Dimension;
 use serde_json::Value as Json;
 
 /// Checks `tree` against a whole schema and appends every problem found.
 /// `what` names the thing in messages: "parameter of solve/pixel".
 pub fn validate(tree: &Tree, schema: &Json, what: &str, problems: &mut Vec<Problem>) {
-    Checker { root: schema, what }.check(tree, schema, problems);
+    Checker { root: schema, what }.check(tree, schema, "", problems);
 }
 
 struct Checker<'a> {
@@ -54,17 +55,28 @@ fn allows(schema: &Json, name: &str) -> bool {
     schema["type"] == name || schema["type"].as_array().is_some_and(|types| types.iter().any(|t| t == name))
 }
 
+/// "from 1 to 8", "at least 0", "greater than 0 and at most 100": the whole range, from bounds as they are written.
+fn range(least: Option<String>, above: Option<String>, most: Option<String>, below: Option<String>) -> String {
+    match (&least, &above, &most, &below) {
+        (Some(least), None, Some(most), None) => return format!("from {least} to {most}"),
+        _ => {}
+    }
+    let named = [("at least", least), ("greater than", above), ("at most", most), ("less than", below)];
+    named.into_iter().filter_map(|(words, bound)| Some(format!("{words} {}", bound?))).collect::<Vec<_>>().join(" and ")
+}
+
 impl Checker<'_> {
-    fn check(&self, tree: &Tree, outer: &Json, problems: &mut Vec<Problem>) {
+    /// `path` leads from the whole to this value: `crop.width`, `times[1]`; empty for the whole.
+    fn check(&self, tree: &Tree, outer: &Json, path: &str, problems: &mut Vec<Problem>) {
         let schema = resolve(self.root, outer);
         if let Some(words) = words(self.root, schema) {
             return self.check_word(tree, &words, problems);
         }
         if let Some(alternatives) = alternatives(schema) {
-            return self.check_alternatives(tree, &alternatives, problems);
+            return self.check_alternatives(tree, &alternatives, path, problems);
         }
         if let Some(dimension) = schema["x-quantity"].as_str().and_then(Dimension::named) {
-            return self.check_quantity(tree, dimension, outer, schema, problems);
+            return self.check_quantity(tree, dimension, (outer, schema), path, problems);
         }
         let expected = if allows(schema, "object") {
             "a table"
@@ -82,20 +94,29 @@ impl Checker<'_> {
             return;
         };
         match (&tree.item, expected) {
-            (Item::Table(_), "a table") => self.check_table(tree, schema, problems),
+            (Item::Table(_), "a table") => self.check_table(tree, schema, path, problems),
             (Item::Array(items), "a list") => {
                 if let Some(least) = schema["minItems"].as_u64().filter(|least| (items.len() as u64) < *least) {
                     problems.push(Problem::at(&tree.origin, format!("a list of at least {least} is needed, found {}", items.len())));
                 }
-                items.iter().for_each(|item| self.check(item, &schema["items"], problems));
+                for (i, item) in items.iter().enumerate() {
+                    self.check(item, &schema["items"], &format!("{path}[{i}]"), problems);
+                }
             }
             (Item::Boolean(_), "`true` or `false`") | (Item::String(_), "a text in quotes") => {}
-            (Item::Integer(number), "an integer" | "a number") => self.check_range(tree, *number as f64, outer, schema, problems),
-            (Item::Float(number), "a number") if number.is_finite() => self.check_range(tree, *number, outer, schema, problems),
+            (Item::Integer(number), "an integer" | "a number") => self.check_range(tree, *number as f64, (outer, schema), path, problems),
+            (Item::Float(number), "a number") if number.is_finite() => self.check_range(tree, *number, (outer, schema), path, problems),
             (Item::Float(_), "a number") => {
                 problems.push(Problem::at(&tree.origin, format!("expected a finite number, found {}", tree.describe())).label("not finite"))
             }
-            _ => problems.push(Problem::at(&tree.origin, format!("expected {expected}, found {}", tree.describe())).label(format!("expected {expected}"))),
+            _ => {
+                let problem = Problem::at(&tree.origin, format!("expected {expected}, found {}", tree.describe())).label(format!("expected {expected}"));
+                problems.push(match (schema["x-example"].as_str(), tree.as_str()) {
+                    (Some(example), _) => problem.help(format!("such as {example}")),
+                    (None, Some(text)) if expected == "a list" => problem.help(format!("a list of one is [\"{text}\"]")),
+                    _ => problem,
+                });
+            }
         }
     }
 
@@ -115,11 +136,11 @@ impl Checker<'_> {
     }
 
     /// Accepts what any alternative accepts; otherwise reports the complaints of the alternative that complains deepest inside.
-    fn check_alternatives(&self, tree: &Tree, alternatives: &[&Json], problems: &mut Vec<Problem>) {
+    fn check_alternatives(&self, tree: &Tree, alternatives: &[&Json], path: &str, problems: &mut Vec<Problem>) {
         let mut best: Option<Vec<Problem>> = None;
         for schema in alternatives {
             let mut found = Vec::new();
-            self.check(tree, schema, &mut found);
+            self.check(tree, schema, path, &mut found);
             if found.is_empty() {
                 return;
             }
@@ -131,7 +152,7 @@ impl Checker<'_> {
         problems.extend(best.unwrap_or_default());
     }
 
-    fn check_quantity(&self, tree: &Tree, dimension: Dimension, outer: &Json, schema: &Json, problems: &mut Vec<Problem>) {
+    fn check_quantity(&self, tree: &Tree, dimension: Dimension, (outer, schema): (&Json, &Json), path: &str, problems: &mut Vec<Problem>) {
         let Some(text) = tree.as_str() else {
             let problem = Problem::at(&tree.origin, format!("expected a {} with its unit, found {}", dimension.name(), tree.describe()));
             let help = match tree.item {
@@ -156,46 +177,49 @@ impl Checker<'_> {
         };
         let bound = |key: &str| outer[key].as_str().or_else(|| schema[key].as_str());
         let number = |text: &str| dimension.read(text).unwrap_or(f64::NAN);
-        if let Some(least) = bound("x-min").filter(|least| value < number(least)) {
-            problems.push(Problem::at(&tree.origin, format!("{text} is below the smallest allowed value, {least}")).label("too small"));
-        }
-        if let Some(most) = bound("x-max").filter(|most| value > number(most)) {
-            problems.push(Problem::at(&tree.origin, format!("{text} is above the largest allowed value, {most}")).label("too large"));
+        let (least, most) = (bound("x-min"), bound("x-max"));
+        let too_small = least.is_some_and(|least| value < number(least));
+        if too_small || most.is_some_and(|most| value > number(most)) {
+            let range = range(least.map(String::from), None, most.map(String::from), None);
+            problems.push(self.outside(tree, path, &range, text.trim(), too_small));
         }
     }
 
-    fn check_range(&self, tree: &Tree, value: f64, outer: &Json, schema: &Json, problems: &mut Vec<Problem>) {
+    fn check_range(&self, tree: &Tree, value: f64, (outer, schema): (&Json, &Json), path: &str, problems: &mut Vec<Problem>) {
         let bound = |key: &str| outer[key].as_f64().or_else(|| schema[key].as_f64());
-        let mut refuse = |text: String, label: &str| problems.push(Problem::at(&tree.origin, text).label(label));
-        if let Some(least) = bound("minimum").filter(|least| value < *least) {
-            refuse(format!("{value} is below the smallest allowed value, {least}"), "too small");
-        }
-        if let Some(least) = bound("exclusiveMinimum").filter(|least| value <= *least) {
-            refuse(format!("{value} must be greater than {least}"), "too small");
-        }
-        if let Some(most) = bound("maximum").filter(|most| value > *most) {
-            refuse(format!("{value} is above the largest allowed value, {most}"), "too large");
-        }
-        if let Some(most) = bound("exclusiveMaximum").filter(|most| value >= *most) {
-            refuse(format!("{value} must be less than {most}"), "too large");
+        let (least, above, most, below) = (bound("minimum"), bound("exclusiveMinimum"), bound("maximum"), bound("exclusiveMaximum"));
+        let too_small = least.is_some_and(|least| value < least) || above.is_some_and(|above| value <= above);
+        if too_small || most.is_some_and(|most| value > most) || below.is_some_and(|below| value >= below) {
+            let shown = |bound: Option<f64>| bound.map(|bound| bound.to_string());
+            problems.push(self.outside(tree, path, &range(shown(least), shown(above), shown(most), shown(below)), &value.to_string(), too_small));
         }
     }
 
-    fn check_table(&self, tree: &Tree, schema: &Json, problems: &mut Vec<Problem>) {
+    fn outside(&self, tree: &Tree, path: &str, range: &str, found: &str, too_small: bool) -> Problem {
+        Problem::at(&tree.origin, format!("`{path}` must be {range}, found {found}")).label(if too_small { "too small" } else { "too large" })
+    }
+
+    fn check_table(&self, tree: &Tree, schema: &Json, path: &str, problems: &mut Vec<Problem>) {
         let Some(table) = tree.as_table() else { return };
         let properties = schema["properties"].as_object();
+        let known: Vec<&str> = properties.map(|p| p.keys().map(String::as_str).collect()).unwrap_or_default();
+        // What a slip of the hand stands for is not reported as missing a second time.
+        let mut suggested: Vec<&str> = Vec::new();
         for (key, value) in &table.entries {
+            let inner = if path.is_empty() { key.name.clone() } else { format!("{path}.{}", key.name) };
             if let Some(property) = properties.and_then(|p| p.get(&key.name)) {
-                self.check(value, property, problems);
+                self.check(value, property, &inner, problems);
             } else if schema["additionalProperties"].is_object() {
-                self.check(value, &schema["additionalProperties"], problems);
+                self.check(value, &schema["additionalProperties"], &inner, problems);
             } else if schema["additionalProperties"] == Json::Bool(false) {
-                let known: Vec<&str> = properties.map(|p| p.keys().map(String::as_str).collect()).unwrap_or_default();
-                problems.push(Problem::at(&key.origin, format!("`{}` is not a {}", key.name, self.what)).label("unknown key").did_you_mean(&key.name, known));
+                let what = if path.is_empty() { self.what.to_string() } else { format!("key of `{path}`") };
+                let problem = Problem::at(&key.origin, format!("`{}` is not a {what}", key.name)).label("unknown key");
+                problems.push(problem.did_you_mean(&key.name, known.iter().copied()));
+                suggested.extend(nearest(&key.name, known.iter().copied()));
             }
         }
         for name in schema["required"].as_array().into_iter().flatten().filter_map(Json::as_str) {
-            if table.get(name).is_none() {
+            if table.get(name).is_none() && !suggested.contains(&name) {
                 problems.push(Problem::at(&tree.origin, format!("`{name}` is missing")).label(format!("needs `{name}`")));
             }
         }
@@ -313,13 +337,50 @@ mod tests {
             problems,
             [
                 "m.toml:1:8: expected a rate with its unit, found the integer 5 | write it as text with a unit, such as \"10 kHz\" (units: Hz, fps, kHz, MHz)",
-                "m.toml:2:12: 2 s is above the largest allowed value, 1 s",
-                "m.toml:3:10: -1 is below the smallest allowed value, 0",
+                "m.toml:2:12: `exposure` must be from 0 ns to 1 s, found 2 s",
+                "m.toml:3:10: `weight` must be from 0 to 10, found -1",
                 "m.toml:4:11: \"roling\" is not one of \"global\", \"rolling\" | did you mean \"rolling\"?",
                 "m.toml:5:11: expected a text in quotes, found the integer 3",
                 "m.toml:6:1: `wieght` is not a parameter of test/node | did you mean `weight`?",
             ]
         );
+    }
+
+    #[test]
+    fn a_range_is_named_whole() {
+        let shown = |bounds: [Option<&str>; 4]| {
+            let [least, above, most, below] = bounds.map(|bound| bound.map(String::from));
+            range(least, above, most, below)
+        };
+        assert_eq!(shown([Some("1"), None, Some("8"), None]), "from 1 to 8");
+        assert_eq!(shown([None, Some("0"), None, None]), "greater than 0");
+        assert_eq!(shown([None, Some("0"), Some("9"), None]), "greater than 0 and at most 9");
+        assert_eq!(shown([Some("0"), None, None, Some("1")]), "at least 0 and less than 1");
+    }
+
+    #[test]
+    fn a_slip_inside_a_table_is_said_once_and_of_that_table() {
+        /// With a table inside.
+        #[derive(JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        #[allow(dead_code)]
+        struct Outer {
+            crop: Option<Crop>,
+        }
+        #[derive(JsonSchema)]
+        #[serde(deny_unknown_fields)]
+        #[allow(dead_code)]
+        struct Crop {
+            width: u32,
+            height: u32,
+        }
+        let schema = schemars::schema_for!(Outer).to_value();
+        let source = Source::new("m.toml", "", "crop = { widht = 3, height = -1 }");
+        let tree = Tree { item: Item::Table(parse(&source).unwrap()), origin: crate::document::Origin { source, span: 0..0 } };
+        let mut problems = Vec::new();
+        validate(&tree, &schema, "parameter of test/node", &mut problems);
+        let said: Vec<&str> = problems.iter().map(|problem| problem.message.as_str()).collect();
+        assert_eq!(said, ["`widht` is not a key of `crop`", "`crop.height` must be at least 0, found -1"]);
     }
 
     #[test]

@@ -237,6 +237,20 @@ impl Sensor {
         serde_json::from_value(schema::to_json(&tree, &schema)).map_err(|error| vec![Problem::at(&tree.origin, error.to_string())])
     }
 
+    /// With fields laid over, table by table, in the form of the TOML file.
+    ///
+    /// # Errors
+    /// With the reason when the result is no description: an unknown field or effect, a wrong type or unit.
+    pub fn changed(&self, change: &serde_json::Map<String, serde_json::Value>) -> Result<Sensor, String> {
+        let mut fields = serde_json::to_value(self).map_err(|error| error.to_string())?;
+        lay_over(&mut fields, &serde_json::Value::Object(change.clone()));
+        let changed: Sensor = serde_json::from_value(fields).map_err(|error| error.to_string())?;
+        match changed.effects.keys().find(|id| !EFFECT_IDS.contains(&id.as_str())) {
+            Some(id) => Err(format!("`{id}` is no effect of the catalogue")),
+            None => Ok(changed),
+        }
+    }
+
     /// As JSON in field order, for digests and the cache.
     pub fn canonical_json(&self) -> String {
         serde_json::to_string(self).expect("a sensor description is plain data")
@@ -247,10 +261,40 @@ impl Sensor {
     /// # Errors
     /// When the description does not state it; `field` is its TOML path, `who` the one that needs it.
     pub fn need<T: Copy>(&self, value: Option<T>, field: &str, who: &str) -> Result<T, NodeError> {
-        value.ok_or_else(|| {
-            NodeError::usage(format!("{who} needs `{field}`, and the sensor description \"{}\" does not state it", self.name))
-                .hint(format!("add `{field}` to the sensor description"))
-        })
+        value.ok_or_else(|| self.lacks(&[field], who))
+    }
+
+    /// Refuses a description that does not state all of several fields, so that those that are missing are told at once. Each field is given with
+    /// whether it is stated.
+    ///
+    /// # Errors
+    /// When one is not.
+    pub fn need_all(&self, fields: &[(&str, bool)], who: &str) -> Result<(), NodeError> {
+        let missing: Vec<&str> = fields.iter().filter(|(_, stated)| !stated).map(|(field, _)| *field).collect();
+        if missing.is_empty() { Ok(()) } else { Err(self.lacks(&missing, who)) }
+    }
+
+    fn lacks(&self, fields: &[&str], who: &str) -> NodeError {
+        let quoted: Vec<String> = fields.iter().map(|field| format!("`{field}`")).collect();
+        let list = match &quoted[..] {
+            [all @ .., last] if !all.is_empty() => format!("{} and {last}", all.join(", ")),
+            _ => quoted.concat(),
+        };
+        let called = if self.name.is_empty() { String::new() } else { format!(" \"{}\"", self.name) };
+        let them = if fields.len() == 1 { "it" } else { "them" };
+        NodeError::usage(format!("{who} needs {list}, and the sensor description{called} does not state {them}"))
+            .hint(format!("add {list} to the sensor description"))
+    }
+}
+
+fn lay_over(below: &mut serde_json::Value, above: &serde_json::Value) {
+    match (below, above) {
+        (serde_json::Value::Object(below), serde_json::Value::Object(above)) => {
+            for (key, value) in above {
+                lay_over(below.entry(key.clone()).or_insert(serde_json::Value::Null), value);
+            }
+        }
+        (below, above) => *below = above.clone(),
     }
 }
 
@@ -285,6 +329,9 @@ leak_events = { rate = "0.1 Hz" }
         assert_eq!(sensor.effects["leak_events"]["rate"], "0.1 Hz");
         let error = sensor.need(sensor.frames.row_time, "frames.row_time", "render/rows").unwrap_err();
         assert_eq!(error.message, "render/rows needs `frames.row_time`, and the sensor description \"hybrid, indoor\" does not state it");
+        let error = Sensor::unknown("").need_all(&[("a", false), ("b", true), ("c", false), ("d", false)], "somebody").unwrap_err();
+        assert_eq!(error.message, "somebody needs `a`, `c` and `d`, and the sensor description does not state them");
+        assert_eq!(error.hint.as_deref(), Some("add `a`, `c` and `d` to the sensor description"));
     }
 
     #[test]
@@ -308,7 +355,11 @@ leak_events = { rate = "0.1 Hz" }
         let messages: Vec<&str> = problems.iter().map(|p| p.message.as_str()).collect();
         assert_eq!(
             messages,
-            ["-0.2 must be greater than 0", "expected a time with its unit, found the integer 50", "`refactory` is not a field of a sensor description"]
+            [
+                "`comparator.threshold_on` must be greater than 0, found -0.2",
+                "expected a time with its unit, found the integer 50",
+                "`refactory` is not a key of `readout`"
+            ]
         );
         assert_eq!(problems[2].help.as_deref(), Some("did you mean `refractory`?"));
     }

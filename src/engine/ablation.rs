@@ -53,7 +53,8 @@ pub(crate) fn variants(manifest: &mut Manifest) -> (Option<Ablation>, Vec<Varian
         if manifest.problems.len() > before {
             return (None, vec![base]);
         }
-        manifest.problems.push(Problem::at(&key.origin, "an ablation needs `axes` or `sweep`").label("nothing to vary"));
+        let problem = Problem::at(&key.origin, "an ablation needs `axes` or `sweep`").label("nothing to vary");
+        manifest.problems.push(problem.help("such as `[ablation.axes.readout]` with levels like `off = { nodes.solve.params.readout = \"none\" }` below it"));
         return (None, vec![base]);
     }
     check_overlaps(&axes, &mut manifest.problems);
@@ -70,7 +71,8 @@ pub(crate) fn variants(manifest: &mut Manifest) -> (Option<Ablation>, Vec<Varian
     }
     all.retain(|variant| !skips.iter().any(|skip| skip.iter().all(|pair| variant.levels.contains(pair))));
     if all.is_empty() {
-        manifest.problems.push(Problem::at(table.key("skip").map_or(&key.origin, |skip| &skip.origin), "`skip` leaves no variant"));
+        let problem = Problem::at(table.key("skip").map_or(&key.origin, |skip| &skip.origin), "`skip` leaves no variant");
+        manifest.problems.push(problem.help("take an entry out, or name more axes in it: an entry skips every variant that has all its levels"));
     }
     let baseline = find_baseline(&table, &axes, &all, &mut manifest.problems);
     let ablation = Ablation {
@@ -148,7 +150,7 @@ fn swept_axes(table: &Table, manifest: &mut Manifest, axes: &mut Vec<Axis>) {
             let overlay = nested(path.clone(), value.clone());
             let level = level_name(&value);
             if levels.iter().any(|(other, _)| *other == level) {
-                manifest.problems.push(Problem::at(&value.origin, format!("the sweep has the value {level} twice")));
+                manifest.problems.push(Problem::at(&value.origin, format!("the sweep has the value {level} twice")).help("leave one out"));
             }
             levels.push((level, overlay));
         }
@@ -206,19 +208,24 @@ fn stepped(tree: &Tree, table: &Table) -> Result<Vec<Tree>, Problem> {
             let whole = items.iter().all(|item| matches!(item.item, Item::Integer(_)));
             (number(&items[0]).unwrap_or(0.0), number(&items[1]).unwrap_or(0.0), whole)
         }
-        _ => return Err(Problem::at(&ends.origin, format!("a range is two numbers, found {}", ends.describe()))),
+        _ => {
+            let problem = Problem::at(&ends.origin, format!("a range is two numbers, found {}", ends.describe()));
+            return Err(problem.help("such as { linear = [0, 4], steps = 5 } or { log = [0.1, 10.0], steps = 5 }"));
+        }
     };
     if is_log && table.get("linear").is_some() {
-        return Err(Problem::at(&tree.origin, "a sweep is either `log` or `linear`"));
+        return Err(Problem::at(&tree.origin, "a sweep is either `log` or `linear`, found both").help("leave one out"));
     }
     if is_log && (first <= 0.0 || last <= 0.0) {
-        return Err(Problem::at(&ends.origin, "both ends of a `log` range are above zero"));
+        let problem = Problem::at(&ends.origin, format!("both ends of a `log` range must be above zero, found {}", if first <= 0.0 { first } else { last }));
+        return Err(problem.help("raise it, or use `linear`"));
     }
     let steps = match table.get("steps").map(|steps| &steps.item) {
         Some(Item::Integer(steps)) if (2..=MOST_VARIANTS as i64).contains(steps) => *steps,
         _ => {
-            let at = table.get("steps").map_or(&tree.origin, |steps| &steps.origin);
-            return Err(Problem::at(at, "a range needs `steps`, an integer of at least 2"));
+            let (at, found) = table.get("steps").map_or((&tree.origin, "none".into()), |steps| (&steps.origin, steps.describe()));
+            let problem = Problem::at(at, format!("a range needs `steps`, an integer from 2 to {MOST_VARIANTS}, found {found}"));
+            return Err(problem.help("both ends count: `steps = 2` gives just them; one value alone is written as a list, such as [0.5]"));
         }
     };
     let value = |step: i64| {
@@ -243,7 +250,7 @@ fn leaves(table: &Table, prefix: &str, found: &mut Vec<(String, Origin)>) {
 }
 
 fn check_overlaps(axes: &[Axis], problems: &mut Vec<Problem>) {
-    let mut seen: Vec<(String, &str)> = Vec::new();
+    let mut seen: Vec<(String, Origin, &str)> = Vec::new();
     for axis in axes {
         let mut mine = Vec::new();
         axis.levels.iter().for_each(|(_, overlay)| leaves(overlay, "", &mut mine));
@@ -251,14 +258,15 @@ fn check_overlaps(axes: &[Axis], problems: &mut Vec<Problem>) {
         for (path, origin) in &mine {
             // A value and a table below the same path touch as well.
             let inside = |a: &str, b: &str| a == b || a.strip_prefix(b).is_some_and(|rest| rest.starts_with('.'));
-            let other = seen.iter().find(|(other, _)| inside(path, other) || inside(other, path));
-            if let Some((_, other)) = other.filter(|_| !reported.contains(path)) {
+            let other = seen.iter().find(|(other, ..)| inside(path, other) || inside(other, path));
+            if let Some((_, there, other)) = other.filter(|_| !reported.contains(path)) {
                 let problem = Problem::at(origin, format!("the axes `{other}` and `{}` both set {path}", axis.key.name));
+                let problem = problem.note(format!("`{other}` sets it at {there}"));
                 problems.push(problem.help("let one axis set it, or make the combinations levels of one axis"));
                 reported.push(path.clone());
             }
         }
-        seen.extend(mine.into_iter().map(|(path, _)| (path, axis.key.name.as_str())));
+        seen.extend(mine.into_iter().map(|(path, origin)| (path, origin, axis.key.name.as_str())));
     }
 }
 
@@ -296,12 +304,16 @@ fn find_baseline(table: &Table, axes: &[Axis], all: &[Variant], problems: &mut V
         return None;
     }
     if let Some(axis) = axes.iter().find(|axis| !point.iter().any(|(name, _)| *name == axis.key.name)) {
-        problems.push(Problem::at(&tree.origin, format!("`baseline` does not say which level of `{}`", axis.key.name)));
+        let problem = Problem::at(&tree.origin, format!("`baseline` does not say which level of `{}`", axis.key.name));
+        let name = if axis.key.name.contains('.') { format!("\"{}\"", axis.key.name) } else { axis.key.name.clone() };
+        let levels: Vec<String> = axis.levels.iter().map(|(level, _)| format!("`{name} = \"{level}\"`")).collect();
+        problems.push(problem.help(format!("add {} to it", levels.join(" or "))));
         return None;
     }
     let found = all.iter().find(|variant| point.iter().all(|pair| variant.levels.contains(pair)));
     if found.is_none() {
-        problems.push(Problem::at(&tree.origin, "`skip` leaves the baseline out"));
+        let problem = Problem::at(&tree.origin, "`skip` leaves the baseline out");
+        problems.push(problem.help("choose a baseline that runs, or take its entry out of `skip`"));
     }
     found.map(|variant| variant.name.clone())
 }

@@ -5,7 +5,7 @@
 //! it is noted, the node it stands in is left out of later checks, and the rest goes on, so that one run shows every mistake.
 
 use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
-use photocurrent_core::schema;
+use photocurrent_core::{error, schema};
 use serde_json::{Value as Json, json};
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
@@ -23,6 +23,10 @@ pub(crate) struct Manifest {
     pub problems: Vec<Problem>,
     /// Nodes that have a mistake: later checks pass over them.
     pub broken: BTreeSet<String>,
+    /// The beginning of the manifest that was asked for: the place of what is nowhere in it.
+    pub start: Option<Origin>,
+    /// Does it extend another one?
+    pub extends: bool,
 }
 
 /// Reads a manifest and, below it, what it extends.
@@ -35,9 +39,16 @@ pub(crate) fn read(path: &Path) -> Manifest {
 fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, manifest: &mut Manifest) {
     let problem = |message: String| asked_by.map_or_else(|| Problem::new(message.clone()), |origin| Problem::at(origin, message.clone()));
     let shown = shorten(path);
-    let text = match std::fs::read_to_string(path) {
+    let bytes = match std::fs::read(path) {
+        Ok(bytes) => bytes,
+        Err(error) => {
+            let from = if asked_by.is_some() { "paths are relative to the manifest that names them" } else { "is the path right, seen from here?" };
+            return manifest.problems.push(problem(error::cannot_read(&shown, &error)).help(from));
+        }
+    };
+    let text = match String::from_utf8(bytes) {
         Ok(text) => text,
-        Err(error) => return manifest.problems.push(problem(format!("cannot read {}: {error}", shown.display()))),
+        Err(error) => return manifest.problems.push(not_utf8(&shown, &error)),
     };
     let canonical = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
     if chain.contains(&canonical) {
@@ -46,6 +57,7 @@ fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, 
     chain.push(canonical);
     let folder = shown.parent().map(Path::to_path_buf).unwrap_or_default();
     let source = Source::new(shown.display().to_string(), folder.clone(), text);
+    manifest.start.get_or_insert_with(|| Origin { source: source.clone(), span: 0..0 });
     let mut table = match document::parse(&source) {
         Ok(table) => table,
         Err(problems) => return manifest.problems.extend(problems),
@@ -56,9 +68,20 @@ fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, 
     if let Some((_, tree)) = table.remove("extends")
         && let Some(base) = tree.as_str()
     {
+        manifest.extends = true;
         read_chain(&folder.join(base), Some(&tree.origin), chain, manifest);
     }
     crate::resolve::overlay(&mut manifest.table, &table);
+}
+
+/// The place of the first byte that is no UTF-8.
+fn not_utf8(shown: &Path, error: &std::string::FromUtf8Error) -> Problem {
+    let start = error.utf8_error().valid_up_to();
+    // The text before the bad byte stays as it is, so its place holds.
+    let source = Source::new(shown.display().to_string(), "", String::from_utf8_lossy(error.as_bytes()));
+    let end = start + char::REPLACEMENT_CHARACTER.len_utf8();
+    let problem = Problem::at(&Origin { source, span: start..end }, format!("cannot read {}: it is not text in UTF-8", shown.display()));
+    problem.label(format!("the byte 0x{:02x}", error.as_bytes()[start])).help("save it as UTF-8")
 }
 
 /// Takes `a/../` out of a path for display; links are not followed, as the text is for people.
@@ -82,7 +105,9 @@ fn check_format(table: &Table, source: &Arc<Source>, problems: &mut Vec<Problem>
         ),
         Some(Tree { item: Item::Integer(FORMAT), .. }) => {}
         Some(Tree { item: Item::Integer(other), origin }) => {
-            problems.push(Problem::at(origin, format!("this manifest has format {other}, and this version reads format {FORMAT}")));
+            let problem = Problem::at(origin, format!("this manifest has format {other}, and this version reads format {FORMAT}"));
+            let newer = if *other > FORMAT { "use a newer photocurrent, or " } else { "" };
+            problems.push(problem.help(format!("{newer}write `format = {FORMAT}`")));
         }
         // A wrong type is reported with the rest of the outline.
         Some(_) => {}
@@ -101,6 +126,16 @@ fn list_of(items: Json) -> Json {
     json!({ "type": "array", "items": items })
 }
 
+fn text() -> Json {
+    json!({ "type": "string" })
+}
+
+/// A form with what to write instead of something else.
+fn such_as(mut form: Json, example: &str) -> Json {
+    form["x-example"] = Json::from(example);
+    form
+}
+
 /// Checks one level of the outline; takes out what has the wrong form, so that later stages see only what they can read.
 fn check(tree: &Tree, form: &Json, what: &str, problems: &mut Vec<Problem>) -> bool {
     let before = problems.len();
@@ -109,10 +144,13 @@ fn check(tree: &Tree, form: &Json, what: &str, problems: &mut Vec<Problem>) -> b
 }
 
 fn check_outline(table: &mut Table, source: &Arc<Source>, manifest: &mut Manifest) {
-    let text = || json!({ "type": "string" });
     let any_table = || table_of(json!({}));
     let top = object(json!({
-        "format": { "type": "integer" }, "extends": text(), "pipeline": any_table(), "nodes": any_table(), "ablation": any_table(),
+        "format": such_as(json!({ "type": "integer" }), &format!("`format = {FORMAT}`")),
+        "extends": such_as(text(), "`extends = \"base.toml\"`"),
+        "pipeline": such_as(any_table(), "`pipeline = { seed = 7 }`"),
+        "nodes": such_as(any_table(), "`[nodes.sensor]` with `kind = \"read/sensor\"` below it"),
+        "ablation": such_as(any_table(), "`[ablation.axes.front_end]` with its levels below it"),
     }));
     let root = Tree { item: Item::Table(table.clone()), origin: Origin { source: source.clone(), span: 0..0 } };
     check(&root, &top, "key of a manifest", &mut manifest.problems);
@@ -120,9 +158,12 @@ fn check_outline(table: &mut Table, source: &Arc<Source>, manifest: &mut Manifes
         "pipeline" | "nodes" | "ablation" => tree.as_table().is_some(),
         name => matches!(name, "format" | "extends"),
     });
+    let point = "`{ front_end = \"off\" }`: axes with their levels";
+    let level = || such_as(any_table(), "`off = { nodes.solve.params.readout = \"none\" }`");
     let ablation = object(json!({
-        "about": text(), "metrics": list_of(text()), "baseline": any_table(), "skip": list_of(any_table()),
-        "axes": table_of(table_of(any_table())), "sweep": any_table(),
+        "about": text(), "metrics": such_as(list_of(text()), "`metrics = [\"psnr.psnr_db\"]`"), "baseline": such_as(any_table(), point),
+        "skip": such_as(list_of(such_as(any_table(), point)), "`skip = [{ front_end = \"off\" }]`"), "axes": table_of(table_of(level())),
+        "sweep": such_as(any_table(), "`[ablation.sweep]` with `\"nodes.solve.params.cis_weight\" = [0.5, 1.0]` below it"),
     }));
     if table.get("ablation").is_some_and(|tree| !check(tree, &ablation, "key of an ablation", &mut manifest.problems)) {
         table.remove("ablation");
@@ -132,7 +173,9 @@ fn check_outline(table: &mut Table, source: &Arc<Source>, manifest: &mut Manifes
 
 /// Checks what a file, a level and `--set` have in common: the tables `pipeline` and `nodes`.
 pub(crate) fn check_overlay(table: &mut Table, manifest: &mut Manifest) {
-    let pipeline = object(json!({ "about": { "type": "string" }, "seed": { "type": "integer", "minimum": 0 }, "keep": list_of(json!({ "type": "string" })) }));
+    let seed = such_as(json!({ "type": "integer", "minimum": 0 }), "`seed = 7`");
+    let keep = such_as(list_of(text()), "`keep = [\"solve.tracks\"]`");
+    let pipeline = object(json!({ "about": text(), "seed": seed, "keep": keep }));
     if table.get("pipeline").is_some_and(|tree| !check(tree, &pipeline, "key of a pipeline", &mut manifest.problems)) {
         table.remove("pipeline");
     }
@@ -146,9 +189,15 @@ pub(crate) fn check_overlay(table: &mut Table, manifest: &mut Manifest) {
 }
 
 fn check_node(key: &Key, node: &Tree, problems: &mut Vec<Problem>) -> bool {
-    let form = object(json!({
-        "kind": { "type": "string" }, "in": table_of(json!({})), "params": table_of(json!({})), "bypass": { "type": "boolean" },
-    }));
+    let form = such_as(
+        object(json!({
+            "kind": such_as(text(), "`kind = \"read/sensor\"`"),
+            "in": such_as(table_of(json!({})), "`in = { events = \"scene.events\" }`"),
+            "params": such_as(table_of(json!({})), "`params = { width = 64 }`"),
+            "bypass": { "type": "boolean" },
+        })),
+        &format!("`[nodes.{}]` with `kind = \"family/name\"` below it", key.name),
+    );
     let before = problems.len();
     if !is_node_id(&key.name) {
         let problem = Problem::at(&key.origin, format!("`{}` is not a name for a node", key.name));
@@ -163,7 +212,7 @@ fn check_node(key: &Key, node: &Tree, problems: &mut Vec<Problem>) -> bool {
         };
         for item in items.iter().filter(|item| item.as_str().is_none()) {
             let problem = Problem::at(&item.origin, format!("`in.{}` takes \"node.port\", found {}", port.name, item.describe()));
-            problems.push(problem.label("expected a text in quotes"));
+            problems.push(problem.label("expected a text in quotes").help(format!("such as `{} = \"scene.events\"`", port.name)));
         }
     }
     problems.len() == before

@@ -1,6 +1,7 @@
 //! A pipeline: the nodes of one variant with everything laid over, not yet checked against the catalogue.
 
 use crate::ablation::Variant;
+use crate::manifest::Manifest;
 use photocurrent_core::document::{Item, Key, Origin, Problem, Table, Tree};
 use std::collections::BTreeSet;
 
@@ -73,7 +74,8 @@ pub struct NodeSpec {
 }
 
 impl Pipeline {
-    pub(crate) fn from_table(table: &Table, variant: Variant, broken: &BTreeSet<String>, problems: &mut Vec<Problem>) -> Pipeline {
+    /// The pipeline that `table` describes: `manifest` with a variant's overlays, which is told what is wrong.
+    pub(crate) fn from_table(table: &Table, variant: Variant, manifest: &mut Manifest) -> Pipeline {
         let pipeline = table.get("pipeline").and_then(Tree::as_table).cloned().unwrap_or_default();
         let seed = match pipeline.get("seed").map(|tree| &tree.item) {
             Some(Item::Integer(seed)) => *seed as u64,
@@ -86,20 +88,21 @@ impl Pipeline {
             seed,
             keep: pipeline.get("keep").map(references).unwrap_or_default(),
             nodes: Vec::new(),
-            broken: broken.clone(),
+            broken: manifest.broken.clone(),
         };
         let nodes = table.get("nodes").and_then(Tree::as_table).cloned().unwrap_or_default();
-        if nodes.entries.is_empty() && problems.is_empty() {
-            problems.push(Problem::new("the manifest has no node").help("add a table such as `[nodes.sensor]` with a `kind`"));
+        if nodes.entries.is_empty() && manifest.problems.is_empty() {
+            let problem = Problem { at: manifest.start.clone(), ..Problem::new("the manifest has no node") };
+            manifest.problems.push(problem.help("add a table such as `[nodes.sensor]` with a `kind`"));
         }
         for (key, tree) in &nodes.entries {
-            if broken.contains(&key.name) {
+            if manifest.broken.contains(&key.name) {
                 continue;
             }
             match NodeSpec::from_tree(key, tree) {
                 Some(node) => result.nodes.push(node),
                 None => {
-                    problems.push(Problem::at(&key.origin, format!("nodes.{}: `kind` is missing", key.name)).help("`photocurrent nodes` lists the kinds"));
+                    manifest.problems.push(without_kind(key, &nodes, manifest.extends));
                     result.broken.insert(key.name.clone());
                 }
             }
@@ -111,6 +114,17 @@ impl Pipeline {
     pub fn node(&self, id: &str) -> Option<&NodeSpec> {
         self.nodes.iter().find(|node| node.id == id)
     }
+}
+
+/// A node without a kind: in a manifest that extends another one it was meant to change a node there.
+fn without_kind(key: &Key, nodes: &Table, extends: bool) -> Problem {
+    if !extends {
+        return Problem::at(&key.origin, format!("nodes.{}: `kind` is missing", key.name)).help("`photocurrent nodes` lists the kinds");
+    }
+    let has_kind = |node: &Tree| node.as_table().is_some_and(|node| node.get("kind").is_some());
+    let below = nodes.entries.iter().filter(|(_, node)| has_kind(node)).map(|(key, _)| key.name.as_str());
+    let problem = Problem::at(&key.origin, format!("there is no node `{}` below to change, and without `kind` it is no new one", key.name));
+    problem.label("unknown node").did_you_mean(&key.name, below)
 }
 
 fn references(tree: &Tree) -> Vec<Reference> {
@@ -138,11 +152,17 @@ impl NodeSpec {
         })
     }
 
-    /// Where a parameter stands, `window.start` being `start` inside `window`; the kind's place when it is not written.
+    /// Where a parameter stands, `window.start` being `start` inside `window` and `labels.1` the second of a list; the kind's place when it is not
+    /// written.
     pub fn param_origin(&self, param: &str) -> &Origin {
         let mut tree = &self.params;
         for name in param.split('.') {
-            match tree.as_table().and_then(|table| table.get(name)) {
+            let inner = match &tree.item {
+                Item::Table(table) => table.get(name),
+                Item::Array(items) => name.parse().ok().and_then(|at: usize| items.get(at)),
+                _ => None,
+            };
+            match inner {
                 Some(inner) => tree = inner,
                 None => return if std::ptr::eq(tree, &self.params) { &self.kind_origin } else { &tree.origin },
             }

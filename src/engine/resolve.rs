@@ -52,7 +52,7 @@ impl Project {
             let mut table = manifest.table.clone();
             overlay(&mut table, &variant.overlay);
             sets.iter().for_each(|set| overlay(&mut table, set));
-            pipelines.push(Pipeline::from_table(&table, variant, &manifest.broken, &mut manifest.problems));
+            pipelines.push(Pipeline::from_table(&table, variant, &mut manifest));
         }
         let canonical = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
         let manifest_id = Digest::of_bytes(canonical.to_string_lossy().as_bytes());
@@ -120,17 +120,20 @@ pub(crate) fn merge(base: &mut Table, over: &Table) {
 
 /// Checks that an overlay speaks of nodes that exist, and of nothing but nodes and the pipeline; notes what does not.
 pub(crate) fn check_targets(over: &mut Table, manifest: &mut Manifest) {
+    let known: Vec<String> = node_names(&manifest.table);
     for (key, tree) in &over.entries {
         let allowed = ["nodes", "pipeline"];
         if !allowed.contains(&key.name.as_str()) {
             let problem = Problem::at(&key.origin, format!("`{}` cannot be laid over a manifest", key.name)).label("unknown key");
-            manifest.problems.push(problem.did_you_mean(&key.name, allowed));
+            manifest.problems.push(match known.contains(&key.name) {
+                true => problem.help(format!("write `nodes.{}`: it is a node", key.name)),
+                false => problem.did_you_mean(&key.name, allowed),
+            });
         } else if tree.as_table().is_none() {
             manifest.problems.push(Problem::at(&tree.origin, format!("`{}` is a table, found {}", key.name, tree.describe())));
         }
     }
     over.entries.retain(|(key, tree)| matches!(key.name.as_str(), "nodes" | "pipeline") && tree.as_table().is_some());
-    let known: Vec<String> = node_names(&manifest.table);
     if let Some(Tree { item: Item::Table(nodes), .. }) = over.get_mut("nodes") {
         for (key, _) in nodes.entries.iter().filter(|(key, _)| !known.contains(&key.name)) {
             let problem = Problem::at(&key.origin, format!("there is no node `{}` to change", key.name)).label("unknown node");

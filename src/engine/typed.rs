@@ -4,10 +4,10 @@
 //! mistake is left out of what follows, and so is, without a word, what hangs on it.
 
 use crate::pipeline::{NodeSpec, Pipeline, Reference, Wire};
-use photocurrent_core::document::{Origin, Problem};
+use photocurrent_core::document::{Origin, Problem, nearest};
 use photocurrent_core::node::{AnyNode, Built};
 use photocurrent_core::ports::{Arity, PortSpec};
-use photocurrent_core::{Catalogue, Kind, NodeError, schema};
+use photocurrent_core::{Catalogue, DataType, Kind, NodeError, schema};
 use std::sync::Arc;
 
 /// An output of a node: its place in the pipeline's list, and the port's name.
@@ -134,7 +134,8 @@ impl<'a> Checker<'a, '_> {
         let inputs = list(kind.inputs.iter().filter(|input| node.wires.iter().any(|wire| wire.port.name == input.name)));
         let found = if pairs.is_empty() { "it has none" } else { "it has several" };
         let problem = Problem::at(origin, format!("nodes.{}: a bypass needs one connected input and one output of the same type, and {found}", node.id));
-        self.problems.push(problem.note(format!("connected inputs: {inputs}")).note(format!("outputs: {}", list(kind.outputs.iter()))));
+        let problem = problem.note(format!("connected inputs: {inputs}")).note(format!("outputs: {}", list(kind.outputs.iter())));
+        self.problems.push(problem.help("take `bypass` out, and connect what follows to what stands before this node"));
         self.broken[at] = true;
     }
 
@@ -193,16 +194,20 @@ impl<'a> Checker<'a, '_> {
         let node = &self.pipeline.nodes[at];
         let Some(kind) = self.kinds[at] else { return Vec::new() };
         let before = self.problems.len();
+        // What a slip of the hand stands for is not reported as missing a second time.
+        let mut suggested: Vec<&str> = Vec::new();
         for wire in node.wires.iter().filter(|wire| kind.input(&wire.port.name).is_none()) {
             let problem = Problem::at(&wire.port.origin, format!("`{}` is not an input of {}", wire.port.name, kind.decl.kind)).label("unknown port");
-            self.problems.push(problem.did_you_mean(&wire.port.name, kind.inputs.iter().map(|input| input.name)));
+            let names = || kind.inputs.iter().map(|input| input.name);
+            self.problems.push(problem.did_you_mean(&wire.port.name, names()));
+            suggested.extend(nearest(&wire.port.name, names()));
         }
         let mut inputs = Vec::new();
         for input in &kind.inputs {
             let wire = node.wires.iter().find(|wire| wire.port.name == input.name && !wire.from.is_empty());
             match wire {
                 Some(wire) => inputs.extend(self.links(at, input, wire).map(|links| (input, links))),
-                None if input.arity != Arity::Optional => self.problems.push(self.missing(at, input)),
+                None if input.arity != Arity::Optional && !suggested.contains(&input.name) => self.problems.push(self.missing(at, input)),
                 None => {}
             }
         }
@@ -213,24 +218,38 @@ impl<'a> Checker<'a, '_> {
     fn missing(&self, at: usize, input: &PortSpec) -> Problem {
         let node = &self.pipeline.nodes[at];
         let problem = Problem::at(&node.origin, format!("nodes.{}: input `{}` ({}) is not connected", node.id, input.name, input.data_type));
+        let offers = self.offers(at, input.data_type);
+        let Some(first) = offers.first() else { return problem.note(format!("no node here has an output of type {}", input.data_type)) };
+        let value = if input.arity == Arity::Many { format!("[{first}]") } else { first.clone() };
+        let entry = format!("{} = {value}", input.name);
+        // An empty list stands there already, and one key does not stand twice.
+        let help = match node.wires.iter().any(|wire| wire.port.name == input.name) {
+            true => format!("write `{entry}`"),
+            false if node.wires.is_empty() => format!("add `in = {{ {entry} }}`"),
+            false => format!("add `{entry}` to `in`"),
+        };
+        let others = if offers.len() > 1 { format!(" (or one of {})", offers[1..].join(", ")) } else { String::new() };
+        problem.help(format!("{help}{others}"))
+    }
+
+    /// The outputs of other nodes that have a type, in quotes as they are written.
+    fn offers(&self, at: usize, data_type: DataType) -> Vec<String> {
         let mut offers = Vec::new();
         for (other, kind) in self.kinds.iter().enumerate().filter(|(other, _)| *other != at) {
-            for output in kind.iter().flat_map(|kind| &kind.outputs).filter(|output| output.data_type == input.data_type) {
-                offers.push(format!("{}.{}", self.id(other), output.name));
+            for output in kind.iter().flat_map(|kind| &kind.outputs).filter(|output| output.data_type == data_type) {
+                let alone = kind.is_some_and(|kind| kind.outputs.len() == 1);
+                offers.push(if alone { format!("\"{}\"", self.id(other)) } else { format!("\"{}.{}\"", self.id(other), output.name) });
             }
         }
-        match &offers[..] {
-            [] => problem.note(format!("no node here has an output of type {}", input.data_type)),
-            [one] => problem.help(format!("add `in.{} = \"{one}\"`", input.name)),
-            several => problem.help(format!("connect one of {} to `in.{}`", several.join(", "), input.name)),
-        }
+        offers
     }
 
     fn links(&mut self, at: usize, input: &'a PortSpec, wire: &Wire) -> Option<Vec<Link>> {
         if wire.is_list && input.arity != Arity::Many && wire.from.len() > 1 {
             let problem =
                 Problem::at(&wire.port.origin, format!("input `{}` of {} takes one value, found a list of {}", input.name, self.id(at), wire.from.len()));
-            self.problems.push(problem.label("expected \"node.port\""));
+            self.problems
+                .push(problem.label("expected \"node.port\"").help(format!("write one of them, such as `{} = \"{}\"`", input.name, wire.from[0].text)));
             return None;
         }
         let links: Vec<Option<Link>> = wire.from.iter().map(|name| self.link(at, input, name)).collect();
@@ -252,9 +271,14 @@ impl<'a> Checker<'a, '_> {
                 format!("nodes.{}: input `{}` takes {}, and `{upstream}.{}` is {}", self.id(at), input.name, input.data_type, output.name, output.data_type);
             let problem = Problem::at(&name.origin, message).label(format!("expected {}", input.data_type));
             let right: Vec<String> = kind.outputs.iter().filter(|o| o.data_type == input.data_type).map(|o| format!("\"{upstream}.{}\"", o.name)).collect();
-            self.problems.push(match right.is_empty() {
-                true => problem.note(format!("outputs of {}: {}", kind.decl.kind, list(kind.outputs.iter()))),
-                false => problem.help(format!("write {}", right.join(" or "))),
+            let elsewhere = self.offers(at, input.data_type);
+            self.problems.push(match (right.is_empty(), elsewhere.is_empty()) {
+                (false, _) => problem.help(format!("write {}", right.join(" or "))),
+                (true, false) => problem.help(format!("write {}", elsewhere.join(" or "))),
+                (true, true) => {
+                    let problem = problem.note(format!("outputs of {}: {}", kind.decl.kind, list(kind.outputs.iter())));
+                    problem.note(format!("no node here has an output of type {}", input.data_type))
+                }
             });
             return None;
         }
@@ -304,7 +328,11 @@ impl<'a> Checker<'a, '_> {
         let first = (0..ring.len()).min_by_key(|&i| ring[i]).unwrap_or(0);
         let mut names: Vec<&str> = (0..ring.len()).map(|i| self.id(ring[(first + ring.len() - i) % ring.len()])).collect();
         names.push(names[0]);
-        let problem = Problem::at(&self.pipeline.nodes[ring[first]].origin, format!("these nodes wait for each other: {}", names.join(" -> ")));
+        let message = match ring.len() {
+            1 => format!("node `{}` waits for itself", names[0]),
+            _ => format!("these nodes wait for each other: {}", names.join(" -> ")),
+        };
+        let problem = Problem::at(&self.pipeline.nodes[ring[first]].origin, message);
         self.problems.push(problem.help("feedback is written as a chain: solve, render, solve again"));
     }
 }
