@@ -292,7 +292,7 @@ fn the_caches_commands_list_weigh_check_and_clear() {
 }
 
 #[test]
-fn a_size_limit_removes_the_least_recently_used_first() {
+fn no_room_at_all_leaves_nothing() {
     let bench = bench();
     bench.outcome(&["m.toml"]);
     let none = bench.run(&["cache", "gc", "--max-size", "0"]);

@@ -56,5 +56,8 @@ fn results_are_those_that_were_recorded() {
         return;
     }
     let changed: Vec<&str> = GOLDEN.iter().filter(|(output, digest)| found[*output] != *digest).map(|(output, _)| *output).collect();
-    assert!(changed.is_empty(), "results change: {changed:?}\nwhen that is meant, bump the revision of the first node of these, write it into the changelog, and record with UPDATE_EXPECT=1");
+    assert!(
+        changed.is_empty(),
+        "results change: {changed:?}\nwhen that is meant, bump the revision of the first node of these, write it into the changelog, and record with UPDATE_EXPECT=1"
+    );
 }

@@ -192,7 +192,7 @@ fn a_mistake_in_set_is_shown_at_set() {
         ("node.solve.params.cis_weight=2", "`node` cannot be laid over a manifest", "--set:1:1"),
         ("nodes.solve.in.frames=scene.truth", "nodes.solve: input `frames` takes frames, and `scene.truth` is truth", "--set:1:23"),
         ("nodes.solve.kind=solve/pixle", "there is no node kind `solve/pixle`", "--set:1:18"),
-        ("pipeline.seed=-1", "-1 is below the smallest allowed value, 0", "--set:1:15"),
+        ("pipeline.seed=-1", "`seed` must be at least 0, found -1", "--set:1:15"),
         ("nodes solve=2", "`nodes solve` is not a path of keys", "--set:1:1"),
     ];
     for (text, message, place) in cases {

@@ -54,8 +54,12 @@ fn the_quickstart_shows_what_compensation_brings() {
     assert!(done.stderr.contains("21 nodes executed, 0 reused from the cache") && done.stderr.contains("files are in out/quickstart"), "{}", done.stderr);
 }
 
-const VARIANTS: [(&str, &str); 4] =
-    [("front_end=off,readout=off", "psnr_none"), ("front_end=on,readout=off", "psnr_vfe"), ("front_end=off,readout=on", "psnr_rlrp"), ("front_end=on,readout=on", "psnr_all")];
+const VARIANTS: [(&str, &str); 4] = [
+    ("front_end=off,readout=off", "psnr_none"),
+    ("front_end=on,readout=off", "psnr_vfe"),
+    ("front_end=off,readout=on", "psnr_rlrp"),
+    ("front_end=on,readout=on", "psnr_all"),
+];
 
 #[test]
 fn the_compensation_ablation_agrees_with_the_quickstart() {
@@ -121,8 +125,9 @@ fn the_real_camera_is_planned_whole_and_scored_on_a_part() {
     assert_eq!(planned.code, 0, "{}", planned.stderr);
     assert!(planned.stderr.contains("0 in the cache"), "{}", planned.stderr);
 
+    // Long enough for two held-out frames: in a single one, nothing is seen to move.
     let part = [
-        "nodes.recording.params.end=\"300 ms\"",
+        "nodes.recording.params.end=\"500 ms\"",
         "nodes.render.params.start=\"100 ms\"",
         "nodes.render.params.end=\"105 ms\"",
         "nodes.edi.params.start=\"100 ms\"",
@@ -134,7 +139,7 @@ fn the_real_camera_is_planned_whole_and_scored_on_a_part() {
     arguments.extend(part.iter().flat_map(|set| ["--set", set]));
     bench.outcome(&arguments);
     let table = table(&bench.path("out/davis346/table/table.json"));
-    assert_eq!(table.keys().collect::<Vec<_>>(), ["EDI", "frame repetition", "ours"]);
+    assert!(["ours", "EDI", "frame repetition"].iter().all(|label| table.contains_key(*label)), "{table:?}");
     for metric in ["heldout_rmse_dn", "heldout_psnr_db", "heldout_psnr_moving_db"] {
         assert!(table.values().all(|row| row[metric].is_finite()), "{table:?}");
     }

@@ -182,7 +182,11 @@ fn one_frame_is_enough() {
 
 #[test]
 fn missing_streams_are_told_before_anything_runs() {
-    refuses(&bench(None, Some(&frames(3))), 2, &["nodes.solve: input `events` needs events, and `recording.events` has none", "rec.h5 has no /events", "m.toml:"]);
+    refuses(
+        &bench(None, Some(&frames(3))),
+        2,
+        &["nodes.solve: input `events` needs events, and `recording.events` has none", "rec.h5 has no /events", "m.toml:"],
+    );
     refuses(&bench(Some(&events()), None), 2, &["nodes.solve: input `frames` needs frames, and `recording.frames` has none", "rec.h5 has no /frames"]);
     refuses(&bench(Some(&events()), Some(&frames(0))), 2, &["input `frames` needs frames", "/frames of rec.h5 holds no frame"]);
 }
@@ -246,7 +250,14 @@ fn with_events(change: impl FnOnce(&mut Vec<Event>)) -> Bench {
 fn an_event_outside_the_sensor_is_told_with_count_place_and_advice() {
     let bench = with_events(|events| events[6].x = 12);
     // Events stand by time in the file: 12 ON events come first, and this one was the fourth of them.
-    let said = ["node recording (read/recording) failed", "rec.h5", "/events/x, /events/y: found 1 event outside the sensor, the first at index 3 (x = 12, y = 2)", "expected x below 12 and y below 10", "hint: check the attributes `width` and `height`", "skipped: solve needs recording"];
+    let said = [
+        "node recording (read/recording) failed",
+        "rec.h5",
+        "/events/x, /events/y: found 1 event outside the sensor, the first at index 3 (x = 12, y = 2)",
+        "expected x below 12 and y below 10",
+        "hint: check the attributes `width` and `height`",
+        "skipped: solve needs recording",
+    ];
     refuses(&bench, 3, &said);
     let checked = bench.run(&["check", "rec.h5"]);
     assert_says(&checked, 3, &["rec.h5", "found 1 event outside the sensor", "hint: "]);
@@ -255,7 +266,12 @@ fn an_event_outside_the_sensor_is_told_with_count_place_and_advice() {
 #[test]
 fn an_in_pixel_time_after_the_off_pixel_time_is_told() {
     let bench = with_events(|events| events[0].t_in = Some(events[0].t + 1));
-    let said = ["rec.h5", "/events/t_in: found 1 event with its in-pixel time after its off-pixel time", "(t_in = 5001001 ns, t = 5001000 ns), expected t_in <= t", "hint: were the two columns swapped?"];
+    let said = [
+        "rec.h5",
+        "/events/t_in: found 1 event with its in-pixel time after its off-pixel time",
+        "(t_in = 5001001 ns, t = 5001000 ns), expected t_in <= t",
+        "hint: were the two columns swapped?",
+    ];
     refuses(&bench, 3, &said);
 }
 
@@ -264,7 +280,11 @@ fn a_time_resolution_that_is_no_number_of_nanoseconds_is_told() {
     let events = events();
     let meta = photocurrent_core::EventsMeta { t_resolution_ns: Some(-1), ..(*events.meta).clone() };
     let band = events.read(events.rows()).expect("the events");
-    refuses(&bench(Some(&EventStream::in_memory(meta.into(), band)), Some(&frames(3))), 2, &["rec.h5", "attribute `t_resolution_ns`", "found -1, expected a number of nanoseconds"]);
+    refuses(
+        &bench(Some(&EventStream::in_memory(meta.into(), band)), Some(&frames(3))),
+        2,
+        &["rec.h5", "attribute `t_resolution_ns`", "found -1, expected a number of nanoseconds"],
+    );
 }
 
 /// The bytes of a good recording.
@@ -336,7 +356,14 @@ fn what_is_no_recording_at_all_is_named() {
     std::fs::write(&path, "").expect("written");
     refuses(&bench, 2, &["rec.h5: the file is empty, so it is no HDF5 file", "give an HDF5 recording; AEDAT4 files are read by the node read/aedat4"]);
     std::fs::write(&path, "t,x,y,p\n1,2,3,1\n").expect("written");
-    refuses(&bench, 2, &["rec.h5: the file (16 bytes, beginning with \"t,x,y,p\\n\") is no HDF5 file", "give an HDF5 recording; AEDAT4 files are read by the node read/aedat4"]);
+    refuses(
+        &bench,
+        2,
+        &[
+            "rec.h5: the file (16 bytes, beginning with \"t,x,y,p\\n\") is no HDF5 file",
+            "give an HDF5 recording; AEDAT4 files are read by the node read/aedat4",
+        ],
+    );
     std::fs::remove_file(&path).expect("removed");
     refuses(&bench, 2, &["rec.h5: there is no such file", "paths are relative to the manifest that names them"]);
     std::fs::create_dir(&path).expect("a folder");
@@ -372,12 +399,16 @@ fn an_aedat4_file_cut_short_is_refused_with_the_number_of_whole_packets() {
     let cut = |length: usize| std::fs::write(bench.path("cut.aedat4"), &whole[..length]).expect("written");
     for length in [whole.len() * 9 / 10, whole.len() / 2 + 1, whole.len() / 3] {
         cut(length);
-        refuses(&bench, 2, &["cut.aedat4 is cut off", "whole packets come before it", &format!("the file has {length} bytes"), "copy it again from where it was recorded"]);
+        refuses(
+            &bench,
+            2,
+            &["cut.aedat4 is cut off", "whole packets come before it", &format!("the file has {length} bytes"), "copy it again from where it was recorded"],
+        );
     }
     // The index at the end of the file is for seeking: without it every packet is still there.
     cut(whole.len() - 1);
     assert_says(&bench.run(&["run", "m.toml"]), 0, &[]);
-    assert_eq!(std::fs::read_dir(bench.path("out/m/frames")).expect("frames").filter(|entry| is_png(entry)).count(), 59);
+    assert_eq!(std::fs::read_dir(bench.path("out/m/frames")).expect("frames").filter(is_png).count(), 59);
     std::fs::remove_dir_all(bench.path("out")).expect("removed");
     cut(20);
     refuses(&bench, 2, &["cut.aedat4 is cut off: it ends inside the header", "copy it again"]);

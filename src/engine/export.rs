@@ -99,7 +99,11 @@ fn remove_what_the_dead_left(parent: &Path, name: &str) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let found = entry.file_name();
         let is_partial = found.to_str().is_some_and(|found| found.starts_with(&format!(".{name}.")) && found.ends_with(PARTIAL));
-        if is_partial && fs::File::open(entry.path()).is_ok_and(|folder| folder.try_lock().is_ok()) {
+        // The lock is held until the folder is gone: its maker, when it has not locked it yet, waits, and then makes another.
+        if is_partial
+            && let Ok(folder) = fs::File::open(entry.path())
+            && folder.try_lock().is_ok()
+        {
             let _ = fs::remove_dir_all(entry.path());
         }
     }
@@ -125,7 +129,13 @@ impl Staging {
             // The process and a count in the name: two runs at once never share a folder.
             let count = COUNT.fetch_add(1, Ordering::Relaxed);
             let folder = parent.join(format!(".{name}.{}-{count}{PARTIAL}", std::process::id()));
-            let lock = fs::create_dir_all(&folder).and_then(|()| fs::File::open(&folder)).map_err(|error| files_error(&folder, "make the folder", &error))?;
+            fs::create_dir_all(&folder).map_err(|error| files_error(&folder, "make the folder", &error))?;
+            let lock = match fs::File::open(&folder) {
+                Ok(lock) => lock,
+                // Another run has taken it for a dead one's already.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+                Err(error) => return Err(files_error(&folder, "make the folder", &error)),
+            };
             // A file system without locks serves one run at a time just as well.
             let _ = lock.lock();
             // Between making and locking, another run may have taken the folder for a dead one's.
@@ -184,7 +194,11 @@ impl Drop for Staging {
 fn swap(new: &Path, place: &Path) -> io::Result<()> {
     use rustix::fs::{CWD, RenameFlags, renameat_with};
     if !place.exists() {
-        return fs::rename(new, place);
+        match fs::rename(new, place) {
+            // Another run has put its files there in the meantime: change places with them.
+            Err(error) if matches!(error.kind(), io::ErrorKind::DirectoryNotEmpty | io::ErrorKind::AlreadyExists) => {}
+            done => return done,
+        }
     }
     match renameat_with(CWD, new, CWD, place, RenameFlags::EXCHANGE) {
         Ok(()) => Ok(()),

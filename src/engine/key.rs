@@ -7,7 +7,7 @@
 use crate::export;
 use crate::plan::{Task, TaskId};
 use photocurrent_core::schema::strip_paths;
-use photocurrent_core::{Digest, NodeError};
+use photocurrent_core::{DataType, Digest, NodeError};
 use photocurrent_store::{Cache, FileInput, Ingredients, Lookup, Params, PortInput, Record};
 use std::path::Path;
 
@@ -62,6 +62,12 @@ pub(crate) fn look_up(task: &Task, key: &Digest, cache: &Cache, out_dir: &Path) 
     let mut reasons = Vec::new();
     for output in task.stored() {
         match record.outputs.get(output.port) {
+            // The report reads every table, whether a node does or not: one that is damaged must be made again here, or it would end each run for ever.
+            Some(Some(stored)) if stored.data_type == DataType::Table => {
+                if let Err(error) = cache.load(&stored.digest) {
+                    return Reuse::Nothing { damage: Some(format!("output `{}`: {error}", output.port)) };
+                }
+            }
             Some(Some(_)) => {}
             Some(None) | None => reasons.push(format!("output {} was not stored", output.port)),
         }
