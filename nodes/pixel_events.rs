@@ -42,6 +42,7 @@ impl StepRule {
     /// # Errors
     /// When a threshold or a clock offset is needed and not stated, or not readable.
     pub fn from_sensor(sensor: &Sensor, events: &EventsMeta, stamp: Stamp, who: &str) -> Result<StepRule, NodeError> {
+        sensor.need_all(&StepRule::needs(sensor), who)?;
         let latency = match stamp {
             Stamp::Best if !events.has_t_in => sensor.readout.latency_min.map_or(0, Duration::ns),
             _ => 0,
@@ -52,6 +53,12 @@ impl StepRule {
             stamp,
             shift_ns: latency + clock_offset(sensor)?.offset_ns,
         })
+    }
+
+    /// The fields that [`StepRule::from_sensor`] needs, and whether they are stated: for [`Sensor::need_all`].
+    pub fn needs(sensor: &Sensor) -> [(&'static str, bool); 2] {
+        let comparator = &sensor.comparator;
+        [("comparator.threshold_on", comparator.threshold_on.is_some()), ("comparator.threshold_off", comparator.threshold_off.is_some())]
     }
 
     /// Time of event `k` of a row, ns.

@@ -53,15 +53,28 @@ impl Sampling {
     pub fn times(&self, span: TimeSpan, sensor: Option<&Sensor>) -> Result<FrameTimes, NodeError> {
         let start = self.start.map_or(span.start.0, Duration::ns);
         let end = self.end.map_or(span.end.0, Duration::ns);
+        let shown = |ns: i64| Duration::new(ns);
+        let covered = format!("the recording covers {} to {}", shown(span.start.0), shown(span.end.0));
+        let blamed = match (self.start, self.end) {
+            _ if end > start => None,
+            (Some(_), Some(_)) if end == start => Some((format!("the window ends at {}, where it begins", shown(end)), "end")),
+            (Some(_), Some(_)) => Some((format!("the window ends at {}, before it begins at {}", shown(end), shown(start)), "end")),
+            (Some(_), None) => Some((format!("the window begins at {}, when the recording is over", shown(start)), "start")),
+            (None, Some(_)) => Some((format!("the window ends at {}, before the recording begins", shown(end)), "end")),
+            (None, None) => None,
+        };
+        if let Some((message, param)) = blamed {
+            return Err(NodeError::usage(message).note(covered).hint("`start` comes first, and both lie in the recording").param(param));
+        }
         let period = 1e9 / self.rate.hz();
         let first = (start as f64 / period).ceil() as i64;
         let instants = (first..).map(|k| (k as f64 * period).round() as i64).skip_while(|&t| t < start).take_while(|&t| t < end);
         let half = self.exposure.ns() / 2;
         let exposures: Vec<Exposure> = instants.map(|t| Exposure::new(t - half, t - half + self.exposure.ns())).collect();
         if exposures.is_empty() {
-            return Err(NodeError::usage(format!("no frame lies between {start} ns and {end} ns at {}", self.rate))
-                .note(format!("the recording covers {} ns to {} ns", span.start.0, span.end.0))
-                .hint("move `start` and `end` into the recording, or raise `rate`")
+            return Err(NodeError::usage(format!("no frame lies between {} and {} at {}", shown(start), shown(end), self.rate))
+                .note(covered)
+                .hint("move `start` and `end` apart, or raise `rate`")
                 .param(if self.start.is_some() { "start" } else { "rate" }));
         }
         let row_time_ns = match (self.shutter, sensor) {
@@ -133,5 +146,20 @@ mod tests {
         let sampling = Sampling { start: Some(Duration::new(10_000_000)), ..Sampling::default() };
         let error = sampling.times(TimeSpan { start: Timestamp(0), end: Timestamp(5) }, None).unwrap_err();
         assert!(error.to_string().contains("covers 0 ns to 5 ns"));
+    }
+
+    #[test]
+    fn an_empty_window_says_which_end_is_wrong() {
+        let ms = |ms: i64| Some(Duration::new(ms * 1_000_000));
+        let refused = |start, end, span_end_ms: i64| {
+            let sampling = Sampling { start, end, ..Sampling::default() };
+            let error = sampling.times(TimeSpan::new(0, span_end_ms * 1_000_000), None).unwrap_err();
+            (error.message, error.param.unwrap())
+        };
+        assert_eq!(refused(ms(30), ms(10), 60), ("the window ends at 10 ms, before it begins at 30 ms".into(), "end".into()));
+        assert_eq!(refused(ms(30), ms(30), 60), ("the window ends at 30 ms, where it begins".into(), "end".into()));
+        assert_eq!(refused(ms(90), None, 60), ("the window begins at 90 ms, when the recording is over".into(), "start".into()));
+        assert_eq!(refused(None, ms(-5), 60), ("the window ends at -5 ms, before the recording begins".into(), "end".into()));
+        assert_eq!(refused(None, None, 0), ("no frame lies between 0 ns and 0 ns at 1 kHz".into(), "rate".into()));
     }
 }

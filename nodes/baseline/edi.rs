@@ -80,7 +80,7 @@ impl BaselineEdi {
                 let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
                 StepRule { threshold_on: threshold, threshold_off: threshold, stamp: self.params.stamp, shift_ns }
             }
-            (None, Some(sensor)) => StepRule::from_sensor(sensor, events, self.params.stamp, "baseline/edi")?,
+            (None, Some(sensor)) => StepRule::from_sensor(sensor, events, self.params.stamp, "baseline/edi").map_err(or_state_threshold)?,
             (None, None) => {
                 return Err(NodeError::usage("no threshold: neither `threshold` nor a sensor description nor `contrast` is given")
                     .hint("connect `sensor`, or state `threshold`")
@@ -89,6 +89,17 @@ impl BaselineEdi {
         };
         rule.shift_ns += self.params.latency.ns();
         Ok(rule)
+    }
+}
+
+/// A threshold that the description does not state can be stated here.
+fn or_state_threshold(error: NodeError) -> NodeError {
+    match (&error.blamed_input, &error.hint) {
+        (Some(_), Some(hint)) => {
+            let hint = format!("{hint}, or state `threshold`");
+            error.hint(hint)
+        }
+        _ => error,
     }
 }
 

@@ -42,11 +42,13 @@ photocurrent_core::ports! {
 /// The node.
 pub struct CompensateReadout;
 
+const LEAVE_OUT: &str = "leave this node out, and connect the events themselves to what follows";
+
 /// Refuses events that cannot be compensated.
 ///
 /// # Errors
-/// When in-pixel times are missing or steps are there already. `who` is the asker.
-pub fn check_events(events: &EventsMeta, who: &str) -> Result<(), NodeError> {
+/// When in-pixel times are missing or steps are there already. `who` is the asker, `without` says how to do without.
+pub fn check_events(events: &EventsMeta, who: &str, without: &str) -> Result<(), NodeError> {
     if events.has_step {
         return Err(
             NodeError::usage(format!("{who} compensates the readout itself, and `events` were compensated before")).hint("connect the events as recorded")
@@ -55,8 +57,8 @@ pub fn check_events(events: &EventsMeta, who: &str) -> Result<(), NodeError> {
     // Without any event there is nothing to compensate, and no stamp to miss.
     if !events.has_t_in && events.span.is_some() {
         return Err(NodeError::usage(format!("{who} needs in-pixel times, and `events` has only off-pixel times"))
-            .note("the recording has /events/t but no /events/t_in")
-            .hint("leave the readout uncompensated"));
+            .note("each event has one stamp, the off-pixel one")
+            .hint(without));
     }
     Ok(())
 }
@@ -86,15 +88,16 @@ in   = { events = "recording.events", sensor = "sensor" }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let (events, sensor) = (inputs.events("events")?, inputs.sensor("sensor")?);
-        check_events(events, "compensate/readout")?;
+        check_events(events, "compensate/readout", LEAVE_OUT)?;
+        let refractory = ("readout.refractory", sensor.readout.refractory.is_some());
+        sensor.need_all(&[StepRule::needs(sensor).as_slice(), &[refractory]].concat(), "compensate/readout")?;
         StepRule::from_sensor(sensor, events, Stamp::Best, "compensate/readout")?;
-        sensor.need(sensor.readout.refractory, "readout.refractory", "compensate/readout")?;
         Ok(vec![Meta::Events(Arc::new(EventsMeta { has_step: true, ..(**events).clone() }))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let (events, sensor) = (&input.events, &*input.sensor);
-        check_events(&events.meta, "compensate/readout")?;
+        check_events(&events.meta, "compensate/readout", LEAVE_OUT)?;
         let rule = StepRule::from_sensor(sensor, &events.meta, Stamp::Best, "compensate/readout")?;
         let refractory_s = sensor.need(sensor.readout.refractory, "readout.refractory", "compensate/readout")?.seconds();
         clock_offset(sensor)?;
@@ -159,7 +162,7 @@ mod tests {
         let event = Event { x: 0, y: 0, polarity: Polarity::On, t: 5, t_in: None };
         let events = testing::stream(Extent { width: 1, height: 1 }, vec![event]);
         assert_eq!(
-            check_events(&events.meta, "compensate/readout").unwrap_err().message,
+            check_events(&events.meta, "compensate/readout", LEAVE_OUT).unwrap_err().message,
             "compensate/readout needs in-pixel times, and `events` has only off-pixel times"
         );
     }

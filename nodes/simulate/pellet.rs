@@ -6,7 +6,7 @@
 //!
 //! Limits: grey, no photon noise in the event path, readout latency drawn per event (no queue). Light sampled in steps of [`LIGHT_STEP_NS`].
 
-use crate::pixel_events::{clock_offset, left_out};
+use crate::pixel_events::{StepRule, clock_offset, left_out};
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
@@ -125,9 +125,10 @@ impl SimulatePellet {
         let row_time_ns = sensor.need(sensor.frames.row_time, "frames.row_time", "simulate/pellet")?.ns();
         let (exposure, period) = (self.params.exposure.ns(), 1e9 / self.params.frame_rate.hz());
         if exposure as f64 > period {
-            return Err(
-                NodeError::usage(format!("an exposure of {} does not fit the frame period of {:.0} us", self.params.exposure, period / 1e3)).param("exposure")
-            );
+            return Err(NodeError::usage(format!("an exposure of {} does not fit the frame period of {:.0} us", self.params.exposure, period / 1e3))
+                .note(format!("the period is one over `frame_rate = \"{}\"`", self.params.frame_rate))
+                .hint("make `exposure` shorter or `frame_rate` lower")
+                .param("exposure"));
         }
         let last_row = row_time_ns * i64::from(self.params.height - 1);
         let starts = (0..).map(|l| (f64::from(l) * period).round() as i64).take_while(|start| start + exposure + last_row <= self.params.duration.ns());
@@ -205,22 +206,29 @@ params = { duration = "60 ms", frame_rate = "120 fps", truth_rate = "1 kHz", spe
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.background_low > params.background_high {
-            return Err(
-                NodeError::usage(format!("the background goes from {} down to {}", params.background_low, params.background_high)).param("background_low")
-            );
+            return Err(NodeError::usage(format!("the background goes from {} down to {}", params.background_low, params.background_high))
+                .hint(format!("exchange them: `background_low = {:?}`, `background_high = {:?}`", params.background_high, params.background_low))
+                .param("background_low"));
         }
         if 2.0 * params.radius + 1.0 >= f64::from(params.width.min(params.height)) {
-            return Err(
-                NodeError::usage(format!("a pellet of radius {} does not fit into {} x {} pixels", params.radius, params.width, params.height)).param("radius")
-            );
+            return Err(NodeError::usage(format!("a pellet of radius {} does not fit into {} x {} pixels", params.radius, params.width, params.height))
+                .hint("make `radius` smaller, or `width` and `height` larger")
+                .param("radius"));
         }
         Ok(SimulatePellet { params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let sensor = inputs.sensor("sensor")?;
+        let stated = [
+            ("front_end.tau_0", sensor.front_end.tau_0.is_some()),
+            ("front_end.alpha", sensor.front_end.alpha.is_some()),
+            ("readout.refractory", sensor.readout.refractory.is_some()),
+            ("frames.gain", sensor.frames.gain.is_some()),
+            ("frames.row_time", sensor.frames.row_time.is_some()),
+        ];
+        sensor.need_all(&[StepRule::needs(sensor).as_slice(), &stated].concat(), "simulate/pellet")?;
         self.pixel(sensor)?;
-        sensor.need(sensor.frames.gain, "frames.gain", "simulate/pellet")?;
         clock_offset(sensor)?;
         let (events, frames, truth) = self.metas(sensor)?;
         Ok(vec![Meta::Events(Arc::new(events)), Meta::Frames(Arc::new(frames)), Meta::Truth(Arc::new(truth))])

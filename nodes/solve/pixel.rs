@@ -173,20 +173,33 @@ struct Model {
 impl SolvePixel {
     fn model(&self, sensor: &Sensor, events: &EventsMeta) -> Result<Model, NodeError> {
         const WHO: &str = "solve/pixel";
+        // A model that the description cannot feed can be left away, so its refusal says how.
+        let or_without = |error: NodeError, param: &str, without: &str| {
+            let added = error.hint.clone().unwrap_or_default();
+            error.hint(format!("{added}, or set `{param} = \"{without}\"`")).param(param)
+        };
         let front_end = match self.params.front_end {
             FrontEndModel::Ideal => FrontEnd::IDEAL,
-            FrontEndModel::LowPass => FrontEnd {
-                tau_0_s: sensor.need(sensor.front_end.tau_0, "front_end.tau_0", "`front_end = \"low_pass\"`").map_err(|e| e.param("front_end"))?.seconds(),
-                alpha_s: sensor.need(sensor.front_end.alpha, "front_end.alpha", "`front_end = \"low_pass\"`").map_err(|e| e.param("front_end"))?.seconds(),
-            },
+            FrontEndModel::LowPass => {
+                const LOW_PASS: &str = "`front_end = \"low_pass\"`";
+                let (tau_0, alpha) = (sensor.front_end.tau_0, sensor.front_end.alpha);
+                let fields = [("front_end.tau_0", tau_0.is_some()), ("front_end.alpha", alpha.is_some())];
+                sensor.need_all(&fields, LOW_PASS).map_err(|error| or_without(error, "front_end", "ideal"))?;
+                FrontEnd {
+                    tau_0_s: sensor.need(tau_0, "front_end.tau_0", LOW_PASS)?.seconds(),
+                    alpha_s: sensor.need(alpha, "front_end.alpha", LOW_PASS)?.seconds(),
+                }
+            }
         };
         let refractory_s = match self.params.readout {
             ReadoutModel::None => 0.0,
             ReadoutModel::Slope => {
-                check_events(events, "`readout = \"slope\"`").map_err(|e| e.param("readout"))?;
-                sensor.need(sensor.readout.refractory, "readout.refractory", "`readout = \"slope\"`").map_err(|e| e.param("readout"))?.seconds()
+                const SLOPE: &str = "`readout = \"slope\"`";
+                check_events(events, SLOPE, "set `readout = \"none\"`").map_err(|error| error.param("readout"))?;
+                sensor.need(sensor.readout.refractory, "readout.refractory", SLOPE).map_err(|error| or_without(error, "readout", "none"))?.seconds()
             }
         };
+        sensor.need_all(&[StepRule::needs(sensor).as_slice(), &[("frames.gain", sensor.frames.gain.is_some())]].concat(), WHO)?;
         Ok(Model {
             rule: StepRule::from_sensor(sensor, events, Stamp::Best, WHO)?,
             front_end,

@@ -160,6 +160,7 @@ impl WriteContactSheet {
                 "`crop` asks for {} x {} pixels at ({}, {}), and the frames have {extent}",
                 crop.width, crop.height, crop.x, crop.y
             ))
+            .hint(format!("keep `x + width` within {}, and `y + height` within {}", extent.width, extent.height))
             .param("crop"));
         }
         let columns = self.params.times.as_ref().map_or(self.params.columns, Vec::len);
@@ -314,7 +315,7 @@ params = { labels = ["kept", "held out"], columns = 4 }
         if let (Some(start), Some(end)) = (params.start, params.end)
             && end < start
         {
-            return Err(NodeError::usage(format!("the window ends at {end}, before it begins at {start}")).param("end"));
+            return Err(NodeError::usage(format!("the window ends at {end}, before it begins at {start}")).hint("make `end` later than `start`").param("end"));
         }
         Ok(WriteContactSheet { params })
     }
@@ -520,7 +521,7 @@ mod tests {
         let (disc, other) = (disc(2, 1.0), testing::frames(5, 5, 2));
         assert!(plan(params(&["a"]), vec![meta(&disc)]).is_ok());
         let refused = |params: Params, metas: Vec<Meta>| plan(params, metas).unwrap_err().message;
-        assert_eq!(refused(params(&["a", "b"]), vec![meta(&disc)]), "`labels` has 2 texts, and 1 inputs are connected to `frames`");
+        assert_eq!(refused(params(&["a", "b"]), vec![meta(&disc)]), "`labels` has 2 texts, and 1 input is connected to `frames`");
         assert_eq!(refused(params(&["a", "b"]), vec![meta(&disc), meta(&other)]), "\"b\" has 5 x 5 pixels, and \"a\" has 48 x 32");
         let crop = Some(Crop { x: 40, y: 0, width: 9, height: 1 });
         assert_eq!(refused(Params { crop, ..params(&["a"]) }, vec![meta(&disc)]), "`crop` asks for 9 x 1 pixels at (40, 0), and the frames have 48 x 32");

@@ -25,15 +25,18 @@ fn cannot_write(path: &Path, error: &dyn std::fmt::Display) -> NodeError {
 /// Refuses a list of labels that does not name each of `count` inputs of `port` once.
 fn check_labels(labels: &[String], count: usize, port: &str) -> Result<(), NodeError> {
     if labels.len() != count {
-        return Err(NodeError::usage(format!("`labels` has {} texts, and {count} inputs are connected to `{port}`", labels.len()))
+        let texts = if labels.len() == 1 { "1 text".into() } else { format!("{} texts", labels.len()) };
+        let inputs = if count == 1 { "1 input is".into() } else { format!("{count} inputs are") };
+        return Err(NodeError::usage(format!("`labels` has {texts}, and {inputs} connected to `{port}`"))
             .hint(format!("write one label for each input of `{port}`, in the same order"))
             .param("labels"));
     }
     for (i, label) in labels.iter().enumerate() {
-        if labels[..i].contains(label) {
+        if let Some(first) = labels[..i].iter().position(|other| other == label) {
             return Err(NodeError::usage(format!("the label \"{label}\" stands twice in `labels`"))
-                .hint("readers tell rows apart by their label")
-                .param("labels"));
+                .note(format!("label {} and label {} of the list are the same", first + 1, i + 1))
+                .hint("give each row its own: readers tell rows apart by their label")
+                .param(format!("labels.{i}")));
         }
     }
     Ok(())

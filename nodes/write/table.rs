@@ -510,7 +510,7 @@ mod tests {
             WriteTable::build(params(labels)).unwrap().plan(&PortMetas::new(BTreeMap::from([("tables".to_string(), metas)])))
         };
         assert!(plan(&["a", "b"], &[true, true]).is_ok());
-        assert_eq!(plan(&["a"], &[true, true]).unwrap_err().message, "`labels` has 1 texts, and 2 inputs are connected to `tables`");
+        assert_eq!(plan(&["a"], &[true, true]).unwrap_err().message, "`labels` has 1 text, and 2 inputs are connected to `tables`");
         assert!(plan(&["a", "a"], &[true, true]).unwrap_err().message.contains("stands twice"));
         assert_eq!(plan(&["a", "b"], &[true, false]).unwrap_err().message, "the table \"b\" holds no scores");
     }

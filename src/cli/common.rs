@@ -69,10 +69,8 @@ impl Target {
     /// Loads and plans.
     pub fn plan(&self) -> Result<(Project, Plan), Failure> {
         let catalogue = photocurrent_nodes::catalogue();
-        let project = Project::load(&self.manifest, &self.sets, &catalogue)?;
         let selection = Selection { variants: self.variants.clone(), to: self.to.clone() };
-        let plan = Plan::new(&project, &catalogue, &selection)?;
-        Ok((project, plan))
+        Ok(Plan::load(&self.manifest, &self.sets, &catalogue, &selection)?)
     }
 
     /// Where files for the user go.

@@ -3,7 +3,7 @@
 use crate::args::{CheckOptions, ExplainOptions, PlanOptions, Target};
 use crate::common::{Done, Failure, human_bytes, human_seconds, print, print_json};
 use crate::tables::draw;
-use photocurrent_engine::{Plan, Project, Selection, State, TaskStatus, status};
+use photocurrent_engine::{Plan, Selection, State, TaskStatus, status};
 use photocurrent_store::Cache;
 use serde_json::{Value, json};
 
@@ -106,8 +106,7 @@ pub fn check(options: &CheckOptions) -> Done {
         return crate::inspect::check_recording(&options.file);
     }
     let catalogue = photocurrent_nodes::catalogue();
-    let project = Project::load(&options.file, &options.sets, &catalogue)?;
-    let plan = Plan::new(&project, &catalogue, &Selection::default())?;
+    let (_, plan) = Plan::load(&options.file, &options.sets, &catalogue, &Selection::default())?;
     eprintln!("{}: {} nodes in {} variant(s), no mistake found", options.file.display(), plan.tasks.len(), plan.variants.len());
     Ok(0)
 }

@@ -1,6 +1,7 @@
 //! What can go wrong while data is read or a node works.
 
 use crate::document::Problem;
+use crate::value::DataType;
 use std::fmt;
 use std::path::Path;
 
@@ -60,13 +61,15 @@ pub struct NodeError {
     pub hint: Option<String>,
     /// The parameter that is to blame, when one is: `readout`, `window.start`.
     pub param: Option<String>,
+    /// The type of the input that is to blame, when one is: a plan then says which file it was read from.
+    pub blamed_input: Option<DataType>,
     /// Mistakes in a text file that the node read, each at its place.
     pub problems: Vec<Problem>,
 }
 
 impl NodeError {
     fn with(trouble: Trouble, message: impl Into<String>) -> NodeError {
-        NodeError { trouble, message: message.into(), notes: Vec::new(), hint: None, param: None, problems: Vec::new() }
+        NodeError { trouble, message: message.into(), notes: Vec::new(), hint: None, param: None, blamed_input: None, problems: Vec::new() }
     }
 
     /// The parameters or the wiring cannot work.
@@ -109,6 +112,12 @@ impl NodeError {
     /// Adds mistakes in a text file.
     pub fn problems(mut self, problems: Vec<Problem>) -> NodeError {
         self.problems = problems;
+        self
+    }
+
+    /// Names the type of the input to blame.
+    pub fn blames(mut self, input: DataType) -> NodeError {
+        self.blamed_input = Some(input);
         self
     }
 

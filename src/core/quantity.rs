@@ -1,7 +1,7 @@
 //! Values with a unit, written as text: `"100 us"`, `"10 kHz"`.
 //!
 //! A bare number where a unit is needed is an error that lists the units accepted. Times are exact: `"0.1 us"` is 100 ns, and
-//! a time that is not a whole number of nanoseconds is refused rather than rounded.
+//! a time between two nanoseconds becomes the nearer one, and one that would become zero is refused.
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -97,8 +97,9 @@ impl Dimension {
             if whole.abs() > i64::MAX as f64 / 4.0 {
                 return Err(bad(format!("`{text}` is longer than the clock can count (about 73 years)")));
             }
-            if (base - whole).abs() > 1e-6 * size.clamp(1.0, 1e3) {
-                return Err(bad(format!("`{text}` is not a whole number of nanoseconds")));
+            // Calibrations give time constants to the picosecond; the clock counts nanoseconds. Only a time that would vanish is refused.
+            if whole == 0.0 && base != 0.0 {
+                return Err(bad(format!("`{text}` is shorter than the clock can count (1 ns)")));
             }
             return Ok(whole);
         }
@@ -270,7 +271,15 @@ mod tests {
 
     #[test]
     fn units_are_read_exactly() {
-        for (text, ns) in [("100 us", 100_000), ("0.1us", 100), ("1e3 ns", 1000), ("-6 ms", -6_000_000), ("2 min", 120_000_000_000), ("7 \u{b5}s", 7000)] {
+        for (text, ns) in [
+            ("100 us", 100_000),
+            ("0.1us", 100),
+            ("1e3 ns", 1000),
+            ("-6 ms", -6_000_000),
+            ("2 min", 120_000_000_000),
+            ("7 \u{b5}s", 7000),
+            ("11.161933 us", 11_162),
+        ] {
             assert_eq!(text.parse::<Duration>().unwrap().ns(), ns, "{text}");
         }
         assert_eq!("10 kHz".parse::<Rate>().unwrap().hz(), 10_000.0);
@@ -282,7 +291,7 @@ mod tests {
         let error = "100".parse::<Duration>().unwrap_err().to_string();
         assert_eq!(error, "`100` has no unit; expected a time such as \"100 us\" (units: ns, us, ms, s, min)");
         assert!("3 parsec".parse::<Rate>().unwrap_err().to_string().starts_with("unknown unit `parsec`"));
-        assert!("0.3 ns".parse::<Duration>().unwrap_err().to_string().contains("whole number of nanoseconds"));
+        assert!("0.3 ns".parse::<Duration>().unwrap_err().to_string().contains("shorter than the clock can count"));
     }
 
     #[test]

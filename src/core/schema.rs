@@ -57,9 +57,8 @@ fn allows(schema: &Json, name: &str) -> bool {
 
 /// "from 1 to 8", "at least 0", "greater than 0 and at most 100": the whole range, from bounds as they are written.
 fn range(least: Option<String>, above: Option<String>, most: Option<String>, below: Option<String>) -> String {
-    match (&least, &above, &most, &below) {
-        (Some(least), None, Some(most), None) => return format!("from {least} to {most}"),
-        _ => {}
+    if let (Some(least), None, Some(most), None) = (&least, &above, &most, &below) {
+        return format!("from {least} to {most}");
     }
     let named = [("at least", least), ("greater than", above), ("at most", most), ("less than", below)];
     named.into_iter().filter_map(|(words, bound)| Some(format!("{words} {}", bound?))).collect::<Vec<_>>().join(" and ")

@@ -7,6 +7,7 @@ use crate::document::{Item, Origin, Problem, Source, Tree, parse};
 use crate::error::NodeError;
 use crate::quantity::Duration;
 use crate::schema;
+use crate::value::DataType;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -284,6 +285,7 @@ impl Sensor {
         let them = if fields.len() == 1 { "it" } else { "them" };
         NodeError::usage(format!("{who} needs {list}, and the sensor description{called} does not state {them}"))
             .hint(format!("add {list} to the sensor description"))
+            .blames(DataType::Sensor)
     }
 }
 

@@ -5,7 +5,7 @@
 //! it is noted, the node it stands in is left out of later checks, and the rest goes on, so that one run shows every mistake.
 
 use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
-use photocurrent_core::{error, schema};
+use photocurrent_core::{Catalogue, error, schema};
 use serde_json::{Value as Json, json};
 use std::collections::BTreeSet;
 use std::path::{Component, Path, PathBuf};
@@ -15,8 +15,8 @@ use std::sync::Arc;
 pub const FORMAT: i64 = 1;
 
 /// One manifest, as written, with everything it extends merged below it.
-#[derive(Debug, Default)]
-pub(crate) struct Manifest {
+#[derive(Default)]
+pub(crate) struct Manifest<'a> {
     /// The merged document, without `format` and `extends`.
     pub table: Table,
     /// Every mistake found so far.
@@ -27,11 +27,13 @@ pub(crate) struct Manifest {
     pub start: Option<Origin>,
     /// Does it extend another one?
     pub extends: bool,
+    /// The kinds, to say of a stray key that it is a parameter.
+    catalogue: Option<&'a Catalogue>,
 }
 
 /// Reads a manifest and, below it, what it extends.
-pub(crate) fn read(path: &Path) -> Manifest {
-    let mut manifest = Manifest::default();
+pub(crate) fn read<'a>(path: &Path, catalogue: &'a Catalogue) -> Manifest<'a> {
+    let mut manifest = Manifest { catalogue: Some(catalogue), ..Manifest::default() };
     read_chain(path, None, &mut Vec::new(), &mut manifest);
     manifest
 }
@@ -42,7 +44,8 @@ fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, 
     let bytes = match std::fs::read(path) {
         Ok(bytes) => bytes,
         Err(error) => {
-            let from = if asked_by.is_some() { "paths are relative to the manifest that names them" } else { "is the path right, seen from here?" };
+            let from =
+                if asked_by.is_some() { "paths are relative to the manifest that names them" } else { "check the path: it is relative to the current folder" };
             return manifest.problems.push(problem(error::cannot_read(&shown, &error)).help(from));
         }
     };
@@ -181,14 +184,18 @@ pub(crate) fn check_overlay(table: &mut Table, manifest: &mut Manifest) {
     }
     if let Some(nodes) = table.get("nodes").and_then(Tree::as_table) {
         for (key, node) in &nodes.entries {
-            if !check_node(key, node, &mut manifest.problems) {
+            if !check_node(key, node, manifest) {
                 manifest.broken.insert(key.name.clone());
             }
         }
     }
 }
 
-fn check_node(key: &Key, node: &Tree, problems: &mut Vec<Problem>) -> bool {
+fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
+    let kind = |node: Option<&Tree>| Some(node?.as_table()?.get("kind")?.as_str()?.to_string());
+    let below = manifest.table.get("nodes").and_then(Tree::as_table).and_then(|nodes| nodes.get(&key.name));
+    let kind = kind(Some(node)).or(kind(below)).and_then(|kind| manifest.catalogue?.get(&kind));
+    let problems = &mut manifest.problems;
     let form = such_as(
         object(json!({
             "kind": such_as(text(), "`kind = \"read/sensor\"`"),
@@ -204,6 +211,16 @@ fn check_node(key: &Key, node: &Tree, problems: &mut Vec<Problem>) -> bool {
         problems.push(problem.help("names are small letters, digits and `_`, and begin with a letter"));
     }
     check(node, &form, "key of a node", problems);
+    for (stray, value) in node.as_table().iter().flat_map(|node| &node.entries) {
+        if kind.is_some_and(|kind| kind.schema["properties"].get(&stray.name).is_some())
+            && let Some(problem) = problems[before..].iter_mut().find(|problem| problem.at.as_ref() == Some(&stray.origin))
+        {
+            problem.notes.clear();
+            let text = &value.origin.source.text;
+            let value = text.get(value.origin.span.clone()).filter(|value| value.len() <= 40 && !value.contains('\n')).unwrap_or("...");
+            problem.help = Some(format!("it is a parameter: write it inside `params`, as in `params = {{ {} = {value} }}`", stray.name));
+        }
+    }
     let ports = node.as_table().and_then(|node| node.get("in")).and_then(Tree::as_table);
     for (port, wire) in ports.iter().flat_map(|ports| &ports.entries) {
         let items = match &wire.item {

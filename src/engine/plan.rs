@@ -126,14 +126,38 @@ impl Plan {
     /// # Errors
     /// Every independent mistake, each at its place.
     pub fn new(project: &Project, catalogue: &Catalogue, selection: &Selection) -> Result<Plan, Vec<Problem>> {
-        let mut problems = Vec::new();
-        let pipelines = select_variants(project, &selection.variants, &mut problems);
+        Plan::beside(project, catalogue, selection, Vec::new())
+    }
+
+    /// Reads a manifest as [`Project::load`] does and plans the selected variants, in one round: what is sound is planned even when something else is
+    /// wrong, so that a file that cannot be read is reported together with a mistake in the manifest.
+    ///
+    /// # Errors
+    /// Every independent mistake, each at its place.
+    pub fn load(path: &Path, sets: &[String], catalogue: &Catalogue, selection: &Selection) -> Result<(Project, Plan), Vec<Problem>> {
+        let (project, problems) = Project::resolve(path, sets, catalogue);
+        let plan = Plan::beside(&project, catalogue, selection, problems)?;
+        Ok((project, plan))
+    }
+
+    /// Plans beside mistakes that were found before.
+    fn beside(project: &Project, catalogue: &Catalogue, selection: &Selection, mut problems: Vec<Problem>) -> Result<Plan, Vec<Problem>> {
+        let mut unknown = Vec::new();
+        let selected = select_variants(project, &selection.variants, &mut unknown);
+        // A broken ablation has no variants to name: that the named one is not there only follows.
+        if problems.is_empty() {
+            problems = unknown;
+        }
         let is_ablation = project.ablation.is_some();
         let mut planner = Planner { is_ablation, tasks: Vec::new(), known: HashMap::new(), problems: Vec::new() };
         let mut variants = Vec::new();
         let mut found = Vec::new();
-        for pipeline in pipelines {
-            variants.push(planner.add(pipeline, catalogue, &selection.to));
+        for pipeline in &project.pipelines {
+            if selected.iter().any(|chosen| std::ptr::eq(*chosen, pipeline)) {
+                variants.push(planner.add(pipeline, catalogue, &selection.to));
+            } else {
+                typed::check(pipeline, catalogue, &mut planner.problems);
+            }
             found.push((pipeline.variant.as_str(), std::mem::take(&mut planner.problems)));
         }
         let problems = distinct(problems, found);
@@ -211,6 +235,7 @@ impl Planner {
         for name in to {
             match pipeline.nodes.iter().position(|node| node.id == *name) {
                 Some(at) => chosen[at] = true,
+                None if pipeline.broken.contains(name) => {}
                 None => {
                     let problem = Problem::new(format!("there is no node `{name}`"));
                     self.problems.push(problem.did_you_mean(name, pipeline.nodes.iter().map(|node| node.id.as_str())));
@@ -281,7 +306,12 @@ impl Planner {
         let metas: BTreeMap<String, Vec<Meta>> = inputs.iter().map(|input| (input.port.to_string(), input.from.iter().filter_map(meta).collect())).collect();
         let planned = match node.node.plan(&PortMetas::new(metas)) {
             Ok(planned) => planned,
-            Err(error) => {
+            Err(mut error) => {
+                let blamed = inputs.iter().filter(|input| Some(input.data_type) == error.blamed_input);
+                for task in blamed.flat_map(|input| &input.from).map(|(task, _)| &self.tasks[*task]) {
+                    let read_from = |file: &FileRef| format!("the node `{}` reads it from {}", task.label, file.path.display());
+                    error.notes.extend(task.files.iter().map(read_from));
+                }
                 self.problems.extend(typed::node_problem(node.spec, &error));
                 return None;
             }

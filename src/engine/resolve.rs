@@ -30,7 +30,7 @@ impl Project {
     /// # Errors
     /// Every independent mistake, each at its place.
     pub fn load(path: &Path, sets: &[String], catalogue: &Catalogue) -> Result<Project, Vec<Problem>> {
-        let (project, problems) = Project::resolve(path, sets);
+        let (project, problems) = Project::resolve(path, sets, catalogue);
         // What could be read is checked further even when something else is wrong, so that one run shows every mistake.
         let mut variants = Vec::new();
         for pipeline in &project.pipelines {
@@ -42,9 +42,9 @@ impl Project {
         if problems.is_empty() { Ok(project) } else { Err(problems) }
     }
 
-    /// The part of [`Project::load`] that needs no catalogue.
-    pub(crate) fn resolve(path: &Path, sets: &[String]) -> (Project, Vec<Problem>) {
-        let mut manifest = manifest::read(path);
+    /// The part of [`Project::load`] that looks at the manifest alone.
+    pub(crate) fn resolve(path: &Path, sets: &[String], catalogue: &Catalogue) -> (Project, Vec<Problem>) {
+        let mut manifest = manifest::read(path, catalogue);
         let sets = read_sets(sets, &mut manifest);
         let (ablation, variants) = ablation::variants(&mut manifest);
         let mut pipelines = Vec::new();
