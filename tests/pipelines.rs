@@ -34,6 +34,12 @@ fn pooled(path: &Path) -> BTreeMap<(String, String, String), f64> {
     lines(path).iter().map(|line| (key(line), line["value"].as_f64().expect("a number"))).collect()
 }
 
+/// The README shows what the command prints, digit for digit.
+fn in_the_readme(printed: &str) {
+    let readme = std::fs::read_to_string(support::root().join("README.md")).expect("README.md");
+    assert!(readme.contains(printed.trim()), "README.md should show\n{printed}");
+}
+
 #[test]
 fn the_quickstart_shows_what_compensation_brings() {
     let bench = Bench::new();
@@ -51,6 +57,7 @@ fn the_quickstart_shows_what_compensation_brings() {
         let row = done.stdout.lines().find(|line| line.starts_with(label.as_str())).unwrap_or_else(|| panic!("{label} is missing from {}", done.stdout));
         assert!(row.ends_with(&format!("  {:.3}", values["psnr_db"])), "{row}");
     }
+    in_the_readme(&done.stdout);
     assert!(done.stderr.contains("21 nodes executed, 0 reused from the cache") && done.stderr.contains("files are in out/quickstart"), "{}", done.stderr);
 }
 
@@ -96,6 +103,7 @@ fn an_ablation_prints_one_row_a_variant_with_its_gain() {
     assert_eq!(rows[0], ["front_end", "readout", "psnr.psnr_db", "gain"]);
     assert_eq!(rows[2..].iter().map(|row| (row[0], row[1])).collect::<Vec<_>>(), [("off", "off"), ("off", "on"), ("on", "off"), ("on", "on")]);
     assert_eq!(rows[2][3], "+0.000");
+    in_the_readme(&done.stdout);
     let number = |row: usize, column: usize| rows[row][column].parse::<f64>().expect("a number");
     for row in 3..6 {
         // Both are rounded to three digits.
