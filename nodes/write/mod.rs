@@ -7,6 +7,7 @@ pub mod contact_sheet;
 mod font;
 pub mod frames;
 mod picture;
+pub mod recording;
 pub mod table;
 
 use photocurrent_core::NodeError;

@@ -252,6 +252,11 @@ impl Sensor {
         }
     }
 
+    /// As the TOML text that [`Sensor::parse`] reads.
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("a sensor description is plain data")
+    }
+
     /// As JSON in field order, for digests and the cache.
     pub fn canonical_json(&self) -> String {
         serde_json::to_string(self).expect("a sensor description is plain data")
@@ -337,9 +342,10 @@ leak_events = { rate = "0.1 Hz" }
     }
 
     #[test]
-    fn it_survives_being_written_as_json() {
+    fn it_survives_being_written_as_json_and_as_toml() {
         let sensor = Sensor::parse(&Source::new("s.toml", "", HYBRID)).unwrap();
         assert_eq!(serde_json::from_str::<Sensor>(&sensor.canonical_json()).unwrap(), sensor);
+        assert_eq!(Sensor::parse(&Source::new("again.toml", "", sensor.to_toml())).unwrap(), sensor);
     }
 
     #[test]
