@@ -26,6 +26,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<score::psnr::ScorePsnr>(),
         Kind::of::<score::heldout::ScoreHeldout>(),
         // What the user takes away.
+        Kind::of::<write::recording::WriteRecording>(),
         Kind::of::<write::frames::WriteFrames>(),
         Kind::of::<write::table::WriteTable>(),
         Kind::of::<write::contact_sheet::WriteContactSheet>(),
