@@ -3,7 +3,7 @@
 //! Nothing here opens a file or starts a thread. In reading order:
 //!
 //! - [`time`], [`extent`], [`quantity`]: instants in nanoseconds, pixels and rows, values with units.
-//! - [`events`], [`frames`], [`tracks`], [`map`], [`table`], [`sensor`]: the data, each with one canonical order.
+//! - [`events`], [`frames`], [`tracks`], [`light`], [`map`], [`table`], [`sensor`]: the data, each with one canonical order.
 //! - [`value`]: the closed set of things that flow between nodes, and [`value::Meta`], what is known of them before data.
 //! - [`node`], [`ports`], [`context`]: what a node is, what its sockets are, what it may ask while it runs.
 //! - [`digest`]: the name of a content. [`random`]: numbers that depend on (seed, pixel, index) only.
@@ -18,6 +18,7 @@ pub mod events;
 pub mod extent;
 pub mod frames;
 pub mod handle;
+pub mod light;
 pub mod map;
 pub mod node;
 pub mod ports;
@@ -25,6 +26,7 @@ pub mod quantity;
 pub mod random;
 pub mod schema;
 pub mod sensor;
+pub mod series;
 pub mod table;
 pub mod testing;
 pub mod time;
@@ -37,6 +39,7 @@ pub use error::{DataError, NodeError};
 pub use events::{EventBand, EventStream, EventsMeta, Polarity};
 pub use extent::{Extent, Rows};
 pub use frames::{FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Truth};
+pub use light::{Light, LightBand, LightMeta};
 pub use map::{MapBand, MapMeta, MapSet};
 pub use node::{Catalogue, Decl, FileRef, Grain, Kind, Node};
 pub use ports::{PortMetas, PortValues, Ports};

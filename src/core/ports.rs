@@ -6,6 +6,7 @@
 use crate::error::NodeError;
 use crate::events::{EventStream, EventsMeta};
 use crate::frames::{FrameSequence, FramesMeta, Truth};
+use crate::light::{Light, LightMeta};
 use crate::map::MapSet;
 use crate::sensor::Sensor;
 use crate::table::Table;
@@ -75,6 +76,7 @@ port!(EventStream, Events);
 port!(FrameSequence, Frames);
 port!(Truth, Truth);
 port!(TrackSet, Tracks);
+port!(Light, Light);
 port!(Arc<Sensor>, Sensor);
 port!(MapSet, Map);
 port!(Arc<Table>, Table);
@@ -205,6 +207,9 @@ impl PortMetas {
     meta_of!(
         /// The tracks at a port.
         tracks, Tracks, TracksMeta);
+    meta_of!(
+        /// The light at a port.
+        light, Light, LightMeta);
     meta_of!(
         /// The sensor description at a port.
         sensor, Sensor, Sensor);

@@ -4,6 +4,7 @@ use crate::context::{Context, Notes, Silent};
 use crate::events::{Event, EventBand, EventStream, EventsMeta, Polarity};
 use crate::extent::{Extent, Rows};
 use crate::frames::{FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta};
+use crate::light::{Light, LightBand, LightMeta};
 use crate::random::Random;
 use crate::time::{Exposure, TimeSpan};
 use crate::tracks::{TrackBand, TrackSet, TracksMeta};
@@ -88,6 +89,25 @@ pub fn tracks(width: u32, height: u32) -> TrackSet {
     }
     let meta = TracksMeta { extent, span: TimeSpan::new(0, 100_000_000), nominal_exposure_ns: 4_000_000, count_hint: None };
     TrackSet::in_memory(Arc::new(meta), band)
+}
+
+/// Random light with one to four instants a pixel, over 100 ms.
+pub fn light(width: u32, height: u32) -> Light {
+    let extent = Extent { width, height };
+    let mut random = Random::new(4, &[u64::from(width), u64::from(height)]);
+    let mut band = LightBand::begin(0, width);
+    for _ in 0..extent.pixels() {
+        let mut t = 0;
+        let instants: Vec<(i64, f32)> = (0..1 + random.bits() % 4)
+            .map(|_| {
+                t += 1 + (random.bits() % 20_000_000) as i64;
+                (t, (random.uniform() * 100.0) as f32)
+            })
+            .collect();
+        band.push(instants);
+    }
+    let meta = LightMeta { extent, span: TimeSpan::new(0, 100_000_000), count_hint: None };
+    Light::in_memory(Arc::new(meta), band)
 }
 
 /// Calls `work` with a context for some rows, all of `wanted` outputs wanted; gives back its result and the notes made.

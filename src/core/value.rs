@@ -6,6 +6,7 @@ use crate::events::{EventStream, EventsMeta};
 use crate::extent::Rows;
 use crate::frames::{FrameSequence, FramesMeta, Truth};
 use crate::handle::{Band, BandMeta, Handle};
+use crate::light::{Light, LightMeta};
 use crate::map::{MapMeta, MapSet};
 use crate::sensor::Sensor;
 use crate::table::{Table, TableMeta};
@@ -27,6 +28,8 @@ pub enum DataType {
     Truth,
     /// Photocurrent tracks.
     Tracks,
+    /// Light on the pixels, as a scene gives it.
+    Light,
     /// A sensor description.
     Sensor,
     /// Named planes of one number per pixel.
@@ -43,6 +46,7 @@ impl DataType {
             DataType::Frames => "frames",
             DataType::Truth => "truth",
             DataType::Tracks => "tracks",
+            DataType::Light => "light",
             DataType::Sensor => "sensor",
             DataType::Map => "map",
             DataType::Table => "table",
@@ -73,6 +77,8 @@ pub enum Meta {
     Truth(Arc<FramesMeta>),
     /// Of tracks.
     Tracks(Arc<TracksMeta>),
+    /// Of light.
+    Light(Arc<LightMeta>),
     /// The sensor description itself: planning needs what it states.
     Sensor(Arc<Sensor>),
     /// Of planes.
@@ -96,6 +102,7 @@ impl Meta {
             Meta::Frames(_) => DataType::Frames,
             Meta::Truth(_) => DataType::Truth,
             Meta::Tracks(_) => DataType::Tracks,
+            Meta::Light(_) => DataType::Light,
             Meta::Sensor(_) => DataType::Sensor,
             Meta::Map(_) => DataType::Map,
             Meta::Table(_) => DataType::Table,
@@ -109,6 +116,7 @@ impl Meta {
             Meta::Events(meta) => Some(meta.extent.rows()),
             Meta::Frames(meta) | Meta::Truth(meta) => Some(meta.extent.rows()),
             Meta::Tracks(meta) => Some(meta.extent.rows()),
+            Meta::Light(meta) => Some(meta.extent.rows()),
             Meta::Map(meta) => Some(meta.extent.rows()),
             Meta::Sensor(_) | Meta::Table(_) | Meta::Absent { .. } => None,
         }
@@ -122,6 +130,7 @@ impl Meta {
             Meta::Events(meta) => per_pixel(meta.extent, meta.count_hint) * (11 + 8 * meta.has_t_in as u64 + 4 * meta.has_step as u64),
             Meta::Frames(meta) | Meta::Truth(meta) => (meta.times.len() * meta.row_values() * meta.extent.height as usize * 4) as u64,
             Meta::Tracks(meta) => per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64,
+            Meta::Light(meta) => per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64,
             Meta::Map(meta) => (meta.extent.pixels() * meta.planes.len() * 4) as u64,
             Meta::Sensor(_) | Meta::Table(_) | Meta::Absent { .. } => 1 << 16,
         }
@@ -139,6 +148,8 @@ pub enum Value {
     Truth(Truth),
     /// Photocurrent tracks.
     Tracks(TrackSet),
+    /// Light on the pixels.
+    Light(Light),
     /// A sensor description.
     Sensor(Arc<Sensor>),
     /// Named planes.
@@ -164,6 +175,7 @@ impl Value {
             Value::Frames(value) => Meta::Frames(value.meta.clone()),
             Value::Truth(value) => Meta::Truth(value.0.meta.clone()),
             Value::Tracks(value) => Meta::Tracks(value.meta.clone()),
+            Value::Light(value) => Meta::Light(value.meta.clone()),
             Value::Sensor(value) => Meta::Sensor(value.clone()),
             Value::Map(value) => Meta::Map(value.meta.clone()),
             Value::Table(value) => Meta::Table(Arc::new(TableMeta { scores: value.as_scores().is_some() })),
@@ -181,6 +193,7 @@ impl Value {
             Value::Events(value) => Some(value.rows()),
             Value::Frames(value) | Value::Truth(Truth(value)) => Some(value.rows()),
             Value::Tracks(value) => Some(value.rows()),
+            Value::Light(value) => Some(value.rows()),
             Value::Map(value) => Some(value.rows()),
             Value::Sensor(_) | Value::Table(_) => None,
         }
@@ -193,6 +206,7 @@ impl Value {
             Value::Frames(value) => Value::Frames(value.cut(rows)),
             Value::Truth(value) => Value::Truth(Truth(value.0.cut(rows))),
             Value::Tracks(value) => Value::Tracks(value.cut(rows)),
+            Value::Light(value) => Value::Light(value.cut(rows)),
             Value::Map(value) => Value::Map(value.cut(rows)),
             Value::Sensor(_) | Value::Table(_) => self.clone(),
         }
@@ -216,6 +230,7 @@ impl Value {
             Value::Frames(_) => Value::Frames(FrameSequence::splice(of!(Frames).collect())),
             Value::Truth(_) => Value::Truth(Truth(FrameSequence::splice(of!(Truth).map(|truth| truth.0).collect()))),
             Value::Tracks(_) => Value::Tracks(TrackSet::splice(of!(Tracks).collect())),
+            Value::Light(_) => Value::Light(Light::splice(of!(Light).collect())),
             Value::Map(_) => Value::Map(MapSet::splice(of!(Map).collect())),
             Value::Sensor(_) | Value::Table(_) => parts.into_iter().next().expect("a splice has at least one part"),
         }
@@ -249,6 +264,7 @@ impl ValueDigest {
             Meta::Events(meta) => meta.write_digest(&mut builder),
             Meta::Frames(meta) | Meta::Truth(meta) => meta.write_digest(&mut builder),
             Meta::Tracks(meta) => meta.write_digest(&mut builder),
+            Meta::Light(meta) => meta.write_digest(&mut builder),
             Meta::Map(meta) => meta.write_digest(&mut builder),
             Meta::Sensor(_) | Meta::Table(_) | Meta::Absent { .. } => {}
         }
@@ -263,6 +279,7 @@ impl ValueDigest {
         let rows = match part {
             Value::Events(part) => row_digests(part)?,
             Value::Tracks(part) => row_digests(part)?,
+            Value::Light(part) => row_digests(part)?,
             Value::Map(part) => row_digests(part)?,
             Value::Frames(part) | Value::Truth(Truth(part)) => {
                 let block = part.read_rows(part.rows())?;
@@ -307,7 +324,8 @@ mod tests {
 
     #[test]
     fn a_digest_does_not_depend_on_how_the_value_was_put_together() {
-        for value in [Value::Events(testing::events(6, 90)), Value::Frames(testing::frames(6, 90, 3)), Value::Tracks(testing::tracks(6, 90))] {
+        let (events, frames) = (Value::Events(testing::events(6, 90)), Value::Frames(testing::frames(6, 90, 3)));
+        for value in [events, frames, Value::Tracks(testing::tracks(6, 90)), Value::Light(testing::light(6, 90))] {
             let whole = value.digest().unwrap();
             for height in [1, 7, 64, 200] {
                 let parts = value.rows().unwrap().bands(height).into_iter().map(|rows| value.cut(rows)).collect();

@@ -4,7 +4,7 @@
 //! outputs of one band fit into the task's share. Results do not depend on the height: that is a promise of the nodes, tested with every one.
 
 use crate::plan::{Plan, Task};
-use photocurrent_core::{EventsMeta, Grain, Meta, Rows, TracksMeta};
+use photocurrent_core::{EventsMeta, Grain, Meta, Rows, LightMeta, TracksMeta};
 
 /// A task's bands.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -81,9 +81,11 @@ fn tallest(all: u32, share: u64, need: &dyn Fn(u32) -> u64) -> u32 {
 pub(crate) fn same_meta(planned: &Meta, actual: &Meta) -> bool {
     let events = |meta: &EventsMeta| EventsMeta { count_hint: None, ..meta.clone() };
     let tracks = |meta: &TracksMeta| TracksMeta { count_hint: None, ..meta.clone() };
+    let light = |meta: &LightMeta| LightMeta { count_hint: None, ..meta.clone() };
     match (planned, actual) {
         (Meta::Events(planned), Meta::Events(actual)) => events(planned) == events(actual),
         (Meta::Tracks(planned), Meta::Tracks(actual)) => tracks(planned) == tracks(actual),
+        (Meta::Light(planned), Meta::Light(actual)) => light(planned) == light(actual),
         (planned, actual) => planned == actual,
     }
 }

@@ -1,4 +1,4 @@
-//! Events and tracks: flat columns in canonical order, with offsets per row or per pixel, so that a row band is one piece.
+//! Events: flat columns in canonical order, with offsets per row, so that a row band is one piece; and what other columns need too.
 
 use crate::error::StoreError;
 use crate::hdf::Opened;
@@ -6,14 +6,14 @@ use crate::hdf::grid::Grid;
 use crate::hdf::write::ColumnWriter;
 use photocurrent_core::handle::{Band, BandMeta, BandSource, Handle};
 use photocurrent_core::value::ValueDigest;
-use photocurrent_core::{DataError, Digest, EventBand, EventStream, EventsMeta, Rows, TrackBand, TrackSet, TracksMeta};
+use photocurrent_core::{DataError, Digest, EventBand, EventStream, EventsMeta, Rows};
 use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Rows that are read, hashed and packed together.
 const ROWS_AT_ONCE: u32 = 64;
 
-const DAMAGED: &str = "the artefact is damaged: run the pipeline again";
+pub(super) const DAMAGED: &str = "the artefact is damaged: run the pipeline again";
 
 /// Reads a part band by band and adds its rows to the digest.
 pub(super) fn each_band<M: BandMeta>(
@@ -85,39 +85,6 @@ impl EventsBody {
     }
 }
 
-/// Tracks being written.
-pub(super) struct TracksBody {
-    t: ColumnWriter<i64>,
-    photocurrent: ColumnWriter<f32>,
-    pixel_offsets: ColumnWriter<u64>,
-}
-
-impl TracksBody {
-    pub fn create(opened: &Opened, _: &TracksMeta) -> Result<TracksBody, StoreError> {
-        create_group(opened, "tracks")?;
-        let mut pixel_offsets = ColumnWriter::new(opened, "tracks/pixel_offsets");
-        pixel_offsets.append(&[0])?;
-        Ok(TracksBody { t: ColumnWriter::new(opened, "tracks/t"), photocurrent: ColumnWriter::new(opened, "tracks/photocurrent"), pixel_offsets })
-    }
-
-    pub fn append(&mut self, part: &TrackSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
-        each_band(part, digest, |band| {
-            let before = self.t.len() as u64;
-            let offsets: Vec<u64> = band.offsets()[1..].iter().map(|&offset| before + offset as u64).collect();
-            self.pixel_offsets.append(&offsets)?;
-            self.t.append(&band.t)?;
-            self.photocurrent.append(&band.photocurrent)
-        })
-    }
-
-    pub fn finish(self, opened: &Opened) -> Result<(), StoreError> {
-        opened.set_text_attribute(self.t.finish()?.dataset(), "unit", "ns")?;
-        self.photocurrent.finish()?;
-        self.pixel_offsets.finish()?;
-        Ok(())
-    }
-}
-
 fn write_offsets(opened: &Opened, name: &str, offsets: &[u64]) -> Result<(), StoreError> {
     let mut column = ColumnWriter::new(opened, name);
     column.append(offsets)?;
@@ -135,7 +102,7 @@ pub(super) fn required<T: crate::hdf::Item>(opened: &Opened, name: &str) -> Resu
 }
 
 /// A column as long as the others.
-fn column<T: crate::hdf::Item>(opened: &Opened, name: &str, length: usize) -> Result<Grid<T>, StoreError> {
+pub(super) fn column<T: crate::hdf::Item>(opened: &Opened, name: &str, length: usize) -> Result<Grid<T>, StoreError> {
     let grid = required(opened, name)?;
     if grid.shape != [length] {
         return Err(opened.content(&format!("/{name}"), format!("the shape {:?}", grid.shape), format!("[{length}]"), DAMAGED));
@@ -144,7 +111,7 @@ fn column<T: crate::hdf::Item>(opened: &Opened, name: &str, length: usize) -> Re
 }
 
 /// Checks that some offsets rise and end inside the columns, and gives them relative to the first.
-fn relative(opened: &Opened, at: &str, offsets: Vec<u64>, length: usize) -> Result<(usize, Vec<usize>), StoreError> {
+pub(super) fn relative(opened: &Opened, at: &str, offsets: Vec<u64>, length: usize) -> Result<(usize, Vec<usize>), StoreError> {
     let first = offsets.first().copied().unwrap_or(0);
     if !offsets.is_sorted() || offsets.last().is_some_and(|&last| last > length as u64) {
         return Err(opened.content(at, "offsets that do not rise, or point outside", format!("rising offsets up to {length}"), DAMAGED));
@@ -199,45 +166,4 @@ pub(super) fn open_events(opened: &Opened, meta: &EventsMeta) -> Result<EventStr
     let meta = EventsMeta { count_hint: Some(n as u64), ..meta.clone() };
     let rows = meta.extent.rows();
     Ok(EventStream::new(Arc::new(meta), rows, Arc::new(source)))
-}
-
-struct TracksSource {
-    opened: Opened,
-    width: usize,
-    t: Grid<i64>,
-    photocurrent: Grid<f32>,
-    pixel_offsets: Grid<u64>,
-}
-
-impl TracksSource {
-    fn band(&self, rows: Rows) -> Result<TrackBand, StoreError> {
-        let pixels = rows.start as usize * self.width;
-        let offsets = self.pixel_offsets.column(pixels..pixels + rows.len() * self.width + 1)?;
-        let (first, offsets) = relative(&self.opened, "/tracks/pixel_offsets", offsets, self.t.shape[0])?;
-        let range = first..first + offsets.last().copied().unwrap_or(0);
-        let (t, photocurrent) = rayon::join(|| self.t.column(range.clone()), || self.photocurrent.column(range.clone()));
-        TrackBand::from_columns(rows.start, self.width as u32, offsets, t?, photocurrent?)
-            .map_err(|error| self.opened.content("/tracks", error.message, "whole rows of pixels", DAMAGED))
-    }
-}
-
-impl BandSource<TrackBand> for TracksSource {
-    fn read(&self, rows: Rows) -> Result<TrackBand, DataError> {
-        Ok(self.band(rows)?)
-    }
-}
-
-pub(super) fn open_tracks(opened: &Opened, meta: &TracksMeta) -> Result<TrackSet, StoreError> {
-    let t: Grid<i64> = required(opened, "tracks/t")?;
-    let n = t.shape.first().copied().unwrap_or(0);
-    let source = TracksSource {
-        opened: opened.clone(),
-        width: meta.extent.width as usize,
-        t: column(opened, "tracks/t", n)?,
-        photocurrent: column(opened, "tracks/photocurrent", n)?,
-        pixel_offsets: column(opened, "tracks/pixel_offsets", meta.extent.pixels() + 1)?,
-    };
-    let meta = TracksMeta { count_hint: Some(n as u64), ..meta.clone() };
-    let rows = meta.extent.rows();
-    Ok(TrackSet::new(Arc::new(meta), rows, Arc::new(source)))
 }

@@ -5,6 +5,7 @@
 //! | events | `/events/x` u16, `/events/p` u8, `/events/t` i64, optional `/events/t_in` i64 and `/events/step` f32, all in (y, t, x) order; `/events/row_offsets` u64 \[h + 1\] |
 //! | frames, truth | `/frames/dn` f32 \[n, h, w x channels\] |
 //! | tracks | `/tracks/t` i64, `/tracks/photocurrent` f32, pixels in row-major order; `/tracks/pixel_offsets` u64 \[h x w + 1\] |
+//! | light | `/light/t`, `/light/photocurrent`, `/light/pixel_offsets`: as tracks |
 //! | map | `/map/values` f32 \[h, planes, w\] |
 //! | table | `/table/c0`, `/table/c1` ...: f64, i64, or UTF-8 bytes with offsets; names and notes in `/table/form` (JSON) |
 //! | sensor | `/meta` holds it |
@@ -15,6 +16,7 @@
 
 mod columns;
 mod grids;
+mod series;
 mod table;
 
 use crate::error::StoreError;
@@ -22,11 +24,12 @@ use crate::hdf::{Opened, locked};
 pub(crate) use columns::create_group;
 pub(crate) use grids::StripWriter;
 
-use columns::{EventsBody, TracksBody};
+use columns::EventsBody;
 use grids::{FramesBody, MapBody};
 use photocurrent_core::map::MapBand;
 use photocurrent_core::value::ValueDigest;
-use photocurrent_core::{Digest, Extent, MapMeta, MapSet, Meta, Rows, Truth, Value};
+use photocurrent_core::{Digest, Extent, LightMeta, MapMeta, MapSet, Meta, Rows, TracksMeta, Truth, Value};
+use series::SeriesBody;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -46,7 +49,8 @@ pub struct ValueWriter {
 enum Body {
     Events(Box<EventsBody>),
     Frames(FramesBody),
-    Tracks(Box<TracksBody>),
+    /// Tracks or light.
+    Series(Box<SeriesBody>),
     Map(MapBody),
     /// A sensor or a table, in one piece.
     Whole(Option<Value>),
@@ -76,7 +80,8 @@ impl ValueWriter {
         let body = match meta {
             Meta::Events(meta) => Body::Events(Box::new(EventsBody::create(&opened, meta)?)),
             Meta::Frames(meta) | Meta::Truth(meta) => Body::Frames(FramesBody::create(&opened, meta)?),
-            Meta::Tracks(meta) => Body::Tracks(Box::new(TracksBody::create(&opened, meta)?)),
+            Meta::Tracks(_) => Body::Series(Box::new(SeriesBody::create::<TracksMeta>(&opened)?)),
+            Meta::Light(_) => Body::Series(Box::new(SeriesBody::create::<LightMeta>(&opened)?)),
             Meta::Map(meta) => Body::Map(MapBody::create(&opened, meta)?),
             Meta::Sensor(_) | Meta::Table(_) | Meta::Absent { .. } => Body::Whole(None),
         };
@@ -110,7 +115,8 @@ impl ValueWriter {
         match (&mut self.body, part) {
             (Body::Events(body), Value::Events(part)) => body.append(&self.opened, part, &mut self.digest),
             (Body::Frames(body), Value::Frames(part) | Value::Truth(Truth(part))) => body.append(part, &mut self.digest),
-            (Body::Tracks(body), Value::Tracks(part)) => body.append(part, &mut self.digest),
+            (Body::Series(body), Value::Tracks(part)) => body.append(part, &mut self.digest),
+            (Body::Series(body), Value::Light(part)) => body.append(part, &mut self.digest),
             (Body::Map(body), Value::Map(part)) => body.append(part, &mut self.digest),
             (Body::Whole(whole @ None), part) => {
                 *whole = Some(part.clone());
@@ -134,7 +140,7 @@ impl ValueWriter {
         match body {
             Body::Events(body) => body.finish(&opened)?,
             Body::Frames(body) => body.finish()?,
-            Body::Tracks(body) => body.finish(&opened)?,
+            Body::Series(body) => body.finish(&opened)?,
             Body::Map(body) => body.finish(&opened, &meta)?,
             Body::Whole(Some(value)) => {
                 if let Value::Table(table) = &value {
@@ -174,7 +180,8 @@ fn banded() -> Value {
 fn without_hint(meta: &Meta) -> Meta {
     match meta {
         Meta::Events(meta) if meta.count_hint.is_some() => Meta::Events(Arc::new(photocurrent_core::EventsMeta { count_hint: None, ..(**meta).clone() })),
-        Meta::Tracks(meta) if meta.count_hint.is_some() => Meta::Tracks(Arc::new(photocurrent_core::TracksMeta { count_hint: None, ..(**meta).clone() })),
+        Meta::Light(meta) if meta.count_hint.is_some() => Meta::Light(Arc::new(LightMeta { count_hint: None, ..(**meta).clone() })),
+        Meta::Tracks(meta) if meta.count_hint.is_some() => Meta::Tracks(Arc::new(TracksMeta { count_hint: None, ..(**meta).clone() })),
         other => other.clone(),
     }
 }
@@ -211,7 +218,8 @@ pub fn open_value(path: &Path) -> Result<Value, StoreError> {
     }
     match meta {
         Meta::Events(meta) => columns::open_events(&opened, &meta).map(Value::Events),
-        Meta::Tracks(meta) => columns::open_tracks(&opened, &meta).map(Value::Tracks),
+        Meta::Tracks(meta) => series::open(&opened, &*meta).map(Value::Tracks),
+        Meta::Light(meta) => series::open(&opened, &*meta).map(Value::Light),
         Meta::Frames(meta) => grids::open_frames(&opened, meta).map(Value::Frames),
         Meta::Truth(meta) => grids::open_frames(&opened, meta).map(|frames| Value::Truth(Truth(frames))),
         Meta::Map(meta) => grids::open_map(&opened, meta).map(Value::Map),

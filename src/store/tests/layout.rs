@@ -62,6 +62,7 @@ fn banded() -> Vec<Value> {
         Value::Frames(testing::frames(3, 4, 1)),
         Value::Truth(Truth(frames)),
         Value::Tracks(testing::tracks(17, 70)),
+        Value::Light(testing::light(17, 70)),
         Value::Map(a_map()),
         Value::Map(MapSet::in_memory(Arc::new(MapMeta { extent: Extent { width: 2, height: 3 }, planes: vec![] }), no_planes())),
     ]
@@ -158,6 +159,13 @@ fn parts_read_like_the_whole() {
         assert_eq!(back.read(rows).unwrap(), tracks.read(rows).unwrap());
     }
 
+    let light = testing::light(17, 70);
+    write(&path, &Value::Light(light.clone()), 9);
+    let Value::Light(back) = open_value(&path).unwrap() else { panic!("light stays light") };
+    for rows in (Rows { start: 0, end: 70 }).bands(11) {
+        assert_eq!(back.read(rows).unwrap(), light.read(rows).unwrap());
+    }
+
     let map = a_map();
     write(&path, &Value::Map(map.clone()), 9);
     let Value::Map(back) = open_value(&path).unwrap() else { panic!("maps stay maps") };
@@ -207,6 +215,13 @@ fn an_ordinary_reader_finds_the_documented_datasets() {
     write(&path.with_extension("tracks"), &Value::Tracks(tracks.clone()), 7);
     let file = hdf5::File::open(path.with_extension("tracks")).unwrap();
     assert_eq!(file.dataset("tracks/photocurrent").unwrap().read_raw::<f32>().unwrap(), tracks.read(tracks.rows()).unwrap().photocurrent);
+    let light = testing::light(17, 20);
+    write(&path.with_extension("light"), &Value::Light(light.clone()), 7);
+    let file = hdf5::File::open(path.with_extension("light")).unwrap();
+    let band = light.read(light.rows()).unwrap();
+    assert_eq!(file.dataset("light/t").unwrap().read_raw::<i64>().unwrap(), band.t);
+    assert_eq!(file.dataset("light/photocurrent").unwrap().read_raw::<f32>().unwrap(), band.photocurrent);
+    assert_eq!(file.dataset("light/pixel_offsets").unwrap().shape(), [17 * 20 + 1]);
     write(&path.with_extension("map"), &Value::Map(a_map()), 7);
     assert_eq!(hdf5::File::open(path.with_extension("map")).unwrap().dataset("map/values").unwrap().shape(), [90, 2, 7]);
 }

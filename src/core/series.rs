@@ -1,0 +1,169 @@
+//! Series: instants and photocurrents of every pixel in flat columns, the common part of tracks and light.
+//!
+//! What happens between two instants is not said here: tracks hold ([`crate::tracks`]), light is linear ([`crate::light`]).
+//! Pixels stand in row-major order, one flat list of samples with an offset per pixel, so a row band is one contiguous piece.
+
+use crate::digest::{Digest, DigestBuilder};
+use crate::error::DataError;
+use crate::extent::Rows;
+use crate::handle::{Band, BandMeta};
+use std::fmt;
+use std::marker::PhantomData;
+
+/// What is known of data that are kept as series.
+pub trait SeriesMeta: BandMeta<Band = SeriesBand<Self>> + Clone + fmt::Debug + PartialEq {
+    /// The name of the data type, `tracks`: it stands in the digests of rows, in messages and in the layout of the store.
+    const NAME: &'static str;
+
+    /// The same, with about how many samples there are.
+    fn counted(&self, samples: u64) -> Self;
+}
+
+/// The series of some rows.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeriesBand<M> {
+    start_row: u32,
+    width: u32,
+    offsets: Vec<usize>,
+    /// Time of each sample, ns, rising inside a pixel.
+    pub t: Vec<i64>,
+    /// Photocurrent of each sample, in the units of the sensor description's gain.
+    pub photocurrent: Vec<f32>,
+    kind: PhantomData<fn() -> M>,
+}
+
+/// One pixel's samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Series<'a> {
+    /// Time of each sample, ns.
+    pub t: &'a [i64],
+    /// Photocurrent of each sample.
+    pub photocurrent: &'a [f32],
+}
+
+impl<M: SeriesMeta> SeriesBand<M> {
+    /// An empty band that pixels are pushed to, left to right and top to bottom.
+    pub fn begin(start_row: u32, width: u32) -> SeriesBand<M> {
+        SeriesBand { start_row, width, offsets: vec![0], t: Vec::new(), photocurrent: Vec::new(), kind: PhantomData }
+    }
+
+    /// Adds the next pixel.
+    pub fn push(&mut self, samples: impl IntoIterator<Item = (i64, f32)>) {
+        for (t, photocurrent) in samples {
+            self.t.push(t);
+            self.photocurrent.push(photocurrent);
+        }
+        self.offsets.push(self.t.len());
+    }
+
+    /// From columns in canonical order; `offsets` has one entry per pixel and a last one.
+    ///
+    /// # Errors
+    /// When lengths disagree or offsets do not rise: the artefact is damaged.
+    pub fn from_columns(start_row: u32, width: u32, offsets: Vec<usize>, t: Vec<i64>, photocurrent: Vec<f32>) -> Result<SeriesBand<M>, DataError> {
+        let whole_rows = width > 0 && !offsets.is_empty() && (offsets.len() - 1).is_multiple_of(width as usize);
+        let rising = offsets.first() == Some(&0) && offsets.last() == Some(&t.len()) && offsets.windows(2).all(|w| w[0] <= w[1]);
+        if !whole_rows || !rising || t.len() != photocurrent.len() {
+            return Err(DataError::new(format!("the columns of a band of {} do not fit each other", M::NAME)));
+        }
+        Ok(SeriesBand { start_row, width, offsets, t, photocurrent, kind: PhantomData })
+    }
+
+    /// Index of the first sample of each pixel, and the number of samples.
+    pub fn offsets(&self) -> &[usize] {
+        &self.offsets
+    }
+
+    /// The samples of pixel (x, row).
+    pub fn pixel(&self, x: u32, row: u32) -> Series<'_> {
+        let at = ((row - self.start_row) * self.width + x) as usize;
+        let range = self.offsets[at]..self.offsets[at + 1];
+        Series { t: &self.t[range.clone()], photocurrent: &self.photocurrent[range] }
+    }
+
+    fn row_pixels(&self, rows: Rows) -> std::ops::Range<usize> {
+        let width = self.width as usize;
+        (rows.start - self.start_row) as usize * width..(rows.end - self.start_row) as usize * width
+    }
+}
+
+impl<M: SeriesMeta> Band for SeriesBand<M> {
+    type Meta = M;
+
+    fn rows(&self) -> Rows {
+        let rows = (self.offsets.len().saturating_sub(1) as u32).checked_div(self.width).unwrap_or(0);
+        Rows { start: self.start_row, end: self.start_row + rows }
+    }
+
+    fn row_digest(&self, row: u32) -> Digest {
+        let pixels = self.row_pixels(Rows { start: row, end: row + 1 });
+        let counts: Vec<u64> = pixels.clone().map(|p| (self.offsets[p + 1] - self.offsets[p]) as u64).collect();
+        let samples = self.offsets[pixels.start]..self.offsets[pixels.end];
+        let mut digest = DigestBuilder::new(&format!("{}-row/1", M::NAME));
+        digest.slice(&counts).slice(&self.t[samples.clone()]).slice(&self.photocurrent[samples]);
+        digest.finish()
+    }
+
+    fn slice(&self, rows: Rows) -> SeriesBand<M> {
+        let pixels = self.row_pixels(rows);
+        let samples = self.offsets[pixels.start]..self.offsets[pixels.end];
+        SeriesBand {
+            start_row: rows.start,
+            width: self.width,
+            offsets: self.offsets[pixels.start..=pixels.end].iter().map(|offset| offset - samples.start).collect(),
+            t: self.t[samples.clone()].to_vec(),
+            photocurrent: self.photocurrent[samples].to_vec(),
+            kind: PhantomData,
+        }
+    }
+
+    fn concat(parts: Vec<SeriesBand<M>>) -> SeriesBand<M> {
+        let mut parts = parts.into_iter();
+        let mut whole = parts.next().expect("at least one band to join");
+        for part in parts {
+            let before = whole.t.len();
+            whole.offsets.extend(part.offsets[1..].iter().map(|offset| offset + before));
+            whole.t.extend(part.t);
+            whole.photocurrent.extend(part.photocurrent);
+        }
+        whole
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::tracks::TrackBand;
+
+    fn band() -> TrackBand {
+        let mut band = TrackBand::begin(4, 3);
+        for pixel in 0..12 {
+            band.push((0..pixel % 4).map(|k| (k * 100, (pixel * 10 + k) as f32)));
+        }
+        band
+    }
+
+    #[test]
+    fn cutting_and_joining_gives_the_same_band() {
+        let band = band();
+        assert_eq!(band.rows(), Rows { start: 4, end: 8 });
+        for height in 1..5 {
+            let parts: Vec<TrackBand> = band.rows().bands(height).into_iter().map(|rows| band.slice(rows)).collect();
+            assert!(parts.iter().all(|part| part.rows().iter().all(|row| part.row_digest(row) == band.row_digest(row))));
+            assert_eq!(TrackBand::concat(parts), band);
+        }
+    }
+
+    #[test]
+    fn a_pixel_finds_its_own_samples() {
+        let band = band();
+        assert_eq!(band.pixel(2, 6).t.len(), 8 % 4);
+        assert_eq!(band.pixel(1, 6).photocurrent, [70.0, 71.0, 72.0]);
+    }
+
+    #[test]
+    fn columns_that_do_not_fit_are_refused() {
+        assert!(TrackBand::from_columns(0, 2, vec![0, 1, 3], vec![0, 1], vec![0.0, 1.0]).is_err());
+        assert!(TrackBand::from_columns(0, 2, vec![0, 1], vec![0], vec![0.0]).is_err());
+    }
+}
