@@ -7,6 +7,36 @@
 //! (two free-running parts matched by hand). Confused with: a mean readout latency (which no event stamp
 //! precedes) and a wrong row time (which grows along the rows). Limits: constant; a drift is another effect.
 
+use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
+use photocurrent_core::random::Random;
+
+/// The catalogue entry.
+pub const KIND: EffectKind = EffectKind {
+    decl: EffectDecl {
+        id: "clock_offset",
+        stage: Stage::Time,
+        about: "The event clock and the frame clock start at different instants",
+        equation: "t_recorded = t_true + offset",
+        parameters: &[ParameterDecl {
+            name: "offset",
+            unit: Unit::Time,
+            null: Some(0.0),
+            allowed: (-1e6, 1e6),
+            plausible: (-0.05, 0.05),
+            about: "recorded minus true time of an event; negative = events are stamped early",
+        }],
+        covariate: "slope",
+        signature: "frames differ from what events predict in proportion to their rate of change, with one delay for all pixels",
+        confused_with: &["misalignment", "row_time", "time_constant"],
+        source: "two clocks; the same constant for every event",
+    },
+    build,
+};
+
+fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
+    Ok(Box::new(ClockOffset { offset_ns: parameters.need_ns("offset")? }))
+}
+
 /// A constant difference between the event clock and the frame clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct ClockOffset {
@@ -35,6 +65,17 @@ impl ClockOffset {
     /// Turns recorded times back into true ones, in place: the exact inverse of [`ClockOffset::record`].
     pub fn undo(&self, stamps_ns: &mut [i64]) -> Result<(), StampOutOfRange> {
         shift(stamps_ns, |stamp| stamp.checked_sub(self.offset_ns), self.offset_ns.saturating_neg())
+    }
+}
+
+impl Effect for ClockOffset {
+    fn id(&self) -> &'static str {
+        KIND.decl.id
+    }
+
+    fn stamp(&self, _site: &Site, _random: &mut Random, event: &mut PixelEvent) {
+        event.t_in_ns += self.offset_ns;
+        event.t_off_ns += self.offset_ns;
     }
 }
 

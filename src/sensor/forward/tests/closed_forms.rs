@@ -1,6 +1,8 @@
 //! The forward model against closed forms of a ramp, a step and a blind pixel.
 
-use super::*;
+use super::super::response::{RampResponse, Response};
+use super::super::*;
+use photocurrent_core::Exposure;
 
 const MS: i64 = 1_000_000;
 
@@ -100,11 +102,11 @@ fn constant_light_is_silent() {
 #[test]
 fn a_turn_inside_one_step_is_not_missed() {
     // The voltage still falls towards an old dark value while the light rises: it turns round inside the step.
-    let response = RampResponse { start: 0.0, settled: -1.0, slope: 2000.0, tau_s: 1e-3, length_s: 2e-3 };
-    let turn_s = response.turning_point(0.0).expect("the voltage turns");
+    let response = RampResponse { start: 0.0, settled: -1.0, slope: 2000.0, tau_s: 1e-3, drift: 0.0, drift_per_s: 0.0 };
+    let turn_s = response.turning_points(0.0, 2e-3)[0].expect("the voltage turns");
     assert!(response.voltage(turn_s) < response.voltage(0.0));
     let depth = -response.voltage(turn_s);
-    let (at_s, polarity) = response.first_crossing(0.0, 0.0, 10.0, 0.9 * depth).expect("an OFF event before the turn");
+    let (at_s, polarity) = response.first_crossing(0.0, 2e-3, 0.0, 10.0, 0.9 * depth).expect("an OFF event before the turn");
     assert_eq!(polarity, -1);
     assert!(at_s < turn_s && (response.voltage(at_s) + 0.9 * depth).abs() < 1e-12);
 }

@@ -1,0 +1,230 @@
+//! What an effect declares, and how its parameters are read from a sensor description.
+//!
+//! A parameter is text with a unit (`"0.1 Hz"`, `"6 ms"`) or a plain number where there is no unit of measure. The
+//! declaration says which; reading, limits and messages all follow from it, so that an effect's file holds physics only.
+
+use super::effect::Effect;
+use photocurrent_core::document::nearest;
+use photocurrent_core::quantity::Dimension;
+use serde_json::{Map, Value};
+use std::collections::BTreeMap;
+
+/// Where in the chain an effect enters: the `insertion` of a diagnosis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Between scene and photodiode.
+    Light,
+    /// Between photodiode and comparator.
+    FrontEnd,
+    /// The threshold.
+    Comparator,
+    /// The reference and when it is taken.
+    Reset,
+    /// From firing to leaving the array.
+    Readout,
+    /// The stamp.
+    Time,
+    /// The frame.
+    Exposure,
+}
+
+impl Stage {
+    /// The word in files: `light`, `front_end`, `comparator`, `reset`, `readout`, `time`, `exposure`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Stage::Light => "light",
+            Stage::FrontEnd => "front_end",
+            Stage::Comparator => "comparator",
+            Stage::Reset => "reset",
+            Stage::Readout => "readout",
+            Stage::Time => "time",
+            Stage::Exposure => "exposure",
+        }
+    }
+}
+
+/// What a parameter is measured in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// Text with a unit of time; held in seconds.
+    Time,
+    /// Text with a unit of rate; held in hertz.
+    Rate,
+    /// A plain number, of what the text says (`fraction`, `ln`, `photocurrent`, `px`, `1/s`, `DN`).
+    Number(&'static str),
+    /// A list of whole numbers from 0, such as rows.
+    Indices,
+}
+
+impl Unit {
+    /// The unit in reports: `s`, `Hz`, or the number's own.
+    pub fn text(self) -> &'static str {
+        match self {
+            Unit::Time => "s",
+            Unit::Rate => "Hz",
+            Unit::Number(of) => of,
+            Unit::Indices => "index",
+        }
+    }
+
+    /// What a JSON key appends to the parameter's name.
+    pub fn suffix(self) -> &'static str {
+        match self {
+            Unit::Time => "_s",
+            Unit::Rate => "_hz",
+            Unit::Number(_) | Unit::Indices => "",
+        }
+    }
+}
+
+/// One parameter of an effect. Values are in the unit of [`Unit::text`].
+#[derive(Clone, Copy, Debug)]
+pub struct ParameterDecl {
+    /// TOML key.
+    pub name: &'static str,
+    /// Its unit.
+    pub unit: Unit,
+    /// The value that means "no effect"; none = the description's own value of that field.
+    pub null: Option<f64>,
+    /// Values that are accepted, ends included.
+    pub allowed: (f64, f64),
+    /// Values met in sensors: where a search looks first.
+    pub plausible: (f64, f64),
+    /// What it is, with its sign.
+    pub about: &'static str,
+}
+
+/// What an effect says about itself; its file's documentation in a form that programs read.
+#[derive(Clone, Copy, Debug)]
+pub struct EffectDecl {
+    /// Catalogue id.
+    pub id: &'static str,
+    /// Where it enters.
+    pub stage: Stage,
+    /// What it is, in a newcomer's words.
+    pub about: &'static str,
+    /// The equation, in plain text.
+    pub equation: &'static str,
+    /// What may be set.
+    pub parameters: &'static [ParameterDecl],
+    /// The covariate on which it shows, by the names of the diagnosis.
+    pub covariate: &'static str,
+    /// What it does to events or frames.
+    pub signature: &'static str,
+    /// Ids (or plain words) of what looks alike.
+    pub confused_with: &'static [&'static str],
+    /// Where it is described.
+    pub source: &'static str,
+}
+
+/// An effect of the catalogue: its declaration, and how to make one.
+#[derive(Clone, Copy, Debug)]
+pub struct EffectKind {
+    /// What it says about itself.
+    pub decl: EffectDecl,
+    /// Makes one from parameters that passed the declaration.
+    pub build: fn(&Parameters) -> Result<Box<dyn Effect>, String>,
+}
+
+impl EffectKind {
+    /// Reads parameters and makes the effect.
+    ///
+    /// # Errors
+    /// When a key is unknown, or a value of the wrong kind or out of its limits.
+    pub fn read(&self, given: &Map<String, Value>) -> Result<Box<dyn Effect>, String> {
+        (self.build)(&Parameters::read(&self.decl, given)?)
+    }
+}
+
+/// Parameters that passed their declaration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    effect: &'static str,
+    values: BTreeMap<&'static str, f64>,
+    lists: BTreeMap<&'static str, Vec<u32>>,
+}
+
+impl Parameters {
+    /// Checks what is given against a declaration.
+    ///
+    /// # Errors
+    /// With effect, key, what was found and what is expected.
+    pub fn read(decl: &EffectDecl, given: &Map<String, Value>) -> Result<Parameters, String> {
+        let mut read = Parameters { effect: decl.id, values: BTreeMap::new(), lists: BTreeMap::new() };
+        for (key, value) in given {
+            let Some(parameter) = decl.parameters.iter().find(|parameter| parameter.name == key) else {
+                return Err(unknown_key(decl, key));
+            };
+            let wrong = |what: String| format!("`effects.{}.{key}`: {what}", decl.id);
+            if parameter.unit == Unit::Indices {
+                read.lists.insert(parameter.name, indices(value).ok_or_else(|| wrong(format!("expected a list of whole numbers from 0, found {value}")))?);
+                continue;
+            }
+            let number = quantity(parameter.unit, value).map_err(wrong)?;
+            let (least, most) = parameter.allowed;
+            if !(number >= least && number <= most) {
+                let unit = parameter.unit.text();
+                return Err(wrong(format!("expected {least} to {most} {unit}, found {value}")));
+            }
+            read.values.insert(parameter.name, number);
+        }
+        Ok(read)
+    }
+
+    /// A value in its declared unit (seconds, hertz, plain), when it is given.
+    pub fn get(&self, name: &str) -> Option<f64> {
+        self.values.get(name).copied()
+    }
+
+    /// A value in its declared unit.
+    ///
+    /// # Errors
+    /// When it is not given.
+    pub fn need(&self, name: &str) -> Result<f64, String> {
+        self.get(name).ok_or_else(|| format!("`effects.{}` needs `{name}`", self.effect))
+    }
+
+    /// A time in whole nanoseconds, when it is given.
+    pub fn get_ns(&self, name: &str) -> Option<i64> {
+        self.get(name).map(|seconds| (seconds * 1e9).round() as i64)
+    }
+
+    /// A time in whole nanoseconds.
+    ///
+    /// # Errors
+    /// When it is not given.
+    pub fn need_ns(&self, name: &str) -> Result<i64, String> {
+        self.need(name).map(|seconds| (seconds * 1e9).round() as i64)
+    }
+
+    /// A list of whole numbers, when it is given.
+    pub fn list(&self, name: &str) -> Option<&[u32]> {
+        self.lists.get(name).map(Vec::as_slice)
+    }
+}
+
+fn unknown_key(decl: &EffectDecl, key: &str) -> String {
+    let names: Vec<&str> = decl.parameters.iter().map(|parameter| parameter.name).collect();
+    let hint = match nearest(key, names.iter().copied()) {
+        Some(near) => format!("did you mean `{near}`?"),
+        None => format!("it has {}", names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")),
+    };
+    format!("`{key}` is not a parameter of `effects.{}`; {hint}", decl.id)
+}
+
+fn quantity(unit: Unit, value: &Value) -> Result<f64, String> {
+    let text = |dimension: Dimension, scale: f64| match value {
+        Value::String(text) => dimension.read(text).map(|base| base / scale).map_err(|error| error.to_string()),
+        other => Err(format!("expected a {} such as \"{}\", found {other}", dimension.name(), dimension.example())),
+    };
+    match unit {
+        Unit::Time => text(Dimension::Time, 1e9),
+        Unit::Rate => text(Dimension::Rate, 1.0),
+        Unit::Number(of) => value.as_f64().ok_or_else(|| format!("expected a number ({of}), found {value}")),
+        Unit::Indices => Err("expected a list".to_owned()),
+    }
+}
+
+fn indices(value: &Value) -> Option<Vec<u32>> {
+    value.as_array()?.iter().map(|item| item.as_u64().and_then(|index| u32::try_from(index).ok())).collect()
+}

@@ -1,0 +1,363 @@
+//! One pixel through time: steps, crossings, resets, and every place where an effect may enter.
+
+use super::light::{EventLight, LinearLight, Piece};
+use super::numeric::{NumericResponse, State, System};
+use super::response::{RampResponse, Response};
+use super::{Pixel, PixelNoise};
+use crate::comparator::{fired_polarity, signed_step};
+use crate::effects::{
+    Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous, Thresholds, effect::BURST_GAP_NS, effect::Streams,
+};
+use crate::front_end::settled_voltage;
+use photocurrent_core::sensor::Reset;
+
+/// A threshold never falls below this, whatever noise is added: at zero a pixel would fire without end.
+const THRESHOLD_FLOOR: f64 = 1e-6;
+
+/// A pixel as a description states it, its reset law, and what goes beyond.
+#[derive(Clone, Copy)]
+pub struct Chain<'a> {
+    /// The stated pixel.
+    pub pixel: Pixel,
+    /// What the reference does after an event.
+    pub reset: Reset,
+    /// In the order of the catalogue.
+    pub effects: &'a [Box<dyn Effect>],
+}
+
+/// An event that a pixel fired.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fired {
+    /// With true times; `t_off_ns` shows what stamps show, without hidden latency.
+    pub event: PixelEvent,
+    /// When it really left the array.
+    pub left_ns: i64,
+    /// As it is recorded, or nothing when it is lost.
+    pub recorded: Option<PixelEvent>,
+}
+
+/// The events of one pixel from `start_ns` to `end_ns`, in order of true in-pixel time; `light` is what falls on it, neighbours' parts included.
+///
+/// The pixel starts settled, armed, and with the reference at its voltage. `noise` is asked for thresholds and latencies as in
+/// [`super::simulate_events`]; effects draw from streams of their own.
+///
+/// # Panics
+///
+/// When `max_step_ns` is not positive, or an effect makes a photocurrent that is not positive.
+pub fn simulate(chain: &Chain<'_>, site: &Site, light: &LinearLight<'_>, start_ns: i64, end_ns: i64, noise: &mut impl PixelNoise) -> Vec<Fired> {
+    assert!(chain.pixel.max_step_ns > 0, "the step of the simulation is positive");
+    let seen = EventLight::new(chain.effects, site, *light, start_ns, end_ns);
+    let seen = seen.get();
+    let mut model = FrontEndModel::plain(chain.pixel.front_end);
+    let stated = Thresholds { on: chain.pixel.threshold_on, off: chain.pixel.threshold_off };
+    let mut leak = Leak::default();
+    let (mut kicks, mut spontaneous): (Vec<Kick>, Vec<Spontaneous>) = (Vec::new(), Vec::new());
+    let mut streams: Vec<Streams> = chain.effects.iter().map(|effect| Streams::new(site, effect.id())).collect();
+    for (effect, streams) in chain.effects.iter().zip(&mut streams) {
+        effect.front_end(site, &mut model);
+        let more = effect.leak(site, &stated);
+        leak.constant_per_s += more.constant_per_s;
+        leak.per_photocurrent_per_s += more.per_photocurrent_per_s;
+        effect.kicks(site, start_ns, end_ns, &mut kicks);
+        effect.spontaneous(site, &mut streams.spontaneous, start_ns, end_ns, &mut spontaneous);
+    }
+    kicks.retain(|kick| kick.t_ns >= start_ns && kick.t_ns < end_ns);
+    kicks.sort_by_key(|kick| kick.t_ns);
+    spontaneous.retain(|event| event.t_ns >= start_ns && event.t_ns < end_ns);
+    spontaneous.sort_by_key(|event| event.t_ns);
+    let start_voltage = settled_voltage(seen.at(start_ns));
+    let front = if model.is_plain() { Front::Plain(start_voltage) } else { Front::Numeric { state: [start_voltage; 3], guess_s: 1e-7 } };
+    let mut run = Run {
+        chain,
+        site,
+        light: *light,
+        seen,
+        model,
+        leak,
+        noise,
+        streams,
+        front,
+        drift: 0.0,
+        reference: 0.0,
+        before: 0.0,
+        fired_value: 0.0,
+        thresholds: stated,
+        threshold_offset: 0.0,
+        blind_until_ns: None,
+        history: History::default(),
+        fired: Vec::new(),
+    };
+    run.reference = run.input();
+    run.threshold_offset = run.noise.threshold_offset();
+    run.draw_thresholds(start_ns);
+    run.run(start_ns, end_ns, &kicks, &spontaneous);
+    run.fired
+}
+
+enum Front {
+    Plain(f64),
+    Numeric { state: State, guess_s: f64 },
+}
+
+/// Where a response's seconds start: whole nanoseconds, and seconds past them.
+#[derive(Clone, Copy)]
+struct Origin {
+    ns: i64,
+    past_s: f64,
+}
+
+impl Origin {
+    fn seconds_to(self, t_ns: i64) -> f64 {
+        (t_ns - self.ns) as f64 / 1e9 - self.past_s
+    }
+
+    fn nanoseconds_at(self, t_s: f64) -> i64 {
+        self.ns + ((self.past_s + t_s) * 1e9).round() as i64
+    }
+}
+
+struct Run<'a, N> {
+    chain: &'a Chain<'a>,
+    site: &'a Site,
+    light: LinearLight<'a>,
+    seen: LinearLight<'a>,
+    model: FrontEndModel,
+    leak: Leak,
+    noise: &'a mut N,
+    streams: Vec<Streams>,
+    front: Front,
+    /// Leaks and kicks of the comparator's input so far; the reference is held in the same units, drift included.
+    drift: f64,
+    reference: f64,
+    /// The reference at the last event, and the comparator's input that fired it.
+    before: f64,
+    fired_value: f64,
+    thresholds: Thresholds,
+    threshold_offset: f64,
+    blind_until_ns: Option<i64>,
+    history: History,
+    fired: Vec<Fired>,
+}
+
+impl<N: PixelNoise> Run<'_, N> {
+    fn run(&mut self, start_ns: i64, end_ns: i64, kicks: &[Kick], spontaneous: &[Spontaneous]) {
+        let (mut kicks, mut spontaneous) = (kicks.iter().peekable(), spontaneous.iter().peekable());
+        let mut piece = self.seen.piece(start_ns);
+        let mut from = start_ns;
+        while from < end_ns {
+            while let Some(kick) = kicks.next_if(|kick| kick.t_ns <= from) {
+                self.kick(kick);
+            }
+            while let Some(event) = spontaneous.next_if(|event| event.t_ns <= from) {
+                if self.blind_until_ns.is_none() {
+                    let value = self.input();
+                    self.fire(from, event.polarity, value, Cause::Spontaneous);
+                }
+            }
+            if piece.end_ns <= from {
+                piece = self.seen.piece(from);
+            }
+            let next = [kicks.peek().map(|kick| kick.t_ns), spontaneous.peek().map(|event| event.t_ns)].into_iter().flatten().min();
+            let limit = piece.end_ns.min(end_ns).min(next.unwrap_or(i64::MAX));
+            // Constant light has an exact answer over any time.
+            let exact = piece.first == piece.last && self.leak.per_photocurrent_per_s == 0.0;
+            let is_stepped = matches!(self.front, Front::Plain(_)) && !exact;
+            let to = if is_stepped { limit.min(from.saturating_add(self.chain.pixel.max_step_ns)) } else { limit };
+            self.advance(&piece, from, to);
+            from = to;
+        }
+    }
+
+    /// The comparator's input now, drift included.
+    fn input(&self) -> f64 {
+        match &self.front {
+            Front::Plain(voltage) => *voltage + self.drift,
+            Front::Numeric { state, .. } => System { model: &self.model, first: 1.0, slope_per_s: 0.0 }.output(state) + self.drift,
+        }
+    }
+
+    fn kick(&mut self, kick: &Kick) {
+        let pushed = self.input() + kick.change;
+        match (kick.target, &mut self.front) {
+            (KickTarget::Comparator, _) => self.drift += kick.change,
+            (KickTarget::FrontEnd, Front::Plain(voltage)) => *voltage += kick.change,
+            // The kick arrives behind the poles: it is what the comparator sees that jumps.
+            (KickTarget::FrontEnd, Front::Numeric { state, .. }) => {
+                state[0] += kick.change;
+                state[1] += kick.change;
+            }
+        }
+        if self.blind_until_ns.is_none()
+            && let Some(polarity) = fired_polarity(pushed, self.reference, self.thresholds.on, self.thresholds.off)
+        {
+            self.fire(kick.t_ns, polarity, pushed, Cause::Crossing);
+        }
+    }
+
+    /// From one instant of a piece of light to another, with as many events as fit.
+    fn advance(&mut self, piece: &Piece, from_ns: i64, to_ns: i64) {
+        let length_s = (to_ns - from_ns) as f64 / 1e9;
+        let (first, last) = (piece.at(from_ns), piece.at(to_ns));
+        match self.front {
+            Front::Plain(voltage) => {
+                let mut response = RampResponse::new(&self.model.low_pass, voltage, first, last, length_s);
+                response.drift = self.drift;
+                response.drift_per_s = self.leak_per_s(|| from_ns + (to_ns - from_ns) / 2);
+                self.walk(&response, Origin { ns: from_ns, past_s: 0.0 }, length_s);
+                self.front = Front::Plain(response.voltage(length_s));
+                self.drift += response.drift_per_s * length_s;
+            }
+            Front::Numeric { mut state, mut guess_s } => {
+                let model = self.model;
+                let system = System { model: &model, first, slope_per_s: (last - first) / length_s };
+                let mut now_s = 0.0;
+                while now_s < length_s {
+                    let (end, step_s) = system.controlled_step(now_s, &state, length_s - now_s, &mut guess_s);
+                    let drift_per_s = self.leak_per_s(|| from_ns + ((now_s + 0.5 * step_s) * 1e9) as i64);
+                    let response = NumericResponse::new(system, now_s, state, &end, step_s, self.drift, drift_per_s);
+                    self.walk(&response, Origin { ns: from_ns, past_s: now_s }, step_s);
+                    self.drift += drift_per_s * step_s;
+                    state = end;
+                    // The last step ends the piece, whatever rounding says.
+                    now_s = if step_s >= length_s - now_s { length_s } else { now_s + step_s };
+                }
+                self.front = Front::Numeric { state, guess_s };
+            }
+        }
+    }
+
+    fn leak_per_s(&self, middle_ns: impl FnOnce() -> i64) -> f64 {
+        let per_light = self.leak.per_photocurrent_per_s;
+        self.leak.constant_per_s + if per_light == 0.0 { 0.0 } else { per_light * self.light.at(middle_ns()) }
+    }
+
+    /// Finds the events of one step.
+    fn walk(&mut self, response: &impl Response, origin: Origin, length_s: f64) {
+        let mut now_s = 0.0;
+        loop {
+            if let Some(until_ns) = self.blind_until_ns {
+                let until_s = origin.seconds_to(until_ns);
+                if self.chain.reset == Reset::AdvanceLossy {
+                    now_s = self.lose(response, now_s, f64::min(until_s, length_s));
+                }
+                if until_s > length_s {
+                    break;
+                }
+                // Latched at a whole nanosecond, which can lie a fraction of one before `now`.
+                now_s = f64::max(now_s, until_s);
+                self.blind_until_ns = None;
+                if self.chain.reset == Reset::Resample {
+                    self.take_reference(response.value(now_s), until_ns);
+                }
+            }
+            let Thresholds { on, off } = self.thresholds;
+            let Some((fired_s, polarity)) = response.first_crossing(now_s, length_s, self.reference, on, off) else {
+                break;
+            };
+            let is_late = fired_s == now_s;
+            now_s = fired_s;
+            let level = if is_late { response.value(now_s) } else { self.reference + signed_step(polarity, on, off) };
+            self.fire(origin.nanoseconds_at(fired_s), polarity, level, Cause::Crossing);
+            if is_late && self.blind_until_ns.is_none() {
+                // A reference that stays behind the voltage fires again at once; a nanosecond is the fastest that stamps can tell.
+                now_s += 1e-9;
+                if now_s >= length_s {
+                    break;
+                }
+            }
+        }
+    }
+
+    /// Moves the reference for crossings inside the blind time, without events.
+    fn lose(&mut self, response: &impl Response, from_s: f64, to_s: f64) -> f64 {
+        let mut now_s = from_s;
+        let Thresholds { on, off } = self.thresholds;
+        while now_s < to_s
+            && let Some((crossed_s, polarity)) = response.first_crossing(now_s, to_s, self.reference, on, off)
+        {
+            self.reference += signed_step(polarity, on, off);
+            now_s = crossed_s;
+        }
+        now_s
+    }
+
+    /// The pixel fires: stamps, latency, and the start of the reset.
+    fn fire(&mut self, t_in_ns: i64, polarity: i8, value: f64, cause: Cause) {
+        let pixel = &self.chain.pixel;
+        let spread_ns = -pixel.latency_spread_ns * libm::log1p(-self.noise.uniform());
+        let mut t_off_ns = t_in_ns + pixel.latency_ns + spread_ns.round() as i64;
+        let mut left_ns = t_off_ns;
+        let effects = self.chain.effects.iter();
+        for (effect, streams) in effects.clone().zip(&mut self.streams) {
+            let more = effect.latency(self.site, &mut streams.latency, t_in_ns);
+            t_off_ns += more.shown_ns;
+            left_ns += more.shown_ns + more.hidden_ns;
+        }
+        let event = PixelEvent { t_in_ns, t_off_ns, polarity };
+        let mut recorded = Some(event);
+        for (effect, streams) in effects.clone().zip(&mut self.streams) {
+            let is_kept = effect.keeps(self.site, &mut streams.keeps, &event);
+            recorded = recorded.filter(|_| is_kept);
+            if let Some(stamped) = &mut recorded {
+                effect.stamp(self.site, &mut streams.stamp, stamped);
+            }
+        }
+        self.fired.push(Fired { event, left_ns, recorded });
+        let burst_index = match self.history.last_event {
+            Some(last) if t_in_ns - last.t_in_ns <= BURST_GAP_NS => self.history.burst_index + 1,
+            _ => 1,
+        };
+        let last_event = Some(LastEvent { t_in_ns, t_off_ns: left_ns, polarity, overshoot: 0.0 });
+        self.history = History { last_event, events: self.history.events + 1, burst_index };
+        let refractory_ns = if self.chain.effects.is_empty() {
+            pixel.refractory_ns
+        } else {
+            let i = self.seen.at(left_ns);
+            effects.fold(pixel.refractory_ns, |refractory_ns, effect| effect.refractory_ns(self.site, i, refractory_ns))
+        };
+        let armed_ns = left_ns + refractory_ns;
+        self.before = self.reference;
+        self.fired_value = value;
+        self.threshold_offset = self.noise.threshold_offset();
+        // Without blind time the reference is the threshold itself: no error adds up from rounded stamps.
+        let moved = match cause {
+            Cause::Crossing => self.reference + signed_step(polarity, self.thresholds.on, self.thresholds.off),
+            Cause::Spontaneous => value,
+        };
+        if armed_ns > t_in_ns {
+            self.blind_until_ns = Some(armed_ns);
+        }
+        if self.chain.reset != Reset::Resample || armed_ns <= t_in_ns {
+            self.fired_value = moved;
+            self.take_reference(moved, t_in_ns);
+        }
+    }
+
+    /// The reset: a new reference and new thresholds.
+    fn take_reference(&mut self, ideal: f64, t_reset_ns: i64) {
+        self.reference = ideal;
+        if let Some(last) = &mut self.history.last_event {
+            last.overshoot = ideal - self.fired_value;
+        }
+        for (effect, streams) in self.chain.effects.iter().zip(&mut self.streams) {
+            self.reference = effect.reference(self.site, &self.history, &mut streams.reference, self.reference, self.before);
+        }
+        self.draw_thresholds(t_reset_ns);
+    }
+
+    fn draw_thresholds(&mut self, t_reset_ns: i64) {
+        let pixel = &self.chain.pixel;
+        let mut thresholds = Thresholds { on: pixel.threshold_on + self.threshold_offset, off: pixel.threshold_off + self.threshold_offset };
+        for (effect, streams) in self.chain.effects.iter().zip(&mut self.streams) {
+            effect.thresholds(self.site, &self.history, &mut streams.thresholds, t_reset_ns, &mut thresholds);
+        }
+        self.thresholds = Thresholds { on: f64::max(thresholds.on, THRESHOLD_FLOOR), off: f64::max(thresholds.off, THRESHOLD_FLOOR) };
+    }
+}
+
+/// Why a pixel fires.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Cause {
+    Crossing,
+    Spontaneous,
+}
