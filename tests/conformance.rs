@@ -332,6 +332,26 @@ fn the_manual_is_what_the_command_prints() {
 }
 
 #[test]
+fn the_catalogue_of_effects_is_what_the_command_prints() {
+    let done = Bench::new().run(&["effects", "--markdown"]);
+    assert_eq!((done.code, done.stderr.as_str()), (0, ""));
+    let path = root().join("docs/effects.md");
+    if std::env::var_os("UPDATE_EXPECT").is_some() {
+        fs::write(&path, &done.stdout).expect("docs/effects.md is written");
+    }
+    let kept = fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        kept == done.stdout,
+        "docs/effects.md is not what `photocurrent effects --markdown` prints: UPDATE_EXPECT=1 cargo test --test photocurrent conformance"
+    );
+    // Every id that a sensor description may name is an effect, and the other way round.
+    for id in photocurrent_core::sensor::EFFECT_IDS {
+        assert!(kept.contains(&format!("\n## {id}\n")), "{id} has no heading in docs/effects.md");
+    }
+    assert_eq!(kept.matches("\n## ").count(), photocurrent_core::sensor::EFFECT_IDS.len());
+}
+
+#[test]
 fn nodes_lists_every_kind_and_prints_the_manual_of_each() {
     let bench = Bench::new();
     let list = bench.run(&["nodes"]);

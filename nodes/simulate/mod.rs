@@ -1,3 +1,8 @@
 //! Recordings with known truth.
 
+pub mod camera;
+pub mod instants;
 pub mod pellet;
+pub mod scene;
+pub mod scenes;
+pub mod sensor;

@@ -6,17 +6,16 @@
 //!
 //! Limits: grey, no photon noise in the event path, readout latency drawn per event (no queue). Light sampled in steps of [`LIGHT_STEP_NS`].
 
-use crate::pixel_events::{StepRule, clock_offset, left_out};
-use photocurrent_core::events::{Event, Polarity};
+use super::scenes::pellet::{Flights, fits};
+use super::camera::{Camera, Timing};
+use photocurrent_core::events::Event;
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
 use photocurrent_core::{
-    Context, Decl, EventBand, EventStream, EventsMeta, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node,
+    Context, Decl, EventBand, EventStream, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node,
     NodeError, PortMetas, Rows, Sensor, TimeSpan, Truth,
 };
-use photocurrent_sensor::exposure::DigitalNumber;
-use photocurrent_sensor::forward::{LinearLight, Pixel, PixelNoise, simulate_events};
-use photocurrent_sensor::front_end::FrontEnd;
+use photocurrent_sensor::forward::LinearLight;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -110,6 +109,8 @@ photocurrent_core::ports! {
     }
 }
 
+const WHO: &str = "simulate/pellet";
+
 /// The node.
 pub struct SimulatePellet {
     params: Params,
@@ -120,66 +121,36 @@ impl SimulatePellet {
         Extent { width: self.params.width, height: self.params.height }
     }
 
-    /// Exposures of the frames whose last row ends inside the recording.
-    fn frame_times(&self, sensor: &Sensor) -> Result<FrameTimes, NodeError> {
-        let row_time_ns = sensor.need(sensor.frames.row_time, "frames.row_time", "simulate/pellet")?.ns();
-        let (exposure, period) = (self.params.exposure.ns(), 1e9 / self.params.frame_rate.hz());
-        if exposure as f64 > period {
-            return Err(NodeError::usage(format!("an exposure of {} does not fit the frame period of {:.0} us", self.params.exposure, period / 1e3))
-                .note(format!("the period is one over `frame_rate = \"{}\"`", self.params.frame_rate))
-                .hint("make `exposure` shorter or `frame_rate` lower")
-                .param("exposure"));
-        }
-        let last_row = row_time_ns * i64::from(self.params.height - 1);
-        let starts = (0..).map(|l| (f64::from(l) * period).round() as i64).take_while(|start| start + exposure + last_row <= self.params.duration.ns());
-        let exposures: Vec<Exposure> = starts.map(|start| Exposure::new(start, start + exposure)).collect();
-        if exposures.is_empty() {
-            return Err(NodeError::usage(format!("no frame fits into {}", self.params.duration))
-                .hint("make `duration` longer or `exposure` shorter")
-                .param("duration"));
-        }
-        Ok(FrameTimes::new(exposures, row_time_ns)?)
+    fn timing(&self) -> Timing {
+        Timing { frame_rate: self.params.frame_rate, exposure: self.params.exposure, latency_spread: self.params.latency_spread }
     }
 
-    fn metas(&self, sensor: &Sensor) -> Result<(EventsMeta, FramesMeta, FramesMeta), NodeError> {
-        let extent = self.extent();
-        let duration = self.params.duration.ns();
-        let events = EventsMeta {
-            extent,
-            span: Some(TimeSpan::new(0, duration).moved(clock_offset(sensor)?.offset_ns)),
-            has_t_in: true,
-            has_step: false,
-            t_resolution_ns: None,
-            count_hint: None,
-        };
-        let frames = FramesMeta { extent, channels: 1, times: self.frame_times(sensor)?, scale: FrameScale::Captured };
+    fn camera(&self, sensor: &Sensor, seed: u64) -> Result<Camera, NodeError> {
+        let camera = Camera::new(sensor, &self.timing(), self.extent(), TimeSpan::new(0, self.params.duration.ns()), seed, WHO)?;
+        self.check_brightness(sensor, &camera)?;
+        Ok(camera)
+    }
+
+    /// Refuses a scene that is far beyond what the sensor can read.
+    fn check_brightness(&self, sensor: &Sensor, camera: &Camera) -> Result<(), NodeError> {
+        let saturation = sensor.frames.saturation_dn.unwrap_or(f64::INFINITY);
+        let brightest = camera.exact_dn(self.params.pellet_photocurrent.max(self.params.background_high) * self.params.exposure.seconds());
+        if brightest >= 2.0 * saturation {
+            return Err(NodeError::usage(format!("the scene reads {brightest:.0} DN where the sensor saturates at {saturation:.0}"))
+                .hint("shorten `exposure` or dim the scene")
+                .param("exposure"));
+        }
+        Ok(())
+    }
+
+    /// The true frames that belong to captured ones.
+    fn truth(&self, frames: &FramesMeta) -> Result<FramesMeta, NodeError> {
         let period = 1e9 / self.params.truth_rate.hz();
-        let instants = (0..).map(|k| (f64::from(k) * period).round() as i64).take_while(|t| *t < duration);
-        let truth = FramesMeta {
+        let instants = (0..).map(|k| (f64::from(k) * period).round() as i64).take_while(|t| *t < self.params.duration.ns());
+        Ok(FramesMeta {
             times: FrameTimes::new(instants.map(|t| Exposure::new(t, t + 1)).collect(), 0)?,
             scale: FrameScale::Nominal { exposure_ns: self.params.exposure.ns() },
             ..frames.clone()
-        };
-        Ok((events, frames, truth))
-    }
-
-    fn pixel(&self, sensor: &Sensor) -> Result<Pixel, NodeError> {
-        const WHO: &str = "simulate/pellet";
-        if let Some(left_out) = left_out(sensor) {
-            return Err(NodeError::usage(left_out).hint("simulate with a description that states only what is modelled"));
-        }
-        Ok(Pixel {
-            front_end: FrontEnd {
-                tau_0_s: sensor.need(sensor.front_end.tau_0, "front_end.tau_0", WHO)?.seconds(),
-                alpha_s: sensor.need(sensor.front_end.alpha, "front_end.alpha", WHO)?.seconds(),
-            },
-            threshold_on: sensor.need(sensor.comparator.threshold_on, "comparator.threshold_on", WHO)?,
-            threshold_off: sensor.need(sensor.comparator.threshold_off, "comparator.threshold_off", WHO)?,
-            latency_ns: sensor.readout.latency_min.map_or(0, Duration::ns),
-            latency_spread_ns: self.params.latency_spread.ns() as f64,
-            refractory_ns: sensor.need(sensor.readout.refractory, "readout.refractory", WHO)?.ns(),
-            // Light changes in pieces of LIGHT_STEP_NS; where it stands still, a step of any length is exact.
-            max_step_ns: self.params.duration.ns(),
         })
     }
 }
@@ -210,7 +181,7 @@ params = { duration = "60 ms", frame_rate = "120 fps", truth_rate = "1 kHz", spe
                 .hint(format!("exchange them: `background_low = {:?}`, `background_high = {:?}`", params.background_high, params.background_low))
                 .param("background_low"));
         }
-        if 2.0 * params.radius + 1.0 >= f64::from(params.width.min(params.height)) {
+        if !fits(params.radius, Extent { width: params.width, height: params.height }) {
             return Err(NodeError::usage(format!("a pellet of radius {} does not fit into {} x {} pixels", params.radius, params.width, params.height))
                 .hint("make `radius` smaller, or `width` and `height` larger")
                 .param("radius"));
@@ -219,54 +190,28 @@ params = { duration = "60 ms", frame_rate = "120 fps", truth_rate = "1 kHz", spe
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        let sensor = inputs.sensor("sensor")?;
-        let stated = [
-            ("front_end.tau_0", sensor.front_end.tau_0.is_some()),
-            ("front_end.alpha", sensor.front_end.alpha.is_some()),
-            ("readout.refractory", sensor.readout.refractory.is_some()),
-            ("frames.gain", sensor.frames.gain.is_some()),
-            ("frames.row_time", sensor.frames.row_time.is_some()),
-        ];
-        sensor.need_all(&[StepRule::needs(sensor).as_slice(), &stated].concat(), "simulate/pellet")?;
-        self.pixel(sensor)?;
-        clock_offset(sensor)?;
-        let (events, frames, truth) = self.metas(sensor)?;
-        Ok(vec![Meta::Events(Arc::new(events)), Meta::Frames(Arc::new(frames)), Meta::Truth(Arc::new(truth))])
+        let camera = self.camera(inputs.sensor("sensor")?, 0)?;
+        let truth = self.truth(&camera.frames)?;
+        Ok(vec![Meta::Events(Arc::new(camera.events)), Meta::Frames(Arc::new(camera.frames)), Meta::Truth(Arc::new(truth))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let sensor = &*input.sensor;
-        let (events_meta, frames_meta, truth_meta) = self.metas(sensor)?;
-        let pixel = self.pixel(sensor)?;
+        let camera = self.camera(&input.sensor, cx.seed())?;
+        let truth_meta = self.truth(&camera.frames)?;
         let scene = Scene::new(&self.params, cx.seed());
-        let capture = Capture::new(sensor, &self.params)?;
-        let offset = clock_offset(sensor)?;
         let rows = cx.rows();
         cx.begin(rows.len() as u64, "rows");
         let simulate_row = |y: u32| -> Result<RowData, NodeError> {
-            let mut row = RowData::new(y, &frames_meta, &truth_meta);
+            let mut row = RowData::new(y, &camera.frames, &truth_meta);
             for x in 0..self.params.width {
                 let (t, current) = scene.light(x, y);
                 let light = LinearLight::new(&t, &current);
-                if t.len() > 1 {
-                    let mut noise =
-                        ThresholdNoise { random: Random::new(cx.seed(), &[x.into(), y.into(), 1]), sigma: sensor.comparator.threshold_noise.unwrap_or(0.0) };
-                    let fired = simulate_events(&pixel, &light, 0, self.params.duration.ns(), &mut noise);
-                    for event in fired.iter().filter(|event| event.t_off_ns < self.params.duration.ns()) {
-                        let mut stamps = [event.t_in_ns, event.t_off_ns];
-                        offset.record(&mut stamps).map_err(|error| NodeError::failed(error.to_string()))?;
-                        let polarity = if event.polarity > 0 { Polarity::On } else { Polarity::Off };
-                        row.events.push(Event { x: x as u16, y: y as u16, polarity, t: stamps[1], t_in: Some(stamps[0]) });
-                    }
-                }
-                let mut random = Random::new(cx.seed(), &[x.into(), y.into(), 2]);
-                for l in 0..frames_meta.times.len() {
-                    let integral = light.integral(frames_meta.times.exposure(l, y));
-                    row.frames.row_mut(l, y)[x as usize] = capture.dn(integral, &mut random) as f32;
+                for (l, dn) in camera.pixel(x, y, &light, &light, &mut row.events)?.into_iter().enumerate() {
+                    row.frames.row_mut(l, y)[x as usize] = dn as f32;
                 }
                 for l in 0..truth_meta.times.len() {
-                    let integral = light.at(truth_meta.times.exposures[l].start.0) * self.params.exposure.seconds();
-                    row.truth.row_mut(l, y)[x as usize] = capture.scale.of(integral) as f32;
+                    let charge = light.at(truth_meta.times.exposures[l].start.0) * self.params.exposure.seconds();
+                    row.truth.row_mut(l, y)[x as usize] = camera.exact_dn(charge) as f32;
                 }
             }
             cx.advance(1)?;
@@ -275,7 +220,7 @@ params = { duration = "60 ms", frame_rate = "120 fps", truth_rate = "1 kHz", spe
         let simulated: Result<Vec<RowData>, NodeError> = rows.iter().into_par_iter().map(simulate_row).collect();
         let (mut events, mut frames, mut truth) = (
             Vec::new(),
-            FrameBlock::zeros(0..frames_meta.times.len(), rows, frames_meta.row_values()),
+            FrameBlock::zeros(0..camera.frames.times.len(), rows, camera.frames.row_values()),
             FrameBlock::zeros(0..truth_meta.times.len(), rows, truth_meta.row_values()),
         );
         for (y, row) in rows.iter().zip(simulated?) {
@@ -286,8 +231,8 @@ params = { duration = "60 ms", frame_rate = "120 fps", truth_rate = "1 kHz", spe
         let mut band = EventBand::from_events(rows, events)?;
         band.t_in.get_or_insert_default();
         Ok(Out {
-            events: EventStream::in_memory(Arc::new(events_meta), band),
-            frames: FrameSequence::in_memory(Arc::new(frames_meta), frames),
+            events: EventStream::in_memory(Arc::new(camera.events), band),
+            frames: FrameSequence::in_memory(Arc::new(camera.frames), frames),
             truth: Truth(FrameSequence::in_memory(Arc::new(truth_meta), truth)),
         })
     }
@@ -312,60 +257,13 @@ impl RowData {
     }
 }
 
-struct ThresholdNoise {
-    random: Random,
-    sigma: f64,
-}
-
-impl PixelNoise for ThresholdNoise {
-    fn uniform(&mut self) -> f64 {
-        self.random.uniform()
-    }
-    fn threshold_offset(&mut self) -> f64 {
-        if self.sigma == 0.0 { 0.0 } else { self.sigma * self.random.normal() }
-    }
-}
-
-/// From charge to a recorded digital number: shot noise, read noise, saturation, whole numbers.
-struct Capture {
-    scale: DigitalNumber,
-    saturation_dn: f64,
-    read_noise_dn: f64,
-    /// Electrons per DN; 0 = no shot noise.
-    electrons_per_dn: f64,
-}
-
-impl Capture {
-    fn new(sensor: &Sensor, params: &Params) -> Result<Capture, NodeError> {
-        let frames = &sensor.frames;
-        let scale = DigitalNumber { black_level: frames.black_level_dn.unwrap_or(0.0), gain: sensor.need(frames.gain, "frames.gain", "simulate/pellet")? };
-        let saturation_dn = frames.saturation_dn.unwrap_or(f64::INFINITY);
-        let brightest = scale.of(params.pellet_photocurrent.max(params.background_high) * params.exposure.seconds());
-        if brightest >= 2.0 * saturation_dn {
-            return Err(NodeError::usage(format!("the scene reads {brightest:.0} DN where the sensor saturates at {saturation_dn:.0}"))
-                .hint("shorten `exposure` or dim the scene")
-                .param("exposure"));
-        }
-        let electrons_per_dn = frames.full_well_e.unwrap_or(0.0) / (saturation_dn - scale.black_level);
-        Ok(Capture { scale, saturation_dn, read_noise_dn: frames.read_noise_dn.unwrap_or(0.0), electrons_per_dn })
-    }
-
-    fn dn(&self, integral: f64, random: &mut Random) -> f64 {
-        let exact = self.scale.of(integral);
-        // Photon counts are large enough here for the normal limit of the Poisson law.
-        let shot = if self.electrons_per_dn > 0.0 { ((exact - self.scale.black_level) / self.electrons_per_dn).sqrt() * random.normal() } else { 0.0 };
-        let read = self.read_noise_dn * random.normal();
-        (exact + shot + read).round().clamp(0.0, self.saturation_dn)
-    }
-}
-
 /// Pellets and background in closed form.
 struct Scene {
     seed: u64,
     low: f64,
     high: f64,
     pellet: f64,
-    radius: f64,
+    flights: Flights,
     /// Centres of all pellets at each light step, one pellet after the other.
     centres: Vec<(f64, f64)>,
     pellets: usize,
@@ -376,31 +274,18 @@ const OCTAVES: [(f64, f64); 3] = [(16.0, 0.55), (7.0, 0.3), (2.5, 0.15)];
 
 impl Scene {
     fn new(params: &Params, seed: u64) -> Scene {
-        let mut random = Random::new(seed, &[0]);
-        let (width, height) = (f64::from(params.width), f64::from(params.height));
-        // Straight flights, reflected by the borders: start and velocity in pixels and pixels per nanosecond.
-        let flights: Vec<[f64; 4]> = (0..params.pellets)
-            .map(|_| {
-                let speed = params.speed * (0.5 + 0.5 * random.uniform()) * 1e-6;
-                let angle = std::f64::consts::TAU * random.uniform();
-                [random.uniform() * width, random.uniform() * height, speed * libm::cos(angle), speed * libm::sin(angle)]
-            })
-            .collect();
+        let extent = Extent { width: params.width, height: params.height };
+        let flights = Flights::new(params.pellets, params.radius, params.speed, extent, seed);
         let steps = params.duration.ns() / LIGHT_STEP_NS + 1;
-        let inside = |size: f64| size - 1.0 - params.radius;
-        let centre = |step: i64, [x, y, vx, vy]: &[f64; 4]| {
-            let t = (step * LIGHT_STEP_NS) as f64;
-            (bounce(x + vx * t, params.radius, inside(width)), bounce(y + vy * t, params.radius, inside(height)))
-        };
-        let centres = (0..steps).flat_map(|step| flights.iter().map(move |flight| centre(step, flight))).collect();
+        let centres = (0..steps).flat_map(|step| flights.centres(step * LIGHT_STEP_NS)).collect();
         Scene {
             seed,
             low: params.background_low,
             high: params.background_high,
             pellet: params.pellet_photocurrent,
-            radius: params.radius,
             centres,
-            pellets: flights.len(),
+            pellets: params.pellets as usize,
+            flights,
         }
     }
 
@@ -423,26 +308,13 @@ impl Scene {
         top * (1.0 - fy) + bottom * fy
     }
 
-    /// How much of a pixel pellets cover at a light step, 0 to 1; the rim is one pixel wide.
-    fn coverage(&self, x: f64, y: f64, centres: &[(f64, f64)]) -> f64 {
-        let reach = (self.radius + 0.5) * (self.radius + 0.5);
-        let mut seen_through = 1.0;
-        for (cx, cy) in centres {
-            let squared = (x - cx) * (x - cx) + (y - cy) * (y - cy);
-            if squared < reach {
-                seen_through *= 1.0 - (self.radius + 0.5 - squared.sqrt()).min(1.0);
-            }
-        }
-        1.0 - seen_through
-    }
-
     /// The pixel's light as instants and photocurrents; one instant when nothing passes.
     fn light(&self, x: u32, y: u32) -> (Vec<i64>, Vec<f64>) {
         let background = self.background(x, y);
         let (mut times, mut light) = (Vec::new(), Vec::new());
         let (mut held, mut t) = (f64::NAN, 0);
         for centres in self.centres.chunks_exact(self.pellets) {
-            let covered = self.coverage(f64::from(x), f64::from(y), centres);
+            let covered = self.flights.coverage(f64::from(x), f64::from(y), centres.iter().copied());
             let now = background * (1.0 - covered) + self.pellet * covered;
             if now != held {
                 // Where a constant stretch ends, its last instant closes it: light is linear between instants.
@@ -460,16 +332,10 @@ impl Scene {
     }
 }
 
-/// A coordinate that runs on for ever, reflected between two walls.
-fn bounce(at: f64, low: f64, high: f64) -> f64 {
-    let span = high - low;
-    let phase = (at - low).rem_euclid(2.0 * span);
-    low + if phase > span { 2.0 * span - phase } else { phase }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use photocurrent_core::events::Polarity;
     use photocurrent_core::testing;
 
     fn sensor() -> Sensor {
@@ -491,11 +357,6 @@ mod tests {
     fn run(params: Params, rows: Rows) -> Out {
         let node = SimulatePellet::build(params).unwrap();
         testing::with_context(rows, &["events", "frames", "truth"], |cx| node.run(In { sensor: Arc::new(sensor()) }, cx)).0.unwrap()
-    }
-
-    #[test]
-    fn a_coordinate_bounces_between_its_walls() {
-        assert_eq!([5.0, 12.0, 15.0, 21.0].map(|at| bounce(at, 2.0, 10.0)), [5.0, 8.0, 5.0, 5.0]);
     }
 
     #[test]
@@ -546,16 +407,10 @@ mod tests {
     }
 
     #[test]
-    fn what_the_simulation_does_not_model_is_refused() {
-        let mut leaky = sensor();
-        leaky.effects.insert("leak_events".into(), serde_json::Map::new());
-        assert!(SimulatePellet::build(small()).unwrap().pixel(&leaky).unwrap_err().message.contains("effects.leak_events"));
-    }
-
-    #[test]
     fn a_scene_far_beyond_saturation_is_refused() {
         let mut sensor = sensor();
         sensor.frames.saturation_dn = Some(100.0);
-        assert!(Capture::new(&sensor, &Params::default()).err().unwrap().message.contains("saturates at 100"));
+        let node = SimulatePellet::build(Params::default()).unwrap();
+        assert!(node.camera(&sensor, 0).err().unwrap().message.contains("saturates at 100"));
     }
 }

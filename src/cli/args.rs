@@ -28,6 +28,8 @@ pub enum Command {
     Inspect(InspectOptions),
     /// List the node kinds, or print the manual of one
     Nodes(NodesOptions),
+    /// List what a sensor may do beyond the paper's model, or print the page of one effect
+    Effects(EffectsOptions),
     /// Print the JSON Schema of manifests, for completion in an editor
     Schema,
     /// Print completions for a shell
@@ -152,6 +154,18 @@ pub struct NodesOptions {
     pub json: bool,
     /// Print the whole manual as Markdown (docs/nodes.md)
     #[arg(long, conflicts_with_all = ["kind", "json"])]
+    pub markdown: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct EffectsOptions {
+    /// An id, such as leak_events
+    pub id: Option<String>,
+    /// Print as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// Print the whole catalogue as Markdown (docs/effects.md)
+    #[arg(long, conflicts_with_all = ["id", "json"])]
     pub markdown: bool,
 }
 

@@ -6,6 +6,7 @@
 mod args;
 mod cache;
 mod common;
+mod effects;
 mod graph;
 mod inspect;
 mod nodes;
@@ -30,6 +31,7 @@ fn main() -> ExitCode {
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),
         Command::Nodes(options) => nodes::nodes(options),
+        Command::Effects(options) => effects::effects(options),
         Command::Schema => nodes::schema(),
         Command::Completions(options) => nodes::completions(options),
         Command::Cache(options) => cache::cache(options),

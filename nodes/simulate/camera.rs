@@ -1,0 +1,185 @@
+//! The simulated camera: what a described sensor makes of the light on one row of pixels.
+//!
+//! Everything the simulators share: when frames are exposed, how charge becomes a noisy whole number, how a pixel's events come about
+//! ([`photocurrent_sensor::forward`]) with the effects of the sensor description. Every pixel has its own random numbers, so row bands do not matter.
+//!
+//! Limits: photon noise only in the frames; readout latency is drawn per event (a queue, which couples the pixels, is refused).
+
+use crate::pixel_events::StepRule;
+use photocurrent_core::events::{Event, Polarity};
+use photocurrent_core::quantity::{Duration, Rate};
+use photocurrent_core::random::Random;
+use photocurrent_core::{EventsMeta, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
+use photocurrent_sensor::effects::{Effect, Site, from_description};
+use photocurrent_sensor::exposure::DigitalNumber;
+use photocurrent_sensor::forward::neighbours::halo;
+use photocurrent_sensor::forward::{Chain, FrameReadout, LinearLight, Pixel, PixelNoise, read_frames, simulate};
+use photocurrent_sensor::front_end::FrontEnd;
+
+/// When frames are taken, and how late events come; stated by the node, not by the sensor.
+#[derive(Clone, Copy, Debug)]
+pub struct Timing {
+    /// Captured frames per second.
+    pub frame_rate: Rate,
+    /// Exposure of a captured frame.
+    pub exposure: Duration,
+    /// Mean of the random part of the readout latency.
+    pub latency_spread: Duration,
+}
+
+impl Timing {
+    /// Exposures, from the start of `span` on, of the frames whose last row ends inside it.
+    ///
+    /// # Errors
+    /// When the exposure does not fit the frame period, or no frame fits the span.
+    pub fn frame_times(&self, span: TimeSpan, height: u32, row_time_ns: i64) -> Result<FrameTimes, NodeError> {
+        let (exposure, period) = (self.exposure.ns(), 1e9 / self.frame_rate.hz());
+        if exposure as f64 > period {
+            return Err(NodeError::usage(format!("an exposure of {} does not fit the frame period of {:.0} us", self.exposure, period / 1e3))
+                .note(format!("the period is one over `frame_rate = \"{}\"`", self.frame_rate))
+                .hint("make `exposure` shorter or `frame_rate` lower")
+                .param("exposure"));
+        }
+        let last_row = row_time_ns * i64::from(height - 1);
+        let starts = (0..).map(|l| span.start.0 + (f64::from(l) * period).round() as i64);
+        let exposures: Vec<Exposure> =
+            starts.take_while(|start| start + exposure + last_row <= span.end.0).map(|start| Exposure::new(start, start + exposure)).collect();
+        if exposures.is_empty() {
+            return Err(NodeError::usage(format!("no frame fits into {}", Duration::new(span.length_ns())))
+                .hint("make `duration` longer or `exposure` shorter")
+                .param("duration"));
+        }
+        Ok(FrameTimes::new(exposures, row_time_ns)?)
+    }
+}
+
+/// A described sensor, ready to look.
+pub struct Camera {
+    /// What its events will look like.
+    pub events: EventsMeta,
+    /// What its frames will look like.
+    pub frames: FramesMeta,
+    pixel: Pixel,
+    sensor: Sensor,
+    effects: Vec<Box<dyn Effect>>,
+    capture: Capture,
+    span: TimeSpan,
+    seed: u64,
+}
+
+impl Camera {
+    /// From a description.
+    ///
+    /// # Errors
+    /// When it leaves out what a simulation needs, its effects are not understood, or the frames do not fit. `who` is the asker.
+    pub fn new(sensor: &Sensor, timing: &Timing, extent: Extent, span: TimeSpan, seed: u64, who: &str) -> Result<Camera, NodeError> {
+        let stated = [
+            ("front_end.tau_0", sensor.front_end.tau_0.is_some()),
+            ("front_end.alpha", sensor.front_end.alpha.is_some()),
+            ("readout.refractory", sensor.readout.refractory.is_some()),
+            ("frames.gain", sensor.frames.gain.is_some()),
+            ("frames.row_time", sensor.frames.row_time.is_some()),
+        ];
+        sensor.need_all(&[StepRule::needs(sensor).as_slice(), &stated].concat(), who)?;
+        let effects = from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
+        if let Some(effect) = effects.iter().find(|effect| effect.informed(&[]).is_some()) {
+            return Err(NodeError::usage(format!("`effects.{}` couples all pixels, and {who} simulates them row by row", effect.id()))
+                .hint("leave it out of the description"));
+        }
+        let pixel = Pixel {
+            front_end: FrontEnd {
+                tau_0_s: sensor.need(sensor.front_end.tau_0, "front_end.tau_0", who)?.seconds(),
+                alpha_s: sensor.need(sensor.front_end.alpha, "front_end.alpha", who)?.seconds(),
+            },
+            threshold_on: sensor.need(sensor.comparator.threshold_on, "comparator.threshold_on", who)?,
+            threshold_off: sensor.need(sensor.comparator.threshold_off, "comparator.threshold_off", who)?,
+            latency_ns: sensor.readout.latency_min.map_or(0, Duration::ns),
+            latency_spread_ns: timing.latency_spread.ns() as f64,
+            refractory_ns: sensor.need(sensor.readout.refractory, "readout.refractory", who)?.ns(),
+            // Light is piecewise linear, with pieces as short as it changes; where it stands still, a step of any length is exact.
+            max_step_ns: span.length_ns().max(1),
+        };
+        let row_time_ns = sensor.need(sensor.frames.row_time, "frames.row_time", who)?.ns();
+        let frames = FramesMeta { extent, channels: 1, times: timing.frame_times(span, extent.height, row_time_ns)?, scale: FrameScale::Captured };
+        let moved = crate::pixel_events::clock_offset(sensor)?.offset_ns;
+        let events = EventsMeta { extent, span: Some(span.moved(moved)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
+        Ok(Camera { events, frames, pixel, sensor: sensor.clone(), effects, capture: Capture::new(sensor, who)?, span, seed })
+    }
+
+    /// Rows above and below whose light reaches a pixel through its effects.
+    pub fn halo(&self) -> u32 {
+        halo(&self.effects)
+    }
+
+    /// The effects of the description, in the order of the chain.
+    pub fn effects(&self) -> &[Box<dyn Effect>] {
+        &self.effects
+    }
+
+    /// The digital number that a charge would read without noise: for truth.
+    pub fn exact_dn(&self, charge: f64) -> f64 {
+        self.capture.scale.of(charge)
+    }
+
+    /// Simulates pixel (x, y): appends its events and gives its frame values. `seen` is the light of the event path, `light` that of the frames.
+    ///
+    /// # Errors
+    /// When a stamp leaves the range of the clock.
+    pub fn pixel(&self, x: u32, y: u32, seen: &LinearLight, light: &LinearLight, events: &mut Vec<Event>) -> Result<Vec<f64>, NodeError> {
+        let extent = self.frames.extent;
+        let site = Site { x, y, width: extent.width, height: extent.height, seed: self.seed };
+        let chain = Chain { pixel: self.pixel, reset: self.sensor.comparator.reset, effects: &self.effects };
+        let mut noise = Noise { random: Random::new(self.seed, &[x.into(), y.into(), 1]), sigma: self.sensor.comparator.threshold_noise.unwrap_or(0.0) };
+        for fired in simulate(&chain, &site, seen, self.span.start.0, self.span.end.0, &mut noise) {
+            // What leaves the array after the end is no part of the recording.
+            let Some(event) = fired.recorded.filter(|_| fired.left_ns < self.span.end.0) else { continue };
+            let polarity = if event.polarity > 0 { Polarity::On } else { Polarity::Off };
+            events.push(Event { x: x as u16, y: y as u16, polarity, t: event.t_off_ns, t_in: Some(event.t_in_ns) });
+        }
+        let readout = FrameReadout { number: self.capture.scale, saturation: self.capture.saturation_dn, row_time_ns: self.frames.times.row_time_ns };
+        let exposures: Vec<Exposure> = (0..self.frames.times.len()).map(|l| self.frames.times.exposure(l, y)).collect();
+        let mut random = Random::new(self.seed, &[x.into(), y.into(), 2]);
+        Ok(read_frames(&readout, &self.effects, &site, light, &exposures).into_iter().map(|dn| self.capture.recorded(dn, &mut random)).collect())
+    }
+}
+
+struct Noise {
+    random: Random,
+    sigma: f64,
+}
+
+impl PixelNoise for Noise {
+    fn uniform(&mut self) -> f64 {
+        self.random.uniform()
+    }
+    fn threshold_offset(&mut self) -> f64 {
+        if self.sigma == 0.0 { 0.0 } else { self.sigma * self.random.normal() }
+    }
+}
+
+/// From an exact digital number to a recorded one: shot noise, read noise, saturation, whole numbers.
+struct Capture {
+    scale: DigitalNumber,
+    saturation_dn: f64,
+    read_noise_dn: f64,
+    /// Electrons per DN; 0 = no shot noise.
+    electrons_per_dn: f64,
+}
+
+impl Capture {
+    fn new(sensor: &Sensor, who: &str) -> Result<Capture, NodeError> {
+        let frames = &sensor.frames;
+        let scale = DigitalNumber { black_level: frames.black_level_dn.unwrap_or(0.0), gain: sensor.need(frames.gain, "frames.gain", who)? };
+        let saturation_dn = frames.saturation_dn.unwrap_or(f64::INFINITY);
+        let electrons_per_dn = frames.full_well_e.unwrap_or(0.0) / (saturation_dn - scale.black_level);
+        Ok(Capture { scale, saturation_dn, read_noise_dn: frames.read_noise_dn.unwrap_or(0.0), electrons_per_dn })
+    }
+
+    fn recorded(&self, exact: f64, random: &mut Random) -> f64 {
+        // Photon counts are large enough for the normal limit of the Poisson law.
+        let electrons = (exact - self.scale.black_level).max(0.0);
+        let shot = if self.electrons_per_dn > 0.0 { (electrons / self.electrons_per_dn).sqrt() * random.normal() } else { 0.0 };
+        let read = self.read_noise_dn * random.normal();
+        (exact + shot + read).round().clamp(0.0, self.saturation_dn)
+    }
+}

@@ -1,0 +1,98 @@
+//! Tests of `simulate/scene`: sampled light against the scene itself, bands, truth, messages.
+
+use super::scenes::tests::ALL;
+use super::*;
+use photocurrent_core::{light, testing};
+
+fn sensor() -> Sensor {
+    let mut sensor = Sensor::unknown("test");
+    sensor.optics.photocurrent_per_lux = Some(0.2);
+    sensor.frames.gain = Some(1000.0);
+    sensor.frames.black_level_dn = Some(5.0);
+    sensor
+}
+
+fn small(scene: scenes::Name) -> Params {
+    Params { scene, width: 40, height: 30, duration: Duration::new(40_000_000), ..Params::default() }
+}
+
+fn run(params: Params, rows: Rows) -> Out {
+    let node = SimulateScene::build(params).unwrap();
+    testing::with_context(rows, &["light", "truth"], |cx| node.run(In { sensor: Arc::new(sensor()) }, cx)).0.unwrap()
+}
+
+const ROWS: Rows = Rows { start: 0, end: 30 };
+
+#[test]
+fn between_instants_light_is_the_scene_within_the_tolerance() {
+    for name in ALL {
+        let params = small(name);
+        let out = run(params.clone(), ROWS);
+        let band = out.light.read(ROWS).unwrap();
+        // The context of tests has the seed 7.
+        let scene = params.details.scene(name, Extent { width: 40, height: 30 }, 7);
+        let mut worst: f64 = 0.0;
+        for (x, y) in ROWS.iter().flat_map(|y| (0..40).map(move |x| (x, y))) {
+            let pixel = band.pixel(x, y);
+            assert!(pixel.t.is_sorted_by(|a, b| a < b) && pixel.t[0] == 0 && pixel.t.iter().all(|t| *t <= 40_000_000), "{name:?}");
+            for t in (0..=97).map(|k| k * 411_237) {
+                let exact = 60.0 * scene.reflectance(f64::from(x), f64::from(y), t);
+                worst = worst.max(libm::log(light::at(pixel, t).unwrap() / exact).abs());
+            }
+        }
+        assert!(worst < 1.1e-3, "{name:?} is off by {worst}");
+    }
+}
+
+#[test]
+fn bands_are_rows_of_the_whole() {
+    let rows = Rows { start: 11, end: 17 };
+    for name in ALL {
+        let (whole, band) = (run(small(name), ROWS), run(small(name), rows));
+        assert_eq!(whole.light.read(rows).unwrap(), band.light.read(rows).unwrap());
+        assert_eq!(whole.truth.0.read_rows(rows).unwrap(), band.truth.0.read_rows(rows).unwrap());
+    }
+}
+
+#[test]
+fn truth_is_illuminance_times_reflectance_times_exposure() {
+    let params = Params { illuminance: Illuminance::new(1000.0), exposure: Duration::new(2_000_000), ..small(scenes::Name::SiemensDisk) };
+    let out = run(params, ROWS);
+    assert_eq!(out.truth.0.meta.times.len(), 40);
+    let dn = out.truth.0.read_rows(ROWS).unwrap();
+    // The wall beside the disk: 5 DN of darkness + 1000 DN/s x 0.2 / lx x 1000 lx x 0.3 x 2 ms.
+    assert_eq!(dn.row(17, 0)[0], 125.0);
+    let band = out.light.read(ROWS).unwrap();
+    assert_eq!((band.pixel(0, 0).t, band.pixel(0, 0).photocurrent), ([0].as_slice(), [60.0].as_slice()));
+}
+
+#[test]
+fn what_is_not_asked_for_is_not_drawn() {
+    let node = SimulateScene::build(small(scenes::Name::Fan)).unwrap();
+    let out = testing::with_context(ROWS, &["light"], |cx| node.run(In { sensor: Arc::new(sensor()) }, cx)).0.unwrap();
+    assert!(out.truth.0.read_rows(ROWS).unwrap().dn.iter().all(|dn| *dn == 0.0));
+}
+
+#[test]
+fn parameters_of_another_scene_are_refused() {
+    let mut params = small(scenes::Name::SiemensDisk);
+    params.details.fan.blades = 3;
+    let error = SimulateScene::build(params).err().unwrap();
+    assert_eq!(error.message, "`fan` is set, but the scene is \"siemens_disk\"");
+    assert_eq!(error.param.as_deref(), Some("fan"));
+}
+
+#[test]
+fn a_sensor_that_does_not_say_what_a_lux_is_worth_is_refused() {
+    let node = SimulateScene::build(Params::default()).unwrap();
+    let metas = PortMetas::new([("sensor".to_string(), vec![Meta::Sensor(Arc::new(Sensor::unknown("blank")))])].into());
+    let error = node.plan(&metas).unwrap_err();
+    assert!(format!("{error} {:?}", error.notes).contains("optics.photocurrent_per_lux"), "{error}");
+}
+
+#[test]
+fn a_pellet_that_does_not_fit_is_refused() {
+    let mut params = small(scenes::Name::Pellet);
+    params.details.pellet.radius = 15.0;
+    assert_eq!(SimulateScene::build(params).err().unwrap().message, "a pellet of radius 15 does not fit into 40 x 30 pixels");
+}

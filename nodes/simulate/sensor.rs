@@ -1,0 +1,330 @@
+//! `simulate/sensor`: what a described sensor records of a given light: events and frames.
+//!
+//! The light of every pixel, linear between its instants, goes through the forward model ([`photocurrent_sensor::forward`]): logarithm, low-pass, comparator,
+//! readout latency, refractory period, reset, with every effect that the description's `[effects]` names; and through the exposure of each frame. Crossing times
+//! are solved, not stepped, so events do not clump on the light's instants.
+//!
+//! Works row by row, with as many rows of halo as the effects that mix neighbours need. Limits: an effect that couples all pixels (a queue on
+//! the readout bus) is refused; light from further than [`HALO_ROWS`] rows away too.
+
+use super::camera::{Camera, Timing};
+use photocurrent_core::events::Event;
+use photocurrent_core::light::{Light, LightBand};
+use photocurrent_core::quantity::{Duration, Rate};
+use photocurrent_core::{Context, Decl, EventBand, EventStream, Extent, FrameBlock, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor};
+use photocurrent_sensor::effects::effect::{Domain, Kernel, Tap};
+use photocurrent_sensor::forward::LinearLight;
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Rows above and below that effects may reach.
+pub const HALO_ROWS: u32 = 16;
+
+/// The forward model takes the logarithm of light as linear between two instants. Light that is linear itself is off by at most the square
+/// of this over eight, here a hundred-thousandth: a ten-thousandth of a threshold.
+const LOG_STEP: f64 = 0.01;
+
+/// Parameters of `simulate/sensor`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// Captured frames per second.
+    #[schemars(extend("x-min" = "1 Hz", "x-max" = "10 kHz"))]
+    pub frame_rate: Rate,
+    /// Exposure of a captured frame.
+    #[schemars(extend("x-min" = "1 us"))]
+    pub exposure: Duration,
+    /// Mean of the random part of the readout latency, beyond the sensor's smallest.
+    #[schemars(extend("x-min" = "0 ns"))]
+    pub latency_spread: Duration,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Params { frame_rate: Rate::new(120.0), exposure: Duration::new(6_500_000), latency_spread: Duration::new(40_000) }
+    }
+}
+
+photocurrent_core::ports! {
+    /// Inputs.
+    pub struct In {
+        /// The light on the sensor.
+        light: Light,
+        /// The sensor that looks at it.
+        sensor: Arc<Sensor>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// Outputs.
+    pub struct Out {
+        /// Events with in-pixel and off-pixel times.
+        events: EventStream,
+        /// Captured frames.
+        frames: FrameSequence,
+    }
+}
+
+/// The node.
+pub struct SimulateSensor {
+    params: Params,
+}
+
+const WHO: &str = "simulate/sensor";
+
+impl SimulateSensor {
+    fn camera(&self, light: &photocurrent_core::light::LightMeta, sensor: &Sensor, seed: u64) -> Result<(Camera, Option<Kernel>), NodeError> {
+        let timing = Timing { frame_rate: self.params.frame_rate, exposure: self.params.exposure, latency_spread: self.params.latency_spread };
+        let camera = Camera::new(sensor, &timing, light.extent, light.span, seed, WHO)?;
+        if camera.halo() > HALO_ROWS {
+            return Err(NodeError::usage(format!("the effects of the description reach {} rows, {WHO} at most {HALO_ROWS}", camera.halo()))
+                .hint("make the blur or shift smaller"));
+        }
+        let kernel = joined(camera.effects().iter().filter_map(|effect| effect.kernel()).collect())?;
+        Ok((camera, kernel))
+    }
+}
+
+/// Kernels one after another, as one.
+fn joined(kernels: Vec<Kernel>) -> Result<Option<Kernel>, NodeError> {
+    let mut kernels = kernels.into_iter();
+    let Some(first) = kernels.next() else { return Ok(None) };
+    let mut whole = first;
+    for next in kernels {
+        if next.domain != whole.domain {
+            return Err(NodeError::usage("effects that mix neighbours before and behind the logarithm cannot be combined")
+                .hint("leave one of them out of the description"));
+        }
+        let mut taps: Vec<Tap> = Vec::new();
+        for a in &whole.taps {
+            for b in &next.taps {
+                let (dx, dy, weight) = (a.dx + b.dx, a.dy + b.dy, a.weight * b.weight);
+                match taps.iter_mut().find(|tap| (tap.dx, tap.dy) == (dx, dy)) {
+                    Some(tap) => tap.weight += weight,
+                    None => taps.push(Tap { dx, dy, weight }),
+                }
+            }
+        }
+        whole = Kernel { domain: whole.domain, taps };
+    }
+    Ok(Some(whole))
+}
+
+impl Node for SimulateSensor {
+    const DECL: Decl = Decl {
+        kind: "simulate/sensor",
+        about: "What a described sensor records of a given light: events and frames, with the effects of its description.",
+        revision: 1,
+        grain: Grain::Row { halo: HALO_ROWS },
+        draws: true,
+        exports: false,
+        sources: &["Jiang et al., CVPR 2024, Eqs. (1)-(5), forward"],
+        example: r#"
+[nodes.recording]
+kind   = "simulate/sensor"
+in     = { light = "scene.light", sensor = "sensor" }
+params = { frame_rate = "120 fps", exposure = "6.5 ms" }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params) -> Result<Self, NodeError> {
+        Ok(SimulateSensor { params })
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let (camera, _) = self.camera(inputs.light("light")?, inputs.sensor("sensor")?, 0)?;
+        Ok(vec![Meta::Events(Arc::new(camera.events)), Meta::Frames(Arc::new(camera.frames))])
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let (camera, kernel) = self.camera(&input.light.meta, &input.sensor, cx.seed())?;
+        let (rows, extent) = (cx.rows(), input.light.meta.extent);
+        cx.begin(rows.len() as u64, "rows");
+        let light = input.light.read(rows.with_halo(camera.halo(), extent.rows()))?;
+        let simulate_row = |y: u32| -> Result<(Vec<Event>, FrameBlock), NodeError> {
+            let mut events = Vec::new();
+            let mut frames = FrameBlock::zeros(0..camera.frames.times.len(), Rows { start: y, end: y + 1 }, camera.frames.row_values());
+            let (mut own, mut mixed, mut cut) = (Instants::default(), Instants::default(), Instants::default());
+            for x in 0..extent.width {
+                own.take(&light, x, y);
+                if let Some(kernel) = &kernel {
+                    mixed.mix(&light, extent, kernel, x, y);
+                }
+                let seen = if kernel.is_some() { &mixed } else { &own };
+                cut.cut(seen);
+                let values = camera.pixel(x, y, &cut.light()?, &own.light()?, &mut events)?;
+                for (l, dn) in values.into_iter().enumerate() {
+                    frames.row_mut(l, y)[x as usize] = dn as f32;
+                }
+            }
+            cx.advance(1)?;
+            Ok((events, frames))
+        };
+        let simulated: Result<Vec<_>, NodeError> = rows.iter().into_par_iter().map(simulate_row).collect();
+        let (mut events, mut frames) = (Vec::new(), FrameBlock::zeros(0..camera.frames.times.len(), rows, camera.frames.row_values()));
+        for (y, (row_events, row_frames)) in rows.iter().zip(simulated?) {
+            events.extend(row_events);
+            for l in row_frames.frames.clone() {
+                frames.row_mut(l, y).copy_from_slice(row_frames.row(l, y));
+            }
+        }
+        let mut band = EventBand::from_events(rows, events)?;
+        band.t_in.get_or_insert_default();
+        Ok(Out { events: EventStream::in_memory(Arc::new(camera.events), band), frames: FrameSequence::in_memory(Arc::new(camera.frames), frames) })
+    }
+}
+
+/// One pixel's light in double precision.
+#[derive(Default)]
+struct Instants {
+    t: Vec<i64>,
+    photocurrent: Vec<f64>,
+}
+
+impl Instants {
+    fn take(&mut self, light: &LightBand, x: u32, y: u32) {
+        let pixel = light.pixel(x, y);
+        self.t.clear();
+        self.t.extend_from_slice(pixel.t);
+        self.photocurrent.clear();
+        self.photocurrent.extend(pixel.photocurrent.iter().map(|i| f64::from(*i)));
+    }
+
+    /// The weighted sum of the neighbours' light at all their instants; beyond the edge the nearest pixel stands in.
+    fn mix(&mut self, light: &LightBand, extent: Extent, kernel: &Kernel, x: u32, y: u32) {
+        let moved = |at: u32, by: i32, size: u32| (i64::from(at) + i64::from(by)).clamp(0, i64::from(size) - 1) as u32;
+        let parts: Vec<_> = kernel.taps.iter().map(|tap| (light.pixel(moved(x, tap.dx, extent.width), moved(y, tap.dy, extent.height)), tap.weight)).collect();
+        self.t.clear();
+        self.t.extend(parts.iter().flat_map(|(pixel, _)| pixel.t));
+        self.t.sort_unstable();
+        self.t.dedup();
+        self.photocurrent.clear();
+        self.photocurrent.extend(self.t.iter().map(|&t| {
+            let at = |pixel| photocurrent_core::light::at(pixel, t).unwrap_or(f64::NAN);
+            match kernel.domain {
+                Domain::Linear => parts.iter().map(|(pixel, weight)| weight * at(*pixel)).sum::<f64>(),
+                Domain::Log => libm::exp(parts.iter().map(|(pixel, weight)| weight * libm::log(at(*pixel))).sum()),
+            }
+        }));
+    }
+
+    /// The same light with instants added where it changes by more than [`LOG_STEP`] from one to the next.
+    fn cut(&mut self, light: &Instants) {
+        self.t.clear();
+        self.photocurrent.clear();
+        for k in 0..light.t.len() {
+            if k > 0 {
+                let (t, i) = (light.t[k - 1], light.photocurrent[k - 1]);
+                let (length, change) = (light.t[k] - t, light.photocurrent[k] - i);
+                let pieces = ((libm::log(light.photocurrent[k] / i).abs() / LOG_STEP).ceil() as i64).clamp(1, length.max(1));
+                for piece in 1..pieces {
+                    let after = length * piece / pieces;
+                    self.t.push(t + after);
+                    self.photocurrent.push(i + change * after as f64 / length as f64);
+                }
+            }
+            self.t.push(light.t[k]);
+            self.photocurrent.push(light.photocurrent[k]);
+        }
+    }
+
+    fn light(&self) -> Result<LinearLight<'_>, NodeError> {
+        if self.t.is_empty() || !self.photocurrent.iter().all(|i| *i > 0.0 && i.is_finite()) {
+            return Err(NodeError::input("the light has a pixel without a positive photocurrent at every instant")
+                .hint("a scene reflects more than nothing everywhere"));
+        }
+        Ok(LinearLight::new(&self.t, &self.photocurrent))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::light::LightMeta;
+    use photocurrent_core::{TimeSpan, testing};
+    use serde_json::json;
+
+    const EXTENT: Extent = Extent { width: 6, height: 5 };
+    const LENGTH_NS: i64 = 100_000_000;
+
+    fn sensor(effects: serde_json::Value) -> Sensor {
+        let mut sensor = Sensor::unknown("test");
+        sensor.front_end.tau_0 = Some(Duration::new(0));
+        sensor.front_end.alpha = Some(Duration::new(0));
+        sensor.comparator.threshold_on = Some(0.2);
+        sensor.comparator.threshold_off = Some(0.2);
+        sensor.readout.refractory = Some(Duration::new(0));
+        sensor.frames.gain = Some(1000.0);
+        sensor.frames.row_time = Some(Duration::new(10_000));
+        sensor.effects = serde_json::from_value(effects).unwrap();
+        sensor
+    }
+
+    /// Column x holds 10 (x + 1) until 20 ms, rises linearly to twice that at 60 ms, and stays.
+    fn light() -> Light {
+        let mut band = LightBand::begin(0, EXTENT.width);
+        for pixel in 0..EXTENT.pixels() {
+            let i = 10.0 * (pixel as u32 % EXTENT.width + 1) as f32;
+            band.push([(0, i), (20_000_000, i), (60_000_000, 2.0 * i)]);
+        }
+        Light::in_memory(Arc::new(LightMeta { extent: EXTENT, span: TimeSpan::new(0, LENGTH_NS), count_hint: None }), band)
+    }
+
+    fn run(effects: serde_json::Value, rows: Rows) -> Result<Out, NodeError> {
+        let node = SimulateSensor { params: Params { latency_spread: Duration::new(0), ..Params::default() } };
+        let input = In { light: light().cut(rows.with_halo(HALO_ROWS, EXTENT.rows())), sensor: Arc::new(sensor(effects)) };
+        testing::with_context(rows, &["events", "frames"], |cx| node.run(input, cx)).0
+    }
+
+    #[test]
+    fn a_doubling_is_three_events_of_a_fifth_at_the_times_of_the_closed_form() {
+        let out = run(json!({}), EXTENT.rows()).unwrap();
+        let band = out.events.read(EXTENT.rows()).unwrap();
+        assert_eq!(band.len(), 3 * EXTENT.pixels());
+        let row = band.row(2);
+        for (k, &event) in row.by_pixel(EXTENT.width).pixel(4).iter().enumerate() {
+            // i(t) = i (1 + (t - 20 ms) / 40 ms) reaches exp(0.2 (k + 1)) i.
+            let expected = 20e6 + 40e6 * (libm::exp(0.2 * (k + 1) as f64) - 1.0);
+            assert!((row.t[event] as f64 - expected).abs() < 1000.0, "{} against {expected}", row.t[event]);
+        }
+        // The first frame is exposed for 6.5 ms of constant light: DN = 1000 x 10 (x + 1) x 6.5 ms.
+        let frames = out.frames.read(0..1, EXTENT.rows()).unwrap();
+        assert_eq!(frames.row(0, 3), [65.0, 130.0, 195.0, 260.0, 325.0, 390.0]);
+    }
+
+    #[test]
+    fn effects_of_the_description_act() {
+        let count = |effects| run(effects, EXTENT.rows()).unwrap().events.read(EXTENT.rows()).unwrap().len();
+        // 60 ON events per second and pixel on top of the scene's: 100 ms of them are about six.
+        let leaky = count(json!({ "leak_events": { "rate": "60 Hz" } }));
+        assert!((8 * EXTENT.pixels()..=10 * EXTENT.pixels()).contains(&leaky), "{leaky}");
+        let late = run(json!({ "clock_offset": { "offset": "6 ms" } }), EXTENT.rows()).unwrap().events;
+        let plain = run(json!({}), EXTENT.rows()).unwrap().events;
+        let (late, plain) = (late.read(EXTENT.rows()).unwrap(), plain.read(EXTENT.rows()).unwrap());
+        assert!(late.t.iter().zip(&plain.t).all(|(late, plain)| late - plain == 6_000_000));
+    }
+
+    #[test]
+    fn bands_are_rows_of_the_whole() {
+        let effects = json!({ "leak_events": { "rate": "60 Hz" } });
+        let whole = run(effects.clone(), EXTENT.rows()).unwrap();
+        for rows in EXTENT.rows().bands(2) {
+            let band = run(effects.clone(), rows).unwrap();
+            assert_eq!(whole.events.read(rows).unwrap(), band.events.read(rows).unwrap());
+            assert_eq!(whole.frames.read_rows(rows).unwrap(), band.frames.read_rows(rows).unwrap());
+        }
+    }
+
+    #[test]
+    fn kernels_join_by_convolution() {
+        let shift = |dx| Kernel { domain: Domain::Linear, taps: vec![Tap { dx, dy: 0, weight: 0.5 }, Tap { dx: 0, dy: 0, weight: 0.5 }] };
+        let whole = joined(vec![shift(1), shift(1)]).unwrap().unwrap();
+        let weight = |dx| whole.taps.iter().find(|tap| tap.dx == dx).unwrap().weight;
+        assert_eq!([weight(0), weight(1), weight(2)], [0.25, 0.5, 0.25]);
+    }
+}
