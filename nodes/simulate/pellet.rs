@@ -6,14 +6,14 @@
 //!
 //! Limits: grey, no photon noise in the event path, readout latency drawn per event (no queue). Light sampled in steps of [`LIGHT_STEP_NS`].
 
-use super::scenes::pellet::{Flights, fits};
 use super::camera::{Camera, Timing};
+use super::scenes::pellet::{Flights, fits};
 use photocurrent_core::events::Event;
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
 use photocurrent_core::{
-    Context, Decl, EventBand, EventStream, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node,
-    NodeError, PortMetas, Rows, Sensor, TimeSpan, Truth,
+    Context, Decl, EventBand, EventStream, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError,
+    PortMetas, Rows, Sensor, TimeSpan, Truth,
 };
 use photocurrent_sensor::forward::LinearLight;
 use rayon::prelude::*;

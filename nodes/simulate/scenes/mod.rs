@@ -115,7 +115,7 @@ impl Details {
 }
 
 #[cfg(test)]
-pub mod tests {
+pub(crate) mod tests {
     use super::*;
 
     pub const EXTENT: Extent = Extent { width: 80, height: 60 };

@@ -134,7 +134,7 @@ impl RunningMan {
     }
 
     /// A place as seen from the figure's ground point; of the figure and its repetitions, the nearest counts.
-    fn from_figure(&self, x: f64, y: f64, t_ns: i64) -> Place {
+    fn in_figure(&self, x: f64, y: f64, t_ns: i64) -> Place {
         let dx = x - self.start - self.speed * t_ns as f64;
         (dx - self.span * (dx / self.span).round(), y - self.ground)
     }
@@ -157,7 +157,7 @@ impl RunningMan {
 impl Scene for RunningMan {
     fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let wall = self.wall.at(x, y);
-        let place = self.from_figure(x, y, t_ns);
+        let place = self.in_figure(x, y, t_ns);
         if self.beside(place) > 0.5 {
             return wall;
         }
@@ -170,7 +170,7 @@ impl Scene for RunningMan {
     }
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
-        let place = self.from_figure(x, y, t_ns);
+        let place = self.in_figure(x, y, t_ns);
         let beside = self.beside(place);
         if beside > 2.0 {
             return arrival(t_ns, beside, self.speed);
@@ -210,7 +210,7 @@ mod tests {
     fn after_a_stride_the_figure_is_the_same_further_on() {
         let man = RunningMan::new(&RunningManParams::default(), EXTENT, 7);
         // 700 ms at 0.2 px/ms: 140 pixels, and the wall is left out of the comparison by looking at distances.
-        let (before, after) = (man.distances(man.from_figure(30.0, 30.0, 0), 0), man.distances(man.from_figure(170.0, 30.0, 700_000_000), 700_000_000));
+        let (before, after) = (man.distances(man.in_figure(30.0, 30.0, 0), 0), man.distances(man.in_figure(170.0, 30.0, 700_000_000), 700_000_000));
         assert!(before.iter().zip(after).all(|(a, b)| (a - b).abs() < 1e-6));
     }
 }

@@ -4,7 +4,7 @@
 //! outputs of one band fit into the task's share. Results do not depend on the height: that is a promise of the nodes, tested with every one.
 
 use crate::plan::{Plan, Task};
-use photocurrent_core::{EventsMeta, Grain, Meta, Rows, LightMeta, TracksMeta};
+use photocurrent_core::{EventsMeta, Grain, LightMeta, Meta, Rows, TracksMeta};
 
 /// A task's bands.
 #[derive(Clone, Debug, PartialEq, Eq)]
