@@ -11,8 +11,8 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<read::aedat4::ReadAedat4>(),
         Kind::of::<read::sensor::ReadSensor>(),
         Kind::of::<simulate::pellet::SimulatePellet>(),
-        Kind::of::<simulate::sensor::SimulateSensor>(),
         Kind::of::<simulate::scene::SimulateScene>(),
+        Kind::of::<simulate::sensor::SimulateSensor>(),
         // Parts are set aside.
         Kind::of::<split::frames::SplitFrames>(),
         // Events and frames become photocurrent.

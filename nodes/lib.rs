@@ -18,3 +18,5 @@ pub mod split;
 pub mod write;
 
 pub use catalog::catalogue;
+/// What a sensor may do beyond the paper's model, for those who list it.
+pub use photocurrent_sensor::effects::{EffectDecl, ParameterDecl, Unit, catalogue as effects};

@@ -4,7 +4,7 @@ use crate::args::EffectsOptions;
 use crate::common::{Done, Failure, print, print_json};
 use crate::tables::draw;
 use photocurrent_core::document::Problem;
-use photocurrent_sensor::effects::{EffectDecl, Unit, catalogue};
+use photocurrent_nodes::{EffectDecl, ParameterDecl, Unit, effects as catalogue};
 use serde_json::{Value, json};
 use std::fmt::Write;
 
@@ -39,7 +39,7 @@ pub fn effects(options: &EffectsOptions) -> Done {
 }
 
 fn describe(decl: &EffectDecl) -> Value {
-    let parameter = |p: &photocurrent_sensor::effects::ParameterDecl| json!({"name": p.name, "unit": p.unit.text(), "null": p.null, "allowed": bounds(p.allowed), "plausible": bounds(p.plausible), "about": p.about});
+    let parameter = |p: &ParameterDecl| json!({"name": p.name, "unit": p.unit.text(), "null": p.null, "allowed": bounds(p.allowed), "plausible": bounds(p.plausible), "about": p.about});
     json!({
         "id": decl.id, "stage": decl.stage.name(), "about": decl.about, "equation": decl.equation, "covariate": decl.covariate, "signature": decl.signature,
         "confused_with": decl.confused_with, "source": decl.source, "parameters": decl.parameters.iter().map(parameter).collect::<Vec<_>>(),
