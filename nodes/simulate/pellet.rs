@@ -127,6 +127,10 @@ impl SimulatePellet {
 
     fn camera(&self, sensor: &Sensor, seed: u64) -> Result<Camera, NodeError> {
         let camera = Camera::new(sensor, &self.timing(), self.extent(), TimeSpan::new(0, self.params.duration.ns()), seed, WHO)?;
+        if camera.halo() > 0 {
+            return Err(NodeError::usage(format!("the description has effects that mix neighbouring pixels, and {WHO} simulates each pixel alone"))
+                .hint("leave them out, or simulate with simulate/scene and simulate/sensor"));
+        }
         self.check_brightness(sensor, &camera)?;
         Ok(camera)
     }
@@ -404,6 +408,13 @@ mod tests {
         let plain = run(small(), rows).events;
         let (moved, plain) = (moved.read(rows).unwrap(), plain.read(rows).unwrap());
         assert!(moved.t.iter().zip(&plain.t).all(|(a, b)| a - b == 6_000_000) && moved.x == plain.x);
+    }
+
+    #[test]
+    fn effects_that_mix_neighbours_are_refused_and_not_left_out_silently() {
+        let mut soft = sensor();
+        soft.effects.insert("blur".into(), serde_json::json!({ "sigma": 1.0 }).as_object().unwrap().clone());
+        assert!(SimulatePellet::build(small()).unwrap().camera(&soft, 0).err().unwrap().message.contains("mix neighbouring pixels"));
     }
 
     #[test]
