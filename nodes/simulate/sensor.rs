@@ -12,8 +12,9 @@ use photocurrent_core::events::Event;
 use photocurrent_core::light::{Light, LightBand};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::{Context, Decl, EventBand, EventStream, Extent, FrameBlock, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor};
-use photocurrent_sensor::effects::effect::{Domain, Kernel, Tap};
+use photocurrent_sensor::effects::{Kernel, Tap};
 use photocurrent_sensor::forward::LinearLight;
+use photocurrent_sensor::forward::neighbours::{joined, mixed, stand_in};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -82,34 +83,9 @@ impl SimulateSensor {
             return Err(NodeError::usage(format!("the effects of the description reach {} rows, {WHO} at most {HALO_ROWS}", camera.halo()))
                 .hint("make the blur or shift smaller"));
         }
-        let kernel = joined(camera.effects().iter().filter_map(|effect| effect.kernel()).collect())?;
+        let kernel = joined(camera.effects()).map_err(|why| NodeError::usage(why.to_string()).hint("leave one of them out of the description"))?;
         Ok((camera, kernel))
     }
-}
-
-/// Kernels one after another, as one.
-fn joined(kernels: Vec<Kernel>) -> Result<Option<Kernel>, NodeError> {
-    let mut kernels = kernels.into_iter();
-    let Some(first) = kernels.next() else { return Ok(None) };
-    let mut whole = first;
-    for next in kernels {
-        if next.domain != whole.domain {
-            return Err(NodeError::usage("effects that mix neighbours before and behind the logarithm cannot be combined")
-                .hint("leave one of them out of the description"));
-        }
-        let mut taps: Vec<Tap> = Vec::new();
-        for a in &whole.taps {
-            for b in &next.taps {
-                let (dx, dy, weight) = (a.dx + b.dx, a.dy + b.dy, a.weight * b.weight);
-                match taps.iter_mut().find(|tap| (tap.dx, tap.dy) == (dx, dy)) {
-                    Some(tap) => tap.weight += weight,
-                    None => taps.push(Tap { dx, dy, weight }),
-                }
-            }
-        }
-        whole = Kernel { domain: whole.domain, taps };
-    }
-    Ok(Some(whole))
 }
 
 impl Node for SimulateSensor {
@@ -197,20 +173,17 @@ impl Instants {
 
     /// The weighted sum of the neighbours' light at all their instants; beyond the edge the nearest pixel stands in.
     fn mix(&mut self, light: &LightBand, extent: Extent, kernel: &Kernel, x: u32, y: u32) {
-        let moved = |at: u32, by: i32, size: u32| (i64::from(at) + i64::from(by)).clamp(0, i64::from(size) - 1) as u32;
-        let parts: Vec<_> = kernel.taps.iter().map(|tap| (light.pixel(moved(x, tap.dx, extent.width), moved(y, tap.dy, extent.height)), tap.weight)).collect();
+        let neighbour = |tap: &Tap| {
+            let (column, row) = (stand_in(x as usize, tap.dx, extent.width as usize), stand_in(y as usize, tap.dy, extent.height as usize));
+            light.pixel(column as u32, row as u32)
+        };
         self.t.clear();
-        self.t.extend(parts.iter().flat_map(|(pixel, _)| pixel.t));
+        self.t.extend(kernel.taps.iter().flat_map(|tap| neighbour(tap).t));
         self.t.sort_unstable();
         self.t.dedup();
         self.photocurrent.clear();
-        self.photocurrent.extend(self.t.iter().map(|&t| {
-            let at = |pixel| photocurrent_core::light::at(pixel, t).unwrap_or(f64::NAN);
-            match kernel.domain {
-                Domain::Linear => parts.iter().map(|(pixel, weight)| weight * at(*pixel)).sum::<f64>(),
-                Domain::Log => libm::exp(parts.iter().map(|(pixel, weight)| weight * libm::log(at(*pixel))).sum()),
-            }
-        }));
+        let sum = |&t: &i64| mixed(kernel, |tap| photocurrent_core::light::at(neighbour(tap), t).unwrap_or(f64::NAN));
+        self.photocurrent.extend(self.t.iter().map(sum));
     }
 
     /// The same light with instants added where it changes by more than [`LOG_STEP`] from one to the next.
@@ -321,10 +294,12 @@ mod tests {
     }
 
     #[test]
-    fn kernels_join_by_convolution() {
-        let shift = |dx| Kernel { domain: Domain::Linear, taps: vec![Tap { dx, dy: 0, weight: 0.5 }, Tap { dx: 0, dy: 0, weight: 0.5 }] };
-        let whole = joined(vec![shift(1), shift(1)]).unwrap().unwrap();
-        let weight = |dx| whole.taps.iter().find(|tap| tap.dx == dx).unwrap().weight;
-        assert_eq!([weight(0), weight(1), weight(2)], [0.25, 0.5, 0.25]);
+    fn crosstalk_between_columns_that_double_alike_moves_no_event() {
+        let plain = run(json!({}), EXTENT.rows()).unwrap().events;
+        let soft = run(json!({ "crosstalk": { "fraction": 0.2 } }), EXTENT.rows()).unwrap();
+        let (plain, soft_events) = (plain.read(EXTENT.rows()).unwrap(), soft.events.read(EXTENT.rows()).unwrap());
+        // All columns double alike, so their weighted sums do too: the same times everywhere, and the frames see no crosstalk.
+        assert!(plain.t.iter().zip(&soft_events.t).all(|(a, b)| (a - b).abs() < 1000) && plain.len() == soft_events.len());
+        assert_eq!(soft.frames.read(0..1, EXTENT.rows()).unwrap().row(0, 3), [65.0, 130.0, 195.0, 260.0, 325.0, 390.0]);
     }
 }

@@ -3,7 +3,7 @@
 //! Kernels follow one another in the order of the catalogue. Beyond the edge of the plane the nearest pixel stands in, so a band of rows
 //! gives the values of the whole array when it carries [`halo`] rows more on each inner side.
 
-use crate::effects::{Domain, Effect, Kernel};
+use crate::effects::{Domain, Effect, Kernel, Tap};
 
 /// How many pixels away the light of the event path may come from.
 pub fn halo(effects: &[Box<dyn Effect>]) -> u32 {
@@ -22,6 +22,49 @@ pub fn event_plane(effects: &[Box<dyn Effect>], width: usize, height: usize, pla
     Some(others.iter().fold(weighted(first, width, height, plane), |plane, kernel| weighted(kernel, width, height, &plane)))
 }
 
+/// Effects whose kernels act before and behind the logarithm cannot be joined into one sum.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("effects that mix neighbours before and behind the logarithm cannot be combined")]
+pub struct TwoDomains;
+
+/// The kernels of all effects, one after another, as one; nothing when no effect has a kernel.
+///
+/// # Errors
+///
+/// When they act in two domains.
+pub fn joined(effects: &[Box<dyn Effect>]) -> Result<Option<Kernel>, TwoDomains> {
+    let mut kernels = effects.iter().filter_map(|effect| effect.kernel());
+    let Some(mut whole) = kernels.next() else { return Ok(None) };
+    for next in kernels {
+        if next.domain != whole.domain {
+            return Err(TwoDomains);
+        }
+        let mut taps: Vec<Tap> = Vec::new();
+        for (a, b) in whole.taps.iter().flat_map(|a| next.taps.iter().map(move |b| (a, b))) {
+            let (dx, dy, weight) = (a.dx + b.dx, a.dy + b.dy, a.weight * b.weight);
+            match taps.iter_mut().find(|tap| (tap.dx, tap.dy) == (dx, dy)) {
+                Some(tap) => tap.weight += weight,
+                None => taps.push(Tap { dx, dy, weight }),
+            }
+        }
+        whole.taps = taps;
+    }
+    Ok(Some(whole))
+}
+
+/// The place `by` away from `at` on a side of `size` pixels; beyond the edge the nearest pixel stands in.
+pub fn stand_in(at: usize, by: i32, size: usize) -> usize {
+    (at as i64 + i64::from(by)).clamp(0, size as i64 - 1) as usize
+}
+
+/// The weighted sum of the photocurrents that `light` gives for each tap, in the kernel's domain.
+pub fn mixed(kernel: &Kernel, light: impl Fn(&Tap) -> f64) -> f64 {
+    match kernel.domain {
+        Domain::Linear => kernel.taps.iter().map(|tap| tap.weight * light(tap)).sum(),
+        Domain::Log => libm::exp(kernel.taps.iter().map(|tap| tap.weight * libm::log(light(tap))).sum()),
+    }
+}
+
 /// The weighted sum at every pixel.
 ///
 /// # Panics
@@ -29,19 +72,6 @@ pub fn event_plane(effects: &[Box<dyn Effect>], width: usize, height: usize, pla
 /// When the plane is not `width` by `height`.
 pub fn weighted(kernel: &Kernel, width: usize, height: usize, plane: &[f64]) -> Vec<f64> {
     assert_eq!(plane.len(), width * height, "a plane has one value per pixel");
-    let logs: Vec<f64>;
-    let values = match kernel.domain {
-        Domain::Linear => plane,
-        Domain::Log => {
-            logs = plane.iter().map(|&i| libm::log(i)).collect();
-            &logs
-        }
-    };
-    let moved = |at: usize, by: i32, size: usize| (at as i64 + i64::from(by)).clamp(0, size as i64 - 1) as usize;
-    let sum_at = |x: usize, y: usize| -> f64 {
-        let parts = kernel.taps.iter().map(|tap| tap.weight * values[moved(y, tap.dy, height) * width + moved(x, tap.dx, width)]);
-        let sum = parts.sum();
-        if kernel.domain == Domain::Log { libm::exp(sum) } else { sum }
-    };
+    let sum_at = |x: usize, y: usize| mixed(kernel, |tap| plane[stand_in(y, tap.dy, height) * width + stand_in(x, tap.dx, width)]);
     (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| sum_at(x, y)).collect()
 }

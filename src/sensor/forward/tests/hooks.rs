@@ -1,6 +1,6 @@
 //! That every place where an effect may enter does what the trait promises, with effects made for the purpose.
 
-use super::super::neighbours::{event_plane, halo};
+use super::super::neighbours::{event_plane, halo, joined};
 use super::super::*;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, recorded};
 use crate::effects::{Domain, Effect, Kernel, Kick, KickTarget, Latency, Reading, RowSite, Spontaneous, Tap, Thresholds};
@@ -165,4 +165,23 @@ fn frames_take_true_exposure_then_charge_then_number() {
     let changed = read_frames(&readout, &effects, &SITE, &light, &stated);
     // Row 5 is 50 ns late: 1.55 and 2.55 + 1.55 / 2, and the frame's number on top.
     assert!((changed[0] - 11.55).abs() < 1e-9 && (changed[1] - (10.0 + 2.55 + 0.775 + 1.0)).abs() < 1e-9);
+}
+
+#[test]
+fn kernels_join_by_convolution() {
+    let half: Vec<Box<dyn Effect>> =
+        crate::effects::from_description(&serde_json::from_value(serde_json::json!({ "misalignment": { "shift_x": 0.5 } })).unwrap()).unwrap();
+    let once = joined(&half).unwrap().unwrap();
+    let twice: Vec<Box<dyn Effect>> = half
+        .into_iter()
+        .chain(crate::effects::from_description(&serde_json::from_value(serde_json::json!({ "misalignment": { "shift_x": 0.5 } })).unwrap()).unwrap())
+        .collect();
+    let weights = |kernel: &crate::effects::Kernel| {
+        let mut weights: Vec<f64> = kernel.taps.iter().map(|tap| tap.weight).filter(|weight| *weight != 0.0).collect();
+        weights.sort_by(f64::total_cmp);
+        weights
+    };
+    // Half a pixel twice: 1/2, 1/2 becomes 1/4, 1/2, 1/4.
+    assert_eq!(weights(&once), [0.5, 0.5]);
+    assert_eq!(weights(&joined(&twice).unwrap().unwrap()), [0.25, 0.25, 0.5]);
 }
