@@ -13,7 +13,7 @@ use photocurrent_core::{EventsMeta, Exposure, Extent, FrameScale, FrameTimes, Fr
 use photocurrent_sensor::effects::{Effect, Site, from_description};
 use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_sensor::forward::neighbours::halo;
-use photocurrent_sensor::forward::{Chain, FrameReadout, LinearLight, Pixel, PixelNoise, read_frames, simulate};
+use photocurrent_sensor::forward::{Chain, FrameReadout, LOG_STEP, LinearLight, Pixel, PixelNoise, read_frames, simulate};
 use photocurrent_sensor::front_end::FrontEnd;
 
 /// When frames are taken, and how late events come; stated by the node, not by the sensor.
@@ -96,8 +96,7 @@ impl Camera {
             latency_ns: sensor.readout.latency_min.map_or(0, Duration::ns),
             latency_spread_ns: timing.latency_spread.ns() as f64,
             refractory_ns: sensor.need(sensor.readout.refractory, "readout.refractory", who)?.ns(),
-            // Light is piecewise linear, with pieces as short as it changes; where it stands still, a step of any length is exact.
-            max_step_ns: span.length_ns().max(1),
+            log_step: LOG_STEP,
         };
         let row_time_ns = sensor.need(sensor.frames.row_time, "frames.row_time", who)?.ns();
         let frames = FramesMeta { extent, channels: 1, times: timing.frame_times(span, extent.height, row_time_ns)?, scale: FrameScale::Captured };

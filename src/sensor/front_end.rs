@@ -61,16 +61,19 @@ impl TauRule {
 /// The voltage the front end settles to, `V_DC = ln i`: the function f_DC of Eq. (6), in natural-log units.
 ///
 /// `photocurrent` must be positive; zero gives minus infinity and a negative one NaN.
+#[inline]
 pub fn settled_voltage<S: Scalar>(photocurrent: S) -> S {
     photocurrent.ln()
 }
 
 /// The photocurrent whose settled voltage is `settled_voltage`: the inverse of [`settled_voltage`].
+#[inline]
 pub fn settled_photocurrent<S: Scalar>(settled_voltage: S) -> S {
     settled_voltage.exp()
 }
 
 /// The low-pass time constant in seconds at `photocurrent` (positive), Eq. (3).
+#[inline]
 pub fn time_constant<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
     front_end.tau_0_s + front_end.alpha_s / photocurrent
 }
@@ -78,6 +81,7 @@ pub fn time_constant<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
 /// The fraction gamma, 0 to 1, of the way to the settled voltage covered in `dt_s`: Eq. (2).
 ///
 /// `dt_s` and `tau_s` are seconds and not negative. Zero `dt_s` gives 0; otherwise zero `tau_s` gives 1.
+#[inline]
 pub fn settling<S: Scalar>(dt_s: S, tau_s: S) -> S {
     -(-(dt_s / tau_s.max(S::from_f64(TAU_FLOOR_S)))).exp_m1()
 }
@@ -92,6 +96,7 @@ pub fn settling<S: Scalar>(dt_s: S, tau_s: S) -> S {
 /// # use photocurrent_sensor::front_end::settle;
 /// assert_eq!(settle(0.2, 0.5, 1e-3, 0.0), 0.5); // ideal front end
 /// ```
+#[inline]
 pub fn settle<S: Scalar>(voltage: S, settled: S, dt_s: S, tau_s: S) -> S {
     voltage + settling(dt_s, tau_s) * (settled - voltage)
 }

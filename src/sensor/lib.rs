@@ -8,6 +8,7 @@
 //!
 //! In reading order:
 //!
+//! - [`elementary`]: exponential and logarithm that vectorise.
 //! - [`scalar`]: the numbers the equations are written over: `f64` and dual numbers.
 //! - [`front_end`]: photocurrent to front-end voltage, a light-dependent low-pass, Eqs. (1)-(3).
 //! - [`comparator`]: when a voltage change becomes an event, Eq. (4).
@@ -19,10 +20,11 @@
 //! - [`effects`]: non-idealities beyond the model above, one file each.
 //!
 //! Results are the same bits on every machine: no fused multiply-add and no platform `exp` or `ln`
-//! (the `libm` crate instead). Keep it so; a method call such as `x.exp()` on an `f64` is the platform's.
+//! ([`elementary`] and the `libm` crate instead). Keep it so; a method call such as `x.exp()` on an `f64` is the platform's.
 
 pub mod comparator;
 pub mod effects;
+pub mod elementary;
 pub mod exposure;
 pub mod forward;
 pub mod front_end;

@@ -10,6 +10,7 @@
 //! [`Scalar::max`]. Then a vector of `f32` lanes, where each lane would branch differently, can become a
 //! `Scalar` later (for it, `value` would be lane 0 and serve printing only).
 
+use crate::elementary;
 use std::fmt::Debug;
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
@@ -35,30 +36,37 @@ pub trait Scalar: Copy + Debug + Add<Output = Self> + Sub<Output = Self> + Mul<O
 }
 
 impl Scalar for f64 {
+    #[inline(always)]
     fn from_f64(value: f64) -> Self {
         value
     }
 
+    #[inline(always)]
     fn value(self) -> f64 {
         self
     }
 
+    #[inline(always)]
     fn exp(self) -> Self {
-        libm::exp(self)
+        elementary::exp(self)
     }
 
+    #[inline(always)]
     fn ln(self) -> Self {
-        libm::log(self)
+        elementary::ln(self)
     }
 
+    #[inline(always)]
     fn exp_m1(self) -> Self {
-        libm::expm1(self)
+        elementary::exp_m1(self)
     }
 
+    #[inline(always)]
     fn min(self, other: Self) -> Self {
         if self < other { self } else { other }
     }
 
+    #[inline(always)]
     fn max(self, other: Self) -> Self {
         if self > other { self } else { other }
     }

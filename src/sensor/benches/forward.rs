@@ -8,7 +8,7 @@ use divan::Bencher;
 use divan::counter::ItemsCount;
 use photocurrent_core::sensor::Reset;
 use photocurrent_sensor::effects::{Effect, Site, from_description};
-use photocurrent_sensor::forward::{Chain, LinearLight, Noiseless, Pixel, simulate};
+use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
 use photocurrent_sensor::front_end::FrontEnd;
 use serde_json::Value;
 
@@ -39,7 +39,7 @@ fn still() -> Samples {
 
 fn pixel() -> Pixel {
     let front_end = FrontEnd { tau_0_s: 30e-6, alpha_s: 100e-6 };
-    Pixel { front_end, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 5_000, latency_spread_ns: 0.0, refractory_ns: 50_000, max_step_ns: STEP_NS }
+    Pixel { front_end, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 5_000, latency_spread_ns: 0.0, refractory_ns: 50_000, log_step: LOG_STEP }
 }
 
 fn effects(text: &str) -> Vec<Box<dyn Effect>> {

@@ -1,7 +1,7 @@
 //! What the tests of effects share: a plain pixel, light with known logarithms, and the events that come out.
 
 use super::{Effect, PixelEvent, Site};
-use crate::forward::{Chain, LinearLight, Noiseless, Pixel, simulate};
+use crate::forward::{Chain, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
 use crate::front_end::FrontEnd;
 use photocurrent_core::sensor::Reset;
 
@@ -13,7 +13,7 @@ pub const SITE: Site = Site { x: 3, y: 5, width: 16, height: 12, seed: 7 };
 
 /// An ideal pixel with both thresholds 0.2: no delay, no latency, no blind time.
 pub fn ideal_pixel() -> Pixel {
-    Pixel { front_end: FrontEnd::IDEAL, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, max_step_ns: 5_000 }
+    Pixel { front_end: FrontEnd::IDEAL, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, log_step: LOG_STEP }
 }
 
 /// Light with instants of its own.

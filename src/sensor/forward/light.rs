@@ -30,7 +30,11 @@ impl<'a> LinearLight<'a> {
 
     /// The photocurrent at `t_ns`.
     pub fn at(&self, t_ns: i64) -> f64 {
-        let after = self.t_ns.partition_point(|&instant| instant <= t_ns);
+        self.between(self.t_ns.partition_point(|&instant| instant <= t_ns), t_ns)
+    }
+
+    /// The photocurrent at `t_ns`, when `after` is the first instant after it.
+    pub(super) fn between(&self, after: usize, t_ns: i64) -> f64 {
         match (after.checked_sub(1), self.t_ns.get(after)) {
             (None, _) => self.photocurrent[0],
             (Some(last), None) => self.photocurrent[last],
@@ -43,13 +47,15 @@ impl<'a> LinearLight<'a> {
 
     /// The exact integral over `exposure`, in photocurrent times seconds: Eq. (5) without its gain.
     pub fn integral(&self, exposure: Exposure) -> f64 {
-        let mut sum = 0.0;
-        let mut from = exposure.start.0;
+        let (mut sum, mut from) = (0.0, exposure.start.0);
+        let mut after = self.t_ns.partition_point(|&instant| instant <= from);
+        let mut first = self.between(after, from);
         while from < exposure.end.0 {
-            let after = self.t_ns.partition_point(|&instant| instant <= from);
-            let to = self.t_ns.get(after).copied().unwrap_or(i64::MAX).min(exposure.end.0);
-            sum += 0.5 * (self.at(from) + self.at(to)) * (to - from) as f64;
-            from = to;
+            let next = self.t_ns.get(after).copied().unwrap_or(i64::MAX);
+            let to = next.min(exposure.end.0);
+            let last = if to == next { self.photocurrent[after] } else { self.between(after, to) };
+            sum += 0.5 * (first + last) * (to - from) as f64;
+            (from, first, after) = (to, last, after + 1);
         }
         sum / 1e9
     }

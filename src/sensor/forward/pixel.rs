@@ -2,9 +2,11 @@
 
 use super::light::{EventLight, LinearLight, Piece};
 use super::numeric::{NumericResponse, State, System};
-use super::response::{RampResponse, Response};
+use super::response::{Response, StepResponse};
+use super::steps::Steps;
 use super::{Pixel, PixelNoise};
 use crate::comparator::{fired_polarity, signed_step};
+use crate::elementary;
 use crate::effects::{
     Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous, Thresholds, effect::BURST_GAP_NS, effect::Streams,
 };
@@ -43,9 +45,9 @@ pub struct Fired {
 ///
 /// # Panics
 ///
-/// When `max_step_ns` is not positive, or an effect makes a photocurrent that is not positive.
+/// When `log_step` is not positive, or an effect makes a photocurrent that is not positive.
 pub fn simulate(chain: &Chain<'_>, site: &Site, light: &LinearLight<'_>, start_ns: i64, end_ns: i64, noise: &mut impl PixelNoise) -> Vec<Fired> {
-    assert!(chain.pixel.max_step_ns > 0, "the step of the simulation is positive");
+    assert!(chain.pixel.log_step > 0.0, "the step of the simulation is positive");
     let seen = EventLight::new(chain.effects, site, *light, start_ns, end_ns);
     let seen = seen.get();
     let mut model = FrontEndModel::plain(chain.pixel.front_end);
@@ -142,8 +144,8 @@ struct Run<'a, N> {
 impl<N: PixelNoise> Run<'_, N> {
     fn run(&mut self, start_ns: i64, end_ns: i64, kicks: &[Kick], spontaneous: &[Spontaneous]) {
         let (mut kicks, mut spontaneous) = (kicks.iter().peekable(), spontaneous.iter().peekable());
-        let mut piece = self.seen.piece(start_ns);
-        let mut from = start_ns;
+        let mut steps = Steps::new();
+        let (mut from, mut next) = (start_ns, 0);
         while from < end_ns {
             while let Some(kick) = kicks.next_if(|kick| kick.t_ns <= from) {
                 self.kick(kick);
@@ -154,18 +156,53 @@ impl<N: PixelNoise> Run<'_, N> {
                     self.fire(from, event.polarity, value, Cause::Spontaneous);
                 }
             }
-            if piece.end_ns <= from {
-                piece = self.seen.piece(from);
-            }
-            let next = [kicks.peek().map(|kick| kick.t_ns), spontaneous.peek().map(|event| event.t_ns)].into_iter().flatten().min();
-            let limit = piece.end_ns.min(end_ns).min(next.unwrap_or(i64::MAX));
-            // Constant light has an exact answer over any time.
-            let exact = piece.first == piece.last && self.leak.per_photocurrent_per_s == 0.0;
-            let is_stepped = matches!(self.front, Front::Plain(_)) && !exact;
-            let to = if is_stepped { limit.min(from.saturating_add(self.chain.pixel.max_step_ns)) } else { limit };
-            self.advance(&piece, from, to);
-            from = to;
+            let limit = [kicks.peek().map(|kick| kick.t_ns), spontaneous.peek().map(|event| event.t_ns)].into_iter().flatten().min();
+            let limit = limit.unwrap_or(end_ns).min(end_ns);
+            from = match self.front {
+                Front::Plain(_) => {
+                    steps.fill(&self.seen, &mut next, from, limit, self.chain.pixel.log_step);
+                    steps.prepare(&self.model.low_pass);
+                    self.follow(&steps);
+                    steps.t_ns[steps.count]
+                }
+                Front::Numeric { .. } => {
+                    let piece = self.seen.piece(from);
+                    let to = piece.end_ns.min(limit);
+                    self.integrate(&piece, from, to);
+                    to
+                }
+            };
         }
+    }
+
+    /// Through prepared steps, with as many events as fit.
+    fn follow(&mut self, steps: &Steps) {
+        let Front::Plain(mut voltage) = self.front else { return };
+        let is_leaking = self.leak != Leak::default();
+        for n in 0..steps.count {
+            let (from_ns, to_ns) = (steps.t_ns[n], steps.t_ns[n + 1]);
+            let end = steps.end_voltage(n, voltage);
+            let drift_per_s = if is_leaking { self.leak_per_s(|| from_ns + (to_ns - from_ns) / 2) } else { 0.0 };
+            let drift_end = self.drift + drift_per_s * steps.length_s[n];
+            let may_fire = match self.blind_until_ns {
+                Some(until_ns) => until_ns <= to_ns || self.chain.reset == Reset::AdvanceLossy,
+                // The voltage runs after the light: it stays between where it is and where the light goes.
+                None => {
+                    let (first, last) = (steps.settled[n], steps.settled[n + 1]);
+                    let most = first.max(last).max(voltage) + self.drift.max(drift_end) - self.reference;
+                    let least = first.min(last).min(voltage) + self.drift.min(drift_end) - self.reference;
+                    most >= self.thresholds.on || least <= -self.thresholds.off
+                }
+            };
+            if may_fire {
+                let response = StepResponse::new(steps, n, voltage, end, self.drift, drift_per_s);
+                self.front = Front::Plain(voltage);
+                self.walk(&response, Origin { ns: from_ns, past_s: 0.0 }, steps.length_s[n]);
+            }
+            self.drift = drift_end;
+            voltage = end;
+        }
+        self.front = Front::Plain(voltage);
     }
 
     /// The comparator's input now, drift included.
@@ -194,36 +231,25 @@ impl<N: PixelNoise> Run<'_, N> {
         }
     }
 
-    /// From one instant of a piece of light to another, with as many events as fit.
-    fn advance(&mut self, piece: &Piece, from_ns: i64, to_ns: i64) {
+    /// From one instant of a piece of light to another by numbers, with as many events as fit.
+    fn integrate(&mut self, piece: &Piece, from_ns: i64, to_ns: i64) {
+        let Front::Numeric { mut state, mut guess_s } = self.front else { return };
         let length_s = (to_ns - from_ns) as f64 / 1e9;
-        let (first, last) = (piece.at(from_ns), piece.at(to_ns));
-        match self.front {
-            Front::Plain(voltage) => {
-                let mut response = RampResponse::new(&self.model.low_pass, voltage, first, last, length_s);
-                response.drift = self.drift;
-                response.drift_per_s = self.leak_per_s(|| from_ns + (to_ns - from_ns) / 2);
-                self.walk(&response, Origin { ns: from_ns, past_s: 0.0 }, length_s);
-                self.front = Front::Plain(response.voltage(length_s));
-                self.drift += response.drift_per_s * length_s;
-            }
-            Front::Numeric { mut state, mut guess_s } => {
-                let model = self.model;
-                let system = System { model: &model, first, slope_per_s: (last - first) / length_s };
-                let mut now_s = 0.0;
-                while now_s < length_s {
-                    let (end, step_s) = system.controlled_step(now_s, &state, length_s - now_s, &mut guess_s);
-                    let drift_per_s = self.leak_per_s(|| from_ns + ((now_s + 0.5 * step_s) * 1e9) as i64);
-                    let response = NumericResponse::new(system, now_s, state, &end, step_s, self.drift, drift_per_s);
-                    self.walk(&response, Origin { ns: from_ns, past_s: now_s }, step_s);
-                    self.drift += drift_per_s * step_s;
-                    state = end;
-                    // The last step ends the piece, whatever rounding says.
-                    now_s = if step_s >= length_s - now_s { length_s } else { now_s + step_s };
-                }
-                self.front = Front::Numeric { state, guess_s };
-            }
+        let first = piece.at(from_ns);
+        let model = self.model;
+        let system = System { model: &model, first, slope_per_s: (piece.at(to_ns) - first) / length_s };
+        let mut now_s = 0.0;
+        while now_s < length_s {
+            let (end, step_s) = system.controlled_step(now_s, &state, length_s - now_s, &mut guess_s);
+            let drift_per_s = self.leak_per_s(|| from_ns + ((now_s + 0.5 * step_s) * 1e9) as i64);
+            let response = NumericResponse::new(system, now_s, state, &end, step_s, self.drift, drift_per_s);
+            self.walk(&response, Origin { ns: from_ns, past_s: now_s }, step_s);
+            self.drift += drift_per_s * step_s;
+            state = end;
+            // The last step ends the piece, whatever rounding says.
+            now_s = if step_s >= length_s - now_s { length_s } else { now_s + step_s };
         }
+        self.front = Front::Numeric { state, guess_s };
     }
 
     fn leak_per_s(&self, middle_ns: impl FnOnce() -> i64) -> f64 {
@@ -284,7 +310,7 @@ impl<N: PixelNoise> Run<'_, N> {
     /// The pixel fires: stamps, latency, and the start of the reset.
     fn fire(&mut self, t_in_ns: i64, polarity: i8, value: f64, cause: Cause) {
         let pixel = &self.chain.pixel;
-        let spread_ns = -pixel.latency_spread_ns * libm::log1p(-self.noise.uniform());
+        let spread_ns = -pixel.latency_spread_ns * elementary::ln(1.0 - self.noise.uniform());
         let mut t_off_ns = t_in_ns + pixel.latency_ns + spread_ns.round() as i64;
         let mut left_ns = t_off_ns;
         let effects = self.chain.effects.iter();

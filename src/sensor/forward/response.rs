@@ -1,10 +1,13 @@
 //! The comparator's input over one step, and where it crosses a threshold.
 //!
-//! A crossing is solved for, never rounded to a step. The plain front end has a closed form: a low-pass driven by a ramp
-//! of `ln i`, plus a leak that is linear in time. Other front ends bring their own [`Response`].
+//! A crossing is solved for, never rounded to a step. The plain front end has a closed form ([`super::steps`]), plus a leak that is linear
+//! in time. Other front ends bring their own [`Response`].
 
+use super::steps::{Steps, Weights};
 use crate::comparator::fired_polarity;
-use crate::front_end::{FrontEnd, settled_voltage, time_constant};
+
+/// Crossing times of the closed form are solved to this, seconds: a thousandth of the clock's nanosecond.
+const RESOLUTION_S: f64 = 1e-12;
 
 /// The comparator's input over one step, in natural-log units; times are seconds from the step's start.
 pub(super) trait Response {
@@ -63,49 +66,114 @@ pub(super) trait Response {
     }
 }
 
-/// The plain front end over one step: a low-pass driven by a ramp, and a leak.
-pub(super) struct RampResponse {
-    pub start: f64,
-    pub settled: f64,
-    pub slope: f64,
-    pub tau_s: f64,
-    pub drift: f64,
-    pub drift_per_s: f64,
+/// The plain front end over one prepared step, and the drift of the comparator's input.
+///
+/// The trait's seconds become the share `sigma` of the step's length in time constants: inside the step time is a parabola in sigma.
+pub(super) struct StepResponse {
+    /// Voltage above the settled one at the start.
+    ahead: f64,
+    settled: f64,
+    slope: f64,
+    bend: f64,
+    theta: f64,
+    /// How much sigma lags behind time: time / length = sigma + warp sigma (1 - sigma).
+    warp: f64,
+    length_s: f64,
+    end: f64,
+    drift: f64,
+    drift_per_s: f64,
 }
 
-impl RampResponse {
-    /// From `voltage`, with photocurrents `first` and `last` at the ends of a step of `length_s`. `ln i` is taken as linear, the
-    /// time constant as that of the step's middle: both are exact for constant light and of second order else.
-    pub fn new(front_end: &FrontEnd, voltage: f64, first: f64, last: f64, length_s: f64) -> Self {
-        let settled = settled_voltage(first);
-        let slope = (settled_voltage(last) - settled) / length_s;
-        let tau_s = time_constant(front_end, 0.5 * (first + last));
-        RampResponse { start: voltage, settled, slope, tau_s, drift: 0.0, drift_per_s: 0.0 }
-    }
+/// A voltage as near as this to the settled one has settled: rounding, not physics.
+const SETTLED: f64 = 1e-14;
 
-    /// `V(t) = L(t) - m tau + (V0 - L0 + m tau) exp(-t / tau)` for `dV/dt = (L - V) / tau` and `L = L0 + m t`.
-    pub fn voltage(&self, t_s: f64) -> f64 {
-        let ramp = self.settled + self.slope * t_s;
-        if self.tau_s == 0.0 {
-            return ramp;
+impl StepResponse {
+    /// Step `n` from `voltage`, whose end is `end`.
+    pub fn new(steps: &Steps, n: usize, voltage: f64, end: f64, drift: f64, drift_per_s: f64) -> StepResponse {
+        let (settled, middle) = (steps.settled[n], steps.middle[n]);
+        let ahead = voltage - settled;
+        StepResponse {
+            ahead: if ahead.abs() < SETTLED { 0.0 } else { ahead },
+            settled,
+            slope: steps.slope[n],
+            bend: steps.bend[n],
+            theta: steps.theta[n],
+            warp: (0.5 - middle) / (middle * (1.0 - middle)),
+            length_s: steps.length_s[n],
+            end,
+            drift,
+            drift_per_s,
         }
-        let lag = self.slope * self.tau_s;
-        ramp - lag + (self.start - self.settled + lag) * libm::exp(-t_s / self.tau_s)
+    }
+
+    /// The root of the parabola between 0 and 1, in the form that loses no digits.
+    fn sigma(&self, t_s: f64) -> f64 {
+        let share = t_s / self.length_s;
+        let sum = 1.0 + self.warp;
+        2.0 * share / (sum + libm::sqrt(sum * sum - 4.0 * self.warp * share))
+    }
+
+    fn seconds(&self, sigma: f64) -> f64 {
+        self.length_s * sigma * (1.0 + self.warp * (1.0 - sigma))
+    }
+
+    /// The comparator's input and its slope over sigma.
+    fn at(&self, sigma: f64) -> (f64, f64) {
+        let weights = Weights::after(self.theta * sigma);
+        let (slope, bend) = (self.slope, self.bend * sigma);
+        let voltage = self.settled + self.ahead * weights.kept + sigma * (slope * weights.slope + bend * weights.bend);
+        let voltage_slope = slope * weights.constant + 2.0 * bend * weights.slope - self.theta * self.ahead * weights.kept;
+        let drift_slope = self.drift_per_s * self.length_s * (1.0 + self.warp * (1.0 - 2.0 * sigma));
+        (voltage + (self.drift + self.drift_per_s * self.seconds(sigma)), voltage_slope + drift_slope)
     }
 }
 
-impl Response for RampResponse {
+impl Response for StepResponse {
     fn value(&self, t_s: f64) -> f64 {
-        self.voltage(t_s) + (self.drift + self.drift_per_s * t_s)
+        if t_s <= 0.0 {
+            self.settled + self.ahead + self.drift
+        } else if t_s >= self.length_s {
+            self.end + (self.drift + self.drift_per_s * self.length_s)
+        } else {
+            self.at(self.sigma(t_s)).0
+        }
     }
 
-    /// U' = m + l - (A / tau) exp(-t / tau) = 0 has at most one solution.
+    /// The voltage runs after the light, which rises or falls all through the step: it turns at most once, where it meets the light. A drift
+    /// moves that instant and is far too slow to add another.
     fn turning_points(&self, from_s: f64, to_s: f64) -> [Option<f64>; 2] {
-        let ratio = (self.start - self.settled + self.slope * self.tau_s) / ((self.slope + self.drift_per_s) * self.tau_s);
-        if ratio <= 1.0 {
+        let (mut low, mut high) = (self.sigma(from_s), self.sigma(to_s));
+        let (first, last) = (self.at(low).1, self.at(high).1);
+        if first == 0.0 || last == 0.0 || (first > 0.0) == (last > 0.0) {
             return [None, None];
         }
-        let at_s = self.tau_s * libm::log(ratio);
-        [(at_s > from_s && at_s < to_s).then_some(at_s), None]
+        while high - low > 1e-12 {
+            let middle = 0.5 * (low + high);
+            if (self.at(middle).1 > 0.0) == (first > 0.0) { low = middle } else { high = middle }
+        }
+        [Some(self.seconds(high).clamp(from_s, to_s)), None]
+    }
+
+    /// Newton's method, kept inside what is known to hold the crossing.
+    fn instant_of(&self, level: f64, from_s: f64, to_s: f64) -> f64 {
+        let (mut low, mut high) = (self.sigma(from_s), self.sigma(to_s));
+        let (first, last) = (self.value(from_s) - level, self.value(to_s) - level);
+        let mut sigma = low + (high - low) * (first / (first - last)).clamp(0.0, 1.0);
+        for _ in 0..60 {
+            let (value, slope) = self.at(sigma);
+            let miss = value - level;
+            if miss == 0.0 {
+                break;
+            }
+            if (miss > 0.0) == (first > 0.0) { low = sigma } else { high = sigma }
+            let newton = sigma - miss / slope;
+            let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+            let moved_s = (next - sigma).abs() * self.length_s;
+            sigma = next;
+            if moved_s < RESOLUTION_S {
+                break;
+            }
+        }
+        self.seconds(sigma).clamp(from_s, to_s)
     }
 }

@@ -1,7 +1,7 @@
 //! Simulate a pixel, invert it, compare: the forward model integrates what the inverse model approximates.
 
 use super::*;
-use crate::forward::{LinearLight, Noiseless, Pixel, PixelNoise, simulate_events};
+use crate::forward::{LOG_STEP, LinearLight, Noiseless, Pixel, PixelNoise, simulate_events};
 use crate::front_end::{FrontEnd, TauRule};
 use crate::readout::compensated_steps;
 use photocurrent_core::Exposure;
@@ -18,7 +18,7 @@ fn round_trip_error(front_end: FrontEnd, tau_rule: TauRule) -> f64 {
     let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(-1.2 + 0.8 * libm::sin(t as f64 * 4e-7))).collect();
     let light = LinearLight::new(&t_ns, &current);
     let pixel =
-        Pixel { front_end: SIMULATED, threshold_on: 0.05, threshold_off: 0.05, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, max_step_ns: 5_000 };
+        Pixel { front_end: SIMULATED, threshold_on: 0.05, threshold_off: 0.05, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, log_step: LOG_STEP };
     let events = simulate_events(&pixel, &light, 0, 30_000_000, &mut Noiseless);
     let frames: Vec<FrameSample> = [(1, 9), (11, 19), (21, 29)]
         .map(|(start, end)| {
@@ -68,7 +68,7 @@ fn converged_dim_pixels(pixels: usize, tau_rule: TauRule) -> usize {
     let mut dice = Dice(7);
     let front_end = FrontEnd { tau_0_s: 30e-6, alpha_s: 3e-4 };
     let pixel =
-        Pixel { front_end, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 20_000, latency_spread_ns: 40_000.0, refractory_ns: 60_000, max_step_ns: 20_000 };
+        Pixel { front_end, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 20_000, latency_spread_ns: 40_000.0, refractory_ns: 60_000, log_step: LOG_STEP };
     let mut workspace = Workspace::default();
     let mut converged = 0;
     for _ in 0..pixels {

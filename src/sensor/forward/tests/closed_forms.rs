@@ -1,13 +1,14 @@
 //! The forward model against closed forms of a ramp, a step and a blind pixel.
 
-use super::super::response::{RampResponse, Response};
+use super::super::response::{Response, StepResponse};
+use super::super::steps::Steps;
 use super::super::*;
 use photocurrent_core::Exposure;
 
 const MS: i64 = 1_000_000;
 
 fn pixel() -> Pixel {
-    Pixel { front_end: FrontEnd::IDEAL, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, max_step_ns: 5_000 }
+    Pixel { front_end: FrontEnd::IDEAL, threshold_on: 0.2, threshold_off: 0.2, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, log_step: LOG_STEP }
 }
 
 /// Instants and photocurrents of a ramp of `ln i` with `slope` per second, finely sampled.
@@ -101,29 +102,31 @@ fn constant_light_is_silent() {
 
 #[test]
 fn a_turn_inside_one_step_is_not_missed() {
-    // The voltage still falls towards an old dark value while the light rises: it turns round inside the step.
-    let response = RampResponse { start: 0.0, settled: -1.0, slope: 2000.0, tau_s: 1e-3, drift: 0.0, drift_per_s: 0.0 };
+    // The voltage still falls towards light that rises: it turns round inside the step, where both meet.
+    let (front_end, start) = (FrontEnd { tau_0_s: 0.2e-3, alpha_s: 0.8e-3 }, 0.02);
+    let light = LinearLight::new(&[0, 2 * MS], &[1.0, 1.05]);
+    let mut steps = Steps::new();
+    steps.fill(&light, &mut 0, 0, 2 * MS, 0.1);
+    steps.prepare(&front_end);
+    assert_eq!(steps.count, 1);
+    let response = StepResponse::new(&steps, 0, start, steps.end_voltage(0, start), 0.0, 0.0);
     let turn_s = response.turning_points(0.0, 2e-3)[0].expect("the voltage turns");
-    assert!(response.voltage(turn_s) < response.voltage(0.0));
-    let depth = -response.voltage(turn_s);
-    let (at_s, polarity) = response.first_crossing(0.0, 2e-3, 0.0, 10.0, 0.9 * depth).expect("an OFF event before the turn");
-    assert_eq!(polarity, -1);
-    assert!(at_s < turn_s && (response.voltage(at_s) + 0.9 * depth).abs() < 1e-12);
-}
-
-#[test]
-fn halving_the_step_hardly_moves_events() {
-    let t_ns: Vec<i64> = (0..400).map(|n| n * 100_000).collect();
-    let photocurrent: Vec<f64> = (0..400).map(|n| 0.5 + 0.4 * libm::sin(n as f64 * 0.03)).collect();
-    let light = LinearLight::new(&t_ns, &photocurrent);
-    let coarse = Pixel { front_end: FrontEnd { tau_0_s: 3e-5, alpha_s: 1e-4 }, max_step_ns: 20_000, ..pixel() };
-    let fine = Pixel { max_step_ns: 1_000, ..coarse };
-    let events = |pixel| simulate_events(&pixel, &light, 0, 40 * MS, &mut Noiseless);
-    let (coarse, fine) = (events(coarse), events(fine));
-    assert!(coarse.len() > 20 && coarse.len() == fine.len());
-    for (a, b) in coarse.iter().zip(&fine) {
-        assert!((a.t_in_ns - b.t_in_ns).abs() < 200, "second order: well below a step");
+    // The same low-pass in steps of 10 ns.
+    let (mut v, mut least) = (start, (0.0, start));
+    for n in 0..200_000 {
+        let t = (f64::from(n) + 0.5) * 1e-8;
+        let i = 1.0 + 25.0 * t;
+        v += (libm::log(i) - v) / (0.2e-3 + 0.8e-3 / i) * 1e-8;
+        if v < least.1 {
+            least = (t, v);
+        }
     }
+    // The light of this step changes by twice the usual step: an error of third order, 2e-6.
+    assert!((turn_s - least.0).abs() < 1e-6 && (response.value(turn_s) - least.1).abs() < 3e-6, "{turn_s} {least:?}");
+    assert!((response.value(2e-3) - v).abs() < 3e-6);
+    let (at_s, polarity) = response.first_crossing(0.0, 2e-3, start, 10.0, 0.9 * (start - least.1)).expect("an OFF event before the turn");
+    assert_eq!(polarity, -1);
+    assert!(at_s < turn_s && (response.value(at_s) - (start - 0.9 * (start - least.1))).abs() < 1e-12);
 }
 
 #[test]

@@ -5,28 +5,49 @@ use crate::effects::simulated::{MS, Samples, ideal_pixel, recorded};
 use crate::effects::{Effect, FrontEndModel};
 use photocurrent_core::random::Random;
 
+/// Root mean square of the differences of times, nanoseconds.
+fn apart(a: &[f64], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    libm::sqrt(a.iter().zip(b).map(|(a, b)| (a - b) * (a - b)).sum::<f64>() / a.len() as f64)
+}
+
 #[test]
-fn halving_the_step_quarters_the_error() {
-    // Coarse samples, so that the light is really curved in ln i inside a piece, and a time constant that moves with it.
-    let t_ns: Vec<i64> = (0..60).map(|n| n * 1_000_000).collect();
+fn halving_the_step_divides_the_error_by_eight() {
+    // Coarse samples, so that ln i is really curved inside a piece, and a time constant that moves with it.
+    let t_ns: Vec<i64> = (0..12).map(|n| n * 5_000_000).collect();
     let photocurrent = t_ns.iter().map(|&t| 0.5 + 0.4 * libm::sin(t as f64 * 3e-7)).collect();
     let light = Samples { t_ns, photocurrent };
-    let pixel = Pixel { front_end: FrontEnd { tau_0_s: 30e-6, alpha_s: 400e-6 }, ..ideal_pixel() };
-    let times = |max_step_ns| {
-        let events = simulate_events(&Pixel { max_step_ns, ..pixel }, &light.light(), 0, 59 * MS, &mut Noiseless);
+    let pixel = Pixel { front_end: FrontEnd { tau_0_s: 30e-6, alpha_s: 400e-6 }, threshold_on: 0.05, threshold_off: 0.05, ..ideal_pixel() };
+    let times = |log_step| {
+        let events = simulate_events(&Pixel { log_step, ..pixel }, &light.light(), 0, 55 * MS, &mut Noiseless);
         events.iter().map(|event| event.t_in_ns as f64).collect::<Vec<f64>>()
     };
-    let exact = times(500);
-    let error = |max_step_ns| {
-        let found = times(max_step_ns);
-        assert_eq!(found.len(), exact.len());
-        libm::sqrt(found.iter().zip(&exact).map(|(a, b)| (a - b) * (a - b)).sum::<f64>() / exact.len() as f64)
+    let exact = times(0.005);
+    let errors = [0.4, 0.2, 0.1].map(|log_step| apart(&times(log_step), &exact));
+    assert!(errors[2] > 20.0, "far above the nanosecond of the stamps: {errors:?}");
+    for pair in errors.windows(2) {
+        assert!(pair[0] / pair[1] > 5.5 && pair[0] / pair[1] < 16.0, "{errors:?}");
+    }
+    assert!(apart(&times(LOG_STEP), &exact) < 20.0, "the usual step");
+}
+
+#[test]
+fn finer_samples_of_the_same_motion_move_events_with_the_square_of_their_spacing() {
+    // What a scene or a video gives: smooth light, sampled at a frame rate, linear between.
+    let pixel = Pixel { front_end: FrontEnd { tau_0_s: 30e-6, alpha_s: 100e-6 }, ..ideal_pixel() };
+    let times = |spacing_ns: i64| {
+        let t_ns: Vec<i64> = (0..=60 * MS / spacing_ns).map(|n| n * spacing_ns).collect();
+        let photocurrent = t_ns.iter().map(|&t| libm::exp(libm::sin(t as f64 * 4e-7) + 0.4 * libm::sin(t as f64 * 1.1e-6))).collect();
+        let light = Samples { t_ns, photocurrent };
+        simulate_events(&pixel, &light.light(), 0, 58 * MS, &mut Noiseless).iter().map(|event| event.t_in_ns as f64).collect::<Vec<f64>>()
     };
-    let errors = [250_000, 125_000, 62_500].map(error);
-    assert!(errors[2] > 50.0, "far above the nanosecond of the stamps: {errors:?}");
+    let exact = times(5_000);
+    let errors = [400_000, 200_000, 100_000].map(|spacing_ns| apart(&times(spacing_ns), &exact));
     for pair in errors.windows(2) {
         assert!(pair[0] / pair[1] > 3.3 && pair[0] / pair[1] < 5.0, "{errors:?}");
     }
+    // 10,000 frames per second resolve this motion to some microseconds, and then the rate no longer matters.
+    assert!(errors[2] < 8_000.0 && apart(&times(10_000), &exact) < 100.0, "{errors:?}");
 }
 
 #[test]
@@ -96,7 +117,7 @@ impl Effect for Integrated {
 fn the_integrator_finds_the_times_of_the_closed_form() {
     let light = Samples::of_log(60 * MS, |t| libm::sin(250.0 * t) + 0.5 * libm::sin(900.0 * t));
     for (tau_0_s, refractory_ns) in [(2e-3, 0), (50e-6, 80_000), (1e-6, 80_000)] {
-        let pixel = Pixel { front_end: FrontEnd { tau_0_s, alpha_s: 0.0 }, refractory_ns, max_step_ns: 1_000, ..ideal_pixel() };
+        let pixel = Pixel { front_end: FrontEnd { tau_0_s, alpha_s: 0.0 }, refractory_ns, ..ideal_pixel() };
         let closed = recorded(pixel, vec![], &light, 60 * MS);
         let integrated = recorded(pixel, vec![Box::new(Integrated)], &light, 60 * MS);
         assert_eq!(closed.len(), integrated.len());

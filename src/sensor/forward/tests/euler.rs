@@ -134,7 +134,7 @@ fn agree(name: &str, case: Case) {
             latency_ns: case.latency_ns,
             latency_spread_ns: 0.0,
             refractory_ns: case.refractory_ns,
-            max_step_ns: 5_000,
+            log_step: LOG_STEP,
         };
         let effects: Vec<Box<dyn Effect>> = vec![Box::new(Made(case))];
         let chain = Chain { pixel, reset: case.reset, effects: &effects };

@@ -29,7 +29,7 @@ fn ours(reset: Reset) -> Vec<Vec<(i64, bool)>> {
         latency_ns: 1000,
         latency_spread_ns: 0.0,
         refractory_ns: 0,
-        max_step_ns: 20_000,
+        log_step: LOG_STEP,
     };
     let chain = Chain { pixel, reset, effects: &[] };
     let row = |x: usize| {

@@ -24,7 +24,7 @@ fn on_a_ramp_only_resampling_misses_the_blind_time() {
     let pixel = Pixel { latency_ns: MS, refractory_ns: 3 * MS, ..ideal_pixel() };
     for (reset, period_s) in [(Reset::Resample, 14e-3), (Reset::Advance, 10e-3), (Reset::AdvanceLossy, 10e-3)] {
         let intervals = intervals_s(&events(pixel, reset, &ramp, 100 * MS));
-        assert!(intervals.len() >= 5 && intervals.iter().all(|interval| (interval - period_s).abs() < 1e-6), "{reset:?}");
+        assert!(intervals.len() >= 5 && intervals.iter().all(|interval| (interval - period_s).abs() < 1e-6), "{reset:?} {intervals:?}");
     }
 }
 
