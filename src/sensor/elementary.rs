@@ -32,6 +32,12 @@ const INVERSE_FACTORIAL: [f64; 12] = [
     1.0 / 6_227_020_800.0,
 ];
 
+/// The nearest whole number, halves to the even one, of a number below 2^51.
+#[inline(always)]
+pub fn nearest(x: f64) -> f64 {
+    (x + ROUNDER) - ROUNDER
+}
+
 /// A power of two and the rest: x = k ln 2 + r with |r| < 0.35; gives (2^k, r).
 #[inline(always)]
 fn reduced(x: f64) -> (f64, f64) {
@@ -129,6 +135,13 @@ mod tests {
             assert!(ulps(exp_m1(x), libm::expm1(x)) < 3.0 && ulps(exp_m1(-x), libm::expm1(-x)) < 3.0, "{x}");
         }
         assert_eq!((exp(0.0), exp_m1(0.0)), (1.0, 0.0));
+    }
+
+    #[test]
+    fn nearest_rounds_halves_to_even() {
+        for (x, whole) in [(0.4, 0.0), (0.5, 0.0), (1.5, 2.0), (-0.6, -1.0), (-2.5, -2.0), (1e14 + 0.7, 1e14 + 1.0)] {
+            assert_eq!(nearest(x), whole);
+        }
     }
 
     #[test]

@@ -78,6 +78,12 @@ pub fn time_constant<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
     front_end.tau_0_s + front_end.alpha_s / photocurrent
 }
 
+/// One over [`time_constant`], 1/s, with one division less: `i / (tau_0 i + alpha)`. `photocurrent` is positive; the ideal front end's rate is finite, 1e30/s.
+#[inline]
+pub fn settling_rate<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
+    photocurrent / (front_end.tau_0_s * photocurrent + front_end.alpha_s).max(S::from_f64(TAU_FLOOR_S) * photocurrent)
+}
+
 /// The fraction gamma, 0 to 1, of the way to the settled voltage covered in `dt_s`: Eq. (2).
 ///
 /// `dt_s` and `tau_s` are seconds and not negative. Zero `dt_s` gives 0; otherwise zero `tau_s` gives 1.
@@ -118,6 +124,17 @@ mod tests {
         let front_end = FrontEnd { tau_0_s: 30e-6, alpha_s: 1e-4 };
         assert_eq!(time_constant(&front_end, 1.0), 30e-6 + 1e-4);
         assert_eq!(time_constant(&front_end, 0.1), 30e-6 + 1e-4 / 0.1);
+    }
+
+    #[test]
+    fn the_rate_is_one_over_the_time_constant() {
+        for (tau_0_s, alpha_s) in [(30e-6, 1e-4), (0.0, 1e-4), (30e-6, 0.0)] {
+            for i in [1e-3, 0.2, 7.0] {
+                let front_end = FrontEnd { tau_0_s, alpha_s };
+                assert!((settling_rate(&front_end, i) * time_constant(&front_end, i) - 1.0).abs() < 1e-15);
+            }
+        }
+        assert!((settling_rate(&FrontEnd::IDEAL, 0.2) * TAU_FLOOR_S - 1.0).abs() < 1e-15);
     }
 
     #[test]

@@ -1,8 +1,8 @@
-//! Time to simulate one pixel: without effects by kind of light, and with one effect at a time.
+//! Time to simulate pixels: without effects by kind of light and on one core and two, and with one effect at a time.
 //!
-//! Run with `cargo bench -p photocurrent-sensor --bench forward`. Light is synthetic, 50 ms sampled every 20 us; a step is `max_step_ns` of 5 us,
-//! so "items" are pixel-steps (10,000 per pixel) where nothing else is said. Front ends without a closed form choose their own steps;
-//! their items are counted alike, so that times compare.
+//! Run with `cargo bench -p photocurrent-sensor --bench forward`. The light is synthetic, 50 ms of three sines that make about 40 events, given in two ways: as a
+//! video gives it, sampled every 20 us (2,500 pixel-steps a pixel), and as a scene gives it, with an instant wherever it has
+//! changed by a fortieth. Front ends without a closed form choose their own steps; their items are counted alike, so that times compare.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -13,7 +13,9 @@ use photocurrent_sensor::front_end::FrontEnd;
 use serde_json::Value;
 
 const SPAN_NS: i64 = 50_000_000;
-const STEP_NS: i64 = 5_000;
+const VIDEO_STEP_NS: i64 = 20_000;
+/// Pixels simulated per thread.
+const PIXELS: usize = 50;
 const SITE: Site = Site { x: 3, y: 5, width: 64, height: 48, seed: 20_240_607 };
 
 fn main() {
@@ -26,15 +28,34 @@ struct Samples {
 }
 
 /// Three sines with 0.9 of a log unit in all: about 40 events in 50 ms.
-fn textured() -> Samples {
-    let t_ns: Vec<i64> = (0..=SPAN_NS / 20_000).map(|n| n * 20_000).collect();
-    let log = |t: f64| 0.4 * libm::sin(500.0 * t) + 0.3 * libm::sin(1300.0 * t + 1.0) + 0.2 * libm::sin(2100.0 * t + 2.0);
-    let photocurrent = t_ns.iter().map(|&t| libm::exp(log(t as f64 / 1e9))).collect();
+fn log_light(t_ns: i64) -> f64 {
+    let t = t_ns as f64 / 1e9;
+    0.4 * libm::sin(500.0 * t) + 0.3 * libm::sin(1300.0 * t + 1.0) + 0.2 * libm::sin(2100.0 * t + 2.0)
+}
+
+/// Sampled every 20 us.
+fn video() -> Samples {
+    let t_ns: Vec<i64> = (0..=SPAN_NS / VIDEO_STEP_NS).map(|n| n * VIDEO_STEP_NS).collect();
+    let photocurrent = t_ns.iter().map(|&t| libm::exp(log_light(t))).collect();
+    Samples { t_ns, photocurrent }
+}
+
+/// Sampled where it has changed by a fortieth.
+fn scene() -> Samples {
+    let (mut t_ns, mut last) = (vec![0], log_light(0));
+    for t in (1_000..SPAN_NS).step_by(1_000) {
+        if (log_light(t) - last).abs() >= 0.024 {
+            last = log_light(t);
+            t_ns.push(t);
+        }
+    }
+    t_ns.push(SPAN_NS);
+    let photocurrent = t_ns.iter().map(|&t| libm::exp(log_light(t))).collect();
     Samples { t_ns, photocurrent }
 }
 
 fn still() -> Samples {
-    Samples { photocurrent: vec![0.4; 2501], ..textured() }
+    Samples { photocurrent: vec![0.4; 2501], ..video() }
 }
 
 fn pixel() -> Pixel {
@@ -52,26 +73,49 @@ fn run(samples: &Samples, effects: &[Box<dyn Effect>]) -> usize {
     simulate(&chain, &SITE, &LinearLight::new(&samples.t_ns, &samples.photocurrent), 0, SPAN_NS, &mut Noiseless).len()
 }
 
+/// A block of pixels on each of some threads; gives the events of one.
+fn run_on(threads: usize, samples: &Samples) -> usize {
+    std::thread::scope(|scope| {
+        let block = || (0..PIXELS).map(|_| run(divan::black_box(samples), &[])).sum();
+        let others: Vec<_> = (1..threads).map(|_| scope.spawn(block)).collect();
+        let own: usize = block();
+        own + others.into_iter().map(|other| other.join().unwrap_or(0)).sum::<usize>()
+    })
+}
+
+#[divan::bench(args = [1, 2])]
+fn steps_of_video(bencher: Bencher, threads: usize) {
+    let samples = video();
+    bencher.counter(ItemsCount::new(threads * PIXELS * samples.t_ns.len())).bench(|| run_on(threads, &samples));
+}
+
+#[divan::bench(args = [1, 2])]
+fn events_of_video(bencher: Bencher, threads: usize) {
+    let samples = video();
+    bencher.counter(ItemsCount::new(run_on(threads, &samples))).bench(|| run_on(threads, &samples));
+}
+
+#[divan::bench(args = [1, 2])]
+fn steps_of_scene(bencher: Bencher, threads: usize) {
+    let samples = scene();
+    bencher.counter(ItemsCount::new(threads * PIXELS * samples.t_ns.len())).bench(|| run_on(threads, &samples));
+}
+
+#[divan::bench(args = [1, 2])]
+fn events_of_scene(bencher: Bencher, threads: usize) {
+    let samples = scene();
+    bencher.counter(ItemsCount::new(run_on(threads, &samples))).bench(|| run_on(threads, &samples));
+}
+
 #[divan::bench]
-fn steps_of_still_light(bencher: Bencher) {
+fn steps_of_still_video(bencher: Bencher) {
     let samples = still();
-    bencher.counter(ItemsCount::new((SPAN_NS / STEP_NS) as usize)).bench(|| run(&samples, &[]));
+    bencher.counter(ItemsCount::new(samples.t_ns.len())).bench(|| run(&samples, &[]));
 }
 
-#[divan::bench]
-fn steps_of_textured_light(bencher: Bencher) {
-    let samples = textured();
-    bencher.counter(ItemsCount::new((SPAN_NS / STEP_NS) as usize)).bench(|| run(&samples, &[]));
-}
-
-#[divan::bench]
-fn events_of_textured_light(bencher: Bencher) {
-    let samples = textured();
-    bencher.counter(ItemsCount::new(run(&samples, &[]))).bench(|| run(&samples, &[]));
-}
-
-/// One effect at a time; the difference from textured light without effects is what it costs.
+/// One effect at a time on the scene's light; the difference from none is what it costs.
 #[divan::bench(args = [
+    "{}",
     r#"{"dark_current": {"current": 0.1}}"#,
     r#"{"time_constant": {"alpha": "200 us"}}"#,
     r#"{"second_pole": {"tau": "300 us"}}"#,
@@ -84,6 +128,6 @@ fn events_of_textured_light(bencher: Bencher) {
     r#"{"clock_offset": {"offset": "1 ms"}}"#,
 ])]
 fn steps_with(bencher: Bencher, described: &str) {
-    let (samples, effects) = (textured(), effects(described));
-    bencher.counter(ItemsCount::new((SPAN_NS / STEP_NS) as usize)).bench(|| run(&samples, &effects));
+    let (samples, effects) = (scene(), effects(described));
+    bencher.counter(ItemsCount::new(samples.t_ns.len())).bench(|| run(&samples, &effects));
 }

@@ -118,14 +118,21 @@ impl<'a> EventLight<'a> {
             Some(step_ns) => Cow::Owned(refined(light.t_ns, step_ns.max(1), start_ns, end_ns)),
             None => Cow::Borrowed(light.t_ns),
         };
-        let seen = |t: i64| effects.iter().fold(light.at(t), |i, effect| effect.event_light(site, t, i));
-        let photocurrent = t_ns.iter().map(|&t| seen(t)).collect();
+        let mut after = 0;
+        let seen = |&t: &i64| {
+            while light.t_ns.get(after).is_some_and(|instant| *instant <= t) {
+                after += 1;
+            }
+            effects.iter().fold(light.between(after, t), |i, effect| effect.event_light(site, t, i))
+        };
+        let photocurrent: Vec<f64> = t_ns.iter().map(seen).collect();
+        assert!(photocurrent.iter().all(|&i| i > 0.0 && i.is_finite()), "photocurrent is positive and finite");
         EventLight { t_ns, photocurrent: Cow::Owned(photocurrent) }
     }
 
     /// As linear light.
     pub fn get(&self) -> LinearLight<'_> {
-        LinearLight::new(&self.t_ns, &self.photocurrent)
+        LinearLight { t_ns: &self.t_ns, photocurrent: &self.photocurrent }
     }
 }
 

@@ -114,7 +114,7 @@ impl Origin {
     }
 
     fn nanoseconds_at(self, t_s: f64) -> i64 {
-        self.ns + ((self.past_s + t_s) * 1e9).round() as i64
+        self.ns + elementary::nearest((self.past_s + t_s) * 1e9) as i64
     }
 }
 
@@ -186,12 +186,17 @@ impl<N: PixelNoise> Run<'_, N> {
             let drift_end = self.drift + drift_per_s * steps.length_s[n];
             let may_fire = match self.blind_until_ns {
                 Some(until_ns) => until_ns <= to_ns || self.chain.reset == Reset::AdvanceLossy,
-                // The voltage runs after the light: it stays between where it is and where the light goes.
                 None => {
+                    let (low, high) = (self.reference - self.thresholds.off, self.reference + self.thresholds.on);
+                    let ends = [voltage + self.drift, end + drift_end];
                     let (first, last) = (steps.settled[n], steps.settled[n + 1]);
-                    let most = first.max(last).max(voltage) + self.drift.max(drift_end) - self.reference;
-                    let least = first.min(last).min(voltage) + self.drift.min(drift_end) - self.reference;
-                    most >= self.thresholds.on || least <= -self.thresholds.off
+                    // The voltage runs after the light. While it does so in one direction, a crossing shows at the end; and it stays between
+                    // where it is and where the light goes.
+                    let is_outside = ends.iter().any(|input| *input >= high || *input <= low);
+                    let reach = drift_per_s.abs() * steps.length_s[n];
+                    let [first_slope, last_slope] = steps.end_slopes(n, voltage - first).map(|slope| slope + drift_per_s * steps.length_s[n]);
+                    let turns = (first_slope > 0.0) != (last_slope > 0.0);
+                    is_outside || turns && (first.max(last).max(voltage) + self.drift + reach >= high || first.min(last).min(voltage) + self.drift - reach <= low)
                 }
             };
             if may_fire {
@@ -260,58 +265,66 @@ impl<N: PixelNoise> Run<'_, N> {
     /// Finds the events of one step.
     fn walk(&mut self, response: &impl Response, origin: Origin, length_s: f64) {
         let mut now_s = 0.0;
+        let mut value = response.value(now_s);
         loop {
             if let Some(until_ns) = self.blind_until_ns {
                 let until_s = origin.seconds_to(until_ns);
                 if self.chain.reset == Reset::AdvanceLossy {
-                    now_s = self.lose(response, now_s, f64::min(until_s, length_s));
+                    (now_s, value) = self.lose(response, (now_s, value), f64::min(until_s, length_s));
                 }
                 if until_s > length_s {
                     break;
                 }
                 // Latched at a whole nanosecond, which can lie a fraction of one before `now`.
-                now_s = f64::max(now_s, until_s);
+                if until_s > now_s {
+                    (now_s, value) = (until_s, response.value(until_s));
+                }
                 self.blind_until_ns = None;
                 if self.chain.reset == Reset::Resample {
-                    self.take_reference(response.value(now_s), until_ns);
+                    self.take_reference(value, until_ns);
                 }
             }
             let Thresholds { on, off } = self.thresholds;
-            let Some((fired_s, polarity)) = response.first_crossing(now_s, length_s, self.reference, on, off) else {
+            let Some((fired_s, polarity)) = response.first_crossing((now_s, value), length_s, self.reference, on, off) else {
                 break;
             };
             let is_late = fired_s == now_s;
-            now_s = fired_s;
-            let level = if is_late { response.value(now_s) } else { self.reference + signed_step(polarity, on, off) };
-            self.fire(origin.nanoseconds_at(fired_s), polarity, level, Cause::Crossing);
+            if !is_late {
+                (now_s, value) = (fired_s, self.reference + signed_step(polarity, on, off));
+            }
+            self.fire(origin.nanoseconds_at(fired_s), polarity, value, Cause::Crossing);
             if is_late && self.blind_until_ns.is_none() {
                 // A reference that stays behind the voltage fires again at once; a nanosecond is the fastest that stamps can tell.
                 now_s += 1e-9;
                 if now_s >= length_s {
                     break;
                 }
+                value = response.value(now_s);
             }
         }
     }
 
-    /// Moves the reference for crossings inside the blind time, without events.
-    fn lose(&mut self, response: &impl Response, from_s: f64, to_s: f64) -> f64 {
-        let mut now_s = from_s;
+    /// Moves the reference for crossings inside the blind time, without events; gives the instant of the last and the input there.
+    fn lose(&mut self, response: &impl Response, from: (f64, f64), to_s: f64) -> (f64, f64) {
+        let mut now = from;
         let Thresholds { on, off } = self.thresholds;
-        while now_s < to_s
-            && let Some((crossed_s, polarity)) = response.first_crossing(now_s, to_s, self.reference, on, off)
+        while now.0 < to_s
+            && let Some((crossed_s, polarity)) = response.first_crossing(now, to_s, self.reference, on, off)
         {
             self.reference += signed_step(polarity, on, off);
-            now_s = crossed_s;
+            // One already exceeded leaves the input where it is, beyond the threshold.
+            if crossed_s > now.0 {
+                now = (crossed_s, self.reference);
+            }
         }
-        now_s
+        now
     }
 
     /// The pixel fires: stamps, latency, and the start of the reset.
     fn fire(&mut self, t_in_ns: i64, polarity: i8, value: f64, cause: Cause) {
         let pixel = &self.chain.pixel;
         let spread_ns = -pixel.latency_spread_ns * elementary::ln(1.0 - self.noise.uniform());
-        let mut t_off_ns = t_in_ns + pixel.latency_ns + spread_ns.round() as i64;
+        let mut t_off_ns = t_in_ns + pixel.latency_ns + elementary::nearest(spread_ns) as i64;
         let mut left_ns = t_off_ns;
         let effects = self.chain.effects.iter();
         for (effect, streams) in effects.clone().zip(&mut self.streams) {

@@ -6,8 +6,8 @@
 use super::steps::{Steps, Weights};
 use crate::comparator::fired_polarity;
 
-/// Crossing times of the closed form are solved to this, seconds: a thousandth of the clock's nanosecond.
-const RESOLUTION_S: f64 = 1e-12;
+/// Newton's steps shorter than this share of a step are the last: the error left is about its square.
+const LAST_MOVE: f64 = 1e-6;
 
 /// The comparator's input over one step, in natural-log units; times are seconds from the step's start.
 pub(super) trait Response {
@@ -27,18 +27,19 @@ pub(super) trait Response {
         0.0
     }
 
-    /// The first instant from `from_s` to `to_s` at which a threshold is crossed or already exceeded, and the polarity.
-    fn first_crossing(&self, from_s: f64, to_s: f64, reference: f64, on: f64, off: f64) -> Option<(f64, i8)> {
+    /// The first instant from that of `from`, an instant and the input there, to `to_s` at which a threshold is crossed or already exceeded, and the polarity.
+    fn first_crossing(&self, from: (f64, f64), to_s: f64, reference: f64, on: f64, off: f64) -> Option<(f64, i8)> {
         if self.stays_within(reference - off, reference + on) {
             return None;
         }
-        if let Some(polarity) = fired_polarity(self.value(from_s), reference, on, off) {
-            return Some((from_s, polarity));
+        if let Some(polarity) = fired_polarity(from.1, reference, on, off) {
+            return Some((from.0, polarity));
         }
-        let mut piece_start = from_s;
+        let mut piece_start = from;
         // Between its ends and its turning points the input is monotone: a crossing shows at the end.
-        for piece_end in self.turning_points(from_s, to_s).into_iter().chain([Some(to_s)]).flatten() {
-            if let Some(polarity) = fired_polarity(self.value(piece_end), reference, on, off) {
+        for piece_end_s in self.turning_points(from.0, to_s).into_iter().chain([Some(to_s)]).flatten() {
+            let piece_end = (piece_end_s, self.value(piece_end_s));
+            if let Some(polarity) = fired_polarity(piece_end.1, reference, on, off) {
                 let level = reference + if polarity > 0 { on } else { -off };
                 return Some((self.instant_of(level, piece_start, piece_end), polarity));
             }
@@ -47,10 +48,10 @@ pub(super) trait Response {
         None
     }
 
-    /// Solves value(t) = level on a monotone piece by bisection.
-    fn instant_of(&self, level: f64, from_s: f64, to_s: f64) -> f64 {
-        let rises = self.value(to_s) >= self.value(from_s);
-        let (mut low, mut high) = (from_s, to_s);
+    /// Solves value(t) = level on a monotone piece between two instants and the inputs there; by bisection.
+    fn instant_of(&self, level: f64, from: (f64, f64), to: (f64, f64)) -> f64 {
+        let rises = to.1 >= from.1;
+        let (mut low, mut high) = (from.0, to.0);
         loop {
             let middle = 0.5 * (low + high);
             if !(middle > low && middle < high) || high - low < self.resolution_s() {
@@ -80,6 +81,8 @@ pub(super) struct StepResponse {
     warp: f64,
     length_s: f64,
     end: f64,
+    /// Slope of the input over sigma at both ends.
+    slopes: [f64; 2],
     drift: f64,
     drift_per_s: f64,
 }
@@ -92,15 +95,20 @@ impl StepResponse {
     pub fn new(steps: &Steps, n: usize, voltage: f64, end: f64, drift: f64, drift_per_s: f64) -> StepResponse {
         let (settled, middle) = (steps.settled[n], steps.middle[n]);
         let ahead = voltage - settled;
+        let ahead = if ahead.abs() < SETTLED { 0.0 } else { ahead };
+        let warp = (0.5 - middle) / (middle * (1.0 - middle));
+        let drift_over_step = drift_per_s * steps.length_s[n];
+        let slopes = steps.end_slopes(n, ahead);
         StepResponse {
-            ahead: if ahead.abs() < SETTLED { 0.0 } else { ahead },
+            ahead,
             settled,
             slope: steps.slope[n],
             bend: steps.bend[n],
             theta: steps.theta[n],
-            warp: (0.5 - middle) / (middle * (1.0 - middle)),
+            warp,
             length_s: steps.length_s[n],
             end,
+            slopes: [slopes[0] + drift_over_step * (1.0 + warp), slopes[1] + drift_over_step * (1.0 - warp)],
             drift,
             drift_per_s,
         }
@@ -142,11 +150,12 @@ impl Response for StepResponse {
     /// The voltage runs after the light, which rises or falls all through the step: it turns at most once, where it meets the light. A drift
     /// moves that instant and is far too slow to add another.
     fn turning_points(&self, from_s: f64, to_s: f64) -> [Option<f64>; 2] {
-        let (mut low, mut high) = (self.sigma(from_s), self.sigma(to_s));
-        let (first, last) = (self.at(low).1, self.at(high).1);
+        let first = if from_s <= 0.0 { self.slopes[0] } else { self.at(self.sigma(from_s)).1 };
+        let last = if to_s >= self.length_s { self.slopes[1] } else { self.at(self.sigma(to_s)).1 };
         if first == 0.0 || last == 0.0 || (first > 0.0) == (last > 0.0) {
             return [None, None];
         }
+        let (mut low, mut high) = (self.sigma(from_s), self.sigma(to_s));
         while high - low > 1e-12 {
             let middle = 0.5 * (low + high);
             if (self.at(middle).1 > 0.0) == (first > 0.0) { low = middle } else { high = middle }
@@ -155,25 +164,40 @@ impl Response for StepResponse {
     }
 
     /// Newton's method, kept inside what is known to hold the crossing.
-    fn instant_of(&self, level: f64, from_s: f64, to_s: f64) -> f64 {
-        let (mut low, mut high) = (self.sigma(from_s), self.sigma(to_s));
-        let (first, last) = (self.value(from_s) - level, self.value(to_s) - level);
-        let mut sigma = low + (high - low) * (first / (first - last)).clamp(0.0, 1.0);
+    fn instant_of(&self, level: f64, from: (f64, f64), to: (f64, f64)) -> f64 {
+        let (mut low, mut high) = (self.sigma(from.0), self.sigma(to.0));
+        let rises = to.1 > from.1;
+        let mut sigma = self.guess(level, (low, from.1), (high, to.1));
+        // Halving alone needs 50 rounds to the last bit.
         for _ in 0..60 {
             let (value, slope) = self.at(sigma);
-            let miss = value - level;
-            if miss == 0.0 {
+            if value == level {
                 break;
             }
-            if (miss > 0.0) == (first > 0.0) { low = sigma } else { high = sigma }
-            let newton = sigma - miss / slope;
+            if (value > level) == rises { high = sigma } else { low = sigma }
+            let newton = sigma - (value - level) / slope;
             let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
-            let moved_s = (next - sigma).abs() * self.length_s;
+            let is_last = (next - sigma).abs() < LAST_MOVE && next == newton || high - low < 1e-15;
             sigma = next;
-            if moved_s < RESOLUTION_S {
+            if is_last {
                 break;
             }
         }
-        self.seconds(sigma).clamp(from_s, to_s)
+        self.seconds(sigma).clamp(from.0, to.0)
+    }
+}
+
+impl StepResponse {
+    /// Where the cubic with the same values and slopes at the step's ends, taken as sigma over value, has `level`; on a part of a step, the straight line.
+    fn guess(&self, level: f64, from: (f64, f64), to: (f64, f64)) -> f64 {
+        let rise = to.1 - from.1;
+        let share = ((level - from.1) / rise).clamp(0.0, 1.0);
+        let straight = from.0 + (to.0 - from.0) * share;
+        if from.0 > 0.0 || to.0 < 1.0 {
+            return straight;
+        }
+        let (first, last) = (rise / self.slopes[0], rise / self.slopes[1]);
+        let cubic = share + share * (1.0 - share) * ((first - 1.0) * (1.0 - share) - (last - 1.0) * share);
+        if cubic > 0.0 && cubic < 1.0 { cubic } else { straight }
     }
 }

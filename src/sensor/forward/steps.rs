@@ -11,24 +11,21 @@
 
 use super::light::LinearLight;
 use crate::elementary;
-use crate::front_end::{FrontEnd, settled_voltage, time_constant};
+use crate::front_end::{FrontEnd, settled_voltage, settling_rate};
 use multiversion::multiversion;
 
 /// Steps prepared in one go: their arrays stay in the first-level cache.
 pub(super) const CHUNK: usize = 64;
 
-/// Stands for the zero time constant of an ideal front end, seconds.
-const TAU_FLOOR_S: f64 = 1e-30;
-
-/// Steps one after another, and how the low-pass answers to each. Array `n` of a step, `n` and `n + 1` of its ends.
+/// Steps one after another, and how the low-pass answers to each. Entry `n` is of a step; `n` and `n + 1` are of its ends, whose arrays are a whole number of vectors long.
 pub(super) struct Steps {
     pub count: usize,
-    pub t_ns: [i64; CHUNK + 1],
-    photocurrent: [f64; CHUNK + 1],
+    pub t_ns: [i64; CHUNK + 8],
+    photocurrent: [f64; CHUNK + 8],
     /// ln i at the ends.
-    pub settled: [f64; CHUNK + 1],
-    /// Inverse time constant at the ends.
-    rate: [f64; CHUNK + 1],
+    pub settled: [f64; CHUNK + 8],
+    /// Inverse time constant at the ends, 1/s.
+    pub rate: [f64; CHUNK + 8],
     pub length_s: [f64; CHUNK],
     /// Length in time constants.
     pub theta: [f64; CHUNK],
@@ -39,16 +36,17 @@ pub(super) struct Steps {
     pub bend: [f64; CHUNK],
     /// What is left at the end of a difference between voltage and light at the start.
     pub kept: [f64; CHUNK],
-    /// What the change of the light adds to the voltage at the end.
+    /// What the change of the light adds to the voltage at the end, and to its slope over sigma there.
     pub driven: [f64; CHUNK],
+    driven_slope: [f64; CHUNK],
 }
 
 impl Steps {
     pub fn new() -> Steps {
-        let (ends, each) = ([0.0; CHUNK + 1], [0.0; CHUNK]);
+        let (ends, each) = ([1.0; CHUNK + 8], [0.0; CHUNK]);
         Steps {
             count: 0,
-            t_ns: [0; CHUNK + 1],
+            t_ns: [0; CHUNK + 8],
             photocurrent: ends,
             settled: ends,
             rate: ends,
@@ -59,12 +57,19 @@ impl Steps {
             bend: each,
             kept: each,
             driven: each,
+            driven_slope: each,
         }
     }
 
     /// The voltage at the end of step `n` that starts at `voltage`.
     pub fn end_voltage(&self, n: usize, voltage: f64) -> f64 {
         self.settled[n] + (voltage - self.settled[n]) * self.kept[n] + self.driven[n]
+    }
+
+    /// The voltage's slope over sigma at the start and the end of step `n`, when it starts `ahead` of the settled one.
+    pub fn end_slopes(&self, n: usize, ahead: f64) -> [f64; 2] {
+        let pull = self.theta[n] * ahead;
+        [-pull, self.driven_slope[n] - pull * self.kept[n]]
     }
 
     /// Takes as many steps as fit from `from_ns` on, none beyond `limit_ns`. `next` is the first of the light's instants after `from_ns`.
@@ -111,25 +116,25 @@ impl Steps {
 
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 fn prepare(steps: &mut Steps, front_end: &FrontEnd) {
-    let count = steps.count;
-    let rate_at = |i: f64| {
-        let tau_s = time_constant(front_end, i);
-        1.0 / if tau_s > TAU_FLOOR_S { tau_s } else { TAU_FLOOR_S }
-    };
-    for ((settled, rate), &i) in steps.settled.iter_mut().zip(&mut steps.rate).zip(&steps.photocurrent).take(count + 1) {
+    let count = steps.count.min(CHUNK);
+    let ends = steps.settled.iter_mut().zip(&mut steps.rate).zip(&steps.photocurrent);
+    // One end more than steps, up to whole vectors: what stands beyond is never read.
+    for ((settled, rate), &i) in ends.take((count + 8) & !7) {
         *settled = settled_voltage(i);
-        *rate = rate_at(i);
+        *rate = settling_rate(front_end, i);
     }
-    for n in 0..count.min(CHUNK) {
+    for n in 0..count {
         let (first, last) = (steps.rate[n], steps.rate[n + 1]);
-        let halfway = rate_at(0.5 * (steps.photocurrent[n] + steps.photocurrent[n + 1]));
+        let halfway = settling_rate(front_end, 0.5 * (steps.photocurrent[n] + steps.photocurrent[n + 1]));
         let sum = first + 4.0 * halfway + last;
-        let theta = steps.length_s[n] * sum / 6.0;
-        let middle = (5.0 * first + 8.0 * halfway - last) / (4.0 * sum);
+        let theta = steps.length_s[n] * sum * (1.0 / 6.0);
+        // The integral of the rate over the first half, by the same parabola, and its share of the whole.
+        let half = 1.25 * first + 2.0 * halfway - 0.25 * last;
+        let middle = half / sum;
         let change = steps.settled[n + 1] - steps.settled[n];
         // ln of the mean of both ends lies above the mean of their ln by ln cosh of half the change.
         let to_middle = 0.5 * change + ln_cosh(0.5 * change);
-        let bend = (change - to_middle / middle) / (1.0 - middle);
+        let bend = (change * middle - to_middle) / (middle * (1.0 - middle));
         let slope = change - bend;
         let weights = Weights::after(theta);
         steps.theta[n] = theta;
@@ -138,6 +143,7 @@ fn prepare(steps: &mut Steps, front_end: &FrontEnd) {
         steps.bend[n] = bend;
         steps.kept[n] = weights.kept;
         steps.driven[n] = slope * weights.slope + bend * weights.bend;
+        steps.driven_slope[n] = slope * weights.constant + 2.0 * bend * weights.slope;
     }
 }
 
@@ -167,9 +173,9 @@ impl Weights {
     pub fn after(x: f64) -> Weights {
         const SHORT: f64 = 0.05;
         let constant = -elementary::exp_m1(-x);
-        let long = if x < SHORT { SHORT } else { x };
-        let slope = 1.0 - constant / long;
-        let bend = 1.0 - 2.0 * slope / long;
+        let per_long = 1.0 / if x < SHORT { SHORT } else { x };
+        let slope = 1.0 - constant * per_long;
+        let bend = 1.0 - 2.0 * slope * per_long;
         let series = 1.0 / 6.0 - x * (1.0 / 24.0 - x * (1.0 / 120.0 - x * (1.0 / 720.0 - x * (1.0 / 5_040.0 - x * (1.0 / 40_320.0)))));
         let short_bend = 2.0 * x * series;
         let short_slope = 0.5 * x * (1.0 - short_bend);
