@@ -1,8 +1,8 @@
 //! Time to simulate pixels: without effects by kind of light and on one core and two, and with one effect at a time.
 //!
-//! Run with `cargo bench -p photocurrent-sensor --bench forward`. The light is synthetic, 50 ms of three sines that make about 40 events, given in two ways: as a
-//! video gives it, sampled every 20 us (2,500 pixel-steps a pixel), and as a scene gives it, with an instant wherever it has
-//! changed by a fortieth. Front ends without a closed form choose their own steps; their items are counted alike, so that times compare.
+//! Run with `cargo bench -p photocurrent-sensor --bench forward`. The light is synthetic and lasts 50 ms, in two kinds: as a video gives it, three sines sampled
+//! every 20 us (2,500 pixel-steps and about 40 events a pixel), and as a scene of moving edges gives it, with instants only at the ends of
+//! edges (about 130 events a pixel). Front ends without a closed form choose their own steps; their items are counted alike, so that times compare.
 
 use divan::Bencher;
 use divan::counter::ItemsCount;
@@ -40,18 +40,11 @@ fn video() -> Samples {
     Samples { t_ns, photocurrent }
 }
 
-/// Sampled where it has changed by a fortieth.
-fn scene() -> Samples {
-    let (mut t_ns, mut last) = (vec![0], log_light(0));
-    for t in (1_000..SPAN_NS).step_by(1_000) {
-        if (log_light(t) - last).abs() >= 0.024 {
-            last = log_light(t);
-            t_ns.push(t);
-        }
-    }
-    t_ns.push(SPAN_NS);
-    let photocurrent = t_ns.iter().map(|&t| libm::exp(log_light(t))).collect();
-    Samples { t_ns, photocurrent }
+/// What edges of a moving pattern make of a pixel: every 2.5 ms light goes from 0.2 to 1 or back within 1 ms, in a straight line, and stays.
+fn edges() -> Samples {
+    let instants = (0..20_i64).flat_map(|edge| [edge * 2_500_000, edge * 2_500_000 + 1_000_000]);
+    let levels = (0..20).flat_map(|edge| if edge % 2 == 0 { [0.2, 1.0] } else { [1.0, 0.2] });
+    Samples { t_ns: instants.collect(), photocurrent: levels.collect() }
 }
 
 fn still() -> Samples {
@@ -96,14 +89,8 @@ fn events_of_video(bencher: Bencher, threads: usize) {
 }
 
 #[divan::bench(args = [1, 2])]
-fn steps_of_scene(bencher: Bencher, threads: usize) {
-    let samples = scene();
-    bencher.counter(ItemsCount::new(threads * PIXELS * samples.t_ns.len())).bench(|| run_on(threads, &samples));
-}
-
-#[divan::bench(args = [1, 2])]
-fn events_of_scene(bencher: Bencher, threads: usize) {
-    let samples = scene();
+fn events_of_edges(bencher: Bencher, threads: usize) {
+    let samples = edges();
     bencher.counter(ItemsCount::new(run_on(threads, &samples))).bench(|| run_on(threads, &samples));
 }
 
@@ -113,7 +100,7 @@ fn steps_of_still_video(bencher: Bencher) {
     bencher.counter(ItemsCount::new(samples.t_ns.len())).bench(|| run(&samples, &[]));
 }
 
-/// One effect at a time on the scene's light; the difference from none is what it costs.
+/// One effect at a time on the light of a video; the difference from none is what it costs.
 #[divan::bench(args = [
     "{}",
     r#"{"dark_current": {"current": 0.1}}"#,
@@ -128,6 +115,6 @@ fn steps_of_still_video(bencher: Bencher) {
     r#"{"clock_offset": {"offset": "1 ms"}}"#,
 ])]
 fn steps_with(bencher: Bencher, described: &str) {
-    let (samples, effects) = (scene(), effects(described));
+    let (samples, effects) = (video(), effects(described));
     bencher.counter(ItemsCount::new(samples.t_ns.len())).bench(|| run(&samples, &effects));
 }
