@@ -18,7 +18,7 @@ use crate::scalar::Scalar;
 const TAU_FLOOR_S: f64 = 1e-30;
 
 /// The two parameters of the low-pass: `tau(i) = tau_0 + alpha / i`, Eq. (3).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FrontEnd<S = f64> {
     /// Time constant in bright light, seconds, at least zero.
     pub tau_0_s: S,
@@ -61,25 +61,25 @@ impl TauRule {
 /// The voltage the front end settles to, `V_DC = ln i`: the function f_DC of Eq. (6), in natural-log units.
 ///
 /// `photocurrent` must be positive; zero gives minus infinity and a negative one NaN.
-#[inline]
+#[inline(always)]
 pub fn settled_voltage<S: Scalar>(photocurrent: S) -> S {
     photocurrent.ln()
 }
 
 /// The photocurrent whose settled voltage is `settled_voltage`: the inverse of [`settled_voltage`].
-#[inline]
+#[inline(always)]
 pub fn settled_photocurrent<S: Scalar>(settled_voltage: S) -> S {
     settled_voltage.exp()
 }
 
 /// The low-pass time constant in seconds at `photocurrent` (positive), Eq. (3).
-#[inline]
+#[inline(always)]
 pub fn time_constant<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
     front_end.tau_0_s + front_end.alpha_s / photocurrent
 }
 
 /// One over [`time_constant`], 1/s, with one division less: `i / (tau_0 i + alpha)`. `photocurrent` is positive; the ideal front end's rate is finite, 1e30/s.
-#[inline]
+#[inline(always)]
 pub fn settling_rate<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
     photocurrent / (front_end.tau_0_s * photocurrent + front_end.alpha_s).max(S::from_f64(TAU_FLOOR_S) * photocurrent)
 }
@@ -87,7 +87,7 @@ pub fn settling_rate<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
 /// The fraction gamma, 0 to 1, of the way to the settled voltage covered in `dt_s`: Eq. (2).
 ///
 /// `dt_s` and `tau_s` are seconds and not negative. Zero `dt_s` gives 0; otherwise zero `tau_s` gives 1.
-#[inline]
+#[inline(always)]
 pub fn settling<S: Scalar>(dt_s: S, tau_s: S) -> S {
     -(-(dt_s / tau_s.max(S::from_f64(TAU_FLOOR_S)))).exp_m1()
 }
@@ -102,7 +102,7 @@ pub fn settling<S: Scalar>(dt_s: S, tau_s: S) -> S {
 /// # use photocurrent_sensor::front_end::settle;
 /// assert_eq!(settle(0.2, 0.5, 1e-3, 0.0), 0.5); // ideal front end
 /// ```
-#[inline]
+#[inline(always)]
 pub fn settle<S: Scalar>(voltage: S, settled: S, dt_s: S, tau_s: S) -> S {
     voltage + settling(dt_s, tau_s) * (settled - voltage)
 }

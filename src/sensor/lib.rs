@@ -9,7 +9,8 @@
 //! In reading order:
 //!
 //! - [`elementary`]: exponential and logarithm that vectorise.
-//! - [`scalar`]: the numbers the equations are written over: `f64` and dual numbers.
+//! - [`scalar`]: the numbers the equations are written over: `f64`, dual numbers, lanes.
+//! - [`lanes`]: sixteen pixels side by side, as a number of the equations.
 //! - [`front_end`]: photocurrent to front-end voltage, a light-dependent low-pass, Eqs. (1)-(3).
 //! - [`comparator`]: when a voltage change becomes an event, Eq. (4).
 //! - [`readout`]: the voltage change missed during readout and refractory period, Eqs. (9)-(12).
@@ -29,6 +30,7 @@ pub mod exposure;
 pub mod forward;
 pub mod front_end;
 pub mod inverse;
+pub mod lanes;
 pub mod readout;
 pub mod residuals;
 pub mod scalar;

@@ -6,7 +6,7 @@
 use divan::Bencher;
 use divan::counter::ItemsCount;
 use photocurrent_sensor::front_end::{FrontEnd, TauRule};
-use photocurrent_sensor::inverse::{FrameSample, PixelProblem, SolveOptions, Workspace, solve};
+use photocurrent_sensor::inverse::{FrameSample, LaneGroup, PixelProblem, SolveOptions, Workspace, solve};
 
 const SEED: u64 = 20_240_607;
 
@@ -21,8 +21,8 @@ struct Columns {
 }
 
 /// `knots` events at random instants, whose steps bring the pixel back to its level now and then.
-fn columns(knots: usize) -> Columns {
-    let mut state = SEED;
+fn columns(knots: usize, seed: u64) -> Columns {
+    let mut state = seed;
     let mut uniform = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 11) as f64 / (1_u64 << 53) as f64
@@ -55,18 +55,24 @@ fn columns(knots: usize) -> Columns {
     Columns { t_s, steps, frames }
 }
 
+impl Columns {
+    fn problem(&self, tau_rule: TauRule) -> PixelProblem<'_> {
+        PixelProblem {
+            t_s: &self.t_s,
+            steps: &self.steps,
+            frames: &self.frames,
+            evs_weight: 2500.0,
+            front_end: FrontEnd { tau_0_s: 30e-6, alpha_s: 5e-6 },
+            tau_rule,
+            black_level: 0.0,
+            gain: 153_846.0,
+        }
+    }
+}
+
 fn bench_rule(bencher: Bencher<'_, '_>, knots: usize, tau_rule: TauRule) {
-    let columns = columns(knots);
-    let problem = PixelProblem {
-        t_s: &columns.t_s,
-        steps: &columns.steps,
-        frames: &columns.frames,
-        evs_weight: 2500.0,
-        front_end: FrontEnd { tau_0_s: 30e-6, alpha_s: 5e-6 },
-        tau_rule,
-        black_level: 0.0,
-        gain: 153_846.0,
-    };
+    let columns = columns(knots, SEED);
+    let problem = columns.problem(tau_rule);
     let options = SolveOptions::default();
     let mut workspace = Workspace::default();
     let solution = solve(&problem, &options, &mut workspace).expect("the problem is well posed");
@@ -82,4 +88,25 @@ fn solve_tau_end(bencher: Bencher<'_, '_>, knots: usize) {
 #[divan::bench(args = [20, 100, 400])]
 fn solve_tau_start(bencher: Bencher<'_, '_>, knots: usize) {
     bench_rule(bencher, knots, TauRule::Start);
+}
+
+/// Sixteen pixels, one per lane; divide by 16 N for the time per pixel-event.
+fn bench_lanes(bencher: Bencher<'_, '_>, knots: usize, tau_rule: TauRule) {
+    let columns: Vec<Columns> = (0..16).map(|n| columns(knots, SEED + n)).collect();
+    let problems: Vec<PixelProblem<'_>> = columns.iter().map(|columns| columns.problem(tau_rule)).collect();
+    let mut group = LaneGroup::default();
+    group.solve(&problems);
+    let solved = (0..16).filter(|n| group.log_photocurrent(*n).is_some()).count();
+    assert!(solved >= 15, "a bench of pixels handed back would flatter: {solved}");
+    bencher.counter(ItemsCount::new(16 * knots)).bench_local(|| group.solve(divan::black_box(&problems)));
+}
+
+#[divan::bench(args = [20, 100, 400])]
+fn lanes_tau_end(bencher: Bencher<'_, '_>, knots: usize) {
+    bench_lanes(bencher, knots, TauRule::End);
+}
+
+#[divan::bench(args = [20, 100, 400])]
+fn lanes_tau_start(bencher: Bencher<'_, '_>, knots: usize) {
+    bench_lanes(bencher, knots, TauRule::Start);
 }

@@ -13,6 +13,7 @@
 //! - `candidate`: a point of the search and its cost.
 //! - `linear`: unknowns `d_k = V(k) - V(k-1)` turn the EVS rows into identities; gradients by backward sweeps.
 //! - `chain`, `newton`: the Gauss-Newton step from an M x M system.
+//! - `lanes`: the same for sixteen pixels at once in single precision.
 //! - this file: the damped iteration (Levenberg-Marquardt) around them.
 //!
 //! Limits: photocurrent is constant between knots, so a pixel without events in an exposure is flat there. With
@@ -44,6 +45,7 @@
 mod candidate;
 mod chain;
 mod interval;
+mod lanes;
 mod level;
 mod linear;
 mod newton;
@@ -56,6 +58,7 @@ mod round_trip_tests;
 #[cfg(test)]
 mod tests;
 
+pub use lanes::LaneGroup;
 pub use problem::{FrameSample, LOG_PHOTOCURRENT_MAX, LOG_PHOTOCURRENT_MIN, Outcome, PixelProblem, ProblemError, Solution, SolveOptions, Start};
 
 use candidate::{Candidate, Held};
