@@ -6,3 +6,4 @@ pub mod pellet;
 pub mod scene;
 pub mod scenes;
 pub mod sensor;
+pub mod source;

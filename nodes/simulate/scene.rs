@@ -9,18 +9,12 @@
 //!
 //! Limits: grey; an ideal lens; reflectance from 0.03 to 0.95, so contrast within a scene is at most about 30.
 
-use super::instants::Sampler;
-use super::scenes::{self, Details, Scene};
+use super::scenes::{self, Details};
+use super::source::{self, In, Look, Metas, Out, Scale, TruthParams};
 use photocurrent_core::quantity::{Duration, Illuminance, Rate};
-use photocurrent_core::{
-    Context, Decl, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Light, LightBand, LightMeta, Meta, Node, NodeError,
-    PortMetas, Rows, Sensor, TimeSpan, Truth,
-};
-use photocurrent_sensor::exposure::DigitalNumber;
-use rayon::prelude::*;
+use photocurrent_core::{Context, Decl, Extent, Grain, Meta, Node, NodeError, PortMetas, Sensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::sync::Arc;
 
 /// Parameters of `simulate/scene`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -75,33 +69,12 @@ impl Default for Params {
     }
 }
 
-photocurrent_core::ports! {
-    /// Inputs.
-    pub struct In {
-        /// The sensor that looks at the scene: its photocurrent per lux and its gain.
-        sensor: Arc<Sensor>,
-    }
-}
-
-photocurrent_core::ports! {
-    /// Outputs.
-    pub struct Out {
-        /// Photocurrent of every pixel over time.
-        light: Light,
-        /// The picture at instants, scaled as a frame of the stated exposure.
-        truth: Truth,
-    }
-}
-
 /// The node.
 pub struct SimulateScene {
     params: Params,
 }
 
 const WHO: &str = "simulate/scene";
-
-/// Things move by this between two looks at most, pixels: a pixel's light has few bends in that time.
-const LOOK_PX: f64 = 0.25;
 
 /// About how many instants a pixel has per second, for memory estimates: a lively scene keeps some thousands where it moves.
 const INSTANTS_PER_S: f64 = 4000.0;
@@ -111,42 +84,15 @@ impl SimulateScene {
         Extent { width: self.params.width, height: self.params.height }
     }
 
-    fn metas(&self) -> Result<(LightMeta, FramesMeta), NodeError> {
-        let extent = self.extent();
+    fn metas(&self) -> Result<Metas, NodeError> {
         let duration = self.params.duration;
-        let count_hint = Some((extent.pixels() as f64 * (2.0 + INSTANTS_PER_S * duration.seconds())) as u64);
-        let light = LightMeta { extent, span: TimeSpan::new(0, duration.ns()), count_hint };
-        Ok((light, truth_meta(extent, duration.ns(), self.params.truth_rate, self.params.exposure)?))
+        let truth = TruthParams { rate: self.params.truth_rate, exposure: self.params.exposure };
+        Metas::new(self.extent(), duration.ns(), 2.0 + INSTANTS_PER_S * duration.seconds(), truth)
     }
 
-    /// Photocurrent of a white pixel.
-    fn white(&self, sensor: &Sensor) -> Result<f64, NodeError> {
-        Ok(self.params.illuminance.lux() * sensor.need(sensor.optics.photocurrent_per_lux, "optics.photocurrent_per_lux", WHO)?)
+    fn scale(&self, sensor: &Sensor) -> Result<Scale, NodeError> {
+        Scale::new(sensor, self.params.illuminance, self.params.exposure, WHO)
     }
-
-    /// The light of pixel (x, y).
-    fn light(&self, scene: &dyn Scene, white: f64, (x, y): (f64, f64)) -> Vec<(i64, f64)> {
-        let step = (LOOK_PX / scene.speed(x, y)).min(self.params.sample_step.ns() as f64);
-        // Pellets bounce off the borders within no time.
-        let graze = self.params.scene == scenes::Name::Pellet;
-        let sampler = Sampler { end_ns: self.params.duration.ns(), step_ns: step as i64, tolerance: self.params.tolerance, graze };
-        sampler.sample(|t| white * scene.reflectance(x, y, t), |t| scene.still_until(x, y, t))
-    }
-}
-
-/// True frames at multiples of the period from 0 on; each stands for an instant.
-pub(super) fn truth_meta(extent: Extent, duration_ns: i64, rate: Rate, exposure: Duration) -> Result<FramesMeta, NodeError> {
-    let period = 1e9 / rate.hz();
-    let instants = (0..).map(|k| (k as f64 * period).round() as i64).take_while(|t| *t < duration_ns);
-    let times = FrameTimes::new(instants.map(|t| Exposure::new(t, t + 1)).collect(), 0)?;
-    Ok(FramesMeta { extent, channels: 1, times, scale: FrameScale::Nominal { exposure_ns: exposure.ns() } })
-}
-
-/// From photocurrent to the DN of a true frame.
-pub(super) fn true_dn(sensor: &Sensor, exposure: Duration, who: &str) -> Result<impl Fn(f64) -> f32 + use<>, NodeError> {
-    let gain = sensor.need(sensor.frames.gain, "frames.gain", who)?;
-    let scale = DigitalNumber { black_level: sensor.frames.black_level_dn.unwrap_or(0.0), gain };
-    Ok(move |photocurrent: f64| scale.of(photocurrent * exposure.seconds()) as f32)
 }
 
 impl Node for SimulateScene {
@@ -186,50 +132,17 @@ params = { scene = "fan", fan = { speed = "900 rpm" }, illuminance = "300 lx", d
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        let sensor = inputs.sensor("sensor")?;
-        let stated = [("optics.photocurrent_per_lux", sensor.optics.photocurrent_per_lux.is_some()), ("frames.gain", sensor.frames.gain.is_some())];
-        sensor.need_all(&stated, WHO)?;
-        let (light, truth) = self.metas()?;
-        Ok(vec![Meta::Light(Arc::new(light)), Meta::Truth(Arc::new(truth))])
+        self.scale(inputs.sensor("sensor")?)?;
+        Ok(self.metas()?.planned())
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let (light_meta, truth_meta) = self.metas()?;
-        let (white, dn) = (self.white(&input.sensor)?, true_dn(&input.sensor, self.params.exposure, WHO)?);
-        let scene = &*self.params.details.scene(self.params.scene, self.extent(), cx.seed());
-        let rows = cx.rows();
-        cx.begin(rows.len() as u64, "rows");
-        let simulate_row = |y: u32| -> Result<(LightBand, FrameBlock), NodeError> {
-            let mut light = LightBand::begin(y, self.params.width);
-            let frames = if cx.wants("truth") { truth_meta.times.len() } else { 0 };
-            let mut truth = FrameBlock::zeros(0..frames, Rows { start: y, end: y + 1 }, truth_meta.row_values());
-            for x in 0..self.params.width {
-                let place = (f64::from(x), f64::from(y));
-                light.push(self.light(scene, white, place).into_iter().map(|(t, photocurrent)| (t, photocurrent as f32)));
-                for l in 0..frames {
-                    let reflectance = scene.reflectance(place.0, place.1, truth_meta.times.exposures[l].start.0);
-                    truth.row_mut(l, y)[x as usize] = dn(white * reflectance);
-                }
-            }
-            cx.advance(1)?;
-            Ok((light, truth))
-        };
-        let simulated: Result<Vec<(LightBand, FrameBlock)>, NodeError> = rows.iter().into_par_iter().map(simulate_row).collect();
-        let mut truth = FrameBlock::zeros(0..truth_meta.times.len(), rows, truth_meta.row_values());
-        let mut bands = Vec::with_capacity(rows.len());
-        for (y, (band, row)) in rows.iter().zip(simulated?) {
-            bands.push(band);
-            for l in row.frames.clone() {
-                truth.row_mut(l, y).copy_from_slice(row.row(l, y));
-            }
-        }
-        let band = if bands.is_empty() { LightBand::begin(rows.start, self.params.width) } else { joined(bands) };
-        Ok(Out { light: Light::in_memory(Arc::new(light_meta), band), truth: Truth(FrameSequence::in_memory(Arc::new(truth_meta), truth)) })
+        let scene = self.params.details.scene(self.params.scene, self.extent(), cx.seed());
+        // Pellets bounce off the borders within no time.
+        let graze = self.params.scene == scenes::Name::Pellet;
+        let look = Look { step: self.params.sample_step, tolerance: self.params.tolerance, graze };
+        source::look(&*scene, look, &self.scale(&input.sensor)?, self.metas()?, cx)
     }
-}
-
-fn joined(bands: Vec<LightBand>) -> LightBand {
-    photocurrent_core::handle::Band::concat(bands)
 }
 
 #[cfg(test)]

@@ -2,7 +2,8 @@
 
 use super::scenes::tests::ALL;
 use super::*;
-use photocurrent_core::{light, testing};
+use photocurrent_core::{Rows, light, testing};
+use std::sync::Arc;
 
 fn sensor() -> Sensor {
     let mut sensor = Sensor::unknown("test");

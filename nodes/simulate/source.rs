@@ -1,0 +1,171 @@
+//! What every source of light has in common: its sockets, the light of white, true frames, and the walk over rows.
+//!
+//! A source ends in photocurrent: reflectance times illuminance times the sensor's photocurrent per lux. True frames show the picture itself at instants,
+//! scaled as a frame of a stated exposure would read. What is known in closed form at any instant ([`Scene`]) is sampled adaptively
+//! ([`super::instants`]); a film that is only known at its frames has its own walk ([`super::video`]).
+
+use super::instants::Sampler;
+use super::scenes::Scene;
+use photocurrent_core::quantity::{Duration, Illuminance, Rate};
+use photocurrent_core::{
+    Context, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Light, LightBand, LightMeta, Meta, NodeError, Rows, Sensor,
+    TimeSpan, Truth,
+};
+use photocurrent_sensor::exposure::DigitalNumber;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+photocurrent_core::ports! {
+    /// Inputs.
+    pub struct In {
+        /// The sensor that looks at the scene: its photocurrent per lux and its gain.
+        sensor: Arc<Sensor>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// Outputs.
+    pub struct Out {
+        /// Photocurrent of every pixel over time.
+        light: Light,
+        /// The picture at instants, scaled as a frame of the stated exposure.
+        truth: Truth,
+    }
+}
+
+/// What a source gives, before its data.
+#[derive(Clone)]
+pub struct Metas {
+    /// Of the light.
+    pub light: LightMeta,
+    /// Of the true frames.
+    pub truth: FramesMeta,
+}
+
+/// Which true frames, and how they read.
+#[derive(Clone, Copy, Debug)]
+pub struct TruthParams {
+    /// True frames per second, at multiples of the period from 0 on.
+    pub rate: Rate,
+    /// Exposure that they are scaled to.
+    pub exposure: Duration,
+}
+
+impl Metas {
+    /// Of light from 0 to `duration_ns` on `extent` pixels; `instants` is about how many one pixel has, for memory estimates.
+    ///
+    /// # Errors
+    /// When times cannot be frames' times.
+    pub fn new(extent: Extent, duration_ns: i64, instants: f64, truth: TruthParams) -> Result<Metas, NodeError> {
+        let count_hint = Some((extent.pixels() as f64 * instants) as u64);
+        let light = LightMeta { extent, span: TimeSpan::new(0, duration_ns), count_hint };
+        Ok(Metas { light, truth: truth_meta(extent, duration_ns, truth)? })
+    }
+
+    /// In the order of [`Out`].
+    pub fn planned(self) -> Vec<Meta> {
+        vec![Meta::Light(Arc::new(self.light)), Meta::Truth(Arc::new(self.truth))]
+    }
+
+    /// An empty block for the true frames of some rows; without frames when nobody wants them.
+    pub fn truth_block(&self, rows: Rows, cx: &Context) -> FrameBlock {
+        let frames = if cx.wants("truth") { self.truth.times.len() } else { 0 };
+        FrameBlock::zeros(0..frames, rows, self.truth.row_values())
+    }
+
+    /// Rows from top to bottom, as the outputs.
+    pub fn out(self, rows: Rows, parts: Vec<(LightBand, FrameBlock)>) -> Out {
+        let mut truth = FrameBlock::zeros(0..self.truth.times.len(), rows, self.truth.row_values());
+        let mut bands = Vec::with_capacity(parts.len());
+        for (band, part) in parts {
+            for l in part.frames.clone() {
+                for y in part.rows.iter() {
+                    truth.row_mut(l, y).copy_from_slice(part.row(l, y));
+                }
+            }
+            bands.push(band);
+        }
+        let band = if bands.is_empty() { LightBand::begin(rows.start, self.light.extent.width) } else { joined(bands) };
+        Out { light: Light::in_memory(Arc::new(self.light), band), truth: Truth(FrameSequence::in_memory(Arc::new(self.truth), truth)) }
+    }
+}
+
+fn joined(bands: Vec<LightBand>) -> LightBand {
+    photocurrent_core::handle::Band::concat(bands)
+}
+
+/// True frames at multiples of the period from 0 on; each stands for an instant.
+fn truth_meta(extent: Extent, duration_ns: i64, truth: TruthParams) -> Result<FramesMeta, NodeError> {
+    let period = 1e9 / truth.rate.hz();
+    let instants = (0..).map(|k| (k as f64 * period).round() as i64).take_while(|t| *t < duration_ns);
+    let times = FrameTimes::new(instants.map(|t| Exposure::new(t, t + 1)).collect(), 0)?;
+    Ok(FramesMeta { extent, channels: 1, times, scale: FrameScale::Nominal { exposure_ns: truth.exposure.ns() } })
+}
+
+/// What a source of light needs to know of the sensor.
+pub struct Scale {
+    /// Photocurrent of a white pixel.
+    pub white: f64,
+    number: DigitalNumber,
+    exposure_s: f64,
+}
+
+impl Scale {
+    /// For light of `illuminance` on a sensor, with true frames of `exposure`.
+    ///
+    /// # Errors
+    /// When the description leaves something out; `who` is the asker.
+    pub fn new(sensor: &Sensor, illuminance: Illuminance, exposure: Duration, who: &str) -> Result<Scale, NodeError> {
+        let stated = [("optics.photocurrent_per_lux", sensor.optics.photocurrent_per_lux.is_some()), ("frames.gain", sensor.frames.gain.is_some())];
+        sensor.need_all(&stated, who)?;
+        let white = illuminance.lux() * sensor.need(sensor.optics.photocurrent_per_lux, "optics.photocurrent_per_lux", who)?;
+        let number = DigitalNumber { black_level: sensor.frames.black_level_dn.unwrap_or(0.0), gain: sensor.need(sensor.frames.gain, "frames.gain", who)? };
+        Ok(Scale { white, number, exposure_s: exposure.seconds() })
+    }
+
+    /// From photocurrent to the DN of a true frame.
+    pub fn true_dn(&self, photocurrent: f64) -> f32 {
+        self.number.of(photocurrent * self.exposure_s) as f32
+    }
+}
+
+/// How closely something that is known at any instant is looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Look {
+    /// Longest time between two looks at a pixel that something may cross.
+    pub step: Duration,
+    /// How far the logarithm of light may be off between instants, natural-log units.
+    pub tolerance: f64,
+    /// Do things turn back at once? See [`Sampler::graze`].
+    pub graze: bool,
+}
+
+/// Things move by this between two looks at most, pixels: a pixel's light has few bends in that time.
+const LOOK_PX: f64 = 0.25;
+
+/// Light and true frames of `scene` on the rows of the context.
+///
+/// # Errors
+/// When the user interrupts.
+pub fn look(scene: &dyn Scene, look: Look, scale: &Scale, metas: Metas, cx: &Context) -> Result<Out, NodeError> {
+    let (rows, width) = (cx.rows(), metas.light.extent.width);
+    cx.begin(rows.len() as u64, "rows");
+    let row = |y: u32| -> Result<(LightBand, FrameBlock), NodeError> {
+        let mut light = LightBand::begin(y, width);
+        let mut truth = metas.truth_block(Rows { start: y, end: y + 1 }, cx);
+        for x in 0..width {
+            let (px, py) = (f64::from(x), f64::from(y));
+            let step = (LOOK_PX / scene.speed(px, py)).min(look.step.ns() as f64);
+            let sampler = Sampler { end_ns: metas.light.span.end.0, step_ns: step as i64, tolerance: look.tolerance, graze: look.graze };
+            let kept = sampler.sample(|t| scale.white * scene.reflectance(px, py, t), |t| scene.still_until(px, py, t));
+            light.push(kept.into_iter().map(|(t, photocurrent)| (t, photocurrent as f32)));
+            for l in truth.frames.clone() {
+                truth.row_mut(l, y)[x as usize] = scale.true_dn(scale.white * scene.reflectance(px, py, metas.truth.times.exposures[l].start.0));
+            }
+        }
+        cx.advance(1)?;
+        Ok((light, truth))
+    };
+    let parts: Result<Vec<(LightBand, FrameBlock)>, NodeError> = rows.iter().into_par_iter().map(row).collect();
+    Ok(metas.out(rows, parts?))
+}
