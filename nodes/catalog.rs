@@ -12,6 +12,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<read::sensor::ReadSensor>(),
         Kind::of::<simulate::pellet::SimulatePellet>(),
         Kind::of::<simulate::scene::SimulateScene>(),
+        Kind::of::<simulate::video::SimulateVideo>(),
         Kind::of::<simulate::sensor::SimulateSensor>(),
         // Parts are set aside.
         Kind::of::<split::frames::SplitFrames>(),

@@ -65,7 +65,7 @@ impl Sampler {
 }
 
 /// Instants of which only the needed ones stay.
-struct Thinned {
+pub(super) struct Thinned {
     kept: Vec<(i64, f64)>,
     last: (i64, f64),
     /// Slopes from the last kept instant that pass all since within the tolerance.
@@ -74,11 +74,17 @@ struct Thinned {
 }
 
 impl Thinned {
-    fn new(first: (i64, f64), tolerance: f64) -> Thinned {
+    /// From the first instant, which stays; `tolerance` is relative.
+    pub(super) fn new(first: (i64, f64), tolerance: f64) -> Thinned {
         Thinned { kept: vec![first], last: first, slopes: (f64::NEG_INFINITY, f64::INFINITY), tolerance }
     }
 
     fn add(&mut self, next: (i64, f64)) {
+        self.add_within(next, self.tolerance * next.1);
+    }
+
+    /// Adds an instant, of which the line may be off by `margin` if it does not stay; in the unit of the light.
+    pub(super) fn add_within(&mut self, next: (i64, f64), margin: f64) {
         let slope = |from: (i64, f64), to: f64| (to - from.1) / (next.0 - from.0) as f64;
         let mut anchor = self.kept[self.kept.len() - 1];
         let straight = slope(anchor, next.1);
@@ -87,12 +93,12 @@ impl Thinned {
             anchor = self.last;
             self.slopes = (f64::NEG_INFINITY, f64::INFINITY);
         }
-        let margin = self.tolerance * next.1;
         self.slopes = (self.slopes.0.max(slope(anchor, next.1 - margin)), self.slopes.1.min(slope(anchor, next.1 + margin)));
         self.last = next;
     }
 
-    fn finish(mut self) -> Vec<(i64, f64)> {
+    /// The instants that stay.
+    pub(super) fn finish(mut self) -> Vec<(i64, f64)> {
         // What is constant to the end needs no last instant: light holds after the last.
         if self.last.1 != self.kept[self.kept.len() - 1].1 {
             self.kept.push(self.last);

@@ -7,3 +7,5 @@ pub mod scene;
 pub mod scenes;
 pub mod sensor;
 pub mod source;
+pub mod stored;
+pub mod video;
