@@ -13,6 +13,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<simulate::pellet::SimulatePellet>(),
         Kind::of::<simulate::scene::SimulateScene>(),
         Kind::of::<simulate::video::SimulateVideo>(),
+        Kind::of::<simulate::photo::SimulatePhoto>(),
         Kind::of::<simulate::sensor::SimulateSensor>(),
         // Parts are set aside.
         Kind::of::<split::frames::SplitFrames>(),

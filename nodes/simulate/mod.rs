@@ -2,7 +2,9 @@
 
 pub mod camera;
 pub mod instants;
+pub mod moved;
 pub mod pellet;
+pub mod photo;
 pub mod scene;
 pub mod scenes;
 pub mod sensor;

@@ -144,6 +144,20 @@ impl Window {
         Ok(Window { crop, factor })
     }
 
+    /// Of pictures of `stored` size: everything but what is left over at the right and the bottom, with squares of `factor` x `factor` averaged.
+    ///
+    /// # Errors
+    /// When there is no whole square.
+    pub fn by_factor(stored: Extent, factor: u32) -> Result<Window, NodeError> {
+        let (width, height) = (stored.width / factor * factor, stored.height / factor * factor);
+        if width == 0 || height == 0 {
+            return Err(NodeError::usage(format!("{stored} pixels are less than one square of {factor} x {factor}"))
+                .hint("take a smaller `shrink`")
+                .param("shrink"));
+        }
+        Ok(Window { crop: Crop { x: 0, y: 0, width, height }, factor })
+    }
+
     /// Size of what comes out.
     pub fn extent(&self) -> Extent {
         Extent { width: self.crop.width / self.factor, height: self.crop.height / self.factor }
