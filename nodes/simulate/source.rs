@@ -55,7 +55,7 @@ impl Metas {
     /// Of light from 0 to `duration_ns` on `extent` pixels; `instants` is about how many one pixel has, for memory estimates.
     ///
     /// # Errors
-    /// When times cannot be frames' times.
+    /// When there would be far too many true frames.
     pub fn new(extent: Extent, duration_ns: i64, instants: f64, truth: TruthParams) -> Result<Metas, NodeError> {
         let count_hint = Some((extent.pixels() as f64 * instants) as u64);
         let light = LightMeta { extent, span: TimeSpan::new(0, duration_ns), count_hint };
@@ -94,9 +94,18 @@ fn joined(bands: Vec<LightBand>) -> LightBand {
     photocurrent_core::handle::Band::concat(bands)
 }
 
+/// More true frames than this do not fit into memory, even without their pixels.
+const MOST_TRUE_FRAMES: f64 = 1e7;
+
 /// True frames at multiples of the period from 0 on; each stands for an instant.
 fn truth_meta(extent: Extent, duration_ns: i64, truth: TruthParams) -> Result<FramesMeta, NodeError> {
-    let period = 1e9 / truth.rate.hz();
+    let (period, asked) = (1e9 / truth.rate.hz(), duration_ns as f64 * 1e-9 * truth.rate.hz());
+    if asked > MOST_TRUE_FRAMES {
+        return Err(NodeError::usage(format!("`truth_rate` asks for {asked:.0} true frames, and {MOST_TRUE_FRAMES:.0} are the most"))
+            .note(format!("{} of light at {}", Duration::new(duration_ns), truth.rate))
+            .hint("lower `truth_rate`, or shorten the light")
+            .param("truth_rate"));
+    }
     let instants = (0..).map(|k| (k as f64 * period).round() as i64).take_while(|t| *t < duration_ns);
     let times = FrameTimes::new(instants.map(|t| Exposure::new(t, t + 1)).collect(), 0)?;
     Ok(FramesMeta { extent, channels: 1, times, scale: FrameScale::Nominal { exposure_ns: truth.exposure.ns() } })

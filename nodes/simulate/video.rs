@@ -4,7 +4,7 @@
 //! An instant without which the line is the same, to the last stored bit, is dropped, so that what stands still costs one instant however long the film is.
 //! White is the stated illuminance, and the darkest light is bounded, so that its logarithm is finite.
 //!
-//! Works by row bands; of a band, a few frames are decoded at a time. True frames are the film at instants, linear between its frames.
+//! Works by row bands; of a band, a few frames are decoded at a time (of a PNG picture, the rows above it too: its rows are packed together). True frames are the film at instants, linear between its frames.
 //!
 //! Limits: grey, as luminance. Motion of more than about a pixel from frame to frame becomes a cross-fade and not motion: choose a film that is fast enough for
 //! what moves in it. Noise of the film is light to the sensor: a film of a noisy camera makes events everywhere.

@@ -219,6 +219,8 @@ fn films_that_cannot_be_are_refused() {
     let long = plan(Params { duration: Some(Duration::new(2_000_001)), ..linear(folder.path()) }).unwrap_err();
     assert!(long.message.ends_with("is shorter than `duration` asks for: 2 ms are left from `start` on"), "{long}");
     assert_eq!(long.notes, ["3 frames at 1 kHz: the last is 2 ms after the first"]);
+    let slow = plan(Params { rate: Some(Rate::new(0.001)), truth_rate: Rate::new(1e6), ..linear(folder.path()) }).unwrap_err();
+    assert_eq!(slow.message, "`truth_rate` asks for 2000000000 true frames, and 10000000 are the most");
     let one = pictures(1, THREE, |_, _, _| 0);
     assert!(message(linear(one.path())).ends_with("has one frame, and light between frames needs two"));
     let empty = tempfile::tempdir().unwrap();

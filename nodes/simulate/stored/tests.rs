@@ -71,6 +71,25 @@ fn pictures_of_every_form_are_relative_light() {
 }
 
 #[test]
+fn interlaced_pictures_and_palettes_are_read_too() {
+    let folder = tempfile::tempdir().unwrap();
+    // 5 x 4 pixels of value 10 y + x, interlaced (Adam7), as zlib and the PNG specification make it.
+    let adam7 = "89504e470d0a1a0a0000000d4948445200000005000000040800000001145f9a0a000000244944415478da6360606061606210119360606466101567e0e2e6e1e5\
+                 63909357505402000c4c0155cc3cbec10000000049454e44ae426082";
+    let bytes: Vec<u8> = (0..adam7.len()).step_by(2).map(|at| u8::from_str_radix(&adam7[at..at + 2], 16).unwrap()).collect();
+    std::fs::write(folder.path().join("a.png"), bytes).unwrap();
+    let film = Pictures::open(vec![folder.path().join("a.png")], Transfer::Linear).unwrap();
+    let expected: Vec<f64> = (1..3).flat_map(|y| (0..5).map(move |x| f64::from(10 * y + x) / 255.0)).collect();
+    assert_eq!(rows(&film, 0, Rows { start: 1, end: 3 }).unwrap(), expected);
+    let path = folder.path().join("p.png");
+    let mut encoder = png::Encoder::new(std::fs::File::create(&path).unwrap(), 3, 1);
+    encoder.set_color(ColorType::Indexed);
+    encoder.set_palette(vec![255, 0, 0, 0, 255, 0, 51, 51, 51]);
+    encoder.write_header().unwrap().write_image_data(&[2, 0, 1]).unwrap();
+    assert_eq!(whole(&Pictures::open(vec![path], Transfer::Linear).unwrap(), 0), [0.2, 0.2126, 0.7152]);
+}
+
+#[test]
 fn transparent_damaged_and_differing_pictures_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
