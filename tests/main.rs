@@ -6,6 +6,7 @@
 //! - `cache`: what runs again after a change, and what does not.
 //! - `crash`: kills at random moments, two runs at once, damage: never a wrong artefact.
 //! - `determinism`: the same bits for any number of threads, any band height, any machine.
+//! - `films`: pictures as light, from files to events.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `tidy`: the invariants of docs/architecture.md.
 
@@ -13,6 +14,7 @@ mod cache;
 mod conformance;
 mod crash;
 mod determinism;
+mod films;
 mod manifests;
 mod pipelines;
 mod recordings;
