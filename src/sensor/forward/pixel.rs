@@ -6,10 +6,10 @@ use super::response::{Response, StepResponse};
 use super::steps::Steps;
 use super::{Pixel, PixelNoise};
 use crate::comparator::{fired_polarity, signed_step};
-use crate::elementary;
 use crate::effects::{
     Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous, Thresholds, effect::BURST_GAP_NS, effect::Streams,
 };
+use crate::elementary;
 use crate::front_end::settled_voltage;
 use photocurrent_core::sensor::Reset;
 
@@ -196,7 +196,8 @@ impl<N: PixelNoise> Run<'_, N> {
                     let reach = drift_per_s.abs() * steps.length_s[n];
                     let [first_slope, last_slope] = steps.end_slopes(n, voltage - first).map(|slope| slope + drift_per_s * steps.length_s[n]);
                     let turns = (first_slope > 0.0) != (last_slope > 0.0);
-                    is_outside || turns && (first.max(last).max(voltage) + self.drift + reach >= high || first.min(last).min(voltage) + self.drift - reach <= low)
+                    is_outside
+                        || turns && (first.max(last).max(voltage) + self.drift + reach >= high || first.min(last).min(voltage) + self.drift - reach <= low)
                 }
             };
             if may_fire {

@@ -174,7 +174,11 @@ impl Response for StepResponse {
             if value == level {
                 break;
             }
-            if (value > level) == rises { high = sigma } else { low = sigma }
+            if (value > level) == rises {
+                high = sigma
+            } else {
+                low = sigma
+            }
             let newton = sigma - (value - level) / slope;
             let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
             let is_last = (next - sigma).abs() < LAST_MOVE && next == newton || high - low < 1e-15;

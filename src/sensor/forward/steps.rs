@@ -197,12 +197,7 @@ impl Weights {
         let short_bend = 2.0 * x * series;
         let short_slope = 0.5 * x * (1.0 - short_bend);
         let is_short = x < SHORT;
-        Weights {
-            kept: 1.0 - constant,
-            constant,
-            slope: if is_short { short_slope } else { slope },
-            bend: if is_short { short_bend } else { bend },
-        }
+        Weights { kept: 1.0 - constant, constant, slope: if is_short { short_slope } else { slope }, bend: if is_short { short_bend } else { bend } }
     }
 }
 

@@ -20,13 +20,13 @@ const START_TRIALS: usize = 4;
 const EARLY_TRIALS: usize = 2;
 const LATE_TRIALS: usize = 1;
 /// How many rounds are early.
-const EARLY_ROUNDS: usize = 2;
-/// How far Newton's last trial may have moved a log photocurrent: the error left is about its square.
-const SOLVED: f32 = 1e-3;
+const EARLY_ROUNDS: usize = 3;
+/// How far Newton's last trial may have moved a log photocurrent: the error left is about its square, and later rounds take it away.
+const SOLVED: f32 = 0.05;
 /// The longest move of a log photocurrent in one trial.
 const LONGEST_MOVE: f32 = 1.0;
 /// Below this share of gamma the slope is too near a fold to divide by.
-const FOLD_SLOPE: f32 = 0.5;
+const FOLD_SLOPE: f32 = 0.1;
 /// A pixel has converged when a whole step moves no log photocurrent by more than this.
 const STEP_TOLERANCE: f32 = 1e-4;
 /// Relative rise of the cost that counts as rounding.
@@ -190,7 +190,11 @@ fn solve(group: &mut LaneGroup) {
         let is_better = (current.cost * (one + Lanes::splat(COST_NOISE))).at_least(trial.cost, trial.valid * active, zero);
         let is_whole = share.at_least(one, active * trial.valid, zero);
         let is_small = Lanes::splat(STEP_TOLERANCE).at_least(moved, is_whole, zero);
-        current.take(trial, is_better);
+        if is_better == one {
+            std::mem::swap(current, trial);
+        } else {
+            current.take(trial, is_better);
+        }
         *solved = solved.max(is_small);
         share = is_better.at_least(one, one, share * Lanes::splat(SHORTENED));
         active = active - is_small;
@@ -307,7 +311,7 @@ impl Point {
                 gamma = settling.gamma;
                 slope = gamma + settling.slope * drive;
                 // Near a fold the slope vanishes: the move is limited there, and the pixel refused below.
-                let move_u = (step - gamma * drive) / slope.max(gamma * Lanes::splat(0.1));
+                let move_u = (step - gamma * drive) / slope.max(gamma * Lanes::splat(FOLD_SLOPE));
                 last = move_u.max(Lanes::splat(-LONGEST_MOVE)).min(Lanes::splat(LONGEST_MOVE));
                 u = u + last;
             }

@@ -144,10 +144,24 @@ fn lanes_reach_the_optimum_to_four_digits_or_hand_the_pixel_back() {
             let relative = cost(problem, &u) / given.cost - 1.0;
             assert!(relative.abs() < 1e-4, "problem {index}: {relative}");
             solved += 1;
-        } else { println!("handed back {index} {} {} {}", given.alpha, given.tau_rule, given.t_ms.len()); }
+        }
     });
-    println!("{solved}");
-    assert!(solved >= 20, "{solved} of 29");
+    // Problem 14 lies at a fold.
+    assert_eq!(solved, 28);
+}
+
+#[test]
+fn a_pixel_does_not_depend_on_its_lane_or_its_neighbours() {
+    let mut group = LaneGroup::default();
+    let bits = |group: &LaneGroup, n: usize| group.log_photocurrent(n).map(|u| u.map(f32::to_bits).collect::<Vec<u32>>());
+    for_each_problem(|_, problem, _| {
+        group.solve(&[*problem]);
+        let alone = bits(&group, 0);
+        // Beside shorter pixels, which settle sooner or later, and beside itself.
+        let cut = |knots: usize| PixelProblem { t_s: &problem.t_s[..knots], steps: &problem.steps[..knots], ..*problem };
+        group.solve(&[cut(2), cut(problem.t_s.len() / 2 + 2), *problem, cut(3), *problem]);
+        assert!(bits(&group, 2) == alone && bits(&group, 4) == alone);
+    });
 }
 
 #[test]
