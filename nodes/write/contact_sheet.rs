@@ -8,6 +8,9 @@
 //! Limits: every sequence must have the same extent. Middles are those of row 0; under a rolling shutter, lower rows are later.
 //! A value that is not known (NaN) is drawn black.
 
+mod sheet;
+
+use self::sheet::{GAP, Layout, Sheet, draw, grey_range};
 use super::font;
 use super::frames::nominal_exposure_ns;
 use super::picture::Picture;
@@ -86,14 +89,8 @@ pub struct WriteContactSheet {
     params: Params,
 }
 
-/// Dots between things.
-const GAP: u32 = 6;
-/// The width that a row of pictures should have.
-const WIDTH_WANTED: u32 = 1600;
 /// The largest picture, in dots: enough for a wall, and far from what viewers refuse.
 const LARGEST: u64 = 400_000_000;
-/// Exponent of the display: a screen shows `value ^ GAMMA`.
-const GAMMA: f64 = 2.2;
 const FOR_LOOKING: &str = "For looking only: one grey range for all rows (0.5 to 99.5 percent of the first row), display gamma 2.2.";
 
 /// A frame that is shown.
@@ -172,101 +169,6 @@ impl WriteContactSheet {
         }
         Ok(())
     }
-}
-
-/// Where things stand on the sheet.
-struct Layout {
-    crop: Crop,
-    zoom: u32,
-    /// Size of a dot of the font.
-    dot: u32,
-    cell_width: u32,
-    columns: usize,
-    rows: usize,
-}
-
-impl Layout {
-    /// `widest` is the width of the widest time label in dots of the font.
-    fn new(crop: Crop, scale: Option<u32>, columns: usize, rows: usize, widest: u32) -> Layout {
-        let across = (crop.width as u64 * columns as u64).max(1);
-        let zoom = scale.unwrap_or((u64::from(WIDTH_WANTED) / across).clamp(1, 64) as u32);
-        let dot = if across * u64::from(zoom) >= 1000 { 2 } else { 1 };
-        let cell_width = (crop.width * zoom).max(widest * dot);
-        Layout { crop, zoom, dot, cell_width, columns, rows }
-    }
-
-    fn text_height(&self) -> u32 {
-        font::CELL_HEIGHT * self.dot
-    }
-
-    fn x(&self, column: usize) -> u32 {
-        GAP + column as u32 * (self.cell_width + GAP)
-    }
-
-    /// Top of a row's label.
-    fn y(&self, row: usize) -> u32 {
-        let one = GAP + self.text_height() + GAP / 2 + self.crop.height * self.zoom;
-        GAP + self.text_height() + row as u32 * (one + GAP)
-    }
-
-    /// Top of a row's pictures.
-    fn picture_y(&self, row: usize) -> u32 {
-        self.y(row) + GAP + self.text_height() + GAP / 2
-    }
-
-    fn width(&self) -> u64 {
-        u64::from(GAP) + self.columns as u64 * u64::from(self.cell_width + GAP)
-    }
-
-    fn height(&self) -> u64 {
-        let one = u64::from(2 * GAP + self.text_height() + GAP / 2) + u64::from(self.crop.height) * u64::from(self.zoom);
-        u64::from(GAP + self.text_height()) + self.rows as u64 * one
-    }
-}
-
-/// The sheet while it is drawn: white, `channels` bytes a dot.
-struct Sheet {
-    width: u32,
-    channels: u32,
-    bytes: Vec<u8>,
-}
-
-impl Sheet {
-    fn set(&mut self, x: u32, y: u32, value: &[u8]) {
-        let at = (y as usize * self.width as usize + x as usize) * self.channels as usize;
-        for c in 0..self.channels as usize {
-            self.bytes[at + c] = value[c.min(value.len() - 1)];
-        }
-    }
-
-    /// Writes a text, cut off at `limit` dots.
-    fn text(&mut self, x: u32, y: u32, dot: u32, limit: u32, text: &str) {
-        font::dots(text, |column, row| {
-            if (column + 1) * dot <= limit {
-                for (dx, dy) in (0..dot).flat_map(|dy| (0..dot).map(move |dx| (dx, dy))) {
-                    self.set(x + column * dot + dx, y + row * dot + dy, &[0]);
-                }
-            }
-        });
-    }
-}
-
-/// The 0.5 and 99.5 percentile of all known values.
-fn grey_range(row: &[Shown]) -> (f32, f32) {
-    let mut values: Vec<f32> = row.iter().flat_map(|shown| shown.dn.iter().copied()).filter(|dn| dn.is_finite()).collect();
-    if values.is_empty() {
-        return (0.0, 1.0);
-    }
-    let last = (values.len() - 1) as f64;
-    let mut at = |part: f64| *values.select_nth_unstable_by((last * part).round() as usize, f32::total_cmp).1;
-    let (dark, bright) = (at(0.005), at(0.995));
-    (dark, if bright > dark { bright } else { dark + 1.0 })
-}
-
-/// What a screen has to be sent to show a value: NaN is black.
-fn display((dark, bright): (f32, f32), dn: f32) -> u8 {
-    let linear = f64::from((dn - dark) / (bright - dark)).clamp(0.0, 1.0);
-    (255.0 * libm::pow(linear, 1.0 / GAMMA)).round() as u8
 }
 
 impl Node for WriteContactSheet {
@@ -401,132 +303,5 @@ fn read_cropped(frames: &FrameSequence, frame: usize, crop: Crop) -> Result<Show
     Ok(Shown { frame, t_ns: frames.meta.times.exposures[frame].mid().0, dn })
 }
 
-fn draw(sheet: &mut Sheet, layout: &Layout, (left, top): (u32, u32), shown: &Shown, channels: usize, range: (f32, f32)) {
-    for (pixel, dn) in shown.dn.chunks(channels).enumerate() {
-        let (x, y) = (pixel as u32 % layout.crop.width * layout.zoom, pixel as u32 / layout.crop.width * layout.zoom);
-        let mut value = [0; 3];
-        value.iter_mut().zip(dn).for_each(|(value, dn)| *value = display(range, *dn));
-        for (dx, dy) in (0..layout.zoom).flat_map(|dy| (0..layout.zoom).map(move |dx| (dx, dy))) {
-            sheet.set(left + x + dx, top + y + dy, &value[..channels]);
-        }
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::super::picture::load;
-    use super::super::testing::exporting;
-    use super::*;
-    use photocurrent_core::{Exposure, FrameBlock, FrameScale, testing};
-    use std::collections::BTreeMap;
-    use std::path::Path;
-
-    const EXTENT: Extent = Extent { width: 48, height: 32 };
-
-    /// A bright disc that moves to the right; `gain` is the method's mistake.
-    fn disc(count: i64, gain: f32) -> FrameSequence {
-        let exposures = (0..count).map(|l| Exposure::new(l * 1_000_000, l * 1_000_000 + 200_000)).collect();
-        testing::captured(EXTENT, exposures, 0, |l, x, y| {
-            let centre = 8.0 + 32.0 * l as f32 / count as f32;
-            let distance = ((x as f32 - centre).powi(2) + (y as f32 - 16.0).powi(2)).sqrt();
-            gain * (100.0 + 700.0 / (1.0 + libm::expf(distance - 6.0)) + 2.0 * y as f32)
-        })
-    }
-
-    fn params(labels: &[&str]) -> Params {
-        Params { labels: labels.iter().map(|label| label.to_string()).collect(), ..Params::default() }
-    }
-
-    fn draw_sheet(params: Params, frames: Vec<FrameSequence>, truth: Option<Truth>, look: impl FnOnce(Table, Vec<String>, &Path)) {
-        let node = WriteContactSheet::build(params).unwrap();
-        exporting(|cx| node.run(In { frames, truth }, cx).unwrap(), |out, notes, folder| look((*out.listing).clone(), notes, folder));
-    }
-
-    #[test]
-    fn the_nearest_exposure_middle_is_shown_and_listed() {
-        // Middles at 0.1, 1.1, 2.1 ... ms; every fifth frame of the second sequence.
-        let (all, some) = (disc(11, 1.0), disc(11, 0.6).select(vec![0, 5, 10]));
-        draw_sheet(Params { columns: 3, ..params(&["all", "some"]) }, vec![all, some], None, |listing, notes, folder| {
-            assert_eq!(listing.column("t_ns"), Some(&Column::Integers(vec![100_000, 5_100_000, 10_100_000, 100_000, 5_100_000, 10_100_000])));
-            assert_eq!(listing.column("frame"), Some(&Column::Integers(vec![0, 5, 10, 0, 1, 2])));
-            assert_eq!(listing.column("label").unwrap().cell(3), "some");
-            assert!(notes[0].starts_with("contact_sheet.png is for looking only"), "{notes:?}");
-            let (_, info) = load(&folder.join("contact_sheet.png"));
-            // Three columns of 48 pixels fill 1600 dots at 11 dots a pixel.
-            assert_eq!((info.width, info.color_type), (6 + 3 * (48 * 11 + 6), png::ColorType::Grayscale));
-            assert!(info.uncompressed_latin1_text[0].text.contains("gamma 2.2"));
-        });
-    }
-
-    #[test]
-    fn all_rows_share_the_range_of_the_first_and_gamma_brightens_the_middle() {
-        let flat = |dn: f32| testing::captured(Extent { width: 2, height: 1 }, vec![Exposure::new(0, 10)], 0, move |_, x, _| if x == 0 { 0.0 } else { dn });
-        let params = Params { columns: 1, scale: Some(1), ..params(&["half", "twice"]) };
-        draw_sheet(params, vec![flat(50.0), flat(200.0)], Some(Truth(flat(100.0))), |listing, _, folder| {
-            assert_eq!(listing.column("label").unwrap().cell(0), "truth");
-            let (values, info) = load(&folder.join("contact_sheet.png"));
-            let layout = Layout::new(Crop { x: 0, y: 0, width: 2, height: 1 }, Some(1), 1, 3, font::width("0.000 ms"));
-            assert_eq!((u64::from(info.width), u64::from(info.height)), (layout.width(), layout.height()));
-            let row = |r: usize| {
-                let at = (layout.picture_y(r) * info.width + layout.x(0)) as usize;
-                values[at..at + 2].to_vec()
-            };
-            // 255 x 0.5^(1 / 2.2) = 186.08.
-            assert_eq!([row(0), row(1), row(2)], [vec![0, 255], vec![0, 186], vec![0, 255]]);
-        });
-    }
-
-    #[test]
-    fn a_crop_shows_the_part_that_was_asked_for() {
-        let coordinates = testing::captured(EXTENT, vec![Exposure::new(0, 10)], 0, |_, x, y| (100 * y + x) as f32);
-        let shown = read_cropped(&coordinates, 0, Crop { x: 3, y: 2, width: 2, height: 2 }).unwrap();
-        assert_eq!(shown.dn, [203.0, 204.0, 303.0, 304.0]);
-    }
-
-    #[test]
-    fn colour_next_to_grey_gives_a_colour_sheet() {
-        let grey = testing::captured(Extent { width: 2, height: 2 }, vec![Exposure::new(0, 10)], 0, |_, x, _| x as f32);
-        let meta = FramesMeta { channels: 3, scale: FrameScale::Captured, ..(*grey.meta).clone() };
-        let block = FrameBlock { frames: 0..1, rows: meta.extent.rows(), row_values: 6, dn: [1.0, 0.0, 0.0].repeat(4) };
-        let red = FrameSequence::in_memory(Arc::new(meta), block);
-        draw_sheet(Params { columns: 1, scale: Some(1), ..params(&["grey", "red"]) }, vec![grey, red], None, |_, _, folder| {
-            let (values, info) = load(&folder.join("contact_sheet.png"));
-            assert_eq!(info.color_type, png::ColorType::Rgb);
-            assert!(values.chunks(3).any(|dot| dot == [255, 0, 0]));
-        });
-    }
-
-    #[test]
-    fn rows_whose_numbers_stand_for_different_exposures_are_told() {
-        let of = |length: i64| testing::captured(EXTENT, vec![Exposure::new(0, length)], 0, |_, x, _| x as f32);
-        draw_sheet(Params { columns: 1, ..params(&["a", "b"]) }, vec![of(10), of(20)], None, |_, notes, _| {
-            assert_eq!(notes[0], "brightness differs by exposure: \"a\" has DN of 10 ns, \"b\" of 20 ns");
-        });
-    }
-
-    #[test]
-    fn instants_are_stated_or_spaced_over_the_common_time() {
-        let (long, short) = (disc(11, 1.0), disc(11, 1.0).select((3..8).collect()));
-        let instants = |params: Params| WriteContactSheet::build(params).unwrap().instants(&[&long.meta, &short.meta]);
-        assert_eq!(instants(Params { columns: 3, ..Params::default() }), [3_100_000, 5_100_000, 7_100_000]);
-        assert_eq!(instants(Params { columns: 1, start: Some(Duration::new(10)), end: Some(Duration::new(20)), ..Params::default() }), [15]);
-        assert_eq!(instants(Params { times: Some(vec![Duration::new(7)]), ..Params::default() }), [7]);
-        assert_eq!(nearest(&long.meta.times, i64::MAX), 10);
-    }
-
-    #[test]
-    fn what_cannot_be_drawn_is_refused_before_any_data() {
-        let meta = |frames: &FrameSequence| Meta::Frames(frames.meta.clone());
-        let plan = |params: Params, metas: Vec<Meta>| WriteContactSheet::build(params)?.plan(&PortMetas::new(BTreeMap::from([("frames".to_string(), metas)])));
-        let (disc, other) = (disc(2, 1.0), testing::frames(5, 5, 2));
-        assert!(plan(params(&["a"]), vec![meta(&disc)]).is_ok());
-        let refused = |params: Params, metas: Vec<Meta>| plan(params, metas).unwrap_err().message;
-        assert_eq!(refused(params(&["a", "b"]), vec![meta(&disc)]), "`labels` has 2 texts, and 1 input is connected to `frames`");
-        assert_eq!(refused(params(&["a", "b"]), vec![meta(&disc), meta(&other)]), "\"b\" has 5 x 5 pixels, and \"a\" has 48 x 32");
-        let crop = Some(Crop { x: 40, y: 0, width: 9, height: 1 });
-        assert_eq!(refused(Params { crop, ..params(&["a"]) }, vec![meta(&disc)]), "`crop` asks for 9 x 1 pixels at (40, 0), and the frames have 48 x 32");
-        let huge = Params { columns: 100, scale: Some(64), ..params(&["a", "b", "c", "d"]) };
-        assert!(refused(huge, vec![meta(&disc); 4]).contains("the contact sheet would have"));
-        assert!(refused(Params { columns: 0, ..params(&["a"]) }, vec![]).contains("1 to 100"));
-    }
-}
+mod tests;
