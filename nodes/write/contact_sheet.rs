@@ -1,22 +1,33 @@
 //! Draws several sequences side by side: one row per method, one column per instant.
 //!
-//! For each of a few instants the frame whose exposure middle is nearest is shown. All rows share one grey range, taken from the first row (the
-//! true frames, when they are connected), so that a method which is too dark looks too dark. It is for looking only: values beyond the
-//! range are clipped, and a display gamma of 2.2 brightens the shadows. What is measured stands in the scores, what was rendered in
-//! `write/frames`.
+//! For each of a few instants the frame whose exposure middle is nearest is shown, and the events around it when they are connected. All rows
+//! share one grey range, taken from the first row (the true frames, when they are connected), so that a method which is too dark looks too dark.
+//! It is for looking only: values beyond the range are clipped, and a display gamma of 2.2 brightens the shadows. What is measured stands in the
+//! scores, what was rendered in `write/frames`.
 //!
-//! Limits: every sequence must have the same extent. Middles are those of row 0; under a rolling shutter, lower rows are later.
-//! A value that is not known (NaN) is drawn black.
+//! Captured frames and rendered ones are both DN on top of the black level, but a DN of a longer exposure stands for less light. With the sensor
+//! description connected, every frame is shown as if it had been exposed as long as the first row's: `black + (DN - black) x ratio of exposures`.
+//! Without it the black level is not known; numbers are then shown as they are, and a note says so where exposures differ.
+//!
+//! Limits: every sequence must have the same extent. Middles are those of row 0; under a rolling shutter, lower rows are later, so a captured frame
+//! leans against the truth and the events beside it. A value that is not known (NaN) is drawn black; what saturated in a longer exposure looks too dark.
 
+mod events;
 mod sheet;
 
-use self::sheet::{GAP, Layout, Sheet, draw, grey_range};
+use self::events::{colour, counted};
+use self::sheet::{GAP, Layout, Sheet, displayed, grey_range};
 use super::font;
 use super::frames::nominal_exposure_ns;
 use super::picture::Picture;
+use crate::baseline::repeat::black_level;
+use crate::pixel_events::clock_offset;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, TableMeta};
-use photocurrent_core::{Context, Decl, Extent, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Table, Truth};
+use photocurrent_core::{
+    Context, Decl, EventStream, EventsMeta, Extent, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor,
+    Table, TimeSpan, Truth,
+};
 use png::BitDepth;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -42,11 +53,18 @@ pub struct Params {
     pub scale: Option<u32>,
     /// Show only this part of each frame.
     pub crop: Option<Crop>,
+    /// Events are shown from half of this before an instant to half after it. Default: the (median) exposure of the first captured frames among the
+    /// rows, so that events stand beside the blur that they explain; 5 ms when there are none.
+    #[schemars(extend("x-min" = "1 us", "x-max" = "1000 s"))]
+    pub window: Option<Duration>,
+    /// So many events of one polarity in the window give a pixel its full colour, fewer a lighter one in proportion.
+    #[schemars(range(min = 1, max = 1000))]
+    pub full_colour: u32,
 }
 
 impl Default for Params {
     fn default() -> Params {
-        Params { labels: Vec::new(), columns: 5, start: None, end: None, times: None, scale: None, crop: None }
+        Params { labels: Vec::new(), columns: 5, start: None, end: None, times: None, scale: None, crop: None, window: None, full_colour: 4 }
     }
 }
 
@@ -73,13 +91,17 @@ photocurrent_core::ports! {
         frames: Vec<FrameSequence>,
         /// True frames of simulated data, shown as the first row.
         truth: Option<Truth>,
+        /// Events, shown below the truth and the captured frames that come first: ON red, OFF blue, both dark.
+        events: Option<EventStream>,
+        /// Black level, to show frames of different exposures alike; clock offset of the events.
+        sensor: Option<Arc<Sensor>>,
     }
 }
 
 photocurrent_core::ports! {
     /// What was drawn.
     pub struct Out {
-        /// Which frame stands where: label, column, frame, t_ns (middle of its exposure), asked_ns (the instant of the column).
+        /// Which frame stands where (events have none): label, column, frame, t_ns (middle of its exposure), asked_ns (the instant of the column).
         listing: Arc<Table>,
     }
 }
@@ -92,6 +114,8 @@ pub struct WriteContactSheet {
 /// The largest picture, in dots: enough for a wall, and far from what viewers refuse.
 const LARGEST: u64 = 400_000_000;
 const FOR_LOOKING: &str = "For looking only: one grey range for all rows (0.5 to 99.5 percent of the first row), display gamma 2.2.";
+/// The window of events where neither the parameter nor a captured frame states one.
+const WINDOW_NS: i64 = 5_000_000;
 
 /// A frame that is shown.
 struct Shown {
@@ -99,6 +123,30 @@ struct Shown {
     t_ns: i64,
     /// Values as [row][x][channel].
     dn: Vec<f32>,
+}
+
+/// The exposure that a frame's DN stand for, ns.
+fn exposure_of_dn(meta: &FramesMeta, frame: usize) -> i64 {
+    match meta.scale {
+        FrameScale::Captured => meta.times.exposures[frame].length_ns(),
+        FrameScale::Nominal { exposure_ns } => exposure_ns,
+    }
+}
+
+impl Shown {
+    /// The same light as a frame of another exposure would read it.
+    fn exposed(&mut self, from_ns: i64, to_ns: i64, black: f64) {
+        if from_ns != to_ns {
+            let ratio = to_ns as f64 / from_ns as f64;
+            self.dn.iter_mut().for_each(|dn| *dn = (black + (f64::from(*dn) - black) * ratio) as f32);
+        }
+    }
+}
+
+/// Where the row of events stands: below the true and the captured frames that come first.
+fn row_of_events(sequences: &[(&str, &FrameSequence)], has_truth: bool) -> usize {
+    let given = |(row, (_, frames)): &(usize, &(&str, &FrameSequence))| (*row == 0 && has_truth) || frames.meta.scale == FrameScale::Captured;
+    sequences.iter().enumerate().take_while(given).count()
 }
 
 /// The frame whose exposure middle is nearest to `t_ns`; the earlier one of two. Middles need not rise when exposures differ in length.
@@ -135,8 +183,15 @@ impl WriteContactSheet {
         }
     }
 
+    /// When events are shown: around each instant.
+    fn windows(&self, instants: &[i64], sequences: &[&FramesMeta]) -> Vec<TimeSpan> {
+        let captured = sequences.iter().find(|meta| meta.scale == FrameScale::Captured);
+        let length = self.params.window.map(Duration::ns).or(captured.and_then(|meta| meta.times.nominal_exposure_ns())).unwrap_or(WINDOW_NS);
+        instants.iter().map(|t| TimeSpan::new(t - length / 2, t - length / 2 + length)).collect()
+    }
+
     /// Refuses what cannot be drawn.
-    fn check(&self, sequences: &[(&str, &FramesMeta)]) -> Result<(), NodeError> {
+    fn check(&self, sequences: &[(&str, &FramesMeta)], events: Option<&EventsMeta>) -> Result<(), NodeError> {
         let Some((first_label, first)) = sequences.first() else { return Err(NodeError::usage("no frames are connected to write/contact_sheet")) };
         for (label, meta) in sequences {
             if meta.extent != first.extent {
@@ -150,6 +205,10 @@ impl WriteContactSheet {
                 return Err(NodeError::usage(format!("\"{label}\" has no frame to show")).hint("look at the time window of the node that makes it"));
             }
         }
+        if let Some(events) = events.filter(|events| events.extent != first.extent) {
+            return Err(NodeError::usage(format!("the events have {} pixels, and \"{first_label}\" has {}", events.extent, first.extent))
+                .hint("connect events and frames of one sensor, or leave `events` out"));
+        }
         let (crop, extent) = (self.crop(first.extent), first.extent);
         let fits = |start: u32, length: u32, limit: u32| length > 0 && start.checked_add(length).is_some_and(|end| end <= limit);
         if !fits(crop.x, crop.width, extent.width) || !fits(crop.y, crop.height, extent.height) {
@@ -161,7 +220,7 @@ impl WriteContactSheet {
             .param("crop"));
         }
         let columns = self.params.times.as_ref().map_or(self.params.columns, Vec::len);
-        let layout = Layout::new(crop, self.params.scale, columns, sequences.len(), 0);
+        let layout = Layout::new(crop, self.params.scale, columns, sequences.len() + usize::from(events.is_some()), 0);
         if layout.width() * layout.height() > LARGEST {
             return Err(NodeError::usage(format!("the contact sheet would have {} x {} dots", layout.width(), layout.height()))
                 .hint("take fewer `columns`, a smaller `scale` or a `crop`")
@@ -175,7 +234,7 @@ impl Node for WriteContactSheet {
     const DECL: Decl = Decl {
         kind: "write/contact_sheet",
         about: "Draws several sequences side by side, one row per method and one column per instant, for looking.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: true,
@@ -191,8 +250,8 @@ in     = { frames = "recording.frames" }
 
 [nodes.sheet]
 kind   = "write/contact_sheet"
-in     = { frames = ["split.kept", "split.held"] }
-params = { labels = ["kept", "held out"], columns = 4 }
+in     = { frames = ["split.kept", "split.held"], events = "recording.events", sensor = "recording.sensor" }
+params = { labels = ["kept", "held out"], columns = 4, window = "5 ms" }
 "#,
     };
     type Params = Params;
@@ -205,6 +264,12 @@ params = { labels = ["kept", "held out"], columns = 4 }
         }
         if let Some(scale) = params.scale.filter(|scale| !(1..=64).contains(scale)) {
             return Err(NodeError::usage(format!("`scale` is {scale}, and must be 1 to 64")).param("scale"));
+        }
+        if !(1..=1000).contains(&params.full_colour) {
+            return Err(NodeError::usage(format!("`full_colour` is {}, and must be 1 to 1000", params.full_colour)).param("full_colour"));
+        }
+        if let Some(window) = params.window.filter(|window| window.ns() < 1000) {
+            return Err(NodeError::usage(format!("`window` is {window}, and must be 1 us or longer")).param("window"));
         }
         if params.times.as_ref().is_some_and(|times| !(1..=100).contains(&times.len())) {
             return Err(NodeError::usage("`times` must list 1 to 100 instants").hint("leave it out to get evenly spaced ones").param("times"));
@@ -230,7 +295,8 @@ params = { labels = ["kept", "held out"], columns = 4 }
             .iter()
             .zip(&self.params.labels)
             .filter_map(|(meta, label)| if let Meta::Frames(meta) = meta { Some((label.as_str(), &**meta)) } else { None });
-        self.check(&truth.chain(frames).collect::<Vec<_>>())?;
+        let events = inputs.all("events").iter().find_map(|meta| if let Meta::Events(meta) = meta { Some(&**meta) } else { None });
+        self.check(&truth.chain(frames).collect::<Vec<_>>(), events)?;
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
     }
 
@@ -239,25 +305,38 @@ params = { labels = ["kept", "held out"], columns = 4 }
         super::check_labels(&self.params.labels, input.frames.len(), "frames")?;
         let truth = input.truth.iter().map(|truth| ("truth", &truth.0));
         let sequences: Vec<(&str, &FrameSequence)> = truth.chain(self.params.labels.iter().map(String::as_str).zip(&input.frames)).collect();
-        self.check(&sequences.iter().map(|(label, frames)| (*label, &*frames.meta)).collect::<Vec<_>>())?;
+        let metas: Vec<&FramesMeta> = sequences.iter().map(|(_, frames)| &*frames.meta).collect();
+        self.check(&sequences.iter().map(|(label, frames)| (*label, &*frames.meta)).collect::<Vec<_>>(), input.events.as_ref().map(|events| &*events.meta))?;
 
-        let instants = self.instants(&sequences.iter().map(|(_, frames)| &*frames.meta).collect::<Vec<_>>());
+        let instants = self.instants(&metas);
         let captions: Vec<String> = instants.iter().map(|&t| format!("{:.3} ms", t as f64 / 1e6)).collect();
         let widest = captions.iter().map(|caption| font::width(caption)).max().unwrap_or(0);
-        let layout = Layout::new(self.crop(sequences[0].1.meta.extent), self.params.scale, instants.len(), sequences.len(), widest);
+        let crop = self.crop(metas[0].extent);
+        let drawn_rows = sequences.len() + usize::from(input.events.is_some());
+        let layout = Layout::new(crop, self.params.scale, instants.len(), drawn_rows, widest);
 
-        cx.begin((sequences.len() * instants.len()) as u64, "pictures");
+        cx.begin((drawn_rows * instants.len()) as u64, "pictures");
+        let black = input.sensor.as_deref().map(|sensor| black_level(Some(sensor)));
         let mut rows = Vec::new();
         for (_, frames) in &sequences {
             let mut row = Vec::new();
             for &t in &instants {
-                row.push(read_cropped(frames, nearest(&frames.meta.times, t), layout.crop)?);
+                let mut shown = read_cropped(frames, nearest(&frames.meta.times, t), crop)?;
+                if let (Some(black), Some(to_ns)) = (black, nominal_exposure_ns(metas[0])) {
+                    shown.exposed(exposure_of_dn(&frames.meta, shown.frame), to_ns, black);
+                }
+                row.push(shown);
                 cx.advance(1)?;
             }
             rows.push(row);
         }
+        let windows = self.windows(&instants, &metas);
+        let shift_ns = input.sensor.as_deref().map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
+        let counts = input.events.as_ref().map(|events| counted(events, &windows, shift_ns, crop)).transpose()?;
+        let events_row = if counts.is_some() { row_of_events(&sequences, input.truth.is_some()) } else { usize::MAX };
 
-        let channels = if sequences.iter().any(|(_, frames)| frames.meta.channels == 3) { 3 } else { 1 };
+        let colourful = counts.is_some() || metas.iter().any(|meta| meta.channels == 3);
+        let channels = if colourful { 3 } else { 1 };
         let (width, height) = (layout.width() as u32, layout.height() as u32);
         let mut sheet = Sheet { width, channels, bytes: vec![255; width as usize * height as usize * channels as usize] };
         let range = grey_range(&rows[0]);
@@ -265,11 +344,20 @@ params = { labels = ["kept", "held out"], columns = 4 }
             sheet.text(layout.x(column), GAP, layout.dot, layout.cell_width, caption);
         }
         for (r, ((label, frames), row)) in sequences.iter().zip(&rows).enumerate() {
-            (GAP..width - GAP).for_each(|x| sheet.set(x, layout.y(r) + GAP / 2, &[200]));
-            sheet.text(GAP, layout.y(r) + GAP, layout.dot, width - 2 * GAP, label);
+            let r = r + usize::from(r >= events_row);
+            sheet.begin_row(&layout, r, label);
             for (column, shown) in row.iter().enumerate() {
-                draw(&mut sheet, &layout, (layout.x(column), layout.picture_y(r)), shown, frames.meta.channels as usize, range);
+                let grey_or_colour = shown.dn.chunks(frames.meta.channels as usize).map(|dn| displayed(range, dn));
+                sheet.picture(&layout, (column, r), grey_or_colour);
             }
+        }
+        for (column, counts) in counts.iter().flatten().enumerate() {
+            if column == 0 {
+                let ms = windows[0].length_ns() as f64 / 1e6;
+                sheet.begin_row(&layout, events_row, &format!("events within {ms:.3} ms: ON red, OFF blue, full colour from {}", self.params.full_colour));
+            }
+            sheet.picture(&layout, (column, events_row), counts.iter().map(|&count| colour(count, self.params.full_colour)));
+            cx.advance(1)?;
         }
         let comment = Some(FOR_LOOKING);
         Picture { width, height, channels, depth: BitDepth::Eight, bytes: &sheet.bytes, comment }.save(&folder.join("contact_sheet.png"))?;
@@ -277,11 +365,15 @@ params = { labels = ["kept", "held out"], columns = 4 }
         let unknown = rows.iter().flatten().flat_map(|shown| &shown.dn).filter(|dn| dn.is_nan()).count();
         cx.count(unknown as u64, "values are not known (NaN) and were drawn black");
         cx.note(format!("contact_sheet.png is for looking only: {:.2} to {:.2} DN, display gamma 2.2", range.0, range.1));
-        let exposures: Vec<Option<i64>> = sequences.iter().map(|(_, frames)| nominal_exposure_ns(&frames.meta)).collect();
-        if let Some(other) = exposures.iter().position(|exposure| *exposure != exposures[0]) {
+        let exposures: Vec<Option<i64>> = metas.iter().map(|meta| nominal_exposure_ns(meta)).collect();
+        if let Some(other) = exposures.iter().position(|exposure| black.is_none() && *exposure != exposures[0]) {
             let ns = |row: usize| exposures[row].unwrap_or(0);
             let ((first, _), (label, _)) = (sequences[0], sequences[other]);
-            cx.note(format!("brightness differs by exposure: \"{first}\" has DN of {} ns, \"{label}\" of {} ns", ns(0), ns(other)));
+            cx.note(format!(
+                "brightness differs by exposure: \"{first}\" has DN of {} ns, \"{label}\" of {} ns; connect `sensor` to show them alike",
+                ns(0),
+                ns(other)
+            ));
         }
         let cells = || rows.iter().enumerate().flat_map(|(r, row)| row.iter().enumerate().map(move |(column, shown)| (r, column, shown)));
         let listing = Table::default()

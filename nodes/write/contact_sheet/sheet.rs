@@ -8,7 +8,7 @@ pub(super) const GAP: u32 = 6;
 /// The width that a row of pictures should have.
 const WIDTH_WANTED: u32 = 1600;
 /// Exponent of the display: a screen shows `value ^ GAMMA`.
-pub(super) const GAMMA: f64 = 2.2;
+const GAMMA: f64 = 2.2;
 
 /// Where things stand on the sheet.
 pub(super) struct Layout {
@@ -75,6 +75,23 @@ impl Sheet {
         }
     }
 
+    /// Draws the line above a row, and its label.
+    pub(super) fn begin_row(&mut self, layout: &Layout, row: usize, label: &str) {
+        (GAP..self.width - GAP).for_each(|x| self.set(x, layout.y(row) + GAP / 2, &[200]));
+        self.text(GAP, layout.y(row) + GAP, layout.dot, self.width - 2 * GAP, label);
+    }
+
+    /// Draws a picture of the crop's size into a cell, `layout.zoom` dots a pixel.
+    pub(super) fn picture(&mut self, layout: &Layout, (column, row): (usize, usize), pixels: impl Iterator<Item = [u8; 3]>) {
+        let (left, top, zoom) = (layout.x(column), layout.picture_y(row), layout.zoom);
+        for (pixel, value) in pixels.enumerate() {
+            let (x, y) = (pixel as u32 % layout.crop.width * zoom, pixel as u32 / layout.crop.width * zoom);
+            for (dx, dy) in (0..zoom).flat_map(|dy| (0..zoom).map(move |dx| (dx, dy))) {
+                self.set(left + x + dx, top + y + dy, &value);
+            }
+        }
+    }
+
     /// Writes a text, cut off at `limit` dots.
     pub(super) fn text(&mut self, x: u32, y: u32, dot: u32, limit: u32, text: &str) {
         font::dots(text, |column, row| {
@@ -100,18 +117,12 @@ pub(super) fn grey_range(row: &[Shown]) -> (f32, f32) {
 }
 
 /// What a screen has to be sent to show a value: NaN is black.
-pub(super) fn display((dark, bright): (f32, f32), dn: f32) -> u8 {
+fn display((dark, bright): (f32, f32), dn: f32) -> u8 {
     let linear = f64::from((dn - dark) / (bright - dark)).clamp(0.0, 1.0);
     (255.0 * libm::pow(linear, 1.0 / GAMMA)).round() as u8
 }
 
-pub(super) fn draw(sheet: &mut Sheet, layout: &Layout, (left, top): (u32, u32), shown: &Shown, channels: usize, range: (f32, f32)) {
-    for (pixel, dn) in shown.dn.chunks(channels).enumerate() {
-        let (x, y) = (pixel as u32 % layout.crop.width * layout.zoom, pixel as u32 / layout.crop.width * layout.zoom);
-        let mut value = [0; 3];
-        value.iter_mut().zip(dn).for_each(|(value, dn)| *value = display(range, *dn));
-        for (dx, dy) in (0..layout.zoom).flat_map(|dy| (0..layout.zoom).map(move |dx| (dx, dy))) {
-            sheet.set(left + x + dx, top + y + dy, &value[..channels]);
-        }
-    }
+/// Red, green and blue of a pixel of one or three channels.
+pub(super) fn displayed(range: (f32, f32), dn: &[f32]) -> [u8; 3] {
+    [0, 1, 2].map(|channel| display(range, dn[channel.min(dn.len() - 1)]))
 }
