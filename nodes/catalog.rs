@@ -10,7 +10,6 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<read::recording::ReadRecording>(),
         Kind::of::<read::aedat4::ReadAedat4>(),
         Kind::of::<read::sensor::ReadSensor>(),
-        Kind::of::<simulate::pellet::SimulatePellet>(),
         Kind::of::<simulate::scene::SimulateScene>(),
         Kind::of::<simulate::video::SimulateVideo>(),
         Kind::of::<simulate::photo::SimulatePhoto>(),

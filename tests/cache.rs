@@ -7,7 +7,7 @@ use crate::support::{self, Bench, digests, executed};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-const ALL: [&str; 9] = ["edi", "frames", "psnr", "psnr_edi", "render", "scene", "sensor", "solve", "table"];
+const ALL: [&str; 10] = ["edi", "frames", "psnr", "psnr_edi", "recording", "render", "scene", "sensor", "solve", "table"];
 
 /// A bench with the small pipeline as `m.toml`, its sensor description beside it as `sensor.toml`.
 fn bench() -> Bench {
@@ -68,9 +68,9 @@ fn a_second_run_executes_nothing_and_says_so() {
     let exported = files(&bench.path("out"));
     let second = bench.run(&["run", "m.toml"]);
     assert_eq!(second.code, 0, "{}", second.stderr);
-    assert!(second.stderr.contains("0 nodes executed: all 9 results were in the cache"), "{}", second.stderr);
+    assert!(second.stderr.contains("0 nodes executed: all 10 results were in the cache"), "{}", second.stderr);
     let third = bench.outcome(&["m.toml"]);
-    assert_eq!((executed(&third), third["reused"].as_u64()), (vec![], Some(9)));
+    assert_eq!((executed(&third), third["reused"].as_u64()), (vec![], Some(10)));
     assert_eq!(digests(&third), digests(&first));
     assert_eq!(files(&bench.path("out")), exported);
 }
@@ -85,7 +85,7 @@ fn a_changed_weight_reruns_the_solver_and_what_follows_as_plan_and_explain_foret
     let those = |state: &str| foretold.iter().filter(|(_, found)| *found == state).map(|(node, _)| node.as_str()).collect::<Vec<_>>();
     assert_eq!(those("miss"), ["solve"]);
     assert_eq!(those("waits"), ["frames", "psnr", "render", "table"]);
-    assert_eq!(those("hit"), ["edi", "psnr_edi", "scene", "sensor"]);
+    assert_eq!(those("hit"), ["edi", "psnr_edi", "recording", "scene", "sensor"]);
     assert_eq!(explained(&bench, "solve", &change), "solve: would run\n  params.cis_weight 1.0 -> 2.0\n");
     assert_eq!(explained(&bench, "render", &change), "render: waits for solve\n");
     assert_eq!(explained(&bench, "edi", &change), "edi: in the cache\n");
@@ -94,7 +94,7 @@ fn a_changed_weight_reruns_the_solver_and_what_follows_as_plan_and_explain_foret
     assert_eq!(executed(&second), ["frames", "psnr", "render", "solve", "table"]);
     let (before, after) = (digests(&first), digests(&second));
     assert_ne!(after["solve.tracks"], before["solve.tracks"], "a weight that changes nothing would test nothing");
-    assert_eq!(after["scene.events"], before["scene.events"]);
+    assert_eq!(after["recording.events"], before["recording.events"]);
     // The way back is in the cache: only the files have to be written again, over those of the other weight.
     assert_eq!(executed(&bench.outcome(&["m.toml"])), ["frames", "table"]);
 }
@@ -167,9 +167,9 @@ fn a_changed_comment_in_an_input_file_reruns_its_reader_only() {
 fn equal_results_upstream_stop_a_rerun() {
     let bench = bench();
     bench.outcome(&["m.toml"]);
-    // Nothing here is given in lux, so whoever takes the description runs, gives what it gave, and nobody after that runs.
-    edit(&bench, "sensor.toml", "photocurrent_per_lux = 0.2", "photocurrent_per_lux = 0.3");
-    assert_eq!(executed(&bench.outcome(&["m.toml"])), ["edi", "render", "scene", "sensor", "solve"]);
+    // A name changes no number, so whoever takes the description runs, gives what it gave, and nobody after that runs.
+    edit(&bench, "sensor.toml", "hybrid, indoor", "hybrid, in a room");
+    assert_eq!(executed(&bench.outcome(&["m.toml"])), ["edi", "recording", "render", "scene", "sensor", "solve"]);
 }
 
 #[test]
@@ -228,7 +228,7 @@ fn somebodys_own_files_are_not_overwritten_and_the_way_out_is_said() {
     assert_eq!(files(&bench.path("out/m/frames")), BTreeMap::from([(mine.clone(), b"mine".to_vec())]));
     // Everything else is done; the writer alone remains.
     let outcome: serde_json::Value = serde_json::from_str(&refused.stdout).expect("JSON");
-    assert_eq!((outcome["executed"].as_u64(), outcome["failed"].as_u64()), (Some(8), Some(1)));
+    assert_eq!((outcome["executed"].as_u64(), outcome["failed"].as_u64()), (Some(9), Some(1)));
     std::fs::remove_file(mine).expect("moved away");
     assert_eq!(executed(&bench.outcome(&["m.toml"])), ["frames"]);
 
@@ -255,15 +255,26 @@ fn the_caches_commands_list_weigh_check_and_clear() {
     let listed = json(&["cache", "ls", "--json"]);
     let mut kinds: Vec<&str> = listed.as_array().expect("a list").iter().map(|entry| entry["kind"].as_str().expect("a kind")).collect();
     kinds.sort_unstable();
-    let expected = ["baseline/edi", "read/sensor", "render/rows", "score/psnr", "score/psnr", "simulate/pellet", "solve/pixel", "write/frames", "write/table"];
+    let expected = [
+        "baseline/edi",
+        "read/sensor",
+        "render/rows",
+        "score/psnr",
+        "score/psnr",
+        "simulate/scene",
+        "simulate/sensor",
+        "solve/pixel",
+        "write/frames",
+        "write/table",
+    ];
     assert_eq!(kinds, expected);
     let text = bench.run(&["cache", "ls"]).stdout;
-    assert!(text.lines().count() == 11 && text.contains("simulate/pellet"), "{text}");
+    assert!(text.lines().count() == 12 && text.contains("simulate/scene"), "{text}");
 
     // Contents are stored once: as many files as there are different digests.
     let different: BTreeSet<String> = digests(&first).into_values().collect();
     let used = json(&["cache", "du", "--json"]);
-    assert_eq!((used["records"].as_u64(), used["contents"].as_u64()), (Some(9), Some(different.len() as u64)));
+    assert_eq!((used["records"].as_u64(), used["contents"].as_u64()), (Some(10), Some(different.len() as u64)));
     let on_disk = |ending: &str| {
         let data = std::fs::read_dir(bench.path(".photocurrent/data")).expect("data").map(|entry| entry.expect("an entry"));
         data.filter(|entry| entry.path().extension().is_some_and(|e| e == ending)).map(|entry| entry.metadata().expect("metadata").len()).sum::<u64>()
@@ -272,7 +283,7 @@ fn the_caches_commands_list_weigh_check_and_clear() {
     assert_eq!((used["unreferenced_bytes"].as_u64(), used["temporary_bytes"].as_u64()), (Some(0), Some(0)));
 
     let checked = json(&["cache", "verify", "--json"]);
-    assert_eq!((checked["good_records"].as_u64(), checked["good_contents"].as_u64()), (Some(9), Some(different.len() as u64)));
+    assert_eq!((checked["good_records"].as_u64(), checked["good_contents"].as_u64()), (Some(10), Some(different.len() as u64)));
     assert_eq!((checked["damaged"].as_array(), checked["orphans"].as_array()), (Some(&vec![]), Some(&vec![])));
 
     // Room enough and young enough: everything stays, and is used.
@@ -281,10 +292,10 @@ fn the_caches_commands_list_weigh_check_and_clear() {
     assert_eq!(executed(&bench.outcome(&["m.toml"])), [""; 0]);
 
     let rehearsed = json(&["cache", "gc", "--older-than", "0", "--dry-run", "--json"]);
-    assert_eq!(rehearsed["records"].as_u64(), Some(9));
+    assert_eq!(rehearsed["records"].as_u64(), Some(10));
     assert_eq!(json(&["cache", "du", "--json"]), used);
     let cleared = bench.run(&["cache", "gc", "--older-than", "0"]);
-    assert!(cleared.stdout.starts_with(&format!("removed 9 records and {} contents, ", different.len())), "{}", cleared.stdout);
+    assert!(cleared.stdout.starts_with(&format!("removed 10 records and {} contents, ", different.len())), "{}", cleared.stdout);
     let empty = json(&["cache", "du", "--json"]);
     assert_eq!((empty["records"].as_u64(), empty["contents"].as_u64(), on_disk("h5"), on_disk("sum")), (Some(0), Some(0), 0, 0));
     let again = bench.outcome(&["m.toml"]);
@@ -296,7 +307,7 @@ fn no_room_at_all_leaves_nothing() {
     let bench = bench();
     bench.outcome(&["m.toml"]);
     let none = bench.run(&["cache", "gc", "--max-size", "0"]);
-    assert!(none.code == 0 && none.stdout.starts_with("removed 9 records"), "{}{}", none.stdout, none.stderr);
+    assert!(none.code == 0 && none.stdout.starts_with("removed 10 records"), "{}{}", none.stdout, none.stderr);
     assert!(none.stdout.ends_with("0 B stay\n"), "{}", none.stdout);
 }
 
@@ -346,7 +357,7 @@ fn looking_at_a_cache_leaves_it_as_it_was() {
 fn a_part_of_the_pipeline_runs_what_it_needs_and_the_rest_later() {
     let bench = bench();
     let part = bench.outcome(&["m.toml", "--to", "render"]);
-    assert_eq!(executed(&part), ["render", "scene", "sensor", "solve"]);
+    assert_eq!(executed(&part), ["recording", "render", "scene", "sensor", "solve"]);
     assert!(!bench.path("out/m/frames").exists());
     // The scene's true frames were not wanted then and are now, so it runs again; its other outputs come out as before, and what took them stays.
     let whole = bench.outcome(&["m.toml"]);

@@ -109,7 +109,7 @@ fn assert_ends_as(bench: &Bench, arguments: &[&str], expected: &Undisturbed, whe
 
 /// Makes every node run, so that a run on a full cache is as long as one on an empty cache.
 fn force_all() -> Vec<&'static str> {
-    ["sensor", "scene", "solve", "render", "edi", "psnr", "psnr_edi", "table", "frames"].iter().flat_map(|node| ["--force", node]).collect()
+    ["sensor", "scene", "recording", "solve", "render", "edi", "psnr", "psnr_edi", "table", "frames"].iter().flat_map(|node| ["--force", node]).collect()
 }
 
 #[test]
@@ -274,25 +274,25 @@ fn delete(path: &Path) {
 #[test]
 fn a_result_that_is_cut_short_or_gone_is_made_again() {
     let damaged = Damaged::new();
-    let events = damaged.data("scene.events");
+    let events = damaged.data("recording.events");
     for harm in [truncate, delete] {
         harm(&events);
         assert_eq!(damaged.bench.run(&["cache", "verify"]).code, 3);
-        let plan = damaged.bench.run(&["explain", "m.toml", "scene"]);
-        assert!(plan.stdout.starts_with("scene: would run\n  record damaged: output `events`: "), "{}", plan.stdout);
-        damaged.is_mended(&[], &["scene"], &events);
+        let plan = damaged.bench.run(&["explain", "m.toml", "recording"]);
+        assert!(plan.stdout.starts_with("recording: would run\n  record damaged: output `events`: "), "{}", plan.stdout);
+        damaged.is_mended(&[], &["recording"], &events);
     }
 }
 
 #[test]
 fn a_result_with_a_wrong_byte_is_noticed_when_it_is_read_and_made_again() {
     let damaged = Damaged::new();
-    let events = damaged.data("scene.events");
+    let events = damaged.data("recording.events");
     flip_a_byte(&events);
     let verified = damaged.bench.run(&["cache", "verify"]);
     assert_eq!(verified.code, 3);
     assert!(verified.stdout.contains(&format!("damaged: .photocurrent/data/{}", events.file_name().expect("a name").to_string_lossy())), "{}", verified.stdout);
-    damaged.is_mended(&["--force", "solve"], &["scene", "solve"], &events);
+    damaged.is_mended(&["--force", "solve"], &["recording", "solve"], &events);
 }
 
 #[test]
@@ -351,7 +351,7 @@ in = { frames = "render", truth = "recording.truth" }
 fn a_node_that_fails_stops_only_what_hangs_on_it() {
     let bench = Bench::new();
     write_bad_recording(&bench.path("rec.h5"));
-    let aside = "[nodes.scene]\nkind = \"simulate/pellet\"\nin.sensor = \"sensor\"\nparams = { width = 16, height = 16, radius = 2.0 }\n[nodes.aside]\nkind = \"write/frames\"\nin.frames = \"scene.frames\"\n";
+    let aside = "[nodes.scene]\nkind = \"simulate/scene\"\nin.sensor = \"sensor\"\nparams = { width = 16, height = 16 }\n[nodes.camera]\nkind = \"simulate/sensor\"\nin = { light = \"scene.light\", sensor = \"sensor\" }\n[nodes.aside]\nkind = \"write/frames\"\nin.frames = \"camera.frames\"\n";
     bench.write("m.toml", &format!("{}{aside}", recordings::pipeline()));
     let done = bench.run(&["run", "--json", "m.toml"]);
     assert_eq!(done.code, 3, "{}", done.stderr);
@@ -366,7 +366,7 @@ fn a_node_that_fails_stops_only_what_hangs_on_it() {
         assert!(done.stderr.contains(part), "`{part}` is missing from\n{}", done.stderr);
     }
     let outcome: Value = serde_json::from_str(&done.stdout).expect("JSON");
-    assert_eq!(executed(&outcome), ["aside", "scene", "sensor"]);
+    assert_eq!(executed(&outcome), ["aside", "camera", "scene", "sensor"]);
     let ends = |end: &str| {
         outcome["tasks"]
             .as_array()

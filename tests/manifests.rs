@@ -206,7 +206,7 @@ fn a_mistake_in_set_is_shown_at_set() {
 
 #[test]
 fn mistakes_in_several_sets_are_reported_together() {
-    let said = set(&["nodes.slove.params.cis_weight=2", "nodes.solve.params.readout=slop", "nodes.scene.params.pellets=0"]).stderr;
+    let said = set(&["nodes.slove.params.cis_weight=2", "nodes.solve.params.readout=slop", "nodes.scene.params.width=4"]).stderr;
     assert!(said.ends_with("3 mistakes; nothing ran\n"), "{said}");
 }
 

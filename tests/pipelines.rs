@@ -58,7 +58,7 @@ fn the_quickstart_shows_what_compensation_brings() {
         assert!(row.ends_with(&format!("  {:.3}", values["psnr_db"])), "{row}");
     }
     in_the_readme(&done.stdout);
-    assert!(done.stderr.contains("21 nodes executed, 0 reused from the cache") && done.stderr.contains("files are in out/quickstart"), "{}", done.stderr);
+    assert!(done.stderr.contains("22 nodes executed, 0 reused from the cache") && done.stderr.contains("files are in out/quickstart"), "{}", done.stderr);
 }
 
 const VARIANTS: [(&str, &str); 4] = [
@@ -78,9 +78,9 @@ fn the_compensation_ablation_agrees_with_the_quickstart() {
     assert_eq!(outcome["variants"].as_array().map(Vec::len), Some(4));
     let mut nodes = executed(&outcome);
     nodes.dedup();
-    assert_eq!(nodes, ["psnr", "render", "scene", "sensor", "solve"]);
-    // One description and one scene for all; solved, rendered and scored four times.
-    assert_eq!(outcome["executed"].as_u64(), Some(2 + 3 * 4));
+    assert_eq!(nodes, ["psnr", "recording", "render", "scene", "sensor", "solve"]);
+    // One description, one scene and one recording for all; solved, rendered and scored four times.
+    assert_eq!(outcome["executed"].as_u64(), Some(3 + 3 * 4));
 
     quickstart.outcome(&[&pipeline("quickstart.toml")]);
     let varied = pooled(&ablation.path("out/compensation/metrics.pooled.jsonl"));
@@ -120,7 +120,7 @@ fn the_weights_are_swept_over_one_scene() {
     arguments.extend(smaller);
     let outcome = bench.outcome(&arguments);
     assert_eq!(outcome["variants"].as_array().map(Vec::len), Some(5));
-    assert_eq!(outcome["executed"].as_u64(), Some(2 + 3 * 5));
+    assert_eq!(outcome["executed"].as_u64(), Some(3 + 3 * 5));
     let found = pooled(&bench.path("out/weights/metrics.pooled.jsonl"));
     assert!(found.len() == 5 && found.values().all(|value| value.is_finite()), "{found:?}");
 }

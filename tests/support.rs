@@ -96,19 +96,22 @@ seed = 7
 kind = "read/sensor"
 params = {{ path = {sensor:?} }}
 [nodes.scene]
-kind = "simulate/pellet"
+kind = "simulate/scene"
 in = {{ sensor = "sensor" }}
-params = {{ width = 32, height = 24, duration = "40 ms", pellets = 2 }}
+params = {{ scene = "pellet", width = 32, height = 24, duration = "40 ms", illuminance = "800 lx", pellet = {{ pellets = 2, speed = 4.0 }} }}
+[nodes.recording]
+kind = "simulate/sensor"
+in = {{ light = "scene.light", sensor = "sensor" }}
 [nodes.solve]
 kind = "solve/pixel"
-in = {{ events = "scene.events", frames = "scene.frames", sensor = "sensor" }}
+in = {{ events = "recording.events", frames = "recording.frames", sensor = "sensor" }}
 params = {{ cis_weight = 1.0, evs_weight = 1000.0 }}
 [nodes.render]
 kind = "render/rows"
 in = {{ tracks = "solve.tracks", sensor = "sensor" }}
 [nodes.edi]
 kind = "baseline/edi"
-in = {{ events = "scene.events", frames = "scene.frames", sensor = "sensor" }}
+in = {{ events = "recording.events", frames = "recording.frames", sensor = "sensor" }}
 [nodes.psnr]
 kind = "score/psnr"
 in = {{ frames = "render", truth = "scene.truth" }}

@@ -3,7 +3,6 @@
 pub mod camera;
 pub mod instants;
 pub mod moved;
-pub mod pellet;
 pub mod photo;
 pub mod scene;
 pub mod scenes;

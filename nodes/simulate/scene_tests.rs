@@ -97,3 +97,40 @@ fn a_pellet_that_does_not_fit_is_refused() {
     params.details.pellet.radius = 15.0;
     assert_eq!(SimulateScene::build(params).err().unwrap().message, "a pellet of radius 15 does not fit into 40 x 30 pixels");
 }
+
+#[test]
+fn an_ideal_sensor_fires_once_for_each_threshold_of_the_scenes_own_log_light() {
+    use super::super::sensor::{self, SimulateSensor};
+    let params = Params { width: 24, height: 16, duration: Duration::new(20_000_000), ..small(scenes::Name::Pellet) };
+    let (extent, rows) = (Extent { width: 24, height: 16 }, Rows { start: 0, end: 16 });
+    let mut ideal = sensor();
+    ideal.front_end.tau_0 = Some(Duration::new(0));
+    ideal.front_end.alpha = Some(Duration::new(0));
+    ideal.comparator.threshold_on = Some(0.2);
+    ideal.comparator.threshold_off = Some(0.2);
+    ideal.readout.refractory = Some(Duration::new(0));
+    ideal.frames.row_time = Some(Duration::new(30_000));
+    let camera = SimulateSensor::build(sensor::Params { latency_spread: Duration::new(0), ..sensor::Params::default() }).unwrap();
+    let input = sensor::In { light: run(params.clone(), rows).light, sensor: Arc::new(ideal) };
+    let out = testing::with_context(rows, &["events", "frames"], |cx| camera.run(input, cx)).0.unwrap();
+    let band = out.events.read(rows).unwrap();
+    // The context of tests has the seed 7.
+    let scene = params.details.scene(scenes::Name::Pellet, extent, 7);
+    let mut checked = 0;
+    for y in 0..16 {
+        let row = band.row(y);
+        let index = row.by_pixel(24);
+        for x in 0..24_u32 {
+            let log = |t| libm::log(scene.reflectance(f64::from(x), f64::from(y), t));
+            let mut net = 0.0;
+            for &k in index.pixel(x as usize) {
+                net += if row.on[k] == 1 { 0.2 } else { -0.2 };
+                // Light is sampled to a thousandth of its logarithm; a stamp is a whole nanosecond.
+                let change = log(row.t[k]) - log(0);
+                assert!((net - change).abs() < 5e-3, "({x}, {y}): {net} against {change}");
+                checked += 1;
+            }
+        }
+    }
+    assert!(checked > 500, "{checked} events");
+}

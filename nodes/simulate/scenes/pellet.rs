@@ -1,6 +1,4 @@
 //! `pellet`: round pellets that fly straight and bounce off the borders, before a textured wall.
-//!
-//! The flights are those of `simulate/pellet`, which has photocurrents and a sensor of its own.
 
 use super::shapes::{Texture, arrival, blend, bounce, hypot};
 use super::{BRIGHTEST, Scene};
