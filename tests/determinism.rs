@@ -40,11 +40,11 @@ fn results_do_not_depend_on_threads_or_the_height_of_bands() {
 /// result under the new code's key, and say so in the changelog under *Results change*. Then record the new values:
 /// `UPDATE_EXPECT=1 cargo test --test photocurrent determinism` prints them.
 const GOLDEN: [(&str, &str); 5] = [
-    ("recording.events", "218c400fb3687067f941fec0e96b0b20e4a4cf4d4e57e2930446b35139d9c222"),
-    ("recording.frames", "7303c87bd990d0e1b516cf1c86e78871dcc95d9d9f911a83518da4ef982f0426"),
-    ("solve.tracks", "dc00b24805e73dc2e56d108e637822b96a4bff617e92d6e0c9d94d4730e89775"),
-    ("render.frames", "517efab63b529a49a4ab77b06d510082e6d83fda0932712eb1699e0ae9301785"),
-    ("edi.frames", "7ab10b60a9049249d6c48b4ed41869a3c9dc3c60d06e31ce5b4c4a5d048095fd"),
+    ("recording.events", "332739f3b5fb911aad3752d6f12c485a9fd03276e0acb7bfb08933a3ea42b8ab"),
+    ("recording.frames", "9a8002d8e76271df977dbcec4b082e5445e4c49103835a9acbd35fdab6bd7e77"),
+    ("solve.tracks", "5b94c00f4a6a2145a74c44268c8fb11ffef4e8a614161753342174f88505a8a6"),
+    ("render.frames", "22d8b4a1ffde491e2cf6fee8d066b08a5fc8c415fbd3a94cfd1763b781733dce"),
+    ("edi.frames", "e43806664b0b16d407994569d56af66a57251626d084af247d9753c057186aec"),
 ];
 
 #[test]

@@ -99,7 +99,7 @@ impl Node for SimulateScene {
     const DECL: Decl = Decl {
         kind: "simulate/scene",
         about: "Light of a moving scene that is known in closed form, and true frames of it.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Pixel,
         draws: true,
         exports: false,

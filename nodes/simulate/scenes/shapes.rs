@@ -77,7 +77,7 @@ const OCTAVES: [usize; 6] = [64, 32, 16, 8, 4, 2];
 
 impl Texture {
     /// Pixels after which the texture repeats; a power of two.
-    pub const SIDE: usize = 256;
+    pub const SIDE: usize = 512;
 
     /// A texture with reflectances from `low` to `high`, evenly spread in their logarithm.
     pub fn new(low: f64, high: f64, seed: u64, stream: u64) -> Texture {

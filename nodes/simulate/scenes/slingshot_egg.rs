@@ -1,7 +1,8 @@
 //! `slingshot_egg`: a small fast pellet hits an egg, and the debris flies apart.
 //!
-//! The egg is cut into square pieces. At the instant of the hit they still make the whole egg, without a seam; from then on each flies straight, away
-//! from the hit and forwards, and tumbles. The pellet goes on behind, slower. Where pieces overlap, the pixel is their mean by coverage.
+//! The egg is cut into shards: bands of random height across a slanted frame, each cut at random places. At the instant of the hit they still make the
+//! whole egg, without a seam; from then on each flies straight, away from the hit and forwards, and tumbles. The pellet goes on behind, slower. Where
+//! shards overlap, the pixel is their mean by coverage.
 
 use super::shapes::{Texture, arrival, blend, covered, hypot, turned};
 use super::{BRIGHTEST, Scene};
@@ -10,7 +11,7 @@ use photocurrent_core::quantity::Duration;
 use photocurrent_core::random::Random;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::{SQRT_2, TAU};
+use std::f64::consts::TAU;
 
 /// Parameters of the scene `slingshot_egg`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -42,10 +43,15 @@ const SLOWED: f64 = 0.6;
 /// Reflectance of the pellet.
 const PELLET: f64 = 0.05;
 
-/// A square piece of the egg.
+/// How the frame that the egg is cut along stands, radians.
+const SLANT: f64 = 0.45;
+
+/// A shard: a rectangle of the slanted frame, bounded by the shell.
 struct Piece {
     /// Its middle when the egg was whole, from the egg's middle.
     home: (f64, f64),
+    /// Half its sides along the slanted frame, pixels.
+    half: (f64, f64),
     /// Pixels per nanosecond.
     velocity: (f64, f64),
     /// Radians per nanosecond.
@@ -54,13 +60,30 @@ struct Piece {
     fastest: f64,
 }
 
+impl Piece {
+    /// From its middle to its corners, pixels.
+    fn corner(&self) -> f64 {
+        hypot(self.half.0, self.half.1)
+    }
+}
+
+/// Cuts `-reach` to `reach` into stretches of random length, 0.5 to 1.5 of `mean`: middle and half length of each. The last one may stand over.
+fn cut(reach: f64, mean: f64, random: &mut Random) -> Vec<(f64, f64)> {
+    let mut stretches = Vec::new();
+    let mut at = -reach;
+    while at < reach {
+        let half = 0.5 * mean * (0.5 + random.uniform());
+        stretches.push((at + half, half));
+        at += 2.0 * half;
+    }
+    stretches
+}
+
 /// The scene.
 pub struct SlingshotEgg {
     centre: (f64, f64),
     /// Half axes of the egg, pixels.
     axes: (f64, f64),
-    /// Half the side of a piece, pixels.
-    half: f64,
     pieces: Vec<Piece>,
     /// The pellet's middle when it hits.
     hit: (f64, f64),
@@ -82,14 +105,16 @@ impl SlingshotEgg {
         let above = 0.25 * axes.1;
         let face = axes.0 * (1.0 - (above / axes.1) * (above / axes.1)).sqrt();
         let hit = (centre.0 - face - params.radius, centre.1 - above);
-        let half = (0.025 * side).max(1.0);
+        let mean = (0.055 * side).max(2.0);
         let mut random = Random::new(seed, &[0]);
         let mut pieces = Vec::new();
-        let (columns, rows) = ((axes.0 / half / 2.0 + 0.5) as i32, (axes.1 / half / 2.0 + 0.5) as i32);
-        for row in -rows..=rows {
-            for column in -columns..=columns {
-                let home = (f64::from(column) * 2.0 * half, f64::from(row) * 2.0 * half);
-                if outside_ellipse(home, axes) > half * SQRT_2 + 0.5 {
+        // The half axes' larger one, and the outline's filter.
+        let reach = axes.0.max(axes.1) + 1.0;
+        for (v, half_v) in cut(reach, mean, &mut random) {
+            for (u, half_u) in cut(reach, mean, &mut random) {
+                let (home, half) = (turned((u, v), (libm::sin(SLANT), libm::cos(SLANT))), (half_u, half_v));
+                // The distance is exact at the outline only, so there is room to spare: what has no shell costs a little time and shows nothing.
+                if outside_ellipse(home, axes) > 1.5 * hypot(half_u, half_v) + 1.0 {
                     continue;
                 }
                 let (away_x, away_y) = (home.0 + centre.0 - hit.0, home.1 + centre.1 - hit.1);
@@ -100,14 +125,13 @@ impl SlingshotEgg {
                 let velocity = (speed * (away_x / distance * 0.9 + 0.3), speed * (away_y / distance * 0.9 + askew));
                 // Up to ten turns per second.
                 let spin = TAU * 20e-9 * (random.uniform() - 0.5);
-                let fastest = hypot(velocity.0, velocity.1) + spin.abs() * (half * SQRT_2 + 0.5);
-                pieces.push(Piece { home, velocity, spin, fastest });
+                let fastest = hypot(velocity.0, velocity.1) + spin.abs() * (hypot(half_u, half_v) + 0.5);
+                pieces.push(Piece { home, half, velocity, spin, fastest });
             }
         }
         SlingshotEgg {
             centre,
             axes,
-            half,
             fastest: pieces.iter().map(|piece| piece.fastest).fold(0.0, f64::max),
             pieces,
             hit,
@@ -137,17 +161,17 @@ impl SlingshotEgg {
             return (share, if share > 0.0 { share * self.shell((x, y)) } else { 0.0 });
         }
         let since = (t_ns - self.impact_ns) as f64;
-        let reach = (self.half * SQRT_2 + 1.0) * (self.half * SQRT_2 + 1.0);
         let (mut shares, mut light) = (0.0, 0.0);
         for piece in &self.pieces {
             let (dx, dy) = (x - piece.home.0 - piece.velocity.0 * since, y - piece.home.1 - piece.velocity.1 * since);
-            if dx * dx + dy * dy > reach {
+            if hypot(dx, dy) > piece.corner() + 1.0 {
                 continue;
             }
             let angle = -piece.spin * since;
-            let (u, v) = turned((dx, dy), (libm::sin(angle), libm::cos(angle)));
-            let at = (u + piece.home.0, v + piece.home.1);
-            let share = covered(u.abs() - self.half) * covered(v.abs() - self.half);
+            let from_home = turned((dx, dy), (libm::sin(angle), libm::cos(angle)));
+            let at = (from_home.0 + piece.home.0, from_home.1 + piece.home.1);
+            let (u, v) = turned(from_home, (-libm::sin(SLANT), libm::cos(SLANT)));
+            let share = covered(u.abs() - piece.half.0) * covered(v.abs() - piece.half.1);
             if share > 0.0 {
                 let share = share * covered(outside_ellipse(at, self.axes));
                 shares += share;
@@ -185,11 +209,10 @@ impl Scene for SlingshotEgg {
         let (x, y) = (x - self.centre.0, y - self.centre.1);
         let since = (t_ns - self.impact_ns).max(0) as f64;
         let start = t_ns.max(self.impact_ns);
-        // Half a pixel of the filter goes round the corner of a piece.
-        let reach = self.half * SQRT_2 + 0.25;
         let arrivals = self.pieces.iter().map(|piece| {
             let (dx, dy) = (x - piece.home.0 - piece.velocity.0 * since, y - piece.home.1 - piece.velocity.1 * since);
-            arrival(start, hypot(dx, dy) - reach, piece.fastest)
+            // Half a pixel of the filter goes round the corner of a shard.
+            arrival(start, hypot(dx, dy) - piece.corner() - 0.25, piece.fastest)
         });
         // Before the hit the whole egg stands still.
         pellet.min(arrivals.min().unwrap_or(i64::MAX))
@@ -222,7 +245,7 @@ mod tests {
             pixels.map(|(x, y)| egg.egg(x, y, ms * 1_000_000).0).sum()
         };
         assert!((area(10) - std::f64::consts::PI * egg.axes.0 * egg.axes.1).abs() < 1.0, "{}", area(10));
-        // Turned pieces are small squares, drawn with the filter along their own axes: a hundredth.
+        // Turned shards are small rectangles, drawn with the filter along their own axes: a hundredth.
         assert!((area(25) / area(10) - 1.0).abs() < 0.02, "{} becomes {}", area(10), area(25));
     }
 
