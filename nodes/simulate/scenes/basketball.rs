@@ -40,6 +40,10 @@ impl Default for BasketballParams {
 const SEAM: f64 = 0.03;
 const OUTER_SEAM: f64 = 0.62;
 
+/// Reflectance of the leather where a pebble is brightest, and the darkest and the brightest place of its skin as parts of that.
+const LEATHER: f64 = 0.6;
+const PEBBLES: (f64, f64) = (0.45, 1.0);
+
 /// The flattest slant at which the surface is shown, as the cosine to the viewer.
 const RIM: f64 = 0.3;
 
@@ -81,7 +85,7 @@ impl Basketball {
             bounce_ns: params.bounce.ns() as f64,
             spin: TAU * params.spin.turns_per_s() * 1e-9,
             axis,
-            skin: Texture::new(0.7, 1.0, seed, 2),
+            skin: Texture::new(PEBBLES.0, PEBBLES.1, seed, 2),
             wall: Texture::new(0.1, 0.6, seed, 1),
         }
     }
@@ -116,9 +120,11 @@ impl Basketball {
         // Near the rim the surface is seen at a slant and a seam takes fewer pixels.
         let pixels = self.radius * normal[2].max(RIM);
         let seam = covered((to_seam - SEAM) * pixels) * (2.0 * SEAM * pixels).min(1.0);
-        // There a pixel holds many pebbles and shows their mean.
-        let pebbles = self.skin.at(self.radius * (bx + 0.37 * bz), self.radius * (by - 0.61 * bz));
-        let skin = 0.75 * blend(0.84, pebbles, (2.0 * (normal[2] - RIM)).clamp(0.0, 1.0));
+        // There a pixel holds many pebbles and shows their mean. The skin is laid on along each axis, weighted by how squarely it lies there: one plane
+        // alone would draw streaks where the sphere turns away from it.
+        let laid = |u: f64, v: f64| self.skin.at(self.radius * u, self.radius * v);
+        let pebbles = bx * bx * laid(by, bz) + by * by * laid(bz, bx) + bz * bz * laid(bx, by);
+        let skin = LEATHER * blend((PEBBLES.0 * PEBBLES.1).sqrt(), pebbles, (2.0 * (normal[2] - RIM)).clamp(0.0, 1.0));
         let shade = 0.35 + 0.65 * dot(normal, LIGHT).max(0.0);
         (shade * blend(skin, 0.05, seam)).max(DARKEST)
     }
