@@ -34,7 +34,7 @@ pub struct Decl {
     pub about: &'static str,
     /// Rises when output changes on purpose.
     pub revision: u32,
-    /// How far an output element reaches.
+    /// How far an output element reaches; [`Node::grain`] may say otherwise of some inputs.
     pub grain: Grain,
     /// Does it use the seed?
     pub draws: bool,
@@ -78,6 +78,12 @@ pub trait Node: Sized + Send + Sync + 'static {
     /// When these inputs cannot work, with the reason.
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError>;
 
+    /// How far an output element reaches with these inputs: asked after [`Node::plan`] accepted them. For a node that couples pixels only
+    /// when its inputs say so; all others leave it at what they declare.
+    fn grain(&self, _inputs: &PortMetas) -> Grain {
+        Self::DECL.grain
+    }
+
     /// Does the work for `cx.rows()`.
     ///
     /// # Errors
@@ -97,6 +103,8 @@ pub trait AnyNode: Send + Sync {
     /// # Errors
     /// As [`Node::plan`].
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError>;
+    /// [`Node::grain`].
+    fn grain(&self, inputs: &PortMetas) -> Grain;
     /// [`Node::run`].
     ///
     /// # Errors
@@ -111,6 +119,9 @@ struct Erased<N>(N);
 impl<N: Node> AnyNode for Erased<N> {
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         self.0.plan(inputs)
+    }
+    fn grain(&self, inputs: &PortMetas) -> Grain {
+        self.0.grain(inputs)
     }
     fn run(&self, input: PortValues, cx: &Context) -> Result<PortValues, NodeError> {
         Ok(self.0.run(N::In::take(input), cx)?.give())

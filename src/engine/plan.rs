@@ -12,7 +12,7 @@ use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::document::Problem;
 use photocurrent_core::node::{AnyNode, canonical_params};
 use photocurrent_core::ports::{Arity, PortSpec};
-use photocurrent_core::{Catalogue, DataType, Decl, Digest, FileRef, Meta, PortMetas};
+use photocurrent_core::{Catalogue, DataType, Decl, Digest, FileRef, Grain, Meta, PortMetas};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -46,6 +46,8 @@ pub struct TaskInput {
 pub struct Task {
     /// What its kind says about itself.
     pub decl: Decl,
+    /// How far an output element reaches, with its inputs.
+    pub grain: Grain,
     /// Its name where it stands in one variant, and for people: `solve`.
     pub label: String,
     /// The (variant, node)s that it stands for.
@@ -268,14 +270,29 @@ impl Planner {
             self.tasks[task].uses.push(name);
             return Some(task);
         }
-        let outputs = self.plan(node, &inputs)?;
+        let (outputs, grain) = self.plan(node, &inputs)?;
         let label = node.spec.id.clone();
         let canonical_params = canonical_params(&node.params, &node.kind.schema);
         let schema = Arc::new(node.kind.schema.clone());
         let changed_params = changed(&node.params, &node.kind.schema);
         let params = node.params.clone();
         let node = node.node.clone();
-        self.tasks.push(Task { decl, label, uses: vec![name], params, changed_params, canonical_params, schema, inputs, outputs, files, seed, export, node });
+        self.tasks.push(Task {
+            decl,
+            grain,
+            label,
+            uses: vec![name],
+            params,
+            changed_params,
+            canonical_params,
+            schema,
+            inputs,
+            outputs,
+            files,
+            seed,
+            export,
+            node,
+        });
         self.known.insert(hash, self.tasks.len() - 1);
         Some(self.tasks.len() - 1)
     }
@@ -300,11 +317,12 @@ impl Planner {
         if stops { None } else { Some((!from.is_empty()).then_some(from)) }
     }
 
-    /// Asks the node what its outputs will look like.
-    fn plan(&mut self, node: &TypedNode<'_>, inputs: &[TaskInput]) -> Option<Vec<TaskOutput>> {
+    /// Asks the node what its outputs will look like, and how far they reach.
+    fn plan(&mut self, node: &TypedNode<'_>, inputs: &[TaskInput]) -> Option<(Vec<TaskOutput>, Grain)> {
         let meta = |&(task, port): &(TaskId, &'static str)| self.tasks[task].output(port).map(|output| output.meta.clone());
         let metas: BTreeMap<String, Vec<Meta>> = inputs.iter().map(|input| (input.port.to_string(), input.from.iter().filter_map(meta).collect())).collect();
-        let planned = match node.node.plan(&PortMetas::new(metas)) {
+        let metas = PortMetas::new(metas);
+        let planned = match node.node.plan(&metas) {
             Ok(planned) => planned,
             Err(mut error) => {
                 let blamed = inputs.iter().filter(|input| Some(input.data_type) == error.blamed_input);
@@ -323,7 +341,8 @@ impl Planner {
             node.kind.decl.kind
         );
         assert!(specs.iter().all(|spec| spec.arity != Arity::Many), "{}: an output gives one value: the store has one place for it", node.kind.decl.kind);
-        Some(planned.into_iter().zip(specs).map(|(meta, spec)| TaskOutput { port: spec.name, meta, wanted: false }).collect())
+        let outputs = planned.into_iter().zip(specs).map(|(meta, spec)| TaskOutput { port: spec.name, meta, wanted: false }).collect();
+        Some((outputs, node.node.grain(&metas)))
     }
 
     /// An output is wanted when something takes it, when it is kept, and when nothing takes any output of its node.

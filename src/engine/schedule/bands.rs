@@ -49,7 +49,7 @@ pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> 
         let counter = if output.meta.rows() == Some(rows) { &mut size.banded_outputs } else { &mut size.fixed };
         *counter += output.meta.estimated_bytes();
     }
-    let halo = match task.decl.grain {
+    let halo = match task.grain {
         Grain::Pixel => Some(0),
         Grain::Row { halo } => Some(halo),
         Grain::Frame | Grain::Whole => None,

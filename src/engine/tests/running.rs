@@ -180,6 +180,30 @@ fn bands_of_any_height_and_any_number_of_threads_give_the_same() {
 }
 
 #[test]
+fn a_node_is_cut_into_bands_or_not_as_its_inputs_say() {
+    let text = "format = 1\n[nodes.source]\nkind = \"read/source\"\n[nodes.couple]\nkind = \"refine/couple\"\nin.plane = \"source\"\n";
+    #[derive(Default)]
+    struct Bands(Mutex<usize>);
+    impl Observer for Bands {
+        fn progress_advance(&self, _: TaskId, _: u64) {
+            *self.0.lock().unwrap() += 1;
+        }
+    }
+    // Row y of column x is 1 + x / 4 + y / 2: eight columns of three rows sum up to 24 + 21 + 12.
+    for (width, bands, expected) in [(8, 0, [57.0; 3]), (4, 3, [1.0, 1.5, 2.0])] {
+        let bench = Bench::new();
+        let plan = bench.plan(text, &[&format!("nodes.source.params = {{ width = {width}, height = 3 }}")]);
+        let (seen, options) = (Bands::default(), Options { band_rows: Some(1), ..bench.options() });
+        let outcome = run(&plan, &bench.cache, &options, &seen, &AtomicBool::new(false));
+        assert_well(&outcome);
+        assert_eq!(*seen.0.lock().unwrap(), bands);
+        let Some(Value::Map(map)) = outcome.value(&bench.cache, "base", "couple", "plane").unwrap() else { panic!("a map is stored") };
+        let band = map.read(map.rows()).unwrap();
+        assert_eq!([0, 1, 2].map(|y| band.row(0, y)[0]), expected);
+    }
+}
+
+#[test]
 fn a_small_budget_cuts_into_bands_and_gives_the_same() {
     let (roomy, tight) = (Bench::new(), Bench::new());
     let large = ["nodes.source.params = { width = 64, height = 64 }"];

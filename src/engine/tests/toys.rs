@@ -18,6 +18,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<Scale>(),
         Kind::of::<Smooth>(),
         Kind::of::<Sign>(),
+        Kind::of::<Couple>(),
         Kind::of::<Split>(),
         Kind::of::<Noise>(),
         Kind::of::<Sum>(),
@@ -242,6 +243,33 @@ impl Node for Sign {
     }
     fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
         Ok(Plane { plane: map_pixels(&input.plane, cx, f32::signum)? })
+    }
+}
+
+/// Couples all pixels of a plane wider than four columns: each becomes the plane's sum. Leaves pixels of narrower ones alone.
+pub struct Couple;
+
+impl Node for Couple {
+    const DECL: Decl = decl("refine/couple", Grain::Pixel);
+    type Params = NoParams;
+    type In = Plane;
+    type Out = Plane;
+    fn build(_: NoParams) -> Result<Self, NodeError> {
+        Ok(Couple)
+    }
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        Ok(vec![plane_meta(inputs)])
+    }
+    fn grain(&self, inputs: &PortMetas) -> Grain {
+        if matches!(plane_meta(inputs), Meta::Map(map) if map.extent.width > 4) { Grain::Whole } else { Grain::Pixel }
+    }
+    fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
+        let extent = input.plane.meta.extent;
+        if extent.width <= 4 {
+            return Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value)? });
+        }
+        let sum = input.plane.read(extent.rows())?.values.iter().sum();
+        Ok(Plane { plane: map_pixels(&input.plane, cx, |_| sum)? })
     }
 }
 
