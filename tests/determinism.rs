@@ -33,6 +33,26 @@ fn results_do_not_depend_on_threads_or_the_height_of_bands() {
     assert_eq!(run(&["--threads", "2", "--memory", "100kB"]), expected);
 }
 
+#[test]
+fn pixels_that_wait_for_each_other_do_not_depend_on_threads_or_the_height_of_bands() {
+    let sensor = "kind = \"read/sensor\"\nparams = { path = \"hybrid.toml\", change = { effects = { readout_queue = { service = \"2 us\" } } } }";
+    let scene = "kind = \"simulate/scene\"\nin.sensor = \"sensor\"\nparams = { scene = \"fan\", width = 24, height = 20, duration = \"20 ms\" }";
+    let recording = "kind = \"simulate/sensor\"\nin = { light = \"scene.light\", sensor = \"sensor\" }";
+    let queued = format!("format = 1\n[nodes.sensor]\n{sensor}\n[nodes.scene]\n{scene}\n[nodes.recording]\n{recording}\n");
+    let run = |text: &str, how: &[&str]| {
+        let bench = Bench::new();
+        std::fs::copy(support::root().join("data/sensors/hybrid.toml"), bench.path("hybrid.toml")).expect("a description");
+        bench.write("m.toml", text);
+        digests(&bench.outcome(&[&["m.toml"], how].concat()))
+    };
+    let expected = run(&queued, &["--threads", "1"]);
+    assert_eq!(run(&queued, &["--threads", "2", "--band-rows", "3"]), expected);
+    let alone = run(&queued.replace("2 us", "0 us"), &["--band-rows", "3"]);
+    assert_eq!(alone["scene.light"], expected["scene.light"]);
+    assert_ne!(alone["recording.events"], expected["recording.events"], "a queue that nobody waits in would prove nothing");
+    assert_eq!(alone["recording.frames"], expected["recording.frames"]);
+}
+
 /// What the small pipeline gives, recorded. It does not depend on the machine: transcendental functions come from `libm`, and no multiply-add is
 /// fused.
 ///

@@ -3,17 +3,19 @@
 //! Everything the simulators share: when frames are exposed, how charge becomes a noisy whole number, how a pixel's events come about
 //! ([`photocurrent_sensor::forward`]) with the effects of the sensor description. Every pixel has its own random numbers, so row bands do not matter.
 //!
-//! Limits: photon noise only in the frames; readout latency is drawn per event (a queue, which couples the pixels, is refused).
+//! An effect that couples all pixels (a queue on their way out) does nothing until [`Camera::inform`] tells it the load.
+//!
+//! Limits: photon noise only in the frames; the random part of the readout latency is drawn per event.
 
 use crate::pixel_events::StepRule;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
 use photocurrent_core::{EventsMeta, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
-use photocurrent_sensor::effects::{Effect, Site, from_description};
+use photocurrent_sensor::effects::{ArrayEvent, Effect, Site, from_description};
 use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_sensor::forward::neighbours::halo;
-use photocurrent_sensor::forward::{Chain, FrameReadout, LOG_STEP, LinearLight, Pixel, PixelNoise, read_frames, simulate};
+use photocurrent_sensor::forward::{Chain, Fired, FrameReadout, LOG_STEP, LinearLight, Pixel, PixelNoise, read_frames, simulate};
 use photocurrent_sensor::front_end::FrontEnd;
 
 /// When frames are taken, and how late events come; stated by the node, not by the sensor.
@@ -62,6 +64,8 @@ pub struct Camera {
     pixel: Pixel,
     sensor: Sensor,
     effects: Vec<Box<dyn Effect>>,
+    /// Which of the effects couple all pixels.
+    coupling: Vec<bool>,
     capture: Capture,
     span: TimeSpan,
     seed: u64,
@@ -82,10 +86,7 @@ impl Camera {
         ];
         sensor.need_all(&[StepRule::needs(sensor).as_slice(), &stated].concat(), who)?;
         let effects = from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
-        if let Some(effect) = effects.iter().find(|effect| effect.informed(&[]).is_some()) {
-            return Err(NodeError::usage(format!("`effects.{}` couples all pixels, and {who} simulates them row by row", effect.id()))
-                .hint("leave it out of the description"));
-        }
+        let coupling = effects.iter().map(|effect| effect.informed(&[]).is_some()).collect();
         let pixel = Pixel {
             front_end: FrontEnd {
                 tau_0_s: sensor.need(sensor.front_end.tau_0, "front_end.tau_0", who)?.seconds(),
@@ -102,7 +103,7 @@ impl Camera {
         let frames = FramesMeta { extent, channels: 1, times: timing.frame_times(span, extent.height, row_time_ns)?, scale: FrameScale::Captured };
         let moved = crate::pixel_events::clock_offset(sensor)?.offset_ns;
         let events = EventsMeta { extent, span: Some(span.moved(moved)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
-        Ok(Camera { events, frames, pixel, sensor: sensor.clone(), effects, capture: Capture::new(sensor, who)?, span, seed })
+        Ok(Camera { events, frames, pixel, sensor: sensor.clone(), effects, coupling, capture: Capture::new(sensor, who)?, span, seed })
     }
 
     /// Rows above and below whose light reaches a pixel through its effects.
@@ -115,6 +116,41 @@ impl Camera {
         &self.effects
     }
 
+    /// The id of an effect that couples all pixels, if the description has one: then no row can be simulated before [`Camera::inform`].
+    pub fn couples(&self) -> Option<&'static str> {
+        self.effects.iter().zip(&self.coupling).find_map(|(effect, couples)| couples.then(|| effect.id()))
+    }
+
+    /// Tells the effects that couple all pixels what the whole array does; `load` is in order of true off-pixel time.
+    pub fn inform(&mut self, load: &[ArrayEvent]) {
+        for (effect, _) in self.effects.iter_mut().zip(&self.coupling).filter(|(_, couples)| **couples) {
+            if let Some(informed) = effect.informed(load) {
+                *effect = informed;
+            }
+        }
+    }
+
+    /// How much later than without load an event of pixel (x, y) that fires at `t_in_ns` resets its pixel, nanoseconds.
+    pub fn delay_ns(&self, x: u32, y: u32, t_in_ns: i64) -> i64 {
+        let site = self.site(x, y);
+        let coupling = self.effects.iter().zip(&self.coupling).filter(|(_, couples)| **couples);
+        // Load and instant say it all: the numbers of this stream stay unused ([`Effect::informed`]).
+        let latencies = coupling.map(|(effect, _)| effect.latency(&site, &mut Random::new(self.seed, &[]), t_in_ns));
+        latencies.map(|latency| latency.shown_ns + latency.hidden_ns).sum()
+    }
+
+    fn site(&self, x: u32, y: u32) -> Site {
+        let extent = self.frames.extent;
+        Site { x, y, width: extent.width, height: extent.height, seed: self.seed }
+    }
+
+    /// Everything that pixel (x, y) fires in `seen`, the light of the event path: lost events, and those that leave after the end, too.
+    pub fn fired(&self, x: u32, y: u32, seen: &LinearLight) -> Vec<Fired> {
+        let chain = Chain { pixel: self.pixel, reset: self.sensor.comparator.reset, effects: &self.effects };
+        let mut noise = Noise { random: Random::new(self.seed, &[x.into(), y.into(), 1]), sigma: self.sensor.comparator.threshold_noise.unwrap_or(0.0) };
+        simulate(&chain, &self.site(x, y), seen, self.span.start.0, self.span.end.0, &mut noise)
+    }
+
     /// The digital number that a charge would read without noise: for truth.
     pub fn exact_dn(&self, charge: f64) -> f64 {
         self.capture.scale.of(charge)
@@ -125,11 +161,7 @@ impl Camera {
     /// # Errors
     /// When a stamp leaves the range of the clock.
     pub fn pixel(&self, x: u32, y: u32, seen: &LinearLight, light: &LinearLight, events: &mut Vec<Event>) -> Result<Vec<f64>, NodeError> {
-        let extent = self.frames.extent;
-        let site = Site { x, y, width: extent.width, height: extent.height, seed: self.seed };
-        let chain = Chain { pixel: self.pixel, reset: self.sensor.comparator.reset, effects: &self.effects };
-        let mut noise = Noise { random: Random::new(self.seed, &[x.into(), y.into(), 1]), sigma: self.sensor.comparator.threshold_noise.unwrap_or(0.0) };
-        for fired in simulate(&chain, &site, seen, self.span.start.0, self.span.end.0, &mut noise) {
+        for fired in self.fired(x, y, seen) {
             // What leaves the array after the end is no part of the recording.
             let Some(event) = fired.recorded.filter(|_| fired.left_ns < self.span.end.0) else { continue };
             let polarity = if event.polarity > 0 { Polarity::On } else { Polarity::Off };
@@ -138,7 +170,7 @@ impl Camera {
         let readout = FrameReadout { number: self.capture.scale, saturation: self.capture.saturation_dn, row_time_ns: self.frames.times.row_time_ns };
         let exposures: Vec<Exposure> = (0..self.frames.times.len()).map(|l| self.frames.times.exposure(l, y)).collect();
         let mut random = Random::new(self.seed, &[x.into(), y.into(), 2]);
-        Ok(read_frames(&readout, &self.effects, &site, light, &exposures).into_iter().map(|dn| self.capture.recorded(dn, &mut random)).collect())
+        Ok(read_frames(&readout, &self.effects, &self.site(x, y), light, &exposures).into_iter().map(|dn| self.capture.recorded(dn, &mut random)).collect())
     }
 }
 

@@ -2,8 +2,10 @@
 
 pub mod camera;
 pub mod instants;
+mod load;
 pub mod moved;
 pub mod photo;
+mod pixel_light;
 pub mod scene;
 pub mod scenes;
 pub mod sensor;

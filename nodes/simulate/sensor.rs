@@ -4,17 +4,19 @@
 //! readout latency, refractory period, reset, with every effect that the description's `[effects]` names; and through the exposure of each frame. Crossing times
 //! are solved, not stepped, so events do not clump on the light's instants.
 //!
-//! Works row by row, with as many rows of halo as the effects that mix neighbours need. Limits: an effect that couples all pixels (a queue on
-//! the readout bus) is refused; light from further than [`HALO_ROWS`] rows away too.
+//! Works row by row, with as many rows of halo as the effects that mix neighbours need. An effect that couples all pixels (a queue on the
+//! readout bus) makes it work on the whole array instead, in several passes ([`super::load`]). Limit: light from further than [`HALO_ROWS`] rows
+//! away is refused.
 
 use super::camera::{Camera, Timing};
+use super::load;
+use super::pixel_light::PixelLight;
 use photocurrent_core::events::Event;
-use photocurrent_core::light::{Light, LightBand};
+use photocurrent_core::light::{Light, LightMeta};
 use photocurrent_core::quantity::{Duration, Rate};
-use photocurrent_core::{Context, Decl, EventBand, EventStream, Extent, FrameBlock, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor};
-use photocurrent_sensor::effects::{Kernel, Tap};
-use photocurrent_sensor::forward::LinearLight;
-use photocurrent_sensor::forward::neighbours::{joined, mixed, stand_in};
+use photocurrent_core::{Context, Decl, EventBand, EventStream, FrameBlock, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor};
+use photocurrent_sensor::effects::Kernel;
+use photocurrent_sensor::forward::neighbours::joined;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,9 +25,8 @@ use std::sync::Arc;
 /// Rows above and below that effects may reach.
 pub const HALO_ROWS: u32 = 16;
 
-/// The forward model takes the logarithm of light as linear between two instants. Light that is linear itself is off by at most the square
-/// of this over eight, here a hundred-thousandth: a ten-thousandth of a threshold.
-const LOG_STEP: f64 = 0.01;
+/// Rows whose light is in memory at once when the array is simulated as a whole.
+const BLOCK_ROWS: u32 = 64;
 
 /// Parameters of `simulate/sensor`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -76,7 +77,7 @@ pub struct SimulateSensor {
 const WHO: &str = "simulate/sensor";
 
 impl SimulateSensor {
-    fn camera(&self, light: &photocurrent_core::light::LightMeta, sensor: &Sensor, seed: u64) -> Result<(Camera, Option<Kernel>), NodeError> {
+    fn camera(&self, light: &LightMeta, sensor: &Sensor, seed: u64) -> Result<(Camera, Option<Kernel>), NodeError> {
         let timing = Timing { frame_rate: self.params.frame_rate, exposure: self.params.exposure, latency_spread: self.params.latency_spread };
         let camera = Camera::new(sensor, &timing, light.extent, light.span, seed, WHO)?;
         if camera.halo() > HALO_ROWS {
@@ -117,36 +118,28 @@ params = { frame_rate = "120 fps", exposure = "6.5 ms" }
         Ok(vec![Meta::Events(Arc::new(camera.events)), Meta::Frames(Arc::new(camera.frames))])
     }
 
+    fn grain(&self, inputs: &PortMetas) -> Grain {
+        let camera = inputs.light("light").and_then(|light| self.camera(light, inputs.sensor("sensor")?, 0));
+        match camera {
+            Ok((camera, _)) if camera.couples().is_some() => Grain::Whole,
+            _ => Self::DECL.grain,
+        }
+    }
+
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let (camera, kernel) = self.camera(&input.light.meta, &input.sensor, cx.seed())?;
-        let (rows, extent) = (cx.rows(), input.light.meta.extent);
+        let (mut camera, kernel) = self.camera(&input.light.meta, &input.sensor, cx.seed())?;
+        let rows = cx.rows();
+        let block_rows = if camera.couples().is_some() { BLOCK_ROWS } else { rows.len() as u32 };
+        load::settle(&mut camera, kernel.as_ref(), &input.light, block_rows, cx)?;
         cx.begin(rows.len() as u64, "rows");
-        let light = input.light.read(rows.with_halo(camera.halo(), extent.rows()))?;
-        let simulate_row = |y: u32| -> Result<(Vec<Event>, FrameBlock), NodeError> {
-            let mut events = Vec::new();
-            let mut frames = FrameBlock::zeros(0..camera.frames.times.len(), Rows { start: y, end: y + 1 }, camera.frames.row_values());
-            let (mut own, mut mixed, mut cut) = (Instants::default(), Instants::default(), Instants::default());
-            for x in 0..extent.width {
-                own.take(&light, x, y);
-                if let Some(kernel) = &kernel {
-                    mixed.mix(&light, extent, kernel, x, y);
-                }
-                let seen = if kernel.is_some() { &mixed } else { &own };
-                cut.cut(seen);
-                let values = camera.pixel(x, y, &cut.light()?, &own.light()?, &mut events)?;
-                for (l, dn) in values.into_iter().enumerate() {
-                    frames.row_mut(l, y)[x as usize] = dn as f32;
-                }
-            }
-            cx.advance(1)?;
-            Ok((events, frames))
-        };
-        let simulated: Result<Vec<_>, NodeError> = rows.iter().into_par_iter().map(simulate_row).collect();
         let (mut events, mut frames) = (Vec::new(), FrameBlock::zeros(0..camera.frames.times.len(), rows, camera.frames.row_values()));
-        for (y, (row_events, row_frames)) in rows.iter().zip(simulated?) {
-            events.extend(row_events);
-            for l in row_frames.frames.clone() {
-                frames.row_mut(l, y).copy_from_slice(row_frames.row(l, y));
+        for block in rows.bands(block_rows) {
+            let simulated = simulate_rows(&camera, kernel.as_ref(), &input.light, block, cx)?;
+            for (y, (row_events, row_frames)) in block.iter().zip(simulated) {
+                events.extend(row_events);
+                for l in row_frames.frames.clone() {
+                    frames.row_mut(l, y).copy_from_slice(row_frames.row(l, y));
+                }
             }
         }
         let mut band = EventBand::from_events(rows, events)?;
@@ -155,71 +148,32 @@ params = { frame_rate = "120 fps", exposure = "6.5 ms" }
     }
 }
 
-/// One pixel's light in double precision.
-#[derive(Default)]
-struct Instants {
-    t: Vec<i64>,
-    photocurrent: Vec<f64>,
-}
-
-impl Instants {
-    fn take(&mut self, light: &LightBand, x: u32, y: u32) {
-        let pixel = light.pixel(x, y);
-        self.t.clear();
-        self.t.extend_from_slice(pixel.t);
-        self.photocurrent.clear();
-        self.photocurrent.extend(pixel.photocurrent.iter().map(|i| f64::from(*i)));
-    }
-
-    /// The weighted sum of the neighbours' light at all their instants; beyond the edge the nearest pixel stands in.
-    fn mix(&mut self, light: &LightBand, extent: Extent, kernel: &Kernel, x: u32, y: u32) {
-        let neighbour = |tap: &Tap| {
-            let (column, row) = (stand_in(x as usize, tap.dx, extent.width as usize), stand_in(y as usize, tap.dy, extent.height as usize));
-            light.pixel(column as u32, row as u32)
-        };
-        self.t.clear();
-        self.t.extend(kernel.taps.iter().flat_map(|tap| neighbour(tap).t));
-        self.t.sort_unstable();
-        self.t.dedup();
-        self.photocurrent.clear();
-        let sum = |&t: &i64| mixed(kernel, |tap| photocurrent_core::light::at(neighbour(tap), t).unwrap_or(f64::NAN));
-        self.photocurrent.extend(self.t.iter().map(sum));
-    }
-
-    /// The same light with instants added where it changes by more than [`LOG_STEP`] from one to the next.
-    fn cut(&mut self, light: &Instants) {
-        self.t.clear();
-        self.photocurrent.clear();
-        for k in 0..light.t.len() {
-            if k > 0 {
-                let (t, i) = (light.t[k - 1], light.photocurrent[k - 1]);
-                let (length, change) = (light.t[k] - t, light.photocurrent[k] - i);
-                let pieces = ((libm::log(light.photocurrent[k] / i).abs() / LOG_STEP).ceil() as i64).clamp(1, length.max(1));
-                for piece in 1..pieces {
-                    let after = length * piece / pieces;
-                    self.t.push(t + after);
-                    self.photocurrent.push(i + change * after as f64 / length as f64);
-                }
+/// Events and frame values of some rows, each row by itself.
+fn simulate_rows(camera: &Camera, kernel: Option<&Kernel>, light: &Light, rows: Rows, cx: &Context) -> Result<Vec<(Vec<Event>, FrameBlock)>, NodeError> {
+    let extent = light.meta.extent;
+    let light = light.read(rows.with_halo(camera.halo(), extent.rows()))?;
+    let simulate_row = |y: u32| -> Result<(Vec<Event>, FrameBlock), NodeError> {
+        let mut events = Vec::new();
+        let mut frames = FrameBlock::zeros(0..camera.frames.times.len(), Rows { start: y, end: y + 1 }, camera.frames.row_values());
+        let mut pixel = PixelLight::default();
+        for x in 0..extent.width {
+            pixel.take(&light, extent, kernel, x, y);
+            let values = camera.pixel(x, y, &pixel.seen()?, &pixel.own()?, &mut events)?;
+            for (l, dn) in values.into_iter().enumerate() {
+                frames.row_mut(l, y)[x as usize] = dn as f32;
             }
-            self.t.push(light.t[k]);
-            self.photocurrent.push(light.photocurrent[k]);
         }
-    }
-
-    fn light(&self) -> Result<LinearLight<'_>, NodeError> {
-        if self.t.is_empty() || !self.photocurrent.iter().all(|i| *i > 0.0 && i.is_finite()) {
-            return Err(NodeError::input("the light has a pixel without a positive photocurrent at every instant")
-                .hint("a scene reflects more than nothing everywhere"));
-        }
-        Ok(LinearLight::new(&self.t, &self.photocurrent))
-    }
+        cx.advance(1)?;
+        Ok((events, frames))
+    };
+    rows.iter().into_par_iter().map(simulate_row).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_core::light::LightMeta;
-    use photocurrent_core::{TimeSpan, testing};
+    use photocurrent_core::light::LightBand;
+    use photocurrent_core::{Extent, TimeSpan, testing};
     use serde_json::json;
 
     const EXTENT: Extent = Extent { width: 6, height: 5 };
@@ -248,8 +202,12 @@ mod tests {
         Light::in_memory(Arc::new(LightMeta { extent: EXTENT, span: TimeSpan::new(0, LENGTH_NS), count_hint: None }), band)
     }
 
+    fn node() -> SimulateSensor {
+        SimulateSensor { params: Params { latency_spread: Duration::new(0), ..Params::default() } }
+    }
+
     fn run(effects: serde_json::Value, rows: Rows) -> Result<Out, NodeError> {
-        let node = SimulateSensor { params: Params { latency_spread: Duration::new(0), ..Params::default() } };
+        let node = node();
         let input = In { light: light().cut(rows.with_halo(HALO_ROWS, EXTENT.rows())), sensor: Arc::new(sensor(effects)) };
         testing::with_context(rows, &["events", "frames"], |cx| node.run(input, cx)).0
     }
@@ -301,5 +259,59 @@ mod tests {
         // All columns double alike, so their weighted sums do too: the same times everywhere, and the frames see no crosstalk.
         assert!(plain.t.iter().zip(&soft_events.t).all(|(a, b)| (a - b).abs() < 1000) && plain.len() == soft_events.len());
         assert_eq!(soft.frames.read(0..1, EXTENT.rows()).unwrap().row(0, 3), [65.0, 130.0, 195.0, 260.0, 325.0, 390.0]);
+    }
+
+    /// What pixels record, in the order of rows and columns, when the logarithm of the light of all rises by 20 a second: a threshold in 10 ms.
+    fn ramped(effects: serde_json::Value, refractory_ns: i64) -> Vec<Vec<i64>> {
+        let mut band = LightBand::begin(0, EXTENT.width);
+        for _ in 0..EXTENT.pixels() {
+            band.push((0..=250).map(|k| (400_000 * k, (10.0 * libm::exp(0.008 * k as f64)) as f32)));
+        }
+        let light = Light::in_memory(Arc::new(LightMeta { extent: EXTENT, span: TimeSpan::new(0, LENGTH_NS), count_hint: None }), band);
+        let mut sensor = sensor(effects);
+        sensor.readout.refractory = Some(Duration::new(refractory_ns));
+        let input = In { light, sensor: Arc::new(sensor) };
+        let (out, notes) = testing::with_context(EXTENT.rows(), &["events", "frames"], |cx| node().run(input, cx));
+        assert_eq!(notes, [""; 0]);
+        let band = out.unwrap().events.read(EXTENT.rows()).unwrap();
+        let pixels = |y| {
+            let row = band.row(y);
+            let by_pixel = row.by_pixel(EXTENT.width);
+            (0..EXTENT.width as usize).map(|x| by_pixel.pixel(x).iter().map(|&event| row.t[event]).collect()).collect::<Vec<Vec<i64>>>()
+        };
+        EXTENT.rows().iter().flat_map(pixels).collect()
+    }
+
+    #[test]
+    fn pixels_that_cross_at_once_leave_one_after_the_other_and_are_blind_from_then_on() {
+        let (service_ns, refractory_ns) = (90_000, 1_000_000);
+        let pixels = ramped(json!({ "readout_queue": { "service": "90 us" } }), refractory_ns);
+        for (k, pixel) in (0..).zip(&pixels) {
+            // All ask at 10 ms. The k-th leaves k services later, is then blind for its refractory period, and needs 10 ms for the next threshold.
+            // From then on the pixels ask one service after the other, and nobody waits.
+            let expected = (0..pixel.len() as i64).map(|n| 10_000_000 * (n + 1) + refractory_ns * n + if n > 0 { k * service_ns } else { 0 });
+            assert!(pixel.iter().zip(expected).all(|(t, expected)| (t - expected).abs() < 500), "pixel {k}: {pixel:?}");
+            assert_eq!(pixel.len(), if 98_000_000 + k * service_ns < LENGTH_NS { 9 } else { 8 });
+        }
+    }
+
+    #[test]
+    fn events_that_are_lost_behind_the_queue_load_it() {
+        let all = ramped(json!({ "readout_queue": { "service": "90 us" } }), 1_000_000);
+        let some = ramped(json!({ "readout_queue": { "service": "90 us" }, "event_loss": { "fraction": 0.5 } }), 1_000_000);
+        let count = |pixels: &[Vec<i64>]| pixels.iter().map(Vec::len).sum::<usize>();
+        assert!((count(&all) / 3..count(&all) * 2 / 3).contains(&count(&some)));
+        assert!(all.iter().zip(&some).all(|(all, some)| some.iter().all(|t| all.contains(t))));
+    }
+
+    #[test]
+    fn the_array_is_simulated_as_a_whole_when_its_pixels_are_coupled_and_else_by_rows() {
+        let grain = |effects| {
+            let light = Meta::Light(light().meta);
+            let inputs = PortMetas::new([("light".to_string(), vec![light]), ("sensor".to_string(), vec![Meta::Sensor(Arc::new(sensor(effects)))])].into());
+            node().grain(&inputs)
+        };
+        assert_eq!(grain(json!({ "readout_queue": { "service": "80 ns" } })), Grain::Whole);
+        assert_eq!(grain(json!({ "readout_queue": { "service": "0 ns" }, "crosstalk": { "fraction": 0.2 } })), Grain::Row { halo: HALO_ROWS });
     }
 }

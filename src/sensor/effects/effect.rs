@@ -346,8 +346,12 @@ pub trait Effect: Send + Sync {
     /// Turns true times into recorded ones.
     fn stamp(&self, _site: &Site, _random: &mut Random, _event: &mut PixelEvent) {}
 
-    /// The same effect knowing the load of a first pass over all pixels, events in order of true off-pixel time; the simulator
-    /// then runs the pixels again with it. None = the load does not matter.
+    /// The same effect knowing the load: everything that all pixels fired in a pass before, in order of true off-pixel time. Events that are lost
+    /// ([`Effect::keeps`]) are among them, as they have gone the whole way to the reset of their pixel and are lost behind it. The simulator then runs
+    /// the pixels again, and tells anew what they did, until nothing moves. None = the load does not matter.
+    ///
+    /// An informed effect answers otherwise in [`Effect::latency`] only, by load, pixel and instant without a random number: the simulator sees by
+    /// that which pixels another load moves.
     fn informed(&self, _events: &[ArrayEvent]) -> Option<Box<dyn Effect>> {
         None
     }

@@ -6,9 +6,10 @@
 //! far apart alike. Typical: 10 to 100 ns an event in fast sensors, a row at a time in others (microseconds); waits of 1 ms and more are known.
 //!
 //! Sources: Lindley's recursion for a queue with one server (1952), `W[n+1] = max(0, W[n] + service - gap)`; Prophesee's knowledge base on back-pressure.
-//! Limits: the load is that of a first pass without waiting. In it a pixel's events that would come while an earlier one still waits
-//! are left out, since the pixel is blind. Where waiting moves a pixel's later events, its wait can be off by about one
-//! service time; near overload, where it moves many of them, by more. Of requests at the same nanosecond the lower row goes first, then the lower column.
+//! What loads the queue: every event that a pixel fires, also one that is lost later (`event_loss`: full buffers and dropped packets lie behind the
+//! queue, and the pixel has waited and reset like any other). A crossing inside the blind time is no event, and loads nothing.
+//! Limits: the load is that of a pass before; `simulate/sensor` repeats passes until no wait changes. In a load a pixel's events that would
+//! come while an earlier one still waits are left out, since the pixel is blind. Of requests at the same nanosecond the lower row goes first, then the lower column.
 
 use super::{ArrayEvent, Effect, EffectDecl, EffectKind, Latency, ParameterDecl, Parameters, Site, Stage, Unit};
 use photocurrent_core::random::Random;
