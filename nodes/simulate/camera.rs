@@ -11,7 +11,7 @@ use crate::pixel_events::StepRule;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
-use photocurrent_core::{EventsMeta, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
+use photocurrent_core::{DataType, EventsMeta, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
 use photocurrent_sensor::effects::{ArrayEvent, Effect, Site, from_description};
 use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_sensor::forward::neighbours::halo;
@@ -75,7 +75,8 @@ impl Camera {
     /// From a description.
     ///
     /// # Errors
-    /// When it leaves out what a simulation needs, its effects are not understood, or the frames do not fit. `who` is the asker.
+    /// When it leaves out what a simulation needs, its effects are not understood, pixels would be blind for longer than there is light, or the
+    /// frames do not fit. `who` is the asker.
     pub fn new(sensor: &Sensor, timing: &Timing, extent: Extent, span: TimeSpan, seed: u64, who: &str) -> Result<Camera, NodeError> {
         let stated = [
             ("front_end.tau_0", sensor.front_end.tau_0.is_some()),
@@ -86,6 +87,13 @@ impl Camera {
         ];
         sensor.need_all(&[StepRule::needs(sensor).as_slice(), &stated].concat(), who)?;
         let effects = from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
+        if let Some(refractory) = sensor.readout.refractory.filter(|refractory| refractory.ns() > span.length_ns()) {
+            let message = format!("`readout.refractory` is {refractory}, and the light lasts {}", Duration::new(span.length_ns()));
+            return Err(NodeError::usage(message)
+                .note("a pixel is blind for its refractory period after each event: none could tell a second one")
+                .hint("check the unit of `readout.refractory` in the sensor description, usually 1 us to 10 ms, or make the light longer")
+                .blames(DataType::Sensor));
+        }
         let coupling = effects.iter().map(|effect| effect.informed(&[]).is_some()).collect();
         let pixel = Pixel {
             front_end: FrontEnd {
