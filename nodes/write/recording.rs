@@ -3,7 +3,7 @@
 //! What `read/recording` reads, this writes: events with their stamps, frames with their exposures, the sensor description, and for simulated data
 //! the truth. The layout is plain HDF5 (`photocurrent-recording/1`, docs/formats.md): h5py, xarray and MATLAB open it with nothing installed.
 //!
-//! Limits: events are held in memory while they are brought into time order, about 30 bytes each. A compensated `step` is no part of the
+//! Limits: events are held in memory while they are brought into time order, about 20 bytes each. A compensated `step` is no part of the
 //! layout and is left out.
 
 use photocurrent_core::extent::Extent;
@@ -113,13 +113,7 @@ params = { numbers = "u16" }
             truth: input.truth.as_ref(),
             ..RecordingContent::empty(extent)
         };
-        write_recording(&cx.export_dir()?.join(FILE), &content)?;
-        let mut events = 0;
-        if let Some(stream) = &input.events {
-            for rows in stream.rows().bands(64) {
-                events += stream.read(rows)?.len() as i64;
-            }
-        }
+        let events = write_recording(&cx.export_dir()?.join(FILE), &content)? as i64;
         let count = |frames: Option<&FrameSequence>| Column::Integers(vec![frames.map_or(0, |frames| frames.len() as i64)]);
         let listing = Table::default()
             .with("file", Column::Texts(vec![FILE.into()]))

@@ -43,11 +43,20 @@ pub trait Band: Send + Sync + Sized + 'static {
 pub trait BandSource<B>: Send + Sync {
     /// Reads some rows; only called with rows that the handle holds.
     fn read(&self, rows: Rows) -> Result<B, DataError>;
+
+    /// All of it without a copy, when it is in memory.
+    fn borrowed(&self) -> Option<&B> {
+        None
+    }
 }
 
 impl<B: Band> BandSource<B> for B {
     fn read(&self, rows: Rows) -> Result<B, DataError> {
         Ok(self.slice(rows))
+    }
+
+    fn borrowed(&self) -> Option<&B> {
+        Some(self)
     }
 }
 
@@ -74,6 +83,11 @@ impl<M: BandMeta> Handle<M> {
     /// Data in memory.
     pub fn in_memory(meta: Arc<M>, band: M::Band) -> Self {
         Handle { meta, rows: band.rows(), source: Arc::new(band) }
+    }
+
+    /// All rows without a copy, when they are in memory as one band; otherwise [`Handle::read`] them.
+    pub fn borrowed(&self) -> Option<&M::Band> {
+        self.source.borrowed().filter(|band| band.rows() == self.rows)
     }
 
     /// The rows that can be read.

@@ -1,15 +1,20 @@
-//! What users wait for: storing frames and reading them back, in bytes of f32 per second.
+//! What users wait for: storing frames and reading them back, in bytes of f32 per second, and writing a recording.
 //!
 //! `ordinary_*` is the same work through the library's own filters, as a yardstick for packing chunks ourselves.
 //! Frames are whole numbers with photon noise, 200 x 480 x 546: 210 MB.
 #![allow(clippy::unwrap_used)]
 
-use divan::{Bencher, counter::BytesCount};
+use divan::{
+    Bencher,
+    counter::{BytesCount, ItemsCount},
+};
+use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::random::Random;
-use photocurrent_core::{Exposure, Extent, FrameSequence, Rows, Value, testing};
+use photocurrent_core::{EventBand, EventStream, EventsMeta, Exposure, Extent, FrameSequence, Rows, Value, testing};
+use photocurrent_store::recording::{RecordingContent, write_recording};
 use photocurrent_store::{ValueWriter, open_value};
 use std::path::Path;
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 const EXTENT: Extent = Extent { width: 546, height: 480 };
 const FRAMES: usize = 200;
@@ -97,6 +102,42 @@ fn ordinary_read(bencher: Bencher) {
 fn digest_only(bencher: Bencher) {
     let value = Value::Frames(NOISY.clone());
     bencher.counter(bytes()).bench(|| value.cut(Rows { start: 0, end: EXTENT.height }).digest().unwrap());
+}
+
+/// Eight million events of pixels that fire some tens of times in a row.
+static EVENTS: LazyLock<EventStream> = LazyLock::new(|| {
+    let mut random = Random::new(2, &[]);
+    let mut events = Vec::new();
+    for y in 0..EXTENT.height as u16 {
+        for x in 0..EXTENT.width as u16 {
+            let mut t = (random.uniform() * 1e9) as i64;
+            for _ in 0..8_000_000 / EXTENT.pixels() {
+                t += 50_000 + (random.uniform() * 1e6) as i64;
+                let polarity = if random.uniform() < 0.5 { Polarity::On } else { Polarity::Off };
+                events.push(Event { x, y, polarity, t: t + 1_000 + (random.uniform() * 40_000.0) as i64, t_in: Some(t) });
+            }
+        }
+    }
+    let meta = EventsMeta { extent: EXTENT, span: None, has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
+    EventStream::in_memory(Arc::new(meta), EventBand::from_events(EXTENT.rows(), events).unwrap())
+});
+
+/// Events per second into a recording.
+#[divan::bench(sample_count = 3, sample_size = 1)]
+fn write_events_by_time(bencher: Bencher) {
+    let folder = tempfile::tempdir().unwrap();
+    let count = EVENTS.read(EXTENT.rows()).unwrap().len();
+    let content = RecordingContent { events: Some(&EVENTS), ..RecordingContent::empty(EXTENT) };
+    bencher.counter(ItemsCount::new(count)).bench(|| write_recording(&folder.path().join("recording.h5"), &content).unwrap());
+}
+
+/// Bytes of f32 per second into a recording of whole numbers.
+#[divan::bench(sample_count = 3, sample_size = 1)]
+fn write_recorded_frames(bencher: Bencher) {
+    let folder = tempfile::tempdir().unwrap();
+    LazyLock::force(&NOISY);
+    let content = RecordingContent { frames: Some(&NOISY), ..RecordingContent::empty(EXTENT) };
+    bencher.counter(bytes()).bench(|| write_recording(&folder.path().join("recording.h5"), &content).unwrap());
 }
 
 fn main() {

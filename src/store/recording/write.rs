@@ -1,14 +1,16 @@
 //! Writing a recording: for simulated data, demonstrations, converters and tests.
 //!
-//! The file appears whole or not at all. Events are held in memory while they are brought from row order into time order:
-//! about 30 bytes each, so this is not for the largest recordings.
+//! The file appears whole or not at all. Events are held in memory, about 20 bytes each, while they are brought from row order into time order, so
+//! this is not for the largest recordings; events that are in memory already are not copied.
 
 use super::FORMAT;
 use crate::error::StoreError;
 use crate::hdf::write::ColumnWriter;
 use crate::hdf::{Item, Opened};
 use crate::layout::{StripWriter, close, create_group};
-use photocurrent_core::{EventStream, Extent, FrameSequence, Truth};
+use photocurrent_core::handle::Band;
+use photocurrent_core::{EventBand, EventStream, Extent, FrameSequence, Truth};
+use rayon::prelude::*;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
@@ -50,9 +52,11 @@ impl RecordingContent<'_> {
 
 /// Writes a recording, replacing what is there only when all is written and synced.
 ///
+/// Gives the number of events, 0 without an event stream.
+///
 /// # Errors
 /// When data cannot be read, do not cover the sensor, or the file cannot be written.
-pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<(), StoreError> {
+pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<u64, StoreError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // The umask still applies: temporary files are private by default, and a recording is not.
     let everybody = std::fs::Permissions::from_mode(0o666);
@@ -62,9 +66,10 @@ pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<(), St
     opened.set_text_attribute(&opened.file, "format", FORMAT)?;
     opened.set_integer_attribute(&opened.file, "width", content.extent.width.into())?;
     opened.set_integer_attribute(&opened.file, "height", content.extent.height.into())?;
+    let mut written = 0;
     if let Some(events) = content.events {
         covers(path, "events", events.meta.extent, events.rows(), content.extent)?;
-        write_events(&opened, events)?;
+        written = write_events(&opened, events)?;
     }
     if let Some(frames) = content.frames {
         covers(path, "frames", frames.meta.extent, frames.rows(), content.extent)?;
@@ -80,7 +85,8 @@ pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<(), St
     close(opened)?;
     temporary.as_file().sync_all().map_err(|error| StoreError::io(path, "sync the file", error))?;
     temporary.persist(path).map_err(|error| StoreError::io(path, "move the file to its place", error.error))?;
-    std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(|error| StoreError::io(folder, "sync the folder", error))
+    std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(|error| StoreError::io(folder, "sync the folder", error))?;
+    Ok(written)
 }
 
 fn covers(path: &Path, what: &str, extent: Extent, rows: photocurrent_core::Rows, sensor: Extent) -> Result<(), StoreError> {
@@ -90,44 +96,85 @@ fn covers(path: &Path, what: &str, extent: Extent, rows: photocurrent_core::Rows
     Ok(())
 }
 
-fn write_events(opened: &Opened, events: &EventStream) -> Result<(), StoreError> {
+/// Writes the events, and gives their number.
+fn write_events(opened: &Opened, events: &EventStream) -> Result<u64, StoreError> {
     let group = create_group(opened, "events")?;
     if let Some(step) = events.meta.t_resolution_ns {
         opened.set_integer_attribute(&group, "t_resolution_ns", step)?;
     }
-    let band = events.read(events.rows()).map_err(StoreError::Source)?;
-    // Stable: equal stamps stay in row order, and inside a row in their own order.
-    let mut order: Vec<usize> = (0..band.len()).collect();
-    order.sort_by_key(|&i| band.t[i]);
-    let mut y = vec![0u16; band.len()];
-    for row in events.rows().iter() {
-        let here = band.row(row);
-        y[here.first..here.first + here.len()].fill(row as u16);
+    let read;
+    let band = match events.borrowed() {
+        Some(band) => band,
+        None => {
+            read = events.read(events.rows()).map_err(StoreError::Source)?;
+            &read
+        }
+    };
+    let (mut x, mut y, mut on) = (ColumnWriter::new(opened, "events/x"), ColumnWriter::new(opened, "events/y"), ColumnWriter::new(opened, "events/p"));
+    let mut t = ColumnWriter::new(opened, "events/t");
+    let mut t_in = band.t_in.as_ref().map(|values| (values, ColumnWriter::new(opened, "events/t_in")));
+    for_slices_of_time(band, SLICE_EVENTS, |slice| {
+        x.append(&gathered(slice, |place| band.x[place.index]))?;
+        y.append(&gathered(slice, |place| place.y))?;
+        on.append(&gathered(slice, |place| band.on[place.index]))?;
+        t.append(&gathered(slice, |place| place.t))?;
+        t_in.iter_mut().try_for_each(|(values, column)| column.append(&gathered(slice, |place| values[place.index])))
+    })?;
+    x.finish()?;
+    y.finish()?;
+    on.finish()?;
+    opened.set_text_attribute(t.finish()?.dataset(), "unit", "ns")?;
+    if let Some((_, column)) = t_in {
+        opened.set_text_attribute(column.finish()?.dataset(), "unit", "ns")?;
     }
-    write_column(opened, "events/x", &band.x, &order, None)?;
-    write_column(opened, "events/y", &y, &order, None)?;
-    write_column(opened, "events/p", &band.on, &order, None)?;
-    write_column(opened, "events/t", &band.t, &order, Some("ns"))?;
-    if let Some(t_in) = &band.t_in {
-        write_column(opened, "events/t_in", t_in, &order, Some("ns"))?;
+    Ok(band.len() as u64)
+}
+
+/// Where an event stands in its band.
+#[derive(Clone, Copy)]
+struct Place {
+    t: i64,
+    index: usize,
+    y: u16,
+}
+
+fn gathered<T: Send>(slice: &[Place], value: impl Fn(&Place) -> T + Send + Sync) -> Vec<T> {
+    slice.par_iter().map(value).collect()
+}
+
+/// About how many events are put into the order of time at once.
+const SLICE_EVENTS: usize = 1 << 20;
+
+/// Events in the order of time, in slices of `about` so many. Equal stamps stay in row order, and inside a row in their own order.
+///
+/// A row is in order already, so a slice of time is one piece of every row, and only the slice needs sorting.
+fn for_slices_of_time(band: &EventBand, about: usize, mut take: impl FnMut(&[Place]) -> Result<(), StoreError>) -> Result<(), StoreError> {
+    let slices = band.len().div_ceil(about);
+    // Every hundredth part of a slice marks where slices may end: they differ by some per cent in size, and by more where many stamps are equal.
+    let mut marks: Vec<i64> = band.t.iter().step_by((about / 100).max(1)).copied().collect();
+    marks.par_sort_unstable();
+    let mut next: Vec<usize> = band.offsets().iter().take(band.rows().len()).copied().collect();
+    let mut slice = Vec::new();
+    for k in 1..=slices {
+        let is_before = |t: i64| k == slices || t < marks[marks.len() * k / slices];
+        slice.clear();
+        for (row, next) in band.rows().iter().zip(&mut next) {
+            let here = band.row(row);
+            let from = *next;
+            let to = here.first + here.t.partition_point(|&t| is_before(t));
+            slice.extend((from..to).map(|index| Place { t: band.t[index], index, y: row as u16 }));
+            *next = to.max(from);
+        }
+        slice.par_sort_unstable_by_key(|place| (place.t, place.index));
+        take(&slice)?;
     }
     Ok(())
 }
 
-/// Writes a column in some order, block by block.
-fn write_column<T: Item>(opened: &Opened, name: &str, values: &[T], order: &[usize], unit: Option<&str>) -> Result<(), StoreError> {
-    let mut column = ColumnWriter::new(opened, name);
-    for block in order.chunks(1 << 20) {
-        let ordered: Vec<T> = block.iter().map(|&i| values[i]).collect();
-        column.append(&ordered)?;
-    }
-    let written = column.finish()?;
-    unit.map_or(Ok(()), |unit| opened.set_text_attribute(written.dataset(), "unit", unit))
-}
-
 fn write_times(opened: &Opened, name: &str, times: Vec<i64>) -> Result<(), StoreError> {
-    let order: Vec<usize> = (0..times.len()).collect();
-    write_column(opened, name, &times, &order, Some("ns"))
+    let mut column = ColumnWriter::new(opened, name);
+    column.append(&times)?;
+    opened.set_text_attribute(column.finish()?.dataset(), "unit", "ns")
 }
 
 fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingContent) -> Result<(), StoreError> {
@@ -163,4 +210,40 @@ fn write_numbers<T: Item>(opened: &Opened, name: &str, frames: &FrameSequence, c
         writer.append(&block, &convert)?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::events::{Event, Polarity};
+    use photocurrent_core::random::Random;
+
+    /// Random events of forty rows at few instants, so that many are equal.
+    fn band(events: usize, instants: u64) -> EventBand {
+        let mut random = Random::new(1, &[instants]);
+        let mut below = |n: u64| (random.bits() % n) as u16;
+        let event = |_| Event { x: below(50), y: below(40), polarity: Polarity::On, t: i64::from(below(instants)) - 100, t_in: None };
+        let events = (0..events).map(event).collect();
+        EventBand::from_events(photocurrent_core::Rows { start: 0, end: 40 }, events).unwrap()
+    }
+
+    #[test]
+    fn slices_of_time_put_together_are_a_stable_sort() {
+        for (events, instants, about) in [(0, 5, 10), (1, 5, 10), (3000, 20_000, 250), (3000, 20_000, 5000), (3000, 3, 40), (3000, 1, 40)] {
+            let band = band(events, instants);
+            let mut expected: Vec<usize> = (0..events).collect();
+            expected.sort_by_key(|&index| band.t[index]);
+            let (mut found, mut slices) = (Vec::new(), 0);
+            for_slices_of_time(&band, about, |slice| {
+                found.extend(slice.iter().map(|place| place.index));
+                assert!(slice.iter().all(|place| band.t[place.index] == place.t && (band.offsets()[place.y as usize]..).contains(&place.index)));
+                assert!(slice.iter().all(|place| place.index < band.offsets()[place.y as usize + 1]));
+                slices += 1;
+                Ok(())
+            })
+            .unwrap();
+            assert_eq!(found, expected);
+            assert_eq!(slices, events.div_ceil(about));
+        }
+    }
 }
