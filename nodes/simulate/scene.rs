@@ -76,22 +76,31 @@ pub struct SimulateScene {
 
 const WHO: &str = "simulate/scene";
 
-/// About how many instants a pixel has per second, for memory estimates: a lively scene keeps some thousands where it moves.
-const INSTANTS_PER_S: f64 = 4000.0;
 
 impl SimulateScene {
     fn extent(&self) -> Extent {
         Extent { width: self.params.width, height: self.params.height }
     }
 
-    fn metas(&self) -> Result<Metas, NodeError> {
-        let duration = self.params.duration;
+    fn metas(&self, instants: f64) -> Result<Metas, NodeError> {
         let truth = TruthParams { rate: self.params.truth_rate, exposure: self.params.exposure };
-        Metas::new(self.extent(), duration.ns(), 2.0 + INSTANTS_PER_S * duration.seconds(), truth)
+        Metas::new(self.extent(), self.params.duration.ns(), instants, truth)
     }
 
     fn scale(&self, sensor: &Sensor) -> Result<Scale, NodeError> {
         Scale::new(sensor, self.params.illuminance, self.params.exposure, WHO)
+    }
+
+    fn look(&self) -> Look {
+        // Pellets bounce off the borders within no time.
+        let graze = self.params.scene == scenes::Name::Pellet;
+        Look { step: self.params.sample_step, tolerance: self.params.tolerance, graze }
+    }
+
+    /// About how many instants a pixel has. The seed is not known while planning; another one gives another picture of the same kind.
+    fn instants(&self) -> f64 {
+        let scene = self.params.details.scene(self.params.scene, self.extent(), 0);
+        source::estimated_instants(&*scene, self.look(), self.extent(), self.params.duration.ns())
     }
 }
 
@@ -133,15 +142,12 @@ params = { scene = "fan", fan = { speed = "900 rpm" }, illuminance = "300 lx", d
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         self.scale(inputs.sensor("sensor")?)?;
-        Ok(self.metas()?.planned())
+        Ok(self.metas(self.instants())?.planned())
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let scene = self.params.details.scene(self.params.scene, self.extent(), cx.seed());
-        // Pellets bounce off the borders within no time.
-        let graze = self.params.scene == scenes::Name::Pellet;
-        let look = Look { step: self.params.sample_step, tolerance: self.params.tolerance, graze };
-        source::look(&*scene, look, &self.scale(&input.sensor)?, self.metas()?, cx)
+        source::look(&*scene, self.look(), &self.scale(&input.sensor)?, self.metas(0.0)?, cx)
     }
 }
 

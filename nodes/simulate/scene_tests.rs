@@ -134,3 +134,13 @@ fn an_ideal_sensor_fires_once_for_each_threshold_of_the_scenes_own_log_light() {
     }
     assert!(checked > 500, "{checked} events");
 }
+
+#[test]
+fn the_plan_knows_about_how_many_instants_there_will_be() {
+    for name in ALL {
+        let node = SimulateScene::build(small(name)).unwrap();
+        let count = *run(small(name), ROWS).light.read(ROWS).unwrap().offsets().last().unwrap() as f64;
+        let estimated = node.instants() * node.extent().pixels() as f64;
+        assert!((count / 2.0..count * 2.0).contains(&estimated), "{name:?}: {estimated} instants were planned, {count} came");
+    }
+}

@@ -152,6 +152,35 @@ pub struct Look {
 /// Things move by this between two looks at most, pixels: a pixel's light has few bends in that time.
 const LOOK_PX: f64 = 0.25;
 
+/// Pixels that are looked at to estimate how many instants there will be, and for how long each.
+const SAMPLED_PIXELS: u64 = 256;
+const SAMPLED_NS: i64 = 20_000_000;
+
+impl Look {
+    /// The light of a pixel from one instant to another, as a share of white; times are counted from the first.
+    fn sample(&self, scene: &dyn Scene, (x, y): (f64, f64), start_ns: i64, end_ns: i64, white: f64) -> Vec<(i64, f64)> {
+        let step = (LOOK_PX / scene.speed(x, y)).min(self.step.ns() as f64);
+        let sampler = Sampler { end_ns: end_ns - start_ns, step_ns: step as i64, tolerance: self.tolerance, graze: self.graze };
+        let still_until = |t: i64| scene.still_until(x, y, start_ns + t).saturating_sub(start_ns);
+        sampler.sample(|t| white * scene.reflectance(x, y, start_ns + t), still_until)
+    }
+}
+
+/// About how many instants a pixel will have: some pixels are looked at for a short time each, spread evenly over picture and recording.
+pub fn estimated_instants(scene: &dyn Scene, look: Look, extent: Extent, duration_ns: i64) -> f64 {
+    let window_ns = duration_ns.min(SAMPLED_NS);
+    let bends = |k: u64| {
+        // The plastic and the golden number: points that leave no gap in picture and time.
+        let place = |irrational: f64, size: f64| ((k as f64 + 0.5) * irrational).fract() * size;
+        let (x, y) = (place(0.754_877_666_246_693, extent.width.into()).floor(), place(0.569_840_290_998_053, extent.height.into()).floor());
+        let start_ns = place(0.618_033_988_749_895, (duration_ns - window_ns) as f64) as i64;
+        // Both ends are always there.
+        look.sample(scene, (x, y), start_ns, start_ns + window_ns, 1.0).len().saturating_sub(2)
+    };
+    let seen = (0..SAMPLED_PIXELS).map(bends).sum::<usize>() as f64 * duration_ns as f64 / window_ns as f64;
+    2.0 + seen / SAMPLED_PIXELS as f64
+}
+
 /// Light and true frames of `scene` on the rows of the context.
 ///
 /// # Errors
@@ -164,9 +193,7 @@ pub fn look(scene: &dyn Scene, look: Look, scale: &Scale, metas: Metas, cx: &Con
         let mut truth = metas.truth_block(Rows { start: y, end: y + 1 }, cx);
         for x in 0..width {
             let (px, py) = (f64::from(x), f64::from(y));
-            let step = (LOOK_PX / scene.speed(px, py)).min(look.step.ns() as f64);
-            let sampler = Sampler { end_ns: metas.light.span.end.0, step_ns: step as i64, tolerance: look.tolerance, graze: look.graze };
-            let kept = sampler.sample(|t| scale.white * scene.reflectance(px, py, t), |t| scene.still_until(px, py, t));
+            let kept = look.sample(scene, (px, py), 0, metas.light.span.end.0, scale.white);
             light.push(kept.into_iter().map(|(t, photocurrent)| (t, photocurrent as f32)));
             for l in truth.frames.clone() {
                 truth.row_mut(l, y)[x as usize] = scale.true_dn(scale.white * scene.reflectance(px, py, metas.truth.times.exposures[l].start.0));
