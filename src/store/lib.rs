@@ -14,6 +14,7 @@ pub mod error;
 mod hdf;
 pub mod layout;
 pub mod recording;
+mod threads;
 
 pub use cache::{
     Cache, CacheWriter, CheckReport, DiskUse, Export, FileInput, GcOptions, GcReport, Ingredients, Listing, Lookup, Params, PortInput, Record, StoredOutput,

@@ -141,7 +141,8 @@ pub(super) fn hash_file(path: &Path) -> Result<Digest, StoreError> {
                 Err(error) => return Err(io(error)),
             }
         }
-        hasher.update_rayon(&buffer[..filled]);
+        // Not in parallel: beside a long solve, rayon's pool would let it wait.
+        hasher.update(&buffer[..filled]);
         if filled < buffer.len() {
             return Ok(Digest::from_bytes(*hasher.finalize().as_bytes()));
         }

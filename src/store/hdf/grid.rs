@@ -6,12 +6,12 @@
 use super::pack::{Filters, unpack};
 use super::{Item, Opened, locked};
 use crate::error::StoreError;
+use crate::threads;
 use hdf5::Dataset;
 use hdf5::filters::Filter;
 use hdf5::types::TypeDescriptor;
 use hdf5_sys::h5::{herr_t, hsize_t};
 use hdf5_sys::h5i::hid_t;
-use rayon::prelude::*;
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -85,7 +85,7 @@ impl<T: Item> Grid<T> {
 
     fn read_packed(&self, packed: &Packed, start: &[usize], count: &[usize], values: &mut [T]) -> Result<(), StoreError> {
         for batch in chunks_of(start, count, &packed.chunk).chunks(BATCH) {
-            let chunks: Result<Vec<Arc<Vec<T>>>, StoreError> = batch.par_iter().map(|origin| self.chunk(packed, origin)).collect();
+            let chunks: Result<Vec<Arc<Vec<T>>>, StoreError> = threads::map(batch, |origin| self.chunk(packed, origin)).into_iter().collect();
             for (origin, chunk) in batch.iter().zip(chunks?) {
                 copy_overlap(origin, &packed.chunk, &chunk, start, count, values);
             }

@@ -1,7 +1,7 @@
 //! The door to HDF5: opening files with care, and texts and attributes in whichever way other programs write them.
 //!
 //! The library has one global lock, so heavy work is kept outside it: chunks are packed and unpacked by us in parallel
-//! ([`pack`]) and pass through the library as raw bytes ([`grid`], [`write`]). No lock is held while rayon works, or a stolen task could
+//! ([`pack`]) and pass through the library as raw bytes ([`grid`], [`write`]). No lock is held while they work, or a stolen task could
 //! wait for its own thread.
 //!
 //! Care means: external links are unregistered and plugins are off before the first file is opened; a dataset whose bytes lie in

@@ -3,9 +3,9 @@
 use super::pack::pack;
 use super::{Item, Opened, locked};
 use crate::error::StoreError;
+use crate::threads;
 use hdf5::{Dataset, Extent, Extents, SimpleExtents};
 use hdf5_sys::h5::hsize_t;
-use rayon::prelude::*;
 
 /// Numbers in a chunk of a column: 512 kB of stamps.
 pub(crate) const COLUMN_CHUNK: usize = 1 << 16;
@@ -44,7 +44,7 @@ impl GridWriter {
 
     /// Writes whole chunks, each with its origin and padded to full size; packs them in parallel.
     pub fn write<T: Item, C: AsRef<[T]> + Sync>(&self, chunks: &[(Vec<usize>, C)]) -> Result<(), StoreError> {
-        let packed: Vec<(Vec<u8>, u32)> = chunks.par_iter().map(|(_, values)| pack(values.as_ref())).collect();
+        let packed: Vec<(Vec<u8>, u32)> = threads::map(chunks, |(_, values)| pack(values.as_ref()));
         for ((origin, _), (bytes, mask)) in chunks.iter().zip(packed) {
             let offset: Vec<hsize_t> = origin.iter().map(|&o| o as hsize_t).collect();
             let defaults = hdf5_sys::h5p::H5P_DEFAULT;

@@ -4,10 +4,10 @@ use crate::error::StoreError;
 use crate::hdf::Opened;
 use crate::hdf::grid::Grid;
 use crate::hdf::write::ColumnWriter;
+use crate::threads;
 use photocurrent_core::handle::{Band, BandMeta, BandSource, Handle};
 use photocurrent_core::value::ValueDigest;
 use photocurrent_core::{DataError, Digest, EventBand, EventStream, EventsMeta, Rows};
-use rayon::prelude::*;
 use std::sync::Arc;
 
 /// Rows that are read, hashed and packed together.
@@ -23,7 +23,7 @@ pub(super) fn each_band<M: BandMeta>(
 ) -> Result<(), StoreError> {
     for rows in part.rows().bands(ROWS_AT_ONCE) {
         let band = part.read(rows).map_err(StoreError::Source)?;
-        let digests: Vec<Digest> = rows.iter().into_par_iter().map(|row| band.row_digest(row)).collect();
+        let digests: Vec<Digest> = threads::map(&rows.iter().collect::<Vec<u32>>(), |row| band.row_digest(*row));
         digest.add_rows(&digests);
         take(band)?;
     }
@@ -134,7 +134,7 @@ impl EventsSource {
         let offsets = self.row_offsets.column(rows.start as usize..rows.start as usize + rows.len() + 1)?;
         let (first, offsets) = relative(&self.opened, "/events/row_offsets", offsets, self.t.shape[0])?;
         let range = first..first + offsets.last().copied().unwrap_or(0);
-        let ((x, p), (t, t_in)) = rayon::join(
+        let ((x, p), (t, t_in)) = threads::both(
             || (self.x.column(range.clone()), self.p.column(range.clone())),
             || (self.t.column(range.clone()), self.t_in.as_ref().map(|column| column.column(range.clone())).transpose()),
         );

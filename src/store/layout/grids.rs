@@ -5,12 +5,12 @@ use crate::error::StoreError;
 use crate::hdf::Opened;
 use crate::hdf::grid::Grid;
 use crate::hdf::write::{GridWriter, frames_per_chunk, rows_per_chunk};
+use crate::threads;
 use photocurrent_core::frames::FrameSource;
 use photocurrent_core::handle::BandSource;
 use photocurrent_core::map::MapBand;
 use photocurrent_core::value::ValueDigest;
 use photocurrent_core::{DataError, Digest, FrameBlock, FrameSequence, FramesMeta, MapMeta, MapSet, Meta, Rows};
-use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -98,7 +98,7 @@ impl StripWriter {
         // A few chunks at a time, so that the converted copies stay small however many frames there are.
         for part in self.queue.chunks(QUEUE) {
             let converted: Vec<(Vec<usize>, Vec<T>)> =
-                part.par_iter().map(|(origin, values)| (origin.clone(), values.iter().map(|&value| convert(value)).collect())).collect();
+                threads::map(part, |(origin, values)| (origin.clone(), values.iter().map(|&value| convert(value)).collect()));
             self.writer.write(&converted)?;
         }
         self.queue.clear();
@@ -124,7 +124,7 @@ impl FramesBody {
     pub fn append(&mut self, part: &FrameSequence, digest: &mut ValueDigest) -> Result<(), StoreError> {
         for rows in part.rows().bands(self.0.rows_at_once()) {
             let block = part.read_rows(rows).map_err(StoreError::Source)?;
-            let digests: Vec<Digest> = rows.iter().into_par_iter().map(|row| block.row_digest(row)).collect();
+            let digests: Vec<Digest> = threads::map(&rows.iter().collect::<Vec<u32>>(), |row| block.row_digest(*row));
             digest.add_rows(&digests);
             self.0.append(&block, |dn| dn)?;
         }

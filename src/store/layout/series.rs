@@ -5,6 +5,7 @@ use crate::error::StoreError;
 use crate::hdf::Opened;
 use crate::hdf::grid::Grid;
 use crate::hdf::write::ColumnWriter;
+use crate::threads;
 use photocurrent_core::handle::{BandSource, Handle};
 use photocurrent_core::series::{SeriesBand, SeriesMeta};
 use photocurrent_core::value::ValueDigest;
@@ -59,7 +60,7 @@ impl SeriesSource {
         let offsets = self.pixel_offsets.column(pixels..pixels + rows.len() * self.width + 1)?;
         let (first, offsets) = relative(&self.opened, &format!("/{}/pixel_offsets", M::NAME), offsets, self.t.shape[0])?;
         let range = first..first + offsets.last().copied().unwrap_or(0);
-        let (t, photocurrent) = rayon::join(|| self.t.column(range.clone()), || self.photocurrent.column(range.clone()));
+        let (t, photocurrent) = threads::both(|| self.t.column(range.clone()), || self.photocurrent.column(range.clone()));
         SeriesBand::from_columns(rows.start, self.width as u32, offsets, t?, photocurrent?)
             .map_err(|error| self.opened.content(&format!("/{}", M::NAME), error.message, "whole rows of pixels", DAMAGED))
     }

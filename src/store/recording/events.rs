@@ -4,6 +4,7 @@ use super::{check_column, column, group_integer, has_group, required};
 use crate::error::StoreError;
 use crate::hdf::Opened;
 use crate::hdf::grid::Grid;
+use crate::threads;
 use photocurrent_core::{EventBand, EventsMeta, Extent, Rows, TimeSpan};
 use std::ops::Range;
 use std::sync::Arc;
@@ -91,7 +92,7 @@ impl Events {
     }
 
     fn block(&self, range: Range<usize>) -> Result<Block, StoreError> {
-        let ((x, p), (t, t_in)) = rayon::join(
+        let ((x, p), (t, t_in)) = threads::both(
             || (self.x.column(range.clone()), self.p.column(range.clone())),
             || (self.t.column(range.clone()), self.t_in.as_ref().map(|column| column.column(range.clone())).transpose()),
         );

@@ -10,7 +10,6 @@ use crate::hdf::{Item, Opened};
 use crate::layout::{StripWriter, close, create_group};
 use photocurrent_core::handle::Band;
 use photocurrent_core::{EventBand, EventStream, Extent, FrameSequence, Truth};
-use rayon::prelude::*;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
@@ -138,8 +137,8 @@ struct Place {
     y: u16,
 }
 
-fn gathered<T: Send>(slice: &[Place], value: impl Fn(&Place) -> T + Send + Sync) -> Vec<T> {
-    slice.par_iter().map(value).collect()
+fn gathered<T>(slice: &[Place], value: impl Fn(&Place) -> T) -> Vec<T> {
+    slice.iter().map(value).collect()
 }
 
 /// About how many events are put into the order of time at once.
@@ -152,7 +151,7 @@ fn for_slices_of_time(band: &EventBand, about: usize, mut take: impl FnMut(&[Pla
     let slices = band.len().div_ceil(about);
     // Every hundredth part of a slice marks where slices may end: they differ by some per cent in size, and by more where many stamps are equal.
     let mut marks: Vec<i64> = band.t.iter().step_by((about / 100).max(1)).copied().collect();
-    marks.par_sort_unstable();
+    marks.sort_unstable();
     let mut next: Vec<usize> = band.offsets().iter().take(band.rows().len()).copied().collect();
     let mut slice = Vec::new();
     for k in 1..=slices {
@@ -165,7 +164,8 @@ fn for_slices_of_time(band: &EventBand, about: usize, mut take: impl FnMut(&[Pla
             slice.extend((from..to).map(|index| Place { t: band.t[index], index, y: row as u16 }));
             *next = to.max(from);
         }
-        slice.par_sort_unstable_by_key(|place| (place.t, place.index));
+        // Stable, and quick for pieces that are in order.
+        slice.sort_by_key(|place| place.t);
         take(&slice)?;
     }
     Ok(())
