@@ -1,7 +1,7 @@
 //! Housekeeping: what is there, how large it is, what may go, and whether it is whole.
 
 use super::content::{data_path, sum_path};
-use super::{Cache, Lookup, StoredOutput, files, lock_file, make_folders, read_record};
+use super::{Cache, Lookup, StoredOutput, files, lock_file, make_folders, memory, read_record};
 use crate::error::StoreError;
 use crate::layout::open_value;
 use photocurrent_core::Digest;
@@ -163,7 +163,7 @@ impl Cache {
         Ok(report)
     }
 
-    /// Removes records that are old, damaged or too many, then the data that no record names.
+    /// Removes records that are old, damaged or too many, then the data that no record names, and digests of outside files that are gone.
     ///
     /// Not a method: it needs the cache for itself. Killed half way, it leaves data without records, which the next gc removes.
     ///
@@ -195,6 +195,7 @@ impl Cache {
         // Nobody has the cache open, so nobody is writing.
         let tmp = root.join("tmp");
         unneeded.extend(files::names_in(&tmp)?.iter().map(|name| tmp.join(name)));
+        unneeded.extend(memory::useless(root)?);
         if !options.dry_run {
             go.iter().chain(&unneeded).try_for_each(|path| files::remove(path))?;
         }

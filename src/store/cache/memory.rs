@@ -1,12 +1,12 @@
 //! Small memories: digests of outside files, and which key a node had last time.
 
 use super::Cache;
-use super::files::{Identity, hash_file};
+use super::files::{Identity, hash_file, names_in};
 use crate::error::StoreError;
 use photocurrent_core::Digest;
 use photocurrent_core::digest::DigestBuilder;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// A file that was changed less than this before it was hashed may change again within one tick of the file system's clock.
@@ -77,6 +77,14 @@ impl Cache {
         let text = toml::to_string(content).map_err(|error| StoreError::Misuse { path: path.into(), what: error.to_string() })?;
         self.owner.write(path, text.as_bytes())
     }
+}
+
+/// Memories of outside files that are gone, or are others by now, and those that cannot be read.
+pub(super) fn useless(root: &Path) -> Result<Vec<PathBuf>, StoreError> {
+    let files = root.join("files");
+    let is_the_same = |memory: RememberedFile| Identity::of(Path::new(&memory.path)).is_ok_and(|identity| identity == memory.identity);
+    let of_file = names_in(&files)?.into_iter().map(|name| files.join(name));
+    Ok(of_file.filter(|path| !read::<RememberedFile>(path).is_some_and(is_the_same)).collect())
 }
 
 /// A memory is a convenience: one that cannot be read is none.

@@ -288,6 +288,28 @@ fn history_is_per_manifest_variant_and_node() {
 }
 
 #[test]
+fn gc_forgets_outside_files_that_are_gone_and_keeps_the_others() {
+    let root = tempfile::tempdir().unwrap();
+    let outside = tempfile::tempdir().unwrap();
+    let [kept, gone] = ["kept", "gone"].map(|name| outside.path().join(name));
+    let memories = || std::fs::read_dir(root.path().join("files")).unwrap().count();
+    {
+        let cache = Cache::open(root.path()).unwrap();
+        [&kept, &gone].iter().for_each(|path| std::fs::write(path, "x").unwrap());
+        // A fresh file is not remembered.
+        std::thread::sleep(Duration::from_millis(2100));
+        [&kept, &gone].iter().for_each(|path| assert!(cache.file_digest(path).is_ok()));
+        cache.remember("m", "v", "n", &ingredients().key()).unwrap();
+    }
+    std::fs::remove_file(&gone).unwrap();
+    Cache::gc(root.path(), &GcOptions { dry_run: true, ..GcOptions::default() }).unwrap();
+    assert_eq!(memories(), 2);
+    Cache::gc(root.path(), &GcOptions::default()).unwrap();
+    assert_eq!(memories(), 1);
+    assert_eq!(std::fs::read_dir(root.path().join("history")).unwrap().count(), 1);
+}
+
+#[test]
 fn every_ingredient_enters_the_key_and_its_change_is_named() {
     let base = ingredients();
     let mut readable = base.params.readable.clone();
