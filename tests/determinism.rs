@@ -60,11 +60,11 @@ fn pixels_that_wait_for_each_other_do_not_depend_on_threads_or_the_height_of_ban
 /// result under the new code's key, and say so in the changelog under *Results change*. Then record the new values:
 /// `UPDATE_EXPECT=1 cargo test --test photocurrent determinism` prints them.
 const GOLDEN: [(&str, &str); 5] = [
-    ("recording.events", "332739f3b5fb911aad3752d6f12c485a9fd03276e0acb7bfb08933a3ea42b8ab"),
+    ("recording.events", "6e5cdb3504fb96babc7a4f410da18315aeee2a7820c3a6372a3163df8a7ae5c7"),
     ("recording.frames", "9a8002d8e76271df977dbcec4b082e5445e4c49103835a9acbd35fdab6bd7e77"),
-    ("solve.tracks", "5b94c00f4a6a2145a74c44268c8fb11ffef4e8a614161753342174f88505a8a6"),
-    ("render.frames", "22d8b4a1ffde491e2cf6fee8d066b08a5fc8c415fbd3a94cfd1763b781733dce"),
-    ("edi.frames", "e43806664b0b16d407994569d56af66a57251626d084af247d9753c057186aec"),
+    ("solve.tracks", "01340d7fa9471cbe25720a58be4c553cb2c02226bb7f36a105230a6dea0f1b64"),
+    ("render.frames", "90c5552d92bcea19d8e921d7f3974cb1b82c5146582f960313cda600df622c0a"),
+    ("edi.frames", "abd2a6ff0af419cf2310187cd181fc28965a88cf48ab93e79010378e5300a897"),
 ];
 
 #[test]

@@ -159,11 +159,6 @@ impl Camera {
         simulate(&chain, &self.site(x, y), seen, self.span.start.0, self.span.end.0, &mut noise)
     }
 
-    /// The digital number that a charge would read without noise: for truth.
-    pub fn exact_dn(&self, charge: f64) -> f64 {
-        self.capture.scale.of(charge)
-    }
-
     /// Simulates pixel (x, y): appends its events and gives its frame values. `seen` is the light of the event path, `light` that of the frames.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! The light of one pixel as the forward model takes it: neighbours mixed in, in double precision, and cut where its logarithm bends.
+//! The light of one pixel as the forward model takes it: neighbours mixed in, in double precision.
 
 use photocurrent_core::light::LightBand;
 use photocurrent_core::{Extent, NodeError};
@@ -6,28 +6,21 @@ use photocurrent_sensor::effects::{Kernel, Tap};
 use photocurrent_sensor::forward::LinearLight;
 use photocurrent_sensor::forward::neighbours::{mixed, stand_in};
 
-/// The forward model takes the logarithm of light as linear between two instants. Light that is linear itself is off by at most the square
-/// of this over eight, here a hundred-thousandth: a ten-thousandth of a threshold.
-const LOG_STEP: f64 = 0.01;
-
 /// Buffers for one pixel's light after the other.
 #[derive(Default)]
 pub(super) struct PixelLight {
     own: Instants,
     mixed: Instants,
-    cut: Instants,
+    is_mixed: bool,
 }
 
 impl PixelLight {
     /// Takes the light of pixel (x, y) from a band that holds its row and those that `kernel` reaches.
     pub fn take(&mut self, light: &LightBand, extent: Extent, kernel: Option<&Kernel>, x: u32, y: u32) {
         self.own.take(light, x, y);
-        match kernel {
-            Some(kernel) => {
-                self.mixed.mix(light, extent, kernel, x, y);
-                self.cut.cut(&self.mixed);
-            }
-            None => self.cut.cut(&self.own),
+        self.is_mixed = kernel.is_some();
+        if let Some(kernel) = kernel {
+            self.mixed.mix(light, extent, kernel, x, y);
         }
     }
 
@@ -36,7 +29,7 @@ impl PixelLight {
     /// # Errors
     /// When the light is not positive everywhere.
     pub fn seen(&self) -> Result<LinearLight<'_>, NodeError> {
-        self.cut.light()
+        if self.is_mixed { self.mixed.light() } else { self.own.light() }
     }
 
     /// What the frames see.
@@ -77,26 +70,6 @@ impl Instants {
         self.photocurrent.clear();
         let sum = |&t: &i64| mixed(kernel, |tap| photocurrent_core::light::at(neighbour(tap), t).unwrap_or(f64::NAN));
         self.photocurrent.extend(self.t.iter().map(sum));
-    }
-
-    /// The same light with instants added where it changes by more than [`LOG_STEP`] from one to the next.
-    fn cut(&mut self, light: &Instants) {
-        self.t.clear();
-        self.photocurrent.clear();
-        for k in 0..light.t.len() {
-            if k > 0 {
-                let (t, i) = (light.t[k - 1], light.photocurrent[k - 1]);
-                let (length, change) = (light.t[k] - t, light.photocurrent[k] - i);
-                let pieces = ((libm::log(light.photocurrent[k] / i).abs() / LOG_STEP).ceil() as i64).clamp(1, length.max(1));
-                for piece in 1..pieces {
-                    let after = length * piece / pieces;
-                    self.t.push(t + after);
-                    self.photocurrent.push(i + change * after as f64 / length as f64);
-                }
-            }
-            self.t.push(light.t[k]);
-            self.photocurrent.push(light.photocurrent[k]);
-        }
     }
 
     fn light(&self) -> Result<LinearLight<'_>, NodeError> {

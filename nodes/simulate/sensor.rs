@@ -93,7 +93,7 @@ impl Node for SimulateSensor {
     const DECL: Decl = Decl {
         kind: "simulate/sensor",
         about: "What a described sensor records of a given light: events and frames, with the effects of its description.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Row { halo: HALO_ROWS },
         draws: true,
         exports: false,

@@ -15,7 +15,7 @@
 //! - [`read_frames`]: digital numbers of one pixel. [`neighbours`]: light that comes from other pixels.
 //!
 //! Source: Eqs. (1)-(5) and Section 3; `V_ref` is latched at `t_off + t_rp` ("resample" reset), or moves by one threshold ("advance").
-//! Limits: one pixel, so a queue on the readout bus needs a second pass ([`crate::effects::Effect::informed`]); no shot noise of the
+//! Limits: one pixel, so a queue on the readout bus needs further passes ([`crate::effects::Effect::informed`]); no shot noise of the
 //! photocurrent: noise enters as a threshold that varies per event and as events without a crossing.
 
 pub mod neighbours;
