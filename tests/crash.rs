@@ -313,7 +313,7 @@ fn a_damaged_record_is_made_again() {
         |path| std::fs::write(path, "key = 7").expect("written"),
         |path| {
             let text = std::fs::read_to_string(path).expect("the record");
-            let other = text.replace("revision = 1", "revision = 2");
+            let other = text.replace("\nrevision = ", "\nrevision = 9");
             assert_ne!(other, text);
             std::fs::write(path, other).expect("written");
         },
