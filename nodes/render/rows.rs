@@ -2,13 +2,15 @@
 //!
 //! Idea: once the photocurrent of every pixel is known as a function of time, a frame is its integral over an exposure that is chosen
 //! freely, Eq. (5). Exposing all rows at once removes the rolling shutter; exposing for 100 us removes the blur; doing so 10,000 times a
-//! second is the interpolation. Integrals of the zero-order hold are exact.
+//! second is the interpolation. Integrals are exact, of held tracks and of those whose logarithm is linear between knots.
 //!
 //! Limits: grey only. A pixel without any knot is unknown and comes out as NaN.
 
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
-use photocurrent_core::{Context, Decl, Exposure, Extent, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackSet};
-use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, HeldTrack};
+use photocurrent_core::{
+    Between, Context, Decl, Exposure, Extent, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet,
+};
+use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, HeldTrack, LogLinearTrack, Track};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -93,7 +95,7 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         let render_row = |row: u32| -> Result<Vec<f32>, NodeError> {
             let exposures: Vec<Exposure> = (0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect();
             let seconds: Vec<f64> = exposures.iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
-            let picture = render_pixels(&band, row, meta.extent, &exposures, &seconds, dn);
+            let picture = render_pixels(&band, tracks.meta.between, row, meta.extent, &exposures, &seconds, dn);
             cx.advance(1)?;
             Ok(picture)
         };
@@ -103,7 +105,7 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
 }
 
 /// All frames of one row as [frame][x].
-fn render_pixels(band: &photocurrent_core::TrackBand, row: u32, extent: Extent, exposures: &[Exposure], seconds: &[f64], dn: DigitalNumber) -> Vec<f32> {
+fn render_pixels(band: &TrackBand, between: Between, row: u32, extent: Extent, exposures: &[Exposure], seconds: &[f64], dn: DigitalNumber) -> Vec<f32> {
     let width = extent.width as usize;
     let mut picture = vec![f32::NAN; exposures.len() * width];
     for x in 0..width {
@@ -111,13 +113,20 @@ fn render_pixels(band: &photocurrent_core::TrackBand, row: u32, extent: Extent, 
         if track.t.is_empty() {
             continue;
         }
-        let mut cursor = ExposureCursor::new(HeldTrack::new(track.t, track.photocurrent));
-        for (frame, exposure) in exposures.iter().enumerate() {
-            let mean = cursor.integral(*exposure) / exposure.seconds();
-            picture[frame * width + x] = dn.of(mean * seconds[frame]) as f32;
+        let mut put = |frame: usize, integral: f64| picture[frame * width + x] = dn.of(integral / exposures[frame].seconds() * seconds[frame]) as f32;
+        match between {
+            Between::Hold => integrals(HeldTrack::new(track.t, track.photocurrent), exposures, &mut put),
+            Between::LogLinear => integrals(LogLinearTrack::new(track.t, track.photocurrent), exposures, &mut put),
         }
     }
     picture
+}
+
+fn integrals(track: impl Track, exposures: &[Exposure], put: &mut impl FnMut(usize, f64)) {
+    let mut cursor = ExposureCursor::new(track);
+    for (frame, exposure) in exposures.iter().enumerate() {
+        put(frame, cursor.integral(*exposure));
+    }
 }
 
 /// Frames from one buffer [frame][value] per row.
@@ -141,7 +150,7 @@ mod tests {
     use super::*;
     use crate::sampling::Shutter;
     use photocurrent_core::quantity::{Duration, Rate};
-    use photocurrent_core::{FrameScale, Ports, Rows, TimeSpan, TrackBand, TracksMeta, testing};
+    use photocurrent_core::{FrameScale, Ports, Rows, TimeSpan, TracksMeta, testing};
 
     fn sensor() -> Arc<Sensor> {
         let mut sensor = Sensor::unknown("test");
@@ -153,12 +162,17 @@ mod tests {
 
     /// Every pixel jumps from 1 to 3 at 5 ms; pixel (1, 0) is unknown.
     fn tracks() -> TrackSet {
+        tracks_joined(Between::Hold)
+    }
+
+    fn tracks_joined(between: Between) -> TrackSet {
         let extent = Extent { width: 2, height: 3 };
         let mut band = TrackBand::begin(0, 2);
         for pixel in 0..6 {
             band.push([(0, 1.0), (5_000_000, 3.0)].into_iter().filter(|_| pixel != 1));
         }
-        TrackSet::in_memory(Arc::new(TracksMeta { extent, span: TimeSpan::new(0, 10_000_000), nominal_exposure_ns: 4_000_000, count_hint: None }), band)
+        let meta = TracksMeta { extent, span: TimeSpan::new(0, 10_000_000), nominal_exposure_ns: 4_000_000, between, count_hint: None };
+        TrackSet::in_memory(Arc::new(meta), band)
     }
 
     fn render(sampling: Sampling, at: Option<FrameSequence>) -> FrameSequence {
@@ -178,6 +192,16 @@ mod tests {
         let frames = render(Sampling { rate: Rate::new(400.0), ..Sampling::default() }, None);
         assert_eq!(frames.meta.scale, FrameScale::Nominal { exposure_ns: 4_000_000 });
         assert_eq!(values(&frames, 0, 2), [14.0, 14.0, 18.0, 22.0]);
+    }
+
+    #[test]
+    fn log_linear_tracks_rise_between_their_knots() {
+        let at = testing::captured(Extent { width: 2, height: 3 }, vec![Exposure::new(0, 5_000_000)], 0, |_, _, _| 0.0);
+        let node = RenderRows { params: Params::default() };
+        let input = In { tracks: tracks_joined(Between::LogLinear), sensor: sensor(), at: Some(at) };
+        let (out, _) = testing::with_context(Rows { start: 0, end: 3 }, &["frames"], |cx| node.run(input, cx));
+        // The mean of 3^(t / 5 ms) over 5 ms is 2 / ln 3; DN = 10 + 1000 x 5 ms x that.
+        assert!((values(&out.unwrap().frames, 0, 0)[0] - (10.0 + 5.0 * 2.0 / libm::log(3.0) as f32)).abs() < 1e-4);
     }
 
     #[test]

@@ -2,21 +2,31 @@
 //!
 //! Idea: a pixel's frames say how much light it collected, its events when the light changed, both through the sensor's own
 //! delays. Inverting the sensor pixel by pixel undoes blur, rolling shutter and event latency at once. Each pixel is one small least-squares
-//! problem, Eq. (13), solved in [`photocurrent_sensor::inverse`]; this node cuts a recording into such problems and puts the answers together.
+//! problem; this node cuts a recording into such problems and puts the answers together.
 //!
-//! Frames are taken two by two, as in the paper: the pair (l, l+1) is solved with all events from the start of exposure l to
+//! `method = "map"` asks for the most probable light ([`photocurrent_sensor::map`]): all frames and events of the pixel at once, with knots that are finer
+//! than the events, the exact reset and a prior. Nothing is cut into windows there, and its tracks are log-linear between knots.
+//!
+//! `method = "paper"` is Eq. (13), solved in [`photocurrent_sensor::inverse`], with the approximations that the paper makes. Frames are taken two by two, as in the paper: the pair (l, l+1) is solved with all events from the start of exposure l to
 //! the end of exposure l+1, and its answer counts until exposure l+1 starts. The first window reaches back to the recording's start, the
 //! last one on to its end. `frames = "all"` solves one problem over the whole recording instead.
 //!
 //! Limits: grey frames at the events' resolution. A saturated value counts as the light of saturation, which is a lower bound. A pixel whose
 //! problem does not converge gets the safe estimate (a double integral) and is counted; the `map` output shows where.
 
+mod map;
+#[cfg(test)]
+mod tests;
+
 use crate::compensate::readout::check_events;
-use crate::pixel_events::{Stamp, StepRule, left_out};
+use crate::pixel_events::{Stamp, StepRule, clock_offset, left_out};
+use map::FrameNoise;
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::handle::Band;
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::sensor::Reset;
 use photocurrent_core::{
-    Context, Decl, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet, Meta, Node,
+    Between, Context, Decl, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet, Meta, Node,
     NodeError, PortMetas, Rows, Sensor, TrackBand, TrackSet, TracksMeta,
 };
 use photocurrent_sensor::front_end::{FrontEnd, TauRule};
@@ -26,6 +36,17 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+/// What is solved for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Method {
+    /// The paper's least squares: one unknown per event, held between events.
+    #[default]
+    Paper,
+    /// The most probable light: fine knots, exact reset, all frames at once, and a prior.
+    Map,
+}
 
 /// How the front end's delay is treated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -86,6 +107,18 @@ pub enum FirstKnot {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
+    /// What is solved for. `map` uses `front_end`, `event_noise`, `frame_noise`, `knot_spacing` and `max_iterations`; `paper` all but `event_noise`, `frame_noise`
+    /// and `knot_spacing`.
+    pub method: Method,
+    /// Standard deviation of an event as a part of its threshold, for `map`; absent = estimated for each row from the recording.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub event_noise: Option<f64>,
+    /// Part of a frame value that is not believed, for `map`, beside the noise that the sensor description states and 1 DN.
+    #[schemars(range(min = 0.0))]
+    pub frame_noise: f64,
+    /// Knots lie at most this far apart, for `map`.
+    #[schemars(extend("x-min" = "10 us"))]
+    pub knot_spacing: Duration,
     /// How the front end's delay is treated.
     pub front_end: FrontEndModel,
     /// How readout latency and refractory period are treated. `slope` needs in-pixel times.
@@ -102,7 +135,7 @@ pub struct Params {
     /// Weight of a squared event residual, per natural-log unit squared; the paper sets 1.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub evs_weight: f64,
-    /// Most steps tried for one problem.
+    /// Most steps tried for one problem; `map` never takes more than 10.
     #[schemars(range(min = 1, max = 10000))]
     pub max_iterations: u32,
 }
@@ -110,6 +143,10 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Self {
         Params {
+            method: Method::Paper,
+            event_noise: None,
+            frame_noise: 0.005,
+            knot_spacing: Duration::new(250_000),
             front_end: FrontEndModel::LowPass,
             readout: ReadoutModel::Slope,
             tau_rule: TauChoice::End,
@@ -158,6 +195,9 @@ enum Status {
     NoFrame = 3,
 }
 
+/// More steps than this do not improve a pixel of `method = "map"`.
+const MAP_STEPS: usize = 10;
+
 const PLANES: [&str; 3] = ["status", "iterations", "cost"];
 
 /// Everything about the sensor that one pixel's problem needs, checked once.
@@ -165,6 +205,12 @@ struct Model {
     rule: StepRule,
     front_end: FrontEnd,
     refractory_s: f64,
+    refractory_ns: i64,
+    reset: Reset,
+    clock_offset_ns: i64,
+    /// Standard deviation of an event's stamp, from the width of its interval.
+    stamp_sigma_s: f64,
+    frame_noise: FrameNoise,
     gain: f64,
     black_level: f64,
     saturation_dn: f64,
@@ -191,9 +237,18 @@ impl SolvePixel {
                 }
             }
         };
-        let refractory_s = match self.params.readout {
-            ReadoutModel::None => 0.0,
-            ReadoutModel::Slope => {
+        let refractory_s = match (self.params.method, self.params.readout) {
+            (Method::Map, _) => {
+                const MAP: &str = "`method = \"map\"`";
+                if events.has_step {
+                    return Err(NodeError::usage("the events carry compensated steps, and `method = \"map\"` undoes the readout itself")
+                        .hint("connect the events as recorded, or set `method = \"paper\"`")
+                        .param("method"));
+                }
+                sensor.need(sensor.readout.refractory, "readout.refractory", MAP).map_err(|error| or_without(error, "method", "paper"))?.seconds()
+            }
+            (Method::Paper, ReadoutModel::None) => 0.0,
+            (Method::Paper, ReadoutModel::Slope) => {
                 const SLOPE: &str = "`readout = \"slope\"`";
                 check_events(events, SLOPE, "set `readout = \"none\"`").map_err(|error| error.param("readout"))?;
                 sensor.need(sensor.readout.refractory, "readout.refractory", SLOPE).map_err(|error| or_without(error, "readout", "none"))?.seconds()
@@ -204,13 +259,18 @@ impl SolvePixel {
             rule: StepRule::from_sensor(sensor, events, Stamp::Best, WHO)?,
             front_end,
             refractory_s,
+            refractory_ns: (refractory_s * 1e9).round() as i64,
+            reset: sensor.comparator.reset,
+            clock_offset_ns: clock_offset(sensor)?.offset_ns,
+            stamp_sigma_s: events.t_resolution_ns.unwrap_or(0) as f64 * 1e-9 / libm::sqrt(12.0),
+            frame_noise: FrameNoise::new(sensor, self.params.frame_noise),
             gain: sensor.need(sensor.frames.gain, "frames.gain", WHO)?,
             black_level: sensor.frames.black_level_dn.unwrap_or(0.0),
             saturation_dn: sensor.frames.saturation_dn.unwrap_or(f64::INFINITY),
         })
     }
 
-    fn tracks_meta(events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
+    fn tracks_meta(&self, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
         if events.extent != frames.extent {
             return Err(NodeError::usage(format!("events are {}, frames are {}", events.extent, frames.extent))
                 .hint("frames and events must come from the same pixels"));
@@ -230,7 +290,14 @@ impl SolvePixel {
             extent: events.extent,
             span: events.span.map_or(covered, |span| span.union(covered)),
             nominal_exposure_ns,
-            count_hint: events.count_hint.map(|n| 2 * n + (frames.times.len() * frames.extent.pixels()) as u64),
+            between: match self.params.method {
+                Method::Paper => Between::Hold,
+                Method::Map => Between::LogLinear,
+            },
+            count_hint: events.count_hint.map(|n| match self.params.method {
+                Method::Paper => 2 * n + (frames.times.len() * frames.extent.pixels()) as u64,
+                Method::Map => 4 * n + 8 * (frames.times.len() * frames.extent.pixels()) as u64,
+            }),
         })
     }
 }
@@ -262,28 +329,36 @@ params = { front_end = "low_pass", readout = "slope", cis_weight = 1.0, evs_weig
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
         self.model(inputs.sensor("sensor")?, events)?;
-        let tracks = SolvePixel::tracks_meta(events, frames)?;
+        let tracks = self.tracks_meta(events, frames)?;
         let map = map_meta(tracks.extent);
         Ok(vec![Meta::Tracks(Arc::new(tracks)), Meta::Map(Arc::new(map))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let meta = SolvePixel::tracks_meta(&input.events.meta, &input.frames.meta)?;
+        let meta = self.tracks_meta(&input.events.meta, &input.frames.meta)?;
         let model = self.model(&input.sensor, &input.events.meta)?;
-        if let Some(note) = left_out(&input.sensor) {
+        let mut used = (*input.sensor).clone();
+        if self.params.method == Method::Map {
+            // The reset law is modelled there.
+            used.comparator.reset = Reset::Resample;
+        }
+        if let Some(note) = left_out(&used) {
             cx.note(note);
         }
         let rows = cx.rows();
         cx.begin(rows.len() as u64, "rows");
         let events = input.events.read(rows)?;
         let frames = input.frames.read_rows(rows)?;
-        let solve_row = |workspace: &mut RowSolver, row: u32| -> Result<(TrackBand, MapBand), NodeError> {
+        let solve_row = |(workspace, finer): &mut (RowSolver, map::RowSolver), row: u32| -> Result<(TrackBand, MapBand), NodeError> {
             let exposures: Vec<Exposure> = (0..input.frames.len()).map(|l| input.frames.meta.times.exposure(l, row)).collect();
-            let band = workspace.row(&self.params, &model, &meta, row, events.row(row), &frames, &exposures)?;
+            let band = match self.params.method {
+                Method::Paper => workspace.row(&self.params, &model, &meta, row, events.row(row), &frames, &exposures)?,
+                Method::Map => finer.row(&self.params, &model, &meta, row, events.row(row), &frames, &exposures),
+            };
             cx.advance(1)?;
             Ok(band)
         };
-        let solved: Result<Vec<_>, NodeError> = rows.iter().into_par_iter().map_init(RowSolver::default, solve_row).collect();
+        let solved: Result<Vec<_>, NodeError> = rows.iter().into_par_iter().map_init(Default::default, solve_row).collect();
         let (tracks, maps): (Vec<TrackBand>, Vec<MapBand>) = solved?.into_iter().unzip();
         let map = MapBand::concat(maps);
         report(&map, cx);
@@ -470,155 +545,4 @@ fn windows(joint: Joint, exposures: &[Exposure], meta: &TracksMeta) -> Vec<Windo
             counts_until: if l == last { span.1 } else { exposures[l + 1].start.0 },
         })
         .collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::baseline::edi::{self, BaselineEdi};
-    use crate::render::rows::{self, RenderRows};
-    use crate::sampling::Sampling;
-    use photocurrent_core::events::{Event, Polarity};
-    use photocurrent_core::quantity::{Duration, Rate};
-    use photocurrent_core::random::Random;
-    use photocurrent_core::{Extent, testing};
-
-    fn sensor() -> Arc<Sensor> {
-        let mut sensor = Sensor::unknown("test");
-        sensor.front_end.tau_0 = Some(Duration::new(20_000));
-        sensor.front_end.alpha = Some(Duration::new(2_000_000));
-        sensor.comparator.threshold_on = Some(0.2);
-        sensor.comparator.threshold_off = Some(0.25);
-        sensor.readout.refractory = Some(Duration::new(60_000));
-        sensor.frames.gain = Some(1000.0);
-        sensor.frames.saturation_dn = Some(1023.0);
-        Arc::new(sensor)
-    }
-
-    fn solve(params: Params, events: EventStream, frames: FrameSequence, rows: Rows) -> (Out, Vec<String>) {
-        let node = SolvePixel { params };
-        let (out, notes) = testing::with_context(rows, &["tracks", "map"], |cx| node.run(In { events, frames, sensor: sensor() }, cx));
-        (out.unwrap(), notes)
-    }
-
-    fn ideal() -> Params {
-        Params { front_end: FrontEndModel::Ideal, readout: ReadoutModel::None, ..Params::default() }
-    }
-
-    const EXTENT: Extent = Extent { width: 5, height: 4 };
-
-    /// A walk of ON and OFF around zero net change, so that no pixel runs away.
-    fn walk(extent: Extent, until_ns: i64) -> EventStream {
-        let mut events = Vec::new();
-        for y in 0..extent.height {
-            for x in 0..extent.width {
-                let mut random = Random::new(11, &[x.into(), y.into()]);
-                let mut t = 0;
-                loop {
-                    t += 200_000 + (random.uniform() * 1.5e6) as i64;
-                    if t + 20_000 >= until_ns {
-                        break;
-                    }
-                    events.push(Event { x: x as u16, y: y as u16, polarity: Polarity::from_bit((random.bits() & 1) as u8), t: t + 20_000, t_in: Some(t) });
-                }
-            }
-        }
-        testing::stream(extent, events)
-    }
-
-    fn exposures(count: i64) -> Vec<Exposure> {
-        (0..count).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 6_000_000)).collect()
-    }
-
-    fn frames(count: i64) -> FrameSequence {
-        let mut random = Random::new(5, &[]);
-        testing::captured(EXTENT, exposures(count), 30_000, |_, _, _| (100.0 + 300.0 * random.uniform()) as f32)
-    }
-
-    #[test]
-    fn with_an_ideal_sensor_and_one_frame_it_is_the_double_integral() {
-        let (events, frames) = (walk(EXTENT, 6_000_000), frames(1));
-        let sampling = Sampling { rate: Rate::new(5000.0), ..Sampling::default() };
-        let (solved, _) = solve(ideal(), events.clone(), frames.clone(), EXTENT.rows());
-        let render = RenderRows::build(rows::Params { sampling: sampling.clone() }).unwrap();
-        let ours = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(rows::In { tracks: solved.tracks, sensor: sensor(), at: None }, cx))
-            .0
-            .unwrap()
-            .frames;
-        let double_integral = BaselineEdi::build(edi::Params { sampling, ..edi::Params::default() }).unwrap();
-        let input = edi::In { events, frames, sensor: Some(sensor()), contrast: None, at: None };
-        let theirs = testing::with_context(EXTENT.rows(), &["frames"], |cx| double_integral.run(input, cx)).0.unwrap().frames;
-        assert_eq!(ours.meta, theirs.meta);
-        let (ours, theirs) = (ours.read_rows(EXTENT.rows()).unwrap(), theirs.read_rows(EXTENT.rows()).unwrap());
-        // Tracks are f32: a few rounding errors of 6e-8 each.
-        assert!(ours.dn.iter().zip(&theirs.dn).all(|(a, b)| (a / b - 1.0).abs() < 1e-6));
-        assert!(ours.dn.iter().any(|dn| (dn / ours.dn[0] - 1.0).abs() > 0.2), "the picture must change for the test to mean something");
-    }
-
-    #[test]
-    fn rows_are_solved_alike_whatever_the_band() {
-        let (events, frames) = (walk(EXTENT, 30_000_000), frames(4));
-        let whole = solve(Params::default(), events.clone(), frames.clone(), EXTENT.rows()).0.tracks.read(EXTENT.rows()).unwrap();
-        for band in EXTENT.rows().bands(3) {
-            let part = solve(Params::default(), events.clone(), frames.clone(), band).0.tracks.read(band).unwrap();
-            assert_eq!(part, whole.slice(band));
-        }
-    }
-
-    #[test]
-    fn solved_tracks_reproduce_the_frames_they_came_from() {
-        let frames = testing::captured(EXTENT, exposures(2), 30_000, |_, x, y| 100.0 + 40.0 * x as f32 + 10.0 * y as f32);
-        let (solved, notes) = solve(Params::default(), walk(EXTENT, 14_000_000), frames.clone(), EXTENT.rows());
-        let render = RenderRows::build(rows::Params::default()).unwrap();
-        let input = rows::In { tracks: solved.tracks.clone(), sensor: sensor(), at: Some(frames.clone()) };
-        let again = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx)).0.unwrap().frames.read_rows(EXTENT.rows()).unwrap();
-        let original = frames.read_rows(EXTENT.rows()).unwrap();
-        let map = solved.map.read(EXTENT.rows()).unwrap();
-        let mut converged = 0;
-        for y in EXTENT.rows().iter() {
-            for x in (0..5).filter(|x| map.row(0, y)[*x] == 0.0) {
-                // A squared DN weighs as much as a squared log unit, so frames are met to a small part of one DN.
-                assert!((0..2).all(|l| (again.row(l, y)[x] - original.row(l, y)[x]).abs() < 0.5), "({x}, {y})");
-                converged += 1;
-            }
-        }
-        assert!(converged >= 15, "{notes:?}");
-    }
-
-    #[test]
-    fn dead_saturated_and_unknown_pixels_have_stated_outcomes() {
-        let dn = |_: usize, x: u32, _: u32| [0.0, 1023.0, f32::NAN, 200.0, 200.0][x as usize];
-        let frames = testing::captured(EXTENT, exposures(2), 0, dn);
-        let (solved, notes) = solve(Params::default(), walk(EXTENT, 14_000_000), frames, EXTENT.rows());
-        let tracks = solved.tracks.read(EXTENT.rows()).unwrap();
-        assert!(tracks.pixel(0, 0).photocurrent.iter().all(|i| *i < 1e-10));
-        assert!(tracks.pixel(1, 0).photocurrent.iter().all(|i| i.is_finite() && *i > 0.0));
-        assert!(tracks.pixel(2, 0).t.is_empty());
-        let map = solved.map.read(EXTENT.rows()).unwrap();
-        assert_eq!(&map.row(0, 0)[..4], [1.0, 2.0, 3.0, 0.0]);
-        assert_eq!(notes.len(), 3, "{notes:?}");
-    }
-
-    #[test]
-    fn a_recording_without_events_holds_the_light_of_each_pair() {
-        let (solved, _) = solve(Params::default(), testing::stream(EXTENT, vec![]), frames(3), EXTENT.rows());
-        let tracks = solved.tracks.read(EXTENT.rows()).unwrap();
-        assert_eq!(tracks.pixel(1, 1).t, [0, 8_030_000]);
-    }
-
-    #[test]
-    fn windows_answer_for_every_instant_once() {
-        let meta = SolvePixel::tracks_meta(&walk(EXTENT, 30_000_000).meta, &frames(4).meta).unwrap();
-        let windows = windows(Joint::Pairs, &exposures(4), &meta);
-        assert_eq!(windows.len(), 3);
-        assert!(windows.windows(2).all(|w| w[0].counts_until == w[1].start && w[0].end > w[1].start));
-        assert_eq!(windows[2].end, windows[2].counts_until);
-    }
-
-    #[test]
-    fn no_frame_at_all_is_refused_with_the_reason() {
-        let none = FramesMeta { times: photocurrent_core::FrameTimes::new(vec![], 0).unwrap(), ..(*frames(1).meta).clone() };
-        let error = SolvePixel::tracks_meta(&walk(EXTENT, 1_000_000).meta, &none).unwrap_err();
-        assert_eq!(error.message, "there is no frame, and events alone leave the photocurrent's level open");
-    }
 }

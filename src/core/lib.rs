@@ -46,5 +46,5 @@ pub use ports::{PortMetas, PortValues, Ports};
 pub use sensor::Sensor;
 pub use table::Table;
 pub use time::{Exposure, TimeSpan, Timestamp};
-pub use tracks::{TrackBand, TrackSet, TracksMeta};
+pub use tracks::{Between, TrackBand, TrackSet, TracksMeta};
 pub use value::{DataType, Meta, Value};

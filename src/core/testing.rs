@@ -7,7 +7,7 @@ use crate::frames::{FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMet
 use crate::light::{Light, LightBand, LightMeta};
 use crate::random::Random;
 use crate::time::{Exposure, TimeSpan};
-use crate::tracks::{TrackBand, TrackSet, TracksMeta};
+use crate::tracks::{Between, TrackBand, TrackSet, TracksMeta};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -87,7 +87,7 @@ pub fn tracks(width: u32, height: u32) -> TrackSet {
             .collect();
         band.push(knots);
     }
-    let meta = TracksMeta { extent, span: TimeSpan::new(0, 100_000_000), nominal_exposure_ns: 4_000_000, count_hint: None };
+    let meta = TracksMeta { extent, span: TimeSpan::new(0, 100_000_000), nominal_exposure_ns: 4_000_000, between: Between::Hold, count_hint: None };
     TrackSet::in_memory(Arc::new(meta), band)
 }
 

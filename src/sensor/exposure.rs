@@ -5,7 +5,8 @@
 //! rolling-shutter correction here.
 //!
 //! Source: Eq. (5) and Section 4.1 ("Rolling Shutter (RS) Effect Correction"). The photocurrent of a solved
-//! pixel is a zero-order hold: `i[k]` from knot `k` to knot `k + 1`, `i[0]` before the first, the last for ever.
+//! pixel is a zero-order hold ([`HeldTrack`]): `i[k]` from knot `k` to knot `k + 1`, `i[0]` before the first, the last for ever; or
+//! its logarithm is linear between knots ([`LogLinearTrack`]), with the same ends.
 //!
 //! Times are whole nanoseconds, so limits and overlaps are exact; only the photocurrent is `f64`. An overlap
 //! becomes an `f64` exactly up to 2^53 ns (104 days). Rendering thousands of frames per second from one track
@@ -57,9 +58,23 @@ impl<'a, P: Copy + Into<f64>> HeldTrack<'a, P> {
         let after = self.knots_ns.partition_point(|&knot| knot <= exposure.start.0);
         self.integral_from(after.saturating_sub(1), exposure)
     }
+}
 
-    /// Sums the holds from `first`, the one that holds at the exposure's start. Both ways in end here, so they
-    /// round alike.
+/// A pixel's photocurrent over time that can be integrated.
+pub trait Track {
+    /// Its knots, in order of time, at least one.
+    fn knots_ns(&self) -> &[i64];
+
+    /// The integral over `exposure`, photocurrent times seconds; `first` is the last knot not after the exposure's start, or 0.
+    /// All ways to an integral end here, so they round alike.
+    fn integral_from(&self, first: usize, exposure: Exposure) -> f64;
+}
+
+impl<P: Copy + Into<f64>> Track for HeldTrack<'_, P> {
+    fn knots_ns(&self) -> &[i64] {
+        self.knots_ns
+    }
+
     fn integral_from(&self, first: usize, exposure: Exposure) -> f64 {
         let mut sum = 0.0;
         let mut from = exposure.start.0;
@@ -75,6 +90,107 @@ impl<'a, P: Copy + Into<f64>> HeldTrack<'a, P> {
     }
 }
 
+/// A pixel's photocurrent over time whose logarithm is linear between knots; the first value holds before, the last one for ever.
+#[derive(Clone, Copy, Debug)]
+pub struct LogLinearTrack<'a, P = f64> {
+    knots_ns: &'a [i64],
+    photocurrent: &'a [P],
+}
+
+/// What a photocurrent of zero counts as: below it no logarithm of an `f32` exists.
+const DARKEST: f64 = 1e-38;
+
+impl<'a, P: Copy + Into<f64>> LogLinearTrack<'a, P> {
+    /// Joins `photocurrent[k]` at `knots_ns[k]`; zero counts as the smallest positive number.
+    ///
+    /// # Panics
+    ///
+    /// When the slices are empty, differ in length, or the knots go back in time. Equal knots are allowed: a jump.
+    pub fn new(knots_ns: &'a [i64], photocurrent: &'a [P]) -> Self {
+        let HeldTrack { knots_ns, photocurrent } = HeldTrack::new(knots_ns, photocurrent);
+        LogLinearTrack { knots_ns, photocurrent }
+    }
+
+    /// The integral of the photocurrent over `exposure`, in photocurrent times seconds: exact.
+    ///
+    /// ```
+    /// # use photocurrent_core::Exposure;
+    /// # use photocurrent_sensor::exposure::LogLinearTrack;
+    /// // From 1 to 4 in 3 s: the mean of an exponential is 3 / ln 4.
+    /// let track = LogLinearTrack::new(&[0, 3_000_000_000], &[1.0, 4.0]);
+    /// let integral = track.integral(Exposure::new(0, 3_000_000_000));
+    /// assert!((integral - 9.0 / 4.0_f64.ln()).abs() < 1e-12);
+    /// ```
+    pub fn integral(&self, exposure: Exposure) -> f64 {
+        let after = self.knots_ns.partition_point(|&knot| knot <= exposure.start.0);
+        self.integral_from(after.saturating_sub(1), exposure)
+    }
+
+    fn log_at(&self, k: usize) -> f64 {
+        libm::log(f64::max(self.photocurrent[k].into(), DARKEST))
+    }
+}
+
+impl<P: Copy + Into<f64>> Track for LogLinearTrack<'_, P> {
+    fn knots_ns(&self) -> &[i64] {
+        self.knots_ns
+    }
+
+    fn integral_from(&self, first: usize, exposure: Exposure) -> f64 {
+        let knots = self.knots_ns;
+        let (start, end) = (exposure.start.0, exposure.end.0);
+        let last = knots.len() - 1;
+        let held = |k: usize, from: i64, to: i64| self.photocurrent[k].into() * (to - from) as f64;
+        let mut sum = 0.0;
+        let mut from = start;
+        if from < knots[0] && from < end {
+            let to = i64::min(knots[0], end);
+            sum += held(0, from, to);
+            from = to;
+        }
+        let mut k = first;
+        let mut log_here = self.log_at(k);
+        while from < end && k < last {
+            let log_next = self.log_at(k + 1);
+            let to = i64::min(knots[k + 1], end);
+            if to > from {
+                let slope = (log_next - log_here) / (knots[k + 1] - knots[k]) as f64;
+                let log = |t: i64| log_here + slope * (t - knots[k]) as f64;
+                sum += log_linear_mean(log(from), log(to)) * (to - from) as f64;
+                from = to;
+            }
+            log_here = log_next;
+            k += 1;
+        }
+        if from < end {
+            sum += held(last, from, end);
+        }
+        sum / 1e9
+    }
+}
+
+/// The mean of a photocurrent whose logarithm goes linearly from `first` to `last`: `(e^last - e^first) / (last - first)`.
+pub fn log_linear_mean(first: f64, last: f64) -> f64 {
+    let rise = last - first;
+    let ratio = if rise.abs() < 0.02 {
+        1.0 + rise * (0.5 + rise * (1.0 / 6.0 + rise * (1.0 / 24.0 + rise * (1.0 / 120.0 + rise / 720.0))))
+    } else {
+        libm::expm1(rise) / rise
+    };
+    libm::exp(first) * ratio
+}
+
+/// The derivative of [`log_linear_mean`] by `last`.
+pub fn log_linear_mean_by_end(first: f64, last: f64) -> f64 {
+    let rise = last - first;
+    let ratio = if rise.abs() < 0.02 {
+        0.5 + rise * (1.0 / 3.0 + rise * (1.0 / 8.0 + rise * (1.0 / 30.0 + rise * (1.0 / 144.0 + rise / 840.0))))
+    } else {
+        (libm::exp(rise) - libm::expm1(rise) / rise) / rise
+    };
+    libm::exp(first) * ratio
+}
+
 /// Integrates many exposures of one track, remembering where the last one started.
 ///
 /// For exposures in time order (overlapping, abutting or apart) the search is one pass over the track.
@@ -88,20 +204,20 @@ impl<'a, P: Copy + Into<f64>> HeldTrack<'a, P> {
 /// assert_eq!(cursor.integral(Exposure::new(0, 100_000)), 200e-6);
 /// ```
 #[derive(Clone, Debug)]
-pub struct ExposureCursor<'a, P = f64> {
-    track: HeldTrack<'a, P>,
+pub struct ExposureCursor<T> {
+    track: T,
     holding: usize,
 }
 
-impl<'a, P: Copy + Into<f64>> ExposureCursor<'a, P> {
+impl<T: Track> ExposureCursor<T> {
     /// Starts at the beginning of `track`.
-    pub fn new(track: HeldTrack<'a, P>) -> Self {
+    pub fn new(track: T) -> Self {
         ExposureCursor { track, holding: 0 }
     }
 
-    /// The same bits as [`HeldTrack::integral`].
+    /// The same bits as the track's own `integral`.
     pub fn integral(&mut self, exposure: Exposure) -> f64 {
-        let knots = self.track.knots_ns;
+        let knots = self.track.knots_ns();
         while self.holding + 1 < knots.len() && knots[self.holding + 1] <= exposure.start.0 {
             self.holding += 1;
         }
@@ -170,6 +286,41 @@ mod tests {
         assert!((sum / integral(0, 500) - 1.0).abs() < 1e-14);
     }
 
+    /// By many small steps of the interpolated logarithm: an integrator that knows nothing of knots.
+    fn stepped(knots: &[i64], current: &[f64], exposure: Exposure) -> f64 {
+        let steps = 200_000;
+        let length = (exposure.end.0 - exposure.start.0) as f64 / f64::from(steps);
+        let value = |t: f64| {
+            let k = knots.partition_point(|&knot| knot as f64 <= t);
+            if k == 0 || k == knots.len() {
+                return current[k.min(knots.len() - 1)];
+            }
+            let share = (t - knots[k - 1] as f64) / (knots[k] - knots[k - 1]) as f64;
+            libm::pow(current[k - 1], 1.0 - share) * libm::pow(current[k], share)
+        };
+        (0..steps).map(|n| value(exposure.start.0 as f64 + (f64::from(n) + 0.5) * length) * length).sum::<f64>() / 1e9
+    }
+
+    #[test]
+    fn log_linear_light_is_integrated_exactly_inside_across_and_outside_knots() {
+        let track = LogLinearTrack::new(&KNOTS, &CURRENT);
+        for (start, end) in [(0, 50), (0, 150), (110, 190), (150, 350), (0, 900), (350, 450), (500, 501)] {
+            let exposure = Exposure::new(start, end);
+            let (exact, steps) = (track.integral(exposure), stepped(&KNOTS, &CURRENT, exposure));
+            // The midpoint rule errs by (length / steps)^2 times the curvature, and by one step at each corner.
+            assert!((exact / steps - 1.0).abs() < 1e-5, "{start} to {end}: {exact} against {steps}");
+        }
+    }
+
+    #[test]
+    fn equal_values_and_jumps_and_darkness_are_no_trouble() {
+        let at = |knots: &[i64], current: &[f32]| LogLinearTrack::new(knots, current).integral(Exposure::new(0, 20));
+        assert!((at(&[0, 10, 20], &[2.0, 2.0, 2.0]) - 40e-9).abs() < 1e-20);
+        assert!((at(&[0, 10, 10, 20], &[1.0, 1.0, 3.0, 3.0]) - 40e-9).abs() < 1e-20);
+        assert!(at(&[0, 20], &[0.0, 0.0]) < 1e-40);
+        assert!((at(&[5], &[2.0]) - 40e-9).abs() < 1e-20);
+    }
+
     proptest! {
         #[test]
         fn the_cursor_gives_the_same_bits_as_a_fresh_search(
@@ -181,11 +332,14 @@ mod tests {
             let current: Vec<f64> = (0..knots.len()).map(|k| 0.1 + (k as f64 * 0.7) % 1.3).collect();
             let track = HeldTrack::new(&knots, &current);
             let mut cursor = ExposureCursor::new(track);
+            let joined = LogLinearTrack::new(&knots, &current);
+            let mut joined_cursor = ExposureCursor::new(joined);
             let mut start = -500;
             for (advance, length) in windows {
                 start += advance; // sometimes backwards, often overlapping
                 let exposure = Exposure::new(start, start + length);
                 prop_assert_eq!(cursor.integral(exposure).to_bits(), track.integral(exposure).to_bits());
+                prop_assert_eq!(joined_cursor.integral(exposure).to_bits(), joined.integral(exposure).to_bits());
             }
         }
     }

@@ -18,6 +18,7 @@
 //! - [`forward`]: light in, events and frame values out, for one pixel.
 //! - [`residuals`]: measured minus predicted for a candidate photocurrent, with its Jacobian.
 //! - [`inverse`]: events and frames in, photocurrent out: the least-squares problem of Eq. (13).
+//! - [`map`]: the same with knots that are fine, the exact reset and a prior: the most probable light.
 //! - [`effects`]: non-idealities beyond the model above, one file each.
 //!
 //! Results are the same bits on every machine: no fused multiply-add and no platform `exp` or `ln`
@@ -31,6 +32,7 @@ pub mod forward;
 pub mod front_end;
 pub mod inverse;
 pub mod lanes;
+pub mod map;
 pub mod readout;
 pub mod residuals;
 pub mod scalar;

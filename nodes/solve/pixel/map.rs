@@ -1,0 +1,185 @@
+//! `method = "map"`: a row of pixels cut out of the recording, and their most probable light put together.
+
+use super::{MAP_STEPS, Model, PLANES, Params, Status, map_meta};
+use photocurrent_core::events::EventRow;
+use photocurrent_core::{Exposure, FrameBlock, MapBand, Rows, Sensor, TrackBand, TracksMeta};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapWorkspace, Noise, estimate, solve};
+
+/// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
+const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
+/// So many pixels of a row are looked at to estimate the noise of its events.
+const SAMPLED_PIXELS: usize = 16;
+/// A knot is left away where the line between its neighbours misses it by less than this, natural-log units.
+const THINNED_TO: f64 = 2e-4;
+
+/// What the frames' noise is, as far as it is stated.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct FrameNoise {
+    read_dn: f64,
+    /// DN of one electron; 0 = photon noise unknown.
+    dn_per_electron: f64,
+    share: f64,
+}
+
+impl FrameNoise {
+    pub fn new(sensor: &Sensor, share: f64) -> FrameNoise {
+        let above_black = sensor.frames.saturation_dn.unwrap_or(0.0) - sensor.frames.black_level_dn.unwrap_or(0.0);
+        let electrons = sensor.frames.full_well_e.unwrap_or(0.0);
+        let dn_per_electron = if electrons > 0.0 && above_black > 0.0 { above_black / electrons } else { 0.0 };
+        FrameNoise { read_dn: sensor.frames.read_noise_dn.unwrap_or(0.0), dn_per_electron, share }
+    }
+
+    /// Standard deviation of a value, `signal` DN above black.
+    fn sigma_dn(&self, signal: f64) -> f64 {
+        let signal = f64::max(signal, 0.0);
+        let share = self.share * signal;
+        libm::sqrt(self.read_dn * self.read_dn + self.dn_per_electron * signal + LEAST_FRAME_SIGMA_DN * LEAST_FRAME_SIGMA_DN + share * share)
+    }
+}
+
+/// Solves the pixels of a row; keeps its memory from row to row.
+#[derive(Default)]
+pub(super) struct RowSolver {
+    workspace: MapWorkspace,
+    /// Events of all pixels of the row, pixel by pixel.
+    events: Vec<MapEvent>,
+    first_event: Vec<usize>,
+    frames: Vec<MapFrame>,
+    first_frame: Vec<usize>,
+    knots: Vec<(i64, f32)>,
+}
+
+impl RowSolver {
+    pub fn row(
+        &mut self,
+        params: &Params,
+        model: &Model,
+        meta: &TracksMeta,
+        row: u32,
+        events: EventRow,
+        frames: &FrameBlock,
+        exposures: &[Exposure],
+    ) -> (TrackBand, MapBand) {
+        let width = meta.extent.width as usize;
+        self.take_events(model, &events, width as u32);
+        self.take_frames(model, frames, row, width, exposures);
+        let (first, last) = (exposures[0], exposures[exposures.len() - 1]);
+        let span = (i64::min(meta.span.start.0, first.start.0), i64::max(meta.span.end.0, last.end.0));
+        let options =
+            MapOptions { spacing_ns: params.knot_spacing.ns(), max_iterations: usize::min(params.max_iterations as usize, MAP_STEPS), ..MapOptions::default() };
+        let mut noise = Noise::default();
+        noise.event = match params.event_noise {
+            Some(stated) => stated,
+            None => self.estimate(model, span, noise, &options),
+        };
+        let mut tracks = TrackBand::begin(row, meta.extent.width);
+        let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
+        for x in 0..width {
+            self.knots.clear();
+            let mut values = [Status::NoFrame as u8 as f32, 0.0, 0.0];
+            if self.first_frame[x + 1] > self.first_frame[x] {
+                let RowSolver { workspace, events, first_event, frames, first_frame, knots } = self;
+                let problem = problem(model, &events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]], span, noise);
+                let solution = solve(&problem, &options, workspace);
+                thin(&solution, knots);
+                let status = match solution.status {
+                    MapStatus::Failed => Status::SafeEstimate,
+                    _ if problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
+                    MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
+                };
+                values = [status as u8 as f32, solution.iterations as f32, -solution.log_evidence as f32];
+            }
+            tracks.push(self.knots.iter().copied());
+            for (plane, value) in values.into_iter().enumerate().take(PLANES.len()) {
+                map.row_mut(plane, row)[x] = value;
+            }
+        }
+        (tracks, map)
+    }
+
+    fn take_events(&mut self, model: &Model, events: &EventRow, width: u32) {
+        let index = events.by_pixel(width);
+        self.events.clear();
+        self.first_event.clear();
+        for x in 0..width as usize {
+            let begin = self.events.len();
+            self.first_event.push(begin);
+            self.events.extend(index.pixel(x).iter().map(|&k| {
+                let t_in_ns = model.rule.time(events, k);
+                let t_off_ns = i64::max(events.t[k] - model.clock_offset_ns, t_in_ns);
+                MapEvent { t_in_ns, t_off_ns, polarity: if events.on[k] == 1 { 1 } else { -1 } }
+            }));
+            self.events[begin..].sort_by_key(|event| event.t_in_ns);
+        }
+        self.first_event.push(self.events.len());
+    }
+
+    fn take_frames(&mut self, model: &Model, frames: &FrameBlock, row: u32, width: usize, exposures: &[Exposure]) {
+        self.frames.clear();
+        self.first_frame.clear();
+        for x in 0..width {
+            self.first_frame.push(self.frames.len());
+            for (l, exposure) in exposures.iter().enumerate() {
+                let dn = f64::from(frames.row(l, row)[x]);
+                if dn.is_finite() {
+                    let saturated = dn >= model.saturation_dn;
+                    let sigma_dn = model.frame_noise.sigma_dn(dn - model.black_level);
+                    self.frames.push(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated });
+                }
+            }
+        }
+        self.first_frame.push(self.frames.len());
+    }
+
+    /// The noise of the row's events, from pixels spread over their number of events.
+    fn estimate(&mut self, model: &Model, span: (i64, i64), noise: Noise, options: &MapOptions) -> f64 {
+        let mut pixels: Vec<usize> = (0..self.first_event.len() - 1)
+            .filter(|&x| self.first_event[x + 1] > self.first_event[x] && self.first_frame[x + 1] > self.first_frame[x])
+            .collect();
+        pixels.sort_by_key(|&x| (self.first_event[x + 1] - self.first_event[x], x));
+        let taken = usize::min(pixels.len(), SAMPLED_PIXELS);
+        let problems: Vec<MapProblem<'_>> = (0..taken)
+            .map(|n| {
+                let x = pixels[(2 * n + 1) * pixels.len() / (2 * taken)];
+                let events = &self.events[self.first_event[x]..self.first_event[x + 1]];
+                problem(model, events, &self.frames[self.first_frame[x]..self.first_frame[x + 1]], span, noise)
+            })
+            .collect();
+        estimate::event_noise(&problems, options, &mut self.workspace)
+    }
+}
+
+fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], span: (i64, i64), noise: Noise) -> MapProblem<'a> {
+    let sensor = MapSensor {
+        front_end: model.front_end,
+        threshold_on: model.rule.threshold_on,
+        threshold_off: model.rule.threshold_off,
+        reset: model.reset,
+        refractory_ns: model.refractory_ns,
+        gain: model.gain,
+        black_level_dn: model.black_level,
+    };
+    MapProblem { events, frames, start_ns: span.0, end_ns: span.1, sensor, noise, stamp_sigma_s: model.stamp_sigma_s, silence_sigma: 0.0 }
+}
+
+/// Keeps as few knots as join up to the same line within [`THINNED_TO`].
+fn thin(solution: &MapSolution<'_>, knots: &mut Vec<(i64, f32)>) {
+    let (t, u) = (solution.t_ns, solution.log_photocurrent);
+    let mut keep = |k: usize| knots.push((t[k], libm::exp(u[k]) as f32));
+    keep(0);
+    // The slopes from the last kept knot that pass every knot since within the tolerance.
+    let (mut anchor, mut low, mut high) = (0, f64::NEG_INFINITY, f64::INFINITY);
+    for k in 1..t.len() {
+        let slope = |anchor: usize, off: f64| (u[k] + off - u[anchor]) / (t[k] - t[anchor]) as f64;
+        if slope(anchor, 0.0) < low || slope(anchor, 0.0) > high {
+            anchor = k - 1;
+            keep(anchor);
+            (low, high) = (f64::NEG_INFINITY, f64::INFINITY);
+        }
+        low = f64::max(low, slope(anchor, -THINNED_TO));
+        high = f64::min(high, slope(anchor, THINNED_TO));
+    }
+    if t.len() > 1 {
+        keep(t.len() - 1);
+    }
+}

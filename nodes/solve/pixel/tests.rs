@@ -1,0 +1,216 @@
+//! Claims about the node, on small streams.
+
+use super::*;
+use crate::baseline::edi::{self, BaselineEdi};
+use crate::render::rows::{self, RenderRows};
+use crate::sampling::Sampling;
+use photocurrent_core::events::{Event, Polarity};
+use photocurrent_core::quantity::{Duration, Rate};
+use photocurrent_core::random::Random;
+use photocurrent_core::{Extent, testing};
+
+fn sensor() -> Arc<Sensor> {
+    let mut sensor = Sensor::unknown("test");
+    sensor.front_end.tau_0 = Some(Duration::new(20_000));
+    sensor.front_end.alpha = Some(Duration::new(2_000_000));
+    sensor.comparator.threshold_on = Some(0.2);
+    sensor.comparator.threshold_off = Some(0.25);
+    sensor.readout.refractory = Some(Duration::new(60_000));
+    sensor.frames.gain = Some(1000.0);
+    sensor.frames.saturation_dn = Some(1023.0);
+    Arc::new(sensor)
+}
+
+fn solve(params: Params, events: EventStream, frames: FrameSequence, rows: Rows) -> (Out, Vec<String>) {
+    let node = SolvePixel { params };
+    let (out, notes) = testing::with_context(rows, &["tracks", "map"], |cx| node.run(In { events, frames, sensor: sensor() }, cx));
+    (out.unwrap(), notes)
+}
+
+fn ideal() -> Params {
+    Params { front_end: FrontEndModel::Ideal, readout: ReadoutModel::None, ..Params::default() }
+}
+
+const EXTENT: Extent = Extent { width: 5, height: 4 };
+
+/// A walk of ON and OFF around zero net change, so that no pixel runs away.
+fn walk(extent: Extent, until_ns: i64) -> EventStream {
+    let mut events = Vec::new();
+    for y in 0..extent.height {
+        for x in 0..extent.width {
+            let mut random = Random::new(11, &[x.into(), y.into()]);
+            let mut t = 0;
+            loop {
+                t += 200_000 + (random.uniform() * 1.5e6) as i64;
+                if t + 20_000 >= until_ns {
+                    break;
+                }
+                events.push(Event { x: x as u16, y: y as u16, polarity: Polarity::from_bit((random.bits() & 1) as u8), t: t + 20_000, t_in: Some(t) });
+            }
+        }
+    }
+    testing::stream(extent, events)
+}
+
+fn exposures(count: i64) -> Vec<Exposure> {
+    (0..count).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 6_000_000)).collect()
+}
+
+fn frames(count: i64) -> FrameSequence {
+    let mut random = Random::new(5, &[]);
+    testing::captured(EXTENT, exposures(count), 30_000, |_, _, _| (100.0 + 300.0 * random.uniform()) as f32)
+}
+
+#[test]
+fn with_an_ideal_sensor_and_one_frame_it_is_the_double_integral() {
+    let (events, frames) = (walk(EXTENT, 6_000_000), frames(1));
+    let sampling = Sampling { rate: Rate::new(5000.0), ..Sampling::default() };
+    let (solved, _) = solve(ideal(), events.clone(), frames.clone(), EXTENT.rows());
+    let render = RenderRows::build(rows::Params { sampling: sampling.clone() }).unwrap();
+    let ours = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(rows::In { tracks: solved.tracks, sensor: sensor(), at: None }, cx))
+        .0
+        .unwrap()
+        .frames;
+    let double_integral = BaselineEdi::build(edi::Params { sampling, ..edi::Params::default() }).unwrap();
+    let input = edi::In { events, frames, sensor: Some(sensor()), contrast: None, at: None };
+    let theirs = testing::with_context(EXTENT.rows(), &["frames"], |cx| double_integral.run(input, cx)).0.unwrap().frames;
+    assert_eq!(ours.meta, theirs.meta);
+    let (ours, theirs) = (ours.read_rows(EXTENT.rows()).unwrap(), theirs.read_rows(EXTENT.rows()).unwrap());
+    // Tracks are f32: a few rounding errors of 6e-8 each.
+    assert!(ours.dn.iter().zip(&theirs.dn).all(|(a, b)| (a / b - 1.0).abs() < 1e-6));
+    assert!(ours.dn.iter().any(|dn| (dn / ours.dn[0] - 1.0).abs() > 0.2), "the picture must change for the test to mean something");
+}
+
+#[test]
+fn rows_are_solved_alike_whatever_the_band() {
+    let (events, frames) = (walk(EXTENT, 30_000_000), frames(4));
+    let whole = solve(Params::default(), events.clone(), frames.clone(), EXTENT.rows()).0.tracks.read(EXTENT.rows()).unwrap();
+    for band in EXTENT.rows().bands(3) {
+        let part = solve(Params::default(), events.clone(), frames.clone(), band).0.tracks.read(band).unwrap();
+        assert_eq!(part, whole.slice(band));
+    }
+}
+
+fn most_probable() -> Params {
+    Params { method: Method::Map, ..Params::default() }
+}
+
+#[test]
+fn rows_have_the_same_most_probable_light_whatever_the_band() {
+    let (events, frames) = (walk(EXTENT, 30_000_000), frames(4));
+    let (whole, _) = solve(most_probable(), events.clone(), frames.clone(), EXTENT.rows());
+    assert_eq!(whole.tracks.meta.between, Between::LogLinear);
+    let whole = whole.tracks.read(EXTENT.rows()).unwrap();
+    for band in EXTENT.rows().bands(3) {
+        let part = solve(most_probable(), events.clone(), frames.clone(), band).0.tracks.read(band).unwrap();
+        assert_eq!(part, whole.slice(band));
+    }
+}
+
+#[test]
+fn the_most_probable_light_reads_like_the_frames_and_moves_like_the_events() {
+    // Every pixel doubles its light at 7 ms, between two exposures, in four ON events of 0.2 that come 300 us apart.
+    let mut events = Vec::new();
+    for y in 0..EXTENT.height {
+        for x in 0..EXTENT.width {
+            events.extend((0..4).map(|k| 6_600_000 + k * 300_000).map(|t| Event {
+                x: x as u16,
+                y: y as u16,
+                polarity: Polarity::On,
+                t: t + 2_000,
+                t_in: Some(t),
+            }));
+        }
+    }
+    let frames = testing::captured(EXTENT, exposures(2), 0, |l, _, _| if l == 0 { 600.0 } else { 1200.0 });
+    let mut bright = (*sensor()).clone();
+    (bright.front_end.alpha, bright.frames.saturation_dn) = (Some(Duration::new(0)), None);
+    let node = SolvePixel { params: most_probable() };
+    let input = In { events: testing::stream(EXTENT, events), frames: frames.clone(), sensor: Arc::new(bright) };
+    let (solved, notes) = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx));
+    assert!(notes.is_empty(), "{notes:?}");
+    let tracks = solved.unwrap().tracks;
+    let render = RenderRows::build(rows::Params::default()).unwrap();
+    let input = rows::In { tracks: tracks.clone(), sensor: sensor(), at: Some(frames) };
+    let again = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx)).0.unwrap().frames.read_rows(EXTENT.rows()).unwrap();
+    let band = tracks.read(EXTENT.rows()).unwrap();
+    for y in EXTENT.rows().iter() {
+        for x in 0..EXTENT.width {
+            // Frames count to half a percent and 1 DN.
+            assert!((again.row(0, y)[x as usize] - 600.0).abs() < 6.0 && (again.row(1, y)[x as usize] - 1200.0).abs() < 12.0);
+            let track = band.pixel(x, y);
+            let at = |t: i64| track.photocurrent[track.t.partition_point(|&knot| knot <= t) - 1];
+            // 600 DN = 1000 x 6 ms x 100; it has not moved at 6 ms and has arrived at 8 ms.
+            assert!((at(5_900_000) / 100.0 - 1.0).abs() < 0.05 && (at(8_100_000) / 200.0 - 1.0).abs() < 0.05, "{track:?}");
+        }
+    }
+}
+
+#[test]
+fn compensated_steps_are_refused_where_the_readout_is_undone_anyway() {
+    let events = EventsMeta { has_step: true, ..(*walk(EXTENT, 1_000_000).meta).clone() };
+    let error = SolvePixel { params: most_probable() }.model(&sensor(), &events).err().unwrap();
+    assert!(error.message.contains("compensated steps"), "{}", error.message);
+}
+
+#[test]
+fn solved_tracks_reproduce_the_frames_they_came_from() {
+    let frames = testing::captured(EXTENT, exposures(2), 30_000, |_, x, y| 100.0 + 40.0 * x as f32 + 10.0 * y as f32);
+    let (solved, notes) = solve(Params::default(), walk(EXTENT, 14_000_000), frames.clone(), EXTENT.rows());
+    let render = RenderRows::build(rows::Params::default()).unwrap();
+    let input = rows::In { tracks: solved.tracks.clone(), sensor: sensor(), at: Some(frames.clone()) };
+    let again = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx)).0.unwrap().frames.read_rows(EXTENT.rows()).unwrap();
+    let original = frames.read_rows(EXTENT.rows()).unwrap();
+    let map = solved.map.read(EXTENT.rows()).unwrap();
+    let mut converged = 0;
+    for y in EXTENT.rows().iter() {
+        for x in (0..5).filter(|x| map.row(0, y)[*x] == 0.0) {
+            // A squared DN weighs as much as a squared log unit, so frames are met to a small part of one DN.
+            assert!((0..2).all(|l| (again.row(l, y)[x] - original.row(l, y)[x]).abs() < 0.5), "({x}, {y})");
+            converged += 1;
+        }
+    }
+    assert!(converged >= 15, "{notes:?}");
+}
+
+#[test]
+fn dead_saturated_and_unknown_pixels_have_stated_outcomes() {
+    let dn = |_: usize, x: u32, _: u32| [0.0, 1023.0, f32::NAN, 200.0, 200.0][x as usize];
+    let frames = testing::captured(EXTENT, exposures(2), 0, dn);
+    let (solved, notes) = solve(Params::default(), walk(EXTENT, 14_000_000), frames.clone(), EXTENT.rows());
+    let tracks = solved.tracks.read(EXTENT.rows()).unwrap();
+    assert!(tracks.pixel(0, 0).photocurrent.iter().all(|i| *i < 1e-10));
+    assert!(tracks.pixel(1, 0).photocurrent.iter().all(|i| i.is_finite() && *i > 0.0));
+    assert!(tracks.pixel(2, 0).t.is_empty());
+    let map = solved.map.read(EXTENT.rows()).unwrap();
+    assert_eq!(&map.row(0, 0)[..4], [1.0, 2.0, 3.0, 0.0]);
+    let probable = solve(most_probable(), walk(EXTENT, 14_000_000), frames, EXTENT.rows()).0;
+    let tracks = probable.tracks.read(EXTENT.rows()).unwrap();
+    assert!(tracks.photocurrent.iter().all(|i| i.is_finite() && *i > 0.0));
+    assert!(tracks.pixel(2, 0).t.is_empty());
+    assert_eq!(&probable.map.read(EXTENT.rows()).unwrap().row(0, 0)[1..3], [2.0, 3.0]);
+    assert_eq!(notes.len(), 3, "{notes:?}");
+}
+
+#[test]
+fn a_recording_without_events_holds_the_light_of_each_pair() {
+    let (solved, _) = solve(Params::default(), testing::stream(EXTENT, vec![]), frames(3), EXTENT.rows());
+    let tracks = solved.tracks.read(EXTENT.rows()).unwrap();
+    assert_eq!(tracks.pixel(1, 1).t, [0, 8_030_000]);
+}
+
+#[test]
+fn windows_answer_for_every_instant_once() {
+    let meta = SolvePixel { params: Params::default() }.tracks_meta(&walk(EXTENT, 30_000_000).meta, &frames(4).meta).unwrap();
+    let windows = windows(Joint::Pairs, &exposures(4), &meta);
+    assert_eq!(windows.len(), 3);
+    assert!(windows.windows(2).all(|w| w[0].counts_until == w[1].start && w[0].end > w[1].start));
+    assert_eq!(windows[2].end, windows[2].counts_until);
+}
+
+#[test]
+fn no_frame_at_all_is_refused_with_the_reason() {
+    let none = FramesMeta { times: photocurrent_core::FrameTimes::new(vec![], 0).unwrap(), ..(*frames(1).meta).clone() };
+    let error = SolvePixel { params: Params::default() }.tracks_meta(&walk(EXTENT, 1_000_000).meta, &none).unwrap_err();
+    assert_eq!(error.message, "there is no frame, and events alone leave the photocurrent's level open");
+}

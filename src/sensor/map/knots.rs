@@ -1,0 +1,122 @@
+//! Where the unknowns of a pixel stand, and what happens there.
+//!
+//! Knots are put at every event (in-pixel time), at every instant when the reference is taken anew, and at the edges of exposures; and
+//! between them so that none lie further apart than asked for. What happens at a knot is a short list of [`Op`]s in causal order.
+
+use super::{MapEvent, MapFrame, MapSensor};
+use photocurrent_core::sensor::Reset;
+
+/// An event this soon after the blind time may be one that was held back, ns.
+const LATE_NS: i64 = 1_000;
+
+/// What happens at a knot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Op {
+    /// The exposure of this frame ends and is read.
+    Read(u32),
+    /// The exposure of this frame begins: nothing is collected yet.
+    Expose(u32),
+    /// The reference becomes the voltage of now.
+    Latch,
+    /// An event fires; `armed` when the comparator was surely watching.
+    Fire {
+        /// Its polarity.
+        polarity: i8,
+        /// Was the comparator surely watching?
+        armed: bool,
+    },
+}
+
+/// The knots of one pixel; kept from pixel to pixel for its memory.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Knots {
+    /// Time of each knot, ns, rising.
+    pub t_ns: Vec<i64>,
+    /// Where each knot's ops begin in `ops`; one more than knots.
+    pub first_op: Vec<u32>,
+    /// What happens, in order of time.
+    pub ops: Vec<Op>,
+    marks: Vec<(i64, u8, Op)>,
+}
+
+impl Knots {
+    /// Lays the knots of a pixel between `start_ns` and `end_ns` (both become knots), at most `spacing_ns` apart.
+    ///
+    /// Events and exposures are inside that span; what lies outside is left away.
+    pub fn lay(&mut self, sensor: &MapSensor, events: &[MapEvent], frames: &[MapFrame], start_ns: i64, end_ns: i64, spacing_ns: i64) {
+        self.mark(sensor, events, frames, start_ns, end_ns);
+        self.t_ns.clear();
+        self.first_op.clear();
+        self.ops.clear();
+        self.begin(start_ns);
+        for k in 0..self.marks.len() {
+            let (t, _, op) = self.marks[k];
+            self.fill_to(t, spacing_ns);
+            self.ops.push(op);
+        }
+        self.fill_to(end_ns, spacing_ns);
+        self.first_op.push(self.ops.len() as u32);
+    }
+
+    fn begin(&mut self, t_ns: i64) {
+        self.first_op.push(self.ops.len() as u32);
+        self.t_ns.push(t_ns);
+    }
+
+    /// Adds knots up to and including `t_ns`, unless it is one already.
+    fn fill_to(&mut self, t_ns: i64, spacing_ns: i64) {
+        let last = self.t_ns[self.t_ns.len() - 1];
+        let gap = t_ns - last;
+        if gap <= 0 {
+            return;
+        }
+        let pieces = (gap + spacing_ns - 1) / spacing_ns;
+        for piece in 1..=pieces {
+            self.begin(last + gap * piece / pieces);
+        }
+    }
+
+    fn mark(&mut self, sensor: &MapSensor, events: &[MapEvent], frames: &[MapFrame], start_ns: i64, end_ns: i64) {
+        self.marks.clear();
+        let inside = |t: i64| t >= start_ns && t <= end_ns;
+        for (l, frame) in frames.iter().enumerate().filter(|(_, frame)| inside(frame.start_ns) && inside(frame.end_ns)) {
+            self.marks.push((frame.end_ns, 0, Op::Read(l as u32)));
+            self.marks.push((frame.start_ns, 1, Op::Expose(l as u32)));
+        }
+        let mut blind_until = i64::MIN;
+        let mut before = i64::MIN;
+        for (k, event) in events.iter().enumerate().filter(|(_, event)| inside(event.t_in_ns)) {
+            let latch_ns = event.t_off_ns + sensor.refractory_ns;
+            // Two events of a pixel at one instant: under "resample" the second says nothing more, under "advance" it counts twice.
+            let watching = match sensor.reset {
+                Reset::Resample => event.t_in_ns >= blind_until && event.t_in_ns > before,
+                // One that fires as the blind time ends may have crossed long before.
+                Reset::Advance | Reset::AdvanceLossy => {
+                    events.get(k + 1).is_none_or(|next| next.t_in_ns != event.t_in_ns)
+                        && (sensor.refractory_ns == 0 || event.t_in_ns > blind_until.saturating_add(LATE_NS))
+                }
+            };
+            self.marks.push((event.t_in_ns, 3, Op::Fire { polarity: event.polarity, armed: watching }));
+            // A reference that moves by one threshold is the voltage of the event, unless the event was held back. Taken from the voltage,
+            // errors of thresholds do not add up.
+            match sensor.reset {
+                Reset::Resample if inside(latch_ns) => self.marks.push((latch_ns, if latch_ns > event.t_in_ns { 2 } else { 4 }, Op::Latch)),
+                Reset::Advance | Reset::AdvanceLossy if watching => self.marks.push((event.t_in_ns, 4, Op::Latch)),
+                _ => {}
+            }
+            blind_until = i64::max(blind_until, latch_ns);
+            before = event.t_in_ns;
+        }
+        self.marks.sort_by_key(|&(t, order, _)| (t, order));
+    }
+
+    /// The ops of knot `j`.
+    pub fn ops_of(&self, j: usize) -> std::ops::Range<usize> {
+        self.first_op[j] as usize..self.first_op[j + 1] as usize
+    }
+
+    /// Number of knots.
+    pub fn len(&self) -> usize {
+        self.t_ns.len()
+    }
+}

@@ -1,0 +1,306 @@
+//! The most probable light of one pixel: all its events and frames at once, through the exact sensor.
+//!
+//! Unknown is u(t) = ln i(t), linear between knots, so light is positive without being told. The voltage follows by the exact response to ramps;
+//! the reference is latched when the readout is over ("resample") or when the event fires ("advance"); every event says that
+//! voltage and reference were one threshold apart when it fired; every frame says how much light its own row collected. A prior says that
+//! light moves with a speed that lasts a while, with a variance of its own at every place in time ([`Prior`]).
+//!
+//! The maximum of the posterior is found by Gauss-Newton steps. Each is one pass forward and one backward over a chain of small states: the cost is
+//! linear in the number of knots. The posterior standard deviation comes from the same passes.
+//!
+//! Limits: one pixel alone, nothing from its neighbours; the local variance is estimated from the estimate, so standard deviations are too small
+//! where nothing was measured; the time constant is held over a segment.
+
+mod chain;
+pub mod estimate;
+mod knots;
+mod prior;
+mod segment;
+mod smoother;
+mod start;
+#[cfg(test)]
+mod tests;
+
+pub use prior::Prior;
+pub use segment::ramp_voltage;
+
+use crate::front_end::FrontEnd;
+use chain::Chain;
+use knots::Knots;
+use photocurrent_core::sensor::Reset;
+use prior::Segments;
+use smoother::{Ask, Smoother};
+use start::Start;
+
+/// An event of the pixel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MapEvent {
+    /// When it fired, ns.
+    pub t_in_ns: i64,
+    /// When its readout was over, ns; not before `t_in_ns`.
+    pub t_off_ns: i64,
+    /// +1 or -1.
+    pub polarity: i8,
+}
+
+/// A frame value of the pixel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapFrame {
+    /// Exposure of this row, ns.
+    pub start_ns: i64,
+    /// End of it.
+    pub end_ns: i64,
+    /// Digital number, black level included; finite.
+    pub dn: f64,
+    /// Its standard deviation, DN, positive.
+    pub sigma_dn: f64,
+    /// Is the value a lower bound?
+    pub saturated: bool,
+}
+
+/// The pixel as a description states it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapSensor {
+    /// The low-pass of Eq. (3).
+    pub front_end: FrontEnd,
+    /// ON threshold, natural-log units, positive.
+    pub threshold_on: f64,
+    /// OFF threshold, natural-log units, positive.
+    pub threshold_off: f64,
+    /// What the reference does after an event.
+    pub reset: Reset,
+    /// From `t_off` until the comparator watches again, ns.
+    pub refractory_ns: i64,
+    /// DN per photocurrent and second.
+    pub gain: f64,
+    /// DN of darkness.
+    pub black_level_dn: f64,
+}
+
+/// How far measurements of events are believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    /// Standard deviation of an event, as a part of its threshold.
+    pub event: f64,
+    /// Residuals of so many standard deviations count half; infinity for a normal law.
+    pub robust: f64,
+    /// Standard deviation of the first reference around the first voltage, natural-log units.
+    pub reference: f64,
+    /// Standard deviation of this pixel's thresholds around the stated ones, natural-log units; 0 = they are exact.
+    pub threshold: f64,
+}
+
+impl Default for Noise {
+    fn default() -> Noise {
+        Noise { event: 0.1, robust: f64::INFINITY, reference: 0.05, threshold: 0.0 }
+    }
+}
+
+impl Noise {
+    fn event_variance(&self, threshold: f64) -> f64 {
+        let sigma = self.event * threshold;
+        sigma * sigma
+    }
+
+    /// Weight and cost of a squared residual in units of its variance.
+    fn judge(&self, square: f64) -> (f64, f64) {
+        if self.robust.is_finite() {
+            let half = self.robust * self.robust;
+            (1.0 / (1.0 + square / half), half * libm::log1p(square / half))
+        } else {
+            (1.0, square)
+        }
+    }
+}
+
+/// What is estimated of a pixel besides its light: how far it is from the stated values, natural-log units.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Offsets {
+    /// First reference less first voltage.
+    pub reference: f64,
+    /// Added to the ON threshold.
+    pub on: f64,
+    /// Added to the OFF threshold.
+    pub off: f64,
+}
+
+impl Offsets {
+    fn cost(&self, noise: &Noise) -> f64 {
+        let part = |value: f64, sigma: f64| if sigma > 0.0 { (value / sigma) * (value / sigma) } else { 0.0 };
+        part(self.reference, noise.reference) + part(self.on, noise.threshold) + part(self.off, noise.threshold)
+    }
+
+    fn moved(&self, by: &Offsets, share: f64) -> Offsets {
+        Offsets { reference: self.reference + share * by.reference, on: self.on + share * by.on, off: self.off + share * by.off }
+    }
+}
+
+/// Everything measured and known about one pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct MapProblem<'a> {
+    /// Events in order of in-pixel time.
+    pub events: &'a [MapEvent],
+    /// Frame values, in order of time, exposures apart from each other.
+    pub frames: &'a [MapFrame],
+    /// First instant that is asked for, ns; the pixel is taken as settled there.
+    pub start_ns: i64,
+    /// Last instant, ns.
+    pub end_ns: i64,
+    /// The pixel.
+    pub sensor: MapSensor,
+    /// How far events are believed.
+    pub noise: Noise,
+    /// Standard deviation of a stamp, seconds.
+    pub stamp_sigma_s: f64,
+    /// Softness of "no event, so no threshold was crossed", natural-log units; 0 = not used.
+    pub silence_sigma: f64,
+}
+
+/// How the problem is solved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapOptions {
+    /// The prior.
+    pub prior: Prior,
+    /// Knots lie at most this far apart, ns.
+    pub spacing_ns: i64,
+    /// Most Gauss-Newton steps.
+    pub max_iterations: usize,
+    /// The iteration ends when no log light moves further than this.
+    pub tolerance: f64,
+    /// Compute standard deviations?
+    pub with_sigma: bool,
+}
+
+impl Default for MapOptions {
+    fn default() -> MapOptions {
+        MapOptions { prior: Prior::default(), spacing_ns: 250_000, max_iterations: 10, tolerance: 2e-3, with_sigma: false }
+    }
+}
+
+/// How a pixel came out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MapStatus {
+    /// The last step was short.
+    Converged,
+    /// Out of iterations, but every step went down.
+    Unfinished,
+    /// No step went down, or a number was not finite: the answer is the start.
+    Failed,
+}
+
+/// The answer for one pixel, borrowed from the workspace.
+#[derive(Clone, Copy, Debug)]
+pub struct MapSolution<'a> {
+    /// Knots, ns, rising.
+    pub t_ns: &'a [i64],
+    /// Log light at each knot; linear between.
+    pub log_photocurrent: &'a [f64],
+    /// Posterior variance of it where asked for, else empty.
+    pub variance: &'a [f64],
+    /// Thresholds and first reference of this pixel.
+    pub offsets: Offsets,
+    /// How it went.
+    pub status: MapStatus,
+    /// Gauss-Newton steps that were taken.
+    pub iterations: usize,
+    /// Log of the measurements' marginal likelihood, of the problem linearised at the answer.
+    pub log_evidence: f64,
+}
+
+/// Memory that is kept from pixel to pixel.
+#[derive(Clone, Debug, Default)]
+pub struct MapWorkspace {
+    knots: Knots,
+    segments: Segments,
+    chain: Chain,
+    trial_chain: Chain,
+    smoother: Smoother,
+    start: Start,
+    u: Vec<f64>,
+    trial: Vec<f64>,
+}
+
+/// Steps longer than this are cut, natural-log units.
+const LONGEST_STEP: f64 = 1.5;
+/// First damping: a standard deviation of a change of a tenth.
+const FIRST_DAMPING: f64 = 100.0;
+/// Log light stays inside plus and minus this.
+const LOG_LIMIT: f64 = 40.0;
+
+/// Solves one pixel.
+pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w mut MapWorkspace) -> MapSolution<'w> {
+    let MapWorkspace { knots, segments, chain, trial_chain, smoother, start, u, trial } = workspace;
+    knots.lay(&problem.sensor, problem.events, problem.frames, problem.start_ns, problem.end_ns, options.spacing_ns);
+    segments.lay(&knots.t_ns, &options.prior);
+    start.fill(problem, knots, u);
+    let first = u[0];
+    let mut offsets = Offsets::default();
+    let mut damping = 0.0;
+    let mut status = MapStatus::Unfinished;
+    let mut iterations = 0;
+    while iterations < options.max_iterations {
+        iterations += 1;
+        segments.adapt(u, &options.prior);
+        chain.run(problem, knots, segments, u, &offsets);
+        if !chain.cost.is_finite() {
+            status = MapStatus::Failed;
+            break;
+        }
+        let mut longest = f64::INFINITY;
+        for _attempt in 0..6 {
+            smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, damping, false));
+            longest = smoother.change.iter().fold(0.0, |longest, change| f64::max(longest, change.abs()));
+            if !longest.is_finite() {
+                damping = f64::max(damping * 10.0, FIRST_DAMPING);
+                continue;
+            }
+            let share = f64::min(1.0, LONGEST_STEP / longest);
+            trial.clear();
+            trial.extend(u.iter().zip(&smoother.change).map(|(u, change)| (u + share * change).clamp(-LOG_LIMIT, LOG_LIMIT)));
+            let moved = offsets.moved(&smoother.offsets, share);
+            trial_chain.run(problem, knots, segments, trial, &moved);
+            // A step at the level of rounding may go up by rounding.
+            if trial_chain.cost <= chain.cost * (1.0 + 1e-9) + 1e-9 {
+                std::mem::swap(u, trial);
+                offsets = moved;
+                damping = if damping > FIRST_DAMPING { damping * 0.1 } else { 0.0 };
+                break;
+            }
+            damping = f64::max(damping * 10.0, FIRST_DAMPING);
+            longest = f64::INFINITY;
+        }
+        if longest < options.tolerance {
+            status = MapStatus::Converged;
+            break;
+        }
+        if !longest.is_finite() {
+            // No step goes down any more: as good as it gets when some did, else a failure.
+            status = if iterations > 1 { MapStatus::Unfinished } else { MapStatus::Failed };
+            break;
+        }
+    }
+    if status == MapStatus::Failed {
+        start.fill(problem, knots, u);
+        offsets = Offsets::default();
+    }
+    segments.adapt(u, &options.prior);
+    chain.run(problem, knots, segments, u, &offsets);
+    smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, 0.0, options.with_sigma));
+    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance: &smoother.variance, offsets, status, iterations, log_evidence: smoother.log_evidence }
+}
+
+#[expect(clippy::too_many_arguments, reason = "parts of one workspace, borrowed apart")]
+fn ask<'a>(
+    problem: &'a MapProblem<'_>,
+    knots: &'a Knots,
+    segments: &'a Segments,
+    chain: &'a Chain,
+    u: &'a [f64],
+    first: f64,
+    offsets: &'a Offsets,
+    damping: f64,
+    with_variance: bool,
+) -> Ask<'a> {
+    let (noise, reset, silence_sigma) = (&problem.noise, problem.sensor.reset, problem.silence_sigma);
+    Ask { knots, segments, chain, u, first, offsets, noise, reset, silence_sigma, damping, with_variance }
+}

@@ -1,0 +1,243 @@
+//! Claims about the solver: its step against dense algebra, and light that was simulated by the forward model.
+
+use super::*;
+use crate::effects::Site;
+use crate::forward::{Chain as Pixels, LinearLight, Noiseless, Pixel, simulate};
+use nalgebra::{DMatrix, DVector};
+use photocurrent_core::Exposure;
+
+const FRONT_END: FrontEnd = FrontEnd { tau_0_s: 20e-6, alpha_s: 12e-3 };
+
+fn sensor(reset: Reset) -> MapSensor {
+    MapSensor { front_end: FRONT_END, threshold_on: 0.2, threshold_off: 0.21, reset, refractory_ns: 50_000, gain: 850.0, black_level_dn: 0.0 }
+}
+
+fn event(t_in_ns: i64, polarity: i8) -> MapEvent {
+    MapEvent { t_in_ns, t_off_ns: t_in_ns + 30_000, polarity }
+}
+
+/// Whitened residuals of everything, with frozen prior scales: written down again, from the rows of the chain and the text of the prior.
+fn whitened(problem: &MapProblem<'_>, knots: &Knots, segments: &Segments, first: f64, unknowns: &DVector<f64>) -> DVector<f64> {
+    let n = knots.len();
+    let u: Vec<f64> = unknowns.iter().copied().take(n).collect();
+    let offsets = Offsets { reference: unknowns[n], on: unknowns[n + 1], off: unknowns[n + 2] };
+    let mut chain = Chain::default();
+    chain.run(problem, knots, segments, &u, &offsets);
+    let mut rows: Vec<f64> = vec![(u[0] - first) / 3.0, offsets.reference / problem.noise.reference];
+    rows.extend([offsets.on / problem.noise.threshold, offsets.off / problem.noise.threshold]);
+    let mut before = 0.0;
+    for j in 1..n {
+        let z = (u[j] - u[j - 1]) / segments.scale[j];
+        let correlation = segments.correlation[j];
+        rows.push((z - correlation * before) / (1.0 - correlation * correlation).sqrt());
+        before = z;
+    }
+    rows.extend(chain.rows.iter().map(|row| if row.sight == chain::Sight::None { 0.0 } else { row.residual / row.variance.sqrt() }));
+    DVector::from_vec(rows)
+}
+
+#[test]
+fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
+    for reset in [Reset::Resample, Reset::Advance] {
+        let events = [event(2_100_000, 1), event(2_900_000, 1), event(5_000_000, -1), event(5_080_500, -1), event(9_000_000, 1)];
+        let frame = |start_ns: i64, dn: f64| MapFrame { start_ns, end_ns: start_ns + 3_000_000, dn, sigma_dn: 2.0, saturated: false };
+        let frames = [frame(500_000, 250.0), frame(6_000_000, 260.0)];
+        let noise = Noise { event: 0.1, reference: 0.03, threshold: 0.02, ..Noise::default() };
+        let problem = MapProblem {
+            events: &events,
+            frames: &frames,
+            start_ns: 0,
+            end_ns: 10_000_000,
+            sensor: sensor(reset),
+            noise,
+            stamp_sigma_s: 0.0,
+            silence_sigma: 0.0,
+        };
+        let (mut knots, mut segments, mut u) = (Knots::default(), Segments::default(), Vec::new());
+        let prior = Prior { memory_s: 2e-3, ..Prior::default() };
+        knots.lay(&problem.sensor, &events, &frames, 0, 10_000_000, 1_000_000);
+        segments.lay(&knots.t_ns, &prior);
+        Start::default().fill(&problem, &knots, &mut u);
+        let first = u[0] + 0.05;
+        segments.adapt(&u, &prior);
+        let offsets = Offsets { reference: 0.01, on: -0.01, off: 0.015 };
+        let (mut chain, mut smoother) = (Chain::default(), Smoother::default());
+        chain.run(&problem, &knots, &segments, &u, &offsets);
+        smoother.solve(&ask(&problem, &knots, &segments, &chain, &u, first, &offsets, 0.0, true));
+
+        let n = knots.len();
+        let at = DVector::from_iterator(n + 3, u.iter().copied().chain([offsets.reference, offsets.on, offsets.off]));
+        let rows = |x: &DVector<f64>| whitened(&problem, &knots, &segments, first, x);
+        let here = rows(&at);
+        let mut jacobian = DMatrix::zeros(here.len(), n + 3);
+        for column in 0..n + 3 {
+            let (mut above, mut below) = (at.clone(), at.clone());
+            above[column] += 1e-5;
+            below[column] -= 1e-5;
+            jacobian.set_column(column, &((rows(&above) - rows(&below)) / 2e-5));
+        }
+        let covariance = (jacobian.transpose() * &jacobian).try_inverse().expect("a prior makes it regular");
+        let step = -(&covariance * jacobian.transpose() * &here);
+        // Second differences of rows up to 1e4 in size: a relative error of 1e-5 is what numerical derivatives allow.
+        for j in 0..n {
+            assert!((smoother.change[j] - step[j]).abs() < 1e-4 * (0.1 + step[j].abs()), "{reset:?} knot {j}: {} against {}", smoother.change[j], step[j]);
+            assert!(
+                (smoother.variance[j] / covariance[(j, j)] - 1.0).abs() < 1e-3,
+                "{reset:?} knot {j}: {} against {}",
+                smoother.variance[j],
+                covariance[(j, j)]
+            );
+        }
+        for (moved, expected) in [(smoother.offsets.reference, step[n]), (smoother.offsets.on, step[n + 1]), (smoother.offsets.off, step[n + 2])] {
+            assert!((moved - expected).abs() < 1e-4 * (0.01 + expected.abs()), "{reset:?}: {moved} against {expected}");
+        }
+    }
+}
+
+/// A pixel that sees an edge pass, as the forward model records it.
+struct Recorded {
+    light: (Vec<i64>, Vec<f64>),
+    events: Vec<MapEvent>,
+    frames: Vec<MapFrame>,
+}
+
+const END_NS: i64 = 40_000_000;
+
+/// Log light between 3.4 and 4.8, with steep sides, once every 14 ms.
+fn recorded(reset: Reset) -> Recorded {
+    let t_ns: Vec<i64> = (0..=4000).map(|n| n * 10_000).collect();
+    let shape = |t: i64| libm::tanh(4.0 * libm::sin(t as f64 * 4.5e-7));
+    let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(4.1 + 0.7 * shape(t))).collect();
+    let light = LinearLight::new(&t_ns, &current);
+    let pixel = Pixel {
+        front_end: FRONT_END,
+        threshold_on: 0.2,
+        threshold_off: 0.21,
+        latency_ns: 30_000,
+        latency_spread_ns: 0.0,
+        refractory_ns: if reset == Reset::Resample { 50_000 } else { 0 },
+        max_step_ns: 2_000,
+    };
+    let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
+    let fired = simulate(&Pixels { pixel, reset, effects: &[] }, &site, &light, 0, END_NS, &mut Noiseless);
+    let events = fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity }).collect();
+    let frames = (0..5).map(|l| {
+        let (start_ns, end_ns) = (l * 8_000_000, l * 8_000_000 + 6_000_000);
+        MapFrame { start_ns, end_ns, dn: 850.0 * light.integral(Exposure::new(start_ns, end_ns)), sigma_dn: 1.5, saturated: false }
+    });
+    Recorded { frames: frames.collect(), events, light: (t_ns, current) }
+}
+
+impl Recorded {
+    fn problem(&self, reset: Reset) -> MapProblem<'_> {
+        let sensor = MapSensor { refractory_ns: if reset == Reset::Resample { 50_000 } else { 0 }, ..sensor(reset) };
+        let noise = Noise { event: 0.02, ..Noise::default() };
+        MapProblem { events: &self.events, frames: &self.frames, start_ns: 0, end_ns: END_NS, sensor, noise, stamp_sigma_s: 0.0, silence_sigma: 0.0 }
+    }
+
+    /// The rms error of log light over the recording, of knots joined by lines.
+    fn error(&self, t_ns: &[i64], u: &[f64]) -> f64 {
+        let squares = self.light.0.iter().zip(&self.light.1).map(|(&t, i)| {
+            let k = t_ns.partition_point(|&knot| knot <= t).clamp(1, t_ns.len() - 1);
+            let share = (t - t_ns[k - 1]) as f64 / (t_ns[k] - t_ns[k - 1]) as f64;
+            let error = u[k - 1] + share * (u[k] - u[k - 1]) - libm::log(*i);
+            error * error
+        });
+        (squares.sum::<f64>() / self.light.0.len() as f64).sqrt()
+    }
+}
+
+#[test]
+fn steep_light_comes_back_for_both_reset_laws() {
+    for reset in [Reset::Resample, Reset::Advance] {
+        let recorded = recorded(reset);
+        assert!(recorded.events.len() > 20, "{}", recorded.events.len());
+        let mut workspace = MapWorkspace::default();
+        let problem = recorded.problem(reset);
+        let solution = solve(&problem, &MapOptions::default(), &mut workspace);
+        let error = recorded.error(solution.t_ns, solution.log_photocurrent);
+        // Thresholds are 0.2: a fifth of one is what knots 250 us apart and a time constant held over them leave.
+        assert!(error < 0.04, "{reset:?}: {error}");
+        // The start is the double integral: the solver must be several times better, or it is not worth its time.
+        let mut start = Vec::new();
+        let knots = workspace.knots.clone();
+        Start::default().fill(&problem, &knots, &mut start);
+        assert!(recorded.error(&knots.t_ns, &start) > 3.0 * error, "{reset:?}");
+    }
+}
+
+#[test]
+fn more_noise_is_found_where_thresholds_jump() {
+    let recorded = recorded(Reset::Resample);
+    let mut workspace = MapWorkspace::default();
+    let options = MapOptions::default();
+    let clean = estimate::event_noise(&[recorded.problem(Reset::Resample); 2], &options, &mut workspace);
+    // Stamps moved by up to 150 us to and fro, where the voltage moves by a threshold in that time.
+    let mut shaken = recorded;
+    for (k, event) in shaken.events.iter_mut().enumerate() {
+        let shift = (k as i64 * 7919 % 13 - 6) * 25_000;
+        event.t_in_ns += shift;
+        event.t_off_ns += shift;
+    }
+    shaken.events.sort_by_key(|event| event.t_in_ns);
+    let noisy = estimate::event_noise(&[shaken.problem(Reset::Resample); 2], &options, &mut workspace);
+    assert!(clean <= 0.04 && noisy >= 2.0 * clean, "{clean} and {noisy}");
+}
+
+#[test]
+fn a_pixel_without_events_is_as_bright_as_its_frames() {
+    let frame = |start_ns: i64| MapFrame { start_ns, end_ns: start_ns + 5_000_000, dn: 425.0, sigma_dn: 1.0, saturated: false };
+    let frames = [frame(0), frame(8_000_000)];
+    let problem = MapProblem {
+        events: &[],
+        frames: &frames,
+        start_ns: -1_000_000,
+        end_ns: 20_000_000,
+        sensor: sensor(Reset::Resample),
+        noise: Noise::default(),
+        stamp_sigma_s: 0.0,
+        silence_sigma: 0.0,
+    };
+    let mut workspace = MapWorkspace::default();
+    let solution = solve(&problem, &MapOptions::default(), &mut workspace);
+    assert_eq!(solution.status, MapStatus::Converged);
+    // 425 DN = 850 x 5 ms x 100.
+    assert!(solution.log_photocurrent.iter().all(|u| (u - libm::log(100.0)).abs() < 1e-6));
+}
+
+#[test]
+fn a_saturated_value_is_a_lower_bound_only() {
+    let frame = |start_ns: i64, dn: f64, saturated| MapFrame { start_ns, end_ns: start_ns + 5_000_000, dn, sigma_dn: 1.0, saturated };
+    let problem = |frames| MapProblem {
+        events: &[],
+        frames,
+        start_ns: 0,
+        end_ns: 15_000_000,
+        sensor: sensor(Reset::Resample),
+        noise: Noise::default(),
+        stamp_sigma_s: 0.0,
+        silence_sigma: 0.0,
+    };
+    let mut workspace = MapWorkspace::default();
+    // Brighter than the bound: the bound has no say.
+    let above = [frame(0, 850.0, false), frame(8_000_000, 425.0, true)];
+    let u = solve(&problem(&above), &MapOptions::default(), &mut workspace).log_photocurrent.to_vec();
+    assert!((u[u.len() - 1] - libm::log(200.0)).abs() < 0.02, "{}", u[u.len() - 1]);
+    // Darker: it pulls up.
+    let below = [frame(0, 425.0, false), frame(8_000_000, 850.0, true)];
+    let solution = solve(&problem(&below), &MapOptions::default(), &mut workspace);
+    assert!(solution.log_photocurrent[solution.log_photocurrent.len() - 1] > libm::log(150.0));
+}
+
+#[test]
+fn shifting_time_changes_nothing() {
+    let recorded = recorded(Reset::Resample);
+    let mut workspace = MapWorkspace::default();
+    let here = solve(&recorded.problem(Reset::Resample), &MapOptions::default(), &mut workspace).log_photocurrent.to_vec();
+    let shift = 3_600_000_000_000;
+    let events: Vec<MapEvent> =
+        recorded.events.iter().map(|e| MapEvent { t_in_ns: e.t_in_ns + shift, t_off_ns: e.t_off_ns + shift, polarity: e.polarity }).collect();
+    let frames: Vec<MapFrame> = recorded.frames.iter().map(|f| MapFrame { start_ns: f.start_ns + shift, end_ns: f.end_ns + shift, ..*f }).collect();
+    let later = MapProblem { events: &events, frames: &frames, start_ns: shift, end_ns: END_NS + shift, ..recorded.problem(Reset::Resample) };
+    assert_eq!(solve(&later, &MapOptions::default(), &mut workspace).log_photocurrent, here);
+}
