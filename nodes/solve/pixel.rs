@@ -110,7 +110,8 @@ pub struct Params {
     /// What is solved for. `map` uses `front_end`, `event_noise`, `frame_noise`, `knot_spacing` and `max_iterations`; `paper` all but `event_noise`, `frame_noise`
     /// and `knot_spacing`.
     pub method: Method,
-    /// Standard deviation of an event as a part of its threshold, for `map`; absent = estimated for each row from the recording.
+    /// Standard deviation of an event as a part of its threshold, for `map`; absent = chosen for each row so that frames
+    /// that are kept back are predicted best.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub event_noise: Option<f64>,
     /// Part of a frame value that is not believed, for `map`, beside the noise that the sensor description states and 1 DN.
@@ -135,7 +136,7 @@ pub struct Params {
     /// Weight of a squared event residual, per natural-log unit squared; the paper sets 1.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub evs_weight: f64,
-    /// Most steps tried for one problem; `map` never takes more than 10.
+    /// Most steps tried for one problem; `map` never takes more than 5: more make it follow its own estimate.
     #[schemars(range(min = 1, max = 10000))]
     pub max_iterations: u32,
 }
@@ -145,7 +146,7 @@ impl Default for Params {
         Params {
             method: Method::Paper,
             event_noise: None,
-            frame_noise: 0.005,
+            frame_noise: 0.02,
             knot_spacing: Duration::new(250_000),
             front_end: FrontEndModel::LowPass,
             readout: ReadoutModel::Slope,
@@ -196,7 +197,7 @@ enum Status {
 }
 
 /// More steps than this do not improve a pixel of `method = "map"`.
-const MAP_STEPS: usize = 10;
+const MAP_STEPS: usize = 5;
 
 const PLANES: [&str; 3] = ["status", "iterations", "cost"];
 

@@ -1,10 +1,15 @@
 //! Where the unknowns of a pixel stand, and what happens there.
 //!
 //! Knots are put at every event (in-pixel time), at every instant when the reference is taken anew, and at the edges of exposures; and
-//! between them so that none lie further apart than asked for. What happens at a knot is a short list of [`Op`]s in causal order.
+//! between them so that none lie further apart than asked for near events, and up to [`COARSEST`] times as far in long quiet gaps. What happens at a knot is a short list of [`Op`]s in causal order.
 
 use super::{MapEvent, MapFrame, MapSensor};
 use photocurrent_core::sensor::Reset;
+
+/// In quiet gaps knots may lie so many times as far apart as near events.
+const COARSEST: i64 = 8;
+/// They do so from this many times their distance from the nearest event on.
+const WIDENING: i64 = 4;
 
 /// An event this soon after the blind time may be one that was held back, ns.
 const LATE_NS: i64 = 1_000;
@@ -25,6 +30,13 @@ pub(super) enum Op {
         /// Was the comparator surely watching?
         armed: bool,
     },
+}
+
+/// The events around a stretch of time, ns.
+#[derive(Clone, Copy, Debug)]
+struct Neighbours {
+    before: i64,
+    after: i64,
 }
 
 /// The knots of one pixel; kept from pixel to pixel for its memory.
@@ -49,12 +61,16 @@ impl Knots {
         self.first_op.clear();
         self.ops.clear();
         self.begin(start_ns);
+        let mut events = Neighbours { before: i64::MIN / 2, after: self.next_event(0) };
         for k in 0..self.marks.len() {
             let (t, _, op) = self.marks[k];
-            self.fill_to(t, spacing_ns);
+            self.fill_to(t, spacing_ns, events);
             self.ops.push(op);
+            if let Op::Fire { .. } = op {
+                events = Neighbours { before: t, after: self.next_event(k + 1) };
+            }
         }
-        self.fill_to(end_ns, spacing_ns);
+        self.fill_to(end_ns, spacing_ns, events);
         self.first_op.push(self.ops.len() as u32);
     }
 
@@ -63,16 +79,20 @@ impl Knots {
         self.t_ns.push(t_ns);
     }
 
+    fn next_event(&self, from: usize) -> i64 {
+        self.marks[from..].iter().find(|(_, _, op)| matches!(op, Op::Fire { .. })).map_or(i64::MAX / 2, |(t, _, _)| *t)
+    }
+
     /// Adds knots up to and including `t_ns`, unless it is one already.
-    fn fill_to(&mut self, t_ns: i64, spacing_ns: i64) {
-        let last = self.t_ns[self.t_ns.len() - 1];
-        let gap = t_ns - last;
-        if gap <= 0 {
-            return;
-        }
-        let pieces = (gap + spacing_ns - 1) / spacing_ns;
-        for piece in 1..=pieces {
-            self.begin(last + gap * piece / pieces);
+    fn fill_to(&mut self, t_ns: i64, spacing_ns: i64, events: Neighbours) {
+        let mut last = self.t_ns[self.t_ns.len() - 1];
+        while last < t_ns {
+            let quiet = i64::min(last - events.before, events.after - last) / WIDENING;
+            let spacing = quiet.clamp(spacing_ns, COARSEST * spacing_ns);
+            // What is left is shared out evenly, so that no short rest remains.
+            let pieces = (t_ns - last + spacing - 1) / spacing;
+            last += (t_ns - last + pieces - 1) / pieces;
+            self.begin(last);
         }
     }
 

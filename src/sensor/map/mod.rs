@@ -173,7 +173,7 @@ pub struct MapOptions {
 
 impl Default for MapOptions {
     fn default() -> MapOptions {
-        MapOptions { prior: Prior::default(), spacing_ns: 250_000, max_iterations: 10, tolerance: 2e-3, with_sigma: false }
+        MapOptions { prior: Prior::default(), spacing_ns: 250_000, max_iterations: 5, tolerance: 2e-3, with_sigma: false }
     }
 }
 
@@ -184,7 +184,7 @@ pub enum MapStatus {
     Converged,
     /// Out of iterations, but every step went down.
     Unfinished,
-    /// No step went down, or a number was not finite: the answer is the start.
+    /// No step went down, or the light ran away between the frames: the answer is the start, a double integral.
     Failed,
 }
 
@@ -224,6 +224,8 @@ pub struct MapWorkspace {
 const LONGEST_STEP: f64 = 1.5;
 /// First damping: a standard deviation of a change of a tenth.
 const FIRST_DAMPING: f64 = 100.0;
+/// Light brighter than the brightest frame's mean by more than this is not believed, natural-log units.
+const RUN_AWAY: f64 = 2.5;
 /// Log light stays inside plus and minus this.
 const LOG_LIMIT: f64 = 40.0;
 
@@ -279,7 +281,8 @@ pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w 
             break;
         }
     }
-    if status == MapStatus::Failed {
+    if status == MapStatus::Failed || has_run_away(problem, u) {
+        status = MapStatus::Failed;
         start.fill(problem, knots, u);
         offsets = Offsets::default();
     }
@@ -287,6 +290,14 @@ pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w 
     chain.run(problem, knots, segments, u, &offsets);
     smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, 0.0, options.with_sigma));
     MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance: &smoother.variance, offsets, status, iterations, log_evidence: smoother.log_evidence }
+}
+
+/// Is the light anywhere beyond belief, given what the frames collected?
+fn has_run_away(problem: &MapProblem<'_>, u: &[f64]) -> bool {
+    let collected = |frame: &MapFrame| frame.dn - problem.sensor.black_level_dn + 3.0 * frame.sigma_dn;
+    let brightest = problem.frames.iter().fold(0.0, |most, frame| f64::max(most, collected(frame) / (frame.end_ns - frame.start_ns) as f64));
+    let limit = libm::log(brightest * 1e9 / problem.sensor.gain) + RUN_AWAY;
+    !problem.frames.iter().any(|frame| frame.saturated) && u.iter().any(|&u| u > limit)
 }
 
 #[expect(clippy::too_many_arguments, reason = "parts of one workspace, borrowed apart")]

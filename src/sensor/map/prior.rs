@@ -63,13 +63,15 @@ impl Segments {
             self.energy.push(self.energy[j - 1] + w * w / self.length_s[j]);
         }
         let (mut low, mut high) = (1, 1);
+        // Middles are rounded: a neighbour exactly at the reach counts.
+        let reach_s = prior.reach_s * 1.001;
         let mut length = 0.0;
         for j in 1..knots {
-            while high < knots && self.middle_s[high] <= self.middle_s[j] + prior.reach_s * 1.001 {
+            while high < knots && self.middle_s[high] <= self.middle_s[j] + reach_s {
                 length += self.length_s[high];
                 high += 1;
             }
-            while self.middle_s[low] < self.middle_s[j] - prior.reach_s * 1.001 {
+            while self.middle_s[low] < self.middle_s[j] - reach_s {
                 length -= self.length_s[low];
                 low += 1;
             }

@@ -4,7 +4,7 @@
 //! integral of an exponential. Both come with their derivatives by the two ends; the formulas are checked against dual numbers.
 
 use crate::exposure::{log_linear_mean, log_linear_mean_by_end};
-use crate::front_end::{FrontEnd, time_constant};
+use crate::front_end::{FrontEnd, settled_photocurrent, settling, time_constant};
 use crate::scalar::Scalar;
 
 /// The shortest time constant that is divided by, seconds: stands for the ideal front end's zero.
@@ -15,9 +15,9 @@ const TAU_FLOOR_S: f64 = 1e-30;
 /// `V1 = E V0 + (g - E) u0 + (1 - g) u1` with `E = exp(-h / tau)` and `g = (1 - E) tau / h`: the exact answer for a constant tau,
 /// which is taken at the middle log light.
 pub fn ramp_voltage<S: Scalar>(front_end: &FrontEnd<S>, voltage: S, first: S, last: S, length_s: S) -> S {
-    let half = S::from_f64(0.5);
-    let tau_s = time_constant(front_end, ((first + last) * half).exp()).max(S::from_f64(TAU_FLOOR_S));
-    let settled = -(-(length_s / tau_s)).exp_m1();
+    let middle = settled_photocurrent((first + last) * S::from_f64(0.5));
+    let tau_s = time_constant(front_end, middle).max(S::from_f64(TAU_FLOOR_S));
+    let settled = settling(length_s, tau_s);
     let lag = settled * tau_s / length_s;
     voltage + settled * (first - voltage) + (S::from_f64(1.0) - lag) * (last - first)
 }
@@ -59,6 +59,22 @@ pub(super) fn collected(first: f64, last: f64, length_s: f64) -> (f64, f64, f64)
     let mean = log_linear_mean(first, last);
     let by_last = log_linear_mean_by_end(first, last);
     (length_s * mean, length_s * (mean - by_last), length_s * by_last)
+}
+
+/// The light collected from `start_ns` to `end_ns`, photocurrent times seconds, of log light that is linear between knots; both lie inside them.
+pub(super) fn collected_between(t_ns: &[i64], u: &[f64], start_ns: i64, end_ns: i64) -> f64 {
+    let mut sum = 0.0;
+    let first = t_ns.partition_point(|&t| t <= start_ns).max(1);
+    for k in first..t_ns.len() {
+        let (from, to) = (i64::max(t_ns[k - 1], start_ns), i64::min(t_ns[k], end_ns));
+        if to <= from {
+            break;
+        }
+        let slope = (u[k] - u[k - 1]) / (t_ns[k] - t_ns[k - 1]) as f64;
+        let log = |t: i64| u[k - 1] + slope * (t - t_ns[k - 1]) as f64;
+        sum += collected(log(from), log(to), (to - from) as f64 * 1e-9).0;
+    }
+    sum
 }
 
 #[cfg(test)]
@@ -112,6 +128,16 @@ mod tests {
             let numeric_first = (collected(first + h, last, 2e-3).0 - collected(first - h, last, 2e-3).0) / (2.0 * h);
             let numeric_last = (collected(first, last + h, 2e-3).0 - collected(first, last - h, 2e-3).0) / (2.0 * h);
             assert!((numeric_first / by_first - 1.0).abs() < 1e-7 && (numeric_last / by_last - 1.0).abs() < 1e-7, "{first} {last}");
+        }
+    }
+
+    #[test]
+    fn light_between_instants_is_that_of_the_log_linear_track() {
+        let (t_ns, u) = ([0, 1_000, 5_000, 9_000], [4.0_f64, 4.5, 3.0, 3.1]);
+        let current = u.map(libm::exp);
+        for (start, end) in [(0, 9_000), (200, 700), (900, 5_100), (5_000, 9_000)] {
+            let exact = crate::exposure::LogLinearTrack::new(&t_ns, &current).integral(photocurrent_core::Exposure::new(start, end));
+            assert!((collected_between(&t_ns, &u, start, end) / exact - 1.0).abs() < 1e-12, "{start} to {end}");
         }
     }
 }

@@ -171,7 +171,12 @@ fn more_noise_is_found_where_thresholds_jump() {
     let recorded = recorded(Reset::Resample);
     let mut workspace = MapWorkspace::default();
     let options = MapOptions::default();
-    let clean = estimate::event_noise(&[recorded.problem(Reset::Resample); 2], &options, &mut workspace);
+    // With three frames none is kept back: the evidence decides.
+    let few = |recorded: &Recorded, workspace: &mut MapWorkspace| {
+        let problem = MapProblem { frames: &recorded.frames[..3], ..recorded.problem(Reset::Resample) };
+        estimate::event_noise(&[problem; 2], &options, workspace)
+    };
+    let clean = few(&recorded, &mut workspace);
     // Stamps moved by up to 150 us to and fro, where the voltage moves by a threshold in that time.
     let mut shaken = recorded;
     for (k, event) in shaken.events.iter_mut().enumerate() {
@@ -180,8 +185,19 @@ fn more_noise_is_found_where_thresholds_jump() {
         event.t_off_ns += shift;
     }
     shaken.events.sort_by_key(|event| event.t_in_ns);
-    let noisy = estimate::event_noise(&[shaken.problem(Reset::Resample); 2], &options, &mut workspace);
-    assert!(clean <= 0.04 && noisy >= 2.0 * clean, "{clean} and {noisy}");
+    let noisy = few(&shaken, &mut workspace);
+    assert!(clean <= 0.08 && noisy > clean, "{clean} and {noisy}");
+}
+
+#[test]
+fn events_are_believed_less_where_they_mislead_about_frames() {
+    let recorded = recorded(Reset::Resample);
+    let mut workspace = MapWorkspace::default();
+    let right = recorded.problem(Reset::Resample);
+    let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
+    let found = |problem, workspace: &mut MapWorkspace| estimate::event_noise(&[problem; 2], &MapOptions::default(), workspace);
+    let (right, wrong) = (found(right, &mut workspace), found(wrong, &mut workspace));
+    assert!(wrong > right, "{right} and {wrong}");
 }
 
 #[test]
@@ -203,6 +219,18 @@ fn a_pixel_without_events_is_as_bright_as_its_frames() {
     assert_eq!(solution.status, MapStatus::Converged);
     // 425 DN = 850 x 5 ms x 100.
     assert!(solution.log_photocurrent.iter().all(|u| (u - libm::log(100.0)).abs() < 1e-6));
+}
+
+#[test]
+fn light_that_frames_cannot_have_seen_is_beyond_belief() {
+    let frames = [MapFrame { start_ns: 0, end_ns: 5_000_000, dn: 425.0, sigma_dn: 1.0, saturated: false }];
+    let recorded = recorded(Reset::Resample);
+    let problem = MapProblem { frames: &frames, ..recorded.problem(Reset::Resample) };
+    // The frame's mean is 100: six times as much may pass between two frames, a hundred times as much does not.
+    assert!(!has_run_away(&problem, &[libm::log(100.0), libm::log(600.0)]));
+    assert!(has_run_away(&problem, &[libm::log(100.0), libm::log(10_000.0)]));
+    let saturated = [MapFrame { saturated: true, ..frames[0] }];
+    assert!(!has_run_away(&MapProblem { frames: &saturated, ..problem }, &[libm::log(10_000.0)]));
 }
 
 #[test]
