@@ -9,6 +9,8 @@ use photocurrent_sensor::map::{MapEvent, MapFrame, MapOptions, MapProblem, MapSe
 const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
 /// So many pixels of a row are looked at to estimate the noise of its events.
 const SAMPLED_PIXELS: usize = 16;
+/// How far voltage and reference may be apart beyond a threshold without an event, natural-log units.
+const SILENCE_SIGMA: f64 = 0.03;
 /// A knot is left away where the line between its neighbours misses it by less than this, natural-log units.
 const THINNED_TO: f64 = 2e-4;
 
@@ -65,13 +67,11 @@ impl RowSolver {
         self.take_frames(model, frames, row, width, exposures);
         let (first, last) = (exposures[0], exposures[exposures.len() - 1]);
         let span = (i64::min(meta.span.start.0, first.start.0), i64::max(meta.span.end.0, last.end.0));
-        let options =
+        let mut options =
             MapOptions { spacing_ns: params.knot_spacing.ns(), max_iterations: usize::min(params.max_iterations as usize, MAP_STEPS), ..MapOptions::default() };
         let mut noise = Noise::default();
-        noise.event = match params.event_noise {
-            Some(stated) => stated,
-            None => self.estimate(model, span, noise, &options),
-        };
+        let choice = self.choose(params, model, span, noise, &options);
+        (noise.event, options.prior) = (choice.event, choice.prior);
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
         for x in 0..width {
@@ -131,8 +131,8 @@ impl RowSolver {
         self.first_frame.push(self.frames.len());
     }
 
-    /// The noise of the row's events, from pixels spread over their number of events.
-    fn estimate(&mut self, model: &Model, span: (i64, i64), noise: Noise, options: &MapOptions) -> f64 {
+    /// The noise of the row's events and the prior, from pixels spread over their number of events.
+    fn choose(&mut self, params: &Params, model: &Model, span: (i64, i64), noise: Noise, options: &MapOptions) -> estimate::Choice {
         let mut pixels: Vec<usize> = (0..self.first_event.len() - 1)
             .filter(|&x| self.first_event[x + 1] > self.first_event[x] && self.first_frame[x + 1] > self.first_frame[x])
             .collect();
@@ -145,7 +145,7 @@ impl RowSolver {
                 problem(model, events, &self.frames[self.first_frame[x]..self.first_frame[x + 1]], span, noise)
             })
             .collect();
-        estimate::event_noise(&problems, options, &mut self.workspace)
+        estimate::choose(&problems, params.event_noise, options, &mut self.workspace)
     }
 }
 
@@ -159,7 +159,7 @@ fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], sp
         gain: model.gain,
         black_level_dn: model.black_level,
     };
-    MapProblem { events, frames, start_ns: span.0, end_ns: span.1, sensor, noise, stamp_sigma_s: model.stamp_sigma_s, silence_sigma: 0.0 }
+    MapProblem { events, frames, start_ns: span.0, end_ns: span.1, sensor, noise, stamp_sigma_s: model.stamp_sigma_s, silence_sigma: SILENCE_SIGMA }
 }
 
 /// Keeps as few knots as join up to the same line within [`THINNED_TO`].

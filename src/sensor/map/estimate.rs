@@ -1,4 +1,4 @@
-//! How far events may be believed: estimated from the recording itself.
+//! How far events may be believed, and which prior suits: estimated from the recording itself.
 //!
 //! A stated noise is often wrong, and too small a value is far worse than too large a one: the light then bends to meet every threshold, and is
 //! wrong where no event holds it. So some pixels are solved with several values while every third of their frames is kept back, and
@@ -6,7 +6,7 @@
 //! it is the weaker judge, because it believes that the model is right.
 
 use super::segment::collected_between;
-use super::{MapFrame, MapOptions, MapProblem, MapWorkspace, Noise, solve};
+use super::{MapFrame, MapOptions, MapProblem, MapWorkspace, Noise, Prior, solve};
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
 pub const EVENT_NOISES: [f64; 3] = [0.32, 0.16, 0.08];
@@ -18,26 +18,67 @@ pub const FEWEST_FRAMES: usize = 4;
 const KEPT_BACK: usize = 3;
 /// Added to a frame value that an error is compared with, DN: in the dark, noise is not relative.
 const DARK_DN: f64 = 20.0;
+/// Another prior than the usual one must be better by this factor.
+const CLEARLY_BETTER: f64 = 0.97;
 /// A relative error counts at most this: one pixel that went astray does not decide.
 const LARGEST_ERROR: f64 = 0.3;
 
-/// The event noise that explains `problems` best, or the one of [`Noise::default`] when they have hardly an event.
-pub fn event_noise(problems: &[MapProblem<'_>], options: &MapOptions, workspace: &mut MapWorkspace) -> f64 {
+/// What suits a recording.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    /// Standard deviation of an event as a part of its threshold.
+    pub event: f64,
+    /// How light is expected to move.
+    pub prior: Prior,
+}
+
+/// The priors that are tried where frames can be kept back: the usual one, two for light that is hardly ever still (the second for smooth
+/// motion), and one for edges that last longer.
+pub const PRIORS: [Prior; 4] = [
+    Prior::USUAL,
+    Prior { floor_per_s: 60.0, ..Prior::USUAL },
+    Prior { floor_per_s: 60.0, memory_s: 5e-3, ..Prior::USUAL },
+    Prior { memory_s: 4e-3, reach_s: 0.5e-3, ..Prior::USUAL },
+];
+
+/// The event noise and the prior that explain `problems` best; the usual ones when they have hardly an event.
+///
+/// `event` is taken where it is given. Without enough frames to keep back, only the event noise is chosen.
+pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOptions, workspace: &mut MapWorkspace) -> Choice {
     let events: usize = problems.iter().map(|problem| problem.events.len()).sum();
+    let usual = Choice { event: event.unwrap_or(Noise::default().event), prior: options.prior };
     if events < FEWEST_EVENTS {
-        return Noise::default().event;
+        return usual;
     }
     let by_frames = problems.iter().all(|problem| problem.frames.len() >= FEWEST_FRAMES);
-    let mut best = (f64::INFINITY, Noise::default().event);
     let mut kept = Vec::new();
-    for event in EVENT_NOISES {
-        let mut loss = 0.0;
-        for problem in problems {
-            let tried = MapProblem { noise: Noise { event, ..problem.noise }, ..*problem };
-            loss += if by_frames { prediction_error(&tried, options, workspace, &mut kept) } else { -solve(&tried, options, workspace).log_evidence };
+    let mut loss = |choice: Choice| -> f64 {
+        let options = MapOptions { prior: choice.prior, with_sigma: false, ..*options };
+        let mut of = |problem: &MapProblem<'_>| {
+            let tried = MapProblem { noise: Noise { event: choice.event, ..problem.noise }, ..*problem };
+            if by_frames { prediction_error(&tried, &options, workspace, &mut kept) } else { -solve(&tried, &options, workspace).log_evidence }
+        };
+        problems.iter().map(&mut of).sum()
+    };
+    let mut best = (f64::INFINITY, usual);
+    let noises = match event {
+        Some(ref stated) => std::slice::from_ref(stated),
+        None => EVENT_NOISES.as_slice(),
+    };
+    for &event in noises {
+        let choice = Choice { event, ..usual };
+        let found = loss(choice);
+        if found < best.0 {
+            best = (found, choice);
         }
-        if loss < best.0 {
-            best = (loss, event);
+    }
+    if by_frames {
+        for prior in PRIORS {
+            let choice = Choice { prior, ..best.1 };
+            let found = loss(choice);
+            if found < best.0 * CLEARLY_BETTER {
+                best = (found, choice);
+            }
         }
     }
     best.1

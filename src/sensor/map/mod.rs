@@ -8,6 +8,8 @@
 //! The maximum of the posterior is found by Gauss-Newton steps. Each is one pass forward and one backward over a chain of small states: the cost is
 //! linear in the number of knots. The posterior standard deviation comes from the same passes.
 //!
+//! Nothing of this is trusted blindly: how far events are believed and which prior suits is chosen by frames that are kept back ([`estimate`]).
+//!
 //! Limits: one pixel alone, nothing from its neighbours; the local variance is estimated from the estimate, so standard deviations are too small
 //! where nothing was measured; the time constant is held over a segment.
 
@@ -152,7 +154,7 @@ pub struct MapProblem<'a> {
     pub noise: Noise,
     /// Standard deviation of a stamp, seconds.
     pub stamp_sigma_s: f64,
-    /// Softness of "no event, so no threshold was crossed", natural-log units; 0 = not used.
+    /// Softness of "no event, so no threshold was crossed", natural-log units; 0 = not used. Counts in the last steps only.
     pub silence_sigma: f64,
 }
 
@@ -224,6 +226,8 @@ pub struct MapWorkspace {
 const LONGEST_STEP: f64 = 1.5;
 /// First damping: a standard deviation of a change of a tenth.
 const FIRST_DAMPING: f64 = 100.0;
+/// The step from which silence counts, from 1.
+const SILENCE_FROM: usize = 4;
 /// Light brighter than the brightest frame's mean by more than this is not believed, natural-log units.
 const RUN_AWAY: f64 = 2.5;
 /// Log light stays inside plus and minus this.
@@ -231,6 +235,9 @@ const LOG_LIMIT: f64 = 40.0;
 
 /// Solves one pixel.
 pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w mut MapWorkspace) -> MapSolution<'w> {
+    // Silence traps a start that is far away, so it has its say only in the last steps.
+    let stated = problem;
+    let mut problem = &MapProblem { silence_sigma: 0.0, ..*stated };
     let MapWorkspace { knots, segments, chain, trial_chain, smoother, start, u, trial } = workspace;
     knots.lay(&problem.sensor, problem.events, problem.frames, problem.start_ns, problem.end_ns, options.spacing_ns);
     segments.lay(&knots.t_ns, &options.prior);
@@ -242,6 +249,9 @@ pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w 
     let mut iterations = 0;
     while iterations < options.max_iterations {
         iterations += 1;
+        if iterations == SILENCE_FROM {
+            problem = stated;
+        }
         segments.adapt(u, &options.prior);
         chain.run(problem, knots, segments, u, &offsets);
         if !chain.cost.is_finite() {

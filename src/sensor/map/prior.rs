@@ -16,9 +16,14 @@ pub struct Prior {
     pub reach_s: f64,
 }
 
+impl Prior {
+    /// Suits most recordings.
+    pub const USUAL: Prior = Prior { floor_per_s: 6.0, memory_s: 2.0e-3, reach_s: 0.25e-3 };
+}
+
 impl Default for Prior {
     fn default() -> Prior {
-        Prior { floor_per_s: 6.0, memory_s: 2.0e-3, reach_s: 0.25e-3 }
+        Prior::USUAL
     }
 }
 

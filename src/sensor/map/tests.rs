@@ -174,7 +174,7 @@ fn more_noise_is_found_where_thresholds_jump() {
     // With three frames none is kept back: the evidence decides.
     let few = |recorded: &Recorded, workspace: &mut MapWorkspace| {
         let problem = MapProblem { frames: &recorded.frames[..3], ..recorded.problem(Reset::Resample) };
-        estimate::event_noise(&[problem; 2], &options, workspace)
+        estimate::choose(&[problem; 2], None, &options, workspace).event
     };
     let clean = few(&recorded, &mut workspace);
     // Stamps moved by up to 150 us to and fro, where the voltage moves by a threshold in that time.
@@ -195,7 +195,7 @@ fn events_are_believed_less_where_they_mislead_about_frames() {
     let mut workspace = MapWorkspace::default();
     let right = recorded.problem(Reset::Resample);
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
-    let found = |problem, workspace: &mut MapWorkspace| estimate::event_noise(&[problem; 2], &MapOptions::default(), workspace);
+    let found = |problem, workspace: &mut MapWorkspace| estimate::choose(&[problem; 2], None, &MapOptions::default(), workspace).event;
     let (right, wrong) = (found(right, &mut workspace), found(wrong, &mut workspace));
     assert!(wrong > right, "{right} and {wrong}");
 }
@@ -219,6 +219,65 @@ fn a_pixel_without_events_is_as_bright_as_its_frames() {
     assert_eq!(solution.status, MapStatus::Converged);
     // 425 DN = 850 x 5 ms x 100.
     assert!(solution.log_photocurrent.iter().all(|u| (u - libm::log(100.0)).abs() < 1e-6));
+}
+
+#[test]
+fn smooth_slow_light_gets_a_prior_of_its_own() {
+    // Log light swings smoothly, by two thresholds each way in 57 ms: few events, and frames that follow a smooth curve.
+    let swing = |t: i64| libm::exp(4.5 + 0.6 * libm::sin(t as f64 * 1.1e-7));
+    let t_ns: Vec<i64> = (0..=10_000).map(|n| n * 10_000).collect();
+    let current: Vec<f64> = t_ns.iter().map(|&t| swing(t)).collect();
+    let light = LinearLight::new(&t_ns, &current);
+    let frames: Vec<MapFrame> = (0..12)
+        .map(|l| {
+            let (start_ns, end_ns) = (l * 8_000_000, l * 8_000_000 + 4_000_000);
+            MapFrame { start_ns, end_ns, dn: 850.0 * light.integral(Exposure::new(start_ns, end_ns)), sigma_dn: 2.0, saturated: false }
+        })
+        .collect();
+    let pixel = Pixel {
+        front_end: FRONT_END,
+        threshold_on: 0.3,
+        threshold_off: 0.3,
+        latency_ns: 1_000,
+        latency_spread_ns: 0.0,
+        refractory_ns: 50_000,
+        max_step_ns: 5_000,
+    };
+    let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
+    let fired = simulate(&Pixels { pixel, reset: Reset::Resample, effects: &[] }, &site, &light, 0, 100_000_000, &mut Noiseless);
+    let events: Vec<MapEvent> = fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity }).collect();
+    let sensor = MapSensor { threshold_on: 0.3, threshold_off: 0.3, ..sensor(Reset::Resample) };
+    let problem = MapProblem {
+        events: &events,
+        frames: &frames,
+        start_ns: 0,
+        end_ns: 100_000_000,
+        sensor,
+        noise: Noise::default(),
+        stamp_sigma_s: 0.0,
+        silence_sigma: 0.0,
+    };
+    let copies = vec![problem; estimate::FEWEST_EVENTS / events.len() + 1];
+    let mut workspace = MapWorkspace::default();
+    let choice = estimate::choose(&copies, None, &MapOptions::default(), &mut workspace);
+    assert!(choice.prior.floor_per_s > Prior::USUAL.floor_per_s, "{choice:?}");
+}
+
+#[test]
+fn light_that_would_have_fired_is_pulled_back() {
+    // Two frames that say 100 and 160, and not one event between them: the change is 0.47 where 0.2 would have fired.
+    let frame = |start_ns: i64, dn: f64| MapFrame { start_ns, end_ns: start_ns + 5_000_000, dn, sigma_dn: 20.0, saturated: false };
+    let frames = [frame(0, 425.0), frame(8_000_000, 680.0)];
+    let change = |silence_sigma: f64| {
+        let sensor = sensor(Reset::Resample);
+        let noise = Noise { reference: 0.001, ..Noise::default() };
+        let problem = MapProblem { events: &[], frames: &frames, start_ns: 0, end_ns: 14_000_000, sensor, noise, stamp_sigma_s: 0.0, silence_sigma };
+        let mut workspace = MapWorkspace::default();
+        let u = solve(&problem, &MapOptions { max_iterations: 8, ..MapOptions::default() }, &mut workspace).log_photocurrent.to_vec();
+        u[u.len() - 1] - u[0]
+    };
+    let (free, silent) = (change(0.0), change(0.01));
+    assert!(free > 0.3 && silent < 0.27 && silent > 0.1, "{free} and {silent}");
 }
 
 #[test]
