@@ -76,7 +76,6 @@ pub struct SimulateScene {
 
 const WHO: &str = "simulate/scene";
 
-
 impl SimulateScene {
     fn extent(&self) -> Extent {
         Extent { width: self.params.width, height: self.params.height }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::effects::Site;
-use crate::forward::{Chain as Pixels, LinearLight, Noiseless, Pixel, simulate};
+use crate::forward::{Chain as Pixels, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
 use nalgebra::{DMatrix, DVector};
 use photocurrent_core::Exposure;
 
@@ -116,7 +116,7 @@ fn recorded(reset: Reset) -> Recorded {
         latency_ns: 30_000,
         latency_spread_ns: 0.0,
         refractory_ns: if reset == Reset::Resample { 50_000 } else { 0 },
-        max_step_ns: 2_000,
+        log_step: LOG_STEP,
     };
     let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
     let fired = simulate(&Pixels { pixel, reset, effects: &[] }, &site, &light, 0, END_NS, &mut Noiseless);
@@ -241,7 +241,7 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
         latency_ns: 1_000,
         latency_spread_ns: 0.0,
         refractory_ns: 50_000,
-        max_step_ns: 5_000,
+        log_step: LOG_STEP,
     };
     let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
     let fired = simulate(&Pixels { pixel, reset: Reset::Resample, effects: &[] }, &site, &light, 0, 100_000_000, &mut Noiseless);
