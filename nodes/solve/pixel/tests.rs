@@ -1,5 +1,6 @@
 //! Claims about the node, on small streams.
 
+use super::paper::windows;
 use super::*;
 use crate::baseline::edi::{self, BaselineEdi};
 use crate::render::rows::{self, RenderRows};
@@ -7,7 +8,7 @@ use crate::sampling::Sampling;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
-use photocurrent_core::{Extent, testing};
+use photocurrent_core::{Extent, Rows, testing};
 
 fn sensor() -> Arc<Sensor> {
     let mut sensor = Sensor::unknown("test");

@@ -45,8 +45,28 @@ pub struct LaneGroup {
     current: Point,
     trial: Point,
     linear: Linear,
-    /// Per lane: 1 when solved.
+    /// Per lane: 1 when solved, and after how many rounds.
     solved: Lanes,
+    rounds: Lanes,
+}
+
+/// A solved pixel of a group.
+#[derive(Clone, Copy, Debug)]
+pub struct LaneSolution<'g> {
+    log_photocurrent: &'g [Lanes],
+    lane: usize,
+    /// Eq. (13).
+    pub cost: f32,
+    /// Steps tried.
+    pub iterations: usize,
+}
+
+impl<'g> LaneSolution<'g> {
+    /// ln i of every knot.
+    pub fn log_photocurrent(&self) -> impl Iterator<Item = f32> + use<'g> {
+        let lane = self.lane;
+        self.log_photocurrent.iter().map(move |lanes| lanes.0[lane])
+    }
 }
 
 /// What is measured; rows of knots where a quantity has two indices.
@@ -117,9 +137,10 @@ impl LaneGroup {
         solve(self);
     }
 
-    /// ln i of every knot of pixel `n` of the group, or nothing when it is left to the scalar solver.
-    pub fn log_photocurrent(&self, n: usize) -> Option<impl Iterator<Item = f32> + '_> {
-        (self.solved.0[n] > 0.0).then(|| self.current.log_photocurrent[..self.counts[n]].iter().map(move |lanes| lanes.0[n]))
+    /// The solution of pixel `n` of the group, or nothing when it is left to the scalar solver.
+    pub fn solution(&self, n: usize) -> Option<LaneSolution<'_>> {
+        let log_photocurrent = &self.current.log_photocurrent[..self.counts[n]];
+        (self.solved.0[n] > 0.0).then(|| LaneSolution { log_photocurrent, lane: n, cost: self.current.cost.0[n], iterations: self.rounds.0[n] as usize })
     }
 }
 
@@ -174,15 +195,16 @@ impl Given {
 
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 fn solve(group: &mut LaneGroup) {
-    let LaneGroup { given, current, trial, linear, solved, .. } = group;
+    let LaneGroup { given, current, trial, linear, solved, rounds, .. } = group;
     let (one, zero) = (Lanes::splat(1.0), Lanes::ZERO);
     current.resize(given);
     trial.resize(given);
     start(given, current, trial);
-    *solved = zero;
+    (*solved, *rounds) = (zero, zero);
     let mut active = current.valid;
     let mut share = one;
     for round in 0..MAX_ROUNDS {
+        *rounds = *rounds + active;
         linear.fill(given, current);
         linear.step(given, current);
         trial.move_from(given, current, &linear.change, share, if round < EARLY_ROUNDS { EARLY_TRIALS } else { LATE_TRIALS });

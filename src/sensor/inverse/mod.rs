@@ -58,7 +58,7 @@ mod round_trip_tests;
 #[cfg(test)]
 mod tests;
 
-pub use lanes::LaneGroup;
+pub use lanes::{LaneGroup, LaneSolution};
 pub use problem::{FrameSample, LOG_PHOTOCURRENT_MAX, LOG_PHOTOCURRENT_MIN, Outcome, PixelProblem, ProblemError, Solution, SolveOptions, Start};
 
 use candidate::{Candidate, Held};

@@ -69,7 +69,7 @@ pub fn lanes(cases: &[Case], together: usize, scalar: &[Answer], repeat: Repeat)
         let problems: Vec<PixelProblem<'_>> = cases.iter().map(Case::problem).collect();
         let share_s = fastest(repeat, || group.solve(divan::black_box(&problems))) / problems.len() as f64;
         for (n, problem) in problems.iter().enumerate() {
-            answers.push(match group.log_photocurrent(n) {
+            answers.push(match group.solution(n).map(|solution| solution.log_photocurrent()) {
                 Some(u) => {
                     let u: Vec<f64> = u.map(f64::from).collect();
                     Answer { setup_s: 0.0, solve_s: share_s, iterations: f64::NAN, cost: cost(problem, &u) }
@@ -86,7 +86,7 @@ pub fn handed_back(cases: &[Case]) -> usize {
     let mut group = LaneGroup::default();
     let is_handed_back = |case: &&Case| {
         group.solve(&[case.problem()]);
-        group.log_photocurrent(0).is_none()
+        group.solution(0).is_none()
     };
     cases.iter().filter(is_handed_back).count()
 }
