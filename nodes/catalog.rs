@@ -25,6 +25,8 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<baseline::repeat::BaselineRepeat>(),
         Kind::of::<baseline::contrast::BaselineContrast>(),
         Kind::of::<baseline::edi::BaselineEdi>(),
+        Kind::of::<baseline::cf::BaselineCf>(),
+        Kind::of::<baseline::akf::BaselineAkf>(),
         // How good it is.
         Kind::of::<score::psnr::ScorePsnr>(),
         Kind::of::<score::heldout::ScoreHeldout>(),

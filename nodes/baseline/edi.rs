@@ -8,18 +8,13 @@
 //! What its authors leave implicit stands in the open: the exposure is the recording's, the threshold is the sensor description's, a given number or one found by
 //! `baseline/contrast`, and a constant latency can be taken off the stamps. Limits: no front-end delay, no readout latency, no refractory period.
 
-use super::repeat::{black_level, nearest_frame, output_meta};
-use crate::pixel_events::{Stamp, StepRule, clock_offset};
-use crate::render::rows::from_rows;
+use crate::pixel_events::{Stamp, StepRule};
+use crate::reconstruct::{Request, black_level, by_rows, contrast_of, nearest_frame};
 use crate::sampling::{Sampling, scale_seconds};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::table::Column;
-use photocurrent_core::{
-    Context, Decl, EventStream, EventsMeta, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table,
-};
+use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use photocurrent_sensor::exposure::{ExposureCursor, HeldTrack};
-use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -74,32 +69,8 @@ pub struct BaselineEdi {
 }
 
 impl BaselineEdi {
-    fn rule(&self, sensor: Option<&Sensor>, events: &EventsMeta, searched: Option<f64>) -> Result<StepRule, NodeError> {
-        let mut rule = match (self.params.threshold.or(searched), sensor) {
-            (Some(threshold), sensor) => {
-                let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
-                StepRule { threshold_on: threshold, threshold_off: threshold, stamp: self.params.stamp, shift_ns }
-            }
-            (None, Some(sensor)) => StepRule::from_sensor(sensor, events, self.params.stamp, "baseline/edi").map_err(or_state_threshold)?,
-            (None, None) => {
-                return Err(NodeError::usage("no threshold: neither `threshold` nor a sensor description nor `contrast` is given")
-                    .hint("connect `sensor`, or state `threshold`")
-                    .param("threshold"));
-            }
-        };
-        rule.shift_ns += self.params.latency.ns();
-        Ok(rule)
-    }
-}
-
-/// A threshold that the description does not state can be stated here.
-fn or_state_threshold(error: NodeError) -> NodeError {
-    match (&error.blamed_input, &error.hint) {
-        (Some(_), Some(hint)) => {
-            let hint = format!("{hint}, or state `threshold`");
-            error.hint(hint)
-        }
-        _ => error,
+    fn rule(&self, request: &Request, searched: Option<f64>) -> Result<StepRule, NodeError> {
+        request.step_rule("baseline/edi", self.params.threshold, searched, self.params.stamp, self.params.latency)
     }
 }
 
@@ -128,42 +99,20 @@ params = { rate = "1 kHz", latency = "40 us" }
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
-        if events.extent != frames.extent {
-            return Err(NodeError::usage(format!("events are {}, frames are {}", events.extent, frames.extent))
-                .hint("frames and events must come from the same pixels"));
-        }
-        let at = inputs.has("at").then(|| inputs.frames("at")).transpose()?;
-        let sensor = inputs.has("sensor").then(|| inputs.sensor("sensor")).transpose()?.map(|s| &**s);
-        self.rule(sensor, events, inputs.has("contrast").then_some(1.0))?;
-        let meta = output_meta(&self.params.sampling, frames, Some(events), at.map(|m| &**m), sensor)?;
-        Ok(vec![Meta::Frames(Arc::new(meta))])
+        let request = Request::planned(inputs)?;
+        self.rule(&request, inputs.has("contrast").then_some(1.0))?;
+        Ok(vec![Meta::Frames(Arc::new(request.output(&self.params.sampling)?))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let sensor = input.sensor.as_deref();
-        let searched = input.contrast.as_deref().map(contrast_of).transpose()?;
-        let rule = self.rule(sensor, &input.events.meta, searched)?;
-        let meta = output_meta(&self.params.sampling, &input.frames.meta, Some(&input.events.meta), input.at.as_ref().map(|at| &*at.meta), sensor)?;
-        let job = Job { captured: &input.frames.meta, output: &meta, rule, black: black_level(sensor), blur: self.params.blur };
-        cx.begin(cx.rows().len() as u64, "rows");
+        let request = Request::connected(&input.frames, Some(&input.events), &input.at, &input.sensor);
+        let searched = input.contrast.as_deref().map(contrast_of).transpose()?.map(|values| values[0]);
+        let rule = self.rule(&request, searched)?;
+        let meta = request.output(&self.params.sampling)?;
+        let job = Job { captured: request.frames, output: &meta, rule, black: black_level(request.sensor), blur: self.params.blur };
         let events = input.events.read(cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
-        let row = |row: u32| -> Result<Vec<f32>, NodeError> {
-            let picture = job.row(row, &events.row(row), &frames);
-            cx.advance(1)?;
-            Ok(picture)
-        };
-        let pictures: Result<Vec<Vec<f32>>, NodeError> = cx.rows().iter().into_par_iter().map(row).collect();
-        Ok(Out { frames: from_rows(meta, cx.rows(), pictures?) })
-    }
-}
-
-/// The threshold in a table made by `baseline/contrast`.
-fn contrast_of(table: &Table) -> Result<f64, NodeError> {
-    match table.column("contrast") {
-        Some(Column::Numbers(values)) if values.first().is_some_and(|c| *c > 0.0) => Ok(values[0]),
-        _ => Err(NodeError::input("the table at `contrast` has no positive number in a column `contrast`").hint("connect baseline/contrast")),
+        Ok(Out { frames: by_rows(cx, meta.clone(), |row| Ok(job.row(row, &events.row(row), &frames)))? })
     }
 }
 
@@ -186,6 +135,11 @@ impl Job<'_> {
 
     /// All output frames of one row as [frame][x].
     fn row(&self, row: u32, events: &EventRow, frames: &FrameBlock) -> Vec<f32> {
+        self.latent(row, events, frames).into_iter().map(|dn| dn as f32).collect()
+    }
+
+    /// The same before it is rounded to 32 bits.
+    fn latent(&self, row: u32, events: &EventRow, frames: &FrameBlock) -> Vec<f64> {
         let width = self.captured.extent.width as usize;
         let index = events.by_pixel(self.captured.extent.width);
         let outputs: Vec<Exposure> = (0..self.output.times.len()).map(|l| self.output.times.exposure(l, row)).collect();
@@ -207,7 +161,7 @@ impl Job<'_> {
             for (l, exposure) in outputs.iter().enumerate() {
                 let mean = cursor.integral(*exposure) / exposure.seconds();
                 let dn = level[starts_from[l]] * mean * scale_seconds(self.output.scale, *exposure);
-                picture[l * width + x] = (self.black + dn) as f32;
+                picture[l * width + x] = self.black + dn;
             }
         }
         picture
@@ -244,6 +198,7 @@ impl RelativeLight {
 
 #[cfg(test)]
 mod tests {
+    use super::super::reference;
     use super::*;
     use photocurrent_core::events::{Event, Polarity};
     use photocurrent_core::quantity::Rate;
@@ -302,11 +257,47 @@ mod tests {
         assert!((dn[0] - 60.0).abs() < 1e-3, "{dn:?}");
     }
 
+    /// The reference works on 1 + I and takes the latent picture at the instant of the middle; the node gives means over exposures of 2 ns here, and stamps
+    /// are whole microseconds, so that an event at the middle counts as after it when the exposure ends there.
+    #[test]
+    fn an_independent_double_integral_gives_the_same() {
+        let expected = reference::pictures("edi_latent.f64");
+        let captured = reference::frames();
+        let kept: Vec<usize> = if expected.len() == 8 { (0..8).collect() } else { vec![0, 3, 7] };
+        let mut sensor = Sensor::unknown("offset");
+        // DN + 255 over 255 is 1 + I.
+        sensor.frames.black_level_dn = Some(-255.0);
+        let sensor = Arc::new(sensor);
+        let at = testing::captured(
+            reference::EXTENT,
+            captured.meta.times.exposures.iter().map(|e| Exposure::new(e.mid().0 - 2, e.mid().0)).collect(),
+            0,
+            |_, _, _| 0.0,
+        );
+        let scaled = FramesMeta { scale: photocurrent_core::FrameScale::Nominal { exposure_ns: 20_000_000 }, ..(*at.meta).clone() };
+        let request = Request { frames: &captured.meta, events: None, at: Some(&scaled), sensor: Some(&sensor) };
+        let rule = StepRule { threshold_on: reference::CONTRAST, threshold_off: reference::CONTRAST, stamp: Stamp::Best, shift_ns: 0 };
+        let output = request.output(&Sampling::default()).unwrap();
+        let job = Job { captured: &captured.meta, output: &output, rule, black: -255.0, blur: None };
+        let events = reference::stream().read(reference::EXTENT.rows()).unwrap();
+        let block = captured.read_rows(captured.rows()).unwrap();
+        for row in reference::EXTENT.rows().iter() {
+            let picture = job.latent(row, &events.row(row), &block);
+            for (authors, l) in expected.iter().zip(&kept) {
+                let latent: Vec<f64> = picture[l * 48..][..48].iter().map(|dn| dn / 255.0).collect();
+                let apart = reference::apart(&latent, &authors[row as usize * 48..][..48]);
+                assert!(apart < 1e-9, "frame {l}, row {row}: {apart:e}");
+            }
+        }
+    }
+
     #[test]
     fn a_threshold_must_come_from_somewhere() {
         let node = BaselineEdi { params: Params::default() };
         let events = testing::stream(ONE, vec![]);
-        assert_eq!(node.rule(None, &events.meta, None).unwrap_err().param.as_deref(), Some("threshold"));
-        assert_eq!(node.rule(None, &events.meta, Some(0.3)).unwrap().threshold_off, 0.3);
+        let frames = testing::frames(1, 1, 1);
+        let request = Request { frames: &frames.meta, events: Some(&events.meta), at: None, sensor: None };
+        assert_eq!(node.rule(&request, None).unwrap_err().param.as_deref(), Some("threshold"));
+        assert_eq!(node.rule(&request, Some(0.3)).unwrap().threshold_off, 0.3);
     }
 }

@@ -1,5 +1,10 @@
 //! Other methods in the same roles, so that they can stand beside ours.
 
+pub mod akf;
+pub mod cf;
 pub mod contrast;
 pub mod edi;
 pub mod repeat;
+
+#[cfg(test)]
+pub(crate) mod reference;

@@ -3,10 +3,10 @@
 //! What a viewer without events would see, and the floor that every method must beat. Nearest is by the middle of a row's own exposure.
 //! Limits: blur, rolling shutter and motion between frames all stay in.
 
-use crate::render::rows::from_rows;
-use crate::sampling::{Sampling, scale_seconds, virtual_frames};
-use photocurrent_core::{Context, Decl, EventsMeta, FrameScale, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
-use rayon::prelude::*;
+pub(crate) use crate::reconstruct::black_level;
+use crate::reconstruct::{Request, by_rows, nearest_frame};
+use crate::sampling::{Sampling, scale_seconds};
+use photocurrent_core::{Context, Decl, FrameScale, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -46,44 +46,6 @@ pub struct BaselineRepeat {
     params: Params,
 }
 
-/// What a method that works on captured frames renders: sampled as `sampling` says, or like `at`.
-///
-/// # Errors
-/// When there is no captured frame, or the sampling does not fit.
-pub(crate) fn output_meta(
-    sampling: &Sampling,
-    frames: &FramesMeta,
-    events: Option<&EventsMeta>,
-    at: Option<&FramesMeta>,
-    sensor: Option<&Sensor>,
-) -> Result<FramesMeta, NodeError> {
-    if frames.scale != FrameScale::Captured || frames.channels != 1 {
-        return Err(NodeError::usage("the method works on captured grey frames").hint("connect the recording's frames"));
-    }
-    let (Some(span), Some(nominal_ns)) = (frames.times.span(frames.extent.height), frames.times.nominal_exposure_ns()) else {
-        return Err(NodeError::usage("there is no captured frame to start from"));
-    };
-    let covered = events.and_then(|events| events.span).map_or(span, |events| events.union(span));
-    virtual_frames(sampling, at, frames.extent, covered, nominal_ns, sensor)
-}
-
-/// Black level of the description; 0 when there is none.
-pub(crate) fn black_level(sensor: Option<&Sensor>) -> f64 {
-    sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0)
-}
-
-/// Index of the captured frame whose exposure of `row` has its middle nearest to `t`; the earlier of two.
-pub(crate) fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
-    let mid = |l: usize| frames.times.exposure(l, row).mid().0;
-    let after = frames.times.exposures.partition_point(|e| e.delayed(frames.times.row_time_ns * i64::from(row)).mid().0 < t);
-    match after {
-        0 => 0,
-        n if n == frames.times.len() => n - 1,
-        n if t - mid(n - 1) <= mid(n) - t => n - 1,
-        n => n,
-    }
-}
-
 impl Node for BaselineRepeat {
     const DECL: Decl = Decl {
         kind: "baseline/repeat",
@@ -109,32 +71,25 @@ params = { rate = "1 kHz" }
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        let at = inputs.has("at").then(|| inputs.frames("at")).transpose()?;
-        let sensor = inputs.has("sensor").then(|| inputs.sensor("sensor")).transpose()?;
-        let meta = output_meta(&self.params.sampling, inputs.frames("frames")?, None, at.map(|m| &**m), sensor.map(|s| &**s))?;
-        Ok(vec![Meta::Frames(Arc::new(meta))])
+        Ok(vec![Meta::Frames(Arc::new(Request::planned(inputs)?.output(&self.params.sampling)?))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let sensor = input.sensor.as_deref();
-        let captured = &input.frames;
-        let meta = output_meta(&self.params.sampling, &captured.meta, None, input.at.as_ref().map(|at| &*at.meta), sensor)?;
-        let black = black_level(sensor);
-        cx.begin(cx.rows().len() as u64, "rows");
-        let block = captured.read_rows(cx.rows())?;
+        let request = Request::connected(&input.frames, None, &input.at, &input.sensor);
+        let meta = request.output(&self.params.sampling)?;
+        let black = black_level(request.sensor);
+        let block = input.frames.read_rows(cx.rows())?;
         let repeat_row = |row: u32| -> Result<Vec<f32>, NodeError> {
             let mut picture = Vec::with_capacity(meta.times.len() * meta.row_values());
             for l in 0..meta.times.len() {
                 let exposure = meta.times.exposure(l, row);
-                let from = nearest_frame(&captured.meta, row, exposure.mid().0);
-                let ratio = scale_seconds(meta.scale, exposure) / scale_seconds(FrameScale::Captured, captured.meta.times.exposure(from, row));
+                let from = nearest_frame(request.frames, row, exposure.mid().0);
+                let ratio = scale_seconds(meta.scale, exposure) / scale_seconds(FrameScale::Captured, request.frames.times.exposure(from, row));
                 picture.extend(block.row(from, row).iter().map(|dn| (black + (f64::from(*dn) - black) * ratio) as f32));
             }
-            cx.advance(1)?;
             Ok(picture)
         };
-        let pictures: Result<Vec<Vec<f32>>, NodeError> = cx.rows().iter().into_par_iter().map(repeat_row).collect();
-        Ok(Out { frames: from_rows(meta, cx.rows(), pictures?) })
+        Ok(Out { frames: by_rows(cx, meta.clone(), repeat_row)? })
     }
 }
 

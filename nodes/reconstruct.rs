@@ -1,0 +1,231 @@
+//! What every method that turns captured frames into frames at other instants does alike: which frames are asked for, where thresholds come from,
+//! what white is, and the walk over rows.
+//!
+//! Methods that stand beside each other must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
+//! planning and for running, and [`by_rows`] cuts the work into rows.
+
+use crate::pixel_events::{Stamp, StepRule, clock_offset};
+use crate::sampling::{Sampling, virtual_frames};
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::table::Column;
+use photocurrent_core::{Context, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, NodeError, PortMetas, Sensor, Table};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// What is connected to a method's sockets, as far as it is known before the data.
+#[derive(Clone, Copy)]
+pub struct Request<'a> {
+    /// At `frames`: captured ones.
+    pub frames: &'a FramesMeta,
+    /// At `events`, when the method has the socket.
+    pub events: Option<&'a EventsMeta>,
+    /// At `at`: frames to imitate.
+    pub at: Option<&'a FramesMeta>,
+    /// At `sensor`.
+    pub sensor: Option<&'a Sensor>,
+}
+
+impl<'a> Request<'a> {
+    /// While planning.
+    ///
+    /// # Errors
+    /// When nothing is connected to `frames`, or events and frames differ in size.
+    pub fn planned(inputs: &'a PortMetas) -> Result<Request<'a>, NodeError> {
+        let request = Request {
+            frames: inputs.frames("frames")?,
+            events: inputs.has("events").then(|| inputs.events("events")).transpose()?.map(|events| &**events),
+            at: inputs.has("at").then(|| inputs.frames("at")).transpose()?.map(|at| &**at),
+            sensor: inputs.has("sensor").then(|| inputs.sensor("sensor")).transpose()?.map(|sensor| &**sensor),
+        };
+        match request.events {
+            Some(events) if events.extent != request.frames.extent => {
+                Err(NodeError::usage(format!("events are {}, frames are {}", events.extent, request.frames.extent))
+                    .hint("frames and events must come from the same pixels"))
+            }
+            _ => Ok(request),
+        }
+    }
+
+    /// While running.
+    pub fn connected(
+        frames: &'a FrameSequence,
+        events: Option<&'a EventStream>,
+        at: &'a Option<FrameSequence>,
+        sensor: &'a Option<Arc<Sensor>>,
+    ) -> Request<'a> {
+        Request { frames: &frames.meta, events: events.map(|events| &*events.meta), at: at.as_ref().map(|at| &*at.meta), sensor: sensor.as_deref() }
+    }
+
+    /// What the method gives: sampled as `sampling` says, or like `at`.
+    ///
+    /// # Errors
+    /// When there is no captured frame, or the sampling does not fit.
+    pub fn output(&self, sampling: &Sampling) -> Result<FramesMeta, NodeError> {
+        let frames = self.frames;
+        if frames.scale != FrameScale::Captured || frames.channels != 1 {
+            return Err(NodeError::usage("the method works on captured grey frames").hint("connect the recording's frames"));
+        }
+        let (Some(span), Some(nominal_ns)) = (frames.times.span(frames.extent.height), frames.times.nominal_exposure_ns()) else {
+            return Err(NodeError::usage("there is no captured frame to start from"));
+        };
+        let covered = self.events.and_then(|events| events.span).map_or(span, |events| events.union(span));
+        virtual_frames(sampling, self.at, frames.extent, covered, nominal_ns, self.sensor)
+    }
+
+    /// Times and steps of events: one stated threshold for both polarities, else a searched one, else the description's two; `latency` is taken off
+    /// every stamp.
+    ///
+    /// # Errors
+    /// When no threshold is known, or the description cannot be read.
+    pub fn step_rule(&self, who: &str, threshold: Option<f64>, searched: Option<f64>, stamp: Stamp, latency: Duration) -> Result<StepRule, NodeError> {
+        let mut rule = match (threshold.or(searched), self.sensor, self.events) {
+            (Some(threshold), sensor, _) => {
+                let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
+                StepRule { threshold_on: threshold, threshold_off: threshold, stamp, shift_ns }
+            }
+            (None, Some(sensor), Some(events)) => StepRule::from_sensor(sensor, events, stamp, who).map_err(or_state_threshold)?,
+            _ => {
+                return Err(NodeError::usage("no threshold: neither `threshold` nor a sensor description nor `contrast` is given")
+                    .hint("connect `sensor`, or state `threshold`")
+                    .param("threshold"));
+            }
+        };
+        rule.shift_ns += latency.ns();
+        Ok(rule)
+    }
+
+    /// Digital numbers as intensities, 0 for black and 1 for white of an ordinary exposure.
+    ///
+    /// # Errors
+    /// When white is neither stated nor in the description, or lies not above black.
+    pub fn intensity(&self, who: &str, white: Option<f64>) -> Result<Intensity, NodeError> {
+        let black = black_level(self.sensor);
+        let Some(white) = white.or_else(|| self.sensor.and_then(|sensor| sensor.frames.saturation_dn)) else {
+            return Err(NodeError::usage(format!("{who} works on intensities from 0 to 1, and the DN of white is not known"))
+                .hint("state `white` (255 for 8-bit frames), or connect a sensor description with `frames.saturation_dn`")
+                .param("white"));
+        };
+        if white <= black {
+            return Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN")).hint("state a larger `white`").param("white"));
+        }
+        let nominal_s = self.frames.times.nominal_exposure_ns().map_or(1.0, |ns| ns as f64 * 1e-9);
+        Ok(Intensity { black, white, nominal_s })
+    }
+}
+
+/// A threshold that the description does not state can be stated at the node.
+fn or_state_threshold(error: NodeError) -> NodeError {
+    match (&error.blamed_input, &error.hint) {
+        (Some(_), Some(hint)) => {
+            let hint = format!("{hint}, or state `threshold`");
+            error.hint(hint)
+        }
+        _ => error,
+    }
+}
+
+/// Intensities as the public event-camera methods use them: 0 is black, 1 is white.
+#[derive(Clone, Copy, Debug)]
+pub struct Intensity {
+    black: f64,
+    white: f64,
+    /// The exposure for which 1 is white; a longer one of the same light is not brighter.
+    nominal_s: f64,
+}
+
+/// Darker intensities than this, of frames whose noise lies below the black level, count as this: log(1 + I) stays finite.
+const DARKEST: f64 = -0.5;
+
+impl Intensity {
+    /// Of a captured digital number.
+    pub fn of(&self, dn: f32, exposure: Exposure) -> f64 {
+        let value = (f64::from(dn) - self.black) / (self.white - self.black) * (self.nominal_s / exposure.seconds());
+        // `max` would turn an unknown value into the bound.
+        if value < DARKEST { DARKEST } else { value }
+    }
+
+    /// Digital number of an intensity, for an exposure of `seconds`.
+    pub fn dn(&self, intensity: f64, seconds: f64) -> f32 {
+        (self.black + intensity * (self.white - self.black) * (seconds / self.nominal_s)) as f32
+    }
+}
+
+/// The threshold in a table made by `baseline/contrast`.
+///
+/// # Errors
+/// When there is none.
+pub fn contrast_of(table: &Table) -> Result<&[f64], NodeError> {
+    match table.column("contrast") {
+        Some(Column::Numbers(values)) if !values.is_empty() && values.iter().all(|c| *c > 0.0) => Ok(values),
+        _ => Err(NodeError::input("the table at `contrast` has no positive number in a column `contrast`").hint("connect baseline/contrast")),
+    }
+}
+
+/// Black level of the description; 0 when there is none.
+pub fn black_level(sensor: Option<&Sensor>) -> f64 {
+    sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0)
+}
+
+/// Index of the captured frame whose exposure of `row` has its middle nearest to `t`; the earlier of two.
+pub fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
+    let mid = |l: usize| frames.times.exposure(l, row).mid().0;
+    let after = frames.times.exposures.partition_point(|e| e.delayed(frames.times.row_time_ns * i64::from(row)).mid().0 < t);
+    match after {
+        0 => 0,
+        n if n == frames.times.len() => n - 1,
+        n if t - mid(n - 1) <= mid(n) - t => n - 1,
+        n => n,
+    }
+}
+
+/// Frames of the context's rows, one call per row side by side; a call gives all frames of its row as [frame][value].
+///
+/// # Errors
+/// When a call fails, or the user interrupts.
+pub fn by_rows(cx: &Context, meta: FramesMeta, row: impl Fn(u32) -> Result<Vec<f32>, NodeError> + Sync) -> Result<FrameSequence, NodeError> {
+    let rows = cx.rows();
+    cx.begin(rows.len() as u64, "rows");
+    let one = |y: u32| -> Result<Vec<f32>, NodeError> {
+        let picture = row(y)?;
+        cx.advance(1)?;
+        Ok(picture)
+    };
+    let pictures: Result<Vec<Vec<f32>>, NodeError> = rows.iter().into_par_iter().map(one).collect();
+    let mut block = FrameBlock::zeros(0..meta.times.len(), rows, meta.row_values());
+    for (y, picture) in rows.iter().zip(pictures?) {
+        for (frame, values) in picture.chunks_exact(meta.row_values()).enumerate() {
+            block.row_mut(frame, y).copy_from_slice(values);
+        }
+    }
+    Ok(FrameSequence::in_memory(Arc::new(meta), block))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::{Extent, testing};
+
+    #[test]
+    fn white_of_half_an_exposure_is_half_of_white() {
+        let frames =
+            testing::captured(Extent { width: 1, height: 1 }, vec![Exposure::new(0, 1_000_000), Exposure::new(2_000_000, 2_500_000)], 0, |_, _, _| 0.0);
+        let mut sensor = Sensor::unknown("test");
+        sensor.frames.black_level_dn = Some(16.0);
+        let request = Request { frames: &frames.meta, events: None, at: None, sensor: Some(&sensor) };
+        assert_eq!(request.intensity("x", None).unwrap_err().param.as_deref(), Some("white"));
+        // The ordinary exposure is the lower median: 0.5 ms.
+        let intensity = request.intensity("x", Some(116.0)).unwrap();
+        assert_eq!(intensity.of(116.0, Exposure::new(0, 1_000_000)), 0.5);
+        assert_eq!(intensity.dn(0.5, 1e-3), 116.0);
+        assert!(intensity.of(f32::NAN, Exposure::new(0, 1_000_000)).is_nan());
+    }
+
+    #[test]
+    fn rows_are_put_where_they_belong() {
+        let frames = testing::frames(2, 3, 2);
+        let (out, _) =
+            testing::with_context(frames.rows(), &["frames"], |cx| by_rows(cx, (*frames.meta).clone(), |y| Ok((0..4).map(|i| (10 * y + i) as f32).collect())));
+        let block = out.unwrap().read_rows(frames.rows()).unwrap();
+        assert_eq!(block.row(1, 2), [22.0, 23.0]);
+    }
+}
