@@ -27,6 +27,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<baseline::edi::BaselineEdi>(),
         Kind::of::<baseline::cf::BaselineCf>(),
         Kind::of::<baseline::akf::BaselineAkf>(),
+        Kind::of::<baseline::external::BaselineExternal>(),
         // How good it is.
         Kind::of::<score::psnr::ScorePsnr>(),
         Kind::of::<score::heldout::ScoreHeldout>(),

@@ -1,16 +1,16 @@
-//! `baseline/contrast`: one contrast threshold for a whole recording, searched so that the double integral looks right.
+//! `baseline/contrast`: a contrast threshold, for a whole recording or for each frame, searched so that the double integral looks right.
 //!
 //! Idea: with too small a threshold the latent picture stays blurred and its edges miss the events' edges; with too large a one it gets a
 //! wild relief. So the energy is `lambda x sum |Sobel L| - sum edge(L) x edge(M)`: relief of the latent picture, less the agreement of its
 //! edges with those of the event picture M (events weighted by exp(-|t - f| / decay) around the middle f of an exposure). Fibonacci search over
-//! the stated interval, energies summed over several frames of the recording.
+//! the stated interval, energies summed over several frames of the recording (`per = "sequence"`) or frame by frame (`per = "frame"`).
 //!
 //! Source: the energy of Pan et al. as the public port davis-EDI-rs states it (lambda 0.15, interval 0.1 to 0.5, 15 points, edges by 3x3 Sobel, scaled to [0, 1]
 //! and cut at mean + (1 - mean) / 3); the authors' own interval is not public. Limits: one threshold for both polarities and all pixels; the
 //! energy is not convex, and the search finds one of its valleys.
 
-use super::repeat::black_level;
 use crate::pixel_events::clock_offset;
+use crate::reconstruct::black_level;
 use photocurrent_core::events::{EventBand, Polarity};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, TableMeta};
@@ -21,10 +21,23 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+/// What one threshold is searched for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Per {
+    /// The recording: energies of several frames are summed.
+    #[default]
+    Sequence,
+    /// Each captured frame.
+    Frame,
+}
+
 /// Parameters of `baseline/contrast`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
+    /// What one threshold is searched for.
+    pub per: Per,
     /// Lower end of the interval, natural-log units.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub lowest: f64,
@@ -40,14 +53,14 @@ pub struct Params {
     /// Decay of an event's weight away from the middle of the exposure.
     #[schemars(extend("x-min" = "1 us"))]
     pub decay: Duration,
-    /// Most frames to look at, spread over the recording.
+    /// Most frames to look at, spread over the recording, when one threshold is searched for it.
     #[schemars(range(min = 1))]
     pub frames: u32,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Params { lowest: 0.1, highest: 0.5, points: 15, lambda: 0.15, decay: Duration::new(20_000_000), frames: 8 }
+        Params { per: Per::Sequence, lowest: 0.1, highest: 0.5, points: 15, lambda: 0.15, decay: Duration::new(20_000_000), frames: 8 }
     }
 }
 
@@ -66,7 +79,7 @@ photocurrent_core::ports! {
 photocurrent_core::ports! {
     /// Outputs.
     pub struct Out {
-        /// One row: `contrast`, and the `energy` there.
+        /// `contrast`, and the `energy` there: one row, or one for each captured frame.
         contrast: Arc<Table>,
     }
 }
@@ -79,7 +92,7 @@ pub struct BaselineContrast {
 impl Node for BaselineContrast {
     const DECL: Decl = Decl {
         kind: "baseline/contrast",
-        about: "Searches one contrast threshold for the double integral, by the sharpness of the latent pictures.",
+        about: "Searches the contrast threshold for the double integral, by the sharpness of the latent pictures.",
         revision: 1,
         grain: Grain::Whole,
         draws: false,
@@ -123,24 +136,49 @@ params = { lowest = 0.1, highest = 0.5 }
         let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
         let events = input.events.read(input.events.rows())?;
         let frames = &input.frames;
-        let count = frames.len().min(self.params.frames as usize);
-        // Spread over the recording, ends left out where there is a choice.
-        let chosen: Vec<usize> = (0..count).map(|i| (2 * i + 1) * frames.len() / (2 * count)).collect();
-        let scenes: Result<Vec<Scene>, NodeError> =
-            chosen.iter().map(|&l| Scene::new(frames, &events, l, shift_ns, black_level(sensor), self.params.decay.seconds())).collect();
-        let scenes = scenes?;
+        let scene = |l: usize| Scene::new(frames, &events, l, shift_ns, black_level(sensor), self.params.decay.seconds());
         let steps = fibonacci_steps(self.params.points);
-        cx.begin((steps + 2) as u64, "thresholds");
-        let energy = |contrast: f64| -> Result<f64, NodeError> {
-            cx.advance(1)?;
-            Ok(scenes.par_iter().map(|scene| scene.energy(contrast, self.params.lambda)).collect::<Vec<f64>>().iter().sum())
+        let search = |scenes: &[Scene]| {
+            let energy = |contrast: f64| -> Result<f64, NodeError> {
+                cx.advance(1)?;
+                Ok(scenes.par_iter().map(|scene| scene.energy(contrast, self.params.lambda)).collect::<Vec<f64>>().iter().sum())
+            };
+            fibonacci_search(self.params.lowest, self.params.highest, steps, energy)
         };
-        let (contrast, lowest) = fibonacci_search(self.params.lowest, self.params.highest, steps, energy)?;
+        // Two evaluations at first, then one each step; one step is spent by the first two.
+        let evaluations = u64::from(steps) + 1;
+        let (chosen, found): (Vec<usize>, Vec<(f64, f64)>) = match self.params.per {
+            Per::Sequence => {
+                let count = frames.len().min(self.params.frames as usize);
+                // Spread over the recording, ends left out where there is a choice.
+                let chosen: Vec<usize> = (0..count).map(|i| (2 * i + 1) * frames.len() / (2 * count)).collect();
+                let scenes: Result<Vec<Scene>, NodeError> = chosen.iter().map(|&l| scene(l)).collect();
+                cx.begin(evaluations, "thresholds");
+                (chosen, vec![search(&scenes?)?])
+            }
+            Per::Frame => {
+                cx.begin(evaluations * frames.len() as u64, "thresholds");
+                let found: Result<Vec<(f64, f64)>, NodeError> = (0..frames.len()).into_par_iter().map(|l| search(&[scene(l)?])).collect();
+                ((0..frames.len()).collect(), found?)
+            }
+        };
         let edge = 0.02 * (self.params.highest - self.params.lowest);
-        if contrast - self.params.lowest < edge || self.params.highest - contrast < edge {
-            cx.note(format!("the threshold found, {contrast:.3}, lies at the end of the interval {} to {}: widen it", self.params.lowest, self.params.highest));
+        let at_end = |contrast: f64| contrast - self.params.lowest < edge || self.params.highest - contrast < edge;
+        match (self.params.per, found[0].0) {
+            (Per::Sequence, contrast) if at_end(contrast) => {
+                cx.note(format!(
+                    "the threshold found, {contrast:.3}, lies at the end of the interval {} to {}: widen it",
+                    self.params.lowest, self.params.highest
+                ));
+            }
+            (Per::Frame, _) => {
+                let count = found.iter().filter(|(contrast, _)| at_end(*contrast)).count();
+                cx.count(count as u64, "frames have their threshold at the end of the interval: widen it");
+            }
+            _ => {}
         }
-        let table = Table::default().with("contrast", Column::Numbers(vec![contrast])).with("energy", Column::Numbers(vec![lowest]));
+        let column = |of: fn(&(f64, f64)) -> f64| Column::Numbers(found.iter().map(of).collect());
+        let table = Table::default().with("contrast", column(|found| found.0)).with("energy", column(|found| found.1));
         Ok(Out { contrast: Arc::new(table.note("frames", format!("{chosen:?}"))) })
     }
 }
@@ -279,6 +317,27 @@ mod tests {
         let (place, _) = fibonacci_search(0.1, 0.5, fibonacci_steps(200), |c| Ok((c - 0.237) * (c - 0.237))).unwrap();
         // F(13) = 233 points over 0.4: within two of their spacings.
         assert!((place - 0.237).abs() < 2.0 * 0.4 / 233.0, "{place}");
+    }
+
+    fn found(per: Per, frames: FrameSequence) -> Vec<f64> {
+        use photocurrent_core::testing;
+        let node = BaselineContrast { params: Params { per, ..Params::default() } };
+        let all = frames.rows();
+        let (out, _) = testing::with_context(all, &["contrast"], |cx| node.run(In { events: testing::events(16, 12), frames, sensor: None }, cx));
+        match out.unwrap().contrast.column("contrast") {
+            Some(Column::Numbers(found)) => found.clone(),
+            other => panic!("a column of numbers, not {other:?}"),
+        }
+    }
+
+    #[test]
+    fn a_threshold_per_frame_is_that_of_a_recording_of_the_frame_alone() {
+        let frames = photocurrent_core::testing::frames(16, 12, 4);
+        let each = found(Per::Frame, frames.clone());
+        let alone: Vec<f64> = (0..4).flat_map(|l| found(Per::Sequence, frames.select(vec![l]))).collect();
+        assert_eq!(each, alone);
+        assert!(each.iter().any(|c| *c != each[0]), "frames that are all alike would prove nothing: {each:?}");
+        assert_eq!(found(Per::Sequence, frames).len(), 1);
     }
 
     #[test]

@@ -3,7 +3,8 @@
 //! Idea: between events a pixel's log light is constant, at an event it moves by one threshold. So the latent picture is known up to one
 //! factor per pixel, `L(t) = L(f) exp(E(t))`, and the blurred frame, which is the mean of L over its exposure, fixes the factor:
 //! `L(f) = B / mean(exp(E))`. Both integrals are piecewise constant and taken exactly, per pixel and with the row's own exposure.
-//! A frame elsewhere in time starts from the captured frame nearest to it.
+//! A frame elsewhere in time starts from the captured frame nearest to it. With `chain`, frames are not each for itself: least squares over the logs
+//! of all frames' latent values, where events say how consecutive ones differ (mEDI).
 //!
 //! What its authors leave implicit stands in the open: the exposure is the recording's, the threshold is the sensor description's, a given number or one found by
 //! `baseline/contrast`, and a constant latency can be taken off the stamps. Limits: no front-end delay, no readout latency, no refractory period.
@@ -34,6 +35,10 @@ pub struct Params {
     pub stamp: Stamp,
     /// A constant latency to take off every stamp; negative moves events later.
     pub latency: Duration,
+    /// Weight of the equations that chain consecutive frames by the events between them, against those of each frame's blur: 0 leaves each frame to itself (EDI),
+    /// 1 weighs both alike (mEDI).
+    #[schemars(range(min = 0.0))]
+    pub chain: f64,
     /// Length over which a captured frame's blur is taken, around the middle of its exposure; absent = its exposure as recorded.
     #[schemars(extend("x-min" = "1 ns"))]
     pub blur: Option<Duration>,
@@ -48,7 +53,7 @@ photocurrent_core::ports! {
         frames: FrameSequence,
         /// Thresholds, black level, clock offset.
         sensor: Option<Arc<Sensor>>,
-        /// A table with the column `contrast`, from `baseline/contrast`.
+        /// A table with the column `contrast`, from `baseline/contrast`: one threshold, or one for each captured frame.
         contrast: Option<Arc<Table>>,
         /// Frames whose exposures, row time and scale are to be imitated.
         at: Option<FrameSequence>,
@@ -72,6 +77,25 @@ impl BaselineEdi {
     fn rule(&self, request: &Request, searched: Option<f64>) -> Result<StepRule, NodeError> {
         request.step_rule("baseline/edi", self.params.threshold, searched, self.params.stamp, self.params.latency)
     }
+
+    /// Thresholds of the captured frames over the first one's; empty when there is one for all.
+    fn per_frame(&self, searched: Option<&[f64]>, frames: &FramesMeta) -> Result<Vec<f64>, NodeError> {
+        match searched {
+            Some(values) if values.len() > 1 && self.params.threshold.is_none() => {
+                if values.len() != frames.times.len() {
+                    return Err(NodeError::input(format!("there are {} thresholds at `contrast`, and {} frames", values.len(), frames.times.len()))
+                        .hint("search them on the same frames"));
+                }
+                if self.params.chain > 0.0 {
+                    return Err(NodeError::usage("`chain` takes one threshold for all frames, and `contrast` has one for each")
+                        .hint("search with `per = \"sequence\"`, or leave `chain` at 0")
+                        .param("chain"));
+                }
+                Ok(values.iter().map(|value| value / values[0]).collect())
+            }
+            _ => Ok(Vec::new()),
+        }
+    }
 }
 
 impl Node for BaselineEdi {
@@ -82,7 +106,9 @@ impl Node for BaselineEdi {
         grain: Grain::Pixel,
         draws: false,
         exports: false,
-        sources: &["Pan et al., Bringing a Blurry Frame Alive at High Frame-Rate with an Event Camera, CVPR 2019"],
+        sources: &[
+            "Pan et al., Bringing a Blurry Frame Alive at High Frame-Rate with an Event Camera, CVPR 2019; High Frame Rate Video Reconstruction (mEDI), TPAMI 2020",
+        ],
         example: r#"
 [nodes.edi]
 kind   = "baseline/edi"
@@ -106,10 +132,11 @@ params = { rate = "1 kHz", latency = "40 us" }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let request = Request::connected(&input.frames, Some(&input.events), &input.at, &input.sensor);
-        let searched = input.contrast.as_deref().map(contrast_of).transpose()?.map(|values| values[0]);
-        let rule = self.rule(&request, searched)?;
+        let searched = input.contrast.as_deref().map(contrast_of).transpose()?;
+        let rule = self.rule(&request, searched.map(|values| values[0]))?;
+        let per_frame = self.per_frame(searched, request.frames)?;
         let meta = request.output(&self.params.sampling)?;
-        let job = Job { captured: request.frames, output: &meta, rule, black: black_level(request.sensor), blur: self.params.blur };
+        let job = Job { captured: request.frames, output: &meta, rule, per_frame, black: black_level(request.sensor), params: &self.params };
         let events = input.events.read(cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
         Ok(Out { frames: by_rows(cx, meta.clone(), |row| Ok(job.row(row, &events.row(row), &frames)))? })
@@ -120,14 +147,16 @@ struct Job<'a> {
     captured: &'a FramesMeta,
     output: &'a FramesMeta,
     rule: StepRule,
+    /// Each captured frame's threshold over that of `rule`; empty when there is one for all.
+    per_frame: Vec<f64>,
     black: f64,
-    blur: Option<Duration>,
+    params: &'a Params,
 }
 
 impl Job<'_> {
     /// The interval over which a captured frame is taken to be the mean of the light.
     fn blurred_over(&self, exposure: Exposure) -> Exposure {
-        self.blur.map_or(exposure, |blur| {
+        self.params.blur.map_or(exposure, |blur| {
             let start = exposure.mid().0 - blur.ns() / 2;
             Exposure::new(start, start + blur.ns())
         })
@@ -146,26 +175,78 @@ impl Job<'_> {
         let starts_from: Vec<usize> = outputs.iter().map(|e| nearest_frame(self.captured, row, e.mid().0)).collect();
         let mut picture = vec![0.0; outputs.len() * width];
         let mut relative = RelativeLight::default();
-        let mut level = Vec::new();
+        let (mut level, mut work) = (Vec::new(), Vec::new());
+        // Output frames by the captured frame that they start from.
+        let mut groups: Vec<(usize, Vec<usize>)> = Vec::new();
+        for (l, &frame) in starts_from.iter().enumerate() {
+            match groups.iter_mut().find(|(of, _)| *of == frame) {
+                Some((_, group)) => group.push(l),
+                None => groups.push((frame, vec![l])),
+            }
+        }
         for x in 0..width {
-            relative.fill(&self.rule, events, &index, x);
-            let mut cursor = ExposureCursor::new(HeldTrack::new(&relative.t, &relative.light));
-            level.clear();
-            level.extend((0..self.captured.times.len()).map(|l| {
+            let level_of = |cursor: &mut ExposureCursor, l: usize| {
                 let exposure = self.captured.times.exposure(l, row);
                 let above_black = f64::from(frames.row(l, row)[x]) - self.black;
                 // The mean over the blur, as charge of the exposure: with the recorded exposure, the plain integral.
                 let mean = cursor.integral(self.blurred_over(exposure)) / self.blurred_over(exposure).seconds();
                 above_black / (mean * exposure.seconds())
-            }));
-            for (l, exposure) in outputs.iter().enumerate() {
-                let mean = cursor.integral(*exposure) / exposure.seconds();
-                let dn = level[starts_from[l]] * mean * scale_seconds(self.output.scale, *exposure);
-                picture[l * width + x] = self.black + dn;
+            };
+            let mut put = |cursor: &mut ExposureCursor, l: usize, level: f64| {
+                let mean = cursor.integral(outputs[l]) / outputs[l].seconds();
+                picture[l * width + x] = self.black + level * mean * scale_seconds(self.output.scale, outputs[l]);
+            };
+            if self.per_frame.is_empty() {
+                relative.fill(&self.rule, events, &index, x, 1.0);
+                let mut cursor = ExposureCursor::new(HeldTrack::new(&relative.t, &relative.light));
+                level.clear();
+                level.extend((0..self.captured.times.len()).map(|l| level_of(&mut cursor, l)));
+                if self.params.chain > 0.0 {
+                    chained(&mut level, self.params.chain, &mut work);
+                }
+                (0..outputs.len()).for_each(|l| put(&mut cursor, l, level[starts_from[l]]));
+            } else {
+                for (frame, group) in &groups {
+                    relative.fill(&self.rule, events, &index, x, self.per_frame[*frame]);
+                    let mut cursor = ExposureCursor::new(HeldTrack::new(&relative.t, &relative.light));
+                    let level = level_of(&mut cursor, *frame);
+                    group.iter().for_each(|&l| put(&mut cursor, l, level));
+                }
             }
         }
         picture
     }
+}
+
+/// Replaces every frame's level by that of least squares over their logs: each near its own, and, `weight` times as important, consecutive ones alike.
+///
+/// A level is a frame's latent light with the events' share taken out, so that frames and events that agree give equal ones. A level that is not positive has no log
+/// and counts as not measured; when none is left, nothing changes. `work` is scratch.
+fn chained(level: &mut [f64], weight: f64, work: &mut Vec<f64>) {
+    let measured = |level: f64| if level > 0.0 && level.is_finite() { 1.0 } else { 0.0 };
+    if level.iter().all(|level| measured(*level) == 0.0) {
+        return;
+    }
+    // The normal equations are tridiagonal: one pass down, one up.
+    let n = level.len();
+    work.clear();
+    for i in 0..n {
+        let own = measured(level[i]);
+        let links = f64::from(u8::from(i > 0)) + f64::from(u8::from(i + 1 < n));
+        let (mut diagonal, mut right) = (own + weight * links, if own > 0.0 { libm::log(level[i]) } else { 0.0 });
+        if i > 0 {
+            let factor = weight * work[i - 1];
+            diagonal -= factor * weight;
+            right += factor * level[i - 1];
+        }
+        work.push(1.0 / diagonal);
+        level[i] = right;
+    }
+    for i in (0..n).rev() {
+        let below = if i + 1 < n { weight * level[i + 1] } else { 0.0 };
+        level[i] = (level[i] + below) * work[i];
+    }
+    level.iter_mut().for_each(|level| *level = libm::exp(*level));
 }
 
 /// One pixel's light up to a factor: exp of the summed steps, held between events.
@@ -179,7 +260,9 @@ struct RelativeLight {
 const LOG_LIGHT_LIMIT: f64 = 600.0;
 
 impl RelativeLight {
-    fn fill(&mut self, rule: &StepRule, events: &EventRow, index: &PixelIndex, x: usize) {
+    /// With every plain step times `factor`; compensated ones stay what they are.
+    fn fill(&mut self, rule: &StepRule, events: &EventRow, index: &PixelIndex, x: usize, factor: f64) {
+        let factor = if events.step.is_some() { 1.0 } else { factor };
         self.t.clear();
         self.light.clear();
         // Before the first event the light is 1, whenever that event came.
@@ -187,7 +270,7 @@ impl RelativeLight {
         self.light.push(1.0);
         let mut log_light = 0.0;
         for &k in index.pixel(x) {
-            log_light = f64::clamp(log_light + rule.step(events, k), -LOG_LIGHT_LIMIT, LOG_LIGHT_LIMIT);
+            log_light = f64::clamp(log_light + factor * rule.step(events, k), -LOG_LIGHT_LIMIT, LOG_LIGHT_LIMIT);
             // Stamps of one pixel may fall back by their jitter; a step never comes before the one before it.
             let t = rule.time(events, k).max(*self.t.last().expect("holds the start"));
             self.t.push(t);
@@ -250,6 +333,55 @@ mod tests {
     }
 
     #[test]
+    fn chained_levels_solve_their_normal_equations() {
+        let measured = [2.0, 8.0, -1.0, 4.0];
+        let (weight, mut level) = (0.7, measured.to_vec());
+        chained(&mut level, weight, &mut Vec::new());
+        let k: Vec<f64> = level.iter().map(|level| libm::log(*level)).collect();
+        for i in 0..4 {
+            let own = if measured[i] > 0.0 { k[i] - libm::log(measured[i]) } else { 0.0 };
+            let below = if i > 0 { k[i] - k[i - 1] } else { 0.0 };
+            let above = if i < 3 { k[i] - k[i + 1] } else { 0.0 };
+            assert!((own + weight * (below + above)).abs() < 1e-12, "row {i}");
+        }
+        // Nothing measured: nothing to chain.
+        let mut dark = [0.0, -1.0];
+        chained(&mut dark, 1.0, &mut Vec::new());
+        assert_eq!(dark, [0.0, -1.0]);
+    }
+
+    #[test]
+    fn frames_that_disagree_meet_in_their_logs_when_chained() {
+        // No events: 20 and 80 in a still pixel. With weight w, logs are drawn together to a distance of 1 / (1 + 2 w) of theirs.
+        let exposures = vec![Exposure::new(0, 2_000_000), Exposure::new(8_000_000, 10_000_000)];
+        let frames = testing::captured(ONE, exposures, 0, |l, _, _| [20.0, 80.0][l]);
+        let input = In { events: testing::stream(ONE, vec![]), frames, sensor: None, contrast: None, at: None };
+        let params = Params { chain: 1.0, ..params(200.0) };
+        let (out, _) = testing::with_context(ONE.rows(), &["frames"], |cx| BaselineEdi { params }.run(input, cx));
+        let dn = out.unwrap().frames.read_rows(ONE.rows()).unwrap().dn;
+        let apart = libm::exp(libm::log(4.0) / 6.0);
+        assert!((f64::from(dn[0]) - 40.0 / apart).abs() < 1e-4 && (f64::from(dn[1]) - 40.0 / apart).abs() < 1e-4, "{dn:?}");
+    }
+
+    #[test]
+    fn each_frame_may_have_its_own_threshold() {
+        // One ON event in the middle of each exposure; thresholds log 2 and log 3: the mean 30 is split 20 to 40, then 15 to 45.
+        let exposures = vec![Exposure::new(0, 4_000_000), Exposure::new(10_000_000, 14_000_000)];
+        let frames = testing::captured(ONE, exposures, 0, |_, _, _| 30.0);
+        let thresholds = photocurrent_core::table::Column::Numbers(vec![libm::log(2.0), libm::log(3.0)]);
+        let contrast = Some(Arc::new(Table::default().with("contrast", thresholds)));
+        let events = testing::stream(ONE, vec![on(2_000_000), on(12_000_000)]);
+        let params = Params { threshold: None, ..params(1000.0) };
+        let input = In { events, frames, sensor: None, contrast, at: None };
+        let (out, _) = testing::with_context(ONE.rows(), &["frames"], |cx| BaselineEdi { params }.run(input, cx));
+        let dn = out.unwrap().frames.read_rows(ONE.rows()).unwrap().dn;
+        let at = |ms: usize| f64::from(dn[ms]);
+        for (ms, expected) in [(1, 20.0), (3, 40.0), (11, 15.0), (13, 45.0)] {
+            assert!((at(ms) - expected).abs() < 1e-4, "{ms} ms: {dn:?}");
+        }
+    }
+
+    #[test]
     fn a_longer_blur_takes_in_events_outside_the_exposure() {
         // Exposed from 2 to 4 ms without an event, but blurred over 0 to 6 ms with a doubling at 5 ms: the mean is (5 + 2) / 6 of L.
         let blurred = Params { blur: Some(Duration::new(6_000_000)), ..params(1000.0) };
@@ -278,7 +410,7 @@ mod tests {
         let request = Request { frames: &captured.meta, events: None, at: Some(&scaled), sensor: Some(&sensor) };
         let rule = StepRule { threshold_on: reference::CONTRAST, threshold_off: reference::CONTRAST, stamp: Stamp::Best, shift_ns: 0 };
         let output = request.output(&Sampling::default()).unwrap();
-        let job = Job { captured: &captured.meta, output: &output, rule, black: -255.0, blur: None };
+        let job = Job { captured: &captured.meta, output: &output, rule, per_frame: Vec::new(), black: -255.0, params: &Params::default() };
         let events = reference::stream().read(reference::EXTENT.rows()).unwrap();
         let block = captured.read_rows(captured.rows()).unwrap();
         for row in reference::EXTENT.rows().iter() {

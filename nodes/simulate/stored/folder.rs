@@ -26,7 +26,7 @@ pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>, NodeError> {
 }
 
 /// Names compared as people count: runs of digits by their number, everything else by letter; equal ones by letter throughout.
-fn by_number(a: &str, b: &str) -> Ordering {
+pub(crate) fn by_number(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a, b);
     while let (Some(l), Some(r)) = (left.chars().next(), right.chars().next()) {
         let order = if l.is_ascii_digit() && r.is_ascii_digit() {
