@@ -28,6 +28,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<baseline::cf::BaselineCf>(),
         Kind::of::<baseline::akf::BaselineAkf>(),
         Kind::of::<baseline::external::BaselineExternal>(),
+        Kind::of::<baseline::exec::BaselineExec>(),
         // How good it is.
         Kind::of::<score::psnr::ScorePsnr>(),
         Kind::of::<score::heldout::ScoreHeldout>(),

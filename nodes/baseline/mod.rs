@@ -4,6 +4,7 @@ pub mod akf;
 pub mod cf;
 pub mod contrast;
 pub mod edi;
+pub mod exec;
 pub mod external;
 pub mod repeat;
 
