@@ -185,14 +185,14 @@ impl Job<'_> {
             }
         }
         for x in 0..width {
-            let level_of = |cursor: &mut ExposureCursor, l: usize| {
+            let level_of = |cursor: &mut ExposureCursor<HeldTrack<'_, f64>>, l: usize| {
                 let exposure = self.captured.times.exposure(l, row);
                 let above_black = f64::from(frames.row(l, row)[x]) - self.black;
                 // The mean over the blur, as charge of the exposure: with the recorded exposure, the plain integral.
                 let mean = cursor.integral(self.blurred_over(exposure)) / self.blurred_over(exposure).seconds();
                 above_black / (mean * exposure.seconds())
             };
-            let mut put = |cursor: &mut ExposureCursor, l: usize, level: f64| {
+            let mut put = |cursor: &mut ExposureCursor<HeldTrack<'_, f64>>, l: usize, level: f64| {
                 let mean = cursor.integral(outputs[l]) / outputs[l].seconds();
                 picture[l * width + x] = self.black + level * mean * scale_seconds(self.output.scale, outputs[l]);
             };
