@@ -231,7 +231,8 @@ fn metrics_are_one_object_a_line_with_the_documented_keys() {
     assert_eq!((single.len(), pooled.len()), (2 * 40, 2));
     for line in single.iter().chain(&pooled) {
         let keys: Vec<&str> = line.as_object().expect("an object").keys().map(String::as_str).collect();
-        assert_eq!(keys, ["variant", "node", "metric", "frame", "t_ns", "value", "unit", "card"]);
+        let tails: &[&str] = if line["frame"] == -1 { &["min", "p05", "p95", "max"] } else { &[] };
+        assert_eq!(keys, [&["variant", "node", "metric", "frame", "t_ns", "value", "unit", "card"], tails].concat());
         assert_eq!((&line["variant"], &line["metric"], &line["unit"]), (&"base".into(), &"psnr_db".into(), &"dB".into()));
         assert!(line["value"].is_f64() && line["node"].as_str().is_some_and(|node| ["psnr", "psnr_edi"].contains(&node)), "{line}");
         // What a card must state: channel, range, crop, matching, version.
@@ -242,8 +243,12 @@ fn metrics_are_one_object_a_line_with_the_documented_keys() {
     assert!(mine.iter().enumerate().all(|(k, line)| line["frame"] == k && line["t_ns"] == k as i64 * 1_000_000));
     // Pooled is the mean over frames, as the card says.
     let mean = mine.iter().map(|line| line["value"].as_f64().expect("a number")).sum::<f64>() / mine.len() as f64;
-    let stated = pooled.iter().find(|line| line["node"] == "psnr").and_then(|line| line["value"].as_f64()).expect("a number");
-    assert!((mean - stated).abs() < 1e-9, "{mean} {stated}");
+    let pooled = pooled.iter().find(|line| line["node"] == "psnr").expect("a pooled line");
+    let stated = |key: &str| pooled[key].as_f64().expect("a number");
+    assert!((mean - stated("value")).abs() < 1e-9, "{mean} {}", stated("value"));
+    let worst = mine.iter().map(|line| line["value"].as_f64().expect("a number")).fold(f64::INFINITY, f64::min);
+    assert_eq!(stated("min"), worst);
+    assert!(worst <= stated("p05") && stated("p05") < mean && mean < stated("p95") && stated("p95") <= stated("max"), "{pooled}");
 }
 
 #[test]

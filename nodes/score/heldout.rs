@@ -7,8 +7,10 @@
 //! the held frames, where methods differ. Limits: a held frame is blurred, so agreement with it says less about details than true frames do;
 //! and its noise bounds the score from above.
 
+use super::card::{Card, MEAN, OWN, linear_dn};
+use super::compare::{Peak, mean_of_measured};
 use super::matching::match_frames;
-use super::psnr::{largest, mean_square_error, psnr_db, saturation_above_black};
+use super::psnr::{mean_square_error, psnr_db};
 use super::region::Region;
 use photocurrent_core::table::{Score, TableMeta};
 use photocurrent_core::{Context, Decl, FrameScale, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
@@ -64,7 +66,7 @@ impl Node for ScoreHeldout {
     const DECL: Decl = Decl {
         kind: "score/heldout",
         about: "Compares rendered exposures with captured frames that were held out of the solve; needs no ground truth.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -93,13 +95,9 @@ in   = { frames = "render_at_held", held = "split.held", sensor = "sensor" }
         check(&frames.meta, &held.meta)?;
         cx.begin(held.len() as u64, "frames");
         let sensor = input.sensor.as_deref();
-        let (peak, peak_from) = match (self.params.peak_dn, sensor.and_then(saturation_above_black)) {
-            (Some(peak), _) => (peak, "given"),
-            (None, Some(peak)) => (peak, "saturation of the sensor above black"),
-            (None, None) => (largest(held)?, "largest held value"),
-        };
+        let peak = Peak::find(self.params.peak_dn, sensor, held)?;
         let saturation = sensor.and_then(|sensor| sensor.frames.saturation_dn).unwrap_or(f64::INFINITY);
-        let moving = Region::Moving.mask(held, peak).unwrap_or_default();
+        let moving = Region::Moving.mask(held, peak.dn).unwrap_or_default();
         if moving.is_empty() {
             cx.note("no pixel of the held frames moves: heldout_psnr_moving_db is not measured");
         }
@@ -111,26 +109,32 @@ in   = { frames = "render_at_held", held = "split.held", sensor = "sensor" }
             let (mse, unknown) = mean_square_error(&picture.dn, &real.dn, &counts);
             cx.count(unknown, "rendered values were not known (NaN) and counted as 0 DN");
             cx.advance(1)?;
-            Ok([mse.sqrt(), psnr_db(mse, peak), psnr_db(mean_square_error(&picture.dn, &real.dn, &counts_and_moves).0, peak)])
+            Ok([mse.sqrt(), psnr_db(mse, peak.dn), psnr_db(mean_square_error(&picture.dn, &real.dn, &counts_and_moves).0, peak.dn)])
         };
         let values: Result<Vec<[f64; 3]>, NodeError> = (0..held.len()).into_par_iter().map(compare).collect();
-        Ok(Out { scores: Arc::new(table(&values?, held, peak, peak_from)) })
+        Ok(Out { scores: Arc::new(table(&values?, held, &peak)) })
     }
 }
 
-fn table(values: &[[f64; 3]], held: &FrameSequence, peak: f64, peak_from: &str) -> Table {
+fn table(values: &[[f64; 3]], held: &FrameSequence, peak: &Peak) -> Table {
     let mut scores = Vec::new();
     for (m, (metric, unit)) in METRICS.iter().enumerate() {
         let score = |frame, t_ns, value| Score { metric: metric.to_string(), frame, t_ns, value, unit: unit.to_string() };
         scores.extend(values.iter().enumerate().map(|(l, row)| score(l as i64, held.meta.times.exposures[l].mid().0, row[m])));
-        let measured: Vec<f64> = values.iter().map(|row| row[m]).filter(|v| !v.is_nan()).collect();
-        scores.push(score(-1, 0, measured.iter().sum::<f64>() / measured.len() as f64));
+        scores.push(score(-1, 0, mean_of_measured(&values.iter().map(|row| row[m]).collect::<Vec<_>>())));
     }
-    let card = format!(
-        "heldout.v1: linear DN; peak {peak:.3} DN ({peak_from}); {} held frames, saturated values left out; moving = {}; pooled = mean over frames",
-        held.len(),
-        Region::Moving.describe()
-    );
+    let card = Card {
+        definition: "heldout.v1",
+        channel: linear_dn(&held.meta),
+        range: peak.describe(),
+        border: "none".into(),
+        frames: format!("{} held frames, each with the one rendered at its exposures", held.len()),
+        region: format!("values that are finite and below saturation; moving = {}", Region::Moving.describe()),
+        weights: None,
+        backend: OWN.into(),
+        pooled: MEAN.into(),
+        more: Vec::new(),
+    };
     Table::scores(scores, card)
 }
 

@@ -1,17 +1,61 @@
 //! Which frame is compared with which: by the middle of their exposures, and only when those agree.
 
-use photocurrent_core::{FrameTimes, FramesMeta, NodeError};
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::{FrameScale, FrameTimes, FramesMeta, NodeError};
 
 /// Pairs (frame, reference) whose exposure middles lie within `tolerance_ns`; each frame takes the nearest reference.
 /// A reference beyond the tolerance is no partner: that frame is left out.
 ///
 /// # Errors
-/// When sizes differ, or no frame has a partner.
+/// When sizes differ, no frame has a partner, or the DN of partners are of different exposures.
 pub fn match_frames(frames: &FramesMeta, reference: &FramesMeta, tolerance_ns: i64) -> Result<Vec<(usize, usize)>, NodeError> {
     if (frames.extent, frames.channels) != (reference.extent, reference.channels) {
         let size = |meta: &FramesMeta| format!("{} with {} channel(s)", meta.extent, meta.channels);
         return Err(NodeError::usage(format!("frames are {}, the reference is {}", size(frames), size(reference))).hint("compare pictures of one size"));
     }
+    let pairs = partners(frames, reference, tolerance_ns)?;
+    check_scale(frames, reference, &pairs)?;
+    check_rows(frames, reference, tolerance_ns)?;
+    Ok(pairs)
+}
+
+/// Refuses pictures whose rows are exposed at other times: row 0 agrees, and the last row may be a frame period off.
+fn check_rows(frames: &FramesMeta, reference: &FramesMeta, tolerance_ns: i64) -> Result<(), NodeError> {
+    let (here, there) = (frames.times.row_time_ns, reference.times.row_time_ns);
+    let apart = (here - there).abs() * i64::from(frames.extent.height.saturating_sub(1));
+    if apart <= tolerance_ns.max(1000) {
+        return Ok(());
+    }
+    Err(NodeError::usage(format!("the frames' rows follow each other after {}, the reference's after {}", Duration::new(here), Duration::new(there)))
+        .note(format!("their last rows are {} apart", Duration::new(apart)))
+        .hint("render with a global shutter, as true frames have one, or `at` the reference"))
+}
+
+/// How far the exposures may differ that DN of a pair stand for, as a share: stamps are whole microseconds in many recordings.
+const SAME_SCALE: f64 = 1e-3;
+
+/// Refuses pairs whose DN are of frames of different exposure: the same light would read differently.
+fn check_scale(frames: &FramesMeta, reference: &FramesMeta, pairs: &[(usize, usize)]) -> Result<(), NodeError> {
+    let exposure_of_dn = |meta: &FramesMeta, l: usize| match meta.scale {
+        FrameScale::Captured => meta.times.exposures[l].length_ns(),
+        FrameScale::Nominal { exposure_ns } => exposure_ns,
+    };
+    for &(l, j) in pairs {
+        let (here, there) = (exposure_of_dn(frames, l), exposure_of_dn(reference, j));
+        if (here - there).abs() as f64 > SAME_SCALE * there as f64 {
+            return Err(NodeError::usage(format!(
+                "the frames' DN are those of an exposure of {}, the reference's of one of {}: the same light reads differently",
+                Duration::new(here),
+                Duration::new(there)
+            ))
+            .note(format!("frame {l} is compared with frame {j} of the reference"))
+            .hint("simulate the truth with the exposure of the camera's frames (`exposure`), or render `at` the reference"));
+        }
+    }
+    Ok(())
+}
+
+fn partners(frames: &FramesMeta, reference: &FramesMeta, tolerance_ns: i64) -> Result<Vec<(usize, usize)>, NodeError> {
     let mid = |times: &FrameTimes, l: usize| times.exposures[l].mid().0;
     let mids: Vec<i64> = (0..reference.times.len()).map(|l| mid(&reference.times, l)).collect();
     let pairs: Vec<(usize, usize)> = (0..frames.times.len())
@@ -38,7 +82,7 @@ pub fn match_frames(frames: &FramesMeta, reference: &FramesMeta, tolerance_ns: i
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_core::{Exposure, Extent, FrameScale};
+    use photocurrent_core::{Exposure, Extent};
 
     fn at(mids: &[i64]) -> FramesMeta {
         let times = FrameTimes::new(mids.iter().map(|t| Exposure::new(t - 5, t + 5)).collect(), 0).unwrap();
@@ -48,6 +92,27 @@ mod tests {
     #[test]
     fn only_partners_within_the_tolerance_are_paired() {
         assert_eq!(match_frames(&at(&[0, 104, 250]), &at(&[100, 200, 254]), 5).unwrap(), [(1, 0), (2, 2)]);
+    }
+
+    #[test]
+    fn a_rolling_shutter_is_not_compared_with_a_global_one() {
+        let rolling = |row_time_ns| {
+            let meta = at(&[0, 100]);
+            FramesMeta { times: FrameTimes::new(meta.times.exposures.to_vec(), row_time_ns).unwrap(), ..meta }
+        };
+        let error = match_frames(&rolling(10_000), &rolling(0), 5).unwrap_err();
+        assert!(error.message.starts_with("the frames' rows follow each other after 10 us, the reference's after 0 ns"), "{}", error.message);
+        assert!(match_frames(&rolling(10_000), &rolling(10_000), 5).is_ok());
+    }
+
+    #[test]
+    fn values_of_another_exposure_are_refused() {
+        let nominal = |exposure_ns| FramesMeta { scale: FrameScale::Nominal { exposure_ns }, ..at(&[0, 100]) };
+        let error = match_frames(&nominal(8_000_000), &nominal(4_000_000), 5).unwrap_err();
+        assert!(error.message.contains("exposure of 8 ms, the reference's of one of 4 ms"), "{}", error.message);
+        // `at` makes exposures of 10 ns: rendered frames of that scale compare with captured ones.
+        assert!(match_frames(&nominal(10), &at(&[0, 100]), 5).is_ok());
+        assert!(match_frames(&nominal(11), &at(&[0, 100]), 5).is_err());
     }
 
     #[test]

@@ -1,6 +1,9 @@
 //! How good it is, each number with the card that defines it.
 
+pub mod card;
+pub mod compare;
 pub mod heldout;
 pub mod matching;
 pub mod psnr;
 pub mod region;
+pub mod roi;

@@ -6,12 +6,14 @@
 //! Limits: PSNR is global; it says little about edges. A value that is not known (NaN) counts as zero DN, so that a method gains nothing by
 //! leaving pixels out; how many there were is said.
 
+use super::card::{Card, MEAN, OWN, linear_dn};
+use super::compare::{Pairs, Peak, UNKNOWN};
 use super::matching::match_frames;
 use super::region::Region;
+use super::roi::Roi;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::table::{Score, TableMeta};
+use photocurrent_core::table::TableMeta;
 use photocurrent_core::{Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth};
-use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -28,6 +30,8 @@ pub struct Params {
     pub peak_dn: Option<f64>,
     /// Which pixels count.
     pub region: Region,
+    /// Only pixels in this rectangle count; absent = the whole picture.
+    pub roi: Option<Roi>,
     /// How far apart the middles of two exposures may lie.
     #[schemars(extend("x-min" = "0 ns"))]
     pub tolerance: Duration,
@@ -35,7 +39,7 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Params { peak_dn: None, region: Region::All, tolerance: Duration::new(1000) }
+        Params { peak_dn: None, region: Region::All, roi: None, tolerance: Duration::new(1000) }
     }
 }
 
@@ -68,7 +72,7 @@ impl Node for ScorePsnr {
     const DECL: Decl = Decl {
         kind: "score/psnr",
         about: "Peak signal-to-noise ratio against true frames, per frame and pooled.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -90,60 +94,31 @@ params = { region = "moving" }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         match_frames(inputs.frames("frames")?, inputs.truth("truth")?, self.params.tolerance.ns())?;
+        self.params.roi.map_or(Ok(()), |roi| roi.check(inputs.frames("frames")?.extent))?;
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let (frames, truth) = (&input.frames, &input.truth.0);
-        let pairs = match_frames(&frames.meta, &truth.meta, self.params.tolerance.ns())?;
-        cx.begin(pairs.len() as u64, "frames");
-        let (peak, peak_from) = match (self.params.peak_dn, input.sensor.as_deref().and_then(saturation_above_black)) {
-            (Some(peak), _) => (peak, "given"),
-            (None, Some(peak)) => (peak, "saturation of the sensor above black"),
-            (None, None) => (largest(truth)?, "largest true value"),
+        let pairs = Pairs::new(&input.frames, &input.truth.0, self.params.tolerance)?;
+        let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), &input.truth.0)?;
+        let mask = self.params.region.mask_in(self.params.roi, &input.truth.0, peak.dn)?;
+        let compared = pairs.map(cx, |picture, reference| Ok(mean_square_error(picture, reference, &mask)))?;
+        cx.count(compared.iter().map(|(_, unknown)| unknown).sum(), UNKNOWN);
+        let psnr: Vec<f64> = compared.iter().map(|(mse, _)| psnr_db(*mse, peak.dn)).collect();
+        let card = Card {
+            definition: "psnr.v1",
+            channel: linear_dn(&input.frames.meta),
+            range: peak.describe(),
+            border: "none".into(),
+            frames: pairs.describe(),
+            region: self.params.region.describe_in(self.params.roi),
+            weights: None,
+            backend: OWN.into(),
+            pooled: MEAN.into(),
+            more: vec![("ceiling", format!("{PSNR_CEILING_DB} dB"))],
         };
-        if peak <= 0.0 {
-            return Err(NodeError::input("the true frames are black: there is no peak").hint("state `peak_dn`"));
-        }
-        let mask = self.params.region.mask(truth, peak)?;
-        let compare = |&(l, reference): &(usize, usize)| -> Result<(f64, u64), NodeError> {
-            let picture = frames.read(l..l + 1, frames.rows())?;
-            let true_picture = truth.read(reference..reference + 1, truth.rows())?;
-            cx.advance(1)?;
-            Ok(mean_square_error(&picture.dn, &true_picture.dn, &mask))
-        };
-        let compared: Result<Vec<(f64, u64)>, NodeError> = pairs.par_iter().map(compare).collect();
-        let compared = compared?;
-        cx.count(compared.iter().map(|(_, unknown)| unknown).sum(), "values were not known (NaN) and counted as 0 DN");
-        let psnr: Vec<f64> = compared.iter().map(|(mse, _)| psnr_db(*mse, peak)).collect();
-        let times = &frames.meta.times;
-        let score = |frame, t_ns, value| Score { metric: "psnr_db".into(), frame, t_ns, value, unit: "dB".into() };
-        let mut scores: Vec<Score> = pairs.iter().zip(&psnr).map(|((l, _), db)| score(*l as i64, times.exposures[*l].mid().0, *db)).collect();
-        scores.push(score(-1, 0, psnr.iter().sum::<f64>() / psnr.len() as f64));
-        let card = format!(
-            "psnr.v1: linear DN; peak {peak:.3} DN ({peak_from}); {}; {} of {} frames matched by middle of exposure within {}; pooled = mean over frames; ceiling {PSNR_CEILING_DB} dB",
-            self.params.region.describe(),
-            pairs.len(),
-            frames.len(),
-            self.params.tolerance
-        );
-        Ok(Out { scores: Arc::new(Table::scores(scores, card)) })
+        Ok(Out { scores: Arc::new(Table::scores(pairs.scores("psnr_db", "dB", &psnr), card)) })
     }
-}
-
-/// Saturation above black, when the description states a saturation.
-pub(crate) fn saturation_above_black(sensor: &Sensor) -> Option<f64> {
-    sensor.frames.saturation_dn.map(|saturation| saturation - sensor.frames.black_level_dn.unwrap_or(0.0))
-}
-
-/// Largest finite value of a sequence.
-pub(crate) fn largest(frames: &FrameSequence) -> Result<f64, NodeError> {
-    let mut peak = f64::NEG_INFINITY;
-    for l in 0..frames.len() {
-        let picture = frames.read(l..l + 1, frames.rows())?;
-        peak = picture.dn.iter().filter(|dn| dn.is_finite()).fold(peak, |peak, dn| peak.max(f64::from(*dn)));
-    }
-    Ok(peak)
 }
 
 /// Mean squared difference over the mask, and how many values were not known.
@@ -188,6 +163,26 @@ mod tests {
         assert_eq!(scores.len(), 3);
         assert!(scores.iter().all(|s| (s.value - 20.0).abs() < 1e-12));
         assert_eq!((scores[1].frame, scores[1].t_ns, scores[2].frame), (1, 1050, -1));
+    }
+
+    #[test]
+    fn the_card_says_what_was_measured() {
+        let roi = Some(Roi { x: 1, y: 0, width: 2, height: 3 });
+        let (table, _) = run(Params { roi, ..Params::default() }, constant(60.0), constant(50.0));
+        let expected = "psnr.v1: channel = linear DN, 1 channel; range = peak 50.000 DN (largest true value); border = none; \
+            frames = 2 of 2 matched by middle of exposure within 1 us; region = all pixels, in 2 x 3 pixels at (1, 0); weights = none; \
+            backend = own, f64; pooled = mean over frames; ceiling = 120 dB";
+        assert_eq!(table.notes, [("card".to_string(), expected.to_string())]);
+    }
+
+    #[test]
+    fn a_peak_of_another_range_gives_a_reason_and_no_number() {
+        let node = ScorePsnr { params: Params { peak_dn: Some(1.0), ..Params::default() } };
+        let input = In { frames: constant(60.0), truth: Truth(constant(50.0)), sensor: None };
+        let (out, _) = testing::with_context(input.frames.rows(), &["scores"], |cx| node.run(input, cx).map(drop));
+        let error = out.unwrap_err();
+        assert_eq!(error.message, "24 of 24 true values lie above the peak of 1 DN: it is of another range of values");
+        assert_eq!(error.notes, ["the largest true value is 50 DN"]);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 //! Most of a picture stands still, and there every method is good: a score over all pixels hides the differences. `moving` keeps the pixels
 //! whose reference value changes over time by more than a stated part of the peak.
 
+use super::roi::Roi;
 use photocurrent_core::{FrameSequence, NodeError};
 use rayon::prelude::*;
 use schemars::JsonSchema;
@@ -28,6 +29,31 @@ impl Region {
         match self {
             Region::All => "all pixels".into(),
             Region::Moving => format!("pixels whose reference varies by more than {} % of the peak over time", 100.0 * MOVING_PART_OF_PEAK),
+        }
+    }
+
+    /// For the card, with a rectangle that the region is cut to.
+    pub fn describe_in(self, roi: Option<Roi>) -> String {
+        roi.map_or(self.describe(), |roi| format!("{}, in {}", self.describe(), roi.describe()))
+    }
+
+    /// [`Region::mask`], cut to a rectangle.
+    ///
+    /// # Errors
+    /// As [`Region::mask`], and when the rectangle reaches outside.
+    pub fn mask_in(self, roi: Option<Roi>, reference: &FrameSequence, peak: f64) -> Result<Vec<bool>, NodeError> {
+        let mut mask = self.mask(reference, peak)?;
+        let Some(roi) = roi else { return Ok(mask) };
+        let (extent, channels) = (reference.meta.extent, reference.meta.channels as usize);
+        roi.check(extent)?;
+        for (i, counts) in mask.iter_mut().enumerate() {
+            let pixel = i / channels;
+            *counts &= roi.contains((pixel % extent.width as usize) as u32, (pixel / extent.width as usize) as u32);
+        }
+        if mask.contains(&true) {
+            Ok(mask)
+        } else {
+            Err(NodeError::input(format!("no pixel of the reference moves in the {}", roi.describe())).hint("score with region = \"all\", or another `roi`"))
         }
     }
 
@@ -70,5 +96,9 @@ mod tests {
         let frames = testing::captured(Extent { width: 3, height: 1 }, exposures, 0, |l, x, _| 50.0 + (l as f32) * [0.0, 4.9, 5.1][x as usize]);
         assert_eq!(Region::Moving.mask(&frames, 100.0).unwrap(), [false, false, true]);
         assert!(Region::Moving.mask(&frames, 200.0).is_err());
+        let column = |x| Some(Roi { x, y: 0, width: 1, height: 1 });
+        assert_eq!(Region::Moving.mask_in(column(2), &frames, 100.0).unwrap(), [false, false, true]);
+        assert_eq!(Region::All.mask_in(column(0), &frames, 100.0).unwrap(), [true, false, false]);
+        assert!(Region::Moving.mask_in(column(0), &frames, 100.0).unwrap_err().message.ends_with("in the 1 x 1 pixels at (0, 0)"));
     }
 }

@@ -1,7 +1,7 @@
 //! Writes scores as tables: one row per method, one column per metric.
 //!
 //! Every input is a table of scores (one value per frame and metric, sometimes a pooled value) and has a label. A cell is the pooled score: the
-//! mean over frames, or the smallest value, or the 5th percentile. A mean that the scorer pooled itself (it may pool errors rather than
+//! mean over frames, or the smallest or largest value, or the 5th or 95th percentile. A mean that the scorer pooled itself (it may pool errors rather than
 //! decibels) wins over a mean taken here. Frames whose score is NaN were not measured: they are left out and counted.
 //!
 //! Files: `table.md` for people (the best of each column in bold, where it is known which way is better), `table.csv` and `table.json` for
@@ -9,7 +9,7 @@
 //!
 //! Limits: scores of methods that were measured on different frames are put side by side as they are; the number of frames stands in `table.json`.
 
-use photocurrent_core::table::{Column, Score, TableMeta};
+use photocurrent_core::table::{Column, Score, TableMeta, percentile};
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -48,6 +48,10 @@ pub enum Statistic {
     Min,
     /// The 5th percentile, linear between neighbouring values.
     P05,
+    /// The 95th percentile, linear between neighbouring values: the bad tail where smaller is better.
+    P95,
+    /// The largest value.
+    Max,
 }
 
 impl Statistic {
@@ -56,6 +60,8 @@ impl Statistic {
             Statistic::Mean => "mean",
             Statistic::Min => "min",
             Statistic::P05 => "p05",
+            Statistic::P95 => "p95",
+            Statistic::Max => "max",
         }
     }
 
@@ -66,12 +72,9 @@ impl Statistic {
             (_, 0) => f64::NAN,
             (Statistic::Mean, n) => values.iter().sum::<f64>() / n as f64,
             (Statistic::Min, _) => values[0],
-            (Statistic::P05, n) => {
-                let at = 0.05 * (n - 1) as f64;
-                let (below, part) = (at.floor() as usize, at.fract());
-                // Two infinities have no difference.
-                if part == 0.0 || values[below] == values[below + 1] { values[below] } else { values[below] + part * (values[below + 1] - values[below]) }
-            }
+            (Statistic::P05, _) => percentile(&values, 0.05),
+            (Statistic::P95, _) => percentile(&values, 0.95),
+            (Statistic::Max, n) => values[n - 1],
         }
     }
 }
@@ -114,7 +117,7 @@ impl Metric {
         let name = self.name.to_lowercase();
         let has = |words: &[&str]| words.iter().any(|word| name.contains(word));
         // An error in decibels would be an odd name, but still an error.
-        if has(&["error", "rmse", "mae", "lpips", "bew"]) {
+        if has(&["error", "rmse", "mae", "lpips", "bew", "glitch"]) {
             Some(false)
         } else if name.ends_with("_db") || has(&["ssim"]) {
             Some(true)

@@ -74,6 +74,44 @@ pub struct Score {
     pub unit: String,
 }
 
+/// The tails of a score over its frames: failures are not visible when looking at the average values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tails {
+    /// Smallest value.
+    pub min: f64,
+    /// 5th percentile.
+    pub p05: f64,
+    /// 95th percentile.
+    pub p95: f64,
+    /// Largest value.
+    pub max: f64,
+}
+
+impl Tails {
+    /// Of the frames of one metric, those that were not measured (NaN) left out; `None` when none was measured.
+    pub fn of<'a>(scores: impl IntoIterator<Item = &'a Score>, metric: &str) -> Option<Tails> {
+        let frames = scores.into_iter().filter(|score| score.frame >= 0 && score.metric == metric);
+        let mut values: Vec<f64> = frames.map(|score| score.value).filter(|value| !value.is_nan()).collect();
+        values.sort_by(f64::total_cmp);
+        let (min, max) = (*values.first()?, *values.last()?);
+        Some(Tails { min, p05: percentile(&values, 0.05), p95: percentile(&values, 0.95), max })
+    }
+}
+
+/// The value below which a share (0 to 1) of sorted values lies, linear between neighbouring values; NaN when there is none.
+///
+/// ```
+/// use photocurrent_core::table::percentile;
+/// assert_eq!(percentile(&[1.0, 2.0, 4.0], 0.75), 3.0);
+/// ```
+pub fn percentile(sorted: &[f64], share: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
+    let at = share * last as f64;
+    let (below, part) = (at.floor() as usize, at.fract());
+    // Two infinities have no difference.
+    if part == 0.0 || sorted[below] == sorted[below + 1] { sorted[below] } else { sorted[below] + part * (sorted[below + 1] - sorted[below]) }
+}
+
 impl Table {
     /// Adds a column.
     ///
@@ -164,6 +202,15 @@ mod tests {
         let table = Table::scores(scores.clone(), "full frame");
         assert_eq!(table.as_scores().unwrap(), scores);
         assert_eq!(Table::default().with("metric", Column::Texts(vec![])).as_scores(), None);
+    }
+
+    #[test]
+    fn tails_are_of_measured_frames_and_not_of_pooled_values() {
+        let score = |frame: i64, value| Score { metric: "psnr_db".into(), frame, t_ns: 0, value, unit: "dB".into() };
+        let mut scores: Vec<Score> = (0..=20).rev().map(|l| score(l, l as f64)).collect();
+        scores.extend([score(21, f64::NAN), score(-1, -99.0), Score { metric: "other".into(), ..score(3, 99.0) }]);
+        assert_eq!(Tails::of(&scores, "psnr_db"), Some(Tails { min: 0.0, p05: 1.0, p95: 19.0, max: 20.0 }));
+        assert_eq!(Tails::of(&scores, "none"), None);
     }
 
     #[test]

@@ -3,6 +3,7 @@
 use crate::observer::End;
 use crate::plan::{PlannedVariant, TaskId};
 use photocurrent_core::error::Trouble;
+use photocurrent_core::table::Tails;
 use photocurrent_core::{Digest, NodeError, Value};
 use photocurrent_store::{Cache, StoreError, StoredOutput};
 use serde_json::json;
@@ -105,13 +106,23 @@ impl Outcome {
                     };
                     let Value::Table(table) = value else { continue };
                     let card = table.notes.iter().find(|(name, _)| name == "card").map(|(_, text)| text.as_str());
-                    for score in table.as_scores().unwrap_or_default() {
-                        let line = json!({
+                    let scores = table.as_scores().unwrap_or_default();
+                    for score in &scores {
+                        let mut line = json!({
                             "variant": variant.name, "node": node, "metric": score.metric, "frame": score.frame, "t_ns": score.t_ns,
                             // JSON has no NaN: what could not be measured is null.
                             "value": score.value.is_finite().then_some(score.value), "unit": score.unit, "card": card,
                         });
-                        if score.frame < 0 { pooled.push(line) } else { single.push(line) }
+                        if score.frame >= 0 {
+                            single.push(line);
+                            continue;
+                        }
+                        if let Some(tails) = Tails::of(&scores, &score.metric) {
+                            for (name, value) in [("min", tails.min), ("p05", tails.p05), ("p95", tails.p95), ("max", tails.max)] {
+                                line[name] = json!(value.is_finite().then_some(value));
+                            }
+                        }
+                        pooled.push(line);
                     }
                 }
             }

@@ -120,7 +120,7 @@ fn values_are_what_the_nodes_say() {
     assert_eq!(single.len(), 2);
     assert_eq!(
         pooled[0].to_string(),
-        r#"{"variant":"base","node":"sum","metric":"sum","frame":-1,"t_ns":0,"value":13.0,"unit":"1","card":"sum of all pixels"}"#
+        r#"{"variant":"base","node":"sum","metric":"sum","frame":-1,"t_ns":0,"value":13.0,"unit":"1","card":"sum of all pixels","min":6.5,"p05":6.5,"p95":6.5,"max":6.5}"#
     );
 }
 
