@@ -31,6 +31,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<baseline::exec::BaselineExec>(),
         // How good it is.
         Kind::of::<score::psnr::ScorePsnr>(),
+        Kind::of::<score::ssim::ScoreSsim>(),
         Kind::of::<score::heldout::ScoreHeldout>(),
         // What the user takes away.
         Kind::of::<write::recording::WriteRecording>(),

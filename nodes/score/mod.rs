@@ -7,3 +7,4 @@ pub mod matching;
 pub mod psnr;
 pub mod region;
 pub mod roi;
+pub mod ssim;
