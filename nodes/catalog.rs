@@ -32,6 +32,7 @@ pub fn catalogue() -> Catalogue {
         // How good it is.
         Kind::of::<score::psnr::ScorePsnr>(),
         Kind::of::<score::ssim::ScoreSsim>(),
+        Kind::of::<score::bew::ScoreBew>(),
         Kind::of::<score::heldout::ScoreHeldout>(),
         // What the user takes away.
         Kind::of::<write::recording::WriteRecording>(),

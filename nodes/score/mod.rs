@@ -1,7 +1,9 @@
 //! How good it is, each number with the card that defines it.
 
+pub mod bew;
 pub mod card;
 pub mod compare;
+pub mod edge;
 pub mod heldout;
 pub mod matching;
 pub mod psnr;

@@ -1,0 +1,296 @@
+//! The width of one blurred edge in a picture: `bew.v1`.
+//!
+//! Per line the edge is found as the centroid of the windowed derivative, a straight line is fitted through these, and all pixels are put on one axis: their
+//! distance along the edge's normal. Averages in bins of a quarter pixel are the edge spread function (ESF). Between the plateaus (medians of the outer
+//! fifths) its 10 % and 90 % crossings nearest the 50 % crossing are the width.
+//!
+//! An ideal step seen by square pixels has a width of 0.80 pixels along the normal; a smaller one comes from sharpening, and shows as overshoot.
+//! The source of the definition: edge spread functions as in ISO 12233, 10 to 90 % rise distance. What cannot be measured is refused with a reason.
+
+pub mod fit;
+pub mod line;
+pub mod spread;
+
+#[cfg(test)]
+mod tests;
+
+use fit::{gaussian_width, mtf50};
+use line::Line;
+use photocurrent_core::random::Random;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use spread::{Spread, crossings};
+
+/// Narrowest width of an unsharpened edge: 10 to 90 % of an ideal step under square pixels.
+pub const FLOOR_PX: f64 = 0.8;
+/// Fewest pixels across the edge.
+pub const LEAST_ACROSS: usize = 20;
+/// Fewest pixels along it, for a profile along the normal.
+pub const LEAST_ALONG: usize = 12;
+/// Least contrast, as a share of full scale.
+pub const LEAST_CONTRAST: f64 = 0.05;
+/// Least ratio of contrast to noise.
+pub const LEAST_SNR: f64 = 20.0;
+/// How often lines are drawn anew for the interval.
+pub const BOOTSTRAPS: usize = 200;
+
+/// Between which shares of the contrast the width is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub enum Thresholds {
+    /// 10 to 90 %.
+    #[default]
+    #[serde(rename = "10-90")]
+    TenNinety,
+    /// 20 to 80 %.
+    #[serde(rename = "20-80")]
+    TwentyEighty,
+}
+
+impl Thresholds {
+    /// The lower share.
+    pub fn low(self) -> f64 {
+        match self {
+            Thresholds::TenNinety => 0.1,
+            Thresholds::TwentyEighty => 0.2,
+        }
+    }
+}
+
+/// Along what the profile is taken.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Direction {
+    /// Along the normal of the fitted edge, in bins of a quarter pixel.
+    #[default]
+    Normal,
+    /// Along the rows, one value a column, the rows of the region averaged: a plot of DN against position on a segment, such as 40 pixels.
+    Row,
+}
+
+/// Why an edge has no width.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Refusal {
+    /// A value is NaN.
+    Unknown,
+    /// Less than [`LEAST_CONTRAST`].
+    LowContrast,
+    /// Less than [`LEAST_SNR`].
+    Noisy,
+    /// The lines' positions do not make a straight edge.
+    NotStraight,
+    /// The edge leaves the region, or is too close to its border.
+    AtTheBorder,
+    /// Fewer pixels across or along than needed.
+    TooSmall,
+    /// The edge is so parallel to the pixels that too few sub-pixel phases are seen.
+    Phases,
+    /// The values still change where the plateau should be.
+    NoPlateau,
+    /// The profile has holes, or no crossing.
+    Holes,
+    /// The profile crosses 50 % more than once.
+    Ghosts,
+}
+
+impl Refusal {
+    /// In the reader's terms.
+    pub fn describe(self) -> &'static str {
+        match self {
+            Refusal::Unknown => "values in the region are not known (NaN)",
+            Refusal::LowContrast => "no edge, or too little contrast: less than 5 % of full scale",
+            Refusal::Noisy => "too noisy: contrast is less than 20 times the noise",
+            Refusal::NotStraight => "no straight edge: its positions scatter by more than 2 pixels",
+            Refusal::AtTheBorder => "the edge leaves the region, or comes closer than 5 pixels to its border",
+            Refusal::TooSmall => "the region has less than 20 pixels across the edge or 12 along it",
+            Refusal::Phases => "the edge is parallel to the pixels (less than 2 degrees) and fewer than 3 of 4 sub-pixel phases are seen",
+            Refusal::NoPlateau => "no plateau: values still change by a tenth of the contrast near the region's border",
+            Refusal::Holes => "the profile has holes near the edge, or does not reach the thresholds",
+            Refusal::Ghosts => "ghosts: the profile crosses 50 % more than once",
+        }
+    }
+}
+
+/// What is asked.
+#[derive(Clone, Copy, Debug)]
+pub struct Question {
+    /// Between which shares.
+    pub thresholds: Thresholds,
+    /// Along what.
+    pub direction: Direction,
+    /// DN of full scale.
+    pub full_scale: f64,
+    /// Seed of the bootstrap.
+    pub seed: u64,
+}
+
+/// What was found, even where there is no width. Lengths in pixels; NaN what was not measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Edge {
+    /// Why there is no width.
+    pub refusal: Option<Refusal>,
+    /// The width.
+    pub width: f64,
+    /// 95 % interval of the width over lines drawn anew.
+    pub interval: [f64; 2],
+    /// 10-90 % width of the fitted Gaussian edge, 2.563 sigma.
+    pub gaussian_width: f64,
+    /// Beyond the bright plateau, % of contrast.
+    pub overshoot: f64,
+    /// Beyond the dark plateau, % of contrast.
+    pub undershoot: f64,
+    /// Where the modulation transfer is one half, cycles per pixel.
+    pub mtf50: f64,
+    /// Angle of the edge to the pixel grid, degrees.
+    pub angle: f64,
+    /// The edge's middle, pixels from the region's corner.
+    pub middle: [f64; 2],
+    /// Crossings of 50 % besides the first.
+    pub ghosts: u32,
+    /// From the first to the last of them.
+    pub ghost_spacing: f64,
+    /// Bright less dark plateau, DN.
+    pub contrast: f64,
+    /// Standard deviation on the plateaus, DN.
+    pub noise: f64,
+    /// The profile: distance and share of the contrast.
+    pub profile: Vec<(f64, f64)>,
+}
+
+impl Edge {
+    fn nothing() -> Edge {
+        Edge {
+            refusal: None,
+            width: f64::NAN,
+            interval: [f64::NAN; 2],
+            gaussian_width: f64::NAN,
+            overshoot: f64::NAN,
+            undershoot: f64::NAN,
+            mtf50: f64::NAN,
+            angle: f64::NAN,
+            middle: [f64::NAN; 2],
+            ghosts: 0,
+            ghost_spacing: f64::NAN,
+            contrast: f64::NAN,
+            noise: f64::NAN,
+            profile: Vec::new(),
+        }
+    }
+}
+
+/// Measures the one edge in a plane of linear DN, row-major.
+pub fn measure(plane: &[f64], width: usize, question: &Question) -> Edge {
+    let mut edge = Edge::nothing();
+    edge.refusal = measure_into(&mut edge, plane, width, question).err();
+    edge
+}
+
+/// Lines across the edge, dark first.
+pub(crate) struct Lines {
+    values: Vec<f64>,
+    pub(crate) across: usize,
+}
+
+impl Lines {
+    pub(crate) fn len(&self) -> usize {
+        self.values.len() / self.across
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &[f64]> {
+        self.values.chunks_exact(self.across)
+    }
+}
+
+/// Turns the plane so that lines run across the edge from dark to bright; says whether it was transposed and whether mirrored.
+fn oriented(plane: &[f64], width: usize, direction: Direction) -> (Lines, bool, bool) {
+    let height = plane.len() / width;
+    // The change from border to border is that of the edge; noise and texture cancel in the sums.
+    let rise_x: f64 = plane.chunks_exact(width).map(|row| row[width - 1] + row[width - 2] - row[0] - row[1]).sum::<f64>() / height as f64;
+    let rise_y: f64 = (0..width).map(|x| plane[plane.len() - width + x] - plane[x]).sum::<f64>() * 2.0 / width as f64;
+    let transposed = direction == Direction::Normal && rise_y.abs() > rise_x.abs();
+    let (mut values, across) =
+        if transposed { ((0..width).flat_map(|x| (0..height).map(move |y| plane[y * width + x])).collect(), height) } else { (plane.to_vec(), width) };
+    let mirrored = if transposed { rise_y < 0.0 } else { rise_x < 0.0 };
+    if mirrored {
+        values.chunks_exact_mut(across).for_each(<[f64]>::reverse);
+    }
+    (Lines { values, across }, transposed, mirrored)
+}
+
+fn measure_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Question) -> Result<(), Refusal> {
+    if plane.iter().any(|value| !value.is_finite()) {
+        return Err(Refusal::Unknown);
+    }
+    let least_along = if question.direction == Direction::Row { 1 } else { 2 };
+    if width < 2 || plane.len() / width < least_along {
+        return Err(Refusal::TooSmall);
+    }
+    let (lines, transposed, mirrored) = oriented(plane, width, question.direction);
+    let is_small = lines.across < LEAST_ACROSS || (question.direction == Direction::Normal && lines.len() < LEAST_ALONG);
+    if is_small {
+        return Err(Refusal::TooSmall);
+    }
+    // Border to border first: without contrast there is no edge to look for.
+    let fifth = lines.across / 5;
+    let mean = |part: fn(&[f64], usize) -> &[f64]| lines.iter().flat_map(|line| part(line, fifth)).sum::<f64>() / (lines.len() * fifth) as f64;
+    edge.contrast = mean(|line, n| &line[line.len() - n..]) - mean(|line, n| &line[..n]);
+    if edge.contrast < LEAST_CONTRAST * question.full_scale {
+        return Err(Refusal::LowContrast);
+    }
+    let line = Line::find(&lines, question.direction)?;
+    let at = if mirrored { lines.across as f64 - 1.0 - line.middle } else { line.middle };
+    let along = (lines.len() as f64 - 1.0) / 2.0;
+    edge.middle = if transposed { [along, at] } else { [at, along] };
+    edge.angle = libm::atan(line.slope.abs()).to_degrees();
+    let spread = Spread::new(&lines, &line, question.direction);
+    let plateaus = spread.plateaus()?;
+    (edge.contrast, edge.noise) = (plateaus.contrast(), plateaus.noise);
+    if edge.contrast < LEAST_CONTRAST * question.full_scale {
+        return Err(Refusal::LowContrast);
+    }
+    edge.profile = spread.profile(&plateaus, None);
+    let halves = crossings(&edge.profile, 0.5);
+    edge.ghosts = (halves.len() as u32).saturating_sub(1);
+    if let (Some(first), Some(last)) = (halves.first(), halves.last()) {
+        edge.ghost_spacing = if edge.ghosts > 0 { last - first } else { f64::NAN };
+    }
+    // A ghost near the border is no plateau either, and the better reason.
+    if edge.ghosts == 0 && plateaus.still_changes() {
+        return Err(Refusal::NoPlateau);
+    }
+    if edge.contrast < LEAST_SNR * plateaus.noise {
+        return Err(Refusal::Noisy);
+    }
+    if question.direction == Direction::Normal && edge.angle < 2.0 && line.phases(lines.len()) < 3 {
+        return Err(Refusal::Phases);
+    }
+    let rise = spread::rise(&edge.profile, question.thresholds.low())?;
+    (edge.undershoot, edge.overshoot) = spread::beyond(&edge.profile, &rise);
+    edge.gaussian_width = gaussian_width(&edge.profile, &rise);
+    if question.direction == Direction::Normal {
+        edge.mtf50 = mtf50(&edge.profile, rise.half);
+    }
+    if edge.ghosts > 0 {
+        return Err(Refusal::Ghosts);
+    }
+    edge.width = rise.width();
+    edge.interval = bootstrap(&spread, &plateaus, question, lines.len());
+    Ok(())
+}
+
+/// 95 % interval of the width when the lines are drawn anew, with replacement; NaN for a single line.
+fn bootstrap(spread: &Spread, plateaus: &spread::Plateaus, question: &Question, lines: usize) -> [f64; 2] {
+    if lines < 2 {
+        return [f64::NAN; 2];
+    }
+    let mut random = Random::new(question.seed, &[lines as u64]);
+    let mut widths = Vec::with_capacity(BOOTSTRAPS);
+    for _ in 0..BOOTSTRAPS {
+        let mut times = vec![0u32; lines];
+        (0..lines).for_each(|_| times[(random.bits() % lines as u64) as usize] += 1);
+        if let Ok(rise) = spread::rise(&spread.profile(plateaus, Some(&times)), question.thresholds.low()) {
+            widths.push(rise.width());
+        }
+    }
+    widths.sort_by(f64::total_cmp);
+    [0.025, 0.975].map(|share| photocurrent_core::table::percentile(&widths, share))
+}
