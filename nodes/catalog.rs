@@ -33,6 +33,8 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<score::psnr::ScorePsnr>(),
         Kind::of::<score::ssim::ScoreSsim>(),
         Kind::of::<score::bew::ScoreBew>(),
+        Kind::of::<score::pixel_error::ScorePixelError>(),
+        Kind::of::<score::glitch::ScoreGlitch>(),
         Kind::of::<score::heldout::ScoreHeldout>(),
         // What the user takes away.
         Kind::of::<write::recording::WriteRecording>(),
