@@ -151,7 +151,7 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
         let frames = &input.frames;
         let meta = &frames.meta;
         self.check(meta.extent, meta.channels)?;
-        let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), frames)?;
+        let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), frames, "given")?;
         let question = Question { thresholds: self.params.thresholds, direction: self.params.profile, full_scale: peak.dn, seed: cx.seed() };
         cx.begin(frames.len() as u64, "frames");
         let one = |l: usize| -> Result<Vec<Edge>, NodeError> {

@@ -66,26 +66,27 @@ pub struct Peak {
     /// DN above black, positive.
     pub dn: f64,
     /// Where it comes from, for the card.
-    pub from: &'static str,
+    pub from: String,
 }
 
 impl Peak {
-    /// What was stated; else saturation above black of the description, else the largest true value.
+    /// What was stated; else saturation above black of the description, else the largest value of `frames`; `whose` says in messages what these are: "true".
     ///
     /// # Errors
-    /// When the true frames are black, or lie above a stated peak for the most part: then it belongs to another range of values.
-    pub fn find(stated: Option<f64>, sensor: Option<&Sensor>, reference: &FrameSequence) -> Result<Peak, NodeError> {
+    /// When the frames are black, or lie above a stated peak for the most part: then it belongs to another range of values.
+    pub fn find(stated: Option<f64>, sensor: Option<&Sensor>, frames: &FrameSequence, whose: &str) -> Result<Peak, NodeError> {
         let (dn, from) = match (stated, sensor.and_then(saturation_above_black)) {
-            (Some(peak), _) => (peak, "stated"),
-            (None, Some(peak)) => (peak, "saturation of the sensor above black"),
-            (None, None) => (largest(reference)?, LARGEST),
+            (Some(peak), _) => (peak, "stated".to_string()),
+            (None, Some(peak)) => (peak, "saturation of the sensor above black".to_string()),
+            (None, None) => (largest(frames)?, format!("largest {whose} value")),
         };
         // A sequence without any finite value has an infinitely small largest one.
         if !(dn > 0.0 && dn.is_finite()) {
-            return Err(NodeError::input("the true frames are black: there is no peak").hint("state `peak_dn`"));
+            return Err(NodeError::input(format!("the {whose} frames are black: there is no peak")).hint("state `peak_dn`"));
         }
-        if from != LARGEST {
-            check_range(dn, reference)?;
+        // Nothing exceeds the largest value.
+        if !from.starts_with("largest") {
+            check_range(dn, frames, whose)?;
         }
         Ok(Peak { dn, from })
     }
@@ -96,21 +97,19 @@ impl Peak {
     }
 }
 
-const LARGEST: &str = "largest true value";
-
-/// Refuses a peak that most of the true values exceed: it is of another range, such as 255 for values of 12 bits.
-fn check_range(peak: f64, reference: &FrameSequence) -> Result<(), NodeError> {
+/// Refuses a peak that most of the values exceed: it is of another range, such as 255 for values of 12 bits.
+fn check_range(peak: f64, frames: &FrameSequence, whose: &str) -> Result<(), NodeError> {
     let (mut above, mut all) = (0u64, 0u64);
-    for l in 0..reference.len() {
-        let picture = reference.read(l..l + 1, reference.rows())?;
+    for l in 0..frames.len() {
+        let picture = frames.read(l..l + 1, frames.rows())?;
         above += picture.dn.iter().filter(|dn| f64::from(**dn) > peak).count() as u64;
         all += picture.dn.len() as u64;
     }
     if 2 * above <= all {
         return Ok(());
     }
-    Err(NodeError::input(format!("{above} of {all} true values lie above the peak of {peak} DN: it is of another range of values"))
-        .note(format!("the largest true value is {} DN", largest(reference)?))
+    Err(NodeError::input(format!("{above} of {all} {whose} values lie above the peak of {peak} DN: it is of another range of values"))
+        .note(format!("the largest {whose} value is {} DN", largest(frames)?))
         .hint("state `peak_dn`, or correct `frames.saturation_dn` of the sensor description"))
 }
 

@@ -95,7 +95,7 @@ in   = { frames = "render_at_held", held = "split.held", sensor = "sensor" }
         check(&frames.meta, &held.meta)?;
         cx.begin(held.len() as u64, "frames");
         let sensor = input.sensor.as_deref();
-        let peak = Peak::find(self.params.peak_dn, sensor, held)?;
+        let peak = Peak::find(self.params.peak_dn, sensor, held, "held")?;
         let saturation = sensor.and_then(|sensor| sensor.frames.saturation_dn).unwrap_or(f64::INFINITY);
         let moving = Region::Moving.mask(held, peak.dn).unwrap_or_default();
         if moving.is_empty() {

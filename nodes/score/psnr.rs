@@ -100,7 +100,7 @@ params = { region = "moving" }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let pairs = Pairs::new(&input.frames, &input.truth.0, self.params.tolerance)?;
-        let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), &input.truth.0)?;
+        let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), &input.truth.0, "true")?;
         let mask = self.params.region.mask_in(self.params.roi, &input.truth.0, peak.dn)?;
         let compared = pairs.map(cx, |picture, reference| Ok(mean_square_error(picture, reference, &mask)))?;
         cx.count(compared.iter().map(|(_, unknown)| unknown).sum(), UNKNOWN);

@@ -117,7 +117,7 @@ params = { roi = { x = 40, y = 30, width = 64, height = 64 } }
         let pairs = Pairs::new(&input.frames, truth, self.params.tolerance)?;
         let (extent, channels) = (truth.meta.extent, truth.meta.channels as usize);
         check_size(extent)?;
-        let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), truth)?;
+        let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), truth, "true")?;
         let mask = interior(self.params.region.mask_in(self.params.roi, truth, peak.dn)?, extent, channels)?;
         let compared = pairs.map(cx, |picture, reference| {
             cx.count(unknown(picture), UNKNOWN);
