@@ -32,6 +32,7 @@ pub fn catalogue() -> Catalogue {
         // How good it is.
         Kind::of::<score::psnr::ScorePsnr>(),
         Kind::of::<score::ssim::ScoreSsim>(),
+        Kind::of::<score::lpips::ScoreLpips>(),
         Kind::of::<score::bew::ScoreBew>(),
         Kind::of::<score::pixel_error::ScorePixelError>(),
         Kind::of::<score::glitch::ScoreGlitch>(),

@@ -3,10 +3,12 @@
 //! A node knows its inputs, parameters and seed, and nothing of the graph around it. [`catalog`] is the one list of all
 //! of them. What several nodes share stands beside the families: [`sampling`] (when virtual frames are exposed), [`pixel_events`] (a pixel's events as
 //! signed steps), [`reconstruct`] (what methods that start from captured frames do alike).
+//! signed steps), [`onnx`] (networks).
 
 pub mod baseline;
 pub mod catalog;
 pub mod compensate;
+pub mod onnx;
 pub mod pixel_events;
 pub mod read;
 pub mod reconstruct;

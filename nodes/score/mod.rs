@@ -6,6 +6,7 @@ pub mod compare;
 pub mod edge;
 pub mod glitch;
 pub mod heldout;
+pub mod lpips;
 pub mod matching;
 pub mod pixel_error;
 pub mod psnr;
