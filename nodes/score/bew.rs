@@ -64,7 +64,7 @@ photocurrent_core::ports! {
     pub struct In {
         /// The frames with the edges.
         frames: FrameSequence,
-        /// For full scale.
+        /// For full scale and saturation.
         sensor: Option<Arc<Sensor>>,
     }
 }
@@ -152,7 +152,13 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
         let meta = &frames.meta;
         self.check(meta.extent, meta.channels)?;
         let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), frames, "given")?;
-        let question = Question { thresholds: self.params.thresholds, direction: self.params.profile, full_scale: peak.dn, seed: cx.seed() };
+        let question = Question {
+            thresholds: self.params.thresholds,
+            direction: self.params.profile,
+            full_scale: peak.dn,
+            saturation: input.sensor.as_deref().and_then(|sensor| sensor.frames.saturation_dn),
+            seed: cx.seed(),
+        };
         cx.begin(frames.len() as u64, "frames");
         let one = |l: usize| -> Result<Vec<Edge>, NodeError> {
             let picture = frames.read(l..l + 1, frames.rows())?;

@@ -72,6 +72,8 @@ pub enum Direction {
 pub enum Refusal {
     /// A value is NaN.
     Unknown,
+    /// The bright side is at the saturation of the sensor.
+    Saturated,
     /// Less than [`LEAST_CONTRAST`].
     LowContrast,
     /// Less than [`LEAST_SNR`].
@@ -97,6 +99,7 @@ impl Refusal {
     pub fn describe(self) -> &'static str {
         match self {
             Refusal::Unknown => "values in the region are not known (NaN)",
+            Refusal::Saturated => "the bright side is saturated: clipping makes an edge look sharp",
             Refusal::LowContrast => "no edge, or too little contrast: less than 5 % of full scale",
             Refusal::Noisy => "too noisy: contrast is less than 20 times the noise",
             Refusal::NotStraight => "no straight edge: its positions scatter by more than 2 pixels",
@@ -119,6 +122,8 @@ pub struct Question {
     pub direction: Direction,
     /// DN of full scale.
     pub full_scale: f64,
+    /// DN at which the sensor saturates, where that is known.
+    pub saturation: Option<f64>,
     /// Seed of the bootstrap.
     pub seed: u64,
 }
@@ -236,6 +241,9 @@ fn measure_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Questio
     if edge.contrast < LEAST_CONTRAST * question.full_scale {
         return Err(Refusal::LowContrast);
     }
+    if question.saturation.is_some_and(|saturation| is_saturated(&lines, saturation)) {
+        return Err(Refusal::Saturated);
+    }
     let line = Line::find(&lines, question.direction)?;
     let at = if mirrored { lines.across as f64 - 1.0 - line.middle } else { line.middle };
     let along = (lines.len() as f64 - 1.0) / 2.0;
@@ -275,6 +283,13 @@ fn measure_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Questio
     edge.width = rise.width();
     edge.interval = bootstrap(&spread, &plateaus, question, lines.len());
     Ok(())
+}
+
+/// Is a tenth of the pixels on the bright fifth at saturation or above?
+fn is_saturated(lines: &Lines, saturation: f64) -> bool {
+    let fifth = lines.across / 5;
+    let clipped = lines.iter().flat_map(|line| &line[line.len() - fifth..]).filter(|value| **value >= saturation).count();
+    10 * clipped >= lines.len() * fifth
 }
 
 /// 95 % interval of the width when the lines are drawn anew, with replacement; NaN for a single line.

@@ -34,7 +34,7 @@ fn step(d: f64) -> f64 {
 }
 
 fn question() -> Question {
-    Question { thresholds: Thresholds::TenNinety, direction: Direction::Normal, full_scale: FULL_SCALE, seed: 7 }
+    Question { thresholds: Thresholds::TenNinety, direction: Direction::Normal, full_scale: FULL_SCALE, saturation: None, seed: 7 }
 }
 
 fn measured(plane: &[f64]) -> Edge {
@@ -80,6 +80,28 @@ fn motion_blur_is_four_fifths_of_its_length() {
         let edge = measured(&picture(5.0, |d| (d / length + 0.5).clamp(0.0, 1.0)));
         assert!((edge.width - 0.8 * length).abs() < 0.1, "{length}: {}", edge.width);
     }
+}
+
+#[test]
+fn motion_blur_under_square_pixels_has_the_width_of_both() {
+    // A box of 1 pixel and one of L make a trapezoid: 10 % are reached after sqrt(0.2 L) pixels (L < 5), so the width is L + 1 - 2 sqrt(0.2 L).
+    for length in [1.3_f64, 2.6] {
+        for tilt in [5.0, 11.0] {
+            let edge = measured(&under_square_pixels(tilt, |d| (d / length + 0.5).clamp(0.0, 1.0)));
+            let truth = length + 1.0 - 2.0 * (0.2 * length).sqrt();
+            // Bins widen narrow edges, and a tilted pixel is wider than an upright one.
+            assert!((truth - 0.01..truth + 0.07).contains(&edge.width), "{length}, tilt {tilt}: {} for {truth}", edge.width);
+        }
+    }
+}
+
+#[test]
+fn clipped_edges_look_sharp_and_are_refused() {
+    let clipped: Vec<f64> = picture(5.0, gaussian(2.0)).iter().map(|value| value.min(450.0)).collect();
+    let with = |saturation| measure(&clipped, 40, &Question { saturation, ..question() });
+    assert!(with(None).width < 0.9 * TEN_TO_NINETY * 2.0, "{}", with(None).width);
+    assert_eq!(with(Some(450.0)).refusal, Some(Refusal::Saturated));
+    assert_eq!(with(Some(451.0)).refusal, None);
 }
 
 #[test]
