@@ -252,6 +252,28 @@ fn metrics_are_one_object_a_line_with_the_documented_keys() {
 }
 
 #[test]
+fn every_score_ranks_the_methods_alike_where_an_edge_moves() {
+    let bench = Bench::new();
+    bench.outcome(&[&pipeline("scores.toml")]);
+    let of = |metric: &str, column: &str| {
+        let table = table(&bench.path(&format!("out/scores/table_{metric}/table.json")));
+        ["all compensations", "EDI", "frame repetition"].map(|label| table[label][column])
+    };
+    for (metric, column) in [("psnr", "psnr_db"), ("ssim", "ssim")] {
+        let [ours, edi, repeat] = of(metric, column);
+        assert!(ours > edi && edi > repeat, "{column}: {ours} {edi} {repeat}");
+    }
+    for (metric, column) in [("lpips", "lpips"), ("bew", "bew_px")] {
+        let [ours, edi, repeat] = of(metric, column);
+        assert!(ours < edi && edi < repeat, "{column}: {ours} {edi} {repeat}");
+    }
+    // The board slides 0.4 pixels per ms through 6.5 ms: L = 2.6 pixels, with a square pixel L + 1 - 2 sqrt(0.2 L) = 2.16 pixels from 10 to 90 %.
+    // The scene's own softened edge and bins of a quarter pixel widen it a little.
+    let [_, _, blurred] = of("bew", "bew_px");
+    assert!((2.1..2.5).contains(&blurred), "{blurred}");
+}
+
+#[test]
 fn the_contact_sheet_is_a_picture() {
     let bench = Bench::new();
     let smaller = ["--set", "nodes.scene.params.width=48", "--set", "nodes.scene.params.height=32"];
