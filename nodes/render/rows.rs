@@ -55,7 +55,7 @@ impl Node for RenderRows {
     const DECL: Decl = Decl {
         kind: "render/rows",
         about: "Frames from tracks: sharp, free of rolling shutter, at any rate and for any exposure.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -104,28 +104,54 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
     }
 }
 
+/// Pixels whose frames are made together: a frame's values of a tile are one cache line.
+const TILE: usize = 16;
+
 /// All frames of one row as [frame][x].
 fn render_pixels(band: &TrackBand, between: Between, row: u32, extent: Extent, exposures: &[Exposure], seconds: &[f64], dn: DigitalNumber) -> Vec<f32> {
     let width = extent.width as usize;
     let mut picture = vec![f32::NAN; exposures.len() * width];
-    for x in 0..width {
-        let track = band.pixel(x as u32, row);
-        if track.t.is_empty() {
-            continue;
+    let mut tile = vec![[f32::NAN; TILE]; exposures.len()];
+    for left in (0..width).step_by(TILE) {
+        let used = TILE.min(width - left);
+        for n in 0..used {
+            let track = band.pixel((left + n) as u32, row);
+            if track.t.is_empty() {
+                tile.iter_mut().for_each(|values| values[n] = f32::NAN);
+                continue;
+            }
+            match between {
+                Between::Hold => render_held(track.t, track.photocurrent, exposures, seconds, dn, |frame, value| tile[frame][n] = value),
+                Between::LogLinear => {
+                    let mut cursor = ExposureCursor::new(LogLinearTrack::new(track.t, track.photocurrent));
+                    for (frame, exposure) in exposures.iter().enumerate() {
+                        tile[frame][n] = dn.of(cursor.integral(*exposure) / exposure.seconds() * seconds[frame]) as f32;
+                    }
+                }
+            }
         }
-        let mut put = |frame: usize, integral: f64| picture[frame * width + x] = dn.of(integral / exposures[frame].seconds() * seconds[frame]) as f32;
-        match between {
-            Between::Hold => integrals(HeldTrack::new(track.t, track.photocurrent), exposures, &mut put),
-            Between::LogLinear => integrals(LogLinearTrack::new(track.t, track.photocurrent), exposures, &mut put),
+        for (values, out) in tile.iter().zip(picture.chunks_exact_mut(width)) {
+            out[left..left + used].copy_from_slice(&values[..used]);
         }
     }
     picture
 }
 
-fn integrals(track: impl Track, exposures: &[Exposure], put: &mut impl FnMut(usize, f64)) {
-    let mut cursor = ExposureCursor::new(track);
+/// The frames of one held track: an exposure inside a hold needs no integral.
+fn render_held(t: &[i64], photocurrent: &[f32], exposures: &[Exposure], seconds: &[f64], dn: DigitalNumber, mut put: impl FnMut(usize, f32)) {
+    let mut cursor = ExposureCursor::new(HeldTrack::new(t, photocurrent));
+    // The hold that is current, and where it ends.
+    let mut k = 0;
+    let end_of = |k: usize| t.get(k + 1).copied().unwrap_or(i64::MAX);
     for (frame, exposure) in exposures.iter().enumerate() {
-        put(frame, cursor.integral(*exposure));
+        while k > 0 && t[k] > exposure.start.0 {
+            k -= 1;
+        }
+        while end_of(k) <= exposure.start.0 {
+            k += 1;
+        }
+        let mean = if exposure.end.0 <= end_of(k) { f64::from(photocurrent[k]) } else { cursor.integral(*exposure) / exposure.seconds() };
+        put(frame, dn.of(mean * seconds[frame]) as f32);
     }
 }
 

@@ -12,6 +12,7 @@
 //! becomes an `f64` exactly up to 2^53 ns (104 days). Rendering thousands of frames per second from one track
 //! goes through [`ExposureCursor`], which gives the same bits without searching anew.
 
+use crate::elementary;
 use photocurrent_core::Exposure;
 
 /// How a collected charge becomes a digital number: `DN = black_level + gain * integral`, Eq. (5).
@@ -127,7 +128,7 @@ impl<'a, P: Copy + Into<f64>> LogLinearTrack<'a, P> {
     }
 
     fn log_at(&self, k: usize) -> f64 {
-        libm::log(f64::max(self.photocurrent[k].into(), DARKEST))
+        elementary::ln(f64::max(self.photocurrent[k].into(), DARKEST))
     }
 }
 
@@ -175,9 +176,9 @@ pub fn log_linear_mean(first: f64, last: f64) -> f64 {
     let ratio = if rise.abs() < 0.02 {
         1.0 + rise * (0.5 + rise * (1.0 / 6.0 + rise * (1.0 / 24.0 + rise * (1.0 / 120.0 + rise / 720.0))))
     } else {
-        libm::expm1(rise) / rise
+        elementary::exp_m1(rise) / rise
     };
-    libm::exp(first) * ratio
+    elementary::exp(first) * ratio
 }
 
 /// The derivative of [`log_linear_mean`] by `last`.
@@ -186,9 +187,9 @@ pub fn log_linear_mean_by_end(first: f64, last: f64) -> f64 {
     let ratio = if rise.abs() < 0.02 {
         0.5 + rise * (1.0 / 3.0 + rise * (1.0 / 8.0 + rise * (1.0 / 30.0 + rise * (1.0 / 144.0 + rise / 840.0))))
     } else {
-        (libm::exp(rise) - libm::expm1(rise) / rise) / rise
+        (elementary::exp(rise) - elementary::exp_m1(rise) / rise) / rise
     };
-    libm::exp(first) * ratio
+    elementary::exp(first) * ratio
 }
 
 /// Integrates many exposures of one track, remembering where the last one started.
