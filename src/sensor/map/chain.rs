@@ -2,8 +2,9 @@
 
 use super::knots::{Knots, Op};
 use super::prior::Segments;
-use super::segment::{Ramp, collected};
+use super::segment::Pieces;
 use super::{MapProblem, Offsets};
+use crate::elementary;
 use photocurrent_core::sensor::Reset;
 
 /// What a measurement at a knot looks at.
@@ -29,9 +30,11 @@ pub(super) struct Row {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Slopes {
     pub by_voltage: f64,
-    pub by_first: f64,
+    /// By both ends together.
+    pub by_both: f64,
     pub by_last: f64,
-    pub light_by_first: f64,
+    /// By both ends together.
+    pub light_by_both: f64,
     pub light_by_last: f64,
 }
 
@@ -44,8 +47,11 @@ pub(super) struct Chain {
     pub rows: Vec<Row>,
     /// Silence that is broken at a knot: how far to move back, and the polarity of the threshold; polarity 0 where all is well.
     pub silence: Vec<(f64, i8)>,
-    /// Twice the negative log of the posterior density, less constants.
-    pub cost: f64,
+    /// Twice the negative log of the likelihood and of the offsets' prior, less constants, without silence.
+    measured_cost: f64,
+    /// The sum of squares of broken silence.
+    silence_square: f64,
+    pieces: Pieces,
 }
 
 impl Chain {
@@ -53,39 +59,35 @@ impl Chain {
     pub fn run(&mut self, problem: &MapProblem<'_>, knots: &Knots, segments: &Segments, u: &[f64], offsets: &Offsets) {
         let sensor = &problem.sensor;
         let noise = &problem.noise;
+        self.pieces.fill(&sensor.front_end, u, &segments.length_s);
         self.slopes.clear();
         self.rows.clear();
         self.silence.clear();
         let mut cost = 0.0;
+        let mut silence_square = 0.0;
         let mut voltage = u[0];
         let mut reference = voltage + offsets.reference;
         let (on, off) = (sensor.threshold_on + offsets.on, sensor.threshold_off + offsets.off);
         // Light counts in standard deviations of the frame that is exposed.
         let (mut light, mut scale) = (0.0, 0.0);
-        let mut z_before = 0.0;
         let mut blind = false;
-        for j in 0..knots.len() {
+        let knots_and_ends = u.iter().zip(&knots.first_op[1..]).enumerate();
+        let mut next_op = knots.first_op[0] as usize;
+        let mut before = u[0];
+        for (j, (&here, &end_op)) in knots_and_ends {
             let mut slopes = Slopes::default();
             if j > 0 {
-                let length_s = segments.length_s[j];
-                let ramp = Ramp::new(&sensor.front_end, voltage, u[j - 1], u[j], length_s);
+                let ramp = self.pieces.ramp(j, voltage, before, here);
                 voltage = ramp.voltage;
-                slopes = Slopes { by_voltage: ramp.by_voltage, by_first: ramp.by_first, by_last: ramp.by_last, ..slopes };
-                if scale > 0.0 {
-                    let (part, by_first, by_last) = collected(u[j - 1], u[j], length_s);
-                    light += scale * part;
-                    slopes.light_by_first = scale * by_first;
-                    slopes.light_by_last = scale * by_last;
-                }
-                let z = (u[j] - u[j - 1]) / segments.scale[j];
-                let correlation = segments.correlation[j];
-                let surprise = z - correlation * z_before;
-                cost += surprise * surprise / (1.0 - correlation * correlation);
-                z_before = z;
+                let light_by_both = scale * self.pieces.light[j];
+                light += light_by_both;
+                let light_by_last = scale * self.pieces.light_by_last[j];
+                slopes = Slopes { by_voltage: ramp.by_voltage, by_both: ramp.by_both, by_last: ramp.by_last, light_by_both, light_by_last };
             }
+            before = here;
             self.slopes.push(slopes);
             let mut fires = false;
-            for op in &knots.ops[knots.ops_of(j)] {
+            for op in &knots.ops[next_op..end_op as usize] {
                 let mut row = Row { sight: Sight::None, residual: 0.0, variance: 1.0 };
                 match *op {
                     Op::Read(l) => {
@@ -112,11 +114,14 @@ impl Chain {
                         row.residual = level - voltage;
                         if armed {
                             row.sight = Sight::Event(polarity);
-                            let tau_s = sensor.front_end.tau_0_s + sensor.front_end.alpha_s * libm::exp(-u[j]);
-                            let slope = if tau_s > 0.0 { (u[j] - voltage) / tau_s } else { 0.0 };
-                            let stamp = slope * problem.stamp_sigma_s;
                             let threshold = if polarity > 0 { sensor.threshold_on } else { sensor.threshold_off };
-                            row.variance = noise.event_variance(threshold) + stamp * stamp;
+                            row.variance = noise.event_variance(threshold);
+                            if problem.stamp_sigma_s > 0.0 {
+                                let tau_s = sensor.front_end.tau_0_s + sensor.front_end.alpha_s * elementary::exp(-here);
+                                let slope = if tau_s > 0.0 { (here - voltage) / tau_s } else { 0.0 };
+                                let stamp = slope * problem.stamp_sigma_s;
+                                row.variance += stamp * stamp;
+                            }
                             let (weight, price) = noise.judge(row.residual * row.residual / row.variance);
                             row.variance /= weight;
                             cost += price;
@@ -133,19 +138,27 @@ impl Chain {
                 }
                 self.rows.push(row);
             }
+            next_op = end_op as usize;
             let mut broken = (0.0, 0_i8);
-            if problem.silence_sigma > 0.0 && !blind && !fires {
+            if !blind && !fires {
                 let change = voltage - reference;
                 if change > on {
                     broken = (on - change, 1);
                 } else if change < -off {
                     broken = (-off - change, -1);
                 }
-                let ratio = broken.0 / problem.silence_sigma;
-                cost += ratio * ratio;
+                silence_square += broken.0 * broken.0;
             }
             self.silence.push(broken);
         }
-        self.cost = cost + offsets.cost(noise);
+        self.measured_cost = cost + offsets.cost(noise);
+        self.silence_square = silence_square;
+    }
+
+    /// Twice the negative log of the posterior density, less constants, when `prior_cost` is the prior's part and `silence_sigma` the
+    /// softness of silence (0 = it does not count).
+    pub fn cost(&self, prior_cost: f64, silence_sigma: f64) -> f64 {
+        let silence = if silence_sigma > 0.0 { self.silence_square / (silence_sigma * silence_sigma) } else { 0.0 };
+        self.measured_cost + prior_cost + silence
     }
 }

@@ -6,7 +6,7 @@
 //! it is the weaker judge, because it believes that the model is right.
 
 use super::segment::collected_between;
-use super::{MapFrame, MapOptions, MapProblem, MapWorkspace, Noise, Prior, solve};
+use super::{Evidence, MapFrame, MapOptions, MapProblem, MapWorkspace, Noise, Prior, solve, solve_with};
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
 pub const EVENT_NOISES: [f64; 3] = [0.32, 0.16, 0.08];
@@ -90,7 +90,7 @@ fn prediction_error(problem: &MapProblem<'_>, options: &MapOptions, workspace: &
     let is_kept_back = |l: usize| l % KEPT_BACK == 1 && l < last;
     kept.clear();
     kept.extend(problem.frames.iter().enumerate().filter(|(l, _)| !is_kept_back(*l)).map(|(_, frame)| *frame));
-    let solution = solve(&MapProblem { frames: kept, ..*problem }, options, workspace);
+    let solution = solve_with(&MapProblem { frames: kept, ..*problem }, options, Evidence::Unwanted, workspace);
     let mut error = 0.0;
     for (_, frame) in problem.frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l) && !frame.saturated) {
         let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);

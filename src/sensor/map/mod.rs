@@ -20,6 +20,7 @@ mod prior;
 mod segment;
 mod smoother;
 mod start;
+mod state;
 #[cfg(test)]
 mod tests;
 
@@ -31,7 +32,7 @@ use chain::Chain;
 use knots::Knots;
 use photocurrent_core::sensor::Reset;
 use prior::Segments;
-use smoother::{Ask, Smoother};
+use smoother::{Ask, Smoother, Want};
 use start::Start;
 
 /// An event of the pixel.
@@ -235,9 +236,19 @@ const LOG_LIMIT: f64 = 40.0;
 
 /// Solves one pixel.
 pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w mut MapWorkspace) -> MapSolution<'w> {
-    // Silence traps a start that is far away, so it has its say only in the last steps.
-    let stated = problem;
-    let mut problem = &MapProblem { silence_sigma: 0.0, ..*stated };
+    solve_with(problem, options, Evidence::Wanted, workspace)
+}
+
+/// Is the log of the marginal likelihood wanted?
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Evidence {
+    Wanted,
+    /// It is left at zero, which saves a pass.
+    Unwanted,
+}
+
+/// Solves one pixel.
+fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evidence, workspace: &'w mut MapWorkspace) -> MapSolution<'w> {
     let MapWorkspace { knots, segments, chain, trial_chain, smoother, start, u, trial } = workspace;
     knots.lay(&problem.sensor, problem.events, problem.frames, problem.start_ns, problem.end_ns, options.spacing_ns);
     segments.lay(&knots.t_ns, &options.prior);
@@ -247,20 +258,23 @@ pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w 
     let mut damping = 0.0;
     let mut status = MapStatus::Unfinished;
     let mut iterations = 0;
+    // Silence traps a start that is far away, so it has its say only in the last steps.
+    let mut silence_sigma = 0.0;
+    chain.run(problem, knots, segments, u, &offsets);
     while iterations < options.max_iterations {
         iterations += 1;
         if iterations == SILENCE_FROM {
-            problem = stated;
+            silence_sigma = problem.silence_sigma;
         }
         segments.adapt(u, &options.prior);
-        chain.run(problem, knots, segments, u, &offsets);
-        if !chain.cost.is_finite() {
+        let cost = chain.cost(segments.cost(u), silence_sigma);
+        if !cost.is_finite() {
             status = MapStatus::Failed;
             break;
         }
         let mut longest = f64::INFINITY;
         for _attempt in 0..6 {
-            smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, damping, false));
+            smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, silence_sigma, damping, Want::Step));
             longest = smoother.change.iter().fold(0.0, |longest, change| f64::max(longest, change.abs()));
             if !longest.is_finite() {
                 damping = f64::max(damping * 10.0, FIRST_DAMPING);
@@ -272,12 +286,15 @@ pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w 
             let moved = offsets.moved(&smoother.offsets, share);
             trial_chain.run(problem, knots, segments, trial, &moved);
             // A step at the level of rounding may go up by rounding.
-            if trial_chain.cost <= chain.cost * (1.0 + 1e-9) + 1e-9 {
+            if trial_chain.cost(segments.cost(trial), silence_sigma) <= cost * (1.0 + 1e-9) + 1e-9 {
                 std::mem::swap(u, trial);
+                std::mem::swap(chain, trial_chain);
                 offsets = moved;
                 damping = if damping > FIRST_DAMPING { damping * 0.1 } else { 0.0 };
                 break;
             }
+            // The increments of where it stands, again.
+            segments.cost(u);
             damping = f64::max(damping * 10.0, FIRST_DAMPING);
             longest = f64::INFINITY;
         }
@@ -295,11 +312,17 @@ pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w 
         status = MapStatus::Failed;
         start.fill(problem, knots, u);
         offsets = Offsets::default();
+        chain.run(problem, knots, segments, u, &offsets);
     }
-    segments.adapt(u, &options.prior);
-    chain.run(problem, knots, segments, u, &offsets);
-    smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, 0.0, options.with_sigma));
-    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance: &smoother.variance, offsets, status, iterations, log_evidence: smoother.log_evidence }
+    let want = if options.with_sigma { Want::Variance } else { Want::Evidence };
+    if evidence == Evidence::Wanted || options.with_sigma {
+        segments.adapt(u, &options.prior);
+        segments.cost(u);
+        smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, silence_sigma, 0.0, want));
+    }
+    let variance: &[f64] = if options.with_sigma { &smoother.variance } else { &[] };
+    let log_evidence = if evidence == Evidence::Wanted { smoother.log_evidence } else { 0.0 };
+    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence }
 }
 
 /// Is the light anywhere beyond belief, given what the frames collected?
@@ -319,9 +342,10 @@ fn ask<'a>(
     u: &'a [f64],
     first: f64,
     offsets: &'a Offsets,
+    silence_sigma: f64,
     damping: f64,
-    with_variance: bool,
+    want: Want,
 ) -> Ask<'a> {
-    let (noise, reset, silence_sigma) = (&problem.noise, problem.sensor.reset, problem.silence_sigma);
-    Ask { knots, segments, chain, u, first, offsets, noise, reset, silence_sigma, damping, with_variance }
+    let (noise, reset) = (&problem.noise, problem.sensor.reset);
+    Ask { knots, segments, chain, u, first, offsets, noise, reset, silence_sigma, damping, want }
 }

@@ -5,6 +5,9 @@
 //! the estimate in every iteration. Quiet stretches stay quiet, edges may be steep: an empirical-Bayes relative of a heavy-tailed prior that
 //! pools over time. All in terms of slopes, so that knots may stand anywhere.
 
+use crate::elementary::{exp, exp_m1};
+use multiversion::multiversion;
+
 /// The constants of the prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
@@ -36,52 +39,99 @@ pub(super) struct Segments {
     pub correlation: Vec<f64>,
     /// Square root of q.
     pub scale: Vec<f64>,
+    /// Variance of z given the one before: one less the correlation's square.
+    pub fresh: Vec<f64>,
+    /// First and last segment that count for the local variance, and one over their length in seconds.
+    nearby: Vec<(u32, u32)>,
+    per_nearby: Vec<f64>,
     middle_s: Vec<f64>,
     energy: Vec<f64>,
+    /// Increment over its scale.
+    pub z: Vec<f64>,
 }
 
 impl Segments {
-    /// Lengths and correlations of the segments between knots.
+    /// Lengths, correlations and neighbourhoods of the segments between knots.
     pub fn lay(&mut self, t_ns: &[i64], prior: &Prior) {
+        let knots = t_ns.len();
         let seconds = |j: usize| (t_ns[j] - t_ns[0]) as f64 * 1e-9;
-        for column in [&mut self.length_s, &mut self.correlation, &mut self.scale, &mut self.middle_s] {
+        for column in [
+            &mut self.length_s,
+            &mut self.correlation,
+            &mut self.scale,
+            &mut self.fresh,
+            &mut self.per_nearby,
+            &mut self.middle_s,
+            &mut self.energy,
+            &mut self.z,
+        ] {
             column.clear();
-            column.resize(t_ns.len(), 0.0);
+            column.resize(knots, 0.0);
         }
-        for j in 1..t_ns.len() {
+        for j in 1..knots {
             self.length_s[j] = (t_ns[j] - t_ns[j - 1]) as f64 * 1e-9;
             self.middle_s[j] = 0.5 * (seconds(j) + seconds(j - 1));
-            if j > 1 {
-                self.correlation[j] = libm::exp(-(self.middle_s[j] - self.middle_s[j - 1]) / prior.memory_s);
+        }
+        correlate(&self.middle_s, 1.0 / prior.memory_s, &mut self.correlation, &mut self.fresh);
+        // Middles are rounded: a neighbour exactly at the reach counts.
+        let reach_s = prior.reach_s * 1.001;
+        let (mut low, mut high) = (1, 1);
+        self.nearby.clear();
+        self.nearby.resize(knots, (0, 0));
+        for j in 1..knots {
+            while high < knots && self.middle_s[high] <= self.middle_s[j] + reach_s {
+                high += 1;
             }
+            while self.middle_s[low] < self.middle_s[j] - reach_s {
+                low += 1;
+            }
+            self.nearby[j] = (low as u32, high as u32 - 1);
+            self.per_nearby[j] = 1e9 / (t_ns[high - 1] - t_ns[low - 1]) as f64;
         }
     }
 
     /// Takes the scales from the slopes of `u`.
     pub fn adapt(&mut self, u: &[f64], prior: &Prior) {
-        let knots = u.len();
-        self.energy.clear();
-        self.energy.push(0.0);
         // energy[j] sums h slope^2 over segments 1..=j.
-        for j in 1..knots {
+        let mut sum = 0.0;
+        for j in 1..u.len() {
             let w = u[j] - u[j - 1];
-            self.energy.push(self.energy[j - 1] + w * w / self.length_s[j]);
+            sum += w * w / self.length_s[j];
+            self.energy[j] = sum;
         }
-        let (mut low, mut high) = (1, 1);
-        // Middles are rounded: a neighbour exactly at the reach counts.
-        let reach_s = prior.reach_s * 1.001;
-        let mut length = 0.0;
-        for j in 1..knots {
-            while high < knots && self.middle_s[high] <= self.middle_s[j] + reach_s {
-                length += self.length_s[high];
-                high += 1;
-            }
-            while self.middle_s[low] < self.middle_s[j] - reach_s {
-                length -= self.length_s[low];
-                low += 1;
-            }
-            let mean_square = f64::max(self.energy[high - 1] - self.energy[low - 1], 0.0) / length;
-            self.scale[j] = self.length_s[j] * (prior.floor_per_s * prior.floor_per_s + mean_square).sqrt();
+        let floor = prior.floor_per_s * prior.floor_per_s;
+        for j in 1..u.len() {
+            let (low, high) = self.nearby[j];
+            let mean_square = f64::max(self.energy[high as usize] - self.energy[low as usize - 1], 0.0) * self.per_nearby[j];
+            self.scale[j] = self.length_s[j] * (floor + mean_square).sqrt();
         }
+    }
+
+    /// Twice the negative log of the prior's density at `u`, less constants.
+    pub fn cost(&mut self, u: &[f64]) -> f64 {
+        for j in 1..u.len() {
+            self.z[j] = (u[j] - u[j - 1]) / self.scale[j];
+        }
+        let mut cost = 0.0;
+        for j in 1..u.len() {
+            // The first has no correlation.
+            let surprise = self.z[j] - self.correlation[j] * self.z[j - 1];
+            cost += surprise * surprise / self.fresh[j];
+        }
+        cost
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+fn correlate(middle_s: &[f64], per_memory: f64, correlation: &mut [f64], fresh: &mut [f64]) {
+    let n = middle_s.len();
+    let (before, here) = (&middle_s[..n - 1], &middle_s[1..]);
+    for (((correlation, fresh), before), here) in correlation[1..n].iter_mut().zip(&mut fresh[1..n]).zip(before).zip(here) {
+        let distance = (here - before) * per_memory;
+        *correlation = exp(-distance);
+        *fresh = -exp_m1(-2.0 * distance);
+    }
+    if n > 1 {
+        (correlation[1], fresh[1]) = (0.0, 1.0);
     }
 }

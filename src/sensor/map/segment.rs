@@ -3,9 +3,11 @@
 //! Voltage: the low-pass of Eq. (1) driven by a ramp, with the time constant of the segment's middle (in log light). Exposure: the
 //! integral of an exponential. Both come with their derivatives by the two ends; the formulas are checked against dual numbers.
 
-use crate::exposure::{log_linear_mean, log_linear_mean_by_end};
+use crate::elementary::{exp, exp_m1};
+use crate::exposure::log_linear_mean;
 use crate::front_end::{FrontEnd, settled_photocurrent, settling, time_constant};
 use crate::scalar::Scalar;
+use multiversion::multiversion;
 
 /// The shortest time constant that is divided by, seconds: stands for the ideal front end's zero.
 const TAU_FLOOR_S: f64 = 1e-30;
@@ -22,43 +24,115 @@ pub fn ramp_voltage<S: Scalar>(front_end: &FrontEnd<S>, voltage: S, first: S, la
     voltage + settled * (first - voltage) + (S::from_f64(1.0) - lag) * (last - first)
 }
 
-/// A segment's voltage at its end, and its derivatives.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Ramp {
-    pub voltage: f64,
-    /// By the voltage at the start.
-    pub by_voltage: f64,
-    /// By the log light at the start.
-    pub by_first: f64,
-    /// By the log light at the end.
-    pub by_last: f64,
+/// What the segments of a pixel are made of, apart from the voltage they begin with: one entry a knot, for the segment that ends there.
+///
+/// Nothing here depends on the entry before, so that the loop becomes vector instructions.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Pieces {
+    /// What is left of a difference at the start: `exp(-h / tau)`.
+    pub left: Vec<f64>,
+    /// `(1 - left) tau / h`.
+    pub lag: Vec<f64>,
+    /// The derivative of the voltage by either end through the time constant: this times voltage less first log light, ...
+    pub through_gap: Vec<f64>,
+    /// ... plus this.
+    pub through_rise: Vec<f64>,
+    /// Light collected, photocurrent times seconds, ...
+    pub light: Vec<f64>,
+    /// ... and its derivative by the log light at the end. By both ends together it is the light itself.
+    pub light_by_last: Vec<f64>,
+    current: Vec<f64>,
 }
 
-impl Ramp {
-    /// The value of [`ramp_voltage`] with its derivatives.
-    pub fn new(front_end: &FrontEnd, voltage: f64, first: f64, last: f64, length_s: f64) -> Ramp {
-        let light_part_s = if front_end.alpha_s == 0.0 { 0.0 } else { front_end.alpha_s * libm::exp(-0.5 * (first + last)) };
-        let tau_s = f64::max(front_end.tau_0_s + light_part_s, TAU_FLOOR_S);
-        let settled = -libm::expm1(-length_s / tau_s);
-        let left = 1.0 - settled;
-        let lag = settled * tau_s / length_s;
-        // d tau / d u is -light_part / 2 at either end.
-        let by_tau = left * (length_s / tau_s) / tau_s * (voltage - first) - (lag - left) / tau_s * (last - first);
-        let through_tau = -0.5 * light_part_s * by_tau;
+impl Pieces {
+    /// Computes the segments between `u`, `length_s` long; entries 0 mean nothing.
+    pub fn fill(&mut self, front_end: &FrontEnd, u: &[f64], length_s: &[f64]) {
+        for column in
+            [&mut self.left, &mut self.lag, &mut self.through_gap, &mut self.through_rise, &mut self.light, &mut self.light_by_last, &mut self.current]
+        {
+            column.resize(u.len(), 0.0);
+        }
+        fill(self, front_end, u, length_s);
+    }
+
+    /// The voltage at the end of the segment to knot `j`, from `first` to `last`, and its derivatives, when it begins with `voltage`.
+    #[inline(always)]
+    pub fn ramp(&self, j: usize, voltage: f64, first: f64, last: f64) -> Ramp {
+        let (gap, settled, follows) = (voltage - first, 1.0 - self.left[j], 1.0 - self.lag[j]);
+        let through_tau = self.through_gap[j] * gap + self.through_rise[j];
         Ramp {
-            voltage: voltage + settled * (first - voltage) + (1.0 - lag) * (last - first),
-            by_voltage: left,
-            by_first: lag - left + through_tau,
-            by_last: 1.0 - lag + through_tau,
+            voltage: voltage + (follows * (last - first) - settled * gap),
+            by_voltage: self.left[j],
+            by_both: settled + 2.0 * through_tau,
+            by_last: follows + through_tau,
         }
     }
 }
 
-/// The light collected on a segment, photocurrent times seconds, and its derivatives by both ends.
-pub(super) fn collected(first: f64, last: f64, length_s: f64) -> (f64, f64, f64) {
-    let mean = log_linear_mean(first, last);
-    let by_last = log_linear_mean_by_end(first, last);
-    (length_s * mean, length_s * (mean - by_last), length_s * by_last)
+/// A segment's voltage at its end.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Ramp {
+    pub voltage: f64,
+    /// Its derivative by the voltage at the start.
+    pub by_voltage: f64,
+    /// By the log light at both ends together.
+    pub by_both: f64,
+    /// By the log light at the end.
+    pub by_last: f64,
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+fn fill(pieces: &mut Pieces, front_end: &FrontEnd, u: &[f64], length_s: &[f64]) {
+    let n = u.len();
+    let Pieces { left, lag, through_gap, through_rise, light, light_by_last, current } = pieces;
+    for (current, u) in current.iter_mut().zip(u) {
+        *current = exp(*u);
+    }
+    let (first, last) = (&u[..n - 1], &u[1..]);
+    let (from, to) = (&current[..n - 1], &current[1..]);
+    let length_s = &length_s[1..n];
+    let (left, lag) = (&mut left[1..n], &mut lag[1..n]);
+    let (through_gap, through_rise) = (&mut through_gap[1..n], &mut through_rise[1..n]);
+    let (light, light_by_last) = (&mut light[1..n], &mut light_by_last[1..n]);
+    for k in 0..n - 1 {
+        let middle = 0.5 * (first[k] + last[k]);
+        let light_part_s = front_end.alpha_s * exp(-middle);
+        let tau_s = front_end.tau_0_s + light_part_s;
+        let tau_s = if tau_s > TAU_FLOOR_S { tau_s } else { TAU_FLOOR_S };
+        let rate = 1.0 / tau_s;
+        let lengths = length_s[k] * rate;
+        let settled = -exp_m1(-lengths);
+        left[k] = 1.0 - settled;
+        lag[k] = settled / lengths;
+        // d tau / d u is -light_part / 2 at either end.
+        let by_tau = -0.5 * light_part_s * rate;
+        through_gap[k] = by_tau * left[k] * lengths;
+        through_rise[k] = by_tau * (left[k] - lag[k]) * (last[k] - first[k]);
+    }
+    for k in 0..n - 1 {
+        let (mean, by_last) = log_linear_means(first[k], last[k], from[k], to[k]);
+        light[k] = length_s[k] * mean;
+        light_by_last[k] = length_s[k] * by_last;
+    }
+}
+
+/// [`log_linear_mean`] and [`log_linear_mean_by_end`] where the photocurrents are known already.
+#[inline(always)]
+fn log_linear_means(first: f64, last: f64, from: f64, to: f64) -> (f64, f64) {
+    let rise = last - first;
+    let series = 1.0 + rise * (0.5 + rise * (1.0 / 6.0 + rise * (1.0 / 24.0 + rise * (1.0 / 120.0 + rise * (1.0 / 720.0)))));
+    let series_by_last = 0.5 + rise * (1.0 / 3.0 + rise * (1.0 / 8.0 + rise * (1.0 / 30.0 + rise * (1.0 / 144.0 + rise * (1.0 / 840.0)))));
+    let is_short = rise.abs() < 0.02;
+    // Never divides by a small number; what it gives for a short rise is not used.
+    let one_over = 1.0 / if is_short { 1.0 } else { rise };
+    let mean = (to - from) * one_over;
+    let by_last = (to - mean) * one_over;
+    (if is_short { from * series } else { mean }, if is_short { from * series_by_last } else { by_last })
+}
+
+/// The light collected on a segment, photocurrent times seconds.
+pub(super) fn collected(first: f64, last: f64, length_s: f64) -> f64 {
+    length_s * log_linear_mean(first, last)
 }
 
 /// The light collected from `start_ns` to `end_ns`, photocurrent times seconds, of log light that is linear between knots; both lie inside them.
@@ -72,7 +146,7 @@ pub(super) fn collected_between(t_ns: &[i64], u: &[f64], start_ns: i64, end_ns: 
         }
         let slope = (u[k] - u[k - 1]) / (t_ns[k] - t_ns[k - 1]) as f64;
         let log = |t: i64| u[k - 1] + slope * (t - t_ns[k - 1]) as f64;
-        sum += collected(log(from), log(to), (to - from) as f64 * 1e-9).0;
+        sum += collected(log(from), log(to), (to - from) as f64 * 1e-9);
     }
     sum
 }
@@ -80,6 +154,7 @@ pub(super) fn collected_between(t_ns: &[i64], u: &[f64], start_ns: i64, end_ns: 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::exposure::log_linear_mean_by_end;
     use crate::scalar::Dual;
 
     const FRONT_ENDS: [FrontEnd; 4] = [
@@ -93,13 +168,15 @@ mod tests {
     fn derivatives_by_hand_equal_those_of_dual_numbers() {
         for front_end in FRONT_ENDS {
             for (voltage, first, last, length_s) in [(4.0, 4.2, 4.1, 2e-4), (3.0, 4.6, 2.0, 1e-6), (-1.0, -2.0, 1.0, 5e-3)] {
-                let ramp = Ramp::new(&front_end, voltage, first, last, length_s);
+                let mut pieces = Pieces::default();
+                pieces.fill(&front_end, &[first, last], &[0.0, length_s]);
+                let ramp = pieces.ramp(1, voltage, first, last);
                 let lifted = front_end.lift::<Dual<f64>>();
                 let with = |which: usize| {
                     let lift = |k: usize, x: f64| if k == which { Dual::variable(x) } else { Dual::constant(x) };
                     ramp_voltage(&lifted, lift(0, voltage), lift(1, first), lift(2, last), Dual::constant(length_s))
                 };
-                for (which, by_hand) in [ramp.by_voltage, ramp.by_first, ramp.by_last].into_iter().enumerate() {
+                for (which, by_hand) in [ramp.by_voltage, ramp.by_both - ramp.by_last, ramp.by_last].into_iter().enumerate() {
                     let dual = with(which);
                     assert!((dual.primal - ramp.voltage).abs() < 1e-12);
                     assert!((dual.tangent - by_hand).abs() < 1e-9 * (1.0 + by_hand.abs()), "{front_end:?} {which}: {by_hand} against {}", dual.tangent);
@@ -121,13 +198,16 @@ mod tests {
     }
 
     #[test]
-    fn collected_light_and_its_derivatives_match_differences() {
-        for (first, last) in [(4.0, 4.0), (4.0, 4.02), (1.0, 5.0), (5.0, 1.0), (3.0, 2.95)] {
-            let (_, by_first, by_last) = collected(first, last, 2e-3);
+    fn collected_light_and_its_derivatives_match_the_mean_of_an_exponential() {
+        let u = [4.0, 4.0, 4.02, 1.0, 5.0, 1.0, 0.985, 0.96501, 0.94499];
+        let mut pieces = Pieces::default();
+        pieces.fill(&FRONT_ENDS[0], &u, &[2e-3; 9]);
+        for j in 1..u.len() {
+            let (light, by_last) = (2e-3 * log_linear_mean(u[j - 1], u[j]), 2e-3 * log_linear_mean_by_end(u[j - 1], u[j]));
+            assert!((pieces.light[j] / light - 1.0).abs() < 1e-13 && (pieces.light_by_last[j] / by_last - 1.0).abs() < 1e-11, "{j}");
             let h = 1e-5;
-            let numeric_first = (collected(first + h, last, 2e-3).0 - collected(first - h, last, 2e-3).0) / (2.0 * h);
-            let numeric_last = (collected(first, last + h, 2e-3).0 - collected(first, last - h, 2e-3).0) / (2.0 * h);
-            assert!((numeric_first / by_first - 1.0).abs() < 1e-7 && (numeric_last / by_last - 1.0).abs() < 1e-7, "{first} {last}");
+            let numeric = (collected(u[j - 1], u[j] + h, 2e-3) - collected(u[j - 1], u[j] - h, 2e-3)) / (2.0 * h);
+            assert!((pieces.light_by_last[j] / numeric - 1.0).abs() < 1e-7, "{j}");
         }
     }
 

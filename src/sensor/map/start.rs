@@ -48,7 +48,7 @@ impl Start {
         let mut begun_s = 0.0;
         for j in 0..knots.len() {
             if j > 0 {
-                light += collected(u[j - 1], u[j], seconds(j) - seconds(j - 1)).0;
+                light += collected(u[j - 1], u[j], seconds(j) - seconds(j - 1));
             }
             for op in &knots.ops[knots.ops_of(j)] {
                 match *op {

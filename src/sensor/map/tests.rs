@@ -63,7 +63,8 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
         let offsets = Offsets { reference: 0.01, on: -0.01, off: 0.015 };
         let (mut chain, mut smoother) = (Chain::default(), Smoother::default());
         chain.run(&problem, &knots, &segments, &u, &offsets);
-        smoother.solve(&ask(&problem, &knots, &segments, &chain, &u, first, &offsets, 0.0, true));
+        segments.cost(&u);
+        smoother.solve(&ask(&problem, &knots, &segments, &chain, &u, first, &offsets, 0.0, 0.0, Want::Variance));
 
         let n = knots.len();
         let at = DVector::from_iterator(n + 3, u.iter().copied().chain([offsets.reference, offsets.on, offsets.off]));
