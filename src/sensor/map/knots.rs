@@ -7,9 +7,9 @@ use super::{MapEvent, MapFrame, MapSensor};
 use photocurrent_core::sensor::Reset;
 
 /// In quiet gaps knots may lie so many times as far apart as near events.
-const COARSEST: i64 = 8;
+const COARSEST: i64 = 32;
 /// They do so from this many times their distance from the nearest event on.
-const WIDENING: i64 = 4;
+const WIDENING: i64 = 2;
 
 /// An event this soon after the blind time may be one that was held back, ns.
 const LATE_NS: i64 = 1_000;

@@ -1,9 +1,10 @@
 //! What is expected of log light before any measurement: it moves with a speed that lasts a while and differs from place to place in time.
 //!
 //! The increment over segment j is `w_j = sqrt(q_j) z_j` with z of unit variance, correlated between neighbours like
-//! `exp(-distance / memory)`. Its variance is the local one: `q_j = h_j^2 (floor^2 + mean square slope nearby)`, taken anew from
+//! `exp(-distance / memory)`. Its variance is the local one: `q_j = s_j^2 (floor^2 + mean square slope nearby)`, taken anew from
 //! the estimate in every iteration. Quiet stretches stay quiet, edges may be steep: an empirical-Bayes relative of a heavy-tailed prior that
-//! pools over time. All in terms of slopes, so that knots may stand anywhere.
+//! pools over time. `s_j` is how far a slope of one that lasts for the memory m takes light over the segment's length h, root mean
+//! square: `s^2 = 2 m^2 (h / m - 1 + exp(-h / m))`, which is h^2 for a short segment and 2 m h for a long one. So knots may stand anywhere.
 
 use crate::elementary::{exp, exp_m1};
 use multiversion::multiversion;
@@ -39,6 +40,8 @@ pub(super) struct Segments {
     pub correlation: Vec<f64>,
     /// Square root of q.
     pub scale: Vec<f64>,
+    /// s, seconds.
+    reach_s: Vec<f64>,
     /// Variance of z given the one before: one less the correlation's square.
     pub fresh: Vec<f64>,
     /// First and last segment that count for the local variance, and one over their length in seconds.
@@ -59,6 +62,7 @@ impl Segments {
             &mut self.length_s,
             &mut self.correlation,
             &mut self.scale,
+            &mut self.reach_s,
             &mut self.fresh,
             &mut self.per_nearby,
             &mut self.middle_s,
@@ -72,6 +76,7 @@ impl Segments {
             self.length_s[j] = (t_ns[j] - t_ns[j - 1]) as f64 * 1e-9;
             self.middle_s[j] = 0.5 * (seconds(j) + seconds(j - 1));
         }
+        spread(&self.length_s, prior.memory_s, &mut self.reach_s);
         correlate(&self.middle_s, 1.0 / prior.memory_s, &mut self.correlation, &mut self.fresh);
         // Middles are rounded: a neighbour exactly at the reach counts.
         let reach_s = prior.reach_s * 1.001;
@@ -103,7 +108,7 @@ impl Segments {
         for j in 1..u.len() {
             let (low, high) = self.nearby[j];
             let mean_square = f64::max(self.energy[high as usize] - self.energy[low as usize - 1], 0.0) * self.per_nearby[j];
-            self.scale[j] = self.length_s[j] * (floor + mean_square).sqrt();
+            self.scale[j] = self.reach_s[j] * (floor + mean_square).sqrt();
         }
     }
 
@@ -119,6 +124,18 @@ impl Segments {
             cost += surprise * surprise / self.fresh[j];
         }
         cost
+    }
+}
+
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+fn spread(length_s: &[f64], memory_s: f64, reach_s: &mut [f64]) {
+    let per_memory = 1.0 / memory_s;
+    for (reach_s, length_s) in reach_s.iter_mut().zip(length_s) {
+        let x = length_s * per_memory;
+        // Over h^2; the difference is lost in rounding for short segments.
+        let short = 1.0 - x * (1.0 / 3.0 - x * (1.0 / 12.0 - x * (1.0 / 60.0)));
+        let long = 2.0 * (x + exp_m1(-x)) / (x * x);
+        *reach_s = length_s * (if x < 1e-3 { short } else { long }).sqrt();
     }
 }
 

@@ -4,7 +4,6 @@
 //! integral of an exponential. Both come with their derivatives by the two ends; the formulas are checked against dual numbers.
 
 use crate::elementary::{exp, exp_m1};
-use crate::exposure::log_linear_mean;
 use crate::front_end::{FrontEnd, settled_photocurrent, settling, time_constant};
 use crate::scalar::Scalar;
 use multiversion::multiversion;
@@ -116,7 +115,7 @@ fn fill(pieces: &mut Pieces, front_end: &FrontEnd, u: &[f64], length_s: &[f64]) 
     }
 }
 
-/// [`log_linear_mean`] and [`log_linear_mean_by_end`] where the photocurrents are known already.
+/// The mean of a photocurrent whose logarithm is linear, and its derivative by the end, as in [`crate::exposure`], where the photocurrents are known already.
 #[inline(always)]
 fn log_linear_means(first: f64, last: f64, from: f64, to: f64) -> (f64, f64) {
     let rise = last - first;
@@ -132,7 +131,7 @@ fn log_linear_means(first: f64, last: f64, from: f64, to: f64) -> (f64, f64) {
 
 /// The light collected on a segment, photocurrent times seconds.
 pub(super) fn collected(first: f64, last: f64, length_s: f64) -> f64 {
-    length_s * log_linear_mean(first, last)
+    length_s * log_linear_means(first, last, exp(first), exp(last)).0
 }
 
 /// The light collected from `start_ns` to `end_ns`, photocurrent times seconds, of log light that is linear between knots; both lie inside them.
@@ -154,7 +153,7 @@ pub(super) fn collected_between(t_ns: &[i64], u: &[f64], start_ns: i64, end_ns: 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exposure::log_linear_mean_by_end;
+    use crate::exposure::{log_linear_mean, log_linear_mean_by_end};
     use crate::scalar::Dual;
 
     const FRONT_ENDS: [FrontEnd; 4] = [

@@ -79,18 +79,18 @@ impl Smoother {
         let first = begin::<N>(ask);
         match ask.want {
             Want::Step => {
-                self.forward::<N, false>(ask, &first);
+                self.forward::<N, false, true>(ask, &first);
                 self.backward::<N, false>(ask, &first);
             }
-            Want::Evidence => self.forward::<N, true>(ask, &first),
+            Want::Evidence => self.forward::<N, true, false>(ask, &first),
             Want::Variance => {
-                self.forward::<N, true>(ask, &first);
+                self.forward::<N, true, true>(ask, &first);
                 self.backward::<N, true>(ask, &first);
             }
         }
     }
 
-    fn forward<const N: usize, const WITH_EVIDENCE: bool>(&mut self, ask: &Ask<'_>, first: &State<N>) {
+    fn forward<const N: usize, const WITH_EVIDENCE: bool, const KEEP: bool>(&mut self, ask: &Ask<'_>, first: &State<N>) {
         let mut state = *first;
         let segments = ask.segments;
         let mut z_before = 0.0;
@@ -111,7 +111,9 @@ impl Smoother {
                     if WITH_EVIDENCE {
                         self.log_evidence += log_density(&taken);
                     }
-                    self.taken.push(taken);
+                    if KEEP {
+                        self.taken.push(taken);
+                    }
                 }
                 match ask.knots.ops[at] {
                     Op::Read(_) => {}
@@ -123,12 +125,17 @@ impl Smoother {
             }
             let (back, polarity) = ask.chain.silence[j];
             if polarity != 0 && ask.silence_sigma > 0.0 {
-                self.taken.push(state.take_event(polarity, back, ask.silence_sigma * ask.silence_sigma));
+                let taken = state.take_event(polarity, back, ask.silence_sigma * ask.silence_sigma);
+                if KEEP {
+                    self.taken.push(taken);
+                }
             }
             if ask.damping > 0.0 {
                 self.taken.push(state.take_value(U, 0.0, 1.0 / ask.damping));
             }
-            self.filtered.push(state.log_light());
+            if KEEP {
+                self.filtered.push(state.log_light());
+            }
         }
     }
 
