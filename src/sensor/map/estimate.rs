@@ -6,7 +6,7 @@
 //! it is the weaker judge, because it believes that the model is right.
 
 use super::segment::collected_between;
-use super::{Evidence, MapFrame, MapOptions, MapProblem, MapSolution, MapWorkspace, Noise, Prior, solve, solve_with};
+use super::{Evidence, MapFrame, MapOptions, MapProblem, MapWorkspace, Noise, Prior, solve, solve_with};
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
 pub const EVENT_NOISES: [f64; 3] = [0.32, 0.16, 0.08];
@@ -22,9 +22,6 @@ const DARK_DN: f64 = 20.0;
 const CLEARLY_BETTER: f64 = 0.97;
 /// A relative error counts at most this: one pixel that went astray does not decide.
 const LARGEST_ERROR: f64 = 0.3;
-
-/// Steps with another prior, from the light that was found with the usual one.
-const WARM_STEPS: usize = 2;
 
 /// What suits a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,60 +53,46 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
     let by_frames = problems.iter().all(|problem| problem.frames.len() >= FEWEST_FRAMES);
     let options = &MapOptions { with_sigma: false, ..*options };
     let mut kept = Vec::new();
-    // What the last noise and the best one made of each pixel: another prior starts from there.
-    let (mut tried_lights, mut lights) = (vec![Vec::new(); problems.len()], vec![Vec::new(); problems.len()]);
+    // Always from the usual start: from the light that another noise or prior has found, a few steps do not show what this one would find.
+    let mut loss = |choice: Choice| -> f64 {
+        let options = MapOptions { prior: choice.prior, ..*options };
+        let mut of = |problem: &MapProblem<'_>| {
+            let tried = MapProblem { noise: Noise { event: choice.event, ..problem.noise }, ..*problem };
+            if by_frames { prediction_error(&tried, &options, workspace, &mut kept) } else { -solve(&tried, &options, workspace).log_evidence }
+        };
+        problems.iter().map(&mut of).sum()
+    };
     let mut best = (f64::INFINITY, usual);
     let noises = match event {
         Some(ref stated) => std::slice::from_ref(stated),
         None => EVENT_NOISES.as_slice(),
     };
     for &event in noises {
-        let mut found = 0.0;
-        for (problem, light) in problems.iter().zip(&mut tried_lights) {
-            let problem = MapProblem { noise: Noise { event, ..problem.noise }, ..*problem };
-            found += if by_frames {
-                let (error, solution) = prediction_error(&problem, options, None, workspace, &mut kept);
-                light.clear();
-                light.extend_from_slice(solution.log_photocurrent);
-                error
-            } else {
-                -solve(&problem, options, workspace).log_evidence
-            };
-        }
+        let choice = Choice { event, ..usual };
+        let found = loss(choice);
         if found < best.0 {
-            best = (found, Choice { event, ..usual });
-            std::mem::swap(&mut lights, &mut tried_lights);
+            best = (found, choice);
         }
     }
     if by_frames {
         for prior in PRIORS.into_iter().filter(|prior| *prior != usual.prior) {
-            let options = MapOptions { prior, max_iterations: usize::min(options.max_iterations, WARM_STEPS), ..*options };
-            let mut found = 0.0;
-            for (problem, light) in problems.iter().zip(&lights) {
-                let problem = MapProblem { noise: Noise { event: best.1.event, ..problem.noise }, ..*problem };
-                found += prediction_error(&problem, &options, Some(light), workspace, &mut kept).0;
-            }
+            let choice = Choice { prior, ..best.1 };
+            let found = loss(choice);
             if found < best.0 * CLEARLY_BETTER {
-                best = (found, Choice { prior, ..best.1 });
+                best = (found, choice);
             }
         }
     }
     best.1
 }
 
-/// The sum of relative errors of frames that were kept back, and the solution without them.
-fn prediction_error<'w>(
-    problem: &MapProblem<'_>,
-    options: &MapOptions,
-    start: Option<&[f64]>,
-    workspace: &'w mut MapWorkspace,
-    kept: &mut Vec<MapFrame>,
-) -> (f64, MapSolution<'w>) {
+/// The sum of relative errors of frames that were kept back.
+fn prediction_error(problem: &MapProblem<'_>, options: &MapOptions, workspace: &mut MapWorkspace, kept: &mut Vec<MapFrame>) -> f64 {
     let last = problem.frames.len() - 1;
     let is_kept_back = |l: usize| l % KEPT_BACK == 1 && l < last;
     kept.clear();
     kept.extend(problem.frames.iter().enumerate().filter(|(l, _)| !is_kept_back(*l)).map(|(_, frame)| *frame));
-    let solution = solve_with(&MapProblem { frames: kept, ..*problem }, options, start, Evidence::Unwanted, workspace);
+    let solution = solve_with(&MapProblem { frames: kept, ..*problem }, options, Evidence::Unwanted, workspace);
     let mut error = 0.0;
     for (_, frame) in problem.frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l) && !frame.saturated) {
         let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);
@@ -117,5 +100,5 @@ fn prediction_error<'w>(
         let bright = f64::max(frame.dn - problem.sensor.black_level_dn, 0.0);
         error += f64::min((predicted - frame.dn).abs() / (bright + DARK_DN), LARGEST_ERROR);
     }
-    (error, solution)
+    error
 }

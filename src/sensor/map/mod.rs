@@ -236,7 +236,7 @@ const LOG_LIMIT: f64 = 40.0;
 
 /// Solves one pixel.
 pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w mut MapWorkspace) -> MapSolution<'w> {
-    solve_with(problem, options, None, Evidence::Wanted, workspace)
+    solve_with(problem, options, Evidence::Wanted, workspace)
 }
 
 /// Is the log of the marginal likelihood wanted?
@@ -247,31 +247,19 @@ enum Evidence {
     Unwanted,
 }
 
-/// Solves one pixel, from the log light `found` at each knot by an earlier solution of the same measurements, or from the usual start.
-fn solve_with<'w>(
-    problem: &MapProblem<'_>,
-    options: &MapOptions,
-    found: Option<&[f64]>,
-    evidence: Evidence,
-    workspace: &'w mut MapWorkspace,
-) -> MapSolution<'w> {
+/// Solves one pixel.
+fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evidence, workspace: &'w mut MapWorkspace) -> MapSolution<'w> {
     let MapWorkspace { knots, segments, chain, trial_chain, smoother, start, u, trial } = workspace;
     knots.lay(&problem.sensor, problem.events, problem.frames, problem.start_ns, problem.end_ns, options.spacing_ns);
     segments.lay(&knots.t_ns, &options.prior);
-    match found {
-        Some(found) if found.len() == knots.len() => {
-            u.clear();
-            u.extend_from_slice(found);
-        }
-        _ => start.fill(problem, knots, u),
-    }
+    start.fill(problem, knots, u);
     let first = u[0];
     let mut offsets = Offsets::default();
     let mut damping = 0.0;
     let mut status = MapStatus::Unfinished;
     let mut iterations = 0;
     // Silence traps a start that is far away, so it has its say only in the last steps.
-    let mut silence_sigma = if found.is_some() { problem.silence_sigma } else { 0.0 };
+    let mut silence_sigma = 0.0;
     chain.run(problem, knots, segments, u, &offsets);
     while iterations < options.max_iterations {
         iterations += 1;

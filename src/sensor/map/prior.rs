@@ -152,3 +152,24 @@ fn correlate(middle_s: &[f64], per_memory: f64, correlation: &mut [f64], fresh: 
         (correlation[1], fresh[1]) = (0.0, 1.0);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_increment_has_the_variance_of_a_slope_with_memory() {
+        let prior = Prior { floor_per_s: 5.0, memory_s: 2e-3, reach_s: 0.25e-3 };
+        for length_ns in [1_000, 1_990, 2_010, 250_000, 2_000_000, 16_000_000] {
+            let mut segments = Segments::default();
+            segments.lay(&[0, length_ns], &prior);
+            segments.adapt(&[1.0, 1.0], &prior);
+            // The double integral of floor^2 exp(-|s - t| / memory) over the segment, by midpoints.
+            let (pieces, h) = (500, length_ns as f64 * 1e-9);
+            let piece = h / f64::from(pieces);
+            let covariance = |a: i32, b: i32| 25.0 * libm::exp(-f64::from((a - b).abs()) * piece / 2e-3);
+            let variance: f64 = (0..pieces).map(|a| (0..pieces).map(|b| covariance(a, b)).sum::<f64>()).sum::<f64>() * piece * piece;
+            assert!((segments.scale[1] * segments.scale[1] / variance - 1.0).abs() < 1e-4, "{length_ns} ns");
+        }
+    }
+}
