@@ -10,7 +10,7 @@ use crate::sampling::{Sampling, scale_seconds, virtual_frames};
 use photocurrent_core::{
     Between, Context, Decl, Exposure, Extent, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet,
 };
-use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, HeldTrack, LogLinearTrack, Track};
+use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, HeldTrack, LogLinearTrack};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
