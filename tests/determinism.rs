@@ -63,7 +63,7 @@ const GOLDEN: [(&str, &str); 5] = [
     ("recording.events", "6e5cdb3504fb96babc7a4f410da18315aeee2a7820c3a6372a3163df8a7ae5c7"),
     ("recording.frames", "9a8002d8e76271df977dbcec4b082e5445e4c49103835a9acbd35fdab6bd7e77"),
     ("solve.tracks", "472fbe80063c5f92f4efc5dc55456a045948c57a518990eabf03e4a858c6d879"),
-    ("render.frames", "423438379cdec8b456d4b98c193815c8eea1455ceca8a84f122a0c46293b8859"),
+    ("render.frames", "87eeee931a8746c774cf77066ab6c861eb179206a0817399605a18760f7fa01f"),
     ("edi.frames", "abd2a6ff0af419cf2310187cd181fc28965a88cf48ab93e79010378e5300a897"),
 ];
 
