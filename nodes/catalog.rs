@@ -1,6 +1,6 @@
 //! The table of contents: every node kind, in the order in which data flows. Nothing else registers nodes.
 
-use crate::{baseline, compensate, read, render, score, simulate, solve, split, write};
+use crate::{baseline, compensate, read, refine, render, score, simulate, solve, split, write};
 use photocurrent_core::{Catalogue, Kind};
 
 /// All node kinds.
@@ -19,6 +19,7 @@ pub fn catalogue() -> Catalogue {
         // Events and frames become photocurrent.
         Kind::of::<compensate::readout::CompensateReadout>(),
         Kind::of::<solve::pixel::SolvePixel>(),
+        Kind::of::<refine::motion::RefineMotion>(),
         // Photocurrent becomes frames.
         Kind::of::<render::rows::RenderRows>(),
         // The same by other methods.

@@ -12,6 +12,7 @@ pub mod onnx;
 pub mod pixel_events;
 pub mod read;
 pub mod reconstruct;
+pub mod refine;
 pub mod render;
 pub mod sampling;
 pub mod score;

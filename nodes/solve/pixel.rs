@@ -14,7 +14,7 @@
 //! Limits: grey frames at the events' resolution. A saturated value counts as the light of saturation, which is a lower bound. A pixel whose
 //! problem does not converge gets the safe estimate (a double integral) and is counted; the `map` output shows where.
 
-mod map;
+pub(crate) mod map;
 mod paper;
 #[cfg(test)]
 mod tests;
@@ -214,7 +214,7 @@ const MAP_STEPS: usize = 5;
 const PLANES: [&str; 3] = ["status", "iterations", "cost"];
 
 /// Everything about the sensor that one pixel's problem needs, checked once.
-struct Model {
+pub(crate) struct Model {
     rule: StepRule,
     front_end: FrontEnd,
     refractory_s: f64,
@@ -229,8 +229,19 @@ struct Model {
     saturation_dn: f64,
 }
 
+impl Model {
+    /// The smaller threshold, natural-log units.
+    pub(crate) fn threshold(&self) -> f64 {
+        f64::min(self.rule.threshold_on, self.rule.threshold_off)
+    }
+}
+
 impl SolvePixel {
-    fn model(&self, sensor: &Sensor, events: &EventsMeta) -> Result<Model, NodeError> {
+    pub(crate) fn params(&self) -> &Params {
+        &self.params
+    }
+
+    pub(crate) fn model(&self, sensor: &Sensor, events: &EventsMeta) -> Result<Model, NodeError> {
         const WHO: &str = "solve/pixel";
         // A model that the description cannot feed can be left away, so its refusal says how.
         let or_without = |error: NodeError, param: &str, without: &str| {
@@ -283,7 +294,7 @@ impl SolvePixel {
         })
     }
 
-    fn tracks_meta(&self, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
+    pub(crate) fn tracks_meta(&self, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
         if events.extent != frames.extent {
             return Err(NodeError::usage(format!("events are {}, frames are {}", events.extent, frames.extent))
                 .hint("frames and events must come from the same pixels"));

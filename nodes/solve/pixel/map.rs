@@ -3,7 +3,7 @@
 use super::{MAP_STEPS, Model, PLANES, Params, Status, map_meta};
 use photocurrent_core::events::EventRow;
 use photocurrent_core::{Exposure, FrameBlock, MapBand, Rows, Sensor, TrackBand, TracksMeta};
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapWorkspace, Noise, estimate, solve};
+use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapWorkspace, Noise, estimate, solve};
 
 /// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
 const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
@@ -16,7 +16,7 @@ const THINNED_TO: f64 = 2e-4;
 
 /// What the frames' noise is, as far as it is stated.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct FrameNoise {
+pub(crate) struct FrameNoise {
     read_dn: f64,
     /// DN of one electron; 0 = photon noise unknown.
     dn_per_electron: f64,
@@ -39,9 +39,18 @@ impl FrameNoise {
     }
 }
 
+/// How the pixels of a row are solved.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RowSetting {
+    /// First and last instant, ns.
+    pub span: (i64, i64),
+    pub noise: Noise,
+    pub options: MapOptions,
+}
+
 /// Solves the pixels of a row; keeps its memory from row to row.
 #[derive(Default)]
-pub(super) struct RowSolver {
+pub(crate) struct RowSolver {
     workspace: MapWorkspace,
     /// Events of all pixels of the row, pixel by pixel.
     events: Vec<MapEvent>,
@@ -62,6 +71,21 @@ impl RowSolver {
         frames: &FrameBlock,
         exposures: &[Exposure],
     ) -> (TrackBand, MapBand) {
+        let setting = self.prepare(params, model, meta, row, events, frames, exposures);
+        self.solve(model, &setting, meta, row, None)
+    }
+
+    /// Takes in a row, and chooses how far its events are believed and which prior suits.
+    pub fn prepare(
+        &mut self,
+        params: &Params,
+        model: &Model,
+        meta: &TracksMeta,
+        row: u32,
+        events: EventRow,
+        frames: &FrameBlock,
+        exposures: &[Exposure],
+    ) -> RowSetting {
         let width = meta.extent.width as usize;
         self.take_events(model, &events, width as u32);
         self.take_frames(model, frames, row, width, exposures);
@@ -72,6 +96,23 @@ impl RowSolver {
         let mut noise = Noise::default();
         let choice = self.choose(params, model, span, noise, &options);
         (noise.event, options.prior) = (choice.event, choice.prior);
+        RowSetting { span, noise, options }
+    }
+
+    /// The events of pixel x of the row that was taken in, in order of in-pixel time.
+    pub fn events_of(&self, x: usize) -> &[MapEvent] {
+        &self.events[self.first_event[x]..self.first_event[x + 1]]
+    }
+
+    /// The frame values of pixel x of the row that was taken in.
+    pub fn frames_of(&self, x: usize) -> &[MapFrame] {
+        &self.frames[self.first_frame[x]..self.first_frame[x + 1]]
+    }
+
+    /// Solves the row that was taken in, with what is known from elsewhere for each of its pixels.
+    pub fn solve(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta, row: u32, hints: Option<&[Vec<Hint>]>) -> (TrackBand, MapBand) {
+        let RowSetting { span, noise, options } = *setting;
+        let width = meta.extent.width as usize;
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
         for x in 0..width {
@@ -79,7 +120,10 @@ impl RowSolver {
             let mut values = [Status::NoFrame as u8 as f32, 0.0, 0.0];
             if self.first_frame[x + 1] > self.first_frame[x] {
                 let RowSolver { workspace, events, first_event, frames, first_frame, knots } = self;
-                let problem = problem(model, &events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]], span, noise);
+                let problem = MapProblem {
+                    hints: hints.map_or(&[], |hints| hints[x].as_slice()),
+                    ..problem(model, &events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]], span, noise)
+                };
                 let solution = solve(&problem, &options, workspace);
                 thin(&solution, knots);
                 let status = match solution.status {
@@ -159,7 +203,7 @@ fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], sp
         gain: model.gain,
         black_level_dn: model.black_level,
     };
-    MapProblem { events, frames, start_ns: span.0, end_ns: span.1, sensor, noise, stamp_sigma_s: model.stamp_sigma_s, silence_sigma: SILENCE_SIGMA }
+    MapProblem { events, frames, hints: &[], start_ns: span.0, end_ns: span.1, sensor, noise, stamp_sigma_s: model.stamp_sigma_s, silence_sigma: SILENCE_SIGMA }
 }
 
 /// Keeps as few knots as join up to the same line within [`THINNED_TO`].

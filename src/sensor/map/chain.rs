@@ -16,6 +16,8 @@ pub(super) enum Sight {
     Event(i8),
     /// Light collected since the exposure began.
     Frame,
+    /// Log light.
+    Light,
 }
 
 /// One measurement, linearised: measured minus predicted, with its variance.
@@ -107,6 +109,11 @@ impl Chain {
                     Op::Latch => {
                         reference = voltage;
                         blind = false;
+                    }
+                    Op::Hint(l) => {
+                        let hint = &problem.hints[l as usize];
+                        row = Row { sight: Sight::Light, residual: hint.log_photocurrent - u[j], variance: hint.variance };
+                        cost += row.residual * row.residual / row.variance;
                     }
                     Op::Fire { polarity, armed, .. } => {
                         fires = true;

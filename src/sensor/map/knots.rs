@@ -3,7 +3,7 @@
 //! Knots are put at every event (in-pixel time), at every instant when the reference is taken anew, and at the edges of exposures; and
 //! between them so that none lie further apart than asked for near events, and up to [`COARSEST`] times as far in long quiet gaps. What happens at a knot is a short list of [`Op`]s in causal order.
 
-use super::{MapEvent, MapFrame, MapSensor};
+use super::MapProblem;
 use photocurrent_core::sensor::Reset;
 
 /// In quiet gaps knots may lie so many times as far apart as near events.
@@ -23,6 +23,8 @@ pub(super) enum Op {
     Expose(u32),
     /// The reference becomes the voltage of now.
     Latch,
+    /// Log light is known from elsewhere, by this hint.
+    Hint(u32),
     /// An event fires; `armed` when the comparator was surely watching.
     Fire {
         /// Its polarity.
@@ -52,11 +54,12 @@ pub(super) struct Knots {
 }
 
 impl Knots {
-    /// Lays the knots of a pixel between `start_ns` and `end_ns` (both become knots), at most `spacing_ns` apart.
+    /// Lays the knots of a pixel between its start and its end (both become knots), at most `spacing_ns` apart.
     ///
-    /// Events and exposures are inside that span; what lies outside is left away.
-    pub fn lay(&mut self, sensor: &MapSensor, events: &[MapEvent], frames: &[MapFrame], start_ns: i64, end_ns: i64, spacing_ns: i64) {
-        self.mark(sensor, events, frames, start_ns, end_ns);
+    /// Events, exposures and hints are inside that span; what lies outside is left away.
+    pub fn lay(&mut self, problem: &MapProblem<'_>, spacing_ns: i64) {
+        let (start_ns, end_ns) = (problem.start_ns, problem.end_ns);
+        self.mark(problem);
         self.t_ns.clear();
         self.first_op.clear();
         self.ops.clear();
@@ -96,13 +99,15 @@ impl Knots {
         }
     }
 
-    fn mark(&mut self, sensor: &MapSensor, events: &[MapEvent], frames: &[MapFrame], start_ns: i64, end_ns: i64) {
+    fn mark(&mut self, problem: &MapProblem<'_>) {
+        let MapProblem { sensor, events, frames, hints, start_ns, end_ns, .. } = *problem;
         self.marks.clear();
         let inside = |t: i64| t >= start_ns && t <= end_ns;
         for (l, frame) in frames.iter().enumerate().filter(|(_, frame)| inside(frame.start_ns) && inside(frame.end_ns)) {
             self.marks.push((frame.end_ns, 0, Op::Read(l as u32)));
             self.marks.push((frame.start_ns, 1, Op::Expose(l as u32)));
         }
+        self.marks.extend(hints.iter().enumerate().filter(|(_, hint)| inside(hint.t_ns)).map(|(l, hint)| (hint.t_ns, 5, Op::Hint(l as u32))));
         let mut blind_until = i64::MIN;
         let mut before = i64::MIN;
         for (k, event) in events.iter().enumerate().filter(|(_, event)| inside(event.t_in_ns)) {

@@ -61,6 +61,17 @@ pub struct MapFrame {
     pub saturated: bool,
 }
 
+/// What is known of a pixel's light from elsewhere, at one instant: a measurement of log light with a normal error.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hint {
+    /// When, ns; becomes a knot.
+    pub t_ns: i64,
+    /// Log light.
+    pub log_photocurrent: f64,
+    /// Its variance, positive.
+    pub variance: f64,
+}
+
 /// The pixel as a description states it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapSensor {
@@ -145,6 +156,9 @@ pub struct MapProblem<'a> {
     pub events: &'a [MapEvent],
     /// Frame values, in order of time, exposures apart from each other.
     pub frames: &'a [MapFrame],
+    /// What is known from elsewhere, in order of time; may be empty. No part of `log_evidence`, which then says how well the pixel's own
+    /// measurements were foretold.
+    pub hints: &'a [Hint],
     /// First instant that is asked for, ns; the pixel is taken as settled there.
     pub start_ns: i64,
     /// Last instant, ns.
@@ -250,7 +264,7 @@ enum Evidence {
 /// Solves one pixel.
 fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evidence, workspace: &'w mut MapWorkspace) -> MapSolution<'w> {
     let MapWorkspace { knots, segments, chain, trial_chain, smoother, start, u, trial } = workspace;
-    knots.lay(&problem.sensor, problem.events, problem.frames, problem.start_ns, problem.end_ns, options.spacing_ns);
+    knots.lay(problem, options.spacing_ns);
     segments.lay(&knots.t_ns, &options.prior);
     start.fill(problem, knots, u);
     let first = u[0];

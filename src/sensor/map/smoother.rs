@@ -106,9 +106,11 @@ impl Smoother {
                 if row.sight != Sight::None {
                     let taken = match row.sight {
                         Sight::Event(polarity) => state.take_event(polarity, row.residual, row.variance),
+                        Sight::Light => state.take_value(U, row.residual, row.variance),
                         Sight::Frame | Sight::None => state.take_value(S, row.residual, row.variance),
                     };
-                    if WITH_EVIDENCE {
+                    // What neighbours say is no measurement of this pixel.
+                    if WITH_EVIDENCE && row.sight != Sight::Light {
                         self.log_evidence += log_density(&taken);
                     }
                     if KEEP {
@@ -116,7 +118,7 @@ impl Smoother {
                     }
                 }
                 match ask.knots.ops[at] {
-                    Op::Read(_) => {}
+                    Op::Read(_) | Op::Hint(_) => {}
                     Op::Expose(_) => state.forget(S),
                     Op::Latch => state.copy(R, V),
                     Op::Fire { armed, .. } if armed || ask.reset == Reset::Resample => {}
@@ -165,7 +167,7 @@ impl Smoother {
             }
             for at in ask.knots.ops_of(j).rev() {
                 match ask.knots.ops[at] {
-                    Op::Read(_) => {}
+                    Op::Read(_) | Op::Hint(_) => {}
                     Op::Expose(_) => adjoint.forget(S),
                     Op::Latch => adjoint.copy(R, V),
                     Op::Fire { armed, .. } if armed || ask.reset == Reset::Resample => {}

@@ -42,10 +42,14 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
         let events = [event(2_100_000, 1), event(2_900_000, 1), event(5_000_000, -1), event(5_080_500, -1), event(9_000_000, 1)];
         let frame = |start_ns: i64, dn: f64| MapFrame { start_ns, end_ns: start_ns + 3_000_000, dn, sigma_dn: 2.0, saturated: false };
         let frames = [frame(500_000, 250.0), frame(6_000_000, 260.0)];
+        // One between events, one at an event's instant.
+        let hint = |t_ns, log_photocurrent, variance| Hint { t_ns, log_photocurrent, variance };
+        let hints = [hint(4_100_000, 4.7, 0.01), hint(9_000_000, 4.5, 0.04)];
         let noise = Noise { event: 0.1, reference: 0.03, threshold: 0.02, ..Noise::default() };
         let problem = MapProblem {
             events: &events,
             frames: &frames,
+            hints: &hints,
             start_ns: 0,
             end_ns: 10_000_000,
             sensor: sensor(reset),
@@ -55,7 +59,7 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
         };
         let (mut knots, mut segments, mut u) = (Knots::default(), Segments::default(), Vec::new());
         let prior = Prior { memory_s: 2e-3, ..Prior::default() };
-        knots.lay(&problem.sensor, &events, &frames, 0, 10_000_000, 1_000_000);
+        knots.lay(&problem, 1_000_000);
         segments.lay(&knots.t_ns, &prior);
         Start::default().fill(&problem, &knots, &mut u);
         let first = u[0] + 0.05;
@@ -133,7 +137,17 @@ impl Recorded {
     fn problem(&self, reset: Reset) -> MapProblem<'_> {
         let sensor = MapSensor { refractory_ns: if reset == Reset::Resample { 50_000 } else { 0 }, ..sensor(reset) };
         let noise = Noise { event: 0.02, ..Noise::default() };
-        MapProblem { events: &self.events, frames: &self.frames, start_ns: 0, end_ns: END_NS, sensor, noise, stamp_sigma_s: 0.0, silence_sigma: 0.0 }
+        MapProblem {
+            events: &self.events,
+            frames: &self.frames,
+            hints: &[],
+            start_ns: 0,
+            end_ns: END_NS,
+            sensor,
+            noise,
+            stamp_sigma_s: 0.0,
+            silence_sigma: 0.0,
+        }
     }
 
     /// The rms error of log light over the recording, of knots joined by lines.
@@ -208,6 +222,7 @@ fn a_pixel_without_events_is_as_bright_as_its_frames() {
     let problem = MapProblem {
         events: &[],
         frames: &frames,
+        hints: &[],
         start_ns: -1_000_000,
         end_ns: 20_000_000,
         sensor: sensor(Reset::Resample),
@@ -251,6 +266,7 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
     let problem = MapProblem {
         events: &events,
         frames: &frames,
+        hints: &[],
         start_ns: 0,
         end_ns: 100_000_000,
         sensor,
@@ -272,7 +288,8 @@ fn light_that_would_have_fired_is_pulled_back() {
     let change = |silence_sigma: f64| {
         let sensor = sensor(Reset::Resample);
         let noise = Noise { reference: 0.001, ..Noise::default() };
-        let problem = MapProblem { events: &[], frames: &frames, start_ns: 0, end_ns: 14_000_000, sensor, noise, stamp_sigma_s: 0.0, silence_sigma };
+        let problem =
+            MapProblem { events: &[], frames: &frames, hints: &[], start_ns: 0, end_ns: 14_000_000, sensor, noise, stamp_sigma_s: 0.0, silence_sigma };
         let mut workspace = MapWorkspace::default();
         let u = solve(&problem, &MapOptions { max_iterations: 8, ..MapOptions::default() }, &mut workspace).log_photocurrent.to_vec();
         u[u.len() - 1] - u[0]
@@ -299,6 +316,7 @@ fn a_saturated_value_is_a_lower_bound_only() {
     let problem = |frames| MapProblem {
         events: &[],
         frames,
+        hints: &[],
         start_ns: 0,
         end_ns: 15_000_000,
         sensor: sensor(Reset::Resample),
@@ -326,6 +344,6 @@ fn shifting_time_changes_nothing() {
     let events: Vec<MapEvent> =
         recorded.events.iter().map(|e| MapEvent { t_in_ns: e.t_in_ns + shift, t_off_ns: e.t_off_ns + shift, polarity: e.polarity }).collect();
     let frames: Vec<MapFrame> = recorded.frames.iter().map(|f| MapFrame { start_ns: f.start_ns + shift, end_ns: f.end_ns + shift, ..*f }).collect();
-    let later = MapProblem { events: &events, frames: &frames, start_ns: shift, end_ns: END_NS + shift, ..recorded.problem(Reset::Resample) };
+    let later = MapProblem { events: &events, frames: &frames, hints: &[], start_ns: shift, end_ns: END_NS + shift, ..recorded.problem(Reset::Resample) };
     assert_eq!(solve(&later, &MapOptions::default(), &mut workspace).log_photocurrent, here);
 }

@@ -1,0 +1,3 @@
+//! Photocurrent that is known already, solved again with more knowledge.
+
+pub mod motion;

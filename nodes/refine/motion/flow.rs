@@ -1,0 +1,251 @@
+//! Where things move: a field of velocities over the sensor and time, from a film of log light.
+//!
+//! Pictures that stand symmetrically around an instant are moved towards each other until they agree (Lucas and Kanade 1981, by Gauss-Newton
+//! steps): first one affine motion of all pixels, robust against those that move otherwise, then a motion of every neighbourhood, in windows that
+//! shrink. A neighbourhood without contrast keeps the motion it has. Time distances grow as windows shrink, so that the field ends up
+//! precise to a small part of a pixel.
+//!
+//! Limits: motion that cannot be seen (along an edge, in a flat place) is the affine one or none; speeds over [`FASTEST`] are cut.
+
+use super::film::{Film, smooth};
+use rayon::prelude::*;
+
+/// Pictures between two instants of the field.
+const STRIDE: usize = 4;
+/// Speeds are cut to this, pixels per picture.
+const FASTEST: f64 = 3.0;
+/// Differences of log light of this size count half.
+const ROBUST: f64 = 0.1;
+/// What a motion must explain, as squared log light, to be believed.
+const LEAST_CONTRAST: f64 = 1e-4;
+
+/// Velocities in pixels per millisecond.
+pub(super) struct Flow {
+    width: usize,
+    height: usize,
+    start_ns: i64,
+    step_ns: i64,
+    /// One field per instant, as [y * width + x].
+    fields: Vec<Vec<[f32; 2]>>,
+}
+
+impl Flow {
+    /// Of a film.
+    pub fn new(film: &Film) -> Flow {
+        let coarse = film.smoothed(2.0);
+        let fine = film.smoothed(0.7);
+        let bins = film.pictures.len().div_ceil(STRIDE);
+        let per_ms = 1e6 / film.step_ns as f64;
+        let fields = (0..bins)
+            .into_par_iter()
+            .map(|bin| {
+                let field = estimate(&coarse, &fine, bin * STRIDE);
+                field.iter().map(|v| [(v[0] * per_ms) as f32, (v[1] * per_ms) as f32]).collect()
+            })
+            .collect();
+        Flow { width: film.width, height: film.height, start_ns: film.start_ns, step_ns: film.step_ns * STRIDE as i64, fields }
+    }
+
+    /// The same velocity everywhere and always, pixels per millisecond.
+    #[cfg(test)]
+    pub fn steady(width: usize, height: usize, velocity: [f32; 2]) -> Flow {
+        Flow { width, height, start_ns: 0, step_ns: 1, fields: vec![vec![velocity; width * height]] }
+    }
+
+    /// The velocity at a place and an instant; beyond the borders as at them.
+    pub fn at(&self, x: f64, y: f64, t_ns: i64) -> [f64; 2] {
+        let last = self.fields.len() - 1;
+        let bin = ((t_ns - self.start_ns) as f64 / self.step_ns as f64).clamp(0.0, last as f64);
+        let before = usize::min(bin as usize, last);
+        let after = usize::min(before + 1, last);
+        let (i, dx) = whole_and_rest(x, self.width);
+        let (j, dy) = whole_and_rest(y, self.height);
+        let share = bin - before as f64;
+        let mut velocity = [0.0; 2];
+        for (axis, value) in velocity.iter_mut().enumerate() {
+            let at = |field: usize| {
+                let f = &self.fields[field];
+                let v = |x: usize, y: usize| f64::from(f[usize::min(y, self.height - 1) * self.width + usize::min(x, self.width - 1)][axis]);
+                (1.0 - dy) * ((1.0 - dx) * v(i, j) + dx * v(i + 1, j)) + dy * ((1.0 - dx) * v(i, j + 1) + dx * v(i + 1, j + 1))
+            };
+            *value = (1.0 - share) * at(before) + share * at(after);
+        }
+        velocity
+    }
+}
+
+fn whole_and_rest(at: f64, count: usize) -> (usize, f64) {
+    let at = at.clamp(0.0, (count - 1) as f64);
+    (at as usize, at - (at as usize) as f64)
+}
+
+/// Value and gradient of a picture between its pixels; `None` outside.
+fn look(picture: &[f32], width: usize, height: usize, x: f64, y: f64) -> Option<(f64, f64, f64)> {
+    if !(x >= 0.0 && y >= 0.0 && x <= (width - 1) as f64 && y <= (height - 1) as f64) {
+        return None;
+    }
+    let (i, j) = (usize::min(x as usize, width.saturating_sub(2)), usize::min(y as usize, height.saturating_sub(2)));
+    let (dx, dy) = (x - i as f64, y - j as f64);
+    let v = |i: usize, j: usize| f64::from(picture[usize::min(j, height - 1) * width + usize::min(i, width - 1)]);
+    let (a, b, c, d) = (v(i, j), v(i + 1, j), v(i, j + 1), v(i + 1, j + 1));
+    let value = (1.0 - dy) * ((1.0 - dx) * a + dx * b) + dy * ((1.0 - dx) * c + dx * d);
+    Some((value, (1.0 - dy) * (b - a) + dy * (d - c), (1.0 - dx) * (c - a) + dx * (d - b)))
+}
+
+/// Pairs of pictures that are compared, as (middle, distance of each from it).
+struct Pairs<'a> {
+    film: &'a Film,
+    middle: usize,
+    /// How far the middles of pairs lie from the instant, pictures.
+    beside: &'a [i64],
+    distances: &'a [usize],
+}
+
+impl Pairs<'_> {
+    /// Calls with (earlier picture, later picture, time from the middle to each).
+    fn each(&self, mut with: impl FnMut(&[f32], &[f32], f64, f64)) {
+        for &beside in self.beside {
+            for &distance in self.distances {
+                let (early, late) = (self.middle as i64 + beside - distance as i64, self.middle as i64 + beside + distance as i64);
+                if early >= 0 && (late as usize) < self.film.pictures.len() {
+                    let at = |n: i64| (n - self.middle as i64) as f64;
+                    with(&self.film.pictures[early as usize], &self.film.pictures[late as usize], at(early), at(late));
+                }
+            }
+        }
+    }
+
+    /// Disagreement and its gradient by the velocity at a pixel, for a pair.
+    fn disagreement(&self, pair: (&[f32], &[f32], f64, f64), x: f64, y: f64, v: [f64; 2]) -> Option<(f64, f64, f64)> {
+        let (early, late, t0, t1) = pair;
+        let (width, height) = (self.film.width, self.film.height);
+        let first = look(early, width, height, x + v[0] * t0, y + v[1] * t0)?;
+        let second = look(late, width, height, x + v[0] * t1, y + v[1] * t1)?;
+        Some((second.0 - first.0, t1 * second.1 - t0 * first.1, t1 * second.2 - t0 * first.2))
+    }
+}
+
+/// The field at picture `middle`, pixels per picture.
+fn estimate(coarse: &Film, fine: &Film, middle: usize) -> Vec<[f64; 2]> {
+    let (width, height) = (coarse.width, coarse.height);
+    let middle = middle.clamp(1, usize::max(coarse.pictures.len().saturating_sub(2), 1));
+    let pairs = |film, distances| Pairs { film, middle, beside: &[-2, 0, 2], distances };
+    let affine = affine(&pairs(coarse, &[1]), [0.0; 6], 6);
+    let affine = self::affine(&pairs(fine, &[1, 2]), affine, 4);
+    let affine = self::affine(&pairs(fine, &[2, 4]), affine, 3);
+    let mut field = Vec::with_capacity(width * height);
+    for y in 0..height {
+        for x in 0..width {
+            field.push(affine_at(&affine, width, height, x, y));
+        }
+    }
+    local(&pairs(coarse, &[1]), &mut field, 6.0, 3);
+    local(&pairs(fine, &[1, 2]), &mut field, 5.0, 3);
+    local(&pairs(fine, &[2, 4]), &mut field, 4.0, 3);
+    field
+}
+
+fn affine_at(p: &[f64; 6], width: usize, height: usize, x: usize, y: usize) -> [f64; 2] {
+    let (a, b) = centred(width, height, x, y);
+    cut([p[0] + p[1] * a + p[2] * b, p[3] + p[4] * a + p[5] * b])
+}
+
+/// Place relative to the middle, in half widths.
+fn centred(width: usize, height: usize, x: usize, y: usize) -> (f64, f64) {
+    let half = 0.5 * width as f64;
+    ((x as f64 - 0.5 * (width - 1) as f64) / half, (y as f64 - 0.5 * (height - 1) as f64) / half)
+}
+
+fn cut(v: [f64; 2]) -> [f64; 2] {
+    let speed = (v[0] * v[0] + v[1] * v[1]).sqrt();
+    let share = if speed > FASTEST { FASTEST / speed } else { 1.0 };
+    [v[0] * share, v[1] * share]
+}
+
+/// Improves one affine motion of all pixels.
+fn affine(pairs: &Pairs<'_>, mut p: [f64; 6], steps: usize) -> [f64; 6] {
+    let (width, height) = (pairs.film.width, pairs.film.height);
+    for _step in 0..steps {
+        let mut a = [[0.0; 6]; 6];
+        let mut b = [0.0; 6];
+        pairs.each(|early, late, t0, t1| {
+            for y in 0..height {
+                for x in 0..width {
+                    let v = affine_at(&p, width, height, x, y);
+                    let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, v) else { continue };
+                    let square = e * e / (ROBUST * ROBUST);
+                    let w = 1.0 / ((1.0 + square) * (1.0 + square));
+                    let (cx, cy) = centred(width, height, x, y);
+                    let g = [gx, gx * cx, gx * cy, gy, gy * cx, gy * cy];
+                    for i in 0..6 {
+                        b[i] -= w * g[i] * e;
+                        for j in 0..6 {
+                            a[i][j] += w * g[i] * g[j];
+                        }
+                    }
+                }
+            }
+        });
+        for (i, row) in a.iter_mut().enumerate() {
+            row[i] += LEAST_CONTRAST * (width * height) as f64;
+        }
+        let Some(step) = solve(a, b) else { break };
+        for (p, step) in p.iter_mut().zip(step) {
+            *p += step.clamp(-1.0, 1.0);
+        }
+    }
+    p
+}
+
+/// Gaussian elimination of a symmetric positive matrix; `None` when it is not.
+fn solve(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> Option<[f64; 6]> {
+    for i in 0..6 {
+        // Not positive, or not a number.
+        if a[i][i].is_nan() || a[i][i] <= 1e-12 {
+            return None;
+        }
+        for j in i + 1..6 {
+            let factor = a[j][i] / a[i][i];
+            let pivot = a[i];
+            for (value, above) in a[j].iter_mut().zip(pivot) {
+                *value -= factor * above;
+            }
+            b[j] -= factor * b[i];
+        }
+    }
+    for i in (0..6).rev() {
+        for j in i + 1..6 {
+            b[i] -= a[i][j] * b[j];
+        }
+        b[i] /= a[i][i];
+    }
+    Some(b)
+}
+
+/// Improves the motion of every neighbourhood of `sigma` pixels.
+fn local(pairs: &Pairs<'_>, field: &mut [[f64; 2]], sigma: f64, steps: usize) {
+    let (width, height) = (pairs.film.width, pairs.film.height);
+    for _step in 0..steps {
+        let mut sums: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; width * height]);
+        pairs.each(|early, late, t0, t1| {
+            for y in 0..height {
+                for x in 0..width {
+                    let at = y * width + x;
+                    let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, field[at]) else { continue };
+                    let w = 1.0 / (1.0 + e * e / (ROBUST * ROBUST));
+                    for (sum, value) in sums.iter_mut().zip([gx * gx, gx * gy, gy * gy, gx * e, gy * e]) {
+                        sum[at] += (w * value) as f32;
+                    }
+                }
+            }
+        });
+        let sums = sums.map(|sum| smooth(&sum, width, height, sigma));
+        for (at, v) in field.iter_mut().enumerate() {
+            let [xx, xy, yy, xe, ye] = [0, 1, 2, 3, 4].map(|k: usize| f64::from(sums[k][at]));
+            let (xx, yy) = (xx + LEAST_CONTRAST, yy + LEAST_CONTRAST);
+            let determinant = xx * yy - xy * xy;
+            let step = [-(yy * xe - xy * ye) / determinant, -(xx * ye - xy * xe) / determinant];
+            *v = cut([v[0] + step[0].clamp(-0.5, 0.5), v[1] + step[1].clamp(-0.5, 0.5)]);
+        }
+    }
+}
