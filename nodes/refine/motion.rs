@@ -20,7 +20,7 @@ mod tests;
 use crate::solve::pixel::map::{RowSetting, RowSolver};
 use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
 use advect::Advection;
-use film::{Film, LogTracks};
+use film::{Film, Fired, LogTracks};
 use flow::Flow;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
@@ -163,8 +163,11 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let prepared: Result<Vec<Row>, NodeError> = rows.iter().into_par_iter().map(prepare).collect();
         let mut prepared = prepared?;
         drop((events, frames));
+        let width = meta.extent.width as usize;
+        let times = |row: &Row, x: usize| row.solver.events_of(x).iter().map(|event| event.t_in_ns).collect();
+        let fired = Arc::new(Fired::new(prepared.iter().flat_map(|row| (0..width).map(move |x| times(row, x)))));
         for _round in 0..self.params.rounds {
-            let log = LogTracks::new(meta.extent, &tracks);
+            let log = LogTracks::new(meta.extent, &tracks, &fired);
             let flow = Flow::new(&Film::new(&log, (meta.span.start.0, meta.span.end.0), FILM_STEP_NS));
             let solved: Result<Vec<TrackBand>, NodeError> = prepared
                 .par_iter_mut()

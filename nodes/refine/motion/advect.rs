@@ -23,6 +23,10 @@ const TOGETHER: f64 = 4.0;
 const POOLED_MS: f64 = 3.0;
 /// And over this, to see whether there is anything in the hints at all.
 const WIDE_MS: f64 = 15.0;
+/// A track counts half so long after or before an event of its pixel, ms.
+const FRESH_MS: f64 = 1.5;
+/// And never less than one part in so many and one.
+const STALEST: f64 = 15.0;
 /// What a frame weighs beside an event when a pixel judges its hints.
 const FRAME_WEIGHT: f64 = 3.0;
 /// One side alone can contradict nobody: its variance counts so many times.
@@ -128,28 +132,32 @@ impl Advection {
 /// Log light that past and future neighbours say; `None` where nothing moves.
 fn neighbours(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64), t_ns: i64) -> Option<Said> {
     let velocity = flow.at(x as f64, y as f64, t_ns);
-    let side = |direction: f64| -> Option<f64> {
+    let side = |direction: f64| -> Option<(f64, f64)> {
         let (mut sum, mut weights) = (0.0, 0.0);
-        for (k, weight) in LINE_WEIGHTS.iter().enumerate() {
-            let Some(log) = crossing(tracks, flow, x, y, span, t_ns, velocity, direction * (k + 1) as f64) else { break };
+        for (k, line_weight) in LINE_WEIGHTS.iter().enumerate() {
+            let Some((log, apart_ms)) = crossing(tracks, flow, x, y, span, t_ns, velocity, direction * (k + 1) as f64) else { break };
+            let stale = apart_ms / FRESH_MS;
+            let weight = line_weight / (1.0 + f64::min(stale * stale, STALEST));
             sum += weight * log;
             weights += weight;
         }
-        (weights > 0.0).then(|| sum / weights)
+        (weights > 0.0).then(|| (sum / weights, weights))
     };
     match (side(-1.0), side(1.0)) {
-        (Some(past), Some(future)) => {
-            let half = 0.5 * (future - past);
-            Some(Said { t_ns, log: 0.5 * (past + future), contradiction: Some(half * half) })
+        (Some((past, w0)), Some((future, w1))) => {
+            let share = w1 / (w0 + w1);
+            let apart = future - past;
+            Some(Said { t_ns, log: past + share * apart, contradiction: Some(share * (1.0 - share) * apart * apart) })
         }
-        (Some(log), None) | (None, Some(log)) => Some(Said { t_ns, log, contradiction: None }),
+        (Some((log, _)), None) | (None, Some((log, _))) => Some(Said { t_ns, log, contradiction: None }),
         (None, None) => None,
     }
 }
 
-/// Log light where the path crosses the line `lines` further along the motion; negative ones were crossed before.
+/// Log light where the path crosses the line `lines` further along the motion, and how many milliseconds away the nearest event of the pixels
+/// there is; negative lines were crossed before.
 #[expect(clippy::too_many_arguments, reason = "a pixel and all that surrounds it")]
-fn crossing(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64), t_ns: i64, velocity: [f64; 2], lines: f64) -> Option<f64> {
+fn crossing(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64), t_ns: i64, velocity: [f64; 2], lines: f64) -> Option<(f64, f64)> {
     // Lines lie across the faster component.
     let axis = if velocity[0].abs() >= velocity[1].abs() { 0 } else { 1 };
     let allowed = |v: [f64; 2]| (lines / v[axis].abs()).abs() <= LONGEST_MS;
@@ -176,12 +184,21 @@ fn crossing(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64
     }
     let line = line as usize;
     let first = usize::min(along as usize, size[1 - axis].saturating_sub(2));
-    let read = |k: i64| {
+    let place = |k: i64| {
         let k = (first as i64 + k).clamp(0, size[1 - axis] as i64 - 1) as usize;
-        if axis == 0 { tracks.at(line, k, then_ns) } else { tracks.at(k, line, then_ns) }
+        if axis == 0 { (line, k) } else { (k, line) }
+    };
+    let read = |k: i64| {
+        let (x, y) = place(k);
+        tracks.at(x, y, then_ns)
+    };
+    let apart_ms = |k: i64| {
+        let (x, y) = place(k);
+        f64::min(tracks.fired.apart_ms(y * size[0] + x, then_ns), LONGEST_MS)
     };
     let s = along - first as f64;
     // The cubic through four pixels (Catmull and Rom).
     let [a, b, c, d] = [read(-1)?, read(0)?, read(1)?, read(2)?];
-    Some(b + 0.5 * s * (c - a + s * (2.0 * a - 5.0 * b + 4.0 * c - d + s * (3.0 * (b - c) + d - a))))
+    let log = b + 0.5 * s * (c - a + s * (2.0 * a - 5.0 * b + 4.0 * c - d + s * (3.0 * (b - c) + d - a)));
+    Some((log, (1.0 - s) * apart_ms(0) + s * apart_ms(1)))
 }

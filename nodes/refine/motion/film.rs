@@ -1,10 +1,14 @@
 //! Tracks as functions of time, and as a film of log light for the eye that looks for motion.
 
 use photocurrent_core::{Extent, Rows, TrackBand};
+use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Log light of every pixel at any instant.
 pub(super) struct LogTracks {
     pub extent: Extent,
+    /// When its pixels had events.
+    pub fired: Arc<Fired>,
     offsets: Vec<usize>,
     t_ns: Vec<i64>,
     log: Vec<f64>,
@@ -12,9 +16,9 @@ pub(super) struct LogTracks {
 
 impl LogTracks {
     /// Of a band that holds all rows.
-    pub fn new(extent: Extent, band: &TrackBand) -> LogTracks {
+    pub fn new(extent: Extent, band: &TrackBand, fired: &Arc<Fired>) -> LogTracks {
         let log = band.photocurrent.iter().map(|&i| libm::log(f64::max(f64::from(i), f64::MIN_POSITIVE))).collect();
-        LogTracks { extent, offsets: band.offsets().to_vec(), t_ns: band.t.clone(), log }
+        LogTracks { extent, fired: fired.clone(), offsets: band.offsets().to_vec(), t_ns: band.t.clone(), log }
     }
 
     /// Log light of a pixel at an instant; `None` where nothing is known.
@@ -32,6 +36,33 @@ impl LogTracks {
                 Some(log[before] + share * (log[after] - log[before]))
             }
         }
+    }
+}
+
+/// When the pixels had events.
+pub(super) struct Fired {
+    offsets: Vec<usize>,
+    t_ns: Vec<i64>,
+}
+
+impl Fired {
+    /// Of the pixels in order, each with rising instants.
+    pub fn new(pixels: impl Iterator<Item = Vec<i64>>) -> Fired {
+        let mut fired = Fired { offsets: vec![0], t_ns: Vec::new() };
+        for pixel in pixels {
+            fired.t_ns.extend(pixel);
+            fired.offsets.push(fired.t_ns.len());
+        }
+        fired
+    }
+
+    /// Milliseconds from an instant to the nearest event of a pixel; infinity where it has none.
+    pub fn apart_ms(&self, pixel: usize, t_ns: i64) -> f64 {
+        let t = &self.t_ns[self.offsets[pixel]..self.offsets[pixel + 1]];
+        let after = t.partition_point(|&event| event < t_ns);
+        let since = after.checked_sub(1).map_or(f64::INFINITY, |before| (t_ns - t[before]) as f64);
+        let until = t.get(after).map_or(f64::INFINITY, |&event| (event - t_ns) as f64);
+        f64::min(since, until) * 1e-6
     }
 }
 
@@ -58,14 +89,12 @@ impl Film {
             let grey = if sum.1 > 0.0 { sum.0 / sum.1 } else { 0.0 };
             known.iter().map(|u| u.unwrap_or(grey) as f32).collect()
         };
-        use rayon::prelude::*;
         let pictures = (0..count).into_par_iter().map(picture).collect();
         Film { width, height, start_ns: span.0, step_ns, pictures }
     }
 
     /// The film with every picture smoothed by a Gaussian of `sigma` pixels.
     pub fn smoothed(&self, sigma: f64) -> Film {
-        use rayon::prelude::*;
         let pictures = self.pictures.par_iter().map(|picture| smooth(picture, self.width, self.height, sigma)).collect();
         Film { pictures, ..*self }
     }

@@ -78,7 +78,7 @@ fn refine(tracks: &TrackSet, events: &EventStream, frames: &FrameSequence, round
 
 /// Rms error of log light, every half millisecond from the first frame to the last.
 fn error(tracks: &TrackSet, log: impl Fn(usize, usize, f64) -> f64) -> f64 {
-    let tracks = LogTracks::new(EXTENT, &tracks.read(EXTENT.rows()).unwrap());
+    let tracks = LogTracks::new(EXTENT, &tracks.read(EXTENT.rows()).unwrap(), &Arc::new(Fired::new(std::iter::empty())));
     let (mut sum, mut count) = (0.0, 0.0);
     for y in 0..EXTENT.height as usize {
         for x in 0..EXTENT.width as usize {
@@ -134,7 +134,8 @@ fn hints(own: f64, velocity: [f32; 2]) -> Vec<Hint> {
         let moved = if (x, y) == (12, 8) { own } else { 0.0 };
         band.push((0..400).map(|n| (n * 100_000, libm::exp(texture(x, y, n as f64 * 0.1) + moved) as f32)));
     }
-    let tracks = LogTracks::new(EXTENT, &band);
+    let fired = Fired::new((0..EXTENT.pixels()).map(|_| vec![20_000_000]));
+    let tracks = LogTracks::new(EXTENT, &band, &Arc::new(fired));
     let event = photocurrent_sensor::map::MapEvent { t_in_ns: 20_000_000, t_off_ns: 20_001_000, polarity: 1 };
     let mut hints = Vec::new();
     Advection::default().hints(&tracks, &Flow::steady(24, 16, velocity), (12, 8), (0, 39_900_000), 500_000, &[event], &[], 0.25, &mut hints);
