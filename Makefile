@@ -10,7 +10,7 @@ demo: setup
 	$(BIN) run pipelines/quickstart.toml
 	@echo
 	@echo "Look at:"
-	@echo "  out/quickstart/sheet/contact_sheet.png   truth, what the camera saw, and six reconstructions"
+	@echo "  out/quickstart/sheet/contact_sheet.png   truth, what the camera saw, its events, and five reconstructions"
 	@echo "  out/quickstart/table/table.md            the table above"
 	@echo "  out/quickstart/frames/                   1,000 frames per second as 16-bit PNG, times in frames.csv"
 	@echo "Try next:"

@@ -53,7 +53,7 @@ fn pixels_that_wait_for_each_other_do_not_depend_on_threads_or_the_height_of_ban
     assert_eq!(alone["recording.frames"], expected["recording.frames"]);
 }
 
-/// What the small pipeline gives, recorded. It does not depend on the machine: transcendental functions come from `libm`, and no multiply-add is
+/// What the small pipeline gives, recorded. It does not depend on the machine: transcendental functions come from `libm` and the sensor crate, and no multiply-add is
 /// fused.
 ///
 /// A change here means "results change": bump the `revision` of the node whose output is the first to differ, or caches keep the old

@@ -6,12 +6,10 @@
 //!
 //! Limits: grey only. A pixel without any knot is unknown and comes out as NaN.
 
+use crate::reconstruct::by_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
-use photocurrent_core::{
-    Between, Context, Decl, Exposure, Extent, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet,
-};
+use photocurrent_core::{Between, Context, Decl, Exposure, Extent, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet};
 use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, HeldTrack, LogLinearTrack};
-use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -89,18 +87,13 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         let at = input.at.as_ref().map(|at| &*at.meta);
         let meta = virtual_frames(&self.params.sampling, at, tracks.meta.extent, tracks.meta.span, tracks.meta.nominal_exposure_ns, Some(&input.sensor))?;
         let dn = digital_number(&input.sensor)?;
-        let rows = cx.rows();
-        cx.begin(rows.len() as u64, "rows");
-        let band = tracks.read(rows)?;
-        let render_row = |row: u32| -> Result<Vec<f32>, NodeError> {
+        let band = tracks.read(cx.rows())?;
+        let frames = by_rows(cx, meta.clone(), |row| {
             let exposures: Vec<Exposure> = (0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect();
             let seconds: Vec<f64> = exposures.iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
-            let picture = render_pixels(&band, tracks.meta.between, row, meta.extent, &exposures, &seconds, dn);
-            cx.advance(1)?;
-            Ok(picture)
-        };
-        let pictures: Result<Vec<Vec<f32>>, NodeError> = rows.iter().into_par_iter().map(render_row).collect();
-        Ok(Out { frames: from_rows(meta, rows, pictures?) })
+            Ok(render_pixels(&band, tracks.meta.between, row, meta.extent, &exposures, &seconds, dn))
+        })?;
+        Ok(Out { frames })
     }
 }
 
@@ -153,17 +146,6 @@ fn render_held(t: &[i64], photocurrent: &[f32], exposures: &[Exposure], seconds:
         let mean = if exposure.end.0 <= end_of(k) { f64::from(photocurrent[k]) } else { cursor.integral(*exposure) / exposure.seconds() };
         put(frame, dn.of(mean * seconds[frame]) as f32);
     }
-}
-
-/// Frames from one buffer [frame][value] per row.
-pub(crate) fn from_rows(meta: FramesMeta, rows: photocurrent_core::Rows, pictures: Vec<Vec<f32>>) -> FrameSequence {
-    let mut block = FrameBlock::zeros(0..meta.times.len(), rows, meta.row_values());
-    for (row, picture) in rows.iter().zip(pictures) {
-        for (frame, values) in picture.chunks_exact(meta.row_values()).enumerate() {
-            block.row_mut(frame, row).copy_from_slice(values);
-        }
-    }
-    FrameSequence::in_memory(Arc::new(meta), block)
 }
 
 fn digital_number(sensor: &Sensor) -> Result<DigitalNumber, NodeError> {

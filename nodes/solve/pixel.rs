@@ -126,7 +126,7 @@ pub struct Params {
     /// Part of a frame value that is not believed, for `map`, beside the noise that the sensor description states and 1 DN.
     #[schemars(range(min = 0.0))]
     pub frame_noise: f64,
-    /// Knots lie at most this far apart, for `map`.
+    /// Knots near events lie at most this far apart, for `map`; in quiet gaps they widen with the distance from an event, to 8 ms.
     #[schemars(extend("x-min" = "10 us"))]
     pub knot_spacing: Duration,
     /// How the front end's delay is treated.

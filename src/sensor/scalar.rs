@@ -7,8 +7,7 @@
 //! one direction; nesting `Dual<Dual<f64>>` gives second derivatives.
 //!
 //! Limits: functions over `Scalar` must not branch on [`Scalar::value`], only use [`Scalar::min`] and
-//! [`Scalar::max`]. Then a vector of `f32` lanes, where each lane would branch differently, can become a
-//! `Scalar` later (for it, `value` would be lane 0 and serve printing only).
+//! [`Scalar::max`]: lanes ([`crate::lanes`]), each of which would branch differently, are a `Scalar` too, and their `value` is lane 0.
 
 use crate::elementary;
 use std::fmt::Debug;

@@ -129,9 +129,7 @@ impl Chain {
                                 let stamp = slope * problem.stamp_sigma_s;
                                 row.variance += stamp * stamp;
                             }
-                            let (weight, price) = noise.judge(row.residual * row.residual / row.variance);
-                            row.variance /= weight;
-                            cost += price;
+                            cost += row.residual * row.residual / row.variance;
                         }
                         match sensor.reset {
                             Reset::Resample => blind = true,

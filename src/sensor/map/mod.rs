@@ -96,8 +96,6 @@ pub struct MapSensor {
 pub struct Noise {
     /// Standard deviation of an event, as a part of its threshold.
     pub event: f64,
-    /// Residuals of so many standard deviations count half; infinity for a normal law.
-    pub robust: f64,
     /// Standard deviation of the first reference around the first voltage, natural-log units.
     pub reference: f64,
     /// Standard deviation of this pixel's thresholds around the stated ones, natural-log units; 0 = they are exact.
@@ -106,7 +104,7 @@ pub struct Noise {
 
 impl Default for Noise {
     fn default() -> Noise {
-        Noise { event: 0.1, robust: f64::INFINITY, reference: 0.05, threshold: 0.0 }
+        Noise { event: 0.1, reference: 0.05, threshold: 0.0 }
     }
 }
 
@@ -114,16 +112,6 @@ impl Noise {
     fn event_variance(&self, threshold: f64) -> f64 {
         let sigma = self.event * threshold;
         sigma * sigma
-    }
-
-    /// Weight and cost of a squared residual in units of its variance.
-    fn judge(&self, square: f64) -> (f64, f64) {
-        if self.robust.is_finite() {
-            let half = self.robust * self.robust;
-            (1.0 / (1.0 + square / half), half * libm::log1p(square / half))
-        } else {
-            (1.0, square)
-        }
     }
 }
 

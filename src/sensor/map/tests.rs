@@ -45,7 +45,7 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
         // One between events, one at an event's instant.
         let hint = |t_ns, log_photocurrent, variance| Hint { t_ns, log_photocurrent, variance };
         let hints = [hint(4_100_000, 4.7, 0.01), hint(9_000_000, 4.5, 0.04)];
-        let noise = Noise { event: 0.1, reference: 0.03, threshold: 0.02, ..Noise::default() };
+        let noise = Noise { event: 0.1, reference: 0.03, threshold: 0.02 };
         let problem = MapProblem {
             events: &events,
             frames: &frames,
