@@ -6,7 +6,7 @@
 //! it is the weaker judge, because it believes that the model is right.
 
 use super::segment::collected_between;
-use super::{Evidence, MapFrame, MapOptions, MapProblem, MapWorkspace, Noise, Prior, solve, solve_with};
+use super::{Evidence, Local, MapFrame, MapOptions, MapProblem, MapWorkspace, Noise, Prior, solve, solve_with};
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
 pub const EVENT_NOISES: [f64; 3] = [0.32, 0.16, 0.08];
@@ -33,12 +33,14 @@ pub struct Choice {
 }
 
 /// The priors that are tried where frames can be kept back: the usual one, two for light that is hardly ever still (the second for smooth
-/// motion), and one for edges that last longer.
-pub const PRIORS: [Prior; 4] = [
+/// motion), one for edges that last longer, and Student's t of increments and of changes of slope.
+pub const PRIORS: [Prior; 6] = [
     Prior::USUAL,
-    Prior { floor_per_s: 60.0, ..Prior::USUAL },
-    Prior { floor_per_s: 60.0, memory_s: 5e-3, ..Prior::USUAL },
-    Prior { memory_s: 4e-3, reach_s: 0.5e-3, ..Prior::USUAL },
+    Prior::Local(Local { floor_per_s: 60.0, ..Local::USUAL }),
+    Prior::Local(Local { floor_per_s: 60.0, memory_s: 5e-3, ..Local::USUAL }),
+    Prior::Local(Local { memory_s: 4e-3, reach_s: 0.5e-3, ..Local::USUAL }),
+    Prior::Walk { per_s: 1.0, nu: 1.0 },
+    Prior::Glide { per_s3: 3e6, nu: 3.0 },
 ];
 
 /// The event noise and the prior that explain `problems` best; the usual ones when they have hardly an event.

@@ -24,7 +24,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 
-pub use prior::Prior;
+pub use prior::{Local, Prior};
 pub use segment::ramp_voltage;
 
 use crate::front_end::FrontEnd;

@@ -5,13 +5,17 @@
 //! the estimate in every iteration. Quiet stretches stay quiet, edges may be steep: an empirical-Bayes relative of a heavy-tailed prior that
 //! pools over time. `s_j` is how far a slope of one that lasts for the memory m takes light over the segment's length h, root mean
 //! square: `s^2 = 2 m^2 (h / m - 1 + exp(-h / m))`, which is h^2 for a short segment and 2 m h for a long one. So knots may stand anywhere.
+//!
+//! Beside it stand the two families with Student's t, each place for itself: [`Family::Walk`], whose increments are independent, and
+//! [`Family::Glide`], whose slopes change by independent increments (an integrated Wiener process). Their weights are those of iteratively
+//! re-weighted least squares: the variance of an increment e with scale s^2 and nu degrees of freedom is `(nu s^2 + e^2) / (nu + 1)`.
 
 use crate::elementary::{exp, exp_m1};
 use multiversion::multiversion;
 
-/// The constants of the prior.
+/// The constants of the family with local variance.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Prior {
+pub struct Local {
     /// Slope that is always allowed, natural-log units per second.
     pub floor_per_s: f64,
     /// How long a slope lasts, seconds.
@@ -20,9 +24,35 @@ pub struct Prior {
     pub reach_s: f64,
 }
 
+/// What is expected of log light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Prior {
+    /// Slopes that last a while, with a variance of their own at every place.
+    Local(Local),
+    /// Independent increments with Student's t: variance per second, and degrees of freedom.
+    Walk {
+        /// Squared scale of an increment over its time, natural-log units squared per second.
+        per_s: f64,
+        /// Degrees of freedom.
+        nu: f64,
+    },
+    /// Slopes that change by independent increments with Student's t.
+    Glide {
+        /// Squared scale of a change of slope over its time, per second cubed.
+        per_s3: f64,
+        /// Degrees of freedom.
+        nu: f64,
+    },
+}
+
 impl Prior {
     /// Suits most recordings.
-    pub const USUAL: Prior = Prior { floor_per_s: 6.0, memory_s: 2.0e-3, reach_s: 0.25e-3 };
+    pub const USUAL: Prior = Prior::Local(Local::USUAL);
+}
+
+impl Local {
+    /// Suits most recordings.
+    pub const USUAL: Local = Local { floor_per_s: 6.0, memory_s: 2.0e-3, reach_s: 0.25e-3 };
 }
 
 impl Default for Prior {
@@ -31,18 +61,21 @@ impl Default for Prior {
     }
 }
 
+/// Variance of the first slope of a glide, per second squared: any speed will do.
+const FIRST_SLOPE_VARIANCE: f64 = 1e6;
+
 /// The prior of each segment of one pixel: entry j belongs to the segment that ends at knot j; entry 0 to none.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Segments {
     /// Length, seconds.
     pub length_s: Vec<f64>,
-    /// Correlation with the segment before; 0 for the first.
+    /// Correlation of z with the segment before; 0 for the first.
     pub correlation: Vec<f64>,
-    /// Square root of q.
+    /// Increment of log light per z: the square root of q; of a glide, whose z is the slope, the length.
     pub scale: Vec<f64>,
     /// s, seconds.
     reach_s: Vec<f64>,
-    /// Variance of z given the one before: one less the correlation's square.
+    /// Variance of z given the one before: with local variance, one less the correlation's square.
     pub fresh: Vec<f64>,
     /// First and last segment that count for the local variance, and one over their length in seconds.
     nearby: Vec<(u32, u32)>,
@@ -76,6 +109,21 @@ impl Segments {
             self.length_s[j] = (t_ns[j] - t_ns[j - 1]) as f64 * 1e-9;
             self.middle_s[j] = 0.5 * (seconds(j) + seconds(j - 1));
         }
+        match prior {
+            Prior::Local(local) => self.lay_local(t_ns, local),
+            Prior::Walk { .. } => self.fresh.fill(1.0),
+            Prior::Glide { .. } => {
+                self.scale.copy_from_slice(&self.length_s);
+                self.correlation.fill(1.0);
+                if knots > 1 {
+                    self.correlation[1] = 0.0;
+                }
+            }
+        }
+    }
+
+    fn lay_local(&mut self, t_ns: &[i64], prior: &Local) {
+        let knots = t_ns.len();
         spread(&self.length_s, prior.memory_s, &mut self.reach_s);
         correlate(&self.middle_s, 1.0 / prior.memory_s, &mut self.correlation, &mut self.fresh);
         // Middles are rounded: a neighbour exactly at the reach counts.
@@ -95,8 +143,32 @@ impl Segments {
         }
     }
 
-    /// Takes the scales from the slopes of `u`.
+    /// Takes the variances from the slopes of `u`.
     pub fn adapt(&mut self, u: &[f64], prior: &Prior) {
+        match *prior {
+            Prior::Local(ref local) => self.adapt_local(u, local),
+            Prior::Walk { per_s, nu } => {
+                for j in 1..u.len() {
+                    let w = u[j] - u[j - 1];
+                    self.scale[j] = ((nu * per_s * self.length_s[j] + w * w) / (nu + 1.0)).sqrt();
+                }
+            }
+            Prior::Glide { per_s3, nu } => {
+                let mut before = None;
+                for j in 1..u.len() {
+                    let slope = (u[j] - u[j - 1]) / self.length_s[j];
+                    self.fresh[j] = before.map_or(FIRST_SLOPE_VARIANCE, |before: f64| {
+                        let change = slope - before;
+                        let apart_s = self.middle_s[j] - self.middle_s[j - 1];
+                        (nu * per_s3 * apart_s + change * change) / (nu + 1.0)
+                    });
+                    before = Some(slope);
+                }
+            }
+        }
+    }
+
+    fn adapt_local(&mut self, u: &[f64], prior: &Local) {
         // energy[j] sums h slope^2 over segments 1..=j.
         let mut sum = 0.0;
         for j in 1..u.len() {
@@ -159,7 +231,7 @@ mod tests {
 
     #[test]
     fn an_increment_has_the_variance_of_a_slope_with_memory() {
-        let prior = Prior { floor_per_s: 5.0, memory_s: 2e-3, reach_s: 0.25e-3 };
+        let prior = Prior::Local(Local { floor_per_s: 5.0, memory_s: 2e-3, reach_s: 0.25e-3 });
         for length_ns in [1_000, 1_990, 2_010, 250_000, 2_000_000, 16_000_000] {
             let mut segments = Segments::default();
             segments.lay(&[0, length_ns], &prior);

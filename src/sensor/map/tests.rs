@@ -29,7 +29,7 @@ fn whitened(problem: &MapProblem<'_>, knots: &Knots, segments: &Segments, first:
     for j in 1..n {
         let z = (u[j] - u[j - 1]) / segments.scale[j];
         let correlation = segments.correlation[j];
-        rows.push((z - correlation * before) / (1.0 - correlation * correlation).sqrt());
+        rows.push((z - correlation * before) / segments.fresh[j].sqrt());
         before = z;
     }
     rows.extend(chain.rows.iter().map(|row| if row.sight == chain::Sight::None { 0.0 } else { row.residual / row.variance.sqrt() }));
@@ -38,7 +38,8 @@ fn whitened(problem: &MapProblem<'_>, knots: &Knots, segments: &Segments, first:
 
 #[test]
 fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
-    for reset in [Reset::Resample, Reset::Advance] {
+    let families = [Prior::USUAL, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::Glide { per_s3: 3e6, nu: 3.0 }];
+    for (reset, prior) in [Reset::Resample, Reset::Advance].into_iter().flat_map(|reset| families.map(|prior| (reset, prior))) {
         let events = [event(2_100_000, 1), event(2_900_000, 1), event(5_000_000, -1), event(5_080_500, -1), event(9_000_000, 1)];
         let frame = |start_ns: i64, dn: f64| MapFrame { start_ns, end_ns: start_ns + 3_000_000, dn, sigma_dn: 2.0, saturated: false };
         let frames = [frame(500_000, 250.0), frame(6_000_000, 260.0)];
@@ -58,7 +59,6 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
             silence_sigma: 0.0,
         };
         let (mut knots, mut segments, mut u) = (Knots::default(), Segments::default(), Vec::new());
-        let prior = Prior { memory_s: 2e-3, ..Prior::default() };
         knots.lay(&problem, 1_000_000);
         segments.lay(&knots.t_ns, &prior);
         Start::default().fill(&problem, &knots, &mut u);
@@ -277,7 +277,12 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
     let copies = vec![problem; estimate::FEWEST_EVENTS / events.len() + 1];
     let mut workspace = MapWorkspace::default();
     let choice = estimate::choose(&copies, None, &MapOptions::default(), &mut workspace);
-    assert!(choice.prior.floor_per_s > Prior::USUAL.floor_per_s, "{choice:?}");
+    let restless = match choice.prior {
+        Prior::Local(local) => local.floor_per_s > Local::USUAL.floor_per_s,
+        Prior::Glide { .. } => true,
+        Prior::Walk { .. } => false,
+    };
+    assert!(restless, "{choice:?}");
 }
 
 #[test]
