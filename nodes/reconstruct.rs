@@ -4,11 +4,14 @@
 //! Methods that stand beside each other must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
 //! planning and for running, and [`by_rows`] cuts the work into rows.
 
+use crate::co_located::CoLocated;
 use crate::pixel_events::{Stamp, StepRule, clock_offset};
 use crate::sampling::{Sampling, virtual_frames};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::Column;
-use photocurrent_core::{Context, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, NodeError, PortMetas, Sensor, Table};
+use photocurrent_core::{
+    Context, EventBand, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, NodeError, PortMetas, Rows, Sensor, Table,
+};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -29,7 +32,7 @@ impl<'a> Request<'a> {
     /// While planning.
     ///
     /// # Errors
-    /// When nothing is connected to `frames`, or events and frames differ in size.
+    /// When nothing is connected to `frames`, or the frames' size is no whole multiple of the events'.
     pub fn planned(inputs: &'a PortMetas) -> Result<Request<'a>, NodeError> {
         let request = Request {
             frames: inputs.frames("frames")?,
@@ -37,13 +40,25 @@ impl<'a> Request<'a> {
             at: inputs.has("at").then(|| inputs.frames("at")).transpose()?.map(|at| &**at),
             sensor: inputs.has("sensor").then(|| inputs.sensor("sensor")).transpose()?.map(|sensor| &**sensor),
         };
-        match request.events {
-            Some(events) if events.extent != request.frames.extent => {
-                Err(NodeError::usage(format!("events are {}, frames are {}", events.extent, request.frames.extent))
-                    .hint("frames and events must come from the same pixels"))
-            }
-            _ => Ok(request),
-        }
+        request.lie()?;
+        Ok(request)
+    }
+
+    /// How the frames lie on the events; `None` without events.
+    ///
+    /// # Errors
+    /// When they are of other pixels.
+    pub fn lie(&self) -> Result<Option<CoLocated>, NodeError> {
+        self.events.map(|events| CoLocated::new(events, self.frames)).transpose()
+    }
+
+    /// Refuses frames with colours or of more pixels than the events, for methods that look at neighbours; `who` is the asker.
+    ///
+    /// # Errors
+    /// When they are such.
+    pub fn need_plain(&self, who: &str) -> Result<(), NodeError> {
+        let frames = CoLocated { ratio: 1, colour: self.frames.colour };
+        self.lie()?.unwrap_or(frames).need_plain(who)
     }
 
     /// While running.
@@ -62,14 +77,14 @@ impl<'a> Request<'a> {
     /// When there is no captured frame, or the sampling does not fit.
     pub fn output(&self, sampling: &Sampling) -> Result<FramesMeta, NodeError> {
         let frames = self.frames;
-        if frames.scale != FrameScale::Captured || frames.channels != 1 {
-            return Err(NodeError::usage("the method works on captured grey frames").hint("connect the recording's frames"));
+        if frames.scale != FrameScale::Captured {
+            return Err(NodeError::usage("the method works on captured frames").hint("connect the recording's frames"));
         }
         let (Some(span), Some(nominal_ns)) = (frames.times.span(frames.extent.height), frames.times.nominal_exposure_ns()) else {
             return Err(NodeError::usage("there is no captured frame to start from"));
         };
         let covered = self.events.and_then(|events| events.span).map_or(span, |events| events.union(span));
-        virtual_frames(sampling, self.at, frames.extent, covered, nominal_ns, self.sensor)
+        virtual_frames(sampling, self.at, (frames.extent, frames.colour), covered, nominal_ns, self.sensor)
     }
 
     /// Times and steps of events: one stated threshold for both polarities, else a searched one, else the description's two; `latency` is taken off
@@ -176,6 +191,14 @@ pub fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
         n if t - mid(n - 1) <= mid(n) - t => n - 1,
         n => n,
     }
+}
+
+/// The events of some rows of the frames, at every value of theirs ([`CoLocated::read`]).
+///
+/// # Errors
+/// When they are of other pixels or cannot be read.
+pub fn events_of(events: &EventStream, frames: &FramesMeta, rows: Rows) -> Result<EventBand, NodeError> {
+    CoLocated::new(&events.meta, frames)?.read(events, rows)
 }
 
 /// Frames of the context's rows, one call per row side by side; a call gives all frames of its row as [frame][value].

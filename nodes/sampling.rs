@@ -6,7 +6,7 @@
 
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::time::NS_PER_S;
-use photocurrent_core::{Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
+use photocurrent_core::{Colour, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -88,22 +88,22 @@ impl Sampling {
     }
 }
 
-/// What virtual frames will look like: like `at` when it is connected, else steadily sampled and scaled to the recording's ordinary exposure.
+/// What virtual frames of a size and colours will look like: like `at` when it is connected, else steadily sampled and scaled to the recording's ordinary exposure.
 ///
 /// # Errors
-/// As [`Sampling::times`]; and when `at` has another size than the sensor.
+/// As [`Sampling::times`]; and when `at` has another size than the pictures.
 pub fn virtual_frames(
     sampling: &Sampling,
     at: Option<&FramesMeta>,
-    extent: Extent,
+    (extent, colour): (Extent, Colour),
     span: TimeSpan,
     nominal_exposure_ns: i64,
     sensor: Option<&Sensor>,
 ) -> Result<FramesMeta, NodeError> {
     match at {
-        Some(at) if at.extent != extent => Err(NodeError::usage(format!("frames to imitate are {}, the sensor is {extent}", at.extent))),
-        Some(at) => Ok(FramesMeta { channels: 1, ..at.clone() }),
-        None => Ok(FramesMeta { extent, channels: 1, times: sampling.times(span, sensor)?, scale: FrameScale::Nominal { exposure_ns: nominal_exposure_ns } }),
+        Some(at) if at.extent != extent => Err(NodeError::usage(format!("frames to imitate are {}, the sensor's are {extent}", at.extent))),
+        Some(at) => Ok(FramesMeta { colour, ..at.clone() }),
+        None => Ok(FramesMeta { extent, colour, times: sampling.times(span, sensor)?, scale: FrameScale::Nominal { exposure_ns: nominal_exposure_ns } }),
     }
 }
 

@@ -236,6 +236,7 @@ pub struct BaselineAkf {
 impl BaselineAkf {
     fn prepare(&self, request: &Request) -> Result<(FramesMeta, StepRule, Intensity), NodeError> {
         let params = &self.params;
+        request.need_plain("baseline/akf")?;
         let rule = request.step_rule("baseline/akf", params.threshold, None, params.stamp, params.latency)?;
         let meta = request.output(&params.sampling)?;
         let count = request.frames.times.len();

@@ -11,7 +11,7 @@
 //! HDR weights and self-tuned thresholds (both off by default there) are not here.
 
 use crate::pixel_events::{Stamp, StepRule};
-use crate::reconstruct::{Intensity, Request, by_rows};
+use crate::reconstruct::{Intensity, Request, by_rows, events_of};
 use crate::sampling::{Sampling, scale_seconds};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::quantity::{Duration, Rate};
@@ -163,7 +163,7 @@ params = { rate = "1 kHz", cutoff = "0.5 Hz", threshold = 0.1, white = 255 }
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let request = Request::connected(&input.frames, Some(&input.events), &input.at, &input.sensor);
         let (meta, rule, intensity) = self.prepare(&request)?;
-        let events = input.events.read(cx.rows())?;
+        let events = events_of(&input.events, request.frames, cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
         let job = Job { captured: request.frames, output: &meta, params: &self.params, rule, intensity };
         Ok(Out { frames: by_rows(cx, meta.clone(), |row| Ok(job.row(row, &events.row(row), &frames)))? })
@@ -181,8 +181,8 @@ struct Job<'a> {
 impl Job<'_> {
     /// All output frames of one row as [frame][x].
     fn row(&self, row: u32, events: &EventRow, frames: &FrameBlock) -> Vec<f32> {
-        let width = self.captured.extent.width as usize;
-        let index: PixelIndex = events.by_pixel(self.captured.extent.width);
+        let width = self.captured.row_values();
+        let index: PixelIndex = events.by_pixel(width as u32);
         let exposures: Vec<Exposure> = (0..self.captured.times.len()).map(|l| self.captured.times.exposure(l, row)).collect();
         let stamps: Vec<i64> = exposures.iter().map(|exposure| self.params.frame_stamp.of(*exposure)).collect();
         let mut wanted: Vec<(i64, usize)> = (0..self.output.times.len()).map(|l| (self.output.times.exposure(l, row).mid().0, l)).collect();

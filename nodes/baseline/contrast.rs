@@ -9,6 +9,7 @@
 //! and cut at mean + (1 - mean) / 3); the authors' own interval is not public. Limits: one threshold for both polarities and all pixels; the
 //! energy is not convex, and the search finds one of its valleys.
 
+use crate::co_located::CoLocated;
 use crate::pixel_events::clock_offset;
 use crate::reconstruct::black_level;
 use photocurrent_core::events::{EventBand, Polarity};
@@ -118,15 +119,9 @@ params = { lowest = 0.1, highest = 0.5 }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
-        if events.extent != frames.extent || frames.channels != 1 || frames.times.is_empty() {
-            return Err(NodeError::usage(format!(
-                "events are {}; {} frames are {} with {} channel(s)",
-                events.extent,
-                frames.times.len(),
-                frames.extent,
-                frames.channels
-            ))
-            .hint("at least one grey frame of the events' size is needed"));
+        CoLocated::new(events, frames)?.need_plain("baseline/contrast")?;
+        if frames.times.is_empty() {
+            return Err(NodeError::usage("there is no frame to search a threshold on").hint("give at least one frame"));
         }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
     }

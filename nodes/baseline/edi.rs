@@ -7,10 +7,11 @@
 //! of all frames' latent values, where events say how consecutive ones differ (mEDI).
 //!
 //! What its authors leave implicit stands in the open: the exposure is the recording's, the threshold is the sensor description's, a given number or one found by
-//! `baseline/contrast`, and a constant latency can be taken off the stamps. Limits: no front-end delay, no readout latency, no refractory period.
+//! `baseline/contrast`, and a constant latency can be taken off the stamps. With colour, a mosaic or more pixels than the events, every value of a frame is taken
+//! with the events of the event pixel that it lies on. Limits: no front-end delay, no readout latency, no refractory period.
 
 use crate::pixel_events::{Stamp, StepRule};
-use crate::reconstruct::{Request, black_level, by_rows, contrast_of, nearest_frame};
+use crate::reconstruct::{Request, black_level, by_rows, contrast_of, events_of, nearest_frame};
 use crate::sampling::{Sampling, scale_seconds};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::quantity::Duration;
@@ -137,7 +138,7 @@ params = { rate = "1 kHz", latency = "40 us" }
         let per_frame = self.per_frame(searched, request.frames)?;
         let meta = request.output(&self.params.sampling)?;
         let job = Job { captured: request.frames, output: &meta, rule, per_frame, black: black_level(request.sensor), params: &self.params };
-        let events = input.events.read(cx.rows())?;
+        let events = events_of(&input.events, request.frames, cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
         Ok(Out { frames: by_rows(cx, meta.clone(), |row| Ok(job.row(row, &events.row(row), &frames)))? })
     }
@@ -162,15 +163,15 @@ impl Job<'_> {
         })
     }
 
-    /// All output frames of one row as [frame][x].
+    /// All output frames of one row as [frame][value].
     fn row(&self, row: u32, events: &EventRow, frames: &FrameBlock) -> Vec<f32> {
         self.latent(row, events, frames).into_iter().map(|dn| dn as f32).collect()
     }
 
     /// The same before it is rounded to 32 bits.
     fn latent(&self, row: u32, events: &EventRow, frames: &FrameBlock) -> Vec<f64> {
-        let width = self.captured.extent.width as usize;
-        let index = events.by_pixel(self.captured.extent.width);
+        let width = self.captured.row_values();
+        let index = events.by_pixel(width as u32);
         let outputs: Vec<Exposure> = (0..self.output.times.len()).map(|l| self.output.times.exposure(l, row)).collect();
         let starts_from: Vec<usize> = outputs.iter().map(|e| nearest_frame(self.captured, row, e.mid().0)).collect();
         let mut picture = vec![0.0; outputs.len() * width];

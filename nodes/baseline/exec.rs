@@ -81,6 +81,7 @@ impl BaselineExec {
     fn prepare(&self, request: &Request) -> Result<(FramesMeta, Levels), NodeError> {
         let params = &self.params;
         let levels = Levels::new(params.white, params.stored_white, params.transfer.unwrap_or(Transfer::Linear), request.sensor)?;
+        request.need_plain("baseline/exec")?;
         Ok((request.output(&params.sampling)?, levels))
     }
 

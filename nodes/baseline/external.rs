@@ -14,7 +14,7 @@ use crate::simulate::stored::{Transfer, cannot_read, short_name};
 use photocurrent_core::quantity::{Duration, InputPath, Rate};
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{
-    Context, Decl, Exposure, FileRef, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table,
+    Colour, Context, Decl, Exposure, FileRef, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table,
 };
 use pictures::{Levels, extent, pictures};
 use schemars::JsonSchema;
@@ -174,7 +174,7 @@ impl BaselineExternal {
                     .hint("times stand in the order of the pictures' names")
                     .param("times")
             })?;
-            let meta = FramesMeta { extent, channels: 1, times, scale: FrameScale::Nominal { exposure_ns: params.exposure.ns() } };
+            let meta = FramesMeta { extent, colour: Colour::Mono, times, scale: FrameScale::Nominal { exposure_ns: params.exposure.ns() } };
             let matches = given.iter().enumerate().map(|(n, &t)| Match { picture: n, frame: n, asked_ns: t, given_ns: t }).collect();
             return Ok(Planned { pictures, matches, left_out: 0, meta });
         };
@@ -199,7 +199,7 @@ impl BaselineExternal {
             return Err(far());
         }
         let kept: Vec<usize> = matches.iter().map(|m| m.frame).collect();
-        let meta = FramesMeta { channels: 1, times: at.times.select(&kept), ..at.clone() };
+        let meta = FramesMeta { colour: Colour::Mono, times: at.times.select(&kept), ..at.clone() };
         Ok(Planned { pictures, matches, left_out, meta })
     }
 

@@ -8,7 +8,7 @@ use divan::counter::ItemsCount;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::Rate;
 use photocurrent_core::random::Random;
-use photocurrent_core::{Between, EventStream, Exposure, Extent, FrameSequence, Node, Sensor, TimeSpan, TrackBand, TrackSet, TracksMeta, testing};
+use photocurrent_core::{Between, Colour, EventStream, Exposure, Extent, FrameSequence, Node, Sensor, TimeSpan, TrackBand, TrackSet, TracksMeta, testing};
 use photocurrent_nodes::baseline::edi::{self, BaselineEdi};
 use photocurrent_nodes::render::rows::{self, RenderRows};
 use photocurrent_nodes::sampling::Sampling;
@@ -47,7 +47,14 @@ fn tracks(events: usize) -> TrackSet {
         let mut random = Random::new(2, &[x.into()]);
         band.push(std::iter::once(0).chain(instants(x, events)).map(|t| (t, random.uniform() as f32)));
     }
-    let meta = TracksMeta { extent: EXTENT, span: TimeSpan::new(0, LENGTH_NS), nominal_exposure_ns: 4_000_000, between: Between::Hold, count_hint: None };
+    let meta = TracksMeta {
+        extent: EXTENT,
+        span: TimeSpan::new(0, LENGTH_NS),
+        nominal_exposure_ns: 4_000_000,
+        between: Between::Hold,
+        colour: Colour::Mono,
+        count_hint: None,
+    };
     TrackSet::in_memory(Arc::new(meta), band)
 }
 

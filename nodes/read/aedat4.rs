@@ -17,8 +17,8 @@ use photocurrent_core::events::Event;
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::value::DataType;
 use photocurrent_core::{
-    Context, Decl, EventBand, EventStream, EventsMeta, Exposure, Extent, FileRef, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta,
-    Node, NodeError, Polarity, PortMetas, TimeSpan,
+    Colour, Context, Decl, EventBand, EventStream, EventsMeta, Exposure, Extent, FileRef, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain,
+    Meta, Node, NodeError, Polarity, PortMetas, TimeSpan,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -341,11 +341,11 @@ impl ReadAedat4 {
                     }
                 }
                 frames.sort_by_key(|(exposure, _)| exposure.start);
-                match frames.first().map(|(_, frame)| frame.format.channels() as u32) {
+                match frames.first().map(|(_, frame)| if frame.format.channels() == 3 { Colour::Rgb } else { Colour::Mono }) {
                     None => Err(format!("{name} has no frame{}", window())),
-                    Some(channels) => {
+                    Some(colour) => {
                         let times = FrameTimes::new(frames.iter().map(|(exposure, _)| *exposure).collect(), self.params.row_time.ns())?;
-                        let meta = FramesMeta { extent, channels, times, scale: FrameScale::Captured };
+                        let meta = FramesMeta { extent, colour, times, scale: FrameScale::Captured };
                         Ok((Arc::new(meta), frames.into_iter().map(|(_, frame)| frame).collect()))
                     }
                 }
@@ -549,7 +549,7 @@ mod tests {
         let (out, notes) = run(at(CLIP)).unwrap();
         let (events, frames) = (out.events.unwrap(), out.frames.unwrap());
         let extent = Extent { width: 346, height: 260 };
-        assert_eq!((events.meta.extent, frames.meta.extent, frames.meta.channels), (extent, extent, 1));
+        assert_eq!((events.meta.extent, frames.meta.extent, frames.meta.colour), (extent, extent, Colour::Mono));
         let band = events.read(extent.rows()).unwrap();
         assert_eq!(band.len(), 78_830);
         assert_eq!(band.t_in, None);
@@ -667,7 +667,7 @@ mod tests {
 
         let bytes = [header(&[("FRME", 2, 1)]), frame_packet(0, (5, 6), 16, (2, 1), &[1, 2, 3, 11, 12, 13])].concat();
         let frames = with_file(&bytes, run).unwrap().0.frames.unwrap();
-        assert_eq!(frames.meta.channels, 3);
+        assert_eq!(frames.meta.colour, Colour::Rgb);
         assert_eq!(frames.read_rows(frames.rows()).unwrap().dn, [3.0, 2.0, 1.0, 13.0, 12.0, 11.0]);
     }
 

@@ -7,7 +7,8 @@
 //! The row time is the recorder's word (`row_time_ns` of `/frames`), also when the sensor description says otherwise; then a note tells both. A
 //! recording that states it nowhere is refused rather than taken for a global shutter.
 //!
-//! Limits: frames have the extent of the events. A mosaic is passed on as stored, one value a pixel.
+//! Frames may have a whole number of pixels along the side of each event pixel, three channels, or a mosaic of filters, which is passed on as stored: one value a
+//! pixel. Those of more pixels than the events are not cut into row bands.
 
 use photocurrent_core::document::Source;
 use photocurrent_core::quantity::{Duration, InputPath};
@@ -157,14 +158,20 @@ params = { path = "scene.h5" }
         let frames = if cx.wants("frames") && recording.exposures().is_some_and(|exposures| !exposures.is_empty()) {
             let (recorded, described) = (recording.row_time_ns(), sensor.as_ref().and_then(|sensor| sensor.frames.row_time));
             disagreement(&name, recorded, described).into_iter().for_each(|note| cx.note(note));
-            if let Some(colour) = recording.colour().filter(|colour| !["mono", "rgb"].contains(colour)) {
-                cx.note(format!("the frames of {name} are a {colour} mosaic and are passed on as stored, one value a pixel"));
-            }
-            recording.frames(row_time_ns(&name, recorded, described)?).map(|frames| frames.cut(rows))
+            recording
+                .frames(row_time_ns(&name, recorded, described)?)
+                .map(|frames| if frames.rows() == recording.extent().rows() { frames.cut(rows) } else { frames })
         } else {
             None
         };
-        let truth = if cx.wants("truth") { recording.truth().filter(|truth| !truth.0.is_empty()).map(|truth| Truth(truth.0.cut(rows))) } else { None };
+        let truth = if cx.wants("truth") {
+            recording
+                .truth()
+                .filter(|truth| !truth.0.is_empty())
+                .map(|Truth(truth)| Truth(if truth.rows() == recording.extent().rows() { truth.cut(rows) } else { truth }))
+        } else {
+            None
+        };
         Ok(Out { events, frames, truth, sensor: sensor.filter(|_| cx.wants("sensor")) })
     }
 

@@ -17,7 +17,9 @@ mod flow;
 #[cfg(test)]
 mod tests;
 
+use crate::co_located::CoLocated;
 use crate::solve::pixel::map::{RowSetting, RowSolver};
+use crate::solve::pixel::shares::RowShares;
 use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
 use advect::Advection;
 use film::{Film, Fired, LogTracks};
@@ -97,6 +99,7 @@ impl RefineMotion {
             return Err(NodeError::usage("the tracks hold their values between knots; refine/motion needs log-linear ones")
                 .hint("connect tracks of solve/pixel with `method = \"map\"`"));
         }
+        CoLocated::new(events, frames)?.need_plain("refine/motion")?;
         let meta = self.solve.tracks_meta(events, frames)?;
         if tracks.extent != meta.extent {
             return Err(NodeError::usage(format!("tracks are {}, events are {}", tracks.extent, meta.extent))
@@ -156,7 +159,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let prepare = |row: u32| -> Result<Row, NodeError> {
             let exposures: Vec<Exposure> = (0..input.frames.len()).map(|l| input.frames.meta.times.exposure(l, row)).collect();
             let mut solver = RowSolver::default();
-            let setting = solver.prepare(self.solve.params(), &model, &meta, row, events.row(row), &frames, &exposures);
+            let setting = solver.prepare(self.solve.params(), &model, &meta, row, events.row(row), &frames, &exposures, &RowShares::default());
             cx.advance(1)?;
             Ok(Row { row, solver, setting })
         };

@@ -4,11 +4,14 @@
 //! freely, Eq. (5). Exposing all rows at once removes the rolling shutter; exposing for 100 us removes the blur; doing so 10,000 times a
 //! second is the interpolation. Integrals are exact, of held tracks and of those whose logarithm is linear between knots.
 //!
-//! Limits: grey only. A pixel without any knot is unknown and comes out as NaN.
+//! Tracks of colours become frames of the same colours, a mosaic a mosaic (`render/demosaic` makes colour pictures of it).
+//!
+//! Limits: a pixel without any knot is unknown and comes out as NaN.
 
+use crate::co_located::{channel_gains, gain_of};
 use crate::reconstruct::by_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
-use photocurrent_core::{Between, Context, Decl, Exposure, Extent, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet};
+use photocurrent_core::{Between, Colour, Context, Decl, Exposure, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet};
 use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, HeldTrack, LogLinearTrack};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -76,22 +79,24 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let tracks = inputs.tracks("tracks")?;
         let sensor = inputs.sensor("sensor")?;
-        digital_number(sensor)?;
+        DigitalNumbers::new(sensor, tracks.colour)?;
         let at = inputs.has("at").then(|| inputs.frames("at")).transpose()?;
-        let meta = virtual_frames(&self.params.sampling, at.map(|at| &**at), tracks.extent, tracks.span, tracks.nominal_exposure_ns, Some(sensor))?;
+        let meta =
+            virtual_frames(&self.params.sampling, at.map(|at| &**at), (tracks.extent, tracks.colour), tracks.span, tracks.nominal_exposure_ns, Some(sensor))?;
         Ok(vec![Meta::Frames(Arc::new(meta))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let tracks = &input.tracks;
         let at = input.at.as_ref().map(|at| &*at.meta);
-        let meta = virtual_frames(&self.params.sampling, at, tracks.meta.extent, tracks.meta.span, tracks.meta.nominal_exposure_ns, Some(&input.sensor))?;
-        let dn = digital_number(&input.sensor)?;
+        let of = &*tracks.meta;
+        let meta = virtual_frames(&self.params.sampling, at, (of.extent, of.colour), of.span, of.nominal_exposure_ns, Some(&input.sensor))?;
+        let dn = DigitalNumbers::new(&input.sensor, of.colour)?;
         let band = tracks.read(cx.rows())?;
         let frames = by_rows(cx, meta.clone(), |row| {
             let exposures: Vec<Exposure> = (0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect();
             let seconds: Vec<f64> = exposures.iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
-            Ok(render_pixels(&band, tracks.meta.between, row, meta.extent, &exposures, &seconds, dn))
+            Ok(render_pixels(&band, tracks.meta.between, row, meta.row_values(), &exposures, &seconds, dn))
         })?;
         Ok(Out { frames })
     }
@@ -100,15 +105,15 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
 /// Pixels whose frames are made together: a frame's values of a tile are one cache line.
 const TILE: usize = 16;
 
-/// All frames of one row as [frame][x].
-fn render_pixels(band: &TrackBand, between: Between, row: u32, extent: Extent, exposures: &[Exposure], seconds: &[f64], dn: DigitalNumber) -> Vec<f32> {
-    let width = extent.width as usize;
+/// All frames of one row of `width` values as [frame][value].
+fn render_pixels(band: &TrackBand, between: Between, row: u32, width: usize, exposures: &[Exposure], seconds: &[f64], dn: DigitalNumbers) -> Vec<f32> {
     let mut picture = vec![f32::NAN; exposures.len() * width];
     let mut tile = vec![[f32::NAN; TILE]; exposures.len()];
     for left in (0..width).step_by(TILE) {
         let used = TILE.min(width - left);
         for n in 0..used {
             let track = band.pixel((left + n) as u32, row);
+            let dn = dn.at((left + n) as u32, row);
             if track.t.is_empty() {
                 tile.iter_mut().for_each(|values| values[n] = f32::NAN);
                 continue;
@@ -148,9 +153,24 @@ fn render_held(t: &[i64], photocurrent: &[f32], exposures: &[Exposure], seconds:
     }
 }
 
-fn digital_number(sensor: &Sensor) -> Result<DigitalNumber, NodeError> {
-    let gain = sensor.need(sensor.frames.gain, "frames.gain", "render/rows")?;
-    Ok(DigitalNumber { black_level: sensor.frames.black_level_dn.unwrap_or(0.0), gain })
+/// From charge to DN for every value of a row.
+#[derive(Clone, Copy)]
+struct DigitalNumbers {
+    colour: Colour,
+    black_level: f64,
+    gain: f64,
+    channels: [f64; 3],
+}
+
+impl DigitalNumbers {
+    fn new(sensor: &Sensor, colour: Colour) -> Result<DigitalNumbers, NodeError> {
+        let gain = sensor.need(sensor.frames.gain, "frames.gain", "render/rows")?;
+        Ok(DigitalNumbers { colour, black_level: sensor.frames.black_level_dn.unwrap_or(0.0), gain, channels: channel_gains(sensor)? })
+    }
+
+    fn at(&self, value: u32, row: u32) -> DigitalNumber {
+        DigitalNumber { black_level: self.black_level, gain: gain_of(self.gain, &self.channels, self.colour, value, row) }
+    }
 }
 
 #[cfg(test)]
@@ -158,7 +178,7 @@ mod tests {
     use super::*;
     use crate::sampling::Shutter;
     use photocurrent_core::quantity::{Duration, Rate};
-    use photocurrent_core::{FrameScale, Ports, Rows, TimeSpan, TracksMeta, testing};
+    use photocurrent_core::{Extent, FrameScale, Ports, Rows, TimeSpan, TracksMeta, testing};
 
     fn sensor() -> Arc<Sensor> {
         let mut sensor = Sensor::unknown("test");
@@ -179,7 +199,7 @@ mod tests {
         for pixel in 0..6 {
             band.push([(0, 1.0), (5_000_000, 3.0)].into_iter().filter(|_| pixel != 1));
         }
-        let meta = TracksMeta { extent, span: TimeSpan::new(0, 10_000_000), nominal_exposure_ns: 4_000_000, between, count_hint: None };
+        let meta = TracksMeta { extent, span: TimeSpan::new(0, 10_000_000), nominal_exposure_ns: 4_000_000, between, colour: Colour::Mono, count_hint: None };
         TrackSet::in_memory(Arc::new(meta), band)
     }
 

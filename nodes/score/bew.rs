@@ -143,14 +143,14 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let frames = inputs.frames("frames")?;
-        self.check(frames.extent, frames.channels)?;
+        self.check(frames.extent, frames.channels())?;
         Ok([true, false, false].map(|scores| Meta::Table(Arc::new(TableMeta { scores }))).to_vec())
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let frames = &input.frames;
         let meta = &frames.meta;
-        self.check(meta.extent, meta.channels)?;
+        self.check(meta.extent, meta.channels())?;
         let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), frames, "given")?;
         let question = Question {
             thresholds: self.params.thresholds,
@@ -162,7 +162,7 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
         cx.begin(frames.len() as u64, "frames");
         let one = |l: usize| -> Result<Vec<Edge>, NodeError> {
             let picture = frames.read(l..l + 1, frames.rows())?;
-            let value = |x: u32, y: u32| f64::from(picture.row(l, y)[(x * meta.channels + self.params.channel) as usize]);
+            let value = |x: u32, y: u32| f64::from(picture.row(l, y)[(x * meta.channels() + self.params.channel) as usize]);
             let edges = self.params.edges.iter().map(|roi| {
                 let plane: Vec<f64> = (roi.y..roi.y + roi.height).flat_map(|y| (roi.x..roi.x + roi.width).map(move |x| value(x, y))).collect();
                 let mut edge = measure(&plane, roi.width as usize, &question);
@@ -201,7 +201,7 @@ impl ScoreBew {
         let (low, along) = (100.0 * self.params.thresholds.low(), self.params.profile);
         Card {
             definition: "bew.v1",
-            channel: format!("linear DN, channel {} of {}", self.params.channel, frames.meta.channels),
+            channel: format!("linear DN, channel {} of {}", self.params.channel, frames.meta.channels()),
             range: peak.describe(),
             border: "none".into(),
             frames: format!("all {}, without reference", frames.len()),

@@ -3,7 +3,7 @@
 //! Figures of one name differ between papers because channel, value range, crop, weights and matching of frames are not stated. Every scorer fills in
 //! a [`Card`]; no field can be forgotten, and the text has one form: `definition: key = text; key = text`, keys in one order.
 
-use photocurrent_core::FramesMeta;
+use photocurrent_core::{Colour, FramesMeta};
 
 /// How numbers were measured.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,9 +57,10 @@ impl From<Card> for String {
 
 /// The channel field for values that are used as they are, all channels together.
 pub fn linear_dn(meta: &FramesMeta) -> String {
-    match meta.channels {
-        1 => "linear DN, 1 channel".into(),
-        n => format!("linear DN, {n} channels together"),
+    match meta.colour {
+        Colour::Mono => "linear DN, 1 channel".into(),
+        Colour::Rgb => "linear DN, 3 channels together".into(),
+        mosaic => format!("linear DN, {mosaic} mosaic"),
     }
 }
 

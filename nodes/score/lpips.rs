@@ -11,7 +11,7 @@
 
 use super::card::{Card, MEAN};
 use super::compare::{Pairs, Peak, UNKNOWN, known, unknown};
-use super::matching::match_frames;
+use super::matching::{match_frames, no_mosaic};
 use super::roi::Roi;
 use crate::onnx::{self, Network, Tensor};
 use photocurrent_core::quantity::{Duration, InputPath};
@@ -106,12 +106,7 @@ impl ScoreLpips {
             return Err(NodeError::usage(format!("{} are too few: the network looks at {LEAST_SIZE} x {LEAST_SIZE} or more", roi.describe()))
                 .hint("score larger frames, or a larger `roi`"));
         }
-        if frames.channels != 1 && frames.channels != 3 {
-            return Err(
-                NodeError::usage(format!("the frames have {} channels, and the network takes grey or RGB", frames.channels)).hint("connect grey or RGB frames")
-            );
-        }
-        Ok(())
+        no_mosaic(frames, "the network")
     }
 
     fn weights(&self) -> Result<Vec<u8>, NodeError> {
@@ -180,7 +175,7 @@ params = { weights = "data/weights/lpips_alex.onnx" }
             None => error.param("weights"),
         })?;
         let roi = self.params.roi.unwrap_or(Roi::whole(frames.meta.extent));
-        let view = View { extent: frames.meta.extent, channels: frames.meta.channels as usize, roi, black, peak: peak.dn, encoding: self.params.encoding };
+        let view = View { extent: frames.meta.extent, channels: frames.meta.channels() as usize, roi, black, peak: peak.dn, encoding: self.params.encoding };
         let distances = pairs.map(cx, |picture, reference| {
             cx.count(unknown(picture), UNKNOWN);
             cx.count(view.clipped(picture), "values lay below black or above the peak and were clipped");
@@ -192,7 +187,7 @@ params = { weights = "data/weights/lpips_alex.onnx" }
         };
         let card = Card {
             definition: "lpips.v0.1",
-            channel: format!("{encoding}, {}", if frames.meta.channels == 1 { "grey in three channels" } else { "RGB" }),
+            channel: format!("{encoding}, {}", if frames.meta.channels() == 1 { "grey in three channels" } else { "RGB" }),
             range: format!("0 to 1 of {}, black level {black} DN taken off, clipped", peak.describe()),
             border: "none".into(),
             frames: pairs.describe(),
@@ -280,7 +275,7 @@ mod tests {
         assert_eq!((info.color_type, info.bit_depth), (png::ColorType::Rgb, png::BitDepth::Eight));
         let extent = Extent { width: info.width, height: info.height };
         let times = FrameTimes::new(vec![Exposure::new(0, 1000)], 0).unwrap();
-        let meta = FramesMeta { extent, channels: 3, times, scale: FrameScale::Captured };
+        let meta = FramesMeta { extent, colour: photocurrent_core::Colour::Rgb, times, scale: FrameScale::Captured };
         let mut block = FrameBlock::zeros(0..1, extent.rows(), meta.row_values());
         block.dn = bytes.iter().map(|code| f32::from(*code)).collect();
         FrameSequence::in_memory(Arc::new(meta), block)

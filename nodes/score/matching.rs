@@ -9,14 +9,27 @@ use photocurrent_core::{FrameScale, FrameTimes, FramesMeta, NodeError};
 /// # Errors
 /// When sizes differ, no frame has a partner, or the DN of partners are of different exposures.
 pub fn match_frames(frames: &FramesMeta, reference: &FramesMeta, tolerance_ns: i64) -> Result<Vec<(usize, usize)>, NodeError> {
-    if (frames.extent, frames.channels) != (reference.extent, reference.channels) {
-        let size = |meta: &FramesMeta| format!("{} with {} channel(s)", meta.extent, meta.channels);
-        return Err(NodeError::usage(format!("frames are {}, the reference is {}", size(frames), size(reference))).hint("compare pictures of one size"));
+    if (frames.extent, frames.colour) != (reference.extent, reference.colour) {
+        let size = |meta: &FramesMeta| format!("{} {}", meta.extent, meta.colour);
+        return Err(NodeError::usage(format!("frames are {}, the reference is {}", size(frames), size(reference)))
+            .hint("compare pictures of one size and the same colours"));
     }
     let pairs = partners(frames, reference, tolerance_ns)?;
     check_scale(frames, reference, &pairs)?;
     check_rows(frames, reference, tolerance_ns)?;
     Ok(pairs)
+}
+
+/// Refuses a mosaic, for who looks at neighbours as if they were of one colour; `who` says who does.
+///
+/// # Errors
+/// When the frames are one.
+pub fn no_mosaic(frames: &FramesMeta, who: &str) -> Result<(), NodeError> {
+    if !frames.colour.is_mosaic() {
+        return Ok(());
+    }
+    Err(NodeError::usage(format!("the frames are a {} mosaic, and {who} takes neighbours for the same colour", frames.colour))
+        .hint("put render/demosaic before it, and compare with an RGB truth"))
 }
 
 /// Refuses pictures whose rows are exposed at other times: row 0 agrees, and the last row may be a frame period off.
@@ -82,11 +95,12 @@ fn partners(frames: &FramesMeta, reference: &FramesMeta, tolerance_ns: i64) -> R
 #[cfg(test)]
 mod tests {
     use super::*;
+    use photocurrent_core::Colour;
     use photocurrent_core::{Exposure, Extent};
 
     fn at(mids: &[i64]) -> FramesMeta {
         let times = FrameTimes::new(mids.iter().map(|t| Exposure::new(t - 5, t + 5)).collect(), 0).unwrap();
-        FramesMeta { extent: Extent { width: 2, height: 2 }, channels: 1, times, scale: FrameScale::Captured }
+        FramesMeta { extent: Extent { width: 2, height: 2 }, colour: Colour::Mono, times, scale: FrameScale::Captured }
     }
 
     #[test]

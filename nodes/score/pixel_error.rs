@@ -12,7 +12,7 @@ use super::matching::match_frames;
 use crate::sampling::scale_seconds;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, Score, TableMeta};
-use photocurrent_core::{Context, Decl, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, Table, Truth};
+use photocurrent_core::{Colour, Context, Decl, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, Table, Truth};
 use photocurrent_sensor::front_end::settled_voltage;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -79,10 +79,8 @@ impl ScorePixelError {
                 .hint(format!("keep `x` below {}, and `y` below {}", frames.extent.width, frames.extent.height))
                 .param("pixels"));
         }
-        if frames.channels != 1 {
-            return Err(
-                NodeError::usage(format!("the frames have {} channels, and V_DC is that of one photodiode", frames.channels)).hint("connect grey frames")
-            );
+        if frames.colour != Colour::Mono {
+            return Err(NodeError::usage(format!("the frames are {}, and V_DC is that of one photodiode", frames.colour)).hint("connect grey frames"));
         }
         sensor.need_all(&[("frames.gain", sensor.frames.gain.is_some())], "score/pixel_error")?;
         match_frames(frames, truth, self.params.tolerance.ns())

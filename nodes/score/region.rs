@@ -44,7 +44,7 @@ impl Region {
     pub fn mask_in(self, roi: Option<Roi>, reference: &FrameSequence, peak: f64) -> Result<Vec<bool>, NodeError> {
         let mut mask = self.mask(reference, peak)?;
         let Some(roi) = roi else { return Ok(mask) };
-        let (extent, channels) = (reference.meta.extent, reference.meta.channels as usize);
+        let (extent, channels) = (reference.meta.extent, reference.meta.channels() as usize);
         roi.check(extent)?;
         for (i, counts) in mask.iter_mut().enumerate() {
             let pixel = i / channels;

@@ -9,7 +9,7 @@
 
 use super::card::{Card, MEAN, OWN, linear_dn};
 use super::compare::{Pairs, Peak, UNKNOWN, known, unknown};
-use super::matching::match_frames;
+use super::matching::{match_frames, no_mosaic};
 use super::region::Region;
 use super::roi::Roi;
 use photocurrent_core::quantity::Duration;
@@ -108,6 +108,7 @@ params = { roi = { x = 40, y = 30, width = 64, height = 64 } }
         let frames = inputs.frames("frames")?;
         match_frames(frames, inputs.truth("truth")?, self.params.tolerance.ns())?;
         check_size(frames.extent)?;
+        no_mosaic(frames, "a window of SSIM")?;
         self.params.roi.map_or(Ok(()), |roi| roi.check(frames.extent))?;
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
@@ -115,7 +116,7 @@ params = { roi = { x = 40, y = 30, width = 64, height = 64 } }
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let truth = &input.truth.0;
         let pairs = Pairs::new(&input.frames, truth, self.params.tolerance)?;
-        let (extent, channels) = (truth.meta.extent, truth.meta.channels as usize);
+        let (extent, channels) = (truth.meta.extent, truth.meta.channels() as usize);
         check_size(extent)?;
         let peak = Peak::find(self.params.peak_dn, input.sensor.as_deref(), truth, "true")?;
         let mask = interior(self.params.region.mask_in(self.params.roi, truth, peak.dn)?, extent, channels)?;
@@ -276,7 +277,7 @@ mod tests {
     fn channels_are_measured_one_by_one() {
         let colour = |dn: &dyn Fn(u32, u32) -> [f32; 3]| {
             let times = FrameTimes::new(vec![Exposure::new(0, 100)], 0).unwrap();
-            let meta = FramesMeta { extent: SIZE, channels: 3, times, scale: FrameScale::Captured };
+            let meta = FramesMeta { extent: SIZE, colour: photocurrent_core::Colour::Rgb, times, scale: FrameScale::Captured };
             let mut block = FrameBlock::zeros(0..1, SIZE.rows(), 51);
             block.dn = (0..14).flat_map(|y| (0..17).flat_map(move |x| dn(x, y))).collect();
             FrameSequence::in_memory(Arc::new(meta), block)

@@ -11,7 +11,7 @@ use crate::pixel_events::StepRule;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
-use photocurrent_core::{DataType, EventsMeta, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
+use photocurrent_core::{Colour, DataType, EventsMeta, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
 use photocurrent_sensor::effects::{ArrayEvent, Effect, Site, from_description};
 use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_sensor::forward::neighbours::halo;
@@ -108,7 +108,7 @@ impl Camera {
             log_step: LOG_STEP,
         };
         let row_time_ns = sensor.need(sensor.frames.row_time, "frames.row_time", who)?.ns();
-        let frames = FramesMeta { extent, channels: 1, times: timing.frame_times(span, extent.height, row_time_ns)?, scale: FrameScale::Captured };
+        let frames = FramesMeta { extent, colour: Colour::Mono, times: timing.frame_times(span, extent.height, row_time_ns)?, scale: FrameScale::Captured };
         let moved = crate::pixel_events::clock_offset(sensor)?.offset_ns;
         let events = EventsMeta { extent, span: Some(span.moved(moved)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
         Ok(Camera { events, frames, pixel, sensor: sensor.clone(), effects, coupling, capture: Capture::new(sensor, who)?, span, seed })

@@ -173,7 +173,7 @@ fn simulate_rows(camera: &Camera, kernel: Option<&Kernel>, light: &Light, rows: 
 mod tests {
     use super::*;
     use photocurrent_core::light::LightBand;
-    use photocurrent_core::{Extent, TimeSpan, testing};
+    use photocurrent_core::{Colour, Extent, TimeSpan, testing};
     use serde_json::json;
 
     const EXTENT: Extent = Extent { width: 6, height: 5 };
@@ -199,7 +199,7 @@ mod tests {
             let i = 10.0 * (pixel as u32 % EXTENT.width + 1) as f32;
             band.push([(0, i), (20_000_000, i), (60_000_000, 2.0 * i)]);
         }
-        Light::in_memory(Arc::new(LightMeta { extent: EXTENT, span: TimeSpan::new(0, LENGTH_NS), count_hint: None }), band)
+        Light::in_memory(Arc::new(LightMeta { extent: EXTENT, span: TimeSpan::new(0, LENGTH_NS), colour: Colour::Mono, count_hint: None }), band)
     }
 
     fn node() -> SimulateSensor {
@@ -267,7 +267,7 @@ mod tests {
         for _ in 0..EXTENT.pixels() {
             band.push((0..=250).map(|k| (400_000 * k, (10.0 * libm::exp(0.008 * k as f64)) as f32)));
         }
-        let light = Light::in_memory(Arc::new(LightMeta { extent: EXTENT, span: TimeSpan::new(0, LENGTH_NS), count_hint: None }), band);
+        let light = Light::in_memory(Arc::new(LightMeta { extent: EXTENT, span: TimeSpan::new(0, LENGTH_NS), colour: Colour::Mono, count_hint: None }), band);
         let mut sensor = sensor(effects);
         sensor.readout.refractory = Some(Duration::new(refractory_ns));
         let input = In { light, sensor: Arc::new(sensor) };

@@ -8,8 +8,8 @@ use super::instants::Sampler;
 use super::scenes::Scene;
 use photocurrent_core::quantity::{Duration, Illuminance, Rate};
 use photocurrent_core::{
-    Context, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Light, LightBand, LightMeta, Meta, NodeError, Rows, Sensor,
-    TimeSpan, Truth,
+    Colour, Context, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Light, LightBand, LightMeta, Meta, NodeError, Rows,
+    Sensor, TimeSpan, Truth,
 };
 use photocurrent_sensor::exposure::DigitalNumber;
 use rayon::prelude::*;
@@ -58,7 +58,7 @@ impl Metas {
     /// When there would be far too many true frames.
     pub fn new(extent: Extent, duration_ns: i64, instants: f64, truth: TruthParams) -> Result<Metas, NodeError> {
         let count_hint = Some((extent.pixels() as f64 * instants) as u64);
-        let light = LightMeta { extent, span: TimeSpan::new(0, duration_ns), count_hint };
+        let light = LightMeta { extent, span: TimeSpan::new(0, duration_ns), colour: Colour::Mono, count_hint };
         Ok(Metas { light, truth: truth_meta(extent, duration_ns, truth)? })
     }
 
@@ -85,7 +85,7 @@ impl Metas {
             }
             bands.push(band);
         }
-        let band = if bands.is_empty() { LightBand::begin(rows.start, self.light.extent.width) } else { joined(bands) };
+        let band = if bands.is_empty() { LightBand::begin(rows.start, self.light.extent.width * self.light.colour.channels()) } else { joined(bands) };
         Out { light: Light::in_memory(Arc::new(self.light), band), truth: Truth(FrameSequence::in_memory(Arc::new(self.truth), truth)) }
     }
 }
@@ -108,7 +108,7 @@ fn truth_meta(extent: Extent, duration_ns: i64, truth: TruthParams) -> Result<Fr
     }
     let instants = (0..).map(|k| (k as f64 * period).round() as i64).take_while(|t| *t < duration_ns);
     let times = FrameTimes::new(instants.map(|t| Exposure::new(t, t + 1)).collect(), 0)?;
-    Ok(FramesMeta { extent, channels: 1, times, scale: FrameScale::Nominal { exposure_ns: truth.exposure.ns() } })
+    Ok(FramesMeta { extent, colour: Colour::Mono, times, scale: FrameScale::Nominal { exposure_ns: truth.exposure.ns() } })
 }
 
 /// What a source of light needs to know of the sensor.

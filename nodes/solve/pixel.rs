@@ -11,14 +11,21 @@
 //! the end of exposure l+1, and its answer counts until exposure l+1 starts. The first window reaches back to the recording's start, the
 //! last one on to its end. `frames = "all"` solves one problem over the whole recording instead.
 //!
-//! Limits: grey frames at the events' resolution. A saturated value counts as the light of saturation, which is a lower bound. A pixel whose
+//! Frames may have colours, a mosaic of filters, or several pixels on each event pixel: every value of a frame is then a problem of its own with the events of
+//! the event pixel that it lies on, posed in that pixel's light ([`shares`]).
+//!
+//! Limits: colours that change are followed from problem to problem ([`photocurrent_sensor::pooling`] says where that fails). A saturated value counts as the light of saturation, which is a lower bound. A pixel whose
 //! problem does not converge gets the safe estimate (a double integral) and is counted; the `map` output shows where.
 
+#[cfg(test)]
+mod colour_tests;
 pub(crate) mod map;
 mod paper;
+pub(crate) mod shares;
 #[cfg(test)]
 mod tests;
 
+use crate::co_located::{CoLocated, values_of};
 use crate::compensate::readout::check_events;
 use crate::pixel_events::{Stamp, StepRule, clock_offset, left_out};
 use map::FrameNoise;
@@ -26,13 +33,14 @@ use photocurrent_core::handle::Band;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{
-    Between, Context, Decl, EventStream, EventsMeta, Exposure, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet, Meta, Node, NodeError,
-    PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
+    Between, Colour, Context, Decl, EventStream, EventsMeta, Exposure, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet, Meta, Node,
+    NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
 };
 use photocurrent_sensor::front_end::FrontEnd;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use shares::Colours;
 use std::sync::Arc;
 
 /// What is solved for.
@@ -177,7 +185,7 @@ photocurrent_core::ports! {
     pub struct In {
         /// Events; in-pixel times when `readout = "slope"`.
         events: EventStream,
-        /// Captured frames of the same pixels; at least one.
+        /// Captured frames of the same pixels, or of a whole number of pixels along the side of each event pixel; grey, colour or a mosaic. At least one.
         frames: FrameSequence,
         /// Thresholds, gain, and what the chosen models need.
         sensor: Arc<Sensor>,
@@ -187,7 +195,7 @@ photocurrent_core::ports! {
 photocurrent_core::ports! {
     /// Outputs.
     pub struct Out {
-        /// Photocurrent of every pixel over time.
+        /// Photocurrent of every value of the frames over time.
         tracks: TrackSet,
         /// How the solution went: planes `status` (0 converged, 1 safe estimate, 2 saturated, 3 no usable frame), `iterations` (largest), `cost` (sum).
         map: MapSet,
@@ -295,13 +303,7 @@ impl SolvePixel {
     }
 
     pub(crate) fn tracks_meta(&self, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
-        if events.extent != frames.extent {
-            return Err(NodeError::usage(format!("events are {}, frames are {}", events.extent, frames.extent))
-                .hint("frames and events must come from the same pixels"));
-        }
-        if frames.channels != 1 {
-            return Err(NodeError::usage(format!("frames have {} channels; solve/pixel takes grey frames", frames.channels)));
-        }
+        let lie = CoLocated::new(events, frames)?;
         if frames.scale != FrameScale::Captured {
             return Err(
                 NodeError::usage("frames are rendered, not captured: their values do not belong to their exposures").hint("connect the recording's frames")
@@ -311,16 +313,20 @@ impl SolvePixel {
             return Err(NodeError::usage("there is no frame, and events alone leave the photocurrent's level open").hint("give at least one frame"));
         };
         Ok(TracksMeta {
-            extent: events.extent,
+            extent: frames.extent,
+            colour: frames.colour,
             span: events.span.map_or(covered, |span| span.union(covered)),
             nominal_exposure_ns,
             between: match self.params.method {
                 Method::Paper => Between::Hold,
                 Method::Map => Between::LogLinear,
             },
-            count_hint: events.count_hint.map(|n| match self.params.method {
-                Method::Paper => 2 * n + (frames.times.len() * frames.extent.pixels()) as u64,
-                Method::Map => 4 * n + 8 * (frames.times.len() * frames.extent.pixels()) as u64,
+            count_hint: events.count_hint.map(|n| {
+                let (copies, values) = (u64::from(lie.ratio * lie.ratio * lie.colour.channels()), values_of(frames.extent, frames.colour).pixels());
+                match self.params.method {
+                    Method::Paper => 2 * copies * n + (frames.times.len() * values) as u64,
+                    Method::Map => 4 * copies * n + 8 * (frames.times.len() * values) as u64,
+                }
             }),
         })
     }
@@ -352,10 +358,21 @@ params = { front_end = "low_pass", readout = "slope", cis_weight = 1.0, evs_weig
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
-        self.model(inputs.sensor("sensor")?, events)?;
+        let sensor = inputs.sensor("sensor")?;
+        self.model(sensor, events)?;
         let tracks = self.tracks_meta(events, frames)?;
+        Colours::new(CoLocated::new(events, frames)?, sensor)?;
         let map = map_meta(tracks.extent);
         Ok(vec![Meta::Tracks(Arc::new(tracks)), Meta::Map(Arc::new(map))])
+    }
+
+    fn grain(&self, inputs: &PortMetas) -> Grain {
+        // The rows of a block share an event pixel.
+        let lie = inputs.events("events").and_then(|events| CoLocated::new(events, inputs.frames("frames")?));
+        match lie {
+            Ok(CoLocated { ratio, .. }) if ratio > 1 => Grain::Row { halo: ratio - 1 },
+            _ => Self::DECL.grain,
+        }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -371,16 +388,20 @@ params = { front_end = "low_pass", readout = "slope", cis_weight = 1.0, evs_weig
         }
         let rows = cx.rows();
         cx.begin(rows.len() as u64, "rows");
-        let events = input.events.read(rows)?;
-        let frames = input.frames.read_rows(rows)?;
+        let colours = Colours::new(CoLocated::new(&input.events.meta, &input.frames.meta)?, &input.sensor)?;
+        let events = colours.lie.read(&input.events, rows)?;
+        let frames = input.frames.read_rows(rows.with_halo(colours.halo(), meta.extent.rows()))?;
+        // To the solvers, every value of a row is a pixel.
+        let wide = TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta.clone() };
         let solve_row = |(workspace, finer): &mut (paper::RowSolver, map::RowSolver), row: u32| -> Result<(TrackBand, MapBand), NodeError> {
             let exposures: Vec<Exposure> = (0..input.frames.len()).map(|l| input.frames.meta.times.exposure(l, row)).collect();
-            let band = match self.params.method {
-                Method::Paper => workspace.row(&self.params, &model, &meta, row, events.row(row), &frames, &exposures)?,
-                Method::Map => finer.row(&self.params, &model, &meta, row, events.row(row), &frames, &exposures),
+            let shares = colours.row(&model, &frames, row);
+            let (tracks, map) = match self.params.method {
+                Method::Paper => workspace.row(&self.params, &model, &wide, row, events.row(row), &frames, &exposures, &shares)?,
+                Method::Map => finer.row(&self.params, &model, &wide, row, events.row(row), &frames, &exposures, &shares),
             };
             cx.advance(1)?;
-            Ok(band)
+            Ok((tracks, of_pixels(map, &meta)))
         };
         let solved: Result<Vec<_>, NodeError> = rows.iter().into_par_iter().map_init(Default::default, solve_row).collect();
         let (tracks, maps): (Vec<TrackBand>, Vec<MapBand>) = solved?.into_iter().unzip();
@@ -392,6 +413,23 @@ params = { front_end = "low_pass", readout = "slope", cis_weight = 1.0, evs_weig
 
 fn map_meta(extent: photocurrent_core::Extent) -> MapMeta {
     MapMeta { extent, planes: PLANES.map(String::from).to_vec() }
+}
+
+/// The worst, the largest and the sum over the values of each pixel.
+fn of_pixels(values: MapBand, meta: &TracksMeta) -> MapBand {
+    let channels = meta.colour.channels() as usize;
+    if channels == 1 {
+        return values;
+    }
+    let mut map = MapBand::zeros(values.rows(), &map_meta(meta.extent));
+    for row in values.rows().iter() {
+        for (plane, name) in PLANES.iter().enumerate() {
+            for (out, of_pixel) in map.row_mut(plane, row).iter_mut().zip(values.row(plane, row).chunks_exact(channels)) {
+                *out = if *name == "cost" { of_pixel.iter().sum() } else { of_pixel.iter().copied().fold(0.0, f32::max) };
+            }
+        }
+    }
+    map
 }
 
 fn report(map: &MapBand, cx: &Context) {

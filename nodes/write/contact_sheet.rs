@@ -198,14 +198,11 @@ impl WriteContactSheet {
                 return Err(NodeError::usage(format!("\"{label}\" has {} pixels, and \"{first_label}\" has {}", meta.extent, first.extent))
                     .hint("a contact sheet compares frames of one extent; draw one sheet for each"));
             }
-            if meta.channels != 1 && meta.channels != 3 {
-                return Err(NodeError::usage(format!("\"{label}\" has {} channels; only grey (1) and RGB (3) can be drawn", meta.channels)));
-            }
             if meta.times.is_empty() {
                 return Err(NodeError::usage(format!("\"{label}\" has no frame to show")).hint("look at the time window of the node that makes it"));
             }
         }
-        if let Some(events) = events.filter(|events| events.extent != first.extent) {
+        if let Some(events) = events.filter(|events| first.extent.multiple_of(events.extent).is_none()) {
             return Err(NodeError::usage(format!("the events have {} pixels, and \"{first_label}\" has {}", events.extent, first.extent))
                 .hint("connect events and frames of one sensor, or leave `events` out"));
         }
@@ -332,10 +329,11 @@ params = { labels = ["kept", "held out"], columns = 4, window = "5 ms" }
         }
         let windows = self.windows(&instants, &metas);
         let shift_ns = input.sensor.as_deref().map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
-        let counts = input.events.as_ref().map(|events| counted(events, &windows, shift_ns, crop)).transpose()?;
+        let ratio = |events: &EventStream| metas[0].extent.multiple_of(events.meta.extent).unwrap_or(1);
+        let counts = input.events.as_ref().map(|events| counted(events, ratio(events), &windows, shift_ns, crop)).transpose()?;
         let events_row = if counts.is_some() { row_of_events(&sequences, input.truth.is_some()) } else { usize::MAX };
 
-        let colourful = counts.is_some() || metas.iter().any(|meta| meta.channels == 3);
+        let colourful = counts.is_some() || metas.iter().any(|meta| meta.channels() == 3);
         let channels = if colourful { 3 } else { 1 };
         let (width, height) = (layout.width() as u32, layout.height() as u32);
         let mut sheet = Sheet { width, channels, bytes: vec![255; width as usize * height as usize * channels as usize] };
@@ -347,7 +345,7 @@ params = { labels = ["kept", "held out"], columns = 4, window = "5 ms" }
             let r = r + usize::from(r >= events_row);
             sheet.begin_row(&layout, r, label);
             for (column, shown) in row.iter().enumerate() {
-                let grey_or_colour = shown.dn.chunks(frames.meta.channels as usize).map(|dn| displayed(range, dn));
+                let grey_or_colour = shown.dn.chunks(frames.meta.channels() as usize).map(|dn| displayed(range, dn));
                 sheet.picture(&layout, (column, r), grey_or_colour);
             }
         }
@@ -389,7 +387,7 @@ params = { labels = ["kept", "held out"], columns = 4, window = "5 ms" }
 fn read_cropped(frames: &FrameSequence, frame: usize, crop: Crop) -> Result<Shown, NodeError> {
     let rows = Rows { start: crop.y, end: crop.y + crop.height };
     let block = frames.read(frame..frame + 1, rows)?;
-    let channels = frames.meta.channels as usize;
+    let channels = frames.meta.channels() as usize;
     let columns = crop.x as usize * channels..(crop.x + crop.width) as usize * channels;
     let dn = rows.iter().flat_map(|row| block.row(frame, row)[columns.clone()].iter().copied()).collect();
     Ok(Shown { frame, t_ns: frames.meta.times.exposures[frame].mid().0, dn })

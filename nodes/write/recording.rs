@@ -92,8 +92,13 @@ params = { numbers = "u16" }
             return Err(NodeError::usage("there is nothing to record: neither `events` nor `frames` is connected").hint("connect at least one of them"));
         }
         let sizes: Vec<(&str, Extent)> = inputs.iter().filter_map(|(port, meta)| Some((port, extent_of(meta)?))).collect();
-        if let Some((port, extent)) = sizes.iter().find(|(_, extent)| *extent != sizes[0].1) {
-            return Err(NodeError::usage(format!("`{port}` is {extent}, and `{}` is {}", sizes[0].0, sizes[0].1)).hint("one recording is of one sensor"));
+        // The events' pixels are the sensor's, or else the frames'; frames and truth may have several on each.
+        if let Some((port, extent)) = sizes.iter().find(|(port, extent)| match (*port, extent.multiple_of(sizes[0].1)) {
+            ("events", times) => times != Some(1),
+            (_, times) => times.is_none(),
+        }) {
+            return Err(NodeError::usage(format!("`{port}` is {extent}, and `{}` is {}", sizes[0].0, sizes[0].1))
+                .hint("one recording is of one sensor: frames have the events' extent or a whole multiple of it"));
         }
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
     }

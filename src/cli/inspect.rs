@@ -48,6 +48,10 @@ pub fn inspect(options: &InspectOptions) -> Done {
             let exposure = frames.exposure.map(|e| format!("exposure {} us, ", e.median_ns as f64 / 1e3)).unwrap_or_default();
             let row_time = frames.row_time_ns.map_or("not stated".to_string(), |ns| if ns == 0 { "0 (global shutter)".into() } else { format!("{ns} ns") });
             let _ = writeln!(text, "         {rate}{exposure}row time {row_time}, {}, {}", frames.colour, frames.number_type);
+            let per_event_pixel = frames.pixels_per_event_pixel;
+            if per_event_pixel > 1 {
+                let _ = writeln!(text, "         {} x {} pixels, {per_event_pixel} x {per_event_pixel} on each event pixel", frames.width, frames.height);
+            }
         }
     }
     match &found.truth {

@@ -18,6 +18,19 @@ impl Extent {
         self.width as usize * self.height as usize
     }
 
+    /// How many of these pixels lie along the side of one of `coarse`; `None` when it is no whole number, or another one for width and height.
+    ///
+    /// ```
+    /// use photocurrent_core::Extent;
+    /// let of = |width, height| Extent { width, height };
+    /// assert_eq!(of(12, 8).multiple_of(of(3, 2)), Some(4));
+    /// assert_eq!(of(12, 8).multiple_of(of(6, 8)), None);
+    /// ```
+    pub fn multiple_of(&self, coarse: Extent) -> Option<u32> {
+        let ratio = self.width.checked_div(coarse.width)?;
+        (ratio > 0 && coarse.width.checked_mul(ratio) == Some(self.width) && coarse.height.checked_mul(ratio) == Some(self.height)).then_some(ratio)
+    }
+
     /// All rows.
     pub fn rows(&self) -> Rows {
         Rows { start: 0, end: self.height }

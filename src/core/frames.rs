@@ -4,6 +4,7 @@
 //! frame, and how much later each further row starts. A captured frame's DN belongs to its own exposure;
 //! a rendered one's is scaled to a nominal exposure, so that it compares with what the sensor records ([`FrameScale`]).
 
+use crate::colour::Colour;
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
 use crate::extent::{Extent, Rows};
@@ -100,8 +101,9 @@ pub enum FrameScale {
 pub struct FramesMeta {
     /// Size of the pictures in pixels.
     pub extent: Extent,
-    /// Values per pixel: 1 for grey (and for a mosaic), 3 for colour.
-    pub channels: u32,
+    /// Grey, red, green and blue, or a mosaic of filters.
+    #[serde(default)]
+    pub colour: Colour,
     /// Exposures.
     pub times: FrameTimes,
     /// What one DN stands for.
@@ -109,14 +111,23 @@ pub struct FramesMeta {
 }
 
 impl FramesMeta {
+    /// Values per pixel: 1 for grey and for a mosaic, 3 for colour.
+    pub fn channels(&self) -> u32 {
+        self.colour.channels()
+    }
+
     /// Number of f32 values in one row of one frame.
     pub fn row_values(&self) -> usize {
-        self.extent.width as usize * self.channels as usize
+        self.extent.width as usize * self.channels() as usize
     }
 
     /// Writes every attribute that is part of the content.
     pub fn write_digest(&self, digest: &mut DigestBuilder) {
-        digest.text("frames/1").integer(self.extent.width.into()).integer(self.extent.height.into()).integer(self.channels.into());
+        digest.text("frames/1").integer(self.extent.width.into()).integer(self.extent.height.into()).integer(self.channels().into());
+        // Grey frames and three channels are the content they were before mosaics had a name.
+        if self.colour.is_mosaic() {
+            digest.text(self.colour.name());
+        }
         self.times.write_digest(digest);
         digest.integer(match self.scale {
             FrameScale::Captured => -1,
@@ -330,8 +341,12 @@ mod tests {
 
     fn sequence() -> FrameSequence {
         let exposures = (0..4).map(|l| Exposure::new(l * 10, l * 10 + 4)).collect();
-        let meta =
-            FramesMeta { extent: Extent { width: 3, height: 5 }, channels: 1, times: FrameTimes::new(exposures, 2).unwrap(), scale: FrameScale::Captured };
+        let meta = FramesMeta {
+            extent: Extent { width: 3, height: 5 },
+            colour: Colour::Mono,
+            times: FrameTimes::new(exposures, 2).unwrap(),
+            scale: FrameScale::Captured,
+        };
         let mut block = FrameBlock::zeros(0..4, meta.extent.rows(), 3);
         block.dn.iter_mut().enumerate().for_each(|(i, dn)| *dn = i as f32);
         FrameSequence::in_memory(Arc::new(meta), block)

@@ -3,6 +3,7 @@
 //! Nothing here opens a file or starts a thread. In reading order:
 //!
 //! - [`time`], [`extent`], [`quantity`]: instants in nanoseconds, pixels and rows, values with units.
+//! - [`colour`]: grey, three channels, or a mosaic of filters.
 //! - [`events`], [`frames`], [`tracks`], [`light`], [`map`], [`table`], [`sensor`]: the data, each with one canonical order.
 //! - [`value`]: the closed set of things that flow between nodes, and [`value::Meta`], what is known of them before data.
 //! - [`node`], [`ports`], [`context`]: what a node is, what its sockets are, what it may ask while it runs.
@@ -10,6 +11,7 @@
 //! - [`document`], [`schema`]: TOML with its positions kept, so that a mistake can be shown where it stands.
 //! - [`testing`]: small helpers that the tests of several crates share.
 
+pub mod colour;
 pub mod context;
 pub mod digest;
 pub mod document;
@@ -33,6 +35,7 @@ pub mod time;
 pub mod tracks;
 pub mod value;
 
+pub use colour::Colour;
 pub use context::{Context, Notes};
 pub use digest::Digest;
 pub use error::{DataError, NodeError};

@@ -4,6 +4,7 @@
 //! [`crate::tracks`], holds); before the first it is the first, after the last the last. A pixel has at least one instant,
 //! and one is enough where nothing moves. How instants are kept: [`crate::series`].
 
+use crate::colour::Colour;
 use crate::digest::DigestBuilder;
 use crate::extent::Extent;
 use crate::handle::{BandMeta, Handle};
@@ -18,6 +19,9 @@ pub struct LightMeta {
     pub extent: Extent,
     /// The time in which the light is known.
     pub span: TimeSpan,
+    /// Grey, red, green and blue of every pixel (three series, one after the other), or what a mosaic of filters lets through.
+    #[serde(default)]
+    pub colour: Colour,
     /// About how many instants all pixels have together, for memory estimates only: no part of the content.
     pub count_hint: Option<u64>,
 }
@@ -32,11 +36,18 @@ impl BandMeta for LightMeta {
     fn write_digest(&self, digest: &mut DigestBuilder) {
         digest.text("light/1").integer(self.extent.width.into()).integer(self.extent.height.into());
         digest.integer(self.span.start.0).integer(self.span.end.0);
+        if self.colour != Colour::Mono {
+            digest.text(self.colour.name());
+        }
     }
 }
 
 impl SeriesMeta for LightMeta {
     const NAME: &'static str = "light";
+
+    fn colour(&self) -> Colour {
+        self.colour
+    }
 
     fn counted(&self, samples: u64) -> LightMeta {
         LightMeta { count_hint: Some(samples), ..self.clone() }

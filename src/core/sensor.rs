@@ -169,6 +169,9 @@ pub struct Frames {
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<f64>,
+    /// Gain of red, green and blue over `gain`; absent = 1 each: a channel's photocurrent is then counted in what its frames read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub channel_gain: Option<[f64; 3]>,
     /// DN of darkness.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub black_level_dn: Option<f64>,
@@ -198,6 +201,9 @@ pub struct Optics {
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub photocurrent_per_lux: Option<f64>,
+    /// How strongly an event pixel sees the light of the red, green and blue frame pixels that it lies on, relative to each other; absent = every photodiode alike.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub event_weights: Option<[f64; 3]>,
 }
 
 impl Sensor {

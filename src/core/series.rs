@@ -1,8 +1,10 @@
 //! Series: instants and photocurrents of every pixel in flat columns, the common part of tracks and light.
 //!
 //! What happens between two instants is not said here: tracks hold ([`crate::tracks`]), light is linear ([`crate::light`]).
-//! Pixels stand in row-major order, one flat list of samples with an offset per pixel, so a row band is one contiguous piece.
+//! Pixels stand in row-major order, one flat list of samples with an offset per pixel, so a row band is one contiguous piece. A pixel of three colours has
+//! three series side by side, as if the row were three times as wide.
 
+use crate::colour::Colour;
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
 use crate::extent::Rows;
@@ -14,6 +16,14 @@ use std::marker::PhantomData;
 pub trait SeriesMeta: BandMeta<Band = SeriesBand<Self>> + Clone + fmt::Debug + PartialEq {
     /// The name of the data type, `tracks`: it stands in the digests of rows, in messages and in the layout of the store.
     const NAME: &'static str;
+
+    /// Grey, or the colours whose series stand beside each other.
+    fn colour(&self) -> Colour;
+
+    /// Series in a row: one for every pixel, or three, at `x * channels + channel`.
+    fn row_series(&self) -> u32 {
+        self.extent().width * self.colour().channels()
+    }
 
     /// The same, with about how many samples there are.
     fn counted(&self, samples: u64) -> Self;

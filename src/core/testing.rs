@@ -1,5 +1,6 @@
 //! Small helpers that the tests of several crates share: made-up data of every type, and a context to run a node in.
 
+use crate::colour::Colour;
 use crate::context::{Context, Notes, Silent};
 use crate::events::{Event, EventBand, EventStream, EventsMeta, Polarity};
 use crate::extent::{Extent, Rows};
@@ -60,7 +61,7 @@ pub fn frames(width: u32, height: u32, count: usize) -> FrameSequence {
 /// When the exposures are not in order.
 pub fn captured(extent: Extent, exposures: Vec<Exposure>, row_time_ns: i64, mut dn: impl FnMut(usize, u32, u32) -> f32) -> FrameSequence {
     let times = FrameTimes::new(exposures, row_time_ns).expect("test exposures are in order");
-    let meta = FramesMeta { extent, channels: 1, times, scale: FrameScale::Captured };
+    let meta = FramesMeta { extent, colour: Colour::Mono, times, scale: FrameScale::Captured };
     let mut block = FrameBlock::zeros(0..meta.times.len(), extent.rows(), extent.width as usize);
     for frame in 0..meta.times.len() {
         for y in 0..extent.height {
@@ -87,7 +88,14 @@ pub fn tracks(width: u32, height: u32) -> TrackSet {
             .collect();
         band.push(knots);
     }
-    let meta = TracksMeta { extent, span: TimeSpan::new(0, 100_000_000), nominal_exposure_ns: 4_000_000, between: Between::Hold, count_hint: None };
+    let meta = TracksMeta {
+        extent,
+        span: TimeSpan::new(0, 100_000_000),
+        nominal_exposure_ns: 4_000_000,
+        between: Between::Hold,
+        colour: Colour::Mono,
+        count_hint: None,
+    };
     TrackSet::in_memory(Arc::new(meta), band)
 }
 
@@ -106,7 +114,7 @@ pub fn light(width: u32, height: u32) -> Light {
             .collect();
         band.push(instants);
     }
-    let meta = LightMeta { extent, span: TimeSpan::new(0, 100_000_000), count_hint: None };
+    let meta = LightMeta { extent, span: TimeSpan::new(0, 100_000_000), colour: Colour::Mono, count_hint: None };
     Light::in_memory(Arc::new(meta), band)
 }
 

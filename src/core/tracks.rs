@@ -4,6 +4,7 @@
 //! knot k lasts until knot k+1 (the paper's zero-order hold), or its logarithm goes over linearly. Before the first knot its value holds,
 //! after the last one the last. How knots are kept: [`crate::series`].
 
+use crate::colour::Colour;
 use crate::digest::DigestBuilder;
 use crate::extent::Extent;
 use crate::handle::{BandMeta, Handle};
@@ -34,6 +35,9 @@ pub struct TracksMeta {
     /// What happens between two knots.
     #[serde(default)]
     pub between: Between,
+    /// Grey, red, green and blue of every pixel (three tracks, one after the other), or a mosaic.
+    #[serde(default)]
+    pub colour: Colour,
     /// About how many knots, for memory estimates only: no part of the content.
     pub count_hint: Option<u64>,
 }
@@ -52,11 +56,18 @@ impl BandMeta for TracksMeta {
         if self.between == Between::LogLinear {
             digest.text("log_linear");
         }
+        if self.colour != Colour::Mono {
+            digest.text(self.colour.name());
+        }
     }
 }
 
 impl SeriesMeta for TracksMeta {
     const NAME: &'static str = "tracks";
+
+    fn colour(&self) -> Colour {
+        self.colour
+    }
 
     fn counted(&self, samples: u64) -> TracksMeta {
         TracksMeta { count_hint: Some(samples), ..self.clone() }
@@ -74,7 +85,14 @@ mod tests {
     use super::*;
 
     fn meta(between: Between) -> TracksMeta {
-        TracksMeta { extent: Extent { width: 2, height: 1 }, span: TimeSpan::new(0, 10), nominal_exposure_ns: 5, between, count_hint: None }
+        TracksMeta {
+            extent: Extent { width: 2, height: 1 },
+            span: TimeSpan::new(0, 10),
+            nominal_exposure_ns: 5,
+            between,
+            colour: Colour::Mono,
+            count_hint: None,
+        }
     }
 
     #[test]

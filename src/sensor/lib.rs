@@ -14,6 +14,7 @@
 //! - [`front_end`]: photocurrent to front-end voltage, a light-dependent low-pass, Eqs. (1)-(3).
 //! - [`comparator`]: when a voltage change becomes an event, Eq. (4).
 //! - [`readout`]: the voltage change missed during readout and refractory period, Eqs. (9)-(12).
+//! - [`pooling`]: the light of an event pixel that lies on several frame pixels or colours.
 //! - [`exposure`]: row timing and the exposure integral of a frame, Eq. (5).
 //! - [`forward`]: light in, events and frame values out, for one pixel.
 //! - [`residuals`]: measured minus predicted for a candidate photocurrent, with its Jacobian.
@@ -33,6 +34,7 @@ pub mod front_end;
 pub mod inverse;
 pub mod lanes;
 pub mod map;
+pub mod pooling;
 pub mod readout;
 pub mod residuals;
 pub mod scalar;

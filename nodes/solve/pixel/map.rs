@@ -1,5 +1,6 @@
 //! `method = "map"`: a row of pixels cut out of the recording, and their most probable light put together.
 
+use super::shares::RowShares;
 use super::{MAP_STEPS, Model, PLANES, Params, Status, map_meta};
 use photocurrent_core::events::EventRow;
 use photocurrent_core::{Exposure, FrameBlock, MapBand, Rows, Sensor, TrackBand, TracksMeta};
@@ -57,6 +58,8 @@ pub(crate) struct RowSolver {
     first_event: Vec<usize>,
     frames: Vec<MapFrame>,
     first_frame: Vec<usize>,
+    /// Light of a frame's value over that of its event pixel, in which its problem is posed.
+    light_ratio: Vec<f64>,
     knots: Vec<(i64, f32)>,
 }
 
@@ -70,8 +73,9 @@ impl RowSolver {
         events: EventRow,
         frames: &FrameBlock,
         exposures: &[Exposure],
+        shares: &RowShares,
     ) -> (TrackBand, MapBand) {
-        let setting = self.prepare(params, model, meta, row, events, frames, exposures);
+        let setting = self.prepare(params, model, meta, row, events, frames, exposures, shares);
         self.solve(model, &setting, meta, row, None)
     }
 
@@ -85,10 +89,11 @@ impl RowSolver {
         events: EventRow,
         frames: &FrameBlock,
         exposures: &[Exposure],
+        shares: &RowShares,
     ) -> RowSetting {
         let width = meta.extent.width as usize;
         self.take_events(model, &events, width as u32);
-        self.take_frames(model, frames, row, width, exposures);
+        self.take_frames(model, frames, row, width, exposures, shares);
         let (first, last) = (exposures[0], exposures[exposures.len() - 1]);
         let span = (i64::min(meta.span.start.0, first.start.0), i64::max(meta.span.end.0, last.end.0));
         let mut options =
@@ -119,13 +124,13 @@ impl RowSolver {
             self.knots.clear();
             let mut values = [Status::NoFrame as u8 as f32, 0.0, 0.0];
             if self.first_frame[x + 1] > self.first_frame[x] {
-                let RowSolver { workspace, events, first_event, frames, first_frame, knots } = self;
+                let RowSolver { workspace, events, first_event, frames, first_frame, light_ratio, knots } = self;
                 let problem = MapProblem {
                     hints: hints.map_or(&[], |hints| hints[x].as_slice()),
                     ..problem(model, &events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]], span, noise)
                 };
                 let solution = solve(&problem, &options, workspace);
-                thin(&solution, knots);
+                thin(&solution, light_ratio[x], knots);
                 let status = match solution.status {
                     MapStatus::Failed => Status::SafeEstimate,
                     _ if problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
@@ -158,16 +163,20 @@ impl RowSolver {
         self.first_event.push(self.events.len());
     }
 
-    fn take_frames(&mut self, model: &Model, frames: &FrameBlock, row: u32, width: usize, exposures: &[Exposure]) {
+    fn take_frames(&mut self, model: &Model, frames: &FrameBlock, row: u32, width: usize, exposures: &[Exposure], shares: &RowShares) {
         self.frames.clear();
+        self.light_ratio.clear();
         self.first_frame.clear();
         for x in 0..width {
             self.first_frame.push(self.frames.len());
+            let share = shares.of(x, 0..exposures.len());
+            self.light_ratio.push(share.ratio);
             for (l, exposure) in exposures.iter().enumerate() {
                 let dn = f64::from(frames.row(l, row)[x]);
                 if dn.is_finite() {
                     let saturated = dn >= model.saturation_dn;
-                    let sigma_dn = model.frame_noise.sigma_dn(dn - model.black_level);
+                    let sigma_dn = share.sigma(model.frame_noise.sigma_dn(dn - model.black_level));
+                    let dn = share.dn(dn, model.black_level);
                     self.frames.push(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated });
                 }
             }
@@ -206,10 +215,10 @@ fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], sp
     MapProblem { events, frames, hints: &[], start_ns: span.0, end_ns: span.1, sensor, noise, stamp_sigma_s: model.stamp_sigma_s, silence_sigma: SILENCE_SIGMA }
 }
 
-/// Keeps as few knots as join up to the same line within [`THINNED_TO`].
-fn thin(solution: &MapSolution<'_>, knots: &mut Vec<(i64, f32)>) {
+/// Keeps as few knots as join up to the same line within [`THINNED_TO`], all times `light_ratio`.
+fn thin(solution: &MapSolution<'_>, light_ratio: f64, knots: &mut Vec<(i64, f32)>) {
     let (t, u) = (solution.t_ns, solution.log_photocurrent);
-    let mut keep = |k: usize| knots.push((t[k], libm::exp(u[k]) as f32));
+    let mut keep = |k: usize| knots.push((t[k], (libm::exp(u[k]) * light_ratio) as f32));
     keep(0);
     // The slopes from the last kept knot that pass every knot since within the tolerance.
     let (mut anchor, mut low, mut high) = (0, f64::NEG_INFINITY, f64::INFINITY);

@@ -3,6 +3,7 @@
 //! All problems of a row are gathered first. In single precision those with equally many frames are then solved sixteen at a time, shortest first, so that the
 //! pixels of a group need about the same time; what the group hands back, and what has no steps at all, is solved one by one in double precision.
 
+use super::shares::{RowShares, Share};
 use super::{FirstKnot, Joint, Model, Params, Precision, ReadoutModel, Status, TauChoice, map_meta};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::{Exposure, FrameBlock, MapBand, NodeError, Rows, TrackBand, TracksMeta};
@@ -34,6 +35,8 @@ pub(super) struct RowSolver {
 struct Problem {
     knots: Range<usize>,
     samples: Range<usize>,
+    /// Light of the frame's value over that of its event pixel, in which the problem is posed.
+    light_ratio: f64,
     status: Status,
     iterations: usize,
     cost: f64,
@@ -49,6 +52,7 @@ impl RowSolver {
         events: EventRow,
         frames: &FrameBlock,
         exposures: &[Exposure],
+        shares: &RowShares,
     ) -> Result<(TrackBand, MapBand), NodeError> {
         let index = events.by_pixel(meta.extent.width);
         let windows = windows(params.frames, exposures, meta);
@@ -59,7 +63,8 @@ impl RowSolver {
         for x in 0..meta.extent.width as usize {
             self.take_events(params, model, &events, &index, x);
             for window in &windows {
-                self.take_window(params, model, window, exposures, |l| frames.row(l, row)[x]);
+                let share = shares.of(x, window.frames.clone());
+                self.take_window(params, model, window, exposures, share, |l| frames.row(l, row)[x]);
             }
         }
         self.solve(params, model)?;
@@ -75,7 +80,7 @@ impl RowSolver {
                 for (k, at) in problem.knots.clone().enumerate() {
                     let t = window.start + (self.t_s[at] * 1e9).round() as i64;
                     if problem.status != Status::NoFrame && (k == 0 || t < window.counts_until) {
-                        self.knots.push((t, libm::exp(self.log_photocurrent[at]) as f32));
+                        self.knots.push((t, (libm::exp(self.log_photocurrent[at]) * problem.light_ratio) as f32));
                     }
                 }
             }
@@ -114,12 +119,16 @@ impl RowSolver {
     }
 
     /// Appends the problem of one window of the pixel whose events were taken.
-    fn take_window(&mut self, params: &Params, model: &Model, window: &Window, exposures: &[Exposure], dn: impl Fn(usize) -> f32) {
+    fn take_window(&mut self, params: &Params, model: &Model, window: &Window, exposures: &[Exposure], share: Share, dn: impl Fn(usize) -> f32) {
         let seconds = |t: i64| (t - window.start) as f64 * 1e-9;
         let (first_sample, first_at) = (self.samples.len(), self.t_s.len());
         let mut status = Status::Converged;
-        let sample =
-            |l: usize, dn: f64| FrameSample { start_s: seconds(exposures[l].start.0), end_s: seconds(exposures[l].end.0), dn, weight: params.cis_weight };
+        let sample = |l: usize, dn: f64| FrameSample {
+            start_s: seconds(exposures[l].start.0),
+            end_s: seconds(exposures[l].end.0),
+            dn: share.dn(dn, model.black_level),
+            weight: share.weight(params.cis_weight),
+        };
         let known = || window.frames.clone().map(|l| (l, f64::from(dn(l)))).filter(|(_, dn)| dn.is_finite());
         self.samples.extend(known().filter(|(_, dn)| *dn < model.saturation_dn).map(|(l, dn)| sample(l, dn)));
         if self.samples.len() == first_sample {
@@ -142,7 +151,8 @@ impl RowSolver {
                 self.steps.push(self.event_step[k]);
             }
         }
-        self.problems.push(Problem { knots: first_at..self.t_s.len(), samples: first_sample..self.samples.len(), status, iterations: 0, cost: 0.0 });
+        let (knots, samples) = (first_at..self.t_s.len(), first_sample..self.samples.len());
+        self.problems.push(Problem { knots, samples, light_ratio: share.ratio, status, iterations: 0, cost: 0.0 });
     }
 
     /// Solves all problems of the row.

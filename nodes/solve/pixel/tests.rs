@@ -10,7 +10,7 @@ use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
 use photocurrent_core::{Extent, Rows, testing};
 
-fn sensor() -> Arc<Sensor> {
+pub(super) fn sensor() -> Arc<Sensor> {
     let mut sensor = Sensor::unknown("test");
     sensor.front_end.tau_0 = Some(Duration::new(20_000));
     sensor.front_end.alpha = Some(Duration::new(2_000_000));
@@ -35,7 +35,7 @@ fn ideal() -> Params {
 const EXTENT: Extent = Extent { width: 5, height: 4 };
 
 /// A walk of ON and OFF around zero net change, so that no pixel runs away.
-fn walk(extent: Extent, until_ns: i64) -> EventStream {
+pub(super) fn walk(extent: Extent, until_ns: i64) -> EventStream {
     let mut events = Vec::new();
     for y in 0..extent.height {
         for x in 0..extent.width {
@@ -53,7 +53,7 @@ fn walk(extent: Extent, until_ns: i64) -> EventStream {
     testing::stream(extent, events)
 }
 
-fn exposures(count: i64) -> Vec<Exposure> {
+pub(super) fn exposures(count: i64) -> Vec<Exposure> {
     (0..count).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 6_000_000)).collect()
 }
 

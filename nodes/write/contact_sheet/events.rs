@@ -4,7 +4,8 @@
 //! only one polarity is a pure tint, and one that saw both (something narrow passed) is purple-grey to black instead of looking idle.
 
 use super::Crop;
-use photocurrent_core::{EventStream, NodeError, Rows, TimeSpan};
+use crate::co_located::CoLocated;
+use photocurrent_core::{Colour, EventStream, NodeError, Rows, TimeSpan};
 
 /// Rows that are read at a time, so that a long recording need not fit into memory.
 const BAND_ROWS: u32 = 32;
@@ -17,11 +18,13 @@ pub(super) type Count = [u32; 2];
 ///
 /// # Errors
 /// When the events cannot be read.
-pub(super) fn counted(events: &EventStream, windows: &[TimeSpan], shift_ns: i64, crop: Crop) -> Result<Vec<Vec<Count>>, NodeError> {
+/// Rows and columns of the crop are pixels of the frames, of which `ratio` lie along the side of an event pixel: each shows its event pixel.
+pub(super) fn counted(events: &EventStream, ratio: u32, windows: &[TimeSpan], shift_ns: i64, crop: Crop) -> Result<Vec<Vec<Count>>, NodeError> {
     let mut counts = vec![vec![[0; 2]; crop.width as usize * crop.height as usize]; windows.len()];
+    let lie = CoLocated { ratio, colour: Colour::Mono };
     let columns = crop.x..crop.x + crop.width;
     for rows in (Rows { start: crop.y, end: crop.y + crop.height }).bands(BAND_ROWS) {
-        let band = events.read(rows)?;
+        let band = lie.read(events, rows)?;
         for y in rows.iter() {
             let row = band.row(y);
             let start = (y - crop.y) as usize * crop.width as usize;

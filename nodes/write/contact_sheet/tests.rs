@@ -77,7 +77,7 @@ fn a_crop_shows_the_part_that_was_asked_for() {
 #[test]
 fn colour_next_to_grey_gives_a_colour_sheet() {
     let grey = testing::captured(Extent { width: 2, height: 2 }, vec![Exposure::new(0, 10)], 0, |_, x, _| x as f32);
-    let meta = FramesMeta { channels: 3, scale: FrameScale::Captured, ..(*grey.meta).clone() };
+    let meta = FramesMeta { colour: photocurrent_core::Colour::Rgb, scale: FrameScale::Captured, ..(*grey.meta).clone() };
     let block = FrameBlock { frames: 0..1, rows: meta.extent.rows(), row_values: 6, dn: [1.0, 0.0, 0.0].repeat(4) };
     let red = FrameSequence::in_memory(Arc::new(meta), block);
     draw_sheet(Params { columns: 1, scale: Some(1), ..params(&["grey", "red"]) }, vec![grey, red], None, |_, _, folder| {

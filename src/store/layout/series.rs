@@ -78,10 +78,10 @@ pub(super) fn open<M: SeriesMeta>(opened: &Opened, meta: &M) -> Result<Handle<M>
     let n = t.shape.first().copied().unwrap_or(0);
     let source = SeriesSource {
         opened: opened.clone(),
-        width: meta.extent().width as usize,
+        width: meta.row_series() as usize,
         t: column(opened, &name("t"), n)?,
         photocurrent: column(opened, &name("photocurrent"), n)?,
-        pixel_offsets: column(opened, &name("pixel_offsets"), meta.extent().pixels() + 1)?,
+        pixel_offsets: column(opened, &name("pixel_offsets"), meta.row_series() as usize * meta.extent().height as usize + 1)?,
     };
     Ok(Handle::new(Arc::new(meta.counted(n as u64)), meta.extent().rows(), Arc::new(source)))
 }

@@ -5,7 +5,7 @@ use crate::error::StoreError;
 use crate::hdf::Opened;
 use crate::hdf::grid::{Grid, number_type};
 use photocurrent_core::frames::FrameSource;
-use photocurrent_core::{DataError, Exposure, Extent, FrameBlock, Rows, Timestamp};
+use photocurrent_core::{Colour, DataError, Exposure, Extent, FrameBlock, Rows, Timestamp};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ const KEPT_BYTES: usize = 128 << 20;
 pub(super) struct Frames {
     pub exposures: Vec<Exposure>,
     pub row_time_ns: Option<i64>,
-    pub colour: String,
+    pub colour: Colour,
     pub dn: Arc<Numbers>,
 }
 
@@ -31,7 +31,8 @@ pub(super) struct Numbers {
     stored: Stored,
     pub count: usize,
     pub channels: usize,
-    width: usize,
+    /// Size of the pictures: the events' extent or a whole multiple of it.
+    pub extent: Extent,
     rank: usize,
 }
 
@@ -43,7 +44,7 @@ impl Numbers {
         }
     }
 
-    fn open(opened: &Opened, name: &str, extent: Extent, u16_allowed: bool) -> Result<Numbers, StoreError> {
+    fn open(opened: &Opened, name: &str, events: Extent, u16_allowed: bool) -> Result<Numbers, StoreError> {
         let at = format!("/{name}");
         let found = number_type(opened, name)?.map(|kind| kind.to_string());
         let stored = match found.as_deref() {
@@ -59,38 +60,35 @@ impl Numbers {
             Stored::U16(grid) => &grid.shape,
         };
         let rank = shape.len();
-        if !(rank == 3 || (rank == 4 && u16_allowed)) {
-            let expected = if u16_allowed { "[frames, height, width] or [frames, height, width, channels]" } else { "[frames, height, width]" };
+        if !(rank == 3 || rank == 4) {
+            let expected = "[frames, height, width] or [frames, height, width, channels]";
             return Err(opened.content(&at, format!("the shape {shape:?}"), expected, "write all frames as one dataset"));
         }
         let (height, width, channels) = (shape[1], shape[2], shape.get(3).copied().unwrap_or(1));
-        let (sensor_height, sensor_width) = (extent.height as usize, extent.width as usize);
-        if (height, width) != (sensor_height, sensor_width) {
-            let multiple =
-                height > 0 && height.is_multiple_of(sensor_height) && width.is_multiple_of(sensor_width) && height / sensor_height == width / sensor_width;
-            let hint = if multiple {
-                format!("frames of {} times the events' extent are not supported yet: bin them to the events' pixels first", height / sensor_height)
-            } else {
-                "crop or bin the frames to the pixels of the event sensor".into()
-            };
-            return Err(opened.content(&at, format!("frames of {width} x {height} pixels"), format!("{extent}, as the attributes say"), hint));
+        let side = |pixels: usize| u32::try_from(pixels).unwrap_or(u32::MAX);
+        let extent = Extent { width: side(width), height: side(height) };
+        if extent.multiple_of(events).is_none() {
+            let expected = format!("{events}, as the attributes say, or a whole multiple of it (the same for width and height)");
+            let hint = "crop or bin the frames to the pixels of the event sensor";
+            return Err(opened.content(&at, format!("frames of {width} x {height} pixels"), expected, hint));
         }
         if channels == 0 {
             return Err(opened.content(&at, "no channel at all", "at least one", "leave the last dimension out for grey frames"));
         }
         let count = shape[0];
-        Ok(Numbers { stored, count, channels, width, rank })
+        Ok(Numbers { stored, count, channels, extent, rank })
     }
 
     fn block(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, StoreError> {
         let start = [frames.start, rows.start as usize, 0, 0];
-        let count = [frames.len(), rows.len(), self.width, self.channels];
+        let width = self.extent.width as usize;
+        let count = [frames.len(), rows.len(), width, self.channels];
         let dn = match &self.stored {
             Stored::F32(grid) => grid.read(&start[..self.rank], &count[..self.rank])?,
             // Every u16 is exact in f32.
             Stored::U16(grid) => grid.read(&start[..self.rank], &count[..self.rank])?.into_iter().map(f32::from).collect(),
         };
-        Ok(FrameBlock { frames, rows, row_values: self.width * self.channels, dn })
+        Ok(FrameBlock { frames, rows, row_values: width * self.channels, dn })
     }
 }
 
@@ -106,16 +104,7 @@ impl Frames {
             return Ok(None);
         }
         let dn = Numbers::open(opened, "frames/dn", extent, true)?;
-        let colour = match opened.group("frames")? {
-            Some(group) => opened.text_attribute(&group, "/frames", "colour")?,
-            None => None,
-        };
-        let colour = colour.unwrap_or_else(|| "mono".into());
-        let expected = if colour == "rgb" { 3 } else { 1 };
-        if dn.channels != expected {
-            let hint = "set `colour` to \"rgb\" for three channels; a mosaic has one channel";
-            return Err(opened.content("/frames/dn", format!("{} channels", dn.channels), format!("{expected} for colour = \"{colour}\""), hint));
-        }
+        let colour = colour_of(opened, "frames", &dn)?;
         let start = column::<i64>(opened, "frames/exposure_start", dn.count, "/frames/dn", Some("ns"))?.column(0..dn.count)?;
         let end = column::<i64>(opened, "frames/exposure_end", dn.count, "/frames/dn", Some("ns"))?.column(0..dn.count)?;
         let exposures: Vec<Exposure> = start.iter().zip(&end).map(|(&start, &end)| Exposure { start: Timestamp(start), end: Timestamp(end) }).collect();
@@ -123,6 +112,27 @@ impl Frames {
         let row_time_ns = group_integer(opened, "frames", "row_time_ns")?;
         Ok(Some(Frames { exposures, row_time_ns, colour, dn: Arc::new(dn) }))
     }
+}
+
+/// The colours that the attribute `colour` of a group names, held against the channels of its `dn`.
+fn colour_of(opened: &Opened, group: &str, dn: &Numbers) -> Result<Colour, StoreError> {
+    let at = format!("/{group}");
+    let name = match opened.group(group)? {
+        Some(found) => opened.text_attribute(&found, &at, "colour")?,
+        None => None,
+    };
+    let name = name.unwrap_or_else(|| Colour::Mono.name().into());
+    let unknown = || {
+        let names: Vec<&str> = Colour::names().collect();
+        opened.content(&format!("{at}: attribute `colour`"), format!("\"{name}\""), names.join(", "), "name the mosaic by its upper left cell, row by row")
+    };
+    let colour = Colour::named(&name).ok_or_else(unknown)?;
+    if dn.channels != colour.channels() as usize {
+        let hint = "set `colour` to \"rgb\" for three channels; a mosaic has one channel";
+        let expected = format!("{} for colour = \"{colour}\"", colour.channels());
+        return Err(opened.content(&format!("{at}/dn"), format!("{} channels", dn.channels), expected, hint));
+    }
+    Ok(colour)
 }
 
 fn check_exposures(opened: &Opened, start: &[i64], end: &[i64]) -> Result<(), StoreError> {
@@ -141,6 +151,7 @@ fn check_exposures(opened: &Opened, start: &[i64], end: &[i64]) -> Result<(), St
 /// The true frames of simulated data.
 pub(super) struct TruthFrames {
     pub times: Vec<Timestamp>,
+    pub colour: Colour,
     pub dn: Arc<Numbers>,
 }
 
@@ -150,11 +161,12 @@ impl TruthFrames {
             return Ok(None);
         }
         let dn = Numbers::open(opened, "truth/dn", extent, false)?;
+        let colour = colour_of(opened, "truth", &dn)?;
         let times = column::<i64>(opened, "truth/t", dn.count, "/truth/dn", Some("ns"))?.column(0..dn.count)?;
         if let Some(m) = (1..times.len()).find(|&m| times[m] < times[m - 1]) {
             let found = format!("instant {m} at {} ns, before instant {} at {} ns", times[m], m - 1, times[m - 1]);
             return Err(opened.content("/truth/t", found, "instants in time order", "sort the true frames by time"));
         }
-        Ok(Some(TruthFrames { times: times.into_iter().map(Timestamp).collect(), dn: Arc::new(dn) }))
+        Ok(Some(TruthFrames { times: times.into_iter().map(Timestamp).collect(), colour, dn: Arc::new(dn) }))
     }
 }

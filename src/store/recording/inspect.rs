@@ -1,8 +1,8 @@
 //! A summary of a recording, from its header alone.
 
 use super::Recording;
-use photocurrent_core::TimeSpan;
 use photocurrent_core::time::NS_PER_S;
+use photocurrent_core::{Colour, TimeSpan};
 use serde::Serialize;
 
 /// What a recording holds.
@@ -67,10 +67,16 @@ pub struct FramesSummary {
     pub exposure: Option<Spread>,
     /// Delay from one row to the next, when stated.
     pub row_time_ns: Option<i64>,
+    /// Pixels in a row: the events' or a whole multiple.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// Frame pixels along the side of an event pixel.
+    pub pixels_per_event_pixel: u32,
     /// Values per pixel.
     pub channels: u32,
     /// `mono`, `rgb`, `bayer_rggb` ...
-    pub colour: String,
+    pub colour: Colour,
     /// `f32` or `u16`.
     pub number_type: &'static str,
 }
@@ -107,12 +113,15 @@ impl Recording {
             let between = frames.exposures.first().zip(frames.exposures.last()).map_or(0, |(first, last)| last.start - first.start);
             FramesSummary {
                 count: frames.exposures.len() as u64,
-                span: self.frames_meta(frames.row_time_ns.unwrap_or(0)).and_then(|meta| meta.times.span(extent.height)),
+                span: self.frames_meta(frames.row_time_ns.unwrap_or(0)).and_then(|meta| meta.times.span(meta.extent.height)),
                 frames_per_s: (between > 0).then(|| (frames.exposures.len() - 1) as f64 / (between as f64 / NS_PER_S)),
                 exposure,
                 row_time_ns: frames.row_time_ns,
-                channels: frames.dn.channels as u32,
-                colour: frames.colour.clone(),
+                width: frames.dn.extent.width,
+                height: frames.dn.extent.height,
+                pixels_per_event_pixel: frames.dn.extent.multiple_of(extent).unwrap_or(1),
+                channels: frames.colour.channels(),
+                colour: frames.colour,
                 number_type: frames.dn.number_type(),
             }
         });

@@ -5,7 +5,7 @@
 //! whichever band is read first. Frames are read lazily by frames and rows.
 //!
 //! Either stream may be missing, or be there with nothing in it. NaN in a frame is data: a value that is not known.
-//! Limit: frames must have the extent of the events; the format's integer multiples are refused by name.
+//! Frames have the extent of the events or a whole multiple of it: then several frame pixels lie on each event pixel.
 
 mod events;
 mod frames;
@@ -23,7 +23,7 @@ use frames::{Frames, TruthFrames};
 use photocurrent_core::frames::FrameSource;
 use photocurrent_core::handle::BandSource;
 use photocurrent_core::{
-    DataError, EventBand, EventStream, EventsMeta, Exposure, Extent, FrameScale, FrameSequence, FrameTimes, FramesMeta, Rows, Timestamp, Truth,
+    Colour, DataError, EventBand, EventStream, EventsMeta, Exposure, Extent, FrameScale, FrameSequence, FrameTimes, FramesMeta, Rows, Timestamp, Truth,
 };
 use std::path::Path;
 use std::sync::Arc;
@@ -117,21 +117,16 @@ impl Recording {
         self.inner.frames.as_ref().and_then(|frames| frames.row_time_ns)
     }
 
-    /// How pixels are coloured: `mono`, `rgb`, `bayer_rggb` ...; `None` without frames.
-    pub fn colour(&self) -> Option<&str> {
-        self.inner.frames.as_ref().map(|frames| frames.colour.as_str())
-    }
-
-    /// Values per pixel; `None` without frames.
-    pub fn channels(&self) -> Option<u32> {
-        self.inner.frames.as_ref().map(|frames| frames.dn.channels as u32)
+    /// How the frames' pixels are coloured; `None` without frames.
+    pub fn colour(&self) -> Option<Colour> {
+        self.inner.frames.as_ref().map(|frames| frames.colour)
     }
 
     /// What is known about the frames, with a row time that the caller settled (the recorder's word wins over the sensor description's).
     pub fn frames_meta(&self, row_time_ns: i64) -> Option<FramesMeta> {
         let frames = self.inner.frames.as_ref()?;
         let times = FrameTimes { exposures: Arc::new(frames.exposures.clone()), row_time_ns };
-        Some(FramesMeta { extent: self.extent(), channels: frames.dn.channels as u32, times, scale: FrameScale::Captured })
+        Some(FramesMeta { extent: frames.dn.extent, colour: frames.colour, times, scale: FrameScale::Captured })
     }
 
     /// The frames' numbers, u16 or f32 as f32; `None` without frames.
@@ -141,7 +136,9 @@ impl Recording {
 
     /// The frames as a sequence; `None` without frames.
     pub fn frames(&self, row_time_ns: i64) -> Option<FrameSequence> {
-        Some(FrameSequence::new(Arc::new(self.frames_meta(row_time_ns)?), self.extent().rows(), self.frames_source()?))
+        let meta = self.frames_meta(row_time_ns)?;
+        let rows = meta.extent.rows();
+        Some(FrameSequence::new(Arc::new(meta), rows, self.frames_source()?))
     }
 
     /// The nominal sensor description, as TOML text.
@@ -162,11 +159,13 @@ impl Recording {
     /// The true frames; `None` for real data. An instant is written as an exposure of 1 ns; numbers are scaled to the median exposure
     /// of the frames, or count as captured when there is no frame.
     pub fn truth(&self) -> Option<Truth> {
-        let exposures = self.truth_times()?.iter().map(|t| Exposure { start: *t, end: *t + 1 }).collect();
+        let truth = self.inner.truth.as_ref()?;
+        let (extent, colour) = (truth.dn.extent, truth.colour);
+        let exposures = truth.times.iter().map(|t| Exposure { start: *t, end: *t + 1 }).collect();
         let nominal = self.frames_meta(0).and_then(|frames| frames.times.nominal_exposure_ns());
         let scale = nominal.map_or(FrameScale::Captured, |exposure_ns| FrameScale::Nominal { exposure_ns });
-        let meta = FramesMeta { extent: self.extent(), channels: 1, times: FrameTimes { exposures: Arc::new(exposures), row_time_ns: 0 }, scale };
-        Some(Truth(FrameSequence::new(Arc::new(meta), self.extent().rows(), self.truth_source()?)))
+        let meta = FramesMeta { extent, colour, times: FrameTimes { exposures: Arc::new(exposures), row_time_ns: 0 }, scale };
+        Some(Truth(FrameSequence::new(Arc::new(meta), extent.rows(), self.truth_source()?)))
     }
 }
 

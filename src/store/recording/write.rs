@@ -9,7 +9,7 @@ use crate::hdf::write::ColumnWriter;
 use crate::hdf::{Item, Opened};
 use crate::layout::{StripWriter, close, create_group};
 use photocurrent_core::handle::Band;
-use photocurrent_core::{EventBand, EventStream, Extent, FrameSequence, Truth};
+use photocurrent_core::{Colour, EventBand, EventStream, Extent, FrameSequence, Rows, Truth};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
@@ -34,8 +34,6 @@ pub struct RecordingContent<'a> {
     pub frames: Option<&'a FrameSequence>,
     /// How frames are stored.
     pub dn: DnType,
-    /// `rgb`, `bayer_rggb` ...; left out, it is `mono`.
-    pub colour: Option<&'a str>,
     /// Sensor description, TOML text.
     pub sensor: Option<&'a str>,
     /// True frames; the middle of each exposure becomes the instant.
@@ -45,7 +43,7 @@ pub struct RecordingContent<'a> {
 impl RecordingContent<'_> {
     /// Nothing yet, of a sensor of this size.
     pub fn empty(extent: Extent) -> Self {
-        RecordingContent { extent, events: None, frames: None, dn: DnType::F32, colour: None, sensor: None, truth: None }
+        RecordingContent { extent, events: None, frames: None, dn: DnType::F32, sensor: None, truth: None }
     }
 }
 
@@ -67,15 +65,15 @@ pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<u64, S
     opened.set_integer_attribute(&opened.file, "height", content.extent.height.into())?;
     let mut written = 0;
     if let Some(events) = content.events {
-        covers(path, "events", events.meta.extent, events.rows(), content.extent)?;
+        covers(path, "events", (events.meta.extent, events.rows()), content.extent, Some(1))?;
         written = write_events(&opened, events)?;
     }
     if let Some(frames) = content.frames {
-        covers(path, "frames", frames.meta.extent, frames.rows(), content.extent)?;
+        covers(path, "frames", (frames.meta.extent, frames.rows()), content.extent, None)?;
         write_frames(&opened, frames, content)?;
     }
     if let Some(Truth(truth)) = content.truth {
-        covers(path, "true frames", truth.meta.extent, truth.rows(), content.extent)?;
+        covers(path, "true frames", (truth.meta.extent, truth.rows()), content.extent, None)?;
         write_truth(&opened, truth)?;
     }
     if let Some(sensor) = content.sensor {
@@ -88,8 +86,10 @@ pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<u64, S
     Ok(written)
 }
 
-fn covers(path: &Path, what: &str, extent: Extent, rows: photocurrent_core::Rows, sensor: Extent) -> Result<(), StoreError> {
-    if extent != sensor || rows != sensor.rows() {
+/// Data must have all rows, and `times` the extent of the sensor; any whole number of times without it.
+fn covers(path: &Path, what: &str, (extent, rows): (Extent, Rows), sensor: Extent, times: Option<u32>) -> Result<(), StoreError> {
+    let multiple = extent.multiple_of(sensor);
+    if multiple.is_none() || times.is_some_and(|times| multiple != Some(times)) || rows != extent.rows() {
         return Err(StoreError::Misuse { path: path.into(), what: format!("the {what} cover {rows} of {extent} pixels, and the sensor has {sensor}") });
     }
     Ok(())
@@ -180,9 +180,7 @@ fn write_times(opened: &Opened, name: &str, times: Vec<i64>) -> Result<(), Store
 fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingContent) -> Result<(), StoreError> {
     let group = create_group(opened, "frames")?;
     opened.set_integer_attribute(&group, "row_time_ns", frames.meta.times.row_time_ns)?;
-    if let Some(colour) = content.colour {
-        opened.set_text_attribute(&group, "colour", colour)?;
-    }
+    write_colour(opened, &group, frames.meta.colour)?;
     match content.dn {
         DnType::F32 => write_numbers::<f32>(opened, "frames/dn", frames, |dn| dn)?,
         // `as` saturates, and makes 0 of NaN.
@@ -193,14 +191,20 @@ fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingCont
     write_times(opened, "frames/exposure_end", exposures.iter().map(|exposure| exposure.end.0).collect())
 }
 
+/// Grey goes without saying.
+fn write_colour(opened: &Opened, group: &hdf5::Group, colour: Colour) -> Result<(), StoreError> {
+    if colour == Colour::Mono { Ok(()) } else { opened.set_text_attribute(group, "colour", colour.name()) }
+}
+
 fn write_truth(opened: &Opened, truth: &FrameSequence) -> Result<(), StoreError> {
-    create_group(opened, "truth")?;
+    let group = create_group(opened, "truth")?;
+    write_colour(opened, &group, truth.meta.colour)?;
     write_numbers::<f32>(opened, "truth/dn", truth, |dn| dn)?;
     write_times(opened, "truth/t", truth.meta.times.exposures.iter().map(|exposure| exposure.start.0 + exposure.length_ns() / 2).collect())
 }
 
 fn write_numbers<T: Item>(opened: &Opened, name: &str, frames: &FrameSequence, convert: impl Fn(f32) -> T + Sync) -> Result<(), StoreError> {
-    let (width, channels) = (frames.meta.extent.width as usize, frames.meta.channels as usize);
+    let (width, channels) = (frames.meta.extent.width as usize, frames.meta.channels() as usize);
     let tail = [width, channels];
     // Grey frames have three dimensions.
     let tail = if channels == 1 { &tail[..1] } else { &tail[..] };
@@ -224,7 +228,7 @@ mod tests {
         let mut below = |n: u64| (random.bits() % n) as u16;
         let event = |_| Event { x: below(50), y: below(40), polarity: Polarity::On, t: i64::from(below(instants)) - 100, t_in: None };
         let events = (0..events).map(event).collect();
-        EventBand::from_events(photocurrent_core::Rows { start: 0, end: 40 }, events).unwrap()
+        EventBand::from_events(Rows { start: 0, end: 40 }, events).unwrap()
     }
 
     #[test]

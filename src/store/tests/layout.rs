@@ -23,8 +23,16 @@ fn write(path: &Path, value: &Value, height: u32) -> (Digest, u64) {
 
 fn colour_frames() -> FrameSequence {
     let grey = testing::frames(9, 21, 19);
-    let meta = FramesMeta { extent: Extent { width: 3, height: 21 }, channels: 3, scale: FrameScale::Nominal { exposure_ns: 7 }, ..(*grey.meta).clone() };
+    let meta =
+        FramesMeta { extent: Extent { width: 3, height: 21 }, colour: Colour::Rgb, scale: FrameScale::Nominal { exposure_ns: 7 }, ..(*grey.meta).clone() };
     FrameSequence::in_memory(Arc::new(meta), grey.read_rows(grey.rows()).unwrap())
+}
+
+/// Three tracks a pixel.
+fn colour_tracks() -> TrackSet {
+    let grey = testing::tracks(18, 70);
+    let meta = TracksMeta { extent: Extent { width: 6, height: 70 }, colour: Colour::Rgb, ..(*grey.meta).clone() };
+    TrackSet::in_memory(Arc::new(meta), grey.read(grey.rows()).unwrap())
 }
 
 fn a_map() -> MapSet {
@@ -63,6 +71,7 @@ fn banded() -> Vec<Value> {
         Value::Truth(Truth(frames)),
         Value::Tracks(testing::tracks(17, 70)),
         Value::Light(testing::light(17, 70)),
+        Value::Tracks(colour_tracks()),
         Value::Map(a_map()),
         Value::Map(MapSet::in_memory(Arc::new(MapMeta { extent: Extent { width: 2, height: 3 }, planes: vec![] }), no_planes())),
     ]
@@ -298,7 +307,7 @@ fn frame_times_survive_even_when_there_are_many() {
     // Their text is longer than the 64 kB that an HDF5 attribute holds.
     let exposures = (0..3000).map(|l| Exposure::new(l * 1000, l * 1000 + 999)).collect();
     let times = FrameTimes::new(exposures, 3).unwrap();
-    let meta = FramesMeta { extent: Extent { width: 2, height: 2 }, channels: 1, times, scale: FrameScale::Captured };
+    let meta = FramesMeta { extent: Extent { width: 2, height: 2 }, colour: Colour::Mono, times, scale: FrameScale::Captured };
     let block = FrameBlock::zeros(0..3000, meta.extent.rows(), 2);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("value.h5");

@@ -60,7 +60,7 @@ fn a_summary_needs_the_header_only() {
     assert!((events.events_per_s.unwrap() / 10_800.0 - 1.0).abs() < 0.05);
     assert_eq!((frames.count, frames.frames_per_s, frames.row_time_ns), (5, Some(100.0), Some(10_000)));
     assert_eq!(frames.exposure.unwrap().median_ns, 4_000_000);
-    assert_eq!((frames.colour.as_str(), frames.channels, frames.number_type), ("mono", 1, "f32"));
+    assert_eq!((frames.colour, frames.channels, frames.number_type), (Colour::Mono, 1, "f32"));
     assert_eq!(summary.truth.unwrap().count, 6);
     assert!(summary.has_sensor);
 }
@@ -100,15 +100,42 @@ fn whole_numbers_and_colour_are_read_as_f32() {
     assert_eq!(back.frames(0).unwrap().read(1..2, Rows { start: 2, end: 7 }).unwrap(), frames.read(1..2, Rows { start: 2, end: 7 }).unwrap());
 
     let wide = testing::frames(EXTENT.width * 3, EXTENT.height, 2);
-    let meta = FramesMeta { extent: EXTENT, channels: 3, ..(*wide.meta).clone() };
+    let meta = FramesMeta { extent: EXTENT, colour: Colour::Rgb, ..(*wide.meta).clone() };
     let rgb = FrameSequence::in_memory(Arc::new(meta), wide.read_rows(wide.rows()).unwrap());
-    write_recording(&path, &RecordingContent { frames: Some(&rgb), colour: Some("rgb"), ..RecordingContent::empty(EXTENT) }).unwrap();
+    write_recording(&path, &RecordingContent { frames: Some(&rgb), ..RecordingContent::empty(EXTENT) }).unwrap();
     let back = Recording::open(&path).unwrap();
-    assert_eq!((back.channels(), back.colour()), (Some(3), Some("rgb")));
+    assert_eq!(back.colour(), Some(Colour::Rgb));
     let rows = Rows { start: 3, end: 5 };
     assert_eq!(back.frames(0).unwrap().read(1..2, rows).unwrap(), rgb.read(1..2, rows).unwrap());
-    write_recording(&path, &RecordingContent { frames: Some(&rgb), ..RecordingContent::empty(EXTENT) }).unwrap();
+    drop(back);
+    let file = hdf5::File::append(&path).unwrap();
+    file.group("frames").unwrap().delete_attr("colour").unwrap();
+    file.close().unwrap();
     assert!(Recording::open(&path).err().unwrap().to_string().contains("/frames/dn: found 3 channels, expected 1 for colour = \"mono\""));
+}
+
+#[test]
+fn a_mosaic_of_more_pixels_than_the_events_comes_back_with_its_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("egg.h5");
+    let mosaic = |frames: FrameSequence, colour| {
+        let meta = FramesMeta { colour, ..(*frames.meta).clone() };
+        FrameSequence::in_memory(Arc::new(meta), frames.read_rows(frames.rows()).unwrap())
+    };
+    let colour = Colour::named("quad_bayer_grbg").unwrap();
+    let (events, frames) = (testing::events(EXTENT.width, EXTENT.height), mosaic(testing::frames(48, 36, 3), colour));
+    let rgb = testing::captured(Extent { width: 144, height: 36 }, vec![Exposure::new(5, 6)], 0, |_, x, y| (x * y) as f32);
+    let meta = FramesMeta { extent: Extent { width: 48, height: 36 }, colour: Colour::Rgb, ..(*rgb.meta).clone() };
+    let truth = Truth(FrameSequence::in_memory(Arc::new(meta), rgb.read_rows(rgb.rows()).unwrap()));
+    let content = RecordingContent { events: Some(&events), frames: Some(&frames), truth: Some(&truth), ..RecordingContent::empty(EXTENT) };
+    write_recording(&path, &content).unwrap();
+    let back = Recording::open(&path).unwrap();
+    assert_eq!(Value::Frames(back.frames(10_000).unwrap()).digest().unwrap(), Value::Frames(frames).digest().unwrap());
+    let read = back.truth().unwrap().0;
+    assert_eq!((read.meta.extent, read.meta.colour), (truth.0.meta.extent, Colour::Rgb));
+    assert_eq!(read.read_rows(read.rows()).unwrap(), truth.0.read_rows(truth.0.rows()).unwrap());
+    let summary = back.inspect().frames.unwrap();
+    assert_eq!((summary.width, summary.height, summary.pixels_per_event_pixel, summary.colour), (48, 36, 4, colour));
 }
 
 /// Columns of a small recording as other programs write it: no chunks, no filters.
@@ -254,8 +281,18 @@ fn a_header_that_contradicts_the_format_is_told() {
     );
     says(Box::new(with_frames((2, 2, 3), &[10, 0], &[15, 5])), "/frames/exposure_start: found frame 1 starting at 0 ns, before frame 0 at 10 ns");
     says(Box::new(with_frames((2, 2, 3), &[0], &[5])), "/frames/exposure_start: found the shape [1], expected [2], as /frames/dn has");
-    says(Box::new(with_frames((2, 4, 6), &[0, 10], &[5, 15])), "frames of 2 times the events' extent are not supported yet");
-    says(Box::new(with_frames((2, 3, 3), &[0, 10], &[5, 15])), "/frames/dn: found frames of 3 x 3 pixels, expected 3 x 2");
+    for (height, width) in [(3, 3), (4, 9), (1, 1)] {
+        let expected = format!("/frames/dn: found frames of {width} x {height} pixels, expected 3 x 2, as the attributes say, or a whole multiple of it");
+        says(Box::new(with_frames((2, height, width), &[0, 10], &[5, 15])), &expected);
+    }
+    let coloured = |colour: &'static str| {
+        move |path: &Path| {
+            with_frames((2, 4, 6), &[0, 10], &[5, 15])(path);
+            text(&hdf5::File::append(path).unwrap().group("frames").unwrap(), "colour", colour);
+        }
+    };
+    says(Box::new(coloured("bayer_rgbg")), "/frames: attribute `colour`: found \"bayer_rgbg\", expected mono, rgb, bayer_rggb");
+    says(Box::new(coloured("rgb")), "/frames/dn: found 1 channels, expected 3 for colour = \"rgb\"");
     says(Box::new(|path| std::fs::write(path, "not at all").unwrap()), "is no HDF5 file");
     says(Box::new(|path| std::fs::write(path, "").unwrap()), "the file is empty");
     says(Box::new(|path| std::fs::create_dir(path).unwrap()), "no regular file");
