@@ -22,6 +22,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<refine::motion::RefineMotion>(),
         // Photocurrent becomes frames.
         Kind::of::<render::rows::RenderRows>(),
+        Kind::of::<render::demosaic::RenderDemosaic>(),
         // The same by other methods.
         Kind::of::<baseline::repeat::BaselineRepeat>(),
         Kind::of::<baseline::contrast::BaselineContrast>(),

@@ -1,3 +1,4 @@
 //! From photocurrent to pictures.
 
+pub mod demosaic;
 pub mod rows;

@@ -7,6 +7,7 @@
 //!
 //! Limits: photon noise only in the frames; the random part of the readout latency is drawn per event.
 
+use crate::co_located::{channel_gains, gain_of};
 use crate::pixel_events::StepRule;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
@@ -67,17 +68,25 @@ pub struct Camera {
     /// Which of the effects couple all pixels.
     coupling: Vec<bool>,
     capture: Capture,
+    channel_gains: [f64; 3],
     span: TimeSpan,
     seed: u64,
 }
 
 impl Camera {
-    /// From a description.
+    /// From a description, with events and frames of the given extents.
     ///
     /// # Errors
     /// When it leaves out what a simulation needs, its effects are not understood, pixels would be blind for longer than there is light, or the
     /// frames do not fit. `who` is the asker.
-    pub fn new(sensor: &Sensor, timing: &Timing, extent: Extent, span: TimeSpan, seed: u64, who: &str) -> Result<Camera, NodeError> {
+    pub fn new(
+        sensor: &Sensor,
+        timing: &Timing,
+        (events, frames, colour): (Extent, Extent, Colour),
+        span: TimeSpan,
+        seed: u64,
+        who: &str,
+    ) -> Result<Camera, NodeError> {
         let stated = [
             ("front_end.tau_0", sensor.front_end.tau_0.is_some()),
             ("front_end.alpha", sensor.front_end.alpha.is_some()),
@@ -108,10 +117,22 @@ impl Camera {
             log_step: LOG_STEP,
         };
         let row_time_ns = sensor.need(sensor.frames.row_time, "frames.row_time", who)?.ns();
-        let frames = FramesMeta { extent, colour: Colour::Mono, times: timing.frame_times(span, extent.height, row_time_ns)?, scale: FrameScale::Captured };
+        let times = timing.frame_times(span, frames.height, row_time_ns)?;
+        let frames = FramesMeta { extent: frames, colour, times, scale: FrameScale::Captured };
         let moved = crate::pixel_events::clock_offset(sensor)?.offset_ns;
-        let events = EventsMeta { extent, span: Some(span.moved(moved)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
-        Ok(Camera { events, frames, pixel, sensor: sensor.clone(), effects, coupling, capture: Capture::new(sensor, who)?, span, seed })
+        let events = EventsMeta { extent: events, span: Some(span.moved(moved)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
+        Ok(Camera {
+            events,
+            frames,
+            pixel,
+            sensor: sensor.clone(),
+            effects,
+            coupling,
+            capture: Capture::new(sensor, who)?,
+            channel_gains: channel_gains(sensor)?,
+            span,
+            seed,
+        })
     }
 
     /// Rows above and below whose light reaches a pixel through its effects.
@@ -140,15 +161,14 @@ impl Camera {
 
     /// How much later than without load an event of pixel (x, y) that fires at `t_in_ns` resets its pixel, nanoseconds.
     pub fn delay_ns(&self, x: u32, y: u32, t_in_ns: i64) -> i64 {
-        let site = self.site(x, y);
+        let site = self.site(self.events.extent, x, y);
         let coupling = self.effects.iter().zip(&self.coupling).filter(|(_, couples)| **couples);
         // Load and instant say it all: the numbers of this stream stay unused ([`Effect::informed`]).
         let latencies = coupling.map(|(effect, _)| effect.latency(&site, &mut Random::new(self.seed, &[]), t_in_ns));
         latencies.map(|latency| latency.shown_ns + latency.hidden_ns).sum()
     }
 
-    fn site(&self, x: u32, y: u32) -> Site {
-        let extent = self.frames.extent;
+    fn site(&self, extent: Extent, x: u32, y: u32) -> Site {
         Site { x, y, width: extent.width, height: extent.height, seed: self.seed }
     }
 
@@ -156,24 +176,28 @@ impl Camera {
     pub fn fired(&self, x: u32, y: u32, seen: &LinearLight) -> Vec<Fired> {
         let chain = Chain { pixel: self.pixel, reset: self.sensor.comparator.reset, effects: &self.effects };
         let mut noise = Noise { random: Random::new(self.seed, &[x.into(), y.into(), 1]), sigma: self.sensor.comparator.threshold_noise.unwrap_or(0.0) };
-        simulate(&chain, &self.site(x, y), seen, self.span.start.0, self.span.end.0, &mut noise)
+        simulate(&chain, &self.site(self.events.extent, x, y), seen, self.span.start.0, self.span.end.0, &mut noise)
     }
 
-    /// Simulates pixel (x, y): appends its events and gives its frame values. `seen` is the light of the event path, `light` that of the frames.
-    ///
-    /// # Errors
-    /// When a stamp leaves the range of the clock.
-    pub fn pixel(&self, x: u32, y: u32, seen: &LinearLight, light: &LinearLight, events: &mut Vec<Event>) -> Result<Vec<f64>, NodeError> {
+    /// Appends what event pixel (x, y) records of `seen`, the light of the event path.
+    pub fn record(&self, x: u32, y: u32, seen: &LinearLight, events: &mut Vec<Event>) {
         for fired in self.fired(x, y, seen) {
             // What leaves the array after the end is no part of the recording.
             let Some(event) = fired.recorded.filter(|_| fired.left_ns < self.span.end.0) else { continue };
             let polarity = if event.polarity > 0 { Polarity::On } else { Polarity::Off };
             events.push(Event { x: x as u16, y: y as u16, polarity, t: event.t_off_ns, t_in: Some(event.t_in_ns) });
         }
-        let readout = FrameReadout { number: self.capture.scale, saturation: self.capture.saturation_dn, row_time_ns: self.frames.times.row_time_ns };
+    }
+
+    /// Frame values at `value` (`x * channels + channel`) of row `y`, from the light that it sees.
+    pub fn frame_values(&self, value: u32, y: u32, light: &LinearLight) -> Vec<f64> {
+        let gain = gain_of(self.capture.scale.gain, &self.channel_gains, self.frames.colour, value, y);
+        let number = DigitalNumber { gain, ..self.capture.scale };
+        let readout = FrameReadout { number, saturation: self.capture.saturation_dn, row_time_ns: self.frames.times.row_time_ns };
         let exposures: Vec<Exposure> = (0..self.frames.times.len()).map(|l| self.frames.times.exposure(l, y)).collect();
-        let mut random = Random::new(self.seed, &[x.into(), y.into(), 2]);
-        Ok(read_frames(&readout, &self.effects, &self.site(x, y), light, &exposures).into_iter().map(|dn| self.capture.recorded(dn, &mut random)).collect())
+        let mut random = Random::new(self.seed, &[value.into(), y.into(), 2]);
+        let site = self.site(self.frames.extent, value / self.frames.channels(), y);
+        read_frames(&readout, &self.effects, &site, light, &exposures).into_iter().map(|dn| self.capture.recorded(dn, &mut random)).collect()
     }
 }
 

@@ -6,6 +6,7 @@ mod load;
 pub mod moved;
 pub mod photo;
 mod pixel_light;
+pub mod pooled;
 pub mod scene;
 pub mod scenes;
 pub mod sensor;

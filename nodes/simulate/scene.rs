@@ -7,12 +7,14 @@
 //! The scenes are those of the paper's simulation (Section 5): basketball, checkerboard, slingshot egg, running man, fan; its rotating disk under a
 //! stated illuminance; and two more. They are drawn from scratch: same kind of motion, not the same pictures.
 //!
-//! Limits: grey; an ideal lens; reflectance from 0.03 to 0.95, so contrast within a scene is at most about 30.
+//! With `colour`, each pixel has red, green and blue, or the one that a mosaic of filters lets through; scenes without colours are grey behind every filter.
+//!
+//! Limits: an ideal lens; reflectance from 0.03 to 0.95, so contrast within a scene is at most about 30.
 
 use super::scenes::{self, Details};
 use super::source::{self, In, Look, Metas, Out, Scale, TruthParams};
 use photocurrent_core::quantity::{Duration, Illuminance, Rate};
-use photocurrent_core::{Context, Decl, Extent, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{Colour, Context, Decl, Extent, Grain, Meta, Node, NodeError, PortMetas, Sensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -38,6 +40,10 @@ pub struct Params {
     /// True frames per second, at multiples of the period from 0 on.
     #[schemars(extend("x-min" = "0.001 Hz", "x-max" = "1 MHz"))]
     pub truth_rate: Rate,
+    /// Grey, red, green and blue of every pixel, or a mosaic of filters over the pixels.
+    pub colour: Colour,
+    /// Colours of the true frames; absent = those of the light. `rgb` for what is scored after `render/demosaic`.
+    pub truth_colour: Option<Colour>,
     /// Exposure that true frames are scaled to: that of the captured frames they are compared with.
     #[schemars(extend("x-min" = "1 ns", "x-max" = "10 s"))]
     pub exposure: Duration,
@@ -61,6 +67,8 @@ impl Default for Params {
             duration: Duration::new(60_000_000),
             illuminance: Illuminance::new(300.0),
             truth_rate: Rate::new(1000.0),
+            colour: Colour::Mono,
+            truth_colour: None,
             exposure: Duration::new(6_500_000),
             sample_step: Duration::new(100_000),
             tolerance: 1e-3,
@@ -83,7 +91,9 @@ impl SimulateScene {
 
     fn metas(&self, instants: f64) -> Result<Metas, NodeError> {
         let truth = TruthParams { rate: self.params.truth_rate, exposure: self.params.exposure };
-        Metas::new(self.extent(), self.params.duration.ns(), instants, truth)
+        let colour = self.params.colour;
+        let metas = Metas::new(self.extent(), self.params.duration.ns(), instants * f64::from(colour.channels()), truth)?;
+        Ok(metas.coloured(colour, self.params.truth_colour.unwrap_or(colour)))
     }
 
     fn scale(&self, sensor: &Sensor) -> Result<Scale, NodeError> {

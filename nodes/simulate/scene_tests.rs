@@ -56,6 +56,32 @@ fn bands_are_rows_of_the_whole() {
 }
 
 #[test]
+fn every_value_is_the_scene_behind_its_filter_and_truth_may_have_all_three() {
+    let extent = Extent { width: 40, height: 30 };
+    for name in ["rgb", "bayer_grbg", "quad_bayer_rggb"] {
+        let colour = Colour::named(name).unwrap();
+        let params = Params { colour, truth_colour: Some(Colour::Rgb), truth_rate: Rate::new(100.0), ..small(scenes::Name::ColourWheel) };
+        let out = run(params.clone(), ROWS);
+        let scene = params.details.scene(params.scene, extent, 7);
+        assert_eq!((out.light.meta.colour, out.truth.0.meta.colour), (colour, Colour::Rgb));
+        let (light, truth) = (out.light.read(ROWS).unwrap(), out.truth.0.read_rows(ROWS).unwrap());
+        for (x, y) in [(5, 9), (20, 15), (21, 14), (27, 22), (33, 3)] {
+            for channel in 0..3 {
+                for (l, t) in [(0, 0), (2, 20_000_000)] {
+                    let exact = 60.0 * scene.channel(channel as usize, f64::from(x), f64::from(y), t);
+                    let value = if colour == Colour::Rgb { 3 * x + channel } else { x };
+                    if colour.channel(value, y) == Some(channel as usize) {
+                        assert!((light::at(light.pixel(value, y), t).unwrap() / exact - 1.0).abs() < 2e-3);
+                    }
+                    // DN = black + gain x photocurrent x exposure.
+                    assert!((f64::from(truth.row(l, y)[(3 * x + channel) as usize]) - (5.0 + 1000.0 * exact * 6.5e-3)).abs() < 1e-3);
+                }
+            }
+        }
+    }
+}
+
+#[test]
 fn truth_is_illuminance_times_reflectance_times_exposure() {
     let params = Params { illuminance: Illuminance::new(1000.0), exposure: Duration::new(2_000_000), ..small(scenes::Name::SiemensDisk) };
     let out = run(params, ROWS);

@@ -4,6 +4,9 @@
 //! readout latency, refractory period, reset, with every effect that the description's `[effects]` names; and through the exposure of each frame. Crossing times
 //! are solved, not stepped, so events do not clump on the light's instants.
 //!
+//! Light of colours or behind a mosaic gives such frames; with `pixels_per_event_pixel`, each event pixel lies on several pixels and sees their mixture
+//! ([`super::pooled`]), by the weights that the description states (`optics.event_weights`).
+//!
 //! Works row by row, with as many rows of halo as the effects that mix neighbours need. An effect that couples all pixels (a queue on the
 //! readout bus) makes it work on the whole array instead, in several passes ([`super::load`]). Limit: light from further than [`HALO_ROWS`] rows
 //! away is refused.
@@ -11,10 +14,12 @@
 use super::camera::{Camera, Timing};
 use super::load;
 use super::pixel_light::PixelLight;
+use super::pooled::Pooling;
+use crate::co_located::event_weights;
 use photocurrent_core::events::Event;
 use photocurrent_core::light::{Light, LightMeta};
 use photocurrent_core::quantity::{Duration, Rate};
-use photocurrent_core::{Context, Decl, EventBand, EventStream, FrameBlock, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor};
+use photocurrent_core::{Context, Decl, EventBand, EventStream, Extent, FrameBlock, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor};
 use photocurrent_sensor::effects::Kernel;
 use photocurrent_sensor::forward::neighbours::joined;
 use rayon::prelude::*;
@@ -41,11 +46,14 @@ pub struct Params {
     /// Mean of the random part of the readout latency, beyond the sensor's smallest.
     #[schemars(extend("x-min" = "0 ns"))]
     pub latency_spread: Duration,
+    /// Pixels of the light, and of the frames, along the side of an event pixel; it sees their mixture.
+    #[schemars(range(min = 1, max = 16))]
+    pub pixels_per_event_pixel: u32,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Params { frame_rate: Rate::new(120.0), exposure: Duration::new(6_500_000), latency_spread: Duration::new(40_000) }
+        Params { frame_rate: Rate::new(120.0), exposure: Duration::new(6_500_000), latency_spread: Duration::new(40_000), pixels_per_event_pixel: 1 }
     }
 }
 
@@ -77,9 +85,14 @@ pub struct SimulateSensor {
 const WHO: &str = "simulate/sensor";
 
 impl SimulateSensor {
+    fn pooling(&self, sensor: &Sensor) -> Result<Pooling, NodeError> {
+        Ok(Pooling { ratio: self.params.pixels_per_event_pixel, seen: event_weights(sensor)? })
+    }
+
     fn camera(&self, light: &LightMeta, sensor: &Sensor, seed: u64) -> Result<(Camera, Option<Kernel>), NodeError> {
         let timing = Timing { frame_rate: self.params.frame_rate, exposure: self.params.exposure, latency_spread: self.params.latency_spread };
-        let camera = Camera::new(sensor, &timing, light.extent, light.span, seed, WHO)?;
+        let extents = (self.pooling(sensor)?.extent(light)?, light.extent, light.colour);
+        let camera = Camera::new(sensor, &timing, extents, light.span, seed, WHO)?;
         if camera.halo() > HALO_ROWS {
             return Err(NodeError::usage(format!("the effects of the description reach {} rows, {WHO} at most {HALO_ROWS}", camera.halo()))
                 .hint("make the blur or shift smaller"));
@@ -130,14 +143,16 @@ params = { frame_rate = "120 fps", exposure = "6.5 ms" }
         let (mut camera, kernel) = self.camera(&input.light.meta, &input.sensor, cx.seed())?;
         let rows = cx.rows();
         let block_rows = if camera.couples().is_some() { BLOCK_ROWS } else { rows.len() as u32 };
-        load::settle(&mut camera, kernel.as_ref(), &input.light, block_rows, cx)?;
+        let seen = self.pooling(&input.sensor)?.light(&input.light)?;
+        load::settle(&mut camera, kernel.as_ref(), &seen, block_rows, cx)?;
         cx.begin(rows.len() as u64, "rows");
-        let (mut events, mut frames) = (Vec::new(), FrameBlock::zeros(0..camera.frames.times.len(), rows, camera.frames.row_values()));
+        let scenery = Scenery { seen, own: (!self.pooling(&input.sensor)?.is_plain(&input.light.meta)).then_some(input.light) };
+        let frame_rows = scenery.frame_rows(&camera, rows);
+        let (mut events, mut frames) = (Vec::new(), FrameBlock::zeros(0..camera.frames.times.len(), frame_rows, camera.frames.row_values()));
         for block in rows.bands(block_rows) {
-            let simulated = simulate_rows(&camera, kernel.as_ref(), &input.light, block, cx)?;
-            for (y, (row_events, row_frames)) in block.iter().zip(simulated) {
+            for (row_events, row_frames) in simulate_rows(&camera, kernel.as_ref(), &scenery, block, cx)? {
                 events.extend(row_events);
-                for l in row_frames.frames.clone() {
+                for (l, y) in row_frames.frames.clone().flat_map(|l| row_frames.rows.iter().map(move |y| (l, y))) {
                     frames.row_mut(l, y).copy_from_slice(row_frames.row(l, y));
                 }
             }
@@ -148,20 +163,43 @@ params = { frame_rate = "120 fps", exposure = "6.5 ms" }
     }
 }
 
-/// Events and frame values of some rows, each row by itself.
-fn simulate_rows(camera: &Camera, kernel: Option<&Kernel>, light: &Light, rows: Rows, cx: &Context) -> Result<Vec<(Vec<Event>, FrameBlock)>, NodeError> {
-    let extent = light.meta.extent;
-    let light = light.read(rows.with_halo(camera.halo(), extent.rows()))?;
+/// What the camera looks at.
+struct Scenery {
+    /// The light of event pixels.
+    seen: Light,
+    /// The light of frame pixels, when it is another.
+    own: Option<Light>,
+}
+
+impl Scenery {
+    /// Rows of the frames that lie on rows of the events.
+    fn frame_rows(&self, camera: &Camera, rows: Rows) -> Rows {
+        let ratio = camera.frames.extent.height / camera.events.extent.height;
+        Rows { start: rows.start * ratio, end: rows.end * ratio }
+    }
+}
+
+/// Events and frame values of some rows of the events, each row by itself.
+fn simulate_rows(camera: &Camera, kernel: Option<&Kernel>, scenery: &Scenery, rows: Rows, cx: &Context) -> Result<Vec<(Vec<Event>, FrameBlock)>, NodeError> {
+    let extent = camera.events.extent;
+    let light = scenery.seen.read(rows.with_halo(camera.halo(), extent.rows()))?;
+    let own = scenery.own.as_ref().map(|own| own.read(scenery.frame_rows(camera, rows))).transpose()?;
+    let values = Extent { width: camera.frames.row_values() as u32, ..camera.frames.extent };
     let simulate_row = |y: u32| -> Result<(Vec<Event>, FrameBlock), NodeError> {
         let mut events = Vec::new();
-        let mut frames = FrameBlock::zeros(0..camera.frames.times.len(), Rows { start: y, end: y + 1 }, camera.frames.row_values());
+        let frame_rows = scenery.frame_rows(camera, Rows { start: y, end: y + 1 });
+        let mut frames = FrameBlock::zeros(0..camera.frames.times.len(), frame_rows, camera.frames.row_values());
         let mut pixel = PixelLight::default();
         for x in 0..extent.width {
             pixel.take(&light, extent, kernel, x, y);
-            let values = camera.pixel(x, y, &pixel.seen()?, &pixel.own()?, &mut events)?;
-            for (l, dn) in values.into_iter().enumerate() {
-                frames.row_mut(l, y)[x as usize] = dn as f32;
+            camera.record(x, y, &pixel.seen()?, &mut events);
+            if own.is_none() {
+                put(&mut frames, x, y, camera.frame_values(x, y, &pixel.own()?));
             }
+        }
+        for (own, (value, y)) in own.iter().flat_map(|own| frame_rows.iter().flat_map(move |y| (0..values.width).map(move |value| (own, (value, y))))) {
+            pixel.take(own, values, None, value, y);
+            put(&mut frames, value, y, camera.frame_values(value, y, &pixel.own()?));
         }
         cx.advance(1)?;
         Ok((events, frames))
@@ -169,11 +207,17 @@ fn simulate_rows(camera: &Camera, kernel: Option<&Kernel>, light: &Light, rows: 
     rows.iter().into_par_iter().map(simulate_row).collect()
 }
 
+fn put(frames: &mut FrameBlock, value: u32, y: u32, all: Vec<f64>) {
+    for (l, dn) in all.into_iter().enumerate() {
+        frames.row_mut(l, y)[value as usize] = dn as f32;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use photocurrent_core::light::LightBand;
-    use photocurrent_core::{Colour, Extent, TimeSpan, testing};
+    use photocurrent_core::{Colour, TimeSpan, testing};
     use serde_json::json;
 
     const EXTENT: Extent = Extent { width: 6, height: 5 };
@@ -248,6 +292,45 @@ mod tests {
             let band = run(effects.clone(), rows).unwrap();
             assert_eq!(whole.events.read(rows).unwrap(), band.events.read(rows).unwrap());
             assert_eq!(whole.frames.read_rows(rows).unwrap(), band.frames.read_rows(rows).unwrap());
+        }
+    }
+
+    /// Light like [`light`], of pixels with `ratio` of them along an event pixel's side, all of one event pixel alike.
+    fn fine_light(ratio: u32, colour: Colour) -> Light {
+        let extent = Extent { width: EXTENT.width * ratio, height: EXTENT.height * ratio };
+        let copies = ratio * colour.channels();
+        let mut band = LightBand::begin(0, EXTENT.width * copies);
+        for value in (0..extent.height).flat_map(|_| 0..EXTENT.width * copies) {
+            let i = 10.0 * (value / copies + 1) as f32;
+            band.push([(0, i), (20_000_000, i), (60_000_000, 2.0 * i)]);
+        }
+        Light::in_memory(Arc::new(LightMeta { extent, span: TimeSpan::new(0, LENGTH_NS), colour, count_hint: None }), band)
+    }
+
+    #[test]
+    fn grey_light_fires_the_same_events_whatever_the_frames_pixels_and_colours() {
+        let plain = run(json!({}), EXTENT.rows()).unwrap();
+        for (ratio, name) in [(1, "rgb"), (2, "mono"), (2, "bayer_gbrg"), (4, "quad_bayer_rggb")] {
+            let colour = Colour::named(name).unwrap();
+            let node = SimulateSensor { params: Params { pixels_per_event_pixel: ratio, ..node().params } };
+            let mut sensor = sensor(json!({}));
+            (sensor.optics.event_weights, sensor.frames.channel_gain) = (Some([0.3, 0.6, 0.1]), Some([1.0, 2.0, 3.0]));
+            // A row of the frames is as long after the one before as a row of the events is, so only the first has plain exposures.
+            sensor.frames.row_time = Some(Duration::new(0));
+            let input = In { light: fine_light(ratio, colour), sensor: Arc::new(sensor) };
+            let out = testing::with_context(EXTENT.rows(), &["events", "frames"], |cx| node.run(input, cx)).0.unwrap();
+            let (found, expected) = (out.events.read(EXTENT.rows()).unwrap(), plain.events.read(EXTENT.rows()).unwrap());
+            assert_eq!((&found.x, &found.on, found.len()), (&expected.x, &expected.on, expected.len()));
+            // Weights add up to 1 but for rounding, and light is f32.
+            assert!(found.t.iter().zip(&expected.t).all(|(found, expected)| (found - expected).abs() < 10_000));
+            let frames = out.frames.read(0..1, out.frames.rows()).unwrap();
+            assert_eq!((frames.rows.len() as u32, out.frames.meta.colour), (EXTENT.height * ratio, colour));
+            for y in frames.rows.iter() {
+                for (value, dn) in (0u32..).zip(frames.row(0, y)) {
+                    let gain = colour.channel(value, y).map_or(1.0, |channel| [1.0, 2.0, 3.0][channel]);
+                    assert_eq!(*dn, gain * 65.0 * (value / (ratio * colour.channels()) + 1) as f32);
+                }
+            }
         }
     }
 

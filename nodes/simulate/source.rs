@@ -6,6 +6,7 @@
 
 use super::instants::Sampler;
 use super::scenes::Scene;
+use crate::co_located::channel_gains;
 use photocurrent_core::quantity::{Duration, Illuminance, Rate};
 use photocurrent_core::{
     Colour, Context, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Light, LightBand, LightMeta, Meta, NodeError, Rows,
@@ -62,6 +63,13 @@ impl Metas {
         Ok(Metas { light, truth: truth_meta(extent, duration_ns, truth)? })
     }
 
+    /// The same with colours.
+    #[must_use]
+    pub fn coloured(mut self, light: Colour, truth: Colour) -> Metas {
+        (self.light.colour, self.truth.colour) = (light, truth);
+        self
+    }
+
     /// In the order of [`Out`].
     pub fn planned(self) -> Vec<Meta> {
         vec![Meta::Light(Arc::new(self.light)), Meta::Truth(Arc::new(self.truth))]
@@ -116,6 +124,7 @@ pub struct Scale {
     /// Photocurrent of a white pixel.
     pub white: f64,
     number: DigitalNumber,
+    channels: [f64; 3],
     exposure_s: f64,
 }
 
@@ -129,10 +138,16 @@ impl Scale {
         sensor.need_all(&stated, who)?;
         let white = illuminance.lux() * sensor.need(sensor.optics.photocurrent_per_lux, "optics.photocurrent_per_lux", who)?;
         let number = DigitalNumber { black_level: sensor.frames.black_level_dn.unwrap_or(0.0), gain: sensor.need(sensor.frames.gain, "frames.gain", who)? };
-        Ok(Scale { white, number, exposure_s: exposure.seconds() })
+        Ok(Scale { white, number, channels: channel_gains(sensor)?, exposure_s: exposure.seconds() })
     }
 
-    /// From photocurrent to the DN of a true frame.
+    /// From photocurrent of a channel to the DN of a true frame.
+    fn true_dn_of(&self, channel: Option<usize>, photocurrent: f64) -> f32 {
+        let gain = channel.map_or(self.number.gain, |channel| self.number.gain * self.channels[channel]);
+        DigitalNumber { gain, ..self.number }.of(photocurrent * self.exposure_s) as f32
+    }
+
+    /// From photocurrent to the DN of a true grey frame.
     pub fn true_dn(&self, photocurrent: f64) -> f32 {
         self.number.of(photocurrent * self.exposure_s) as f32
     }
@@ -157,13 +172,18 @@ const SAMPLED_PIXELS: u64 = 256;
 const SAMPLED_NS: i64 = 20_000_000;
 
 impl Look {
-    /// The light of a pixel from one instant to another, as a share of white; times are counted from the first.
-    fn sample(&self, scene: &dyn Scene, (x, y): (f64, f64), start_ns: i64, end_ns: i64, white: f64) -> Vec<(i64, f64)> {
+    /// The light of a pixel's channel from one instant to another, as a share of white; times are counted from the first.
+    fn sample(&self, scene: &dyn Scene, channel: Option<usize>, (x, y): (f64, f64), start_ns: i64, end_ns: i64, white: f64) -> Vec<(i64, f64)> {
         let step = (LOOK_PX / scene.speed(x, y)).min(self.step.ns() as f64);
         let sampler = Sampler { end_ns: end_ns - start_ns, step_ns: step as i64, tolerance: self.tolerance, graze: self.graze };
         let still_until = |t: i64| scene.still_until(x, y, start_ns + t).saturating_sub(start_ns);
-        sampler.sample(|t| white * scene.reflectance(x, y, start_ns + t), still_until)
+        sampler.sample(|t| white * reflectance(scene, channel, x, y, start_ns + t), still_until)
     }
+}
+
+/// What a scene reflects behind a filter, or in grey.
+fn reflectance(scene: &dyn Scene, channel: Option<usize>, x: f64, y: f64, t_ns: i64) -> f64 {
+    channel.map_or_else(|| scene.reflectance(x, y, t_ns), |channel| scene.channel(channel, x, y, t_ns))
 }
 
 /// About how many instants a pixel will have: some pixels are looked at for a short time each, spread evenly over picture and recording.
@@ -175,7 +195,7 @@ pub fn estimated_instants(scene: &dyn Scene, look: Look, extent: Extent, duratio
         let (x, y) = (place(0.754_877_666_246_693, extent.width.into()).floor(), place(0.569_840_290_998_053, extent.height.into()).floor());
         let start_ns = place(0.618_033_988_749_895, (duration_ns - window_ns) as f64) as i64;
         // Both ends are always there.
-        look.sample(scene, (x, y), start_ns, start_ns + window_ns, 1.0).len().saturating_sub(2)
+        look.sample(scene, None, (x, y), start_ns, start_ns + window_ns, 1.0).len().saturating_sub(2)
     };
     let seen = (0..SAMPLED_PIXELS).map(bends).sum::<usize>() as f64 * duration_ns as f64 / window_ns as f64;
     2.0 + seen / SAMPLED_PIXELS as f64
@@ -189,14 +209,19 @@ pub fn look(scene: &dyn Scene, look: Look, scale: &Scale, metas: Metas, cx: &Con
     let (rows, width) = (cx.rows(), metas.light.extent.width);
     cx.begin(rows.len() as u64, "rows");
     let row = |y: u32| -> Result<(LightBand, FrameBlock), NodeError> {
-        let mut light = LightBand::begin(y, width);
+        let (colour, channels) = (metas.light.colour, metas.light.colour.channels());
+        let mut light = LightBand::begin(y, width * channels);
         let mut truth = metas.truth_block(Rows { start: y, end: y + 1 }, cx);
-        for x in 0..width {
-            let (px, py) = (f64::from(x), f64::from(y));
-            let kept = look.sample(scene, (px, py), 0, metas.light.span.end.0, scale.white);
+        for value in 0..width * channels {
+            let place = (f64::from(value / channels), f64::from(y));
+            let kept = look.sample(scene, colour.channel(value, y), place, 0, metas.light.span.end.0, scale.white);
             light.push(kept.into_iter().map(|(t, photocurrent)| (t, photocurrent as f32)));
+        }
+        for value in 0..metas.truth.row_values() {
+            let (channel, x) = (metas.truth.colour.channel(value as u32, y), value as u32 / metas.truth.channels());
             for l in truth.frames.clone() {
-                truth.row_mut(l, y)[x as usize] = scale.true_dn(scale.white * scene.reflectance(px, py, metas.truth.times.exposures[l].start.0));
+                let shown = reflectance(scene, channel, f64::from(x), f64::from(y), metas.truth.times.exposures[l].start.0);
+                truth.row_mut(l, y)[value] = scale.true_dn_of(channel, scale.white * shown);
             }
         }
         cx.advance(1)?;

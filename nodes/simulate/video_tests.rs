@@ -103,7 +103,8 @@ fn an_ideal_sensor_fires_on_a_ramp_when_algebra_says() {
     (ideal.front_end.tau_0, ideal.front_end.alpha) = (Some(Duration::new(0)), Some(Duration::new(0)));
     (ideal.comparator.threshold_on, ideal.comparator.threshold_off) = (Some(0.2), Some(0.2));
     (ideal.readout.refractory, ideal.frames.row_time) = (Some(Duration::new(0)), Some(Duration::new(0)));
-    let params = camera::Params { frame_rate: Rate::new(100.0), exposure: Duration::new(1_000_000), latency_spread: Duration::new(0) };
+    let params =
+        camera::Params { frame_rate: Rate::new(100.0), exposure: Duration::new(1_000_000), latency_spread: Duration::new(0), ..camera::Params::default() };
     let node = SimulateSensor::build(params).unwrap();
     let seen = testing::with_context(THREE.rows(), &["events"], |cx| node.run(camera::In { light: out.light, sensor: Arc::new(ideal) }, cx)).0.unwrap();
     let events = seen.events.read(THREE.rows()).unwrap();

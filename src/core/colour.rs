@@ -3,7 +3,9 @@
 //! The channels are 0 red, 1 green, 2 blue. A Bayer mosaic repeats a cell of 2 x 2 pixels; in a quad-Bayer mosaic each filter covers 2 x 2 pixels, so the
 //! cell has 4 x 4. A mosaic's name ends with the colours of its cell, row by row: `rggb` begins with red, `gbrg` with green above red.
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 
 /// The names of the channels, in their order.
@@ -114,6 +116,16 @@ impl Colour {
             Colour::Bayer(order) => Some(order.channel(value, y)),
             Colour::QuadBayer(order) => Some(order.channel(value / 2, y / 2)),
         }
+    }
+}
+
+impl JsonSchema for Colour {
+    fn schema_name() -> Cow<'static, str> {
+        "Colour".into()
+    }
+
+    fn json_schema(_: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "type": "string", "enum": Colour::names().collect::<Vec<_>>() })
     }
 }
 

@@ -8,6 +8,7 @@
 
 pub mod basketball;
 pub mod checkerboard;
+pub mod colour_wheel;
 pub mod fan;
 pub mod pellet;
 pub mod running_man;
@@ -25,10 +26,18 @@ pub const DARKEST: f64 = 0.03;
 /// See [`DARKEST`].
 pub const BRIGHTEST: f64 = 0.95;
 
+/// What red, green and blue count in luminance, ITU-R BT.709.
+pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
+
 /// Something to look at.
 pub trait Scene: Send + Sync {
     /// Mean reflectance of the pixel centred at (x, y) at an instant: [`DARKEST`] to [`BRIGHTEST`].
     fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64;
+
+    /// The same behind a filter of red (0), green (1) or blue (2); grey things look alike behind each. Both hints hold for it, too.
+    fn channel(&self, _channel: usize, x: f64, y: f64, t_ns: i64) -> f64 {
+        self.reflectance(x, y, t_ns)
+    }
 
     /// Upper bound on how fast anything crosses this pixel, pixels per nanosecond. Sampling steps follow from it.
     fn speed(&self, x: f64, y: f64) -> f64;
@@ -45,6 +54,8 @@ pub enum Name {
     Basketball,
     /// A board of squares that slides and turns.
     Checkerboard,
+    /// A rotating disk with sectors of different colours.
+    ColourWheel,
     /// Rotating blades.
     #[default]
     Fan,
@@ -68,6 +79,8 @@ pub struct Details {
     pub basketball: basketball::BasketballParams,
     /// Of the scene `checkerboard`.
     pub checkerboard: checkerboard::CheckerboardParams,
+    /// Of the scene `colour_wheel`.
+    pub colour_wheel: colour_wheel::ColourWheelParams,
     /// Of the scene `fan`.
     pub fan: fan::FanParams,
     /// Of the scene `pellet`.
@@ -89,6 +102,7 @@ impl Details {
         let differs = [
             (Name::Basketball, "basketball", self.basketball != default.basketball),
             (Name::Checkerboard, "checkerboard", self.checkerboard != default.checkerboard),
+            (Name::ColourWheel, "colour_wheel", self.colour_wheel != default.colour_wheel),
             (Name::Fan, "fan", self.fan != default.fan),
             (Name::Pellet, "pellet", self.pellet != default.pellet),
             (Name::RunningMan, "running_man", self.running_man != default.running_man),
@@ -104,6 +118,7 @@ impl Details {
         match name {
             Name::Basketball => Box::new(basketball::Basketball::new(&self.basketball, extent, seed)),
             Name::Checkerboard => Box::new(checkerboard::Checkerboard::new(&self.checkerboard, extent)),
+            Name::ColourWheel => Box::new(colour_wheel::ColourWheel::new(&self.colour_wheel, extent)),
             Name::Fan => Box::new(fan::Fan::new(&self.fan, extent, seed)),
             Name::Pellet => Box::new(pellet::Pellets::new(&self.pellet, extent, seed)),
             Name::RunningMan => Box::new(running_man::RunningMan::new(&self.running_man, extent, seed)),
@@ -119,8 +134,17 @@ pub(crate) mod tests {
     use super::*;
 
     pub const EXTENT: Extent = Extent { width: 80, height: 60 };
-    pub const ALL: [Name; 8] =
-        [Name::Basketball, Name::Checkerboard, Name::Fan, Name::Pellet, Name::RunningMan, Name::SiemensDisk, Name::SlingshotEgg, Name::Texture];
+    pub const ALL: [Name; 9] = [
+        Name::Basketball,
+        Name::Checkerboard,
+        Name::ColourWheel,
+        Name::Fan,
+        Name::Pellet,
+        Name::RunningMan,
+        Name::SiemensDisk,
+        Name::SlingshotEgg,
+        Name::Texture,
+    ];
 
     /// Instants over the first 100 ms that hit no special one.
     fn instants() -> impl Iterator<Item = i64> {
@@ -199,7 +223,7 @@ pub(crate) mod tests {
             };
             assert_eq!(picture(7), picture(7), "{name:?}");
             // What is drawn by geometry alone has no seed.
-            let drawn = [Name::Checkerboard, Name::SiemensDisk].contains(&name);
+            let drawn = [Name::Checkerboard, Name::ColourWheel, Name::SiemensDisk].contains(&name);
             assert_eq!(picture(7) == picture(8), drawn, "{name:?}");
         }
     }

@@ -108,6 +108,16 @@ impl Texture {
         Texture { nodes }
     }
 
+    /// A texture between this (0) and another (1) in the logarithm.
+    pub fn mixed(&self, other: &Texture, share: f64) -> Texture {
+        let mix = |(own, other): (&f32, &f32)| {
+            let log = blend(libm::log(f64::from(*own)), libm::log(f64::from(*other)), share);
+            // Rounding to f32 must not leave the range of the two.
+            (libm::exp(log) as f32).clamp(own.min(*other), own.max(*other))
+        };
+        Texture { nodes: self.nodes.iter().zip(&other.nodes).map(mix).collect() }
+    }
+
     /// The value at any place, linear between whole pixels.
     pub fn at(&self, x: f64, y: f64) -> f64 {
         let (left, top) = (x.floor(), y.floor());
