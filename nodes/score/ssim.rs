@@ -106,9 +106,9 @@ params = { roi = { x = 40, y = 30, width = 64, height = 64 } }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let frames = inputs.frames("frames")?;
+        no_mosaic(frames, "a window of SSIM")?;
         match_frames(frames, inputs.truth("truth")?, self.params.tolerance.ns())?;
         check_size(frames.extent)?;
-        no_mosaic(frames, "a window of SSIM")?;
         self.params.roi.map_or(Ok(()), |roi| roi.check(frames.extent))?;
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }

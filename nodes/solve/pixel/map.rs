@@ -60,6 +60,8 @@ pub(crate) struct RowSolver {
     first_frame: Vec<usize>,
     /// Light of a frame's value over that of its event pixel, in which its problem is posed.
     light_ratio: Vec<f64>,
+    /// How much that changes, all in all: natural-log units squared.
+    unrest: Vec<f64>,
     knots: Vec<(i64, f32)>,
 }
 
@@ -124,11 +126,16 @@ impl RowSolver {
             self.knots.clear();
             let mut values = [Status::NoFrame as u8 as f32, 0.0, 0.0];
             if self.first_frame[x + 1] > self.first_frame[x] {
-                let RowSolver { workspace, events, first_event, frames, first_frame, light_ratio, knots } = self;
+                let RowSolver { workspace, events, first_event, frames, first_frame, light_ratio, unrest, knots } = self;
+                // What colours change between frames is spread over the events.
+                let unrest = unrest[x] / usize::max(first_event[x + 1] - first_event[x], 1) as f64;
+                let off = |sigma: f64, unit: f64| if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma };
+                let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
                 let problem = MapProblem {
                     hints: hints.map_or(&[], |hints| hints[x].as_slice()),
                     ..problem(model, &events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]], span, noise)
                 };
+                let problem = MapProblem { silence_sigma: off(problem.silence_sigma, 1.0), ..problem };
                 let solution = solve(&problem, &options, workspace);
                 thin(&solution, light_ratio[x], knots);
                 let status = match solution.status {
@@ -166,11 +173,16 @@ impl RowSolver {
     fn take_frames(&mut self, model: &Model, frames: &FrameBlock, row: u32, width: usize, exposures: &[Exposure], shares: &RowShares) {
         self.frames.clear();
         self.light_ratio.clear();
+        self.unrest.clear();
         self.first_frame.clear();
         for x in 0..width {
             self.first_frame.push(self.frames.len());
             let share = shares.of(x, 0..exposures.len());
             self.light_ratio.push(share.ratio);
+            self.unrest.push(shares.unrest(x, |above| {
+                let relative = model.frame_noise.sigma_dn(above) / above;
+                relative * relative
+            }));
             for (l, exposure) in exposures.iter().enumerate() {
                 let dn = f64::from(frames.row(l, row)[x]);
                 if dn.is_finite() {

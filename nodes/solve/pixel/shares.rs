@@ -6,7 +6,11 @@
 //!
 //! The ratio is estimated from the same frames: what the value collected, over the mixture of its block ([`photocurrent_sensor::pooling`]).
 //!
-//! Limits: the ratio follows colours from problem to problem, not inside one. Neither `r` nor `g` changes what a pixel alone on its event pixel means: it is 1.
+//! Where colours do not stay, the ratio does not: an event's step is then right for the mixture and wrong for the value. How wrong on average is known from the
+//! frames, as the changes of `ln r` from frame to frame: spread over the pixel's events, they are the standard deviation by which a step may be off
+//! ([`RowShares::unrest`]). `method = "map"` believes events and silence that much less.
+//!
+//! Limits: the ratio follows colours from problem to problem, not inside one; blur hides changes that a frame averages out. Neither `r` nor `g` changes what a pixel alone on its event pixel means: it is 1.
 
 use super::Model;
 use crate::co_located::{CoLocated, channel_gains, event_weights, gain_of};
@@ -97,6 +101,23 @@ impl RowShares {
         let ratio = if own > 0.0 && seen > 0.0 { (own / seen).clamp(1.0 / RATIO_LIMIT, RATIO_LIMIT) } else { 1.0 };
         Share { ratio, scale: ratio * gain }
     }
+
+    /// Sum over consecutive frames of the squared change of `ln r`, what noise makes of it taken off: `noise` is the relative variance of a value whose DN is so
+    /// far above black. 0 where nothing is mixed.
+    pub fn unrest(&self, value: usize, noise: impl Fn(f64) -> f64) -> f64 {
+        let width = self.gain.len();
+        if self.own.is_empty() || value >= width {
+            return 0.0;
+        }
+        let (mut sum, mut before) = (0.0, None);
+        for (own, seen) in self.own.iter().zip(&self.seen).skip(value).step_by(width).filter(|(own, seen)| **own > 0.0 && **seen > 0.0) {
+            let now = (libm::log(own / seen), noise(own * self.gain[value]));
+            if let Some((log_ratio, variance)) = before.replace(now) {
+                sum += (now.0 - log_ratio) * (now.0 - log_ratio) - variance - now.1;
+            }
+        }
+        f64::max(sum, 0.0)
+    }
 }
 
 impl Share {
@@ -114,5 +135,51 @@ impl Share {
     /// The weight of its square.
     pub fn weight(&self, weight: f64) -> f64 {
         weight * self.scale * self.scale
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two values in four frames; the second changes its colour by `e` from the second frame to the third.
+    fn shares(own_again: f64) -> RowShares {
+        let e = std::f64::consts::E;
+        RowShares {
+            gain: vec![1.0, 2.0],
+            own: vec![100.0, 50.0, 200.0, 100.0, 50.0, e * 25.0, 100.0, own_again],
+            seen: vec![200.0, 100.0, 400.0, 200.0, 100.0, 50.0, 200.0, 100.0],
+        }
+    }
+
+    #[test]
+    fn the_ratio_is_that_of_the_sums_over_the_frames_of_a_problem() {
+        let shares = shares(e_times(50.0));
+        assert_eq!((shares.of(0, 0..4).ratio, shares.of(1, 0..2).ratio), (0.5, 0.5));
+        let later = shares.of(1, 2..4);
+        assert!((later.ratio - e_times(0.5)).abs() < 1e-12);
+        // DN above a black level of 10, over gain and ratio; a weight goes with the square.
+        assert!((later.dn(10.0 + 4.0 * later.ratio, 10.0) - 12.0).abs() < 1e-12);
+        assert!((later.weight(1.0) / (4.0 * later.ratio * later.ratio) - 1.0).abs() < 1e-12);
+        // Darkness says nothing about colour.
+        assert_eq!(RowShares { gain: vec![1.0], own: vec![-3.0], seen: vec![5.0] }.of(0, 0..1).ratio, 1.0);
+    }
+
+    fn e_times(value: f64) -> f64 {
+        std::f64::consts::E * value
+    }
+
+    #[test]
+    fn unrest_is_the_square_of_what_the_colour_changed_less_the_noise() {
+        let shares = shares(e_times(50.0));
+        // One change of ln r by 1, between frames of a relative variance of 0.1 each; noise alone is no unrest.
+        assert!((shares.unrest(1, |_| 0.0) - 1.0).abs() < 1e-12);
+        assert!((shares.unrest(1, |_| 0.1) - (1.0 - 6.0 * 0.1)).abs() < 1e-12);
+        assert_eq!((shares.unrest(0, |_| 0.0), shares.unrest(0, |_| 0.1)), (0.0, 0.0));
+        // A frame in which the value is not known joins the two beside it.
+        let mut holed = self::shares(e_times(50.0));
+        holed.own[3] = f64::NAN;
+        assert!((holed.unrest(1, |_| 0.0) - 1.0).abs() < 1e-12);
+        assert_eq!(RowShares::default().unrest(0, |_| 0.0), 0.0);
     }
 }
