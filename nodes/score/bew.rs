@@ -11,6 +11,7 @@
 use super::card::{Card, OWN};
 use super::compare::Peak;
 use super::edge::{BOOTSTRAPS, Direction, Edge, FLOOR_PX, LEAST_ACROSS, LEAST_ALONG, Question, Refusal, Thresholds, measure};
+use super::matching::no_mosaic;
 use super::roi::Roi;
 use photocurrent_core::table::{Column, Score, TableMeta, percentile};
 use photocurrent_core::{Context, Decl, Extent, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
@@ -143,6 +144,7 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let frames = inputs.frames("frames")?;
+        no_mosaic(frames, "an edge's profile")?;
         self.check(frames.extent, frames.channels())?;
         Ok([true, false, false].map(|scores| Meta::Table(Arc::new(TableMeta { scores }))).to_vec())
     }
