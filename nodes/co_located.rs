@@ -1,9 +1,10 @@
 //! Events beside frames of more pixels or more colours: which events belong to which value of a frame.
 //!
 //! Frames may have a whole number of pixels along the side of each event pixel, and three values or a mosaic of filters instead of grey. Every value of a frame
-//! is a problem of its own, with the events of the event pixel that it lies on: so [`CoLocated::read`] gives the events of a row of frames as if every one of its
+//! is a problem of its own, with the events of the event pixel that it lies on: so [`CoLocatedEvents`] gives the events of a row of frames as if every one of its
 //! values had fired them, at the column where the value stands in the row. Who works on values that way need not know of either.
 
+use photocurrent_core::events::EventRow;
 use photocurrent_core::{Colour, EventBand, EventStream, EventsMeta, Extent, FramesMeta, NodeError, Rows, Sensor};
 
 /// How the pixels of frames lie on those of events.
@@ -61,39 +62,49 @@ impl CoLocated {
         Rows { start: frames.start / self.ratio, end: frames.end.div_ceil(self.ratio) }
     }
 
-    /// The events of some rows of the frames: `x` counts the values of a row (`x * channels + channel`), and every event stands at each value it belongs to.
+    /// The events of some rows of the frames.
     ///
     /// # Errors
     /// When the events cannot be read.
-    pub fn read(&self, events: &EventStream, rows: Rows) -> Result<EventBand, NodeError> {
-        let band = events.read(self.event_rows(rows))?;
-        if self.is_plain() {
-            return Ok(band);
+    pub fn read(&self, events: &EventStream, rows: Rows) -> Result<CoLocatedEvents, NodeError> {
+        Ok(CoLocatedEvents { lie: *self, band: events.read(self.event_rows(rows))? })
+    }
+}
+
+/// Events of some rows of frames, kept once for each event pixel.
+pub struct CoLocatedEvents {
+    lie: CoLocated,
+    band: EventBand,
+}
+
+impl CoLocatedEvents {
+    /// What `work` makes of the events of row `y` of the frames: `x` counts the values of the row (`x * channels + channel`), and every event stands at each
+    /// value it belongs to. The copies live as long as the call.
+    ///
+    /// # Errors
+    /// When the events do not fit each other, a broken invariant of their source.
+    pub fn with_row<T>(&self, y: u32, work: impl FnOnce(EventRow) -> T) -> Result<T, NodeError> {
+        let CoLocated { ratio, colour } = self.lie;
+        let row = self.band.row(y / ratio);
+        if self.lie.is_plain() {
+            return Ok(work(row));
         }
-        let copies = self.ratio * self.colour.channels();
-        let counts = rows.iter().map(|y| band.row(y / self.ratio).len() * copies as usize);
-        let all: usize = counts.clone().sum();
-        let mut offsets = vec![0];
-        offsets.extend(counts.scan(0, |before, count| {
-            *before += count;
-            Some(*before)
-        }));
+        let copies = ratio * colour.channels();
+        let all = row.len() * copies as usize;
         let (mut x, mut on, mut t) = (Vec::with_capacity(all), Vec::with_capacity(all), Vec::with_capacity(all));
-        let (mut t_in, mut step) = (band.t_in.as_ref().map(|_| Vec::with_capacity(all)), band.step.as_ref().map(|_| Vec::with_capacity(all)));
-        for y in rows.iter() {
-            let row = band.row(y / self.ratio);
-            for k in 0..row.len() {
-                for copy in 0..copies {
-                    // Below the limit that was checked.
-                    x.push((u32::from(row.x[k]) * copies + copy) as u16);
-                    on.push(row.on[k]);
-                    t.push(row.t[k]);
-                }
-                fill(&mut t_in, row.t_in, k, copies);
-                fill(&mut step, row.step, k, copies);
+        let (mut t_in, mut step) = (row.t_in.map(|_| Vec::with_capacity(all)), row.step.map(|_| Vec::with_capacity(all)));
+        for k in 0..row.len() {
+            for copy in 0..copies {
+                // Below the limit that was checked.
+                x.push((u32::from(row.x[k]) * copies + copy) as u16);
+                on.push(row.on[k]);
+                t.push(row.t[k]);
             }
+            fill(&mut t_in, row.t_in, k, copies);
+            fill(&mut step, row.step, k, copies);
         }
-        Ok(EventBand::from_columns(rows.start, offsets, x, on, t, t_in, step)?)
+        let spread = EventBand::from_columns(y, vec![0, all], x, on, t, t_in, step)?;
+        Ok(work(spread.row(y)))
     }
 }
 
@@ -160,11 +171,17 @@ mod tests {
             for rows in [frames.rows(), Rows { start: 1, end: 2 }] {
                 let band = lie.read(&events, rows).unwrap();
                 for y in rows.iter() {
-                    let (row, expected) = (band.row(y), own.row(y / ratio));
-                    let (index, pixels) = (row.by_pixel(4 * ratio * colour.channels()), expected.by_pixel(4));
-                    for value in 0..(4 * ratio * colour.channels()) as usize {
+                    let (values, expected) = (4 * ratio * colour.channels(), own.row(y / ratio));
+                    let pixels = expected.by_pixel(4);
+                    type Found = Vec<Vec<(i64, u8, i64)>>;
+                    let of_values = |row: EventRow| -> Found {
+                        let index = row.by_pixel(values);
+                        let of = |value| index.pixel(value).iter().map(|&k| (row.t[k], row.on[k], row.t_in.unwrap()[k])).collect();
+                        (0..values as usize).map(of).collect()
+                    };
+                    let found = band.with_row(y, of_values).unwrap();
+                    for (value, found) in found.into_iter().enumerate() {
                         let pixel = pixels.pixel(value / colour.channels() as usize / ratio as usize);
-                        let found: Vec<_> = index.pixel(value).iter().map(|&k| (row.t[k], row.on[k], row.t_in.unwrap()[k])).collect();
                         assert_eq!(found, pixel.iter().map(|&k| (expected.t[k], expected.on[k], expected.t_in.unwrap()[k])).collect::<Vec<_>>());
                     }
                 }
@@ -177,7 +194,8 @@ mod tests {
         let (events, frames) = (testing::events(4, 3), testing::frames(4, 3, 1));
         let lie = CoLocated::new(&events.meta, &frames.meta).unwrap();
         assert!(lie.is_plain());
-        assert_eq!(lie.read(&events, events.rows()).unwrap(), events.read(events.rows()).unwrap());
+        let (band, expected) = (lie.read(&events, events.rows()).unwrap(), events.read(events.rows()).unwrap());
+        band.with_row(1, |row| assert_eq!((row.first, row.t, row.x), (expected.row(1).first, expected.row(1).t, expected.row(1).x))).unwrap();
         let other = CoLocated::new(&events.meta, &testing::frames(8, 9, 1).meta).unwrap_err();
         assert_eq!(other.message, "events are 4 x 3, frames are 8 x 9");
     }

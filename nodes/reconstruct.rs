@@ -4,13 +4,13 @@
 //! Methods that stand beside each other must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
 //! planning and for running, and [`by_rows`] cuts the work into rows.
 
-use crate::co_located::CoLocated;
+use crate::co_located::{CoLocated, CoLocatedEvents};
 use crate::pixel_events::{Stamp, StepRule, clock_offset};
 use crate::sampling::{Sampling, virtual_frames};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::Column;
 use photocurrent_core::{
-    Context, EventBand, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, NodeError, PortMetas, Rows, Sensor, Table,
+    Context, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, NodeError, PortMetas, Rows, Sensor, Table,
 };
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -193,11 +193,11 @@ pub fn nearest_frame(frames: &FramesMeta, row: u32, t: i64) -> usize {
     }
 }
 
-/// The events of some rows of the frames, at every value of theirs ([`CoLocated::read`]).
+/// The events of some rows of the frames, at every value of theirs ([`CoLocatedEvents::with_row`]).
 ///
 /// # Errors
 /// When they are of other pixels or cannot be read.
-pub fn events_of(events: &EventStream, frames: &FramesMeta, rows: Rows) -> Result<EventBand, NodeError> {
+pub fn events_of(events: &EventStream, frames: &FramesMeta, rows: Rows) -> Result<CoLocatedEvents, NodeError> {
     CoLocated::new(&events.meta, frames)?.read(events, rows)
 }
 

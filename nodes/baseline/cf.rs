@@ -166,7 +166,7 @@ params = { rate = "1 kHz", cutoff = "0.5 Hz", threshold = 0.1, white = 255 }
         let events = events_of(&input.events, request.frames, cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
         let job = Job { captured: request.frames, output: &meta, params: &self.params, rule, intensity };
-        Ok(Out { frames: by_rows(cx, meta.clone(), |row| Ok(job.row(row, &events.row(row), &frames)))? })
+        Ok(Out { frames: by_rows(cx, meta.clone(), |row| events.with_row(row, |events| job.row(row, &events, &frames)))? })
     }
 }
 

@@ -140,7 +140,7 @@ params = { rate = "1 kHz", latency = "40 us" }
         let job = Job { captured: request.frames, output: &meta, rule, per_frame, black: black_level(request.sensor), params: &self.params };
         let events = events_of(&input.events, request.frames, cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
-        Ok(Out { frames: by_rows(cx, meta.clone(), |row| Ok(job.row(row, &events.row(row), &frames)))? })
+        Ok(Out { frames: by_rows(cx, meta.clone(), |row| events.with_row(row, |events| job.row(row, &events, &frames)))? })
     }
 }
 

@@ -396,10 +396,11 @@ params = { front_end = "low_pass", readout = "slope", cis_weight = 1.0, evs_weig
         let solve_row = |(workspace, finer): &mut (paper::RowSolver, map::RowSolver), row: u32| -> Result<(TrackBand, MapBand), NodeError> {
             let exposures: Vec<Exposure> = (0..input.frames.len()).map(|l| input.frames.meta.times.exposure(l, row)).collect();
             let shares = colours.row(&model, &frames, row);
-            let (tracks, map) = match self.params.method {
-                Method::Paper => workspace.row(&self.params, &model, &wide, row, events.row(row), &frames, &exposures, &shares)?,
-                Method::Map => finer.row(&self.params, &model, &wide, row, events.row(row), &frames, &exposures, &shares),
-            };
+            let solved = events.with_row(row, |events| match self.params.method {
+                Method::Paper => workspace.row(&self.params, &model, &wide, row, events, &frames, &exposures, &shares),
+                Method::Map => Ok(finer.row(&self.params, &model, &wide, row, events, &frames, &exposures, &shares)),
+            });
+            let (tracks, map) = solved??;
             cx.advance(1)?;
             Ok((tracks, of_pixels(map, &meta)))
         };

@@ -5,6 +5,7 @@
 
 use super::Crop;
 use crate::co_located::CoLocated;
+use photocurrent_core::events::EventRow;
 use photocurrent_core::{Colour, EventStream, NodeError, Rows, TimeSpan};
 
 /// Rows that are read at a time, so that a long recording need not fit into memory.
@@ -26,17 +27,19 @@ pub(super) fn counted(events: &EventStream, ratio: u32, windows: &[TimeSpan], sh
     for rows in (Rows { start: crop.y, end: crop.y + crop.height }).bands(BAND_ROWS) {
         let band = lie.read(events, rows)?;
         for y in rows.iter() {
-            let row = band.row(y);
-            let start = (y - crop.y) as usize * crop.width as usize;
-            for (window, counts) in windows.iter().zip(&mut counts) {
-                let before = |ns: i64| row.t.partition_point(|t| t - shift_ns < ns);
-                for k in before(window.start.0)..before(window.end.0) {
-                    let x = u32::from(row.x[k]);
-                    if columns.contains(&x) {
-                        counts[start + (x - crop.x) as usize][usize::from(row.on[k] == 0)] += 1;
+            let count = |row: EventRow| {
+                let start = (y - crop.y) as usize * crop.width as usize;
+                for (window, counts) in windows.iter().zip(&mut counts) {
+                    let before = |ns: i64| row.t.partition_point(|t| t - shift_ns < ns);
+                    for k in before(window.start.0)..before(window.end.0) {
+                        let x = u32::from(row.x[k]);
+                        if columns.contains(&x) {
+                            counts[start + (x - crop.x) as usize][usize::from(row.on[k] == 0)] += 1;
+                        }
                     }
                 }
-            }
+            };
+            band.with_row(y, count)?;
         }
     }
     Ok(counts)
