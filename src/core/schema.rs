@@ -95,8 +95,15 @@ impl Checker<'_> {
         match (&tree.item, expected) {
             (Item::Table(_), "a table") => self.check_table(tree, schema, path, problems),
             (Item::Array(items), "a list") => {
-                if let Some(least) = schema["minItems"].as_u64().filter(|least| (items.len() as u64) < *least) {
-                    problems.push(Problem::at(&tree.origin, format!("a list of at least {least} is needed, found {}", items.len())));
+                let (least, most, found) = (schema["minItems"].as_u64(), schema["maxItems"].as_u64(), items.len() as u64);
+                let bound = match (least, most) {
+                    (Some(least), Some(most)) if least == most && found != least => Some(format!("{least}")),
+                    (Some(least), _) if found < least => Some(format!("at least {least}")),
+                    (_, Some(most)) if found > most => Some(format!("at most {most}")),
+                    _ => None,
+                };
+                if let Some(bound) = bound {
+                    problems.push(Problem::at(&tree.origin, format!("a list of {bound} is needed, found {found}")));
                 }
                 for (i, item) in items.iter().enumerate() {
                     self.check(item, &schema["items"], &format!("{path}[{i}]"), problems);

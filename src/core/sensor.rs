@@ -363,6 +363,17 @@ leak_events = { rate = "0.1 Hz" }
     }
 
     #[test]
+    fn colours_are_three_numbers() {
+        let text = HYBRID.replace("gain = 850", "gain = 850\nchannel_gain = [1.0, 2.0, 0.5]\n[optics]\nevent_weights = [1, 2, 1]");
+        let sensor = Sensor::parse(&Source::new("s.toml", "", text.clone())).unwrap();
+        assert_eq!((sensor.frames.channel_gain, sensor.optics.event_weights), (Some([1.0, 2.0, 0.5]), Some([1.0, 2.0, 1.0])));
+        let text = text.replace("[1, 2, 1]", "[1, 2]").replace("[1.0, 2.0, 0.5]", "[1.0, 2.0, 0.5, 1.0]");
+        let problems = Sensor::parse(&Source::new("s.toml", "", text)).unwrap_err();
+        let messages: Vec<&str> = problems.iter().map(|p| p.message.as_str()).collect();
+        assert_eq!(messages, ["a list of 3 is needed, found 4", "a list of 3 is needed, found 2"]);
+    }
+
+    #[test]
     fn mistakes_are_all_reported() {
         let text = HYBRID.replace("threshold_on = 0.20", "threshold_on = -0.2").replace("refractory = \"50 us\"", "refractory = 50\nrefactory = 1");
         let problems = Sensor::parse(&Source::new("s.toml", "", text)).unwrap_err();
