@@ -20,6 +20,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<compensate::readout::CompensateReadout>(),
         Kind::of::<solve::pixel::SolvePixel>(),
         Kind::of::<refine::motion::RefineMotion>(),
+        Kind::of::<refine::picture::RefinePicture>(),
         // Photocurrent becomes frames.
         Kind::of::<render::rows::RenderRows>(),
         Kind::of::<render::demosaic::RenderDemosaic>(),

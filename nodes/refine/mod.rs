@@ -1,3 +1,10 @@
 //! Photocurrent that is known already, solved again with more knowledge.
 
+mod again;
+mod film;
+#[cfg(test)]
+mod fixtures;
+mod flow;
 pub mod motion;
+pub mod picture;
+mod trust;

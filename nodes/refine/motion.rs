@@ -12,25 +12,16 @@
 //! Limits: it needs the whole sensor at once. Light that changes without moving is what it must reject, not what it can use.
 
 mod advect;
-mod film;
-mod flow;
 #[cfg(test)]
 mod tests;
 
-use crate::co_located::CoLocated;
-use crate::solve::pixel::map::{RowSetting, RowSolver};
-use crate::solve::pixel::shares::RowShares;
-use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
-use advect::Advection;
-use film::{Film, Fired, LogTracks};
-use flow::Flow;
+use super::again::{Setting, Solver};
+use super::film::{Film, LogTracks};
+use super::flow::Flow;
+use super::trust::{Known, Trust};
+use crate::solve::pixel::{FrontEndModel, Params as SolveParams};
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{
-    Between, Context, Decl, EventStream, EventsMeta, Exposure, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet,
-    TracksMeta, handle::Band,
-};
-use photocurrent_sensor::map::Hint;
-use rayon::prelude::*;
+use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackSet};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -89,31 +80,15 @@ photocurrent_core::ports! {
 
 /// The node.
 pub struct RefineMotion {
-    solve: SolvePixel,
+    solver: Solver,
     params: Params,
-}
-
-impl RefineMotion {
-    fn meta(&self, tracks: &TracksMeta, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
-        if tracks.between != Between::LogLinear {
-            return Err(NodeError::usage("the tracks hold their values between knots; refine/motion needs log-linear ones")
-                .hint("connect tracks of solve/pixel with `method = \"map\"`"));
-        }
-        CoLocated::new(events, frames)?.need_plain("refine/motion")?;
-        let meta = self.solve.tracks_meta(events, frames)?;
-        if tracks.extent != meta.extent {
-            return Err(NodeError::usage(format!("tracks are {}, events are {}", tracks.extent, meta.extent))
-                .hint("connect the events and frames that the tracks were solved from"));
-        }
-        Ok(meta)
-    }
 }
 
 impl Node for RefineMotion {
     const DECL: Decl = Decl {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the motion.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -138,74 +113,30 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
 
     fn build(params: Params) -> Result<Self, NodeError> {
         let Params { front_end, event_noise, frame_noise, knot_spacing, .. } = params;
-        let solve = SolvePixel::build(SolveParams { method: Method::Map, front_end, event_noise, frame_noise, knot_spacing, ..SolveParams::default() })?;
-        Ok(RefineMotion { solve, params })
+        Ok(RefineMotion { solver: Solver::build(Setting { front_end, event_noise, frame_noise, knot_spacing })?, params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
-        self.solve.model(inputs.sensor("sensor")?, events)?;
-        Ok(vec![Meta::Tracks(Arc::new(self.meta(inputs.tracks("tracks")?, events, frames)?))])
+        Ok(vec![Meta::Tracks(Arc::new(self.solver.plan(Self::DECL.kind, inputs)?))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let meta = self.meta(&input.tracks.meta, &input.events.meta, &input.frames.meta)?;
-        let model = self.solve.model(&input.sensor, &input.events.meta)?;
-        let rows = cx.rows();
-        cx.begin(rows.len() as u64 * (1 + u64::from(self.params.rounds)), "rows");
-        let mut tracks = input.tracks.read(rows)?;
-        let events = input.events.read(rows)?;
-        let frames = input.frames.read_rows(rows)?;
-        let prepare = |row: u32| -> Result<Row, NodeError> {
-            let exposures: Vec<Exposure> = (0..input.frames.len()).map(|l| input.frames.meta.times.exposure(l, row)).collect();
-            let mut solver = RowSolver::default();
-            let setting = solver.prepare(self.solve.params(), &model, &meta, row, events.row(row), &frames, &exposures, &RowShares::default());
-            cx.advance(1)?;
-            Ok(Row { row, solver, setting })
-        };
-        let prepared: Result<Vec<Row>, NodeError> = rows.iter().into_par_iter().map(prepare).collect();
-        let mut prepared = prepared?;
-        drop((events, frames));
-        let width = meta.extent.width as usize;
-        let times = |row: &Row, x: usize| row.solver.events_of(x).iter().map(|event| event.t_in_ns).collect();
-        let fired = Arc::new(Fired::new(prepared.iter().flat_map(|row| (0..width).map(move |x| times(row, x)))));
+        let meta = self.solver.meta(Self::DECL.kind, &input.tracks.meta, &input.events.meta, &input.frames.meta)?;
+        cx.begin(cx.rows().len() as u64 * (1 + u64::from(self.params.rounds)), "rows");
+        let mut tracks = input.tracks.read(cx.rows())?;
+        let mut again = self.solver.take_in(meta, &input.events, &input.frames, &input.sensor, cx)?;
+        let fired = again.fired();
+        let (extent, span) = (again.meta.extent, again.meta.span);
+        let step_ns = 2 * self.params.knot_spacing.ns();
         for _round in 0..self.params.rounds {
-            let log = LogTracks::new(meta.extent, &tracks, &fired);
-            let flow = Flow::new(&Film::new(&log, (meta.span.start.0, meta.span.end.0), FILM_STEP_NS));
-            let solved: Result<Vec<TrackBand>, NodeError> = prepared
-                .par_iter_mut()
-                .map(|row| {
-                    let band = self.solve_row(row, &model, &meta, &log, &flow);
-                    cx.advance(1)?;
-                    Ok(band)
-                })
-                .collect();
-            tracks = TrackBand::concat(solved?);
+            let log = LogTracks::new(extent, &tracks, &fired);
+            let flow = Flow::new(&Film::new(&log, (span.start.0, span.end.0), FILM_STEP_NS));
+            tracks = again.solve(cx, 1.0, |row, x, threshold, hints| {
+                let (y, span) = (row.row as usize, row.span());
+                let say = |t_ns: i64| advect::neighbours(&log, &flow, x, y, span, t_ns);
+                Trust::new(Known::Level).hints(say, &log, (x, y), (span, step_ns), row.events_of(x), row.frames_of(x), threshold, hints);
+            })?;
         }
-        Ok(Out { tracks: TrackSet::in_memory(Arc::new(meta), tracks) })
-    }
-}
-
-/// A row, taken in once for all rounds.
-struct Row {
-    row: u32,
-    solver: RowSolver,
-    setting: RowSetting,
-}
-
-impl RefineMotion {
-    fn solve_row(&self, row: &mut Row, model: &Model, meta: &TracksMeta, log: &LogTracks, flow: &Flow) -> TrackBand {
-        let Row { row, solver, setting } = row;
-        let mut advection = Advection::default();
-        let hints: Vec<Vec<Hint>> = (0..meta.extent.width as usize)
-            .map(|x| {
-                let mut hints = Vec::new();
-                let (events, frames) = (solver.events_of(x), solver.frames_of(x));
-                let step_ns = 2 * self.params.knot_spacing.ns();
-                advection.hints(log, flow, (x, *row as usize), setting.span, step_ns, events, frames, model.threshold(), &mut hints);
-                hints
-            })
-            .collect();
-        solver.solve(model, setting, meta, *row, Some(&hints)).0
+        Ok(Out { tracks: TrackSet::in_memory(Arc::new(again.meta), tracks) })
     }
 }

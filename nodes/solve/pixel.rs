@@ -238,6 +238,11 @@ pub(crate) struct Model {
 }
 
 impl Model {
+    /// DN per photocurrent and second, and DN of darkness.
+    pub(crate) fn frame_scale(&self) -> (f64, f64) {
+        (self.gain, self.black_level)
+    }
+
     /// The smaller threshold, natural-log units.
     pub(crate) fn threshold(&self) -> f64 {
         f64::min(self.rule.threshold_on, self.rule.threshold_off)

@@ -2,12 +2,11 @@
 //!
 //! What passes a pixel now passed the next pixel line a moment ago, and will pass the one on the other side a moment later. So log light
 //! is read off where the path crosses the next [`LINES`] lines of pixels, backward and forward, never at the pixel itself and never more than
-//! [`LONGEST_MS`] away. How far that may be believed is measured twice: by how much the past and the future contradict each other, and by how
-//! much they contradict the pixel's own events and frames. Both can only widen the error.
+//! [`LONGEST_MS`] away. How far that may be believed is for [`Trust`](crate::refine::trust::Trust) to say: past and future must not contradict each other.
 
-use super::film::LogTracks;
-use super::flow::Flow;
-use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
+use crate::refine::film::LogTracks;
+use crate::refine::flow::Flow;
+use crate::refine::trust::Said;
 
 /// Pixel lines that are looked at on either side.
 const LINES: usize = 3;
@@ -15,122 +14,13 @@ const LINES: usize = 3;
 const LINE_WEIGHTS: [f64; LINES] = [1.0, 0.7, 0.5];
 /// Longest time between a pixel and its neighbour's answer, ms.
 const LONGEST_MS: f64 = 12.0;
-/// No hint is better than this, natural-log units.
-const FLOOR: f64 = 0.01;
-/// Neighbouring hints err together: each counts as if its variance were so many times as large.
-const TOGETHER: f64 = 4.0;
-/// Contradictions are pooled over this time, ms.
-const POOLED_MS: f64 = 3.0;
-/// And over this, to see whether there is anything in the hints at all.
-const WIDE_MS: f64 = 15.0;
 /// A track counts half so long after or before an event of its pixel, ms.
 const FRESH_MS: f64 = 1.5;
 /// And never less than one part in so many and one.
 const STALEST: f64 = 15.0;
-/// What a frame weighs beside an event when a pixel judges its hints.
-const FRAME_WEIGHT: f64 = 3.0;
-/// One side alone can contradict nobody: its variance counts so many times.
-const ONE_SIDED: f64 = 4.0;
-
-/// What the neighbours say at one instant.
-#[derive(Clone, Copy, Debug)]
-struct Said {
-    t_ns: i64,
-    log: f64,
-    /// Half the difference between future and past, squared, where both exist.
-    contradiction: Option<f64>,
-}
-
-/// Collects hints; keeps its memory from pixel to pixel.
-#[derive(Default)]
-pub(super) struct Advection {
-    said: Vec<Said>,
-    own: Vec<(i64, f64, f64)>,
-}
-
-impl Advection {
-    /// The hints of a pixel every `step_ns` of `span`, in order of time; none where nothing moves or the pixel disagrees.
-    ///
-    /// `threshold` is how exactly the pixel knows its light by itself, natural-log units.
-    #[expect(clippy::too_many_arguments, reason = "a pixel and all that surrounds it")]
-    pub fn hints(
-        &mut self,
-        tracks: &LogTracks,
-        flow: &Flow,
-        (x, y): (usize, usize),
-        span: (i64, i64),
-        step_ns: i64,
-        events: &[MapEvent],
-        frames: &[MapFrame],
-        threshold: f64,
-        hints: &mut Vec<Hint>,
-    ) {
-        hints.clear();
-        self.said.clear();
-        if events.is_empty() {
-            return;
-        }
-        let mut t_ns = span.0 + step_ns / 2;
-        while t_ns < span.1 {
-            if let Some(said) = neighbours(tracks, flow, x, y, span, t_ns) {
-                self.said.push(said);
-            }
-            t_ns += step_ns;
-        }
-        self.judge(tracks, (x, y), step_ns, events, frames);
-        for said in &self.said {
-            let pooled = |list: &mut dyn Iterator<Item = (i64, f64, f64)>, start: f64, over_ms: f64| {
-                let mut sum = (start * FLOOR * FLOOR, start);
-                for (t, square, weight) in list {
-                    let apart = (t - said.t_ns) as f64 * 1e-6 / over_ms;
-                    let weight = weight / (1.0 + apart * apart * apart * apart);
-                    sum = (sum.0 + weight * square, sum.1 + weight);
-                }
-                sum.0 / sum.1
-            };
-            let contradiction = pooled(&mut self.said.iter().filter_map(|s| s.contradiction.map(|c| (s.t_ns, c, 1.0))), 0.1, POOLED_MS);
-            let own = pooled(&mut self.own.iter().copied(), 0.1, POOLED_MS);
-            // By itself a pixel knows its light to a threshold or so: who misses it by as much where it is known has nothing to say.
-            let wide = pooled(&mut self.own.iter().copied(), 0.1, WIDE_MS);
-            let trust = 1.0 - f64::max(own, wide) / (threshold * threshold);
-            if trust <= 0.0 {
-                continue;
-            }
-            let mut variance = FLOOR * FLOOR + contradiction + own;
-            variance += said.contradiction.unwrap_or(variance * (ONE_SIDED - 1.0));
-            hints.push(Hint { t_ns: said.t_ns, log_photocurrent: said.log, variance: TOGETHER * variance / (trust * trust) });
-        }
-    }
-
-    /// Squared contradictions to the pixel itself, where it knows its light: at its events and over its exposures.
-    fn judge(&mut self, tracks: &LogTracks, (x, y): (usize, usize), step_ns: i64, events: &[MapEvent], frames: &[MapFrame]) {
-        let Advection { said, own } = self;
-        own.clear();
-        let difference = |s: &Said| tracks.at(x, y, s.t_ns).map_or(0.0, |own| s.log - own);
-        let mut k = 0;
-        for event in events {
-            while k + 1 < said.len() && said[k + 1].t_ns <= event.t_in_ns {
-                k += 1;
-            }
-            let Some(near) = said[k..].iter().take(2).min_by_key(|s| (s.t_ns - event.t_in_ns).abs()) else { continue };
-            if (near.t_ns - event.t_in_ns).abs() <= step_ns {
-                let d = difference(near);
-                own.push((event.t_in_ns, d * d, 1.0));
-            }
-        }
-        for frame in frames.iter().filter(|frame| !frame.saturated) {
-            let inside = said.iter().filter(|s| s.t_ns >= frame.start_ns && s.t_ns < frame.end_ns);
-            let sum = inside.fold((0.0, 0.0), |(sum, n), s| (sum + difference(s), n + 1.0));
-            if sum.1 > 0.0 {
-                let d = sum.0 / sum.1;
-                own.push(((frame.start_ns + frame.end_ns) / 2, d * d, FRAME_WEIGHT));
-            }
-        }
-    }
-}
 
 /// Log light that past and future neighbours say; `None` where nothing moves.
-fn neighbours(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64), t_ns: i64) -> Option<Said> {
+pub(super) fn neighbours(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64), t_ns: i64) -> Option<Said> {
     let velocity = flow.at(x as f64, y as f64, t_ns);
     let side = |direction: f64| -> Option<(f64, f64)> {
         let (mut sum, mut weights) = (0.0, 0.0);

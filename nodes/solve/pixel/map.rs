@@ -153,6 +153,22 @@ impl RowSolver {
         (tracks, map)
     }
 
+    /// Pixels of the row that was taken in that have events and frames, spread over their number of events; at most [`SAMPLED_PIXELS`].
+    pub fn sample(&self) -> Vec<usize> {
+        let mut pixels: Vec<usize> = (0..self.first_event.len() - 1).filter(|&x| !self.events_of(x).is_empty() && !self.frames_of(x).is_empty()).collect();
+        pixels.sort_by_key(|&x| (self.events_of(x).len(), x));
+        let taken = usize::min(pixels.len(), SAMPLED_PIXELS);
+        (0..taken).map(|n| pixels[(2 * n + 1) * pixels.len() / (2 * taken)]).collect()
+    }
+
+    /// How badly hints and its other measurements foretell the frames of a pixel that are kept back ([`estimate::prediction_error`]).
+    pub fn prediction_error(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> f64 {
+        let RowSolver { workspace, events, first_event, frames, first_frame, .. } = self;
+        let (events, frames) = (&events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]]);
+        let problem = MapProblem { hints, ..problem(model, events, frames, setting.span, setting.noise) };
+        estimate::prediction_error(&problem, &setting.options, workspace, &mut Vec::new())
+    }
+
     fn take_events(&mut self, model: &Model, events: &EventRow, width: u32) {
         let index = events.by_pixel(width);
         self.events.clear();
@@ -198,19 +214,14 @@ impl RowSolver {
 
     /// The noise of the row's events and the prior, from pixels spread over their number of events.
     fn choose(&mut self, params: &Params, model: &Model, span: (i64, i64), noise: Noise, options: &MapOptions) -> estimate::Choice {
-        let mut pixels: Vec<usize> = (0..self.first_event.len() - 1)
-            .filter(|&x| self.first_event[x + 1] > self.first_event[x] && self.first_frame[x + 1] > self.first_frame[x])
-            .collect();
-        pixels.sort_by_key(|&x| (self.first_event[x + 1] - self.first_event[x], x));
-        let taken = usize::min(pixels.len(), SAMPLED_PIXELS);
-        let problems: Vec<MapProblem<'_>> = (0..taken)
-            .map(|n| {
-                let x = pixels[(2 * n + 1) * pixels.len() / (2 * taken)];
-                let events = &self.events[self.first_event[x]..self.first_event[x + 1]];
-                problem(model, events, &self.frames[self.first_frame[x]..self.first_frame[x + 1]], span, noise)
-            })
-            .collect();
-        estimate::choose(&problems, params.event_noise, options, &mut self.workspace)
+        let sample = self.sample();
+        let RowSolver { workspace, events, first_event, frames, first_frame, .. } = self;
+        let pixel = |&x: &usize| {
+            let (events, frames) = (&events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]]);
+            problem(model, events, frames, span, noise)
+        };
+        let problems: Vec<MapProblem<'_>> = sample.iter().map(pixel).collect();
+        estimate::choose(&problems, params.event_noise, options, workspace)
     }
 }
 

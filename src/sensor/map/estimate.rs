@@ -88,10 +88,14 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
     best.1
 }
 
-/// The sum of relative errors of frames that were kept back.
-fn prediction_error(problem: &MapProblem<'_>, options: &MapOptions, workspace: &mut MapWorkspace, kept: &mut Vec<MapFrame>) -> f64 {
-    let last = problem.frames.len() - 1;
-    let is_kept_back = |l: usize| l % KEPT_BACK == 1 && l < last;
+/// Is frame `l` of a pixel's `count` kept back where a choice is judged by its prediction?
+pub fn is_kept_back(l: usize, count: usize) -> bool {
+    count >= FEWEST_FRAMES && l % KEPT_BACK == 1 && l + 1 < count
+}
+
+/// The sum of relative errors (at most [`LARGEST_ERROR`] each) of the frames of a pixel that were kept back from its solution; `kept` is memory.
+pub fn prediction_error(problem: &MapProblem<'_>, options: &MapOptions, workspace: &mut MapWorkspace, kept: &mut Vec<MapFrame>) -> f64 {
+    let is_kept_back = |l: usize| is_kept_back(l, problem.frames.len());
     kept.clear();
     kept.extend(problem.frames.iter().enumerate().filter(|(l, _)| !is_kept_back(*l)).map(|(_, frame)| *frame));
     let solution = solve_with(&MapProblem { frames: kept, ..*problem }, options, Evidence::Unwanted, workspace);

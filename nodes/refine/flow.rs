@@ -27,7 +27,13 @@ pub(super) struct Flow {
     step_ns: i64,
     /// One field per instant, as [y * width + x].
     fields: Vec<Vec<[f32; 2]>>,
+    /// The affine motion of (nearly) all pixels, one per instant.
+    affine: Vec<Affine>,
 }
+
+/// An affine field of velocities, pixels per millisecond: `v_x = p0 + p1 a + p2 b`, `v_y = p3 + p4 a + p5 b`, with (a, b) the place relative to
+/// the sensor's middle in half widths.
+pub(super) type Affine = [f64; 6];
 
 impl Flow {
     /// Of a film.
@@ -36,31 +42,49 @@ impl Flow {
         let fine = film.smoothed(0.7);
         let bins = film.pictures.len().div_ceil(STRIDE);
         let per_ms = 1e6 / film.step_ns as f64;
-        let fields = (0..bins)
+        let (fields, affine) = (0..bins)
             .into_par_iter()
             .map(|bin| {
-                let field = estimate(&coarse, &fine, bin * STRIDE);
-                field.iter().map(|v| [(v[0] * per_ms) as f32, (v[1] * per_ms) as f32]).collect()
+                let (field, affine) = estimate(&coarse, &fine, bin * STRIDE);
+                let field: Vec<[f32; 2]> = field.iter().map(|v| [(v[0] * per_ms) as f32, (v[1] * per_ms) as f32]).collect();
+                (field, affine.map(|p| p * per_ms))
             })
-            .collect();
-        Flow { width: film.width, height: film.height, start_ns: film.start_ns, step_ns: film.step_ns * STRIDE as i64, fields }
+            .unzip();
+        Flow { width: film.width, height: film.height, start_ns: film.start_ns, step_ns: film.step_ns * STRIDE as i64, fields, affine }
     }
 
     /// The same velocity everywhere and always, pixels per millisecond.
     #[cfg(test)]
     pub fn steady(width: usize, height: usize, velocity: [f32; 2]) -> Flow {
-        Flow { width, height, start_ns: 0, step_ns: 1, fields: vec![vec![velocity; width * height]] }
+        Flow {
+            width,
+            height,
+            start_ns: 0,
+            step_ns: 1,
+            fields: vec![vec![velocity; width * height]],
+            affine: vec![[f64::from(velocity[0]), 0.0, 0.0, f64::from(velocity[1]), 0.0, 0.0]],
+        }
+    }
+
+    /// The fields before and after an instant, and the share of the later one.
+    fn around(&self, t_ns: i64) -> (usize, usize, f64) {
+        let last = self.fields.len() - 1;
+        let bin = ((t_ns - self.start_ns) as f64 / self.step_ns as f64).clamp(0.0, last as f64);
+        let before = usize::min(bin as usize, last);
+        (before, usize::min(before + 1, last), bin - before as f64)
+    }
+
+    /// The affine motion of (nearly) all pixels at an instant.
+    pub fn affine_at(&self, t_ns: i64) -> Affine {
+        let (before, after, share) = self.around(t_ns);
+        std::array::from_fn(|k| (1.0 - share) * self.affine[before][k] + share * self.affine[after][k])
     }
 
     /// The velocity at a place and an instant; beyond the borders as at them.
     pub fn at(&self, x: f64, y: f64, t_ns: i64) -> [f64; 2] {
-        let last = self.fields.len() - 1;
-        let bin = ((t_ns - self.start_ns) as f64 / self.step_ns as f64).clamp(0.0, last as f64);
-        let before = usize::min(bin as usize, last);
-        let after = usize::min(before + 1, last);
+        let (before, after, share) = self.around(t_ns);
         let (i, dx) = whole_and_rest(x, self.width);
         let (j, dy) = whole_and_rest(y, self.height);
-        let share = bin - before as f64;
         let mut velocity = [0.0; 2];
         for (axis, value) in velocity.iter_mut().enumerate() {
             let at = |field: usize| {
@@ -125,8 +149,8 @@ impl Pairs<'_> {
     }
 }
 
-/// The field at picture `middle`, pixels per picture.
-fn estimate(coarse: &Film, fine: &Film, middle: usize) -> Vec<[f64; 2]> {
+/// The field and the affine motion at picture `middle`, pixels per picture.
+fn estimate(coarse: &Film, fine: &Film, middle: usize) -> (Vec<[f64; 2]>, Affine) {
     let (width, height) = (coarse.width, coarse.height);
     let middle = middle.clamp(1, usize::max(coarse.pictures.len().saturating_sub(2), 1));
     let pairs = |film, distances| Pairs { film, middle, beside: &[-2, 0, 2], distances };
@@ -136,16 +160,16 @@ fn estimate(coarse: &Film, fine: &Film, middle: usize) -> Vec<[f64; 2]> {
     let mut field = Vec::with_capacity(width * height);
     for y in 0..height {
         for x in 0..width {
-            field.push(affine_at(&affine, width, height, x, y));
+            field.push(velocity_of(&affine, width, height, x, y));
         }
     }
     local(&pairs(coarse, &[1]), &mut field, 6.0, 3);
     local(&pairs(fine, &[1, 2]), &mut field, 5.0, 3);
     local(&pairs(fine, &[2, 4]), &mut field, 4.0, 3);
-    field
+    (field, affine)
 }
 
-fn affine_at(p: &[f64; 6], width: usize, height: usize, x: usize, y: usize) -> [f64; 2] {
+fn velocity_of(p: &Affine, width: usize, height: usize, x: usize, y: usize) -> [f64; 2] {
     let (a, b) = centred(width, height, x, y);
     cut([p[0] + p[1] * a + p[2] * b, p[3] + p[4] * a + p[5] * b])
 }
@@ -171,7 +195,7 @@ fn affine(pairs: &Pairs<'_>, mut p: [f64; 6], steps: usize) -> [f64; 6] {
         pairs.each(|early, late, t0, t1| {
             for y in 0..height {
                 for x in 0..width {
-                    let v = affine_at(&p, width, height, x, y);
+                    let v = velocity_of(&p, width, height, x, y);
                     let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, v) else { continue };
                     let square = e * e / (ROBUST * ROBUST);
                     let w = 1.0 / ((1.0 + square) * (1.0 + square));

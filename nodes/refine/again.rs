@@ -1,0 +1,180 @@
+//! A recording that is solved again: what every node of this folder takes in, and how it gives hints to the solver.
+
+use super::film::Fired;
+use crate::co_located::CoLocated;
+use crate::solve::pixel::map::{RowSetting, RowSolver};
+use crate::solve::pixel::shares::RowShares;
+use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::{
+    Between, Context, EventStream, EventsMeta, Exposure, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TracksMeta, handle::Band,
+};
+use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// How the pixels are solved: the parameters that such a node shares with `solve/pixel`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Setting {
+    pub front_end: FrontEndModel,
+    pub event_noise: Option<f64>,
+    pub frame_noise: f64,
+    pub knot_spacing: Duration,
+}
+
+/// The solver that solves again.
+pub(super) struct Solver {
+    node: SolvePixel,
+}
+
+impl Solver {
+    pub fn build(setting: Setting) -> Result<Solver, NodeError> {
+        let Setting { front_end, event_noise, frame_noise, knot_spacing } = setting;
+        Ok(Solver {
+            node: SolvePixel::build(SolveParams { method: Method::Map, front_end, event_noise, frame_noise, knot_spacing, ..SolveParams::default() })?,
+        })
+    }
+
+    /// What the node's output will be.
+    pub fn plan(&self, kind: &str, inputs: &PortMetas) -> Result<TracksMeta, NodeError> {
+        let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
+        self.node.model(inputs.sensor("sensor")?, events)?;
+        self.meta(kind, inputs.tracks("tracks")?, events, frames)
+    }
+
+    /// The tracks to come; refuses tracks that are not those of these events and frames.
+    pub fn meta(&self, kind: &str, tracks: &TracksMeta, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
+        if tracks.between != Between::LogLinear {
+            return Err(NodeError::usage(format!("the tracks hold their values between knots; {kind} needs log-linear ones"))
+                .hint("connect tracks of solve/pixel with `method = \"map\"`"));
+        }
+        CoLocated::new(events, frames)?.need_plain(kind)?;
+        let meta = self.node.tracks_meta(events, frames)?;
+        if tracks.extent != meta.extent {
+            return Err(NodeError::usage(format!("tracks are {}, events are {}", tracks.extent, meta.extent))
+                .hint("connect the events and frames that the tracks were solved from"));
+        }
+        Ok(meta)
+    }
+
+    /// Takes a recording in, all rows of it.
+    pub fn take_in(&self, meta: TracksMeta, events: &EventStream, frames: &FrameSequence, sensor: &Sensor, cx: &Context) -> Result<Again, NodeError> {
+        let model = self.node.model(sensor, &events.meta)?;
+        let rows = cx.rows();
+        let exposures = |row: u32| -> Vec<Exposure> { (0..frames.len()).map(|l| frames.meta.times.exposure(l, row)).collect() };
+        let events = events.read(rows)?;
+        let values = frames.read_rows(rows)?;
+        let prepare = |row: u32| -> Result<Row, NodeError> {
+            let mut solver = RowSolver::default();
+            let setting = solver.prepare(self.node.params(), &model, &meta, row, events.row(row), &values, &exposures(row), &RowShares::default());
+            cx.advance(1)?;
+            Ok(Row { row, solver, setting })
+        };
+        let rows: Result<Vec<Row>, NodeError> = rows.iter().into_par_iter().map(prepare).collect();
+        Ok(Again { model, meta, rows: rows? })
+    }
+}
+
+/// A row, taken in once.
+pub(super) struct Row {
+    pub row: u32,
+    solver: RowSolver,
+    setting: RowSetting,
+}
+
+impl Row {
+    /// First and last instant, ns.
+    pub fn span(&self) -> (i64, i64) {
+        self.setting.span
+    }
+
+    /// The events of pixel x, in order of in-pixel time.
+    pub fn events_of(&self, x: usize) -> &[MapEvent] {
+        self.solver.events_of(x)
+    }
+
+    /// The frame values of pixel x.
+    pub fn frames_of(&self, x: usize) -> &[MapFrame] {
+        self.solver.frames_of(x)
+    }
+}
+
+/// The factors of the hints' variances that are tried, most careful first.
+pub(super) const CAUTIONS: [f64; 6] = [f64::INFINITY, 16.0, 4.0, 1.0, 0.25, 0.06];
+/// About so many rows are looked at to choose one.
+const SAMPLED_ROWS: usize = 18;
+
+/// A hint that is believed less.
+fn scaled(hint: &Hint, caution: f64) -> Option<Hint> {
+    caution.is_finite().then_some(Hint { variance: caution * hint.variance, ..*hint })
+}
+
+/// A recording that was taken in.
+pub(super) struct Again {
+    model: Model,
+    pub meta: TracksMeta,
+    pub rows: Vec<Row>,
+}
+
+impl Again {
+    /// When every pixel had events.
+    pub fn fired(&self) -> Arc<Fired> {
+        let width = self.meta.extent.width as usize;
+        let times = |row: &Row, x: usize| row.events_of(x).iter().map(|event| event.t_in_ns).collect();
+        Arc::new(Fired::new(self.rows.iter().flat_map(|row| (0..width).map(move |x| times(row, x)))))
+    }
+
+    /// DN per photocurrent and second, and DN of darkness.
+    pub fn scale(&self) -> (f64, f64) {
+        self.model.frame_scale()
+    }
+
+    /// How careful to be with hints: the factor of their variances, one of [`CAUTIONS`], with which pixels spread over the sensor best foretell
+    /// frames that were kept back from them; `hints_of` as for [`Again::solve`], but its hints must know nothing of those frames.
+    ///
+    /// Infinity stands for no hints at all.
+    pub fn caution(&mut self, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> f64 {
+        let Again { model, rows, .. } = self;
+        let stride = usize::max(rows.len() / SAMPLED_ROWS, 1);
+        let of_row = |row: &mut Row| -> [f64; CAUTIONS.len()] {
+            let mut errors = [0.0; CAUTIONS.len()];
+            let (mut hints, mut cautious) = (Vec::new(), Vec::new());
+            for x in row.solver.sample() {
+                hints_of(row, x, model.threshold(), &mut hints);
+                for (error, caution) in errors.iter_mut().zip(CAUTIONS) {
+                    cautious.clear();
+                    cautious.extend(hints.iter().filter_map(|hint| scaled(hint, caution)));
+                    *error += row.solver.prediction_error(model, &row.setting, x, &cautious);
+                }
+            }
+            errors
+        };
+        let errors: Vec<[f64; CAUTIONS.len()]> = rows.par_iter_mut().skip(stride / 2).step_by(stride).map(of_row).collect();
+        let total = |n: usize| errors.iter().map(|errors| errors[n]).sum::<f64>();
+        let mut best = 0;
+        for n in 1..CAUTIONS.len() {
+            if total(n) < total(best) {
+                best = n;
+            }
+        }
+        CAUTIONS[best]
+    }
+
+    /// Solves every pixel with the hints that `hints_of` gives for a row and column (its last argument is how exactly a pixel knows its light
+    /// by itself, natural-log units), their variances times `caution`.
+    pub fn solve(&mut self, cx: &Context, caution: f64, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Result<TrackBand, NodeError> {
+        let Again { model, meta, rows } = self;
+        let solve_row = |row: &mut Row| -> Result<TrackBand, NodeError> {
+            let mut hints = vec![Vec::new(); meta.extent.width as usize];
+            for (x, hints) in hints.iter_mut().enumerate() {
+                hints_of(row, x, model.threshold(), hints);
+                *hints = hints.iter().filter_map(|hint| scaled(hint, caution)).collect();
+            }
+            let band = row.solver.solve(model, &row.setting, meta, row.row, Some(&hints)).0;
+            cx.advance(1)?;
+            Ok(band)
+        };
+        let solved: Result<Vec<TrackBand>, NodeError> = rows.par_iter_mut().map(solve_row).collect();
+        Ok(TrackBand::concat(solved?))
+    }
+}

@@ -1,0 +1,229 @@
+//! One window of time, and the picture that explains its frames.
+
+use super::fit::{Rows, Smoothness, Unknowns, improve};
+use super::grid::Grid;
+use super::pose::{CORRECTIONS, Map, Pose, apply};
+use crate::refine::again::Row;
+use crate::refine::flow::Flow;
+use photocurrent_sensor::map::estimate::is_kept_back;
+
+/// What all windows share.
+pub(super) struct Scene<'a> {
+    pub rows: &'a [Row],
+    /// Extent of the sensor, pixels.
+    pub size: (usize, usize),
+    pub flow: &'a Flow,
+    /// DN per photocurrent and second, and DN of darkness.
+    pub scale: (f64, f64),
+    /// Typical photocurrent.
+    pub bright: f64,
+    /// Distance of coefficients, pixels.
+    pub pitch: f64,
+    /// Are the frames left out that a choice is judged by?
+    pub keep_back: bool,
+}
+
+/// A picture and how it moves.
+pub(super) struct Window {
+    pub middle_ns: i64,
+    pose: Pose,
+    grid: Grid,
+    surface: Vec<f32>,
+    coverage: Vec<f32>,
+    least_coverage: f32,
+    centre: (f64, f64),
+    bright: f64,
+}
+
+/// Instants of an exposure lie about so many pixels apart.
+const BLUR_STEP: f64 = 0.4;
+/// Standard deviation of second differences of coefficients, in typical photocurrents.
+const ROUGHNESS: f32 = 0.5;
+/// Standard deviation of corrections of the motion, pixels per millisecond.
+const MOTION_SIGMA: f32 = 0.1;
+/// Conjugate gradients of each round; the motion is corrected from the second one on.
+const ROUNDS: [usize; 3] = [25, 20, 30];
+/// A residual of so many robust standard deviations counts half.
+const ROBUST: f32 = 3.0;
+/// A place is known where so many frames saw it.
+const LEAST_COVERAGE: f32 = 0.7;
+
+/// A frame value, before it is put on a grid.
+struct Seen {
+    row: usize,
+    x: usize,
+    /// Index of the first instant of its exposure in the row's list, and how many.
+    instants: (usize, usize),
+    value: f32,
+    weight: f32,
+}
+
+impl Window {
+    /// The picture of `middle_ns` plus and minus `reach_ns`; `None` when no frame is inside.
+    pub fn fit(scene: &Scene<'_>, middle_ns: i64, reach_ns: i64) -> Option<Window> {
+        let (width, height) = scene.size;
+        let centre = (0.5 * (width - 1) as f64, 0.5 * (height - 1) as f64);
+        let half = 0.5 * width as f64;
+        let motion = |t_ns: i64| scene.flow.affine_at(t_ns);
+        let pose_of = |correction: &[f64; CORRECTIONS]| Pose::new(motion, half, middle_ns, reach_ns, correction);
+        let mut correction = [0.0; CORRECTIONS];
+        let mut pose = pose_of(&correction);
+        // Instants of each sensor row, and what was seen over them.
+        let mut instants: Vec<Vec<i64>> = vec![Vec::new(); height];
+        let mut seen = Vec::new();
+        for row in scene.rows {
+            look_at_row(scene, row, (middle_ns - reach_ns, middle_ns + reach_ns), &mut instants[row.row as usize], &mut seen);
+        }
+        if seen.is_empty() {
+            return None;
+        }
+        let grid = cover(&pose, &instants, (width, height), centre, scene.pitch);
+        let mut unknowns = Unknowns { surface: vec![1.0; grid.len()], ..Unknowns::default() };
+        let mut weights: Vec<f32> = seen.iter().map(|seen| seen.weight).collect();
+        let mut rows = Rows::default();
+        for (round, steps) in ROUNDS.into_iter().enumerate() {
+            let tilted = (round > 0).then(|| tilted(&pose_of, &correction, &instants));
+            let maps: Vec<Vec<Map>> = instants.iter().map(|row| row.iter().map(|&t| pose.at(t)).collect()).collect();
+            lay(&mut rows, &grid, &seen, &weights, &maps, tilted.as_deref(), &unknowns.surface, centre);
+            let smooth = Smoothness { surface: 1.0 / ROUGHNESS, motion: 1.0 / MOTION_SIGMA };
+            unknowns.motion = [0.0; CORRECTIONS];
+            improve(&rows, &grid, &smooth, &mut unknowns, steps);
+            for (correction, fitted) in correction.iter_mut().zip(&unknowns.motion) {
+                *correction += f64::from(*fitted);
+            }
+            pose = pose_of(&correction);
+            if round + 1 < ROUNDS.len() {
+                reweigh(&rows, &grid, &unknowns, &seen, &mut weights);
+            }
+        }
+        let coverage = rows.coverage(&grid);
+        let least_coverage = LEAST_COVERAGE * (scene.pitch * scene.pitch) as f32;
+        Some(Window { middle_ns, pose, grid, surface: unknowns.surface, coverage, least_coverage, centre, bright: scene.bright })
+    }
+
+    /// Log light that the picture foretells for a pixel at an instant of the window.
+    pub fn log_at(&self, x: usize, y: usize, t_ns: i64) -> Option<f64> {
+        let (px, py) = apply(&self.pose.at(t_ns), x as f64 - self.centre.0, y as f64 - self.centre.1);
+        let (taps, _, _) = self.grid.taps(px, py)?;
+        if self.grid.look(&self.coverage, taps.first, &taps.x, &taps.y) < self.least_coverage {
+            return None;
+        }
+        let value = f64::from(self.grid.look(&self.surface, taps.first, &taps.x, &taps.y));
+        (value > 1e-3).then(|| libm::log(value * self.bright))
+    }
+}
+
+/// The frame values of a row whose exposures lie inside a span.
+fn look_at_row(scene: &Scene<'_>, row: &Row, span: (i64, i64), instants: &mut Vec<i64>, seen: &mut Vec<Seen>) {
+    let y = row.row as usize;
+    let (gain, black_level) = scene.scale;
+    let mut exposures: Vec<(i64, i64, (usize, usize))> = Vec::new();
+    for x in 0..scene.size.0 {
+        let frames = row.frames_of(x);
+        for (l, frame) in frames.iter().enumerate() {
+            let is_left_out = frame.saturated || frame.start_ns < span.0 || frame.end_ns > span.1;
+            if is_left_out || (scene.keep_back && is_kept_back(l, frames.len())) {
+                continue;
+            }
+            let known = exposures.iter().find(|known| (known.0, known.1) == (frame.start_ns, frame.end_ns)).map(|known| known.2);
+            let range = known.unwrap_or_else(|| {
+                let length = frame.end_ns - frame.start_ns;
+                let p = scene.flow.affine_at((frame.start_ns + frame.end_ns) / 2);
+                let fastest = p[0].abs() + p[1].abs() + p[2].abs() + p[3].abs() + p[4].abs() + p[5].abs();
+                let count = ((fastest * length as f64 * 1e-6 / BLUR_STEP).ceil() as usize).clamp(3, 32);
+                let range = (instants.len(), count);
+                instants.extend((0..count as i64).map(|n| frame.start_ns + (2 * n + 1) * length / (2 * count as i64)));
+                exposures.push((frame.start_ns, frame.end_ns, range));
+                range
+            });
+            let collected = gain * (frame.end_ns - frame.start_ns) as f64 * 1e-9 * scene.bright;
+            let (value, weight) = ((frame.dn - black_level) / collected, collected / frame.sigma_dn);
+            seen.push(Seen { row: y, x, instants: range, value: value as f32, weight: weight as f32 });
+        }
+    }
+}
+
+/// The grid that holds every pixel at every instant.
+fn cover(pose: &Pose, instants: &[Vec<i64>], (width, height): (usize, usize), centre: (f64, f64), pitch: f64) -> Grid {
+    let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
+    for &t in instants.iter().flatten() {
+        let map = pose.at(t);
+        for (x, y) in [(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)] {
+            let (px, py) = apply(&map, x as f64 - centre.0, y as f64 - centre.1);
+            low = (f64::min(low.0, px), f64::min(low.1, py));
+            high = (f64::max(high.0, px), f64::max(high.1, py));
+        }
+    }
+    // Corrections of the motion may lead a little outside.
+    let margin = 3.0;
+    Grid::over((low.0 - margin, low.1 - margin), (high.0 + margin, high.1 + margin), pitch)
+}
+
+/// The maps with each correction a little larger, for each row and instant.
+fn tilted(pose_of: &impl Fn(&[f64; CORRECTIONS]) -> Pose, correction: &[f64; CORRECTIONS], instants: &[Vec<i64>]) -> Vec<Vec<[Map; CORRECTIONS]>> {
+    let poses: [Pose; CORRECTIONS] = std::array::from_fn(|k| {
+        let mut more = *correction;
+        more[k] += TILT;
+        pose_of(&more)
+    });
+    instants.iter().map(|row| row.iter().map(|&t| std::array::from_fn(|k| poses[k].at(t))).collect()).collect()
+}
+
+/// How much a correction is changed to see what it does, pixels per millisecond.
+const TILT: f64 = 1e-3;
+
+/// Puts what was seen on the grid.
+#[expect(clippy::too_many_arguments, reason = "what was seen, and where the picture lay")]
+fn lay(
+    rows: &mut Rows,
+    grid: &Grid,
+    seen: &[Seen],
+    weights: &[f32],
+    maps: &[Vec<Map>],
+    tilted: Option<&[Vec<[Map; CORRECTIONS]>]>,
+    surface: &[f32],
+    centre: (f64, f64),
+) {
+    rows.clear();
+    for (seen, &weight) in seen.iter().zip(weights) {
+        let (x, y) = (seen.x as f64 - centre.0, seen.row as f64 - centre.1);
+        let begun = rows.taps.len();
+        let mut by_motion = [0.0; CORRECTIONS];
+        for n in seen.instants.0..seen.instants.0 + seen.instants.1 {
+            let (px, py) = apply(&maps[seen.row][n], x, y);
+            let Some((taps, slope_x, slope_y)) = grid.taps(px, py) else { continue };
+            rows.taps.push(taps);
+            if let Some(tilted) = tilted {
+                let gradient = (grid.look(surface, taps.first, &slope_x, &taps.y), grid.look(surface, taps.first, &taps.x, &slope_y));
+                for (by, map) in by_motion.iter_mut().zip(&tilted[seen.row][n]) {
+                    let (qx, qy) = apply(map, x, y);
+                    *by += gradient.0 * ((qx - px) / TILT) as f32 + gradient.1 * ((qy - py) / TILT) as f32;
+                }
+            }
+        }
+        let whole = rows.taps.len() - begun == seen.instants.1;
+        let share = 1.0 / seen.instants.1 as f32;
+        rows.first.push(rows.taps.len() as u32);
+        rows.share.push(share);
+        rows.value.push(seen.value);
+        rows.weight.push(if whole { weight } else { 0.0 });
+        rows.by_motion.push(by_motion.map(|by| by * share));
+    }
+}
+
+/// Lets what the picture cannot explain count less.
+fn reweigh(rows: &Rows, grid: &Grid, unknowns: &Unknowns, seen: &[Seen], weights: &mut [f32]) {
+    let residuals: Vec<f32> = (0..rows.len()).map(|r| (rows.value[r] - rows.predict(grid, unknowns, r)) * seen[r].weight).collect();
+    let mut sizes: Vec<f32> = (0..rows.len()).filter(|&r| rows.weight[r] > 0.0).map(|r| residuals[r].abs()).collect();
+    if sizes.is_empty() {
+        return;
+    }
+    let middle = sizes.len() / 2;
+    sizes.select_nth_unstable_by(middle, f32::total_cmp);
+    // 1.48 of the median is the standard deviation of a normal law.
+    let spread = f32::max(1.48 * sizes[middle], 1.0);
+    for ((weight, seen), residual) in weights.iter_mut().zip(seen).zip(&residuals) {
+        let far = residual / (ROBUST * spread);
+        *weight = seen.weight / (spread * (1.0 + far * far));
+    }
+}
