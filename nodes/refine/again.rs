@@ -104,9 +104,12 @@ pub(super) const CAUTIONS: [f64; 6] = [f64::INFINITY, 16.0, 4.0, 1.0, 0.25, 0.06
 /// About so many rows are looked at to choose one.
 const SAMPLED_ROWS: usize = 18;
 
-/// A hint that is believed less.
-fn scaled(hint: &Hint, caution: f64) -> Option<Hint> {
-    caution.is_finite().then_some(Hint { variance: caution * hint.variance, ..*hint })
+/// Believes hints less by a factor of their variances; infinity takes them all away.
+pub(super) fn take_care(hints: &mut Vec<Hint>, caution: f64) {
+    if caution.is_infinite() {
+        hints.clear();
+    }
+    hints.iter_mut().for_each(|hint| hint.variance *= caution);
 }
 
 /// A recording that was taken in.
@@ -142,8 +145,8 @@ impl Again {
             for x in row.solver.sample() {
                 hints_of(row, x, model.threshold(), &mut hints);
                 for (error, caution) in errors.iter_mut().zip(CAUTIONS) {
-                    cautious.clear();
-                    cautious.extend(hints.iter().filter_map(|hint| scaled(hint, caution)));
+                    cautious.clone_from(&hints);
+                    take_care(&mut cautious, caution);
                     *error += row.solver.prediction_error(model, &row.setting, x, &cautious);
                 }
             }
@@ -160,15 +163,14 @@ impl Again {
         CAUTIONS[best]
     }
 
-    /// Solves every pixel with the hints that `hints_of` gives for a row and column (its last argument is how exactly a pixel knows its light
-    /// by itself, natural-log units), their variances times `caution`.
-    pub fn solve(&mut self, cx: &Context, caution: f64, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Result<TrackBand, NodeError> {
+    /// Solves every pixel with the hints that `hints_of` gives for a row and column; its last argument is how exactly a pixel knows its light
+    /// by itself, natural-log units.
+    pub fn solve(&mut self, cx: &Context, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Result<TrackBand, NodeError> {
         let Again { model, meta, rows } = self;
         let solve_row = |row: &mut Row| -> Result<TrackBand, NodeError> {
             let mut hints = vec![Vec::new(); meta.extent.width as usize];
             for (x, hints) in hints.iter_mut().enumerate() {
                 hints_of(row, x, model.threshold(), hints);
-                *hints = hints.iter().filter_map(|hint| scaled(hint, caution)).collect();
             }
             let band = row.solver.solve(model, &row.setting, meta, row.row, Some(&hints)).0;
             cx.advance(1)?;

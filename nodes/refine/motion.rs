@@ -11,14 +11,13 @@
 //!
 //! Limits: it needs the whole sensor at once. Light that changes without moving is what it must reject, not what it can use.
 
-mod advect;
+pub(super) mod advect;
 #[cfg(test)]
 mod tests;
 
 use super::again::{Setting, Solver};
 use super::film::{Film, LogTracks};
 use super::flow::Flow;
-use super::trust::{Known, Trust};
 use crate::solve::pixel::{FrontEndModel, Params as SolveParams};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackSet};
@@ -131,10 +130,8 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         for _round in 0..self.params.rounds {
             let log = LogTracks::new(extent, &tracks, &fired);
             let flow = Flow::new(&Film::new(&log, (span.start.0, span.end.0), FILM_STEP_NS));
-            tracks = again.solve(cx, 1.0, |row, x, threshold, hints| {
-                let (y, span) = (row.row as usize, row.span());
-                let say = |t_ns: i64| advect::neighbours(&log, &flow, x, y, span, t_ns);
-                Trust::new(Known::Level).hints(say, &log, (x, y), (span, step_ns), row.events_of(x), row.frames_of(x), threshold, hints);
+            tracks = again.solve(cx, |row, x, threshold, hints| {
+                advect::hints(&log, &flow, row, x, step_ns, threshold, hints);
             })?;
         }
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(again.meta), tracks) })

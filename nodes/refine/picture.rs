@@ -1,17 +1,18 @@
-//! `refine/picture`: tracks solved again with a moving picture that explains frames and tracks together.
+//! `refine/picture`: tracks solved again with a moving picture that explains all frames.
 //!
 //! Idea: where something rigid moves, all its frames are views of one picture. Between events and between exposures a pixel by itself knows
 //! nothing of a smooth texture; the picture does, because other exposures saw the same place, from elsewhere. So in windows of a few frames
-//! one picture is fitted to all frame values, each the mean over its own row's exposure. It moves as the tracks do, which know the motion from the events; one
-//! affine motion of the whole sensor at every instant, corrected in the fit. What the picture foretells for a pixel is a further measurement beside the pixel's
-//! own events and frames, with which the pixel is solved again. Better tracks give a better motion: a few rounds.
+//! one picture is fitted to all frame values, each the mean over its own row's exposure. It moves as the tracks do, which know the motion
+//! from the events; one affine motion of the whole sensor at every instant, corrected in the fit. What the picture foretells for a pixel is a
+//! further measurement beside the pixel's own events and frames (and what its neighbours say, as in `refine/motion`), with which the pixel is
+//! solved again. Better tracks give a better motion: a few rounds.
 //!
 //! Is it rigid? Nothing is assumed. The pictures of neighbouring windows must agree with each other and with the pixel's own events and
 //! frames ([`Trust`]); and before every round the whole is tried without one frame in three: pictures and pixels must foretell those frames better
-//! with the picture than without, or the tracks stay as they were. How far the picture is believed is what foretells them best.
+//! with the picture than without, or it is left away. How far the picture is believed is what foretells them best.
 //!
 //! Limits: it needs the whole sensor at once; one affine motion at a time, that of most pixels; edges sharper than a pixel are blurred; with
-//! fewer than four frames nothing can be tried, and nothing is changed.
+//! fewer than four frames nothing can be tried, and no picture is used.
 
 mod fit;
 mod grid;
@@ -20,9 +21,10 @@ mod pose;
 mod tests;
 mod window;
 
-use super::again::{Row, Setting, Solver};
+use super::again::{Row, Setting, Solver, take_care};
 use super::film::{Film, LogTracks};
 use super::flow::Flow;
+use super::motion::advect;
 use super::trust::{Known, Said, Trust};
 use crate::solve::pixel::{FrontEndModel, Params as SolveParams};
 use photocurrent_core::quantity::Duration;
@@ -53,6 +55,8 @@ pub struct Params {
     /// Distance of the picture's coefficients, pixels.
     #[schemars(range(min = 0.25, max = 2.0))]
     pub pitch: f64,
+    /// Neighbouring pixels along the motion are asked as well, as `refine/motion` does.
+    pub neighbours: bool,
     /// As in `solve/pixel`.
     pub front_end: FrontEndModel,
     /// As in `solve/pixel`: standard deviation of an event as a part of its threshold; absent = chosen for each row.
@@ -69,7 +73,7 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Params {
         let SolveParams { front_end, event_noise, frame_noise, knot_spacing, .. } = SolveParams::default();
-        Params { rounds: 2, frames: 3, pitch: 0.8, front_end, event_noise, frame_noise, knot_spacing }
+        Params { rounds: 2, frames: 3, pitch: 0.8, neighbours: true, front_end, event_noise, frame_noise, knot_spacing }
     }
 }
 
@@ -104,7 +108,7 @@ pub struct RefinePicture {
 impl Node for RefinePicture {
     const DECL: Decl = Decl {
         kind: "refine/picture",
-        about: "Solves tracks again with a moving picture that explains frames and tracks of a few frames' time together.",
+        about: "Solves tracks again with a moving picture of a few frames' time, and with what neighbouring pixels saw.",
         revision: 1,
         grain: Grain::Whole,
         draws: false,
@@ -158,19 +162,26 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
                 let scene = Scene { rows, size, flow: &flow, scale, bright, pitch: self.params.pitch, keep_back };
                 self.windows(&scene, span, period_ns)
             };
-            let hints = |windows: &[Window], keep_back: bool, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
-                let y = row.row as usize;
-                let count = row.frames_of(x).len();
-                let frames: Vec<MapFrame> =
-                    row.frames_of(x).iter().enumerate().filter(|(l, _)| !(keep_back && is_kept_back(*l, count))).map(|(_, frame)| *frame).collect();
+            let of_picture = |windows: &[Window], keep_back: bool, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
+                let (y, count) = (row.row as usize, row.frames_of(x).len());
+                let known = row.frames_of(x).iter().enumerate().filter(|(l, _)| !(keep_back && is_kept_back(*l, count)));
+                let frames: Vec<MapFrame> = known.map(|(_, frame)| *frame).collect();
                 let say = |t_ns: i64| foretell(windows, x, y, t_ns);
                 Trust::new(Known::Change).hints(say, &log, (x, y), (row.span(), step_ns), row.events_of(x), &frames, threshold, hints);
             };
             // First without the frames that are kept back: do they come out better with the picture than without?
             let windows = pictures(&again.rows, true);
-            let caution = again.caution(|row, x, threshold, to| hints(&windows, true, row, x, threshold, to));
-            let windows = pictures(&again.rows, false);
-            tracks = again.solve(cx, caution, |row, x, threshold, to| hints(&windows, false, row, x, threshold, to))?;
+            let caution = again.caution(|row, x, threshold, hints| of_picture(&windows, true, row, x, threshold, hints));
+            let windows = if caution.is_finite() { pictures(&again.rows, false) } else { Vec::new() };
+            tracks = again.solve(cx, |row, x, threshold, hints| {
+                of_picture(&windows, false, row, x, threshold, hints);
+                take_care(hints, caution);
+                if self.params.neighbours {
+                    let mut said = Vec::new();
+                    advect::hints(&log, &flow, row, x, step_ns, threshold, &mut said);
+                    join(hints, &said);
+                }
+            })?;
         }
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(again.meta), tracks) })
     }
@@ -201,6 +212,21 @@ fn period_ns(frames: &FrameSequence) -> i64 {
 fn typical(photocurrent: &[f32]) -> f64 {
     let sum: f64 = photocurrent.iter().map(|&i| libm::log(f64::max(f64::from(i), f64::MIN_POSITIVE))).sum();
     libm::exp(sum / usize::max(photocurrent.len(), 1) as f64)
+}
+
+/// Adds hints to others, both in order of time: at one instant the two become one, each by its weight.
+fn join(hints: &mut Vec<Hint>, others: &[Hint]) {
+    hints.extend_from_slice(others);
+    hints.sort_by_key(|hint| hint.t_ns);
+    hints.dedup_by(|second, first| {
+        let same = second.t_ns == first.t_ns;
+        if same {
+            let share = first.variance / (first.variance + second.variance);
+            first.log_photocurrent += share * (second.log_photocurrent - first.log_photocurrent);
+            first.variance = share * second.variance;
+        }
+        same
+    });
 }
 
 /// What the pictures around an instant say of a pixel, each by how near its middle is.

@@ -2,11 +2,13 @@
 //!
 //! What passes a pixel now passed the next pixel line a moment ago, and will pass the one on the other side a moment later. So log light
 //! is read off where the path crosses the next [`LINES`] lines of pixels, backward and forward, never at the pixel itself and never more than
-//! [`LONGEST_MS`] away. How far that may be believed is for [`Trust`](crate::refine::trust::Trust) to say: past and future must not contradict each other.
+//! [`LONGEST_MS`] away. How far that may be believed is for [`Trust`] to say: past and future must not contradict each other.
 
+use crate::refine::again::Row;
 use crate::refine::film::LogTracks;
 use crate::refine::flow::Flow;
-use crate::refine::trust::Said;
+use crate::refine::trust::{Known, Said, Trust};
+use photocurrent_sensor::map::Hint;
 
 /// Pixel lines that are looked at on either side.
 const LINES: usize = 3;
@@ -18,6 +20,13 @@ const LONGEST_MS: f64 = 12.0;
 const FRESH_MS: f64 = 1.5;
 /// And never less than one part in so many and one.
 const STALEST: f64 = 15.0;
+
+/// The hints that its neighbours give a pixel every `step_ns`; `threshold` as in [`Trust::hints`].
+pub(in crate::refine) fn hints(tracks: &LogTracks, flow: &Flow, row: &Row, x: usize, step_ns: i64, threshold: f64, hints: &mut Vec<Hint>) {
+    let (y, span) = (row.row as usize, row.span());
+    let say = |t_ns: i64| neighbours(tracks, flow, x, y, span, t_ns);
+    Trust::new(Known::Level).hints(say, tracks, (x, y), (span, step_ns), row.events_of(x), row.frames_of(x), threshold, hints);
+}
 
 /// Log light that past and future neighbours say; `None` where nothing moves.
 pub(super) fn neighbours(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64), t_ns: i64) -> Option<Said> {

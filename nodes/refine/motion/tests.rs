@@ -3,6 +3,7 @@
 use super::*;
 use crate::refine::film::Fired;
 use crate::refine::fixtures::{EXTENT, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
+use crate::refine::trust::{Known, Trust};
 use crate::solve::pixel::SolvePixel;
 use photocurrent_core::{TrackBand, testing};
 use photocurrent_sensor::map::{Hint, MapFrame};
