@@ -141,14 +141,16 @@ impl Again {
         let stride = usize::max(rows.len() / SAMPLED_ROWS, 1);
         let of_row = |row: &mut Row| -> [f64; CAUTIONS.len()] {
             let mut errors = [0.0; CAUTIONS.len()];
-            let (mut hints, mut cautious) = (Vec::new(), Vec::new());
+            let mut hints = Vec::new();
             for x in row.solver.sample() {
                 hints_of(row, x, model.threshold(), &mut hints);
-                for (error, caution) in errors.iter_mut().zip(CAUTIONS) {
-                    cautious.clone_from(&hints);
-                    take_care(&mut cautious, caution);
-                    *error += row.solver.prediction_error(model, &row.setting, x, &cautious);
-                }
+                let cautious = CAUTIONS.map(|caution| {
+                    let mut hints = hints.clone();
+                    take_care(&mut hints, caution);
+                    hints
+                });
+                let of_pixel = row.solver.prediction_errors(model, &row.setting, x, &cautious);
+                errors.iter_mut().zip(of_pixel).for_each(|(error, of_pixel)| *error += of_pixel);
             }
             errors
         };

@@ -341,7 +341,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 5,
+        revision: 6,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

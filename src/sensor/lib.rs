@@ -10,7 +10,7 @@
 //!
 //! - [`elementary`]: exponential and logarithm that vectorise.
 //! - [`scalar`]: the numbers the equations are written over: `f64`, dual numbers, lanes.
-//! - [`lanes`]: sixteen pixels side by side, as a number of the equations.
+//! - [`lanes`]: sixteen pixels side by side, as a number of the equations; [`wide`]: eight of them in double precision.
 //! - [`front_end`]: photocurrent to front-end voltage, a light-dependent low-pass, Eqs. (1)-(3).
 //! - [`comparator`]: when a voltage change becomes an event, Eq. (4).
 //! - [`readout`]: the voltage change missed during readout and refractory period, Eqs. (9)-(12).
@@ -38,3 +38,4 @@ pub mod pooling;
 pub mod readout;
 pub mod residuals;
 pub mod scalar;
+pub mod wide;

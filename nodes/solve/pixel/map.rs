@@ -4,7 +4,7 @@ use super::shares::RowShares;
 use super::{MAP_STEPS, Model, PLANES, Params, Status, map_meta};
 use photocurrent_core::events::EventRow;
 use photocurrent_core::{Exposure, FrameBlock, MapBand, Rows, Sensor, TrackBand, TracksMeta};
-use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapWorkspace, Noise, estimate, solve};
+use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapTask, Noise, estimate};
 
 /// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
 const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
@@ -52,7 +52,7 @@ pub(crate) struct RowSetting {
 /// Solves the pixels of a row; keeps its memory from row to row.
 #[derive(Default)]
 pub(crate) struct RowSolver {
-    workspace: MapWorkspace,
+    group: MapGroup,
     /// Events of all pixels of the row, pixel by pixel.
     events: Vec<MapEvent>,
     first_event: Vec<usize>,
@@ -62,7 +62,9 @@ pub(crate) struct RowSolver {
     light_ratio: Vec<f64>,
     /// How much that changes, all in all: natural-log units squared.
     unrest: Vec<f64>,
+    /// Knots of the pixels of the row, in the order in which they were solved, and where each pixel's stand.
     knots: Vec<(i64, f32)>,
+    knots_of: Vec<std::ops::Range<usize>>,
 }
 
 impl RowSolver {
@@ -122,33 +124,38 @@ impl RowSolver {
         let width = meta.extent.width as usize;
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
-        for x in 0..width {
-            self.knots.clear();
-            let mut values = [Status::NoFrame as u8 as f32, 0.0, 0.0];
-            if self.first_frame[x + 1] > self.first_frame[x] {
-                let RowSolver { workspace, events, first_event, frames, first_frame, light_ratio, unrest, knots } = self;
-                // What colours change between frames is spread over the events.
-                let unrest = unrest[x] / usize::max(first_event[x + 1] - first_event[x], 1) as f64;
-                let off = |sigma: f64, unit: f64| if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma };
-                let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
-                let problem = MapProblem {
-                    hints: hints.map_or(&[], |hints| hints[x].as_slice()),
-                    ..problem(model, &events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]], span, noise)
-                };
-                let problem = MapProblem { silence_sigma: off(problem.silence_sigma, 1.0), ..problem };
-                let solution = solve(&problem, &options, workspace);
-                thin(&solution, light_ratio[x], knots);
-                let status = match solution.status {
-                    MapStatus::Failed => Status::SafeEstimate,
-                    _ if problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
-                    MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
-                };
-                values = [status as u8 as f32, solution.iterations as f32, -solution.log_evidence as f32];
-            }
-            tracks.push(self.knots.iter().copied());
+        let RowSolver { group, events, first_event, frames, first_frame, light_ratio, unrest, knots, knots_of } = self;
+        map.row_mut(0, row).fill(Status::NoFrame as u8 as f32);
+        knots.clear();
+        knots_of.clear();
+        knots_of.resize(width, 0..0);
+        let lit: Vec<usize> = (0..width).filter(|&x| first_frame[x + 1] > first_frame[x]).collect();
+        let task = |&x: &usize| {
+            // What colours change between frames is spread over the events.
+            let unrest = unrest[x] / usize::max(first_event[x + 1] - first_event[x], 1) as f64;
+            let off = |sigma: f64, unit: f64| if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma };
+            let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
+            let problem = problem(model, &events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]], span, noise);
+            let hints = hints.map_or(&[] as &[Hint], |hints| hints[x].as_slice());
+            MapTask { problem: MapProblem { hints, silence_sigma: off(problem.silence_sigma, 1.0), ..problem }, options }
+        };
+        let tasks: Vec<MapTask<'_>> = lit.iter().map(task).collect();
+        group.solve(&tasks, |n, solution| {
+            let begin = knots.len();
+            thin(&solution, light_ratio[lit[n]], knots);
+            knots_of[lit[n]] = begin..knots.len();
+            let status = match solution.status {
+                MapStatus::Failed => Status::SafeEstimate,
+                _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
+                MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
+            };
+            let values = [status as u8 as f32, solution.iterations as f32, -solution.log_evidence as f32];
             for (plane, value) in values.into_iter().enumerate().take(PLANES.len()) {
-                map.row_mut(plane, row)[x] = value;
+                map.row_mut(plane, row)[lit[n]] = value;
             }
+        });
+        for knots_of in knots_of {
+            tracks.push(knots[knots_of.clone()].iter().copied());
         }
         (tracks, map)
     }
@@ -161,12 +168,14 @@ impl RowSolver {
         (0..taken).map(|n| pixels[(2 * n + 1) * pixels.len() / (2 * taken)]).collect()
     }
 
-    /// How badly hints and its other measurements foretell the frames of a pixel that are kept back ([`estimate::prediction_error`]).
-    pub fn prediction_error(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> f64 {
-        let RowSolver { workspace, events, first_event, frames, first_frame, .. } = self;
+    /// How badly hints, one set after the other, and its other measurements foretell the frames of a pixel that are kept back
+    /// ([`estimate::prediction_errors`]).
+    pub fn prediction_errors(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Vec<Hint>]) -> Vec<f64> {
+        let RowSolver { group, events, first_event, frames, first_frame, .. } = self;
         let (events, frames) = (&events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]]);
-        let problem = MapProblem { hints, ..problem(model, events, frames, setting.span, setting.noise) };
-        estimate::prediction_error(&problem, &setting.options, workspace, &mut Vec::new())
+        let problem = problem(model, events, frames, setting.span, setting.noise);
+        let problems: Vec<MapProblem<'_>> = hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
+        estimate::prediction_errors(&problems, &setting.options, group)
     }
 
     fn take_events(&mut self, model: &Model, events: &EventRow, width: u32) {
@@ -215,13 +224,13 @@ impl RowSolver {
     /// The noise of the row's events and the prior, from pixels spread over their number of events.
     fn choose(&mut self, params: &Params, model: &Model, span: (i64, i64), noise: Noise, options: &MapOptions) -> estimate::Choice {
         let sample = self.sample();
-        let RowSolver { workspace, events, first_event, frames, first_frame, .. } = self;
+        let RowSolver { group, events, first_event, frames, first_frame, .. } = self;
         let pixel = |&x: &usize| {
             let (events, frames) = (&events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]]);
             problem(model, events, frames, span, noise)
         };
         let problems: Vec<MapProblem<'_>> = sample.iter().map(pixel).collect();
-        estimate::choose(&problems, params.event_noise, options, workspace)
+        estimate::choose(&problems, params.event_noise, options, group)
     }
 }
 

@@ -1,4 +1,4 @@
-//! Time to find the most probable light of a pixel, and to choose the noise and the prior of a row, per event.
+//! Time to find the most probable light of pixels, one after the other and eight at a time, and to choose the noise and the prior of a row, per event.
 //!
 //! Run with `cargo bench -p photocurrent-sensor --bench map`. Pixels come from the forward model with the values of `data/sensors/hybrid.toml` and its
 //! noise: 250 ms, 30 frames at 120 fps of 6.5 ms. Three kinds of light: edges (quiet between them), texture (never still), and a
@@ -11,7 +11,7 @@ use photocurrent_core::sensor::Reset;
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Pixel, PixelNoise, simulate};
 use photocurrent_sensor::front_end::FrontEnd;
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapOptions, MapProblem, MapSensor, MapStatus, MapWorkspace, Noise, estimate, solve};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, MapWorkspace, Noise, estimate, solve};
 
 const SPAN_NS: i64 = 250_000_000;
 const STEP_NS: i64 = 50_000;
@@ -142,6 +142,19 @@ fn events_solved(bencher: Bencher<'_, '_>, kind: &str) {
     bencher.counter(events(&pixels)).bench_local(|| problems.iter().map(|problem| solve(problem, &options, &mut workspace).log_evidence).sum::<f64>());
 }
 
+/// The same, eight pixels at a time.
+#[divan::bench(args = KINDS)]
+fn events_solved_in_groups(bencher: Bencher<'_, '_>, kind: &str) {
+    let pixels = pixels(kind);
+    let tasks: Vec<MapTask<'_>> = pixels.iter().map(|pixel| MapTask { problem: pixel.problem(), options: MapOptions::default() }).collect();
+    let mut group = MapGroup::default();
+    bencher.counter(events(&pixels)).bench_local(|| {
+        let mut sum = 0.0;
+        group.solve(&tasks, |_, solution| sum += solution.log_evidence);
+        sum
+    });
+}
+
 #[divan::bench(args = KINDS)]
 fn knots_solved(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
@@ -156,6 +169,6 @@ fn knots_solved(bencher: Bencher<'_, '_>, kind: &str) {
 fn events_chosen(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
-    let (mut workspace, options) = (MapWorkspace::default(), MapOptions::default());
-    bencher.counter(events(&pixels)).bench_local(|| estimate::choose(&problems, None, &options, &mut workspace));
+    let (mut group, options) = (MapGroup::default(), MapOptions::default());
+    bencher.counter(events(&pixels)).bench_local(|| estimate::choose(&problems, None, &options, &mut group));
 }

@@ -4,7 +4,6 @@ use super::knots::{Knots, Op};
 use super::prior::Segments;
 use super::segment::Pieces;
 use super::{MapProblem, Offsets};
-use crate::elementary;
 use photocurrent_core::sensor::Reset;
 
 /// What a measurement at a knot looks at.
@@ -30,14 +29,14 @@ pub(super) struct Row {
 
 /// A segment's derivatives: of the voltage by voltage and both ends, of the scaled light by both ends.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Slopes {
-    pub by_voltage: f64,
+pub(super) struct Slopes<T = f64> {
+    pub by_voltage: T,
     /// By both ends together.
-    pub by_both: f64,
-    pub by_last: f64,
+    pub by_both: T,
+    pub by_last: T,
     /// By both ends together.
-    pub light_by_both: f64,
-    pub light_by_last: f64,
+    pub light_by_both: T,
+    pub light_by_last: T,
 }
 
 /// A pixel's unknowns turned into predictions.
@@ -113,7 +112,7 @@ impl Chain {
                     Op::Hint(l) => {
                         let hint = &problem.hints[l as usize];
                         row = Row { sight: Sight::Light, residual: hint.log_photocurrent - u[j], variance: hint.variance };
-                        cost += row.residual * row.residual / row.variance;
+                        cost += row.residual * row.residual * (1.0 / row.variance);
                     }
                     Op::Fire { polarity, armed, .. } => {
                         fires = true;
@@ -124,12 +123,13 @@ impl Chain {
                             let threshold = if polarity > 0 { sensor.threshold_on } else { sensor.threshold_off };
                             row.variance = noise.event_variance(threshold);
                             if problem.stamp_sigma_s > 0.0 {
-                                let tau_s = sensor.front_end.tau_0_s + sensor.front_end.alpha_s * elementary::exp(-here);
-                                let slope = if tau_s > 0.0 { (here - voltage) / tau_s } else { 0.0 };
+                                let current = self.pieces.root[j] * self.pieces.root[j];
+                                let tau_light = sensor.front_end.tau_0_s * current + sensor.front_end.alpha_s;
+                                let slope = if tau_light > 0.0 { (here - voltage) * current / tau_light } else { 0.0 };
                                 let stamp = slope * problem.stamp_sigma_s;
                                 row.variance += stamp * stamp;
                             }
-                            cost += row.residual * row.residual / row.variance;
+                            cost += row.residual * row.residual * (1.0 / row.variance);
                         }
                         match sensor.reset {
                             Reset::Resample => blind = true,

@@ -6,7 +6,7 @@
 //! it is the weaker judge, because it believes that the model is right.
 
 use super::segment::collected_between;
-use super::{Evidence, Local, MapFrame, MapOptions, MapProblem, MapWorkspace, Noise, Prior, solve, solve_with};
+use super::{Evidence, Local, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapTask, Noise, Prior};
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
 pub const EVENT_NOISES: [f64; 3] = [0.32, 0.16, 0.08];
@@ -46,40 +46,28 @@ pub const PRIORS: [Prior; 6] = [
 /// The event noise and the prior that explain `problems` best; the usual ones when they have hardly an event.
 ///
 /// `event` is taken where it is given. Without enough frames to keep back, only the event noise is chosen.
-pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOptions, workspace: &mut MapWorkspace) -> Choice {
+pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOptions, group: &mut MapGroup) -> Choice {
     let events: usize = problems.iter().map(|problem| problem.events.len()).sum();
     let usual = Choice { event: event.unwrap_or(Noise::default().event), prior: options.prior };
     if events < FEWEST_EVENTS {
         return usual;
     }
     let by_frames = problems.iter().all(|problem| problem.frames.len() >= FEWEST_FRAMES);
-    let options = &MapOptions { with_sigma: false, ..*options };
-    let mut kept = Vec::new();
-    // Always from the usual start: from the light that another noise or prior has found, a few steps do not show what this one would find.
-    let mut loss = |choice: Choice| -> f64 {
-        let options = MapOptions { prior: choice.prior, ..*options };
-        let mut of = |problem: &MapProblem<'_>| {
-            let tried = MapProblem { noise: Noise { event: choice.event, ..problem.noise }, ..*problem };
-            if by_frames { prediction_error(&tried, &options, workspace, &mut kept) } else { -solve(&tried, &options, workspace).log_evidence }
-        };
-        problems.iter().map(&mut of).sum()
-    };
+    let tried = Tried { problems, kept: by_frames.then(|| problems.iter().map(|problem| kept(problem.frames)).collect()), options: *options };
     let mut best = (f64::INFINITY, usual);
     let noises = match event {
         Some(ref stated) => std::slice::from_ref(stated),
         None => EVENT_NOISES.as_slice(),
     };
-    for &event in noises {
-        let choice = Choice { event, ..usual };
-        let found = loss(choice);
+    let choices: Vec<Choice> = noises.iter().map(|&event| Choice { event, ..usual }).collect();
+    for (found, choice) in tried.losses(&choices, group).into_iter().zip(choices) {
         if found < best.0 {
             best = (found, choice);
         }
     }
     if by_frames {
-        for prior in PRIORS.into_iter().filter(|prior| *prior != usual.prior) {
-            let choice = Choice { prior, ..best.1 };
-            let found = loss(choice);
+        let choices: Vec<Choice> = PRIORS.into_iter().filter(|prior| *prior != usual.prior).map(|prior| Choice { prior, ..best.1 }).collect();
+        for (found, choice) in tried.losses(&choices, group).into_iter().zip(choices) {
             if found < best.0 * CLEARLY_BETTER {
                 best = (found, choice);
             }
@@ -93,14 +81,58 @@ pub fn is_kept_back(l: usize, count: usize) -> bool {
     count >= FEWEST_FRAMES && l % KEPT_BACK == 1 && l + 1 < count
 }
 
-/// The sum of relative errors (at most [`LARGEST_ERROR`] each) of the frames of a pixel that were kept back from its solution; `kept` is memory.
-pub fn prediction_error(problem: &MapProblem<'_>, options: &MapOptions, workspace: &mut MapWorkspace, kept: &mut Vec<MapFrame>) -> f64 {
-    let is_kept_back = |l: usize| is_kept_back(l, problem.frames.len());
-    kept.clear();
-    kept.extend(problem.frames.iter().enumerate().filter(|(l, _)| !is_kept_back(*l)).map(|(_, frame)| *frame));
-    let solution = solve_with(&MapProblem { frames: kept, ..*problem }, options, Evidence::Unwanted, workspace);
+/// The frames that are not kept back.
+fn kept(frames: &[MapFrame]) -> Vec<MapFrame> {
+    frames.iter().enumerate().filter(|(l, _)| !is_kept_back(*l, frames.len())).map(|(_, frame)| *frame).collect()
+}
+
+/// What choices are tried on.
+struct Tried<'a> {
+    problems: &'a [MapProblem<'a>],
+    /// The frames of each problem without those that are kept back, where frames decide.
+    kept: Option<Vec<Vec<MapFrame>>>,
+    options: MapOptions,
+}
+
+impl Tried<'_> {
+    /// What each choice loses: by the frames that were kept back, else by the evidence.
+    ///
+    /// Always from the usual start: from the light that another noise or prior has found, a few steps do not show what this one would find.
+    fn losses(&self, choices: &[Choice], group: &mut MapGroup) -> Vec<f64> {
+        let task = |n: usize| {
+            let (p, choice) = (n / choices.len(), &choices[n % choices.len()]);
+            let problem = &self.problems[p];
+            let frames = self.kept.as_ref().map_or(problem.frames, |kept| kept[p].as_slice());
+            let noise = Noise { event: choice.event, ..problem.noise };
+            MapTask { problem: MapProblem { noise, frames, ..*problem }, options: MapOptions { prior: choice.prior, with_sigma: false, ..self.options } }
+        };
+        let tasks: Vec<MapTask<'_>> = (0..self.problems.len() * choices.len()).map(task).collect();
+        let mut losses = vec![0.0; tasks.len()];
+        let evidence = if self.kept.is_some() { Evidence::Unwanted } else { Evidence::Wanted };
+        group.solve_with(&tasks, evidence, |n, solution| {
+            let problem = &self.problems[n / choices.len()];
+            losses[n] = if self.kept.is_some() { prediction_error(problem, &solution) } else { -solution.log_evidence };
+        });
+        // Problem by problem, whatever order they were solved in.
+        (0..choices.len()).map(|c| losses.iter().skip(c).step_by(choices.len()).sum()).collect()
+    }
+}
+
+/// How badly each problem's frames that are kept back are foretold by its other measurements: the sum of relative errors, at most
+/// [`LARGEST_ERROR`] each.
+pub fn prediction_errors(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<f64> {
+    let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| kept(problem.frames)).collect();
+    let options = MapOptions { with_sigma: false, ..*options };
+    let tasks: Vec<MapTask<'_>> = problems.iter().zip(&kept).map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options }).collect();
+    let mut errors = vec![0.0; tasks.len()];
+    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| errors[n] = prediction_error(&problems[n], &solution));
+    errors
+}
+
+/// The sum of relative errors of frames that were kept back.
+fn prediction_error(problem: &MapProblem<'_>, solution: &MapSolution<'_>) -> f64 {
     let mut error = 0.0;
-    for (_, frame) in problem.frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l) && !frame.saturated) {
+    for (_, frame) in problem.frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l, problem.frames.len()) && !frame.saturated) {
         let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);
         let predicted = problem.sensor.black_level_dn + problem.sensor.gain * light;
         let bright = f64::max(frame.dn - problem.sensor.black_level_dn, 0.0);

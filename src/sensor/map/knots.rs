@@ -93,8 +93,15 @@ impl Knots {
             let quiet = i64::min(last - events.before, events.after - last) / WIDENING;
             let spacing = quiet.clamp(spacing_ns, COARSEST * spacing_ns);
             // What is left is shared out evenly, so that no short rest remains.
-            let pieces = (t_ns - last + spacing - 1) / spacing;
-            last += (t_ns - last + pieces - 1) / pieces;
+            let left = t_ns - last;
+            last = if left <= spacing {
+                t_ns
+            } else if left <= 2 * spacing {
+                last + (left + 1) / 2
+            } else {
+                let pieces = (left + spacing - 1) / spacing;
+                last + (left + pieces - 1) / pieces
+            };
             self.begin(last);
         }
     }

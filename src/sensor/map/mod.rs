@@ -15,6 +15,7 @@
 
 mod chain;
 pub mod estimate;
+mod group;
 mod knots;
 mod prior;
 mod segment;
@@ -24,6 +25,7 @@ mod state;
 #[cfg(test)]
 mod tests;
 
+pub use group::{MapGroup, MapTask};
 pub use prior::{Local, Prior};
 pub use segment::ramp_voltage;
 

@@ -62,25 +62,27 @@ impl Default for Prior {
 }
 
 /// Variance of the first slope of a glide, per second squared: any speed will do.
-const FIRST_SLOPE_VARIANCE: f64 = 1e6;
+pub(super) const FIRST_SLOPE_VARIANCE: f64 = 1e6;
 
 /// The prior of each segment of one pixel: entry j belongs to the segment that ends at knot j; entry 0 to none.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Segments {
     /// Length, seconds.
     pub length_s: Vec<f64>,
+    /// One over it.
+    pub per_s: Vec<f64>,
     /// Correlation of z with the segment before; 0 for the first.
     pub correlation: Vec<f64>,
     /// Increment of log light per z: the square root of q; of a glide, whose z is the slope, the length.
     pub scale: Vec<f64>,
     /// s, seconds.
-    reach_s: Vec<f64>,
+    pub reach_s: Vec<f64>,
     /// Variance of z given the one before: with local variance, one less the correlation's square.
     pub fresh: Vec<f64>,
     /// First and last segment that count for the local variance, and one over their length in seconds.
-    nearby: Vec<(u32, u32)>,
-    per_nearby: Vec<f64>,
-    middle_s: Vec<f64>,
+    pub nearby: Vec<(u32, u32)>,
+    pub per_nearby: Vec<f64>,
+    pub middle_s: Vec<f64>,
     energy: Vec<f64>,
     /// Increment over its scale.
     pub z: Vec<f64>,
@@ -90,9 +92,9 @@ impl Segments {
     /// Lengths, correlations and neighbourhoods of the segments between knots.
     pub fn lay(&mut self, t_ns: &[i64], prior: &Prior) {
         let knots = t_ns.len();
-        let seconds = |j: usize| (t_ns[j] - t_ns[0]) as f64 * 1e-9;
         for column in [
             &mut self.length_s,
+            &mut self.per_s,
             &mut self.correlation,
             &mut self.scale,
             &mut self.reach_s,
@@ -102,16 +104,16 @@ impl Segments {
             &mut self.energy,
             &mut self.z,
         ] {
-            column.clear();
+            // All entries but the first are set below or before they are asked for; the first stays 0.
             column.resize(knots, 0.0);
         }
-        for j in 1..knots {
-            self.length_s[j] = (t_ns[j] - t_ns[j - 1]) as f64 * 1e-9;
-            self.middle_s[j] = 0.5 * (seconds(j) + seconds(j - 1));
-        }
+        measure(t_ns, &mut self.length_s, &mut self.per_s, &mut self.middle_s);
         match prior {
             Prior::Local(local) => self.lay_local(t_ns, local),
-            Prior::Walk { .. } => self.fresh.fill(1.0),
+            Prior::Walk { .. } => {
+                self.correlation.fill(0.0);
+                self.fresh.fill(1.0);
+            }
             Prior::Glide { .. } => {
                 self.scale.copy_from_slice(&self.length_s);
                 self.correlation.fill(1.0);
@@ -156,7 +158,7 @@ impl Segments {
             Prior::Glide { per_s3, nu } => {
                 let mut before = None;
                 for j in 1..u.len() {
-                    let slope = (u[j] - u[j - 1]) / self.length_s[j];
+                    let slope = (u[j] - u[j - 1]) * self.per_s[j];
                     self.fresh[j] = before.map_or(FIRST_SLOPE_VARIANCE, |before: f64| {
                         let change = slope - before;
                         let apart_s = self.middle_s[j] - self.middle_s[j - 1];
@@ -173,7 +175,7 @@ impl Segments {
         let mut sum = 0.0;
         for j in 1..u.len() {
             let w = u[j] - u[j - 1];
-            sum += w * w / self.length_s[j];
+            sum += w * w * self.per_s[j];
             self.energy[j] = sum;
         }
         let floor = prior.floor_per_s * prior.floor_per_s;
@@ -187,15 +189,28 @@ impl Segments {
     /// Twice the negative log of the prior's density at `u`, less constants.
     pub fn cost(&mut self, u: &[f64]) -> f64 {
         for j in 1..u.len() {
-            self.z[j] = (u[j] - u[j - 1]) / self.scale[j];
+            self.z[j] = (u[j] - u[j - 1]) * (1.0 / self.scale[j]);
         }
         let mut cost = 0.0;
         for j in 1..u.len() {
             // The first has no correlation.
             let surprise = self.z[j] - self.correlation[j] * self.z[j - 1];
-            cost += surprise * surprise / self.fresh[j];
+            cost += surprise * surprise * (1.0 / self.fresh[j]);
         }
         cost
+    }
+}
+
+/// Lengths, one over them, and middles counted from the first knot.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+fn measure(t_ns: &[i64], length_s: &mut [f64], per_s: &mut [f64], middle_s: &mut [f64]) {
+    let n = t_ns.len();
+    let (first, before, here) = (t_ns[0], &t_ns[..n - 1], &t_ns[1..]);
+    let (length_s, per_s, middle_s) = (&mut length_s[1..n], &mut per_s[1..n], &mut middle_s[1..n]);
+    for k in 0..n - 1 {
+        length_s[k] = (here[k] - before[k]) as f64 * 1e-9;
+        per_s[k] = 1.0 / length_s[k];
+        middle_s[k] = 0.5 * ((here[k] - first) as f64 * 1e-9 + (before[k] - first) as f64 * 1e-9);
     }
 }
 

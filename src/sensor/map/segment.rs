@@ -40,15 +40,14 @@ pub(super) struct Pieces {
     pub light: Vec<f64>,
     /// ... and its derivative by the log light at the end. By both ends together it is the light itself.
     pub light_by_last: Vec<f64>,
-    current: Vec<f64>,
+    /// Square root of the photocurrent at each knot.
+    pub root: Vec<f64>,
 }
 
 impl Pieces {
     /// Computes the segments between `u`, `length_s` long; entries 0 mean nothing.
     pub fn fill(&mut self, front_end: &FrontEnd, u: &[f64], length_s: &[f64]) {
-        for column in
-            [&mut self.left, &mut self.lag, &mut self.through_gap, &mut self.through_rise, &mut self.light, &mut self.light_by_last, &mut self.current]
-        {
+        for column in [&mut self.left, &mut self.lag, &mut self.through_gap, &mut self.through_rise, &mut self.light, &mut self.light_by_last, &mut self.root] {
             column.resize(u.len(), 0.0);
         }
         fill(self, front_end, u, length_s);
@@ -83,55 +82,90 @@ pub(super) struct Ramp {
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 fn fill(pieces: &mut Pieces, front_end: &FrontEnd, u: &[f64], length_s: &[f64]) {
     let n = u.len();
-    let Pieces { left, lag, through_gap, through_rise, light, light_by_last, current } = pieces;
-    for (current, u) in current.iter_mut().zip(u) {
-        *current = exp(*u);
+    let Pieces { left, lag, through_gap, through_rise, light, light_by_last, root } = pieces;
+    for (root, u) in root.iter_mut().zip(u) {
+        *root = exp(0.5 * *u);
     }
-    let (first, last) = (&u[..n - 1], &u[1..]);
-    let (from, to) = (&current[..n - 1], &current[1..]);
-    let length_s = &length_s[1..n];
-    let (left, lag) = (&mut left[1..n], &mut lag[1..n]);
-    let (through_gap, through_rise) = (&mut through_gap[1..n], &mut through_rise[1..n]);
-    let (light, light_by_last) = (&mut light[1..n], &mut light_by_last[1..n]);
-    for k in 0..n - 1 {
-        let middle = 0.5 * (first[k] + last[k]);
-        let light_part_s = front_end.alpha_s * exp(-middle);
-        let tau_s = front_end.tau_0_s + light_part_s;
-        let tau_s = if tau_s > TAU_FLOOR_S { tau_s } else { TAU_FLOOR_S };
-        let rate = 1.0 / tau_s;
-        let lengths = length_s[k] * rate;
+    let into = [&mut left[1..n], &mut lag[1..n], &mut through_gap[1..n], &mut through_rise[1..n], &mut light[1..n], &mut light_by_last[1..n]];
+    fill_pieces(front_end, &length_s[1..n], (&u[..n - 1], &u[1..]), (&root[..n - 1], &root[1..n]), into);
+}
+
+/// The columns of [`Pieces`], in their order, of segments with these lengths whose log light and whose root of the photocurrent go from the first of two
+/// columns to the second.
+#[inline(always)]
+pub(super) fn fill_pieces(front_end: &FrontEnd, length_s: &[f64], (first, last): (&[f64], &[f64]), (from, to): (&[f64], &[f64]), into: [&mut [f64]; 6]) {
+    let n = length_s.len();
+    let (first, last, from, to) = (&first[..n], &last[..n], &from[..n], &to[..n]);
+    let [left, lag, through_gap, through_rise, light, light_by_last] = into;
+    let (left, lag, through_gap, through_rise) = (&mut left[..n], &mut lag[..n], &mut through_gap[..n], &mut through_rise[..n]);
+    let (light, light_by_last) = (&mut light[..n], &mut light_by_last[..n]);
+    // In parts, so that a processor finds several turns of a loop to work on; what the next part needs stands in columns that it fills.
+    for k in 0..n {
+        // The photocurrent at the middle log light, and the time constant times that.
+        let middle = from[k] * to[k];
+        let tau = front_end.tau_0_s * middle + front_end.alpha_s;
+        let floor = TAU_FLOOR_S * middle;
+        let one_over = 1.0 / if tau > floor { tau } else { floor };
+        left[k] = length_s[k] * (middle * one_over);
+        // d tau / d u is -alpha / 2 i at either end.
+        lag[k] = -0.5 * (front_end.alpha_s * one_over);
+    }
+    for k in 0..n {
+        let (lengths, by_tau, rise) = (left[k], lag[k], last[k] - first[k]);
+        let is_short = rise.abs() < SHORT_RISE;
+        // Never divides by a small number; what it gives for a short rise is not used. One division for both.
+        let divisor = if is_short { 1.0 } else { rise };
+        let one_over = 1.0 / (lengths * divisor);
         let settled = -exp_m1(-lengths);
         left[k] = 1.0 - settled;
-        lag[k] = settled / lengths;
-        // d tau / d u is -light_part / 2 at either end.
-        let by_tau = -0.5 * light_part_s * rate;
+        lag[k] = settled * (divisor * one_over);
         through_gap[k] = by_tau * left[k] * lengths;
-        through_rise[k] = by_tau * (left[k] - lag[k]) * (last[k] - first[k]);
+        through_rise[k] = by_tau * (left[k] - lag[k]) * rise;
+        light[k] = lengths * one_over;
     }
-    for k in 0..n - 1 {
-        let (mean, by_last) = log_linear_means(first[k], last[k], from[k], to[k]);
+    for k in 0..n {
+        let (mean, by_last) = log_linear_means(last[k] - first[k], light[k], from[k] * from[k], to[k] * to[k]);
         light[k] = length_s[k] * mean;
         light_by_last[k] = length_s[k] * by_last;
     }
 }
 
-/// The mean of a photocurrent whose logarithm is linear, and its derivative by the end, as in [`crate::exposure`], where the photocurrents are known already.
+/// Rises of log light below this are short: differences of photocurrents lose digits.
+const SHORT_RISE: f64 = 0.02;
+
+/// The mean of a photocurrent whose logarithm is linear, and its derivative by the end, as in [`crate::exposure`], where the photocurrents are known
+/// already, and one over the rise unless that is short.
 #[inline(always)]
-fn log_linear_means(first: f64, last: f64, from: f64, to: f64) -> (f64, f64) {
-    let rise = last - first;
+fn log_linear_means(rise: f64, one_over: f64, from: f64, to: f64) -> (f64, f64) {
     let series = 1.0 + rise * (0.5 + rise * (1.0 / 6.0 + rise * (1.0 / 24.0 + rise * (1.0 / 120.0 + rise * (1.0 / 720.0)))));
     let series_by_last = 0.5 + rise * (1.0 / 3.0 + rise * (1.0 / 8.0 + rise * (1.0 / 30.0 + rise * (1.0 / 144.0 + rise * (1.0 / 840.0)))));
-    let is_short = rise.abs() < 0.02;
-    // Never divides by a small number; what it gives for a short rise is not used.
-    let one_over = 1.0 / if is_short { 1.0 } else { rise };
+    let is_short = rise.abs() < SHORT_RISE;
     let mean = (to - from) * one_over;
     let by_last = (to - mean) * one_over;
     (if is_short { from * series } else { mean }, if is_short { from * series_by_last } else { by_last })
 }
 
+/// The light collected on the segment that ends at each knot, photocurrent times seconds; fills `current` as well. Columns are equally long.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+pub(super) fn collect(seconds: &[f64], u: &[f64], current: &mut [f64], light: &mut [f64]) {
+    let n = u.len();
+    for (current, u) in current.iter_mut().zip(u) {
+        *current = exp(*u);
+    }
+    let (start_s, end_s, first, last) = (&seconds[..n - 1], &seconds[1..n], &u[..n - 1], &u[1..]);
+    let (from, to, light) = (&current[..n - 1], &current[1..n], &mut light[1..n]);
+    for k in 0..n - 1 {
+        let rise = last[k] - first[k];
+        let one_over = 1.0 / if rise.abs() < SHORT_RISE { 1.0 } else { rise };
+        light[k] = (end_s[k] - start_s[k]) * log_linear_means(rise, one_over, from[k], to[k]).0;
+    }
+}
+
 /// The light collected on a segment, photocurrent times seconds.
-pub(super) fn collected(first: f64, last: f64, length_s: f64) -> f64 {
-    length_s * log_linear_means(first, last, exp(first), exp(last)).0
+fn collected(first: f64, last: f64, length_s: f64) -> f64 {
+    let rise = last - first;
+    let one_over = 1.0 / if rise.abs() < SHORT_RISE { 1.0 } else { rise };
+    length_s * log_linear_means(rise, one_over, exp(first), exp(last)).0
 }
 
 /// The light collected from `start_ns` to `end_ns`, photocurrent times seconds, of log light that is linear between knots; both lie inside them.

@@ -16,7 +16,7 @@ use crate::elementary;
 use photocurrent_core::sensor::Reset;
 
 /// Variance of the first log light around the start value: free for all practical light.
-const FIRST_VARIANCE: f64 = 9.0;
+pub(super) const FIRST_VARIANCE: f64 = 9.0;
 
 /// The memory of the two passes.
 #[derive(Clone, Debug, Default)]
@@ -90,7 +90,7 @@ impl Smoother {
         }
     }
 
-    fn forward<const N: usize, const WITH_EVIDENCE: bool, const KEEP: bool>(&mut self, ask: &Ask<'_>, first: &State<N>) {
+    fn forward<const N: usize, const WITH_EVIDENCE: bool, const KEEP: bool>(&mut self, ask: &Ask<'_>, first: &State<f64, N>) {
         let mut state = *first;
         let segments = ask.segments;
         let mut z_before = 0.0;
@@ -141,7 +141,7 @@ impl Smoother {
         }
     }
 
-    fn backward<const N: usize, const WITH_VARIANCE: bool>(&mut self, ask: &Ask<'_>, first: &State<N>) {
+    fn backward<const N: usize, const WITH_VARIANCE: bool>(&mut self, ask: &Ask<'_>, first: &State<f64, N>) {
         let knots = ask.knots.len();
         self.change.clear();
         self.change.resize(knots, 0.0);
@@ -187,7 +187,7 @@ impl Smoother {
 }
 
 /// What is known of the first knot before any measurement.
-fn begin<const N: usize>(ask: &Ask<'_>) -> State<N> {
+fn begin<const N: usize>(ask: &Ask<'_>) -> State<f64, N> {
     let mut state = State::new();
     // The pixel starts settled: voltage and log light are one; the reference is near.
     let change = ask.first - ask.u[0];

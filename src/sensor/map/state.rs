@@ -4,6 +4,7 @@
 //! inlined into the two passes, where all indices are known.
 
 use super::chain::Slopes;
+use crate::scalar::Scalar;
 
 /// Log light.
 pub(super) const U: usize = 0;
@@ -21,6 +22,23 @@ pub(super) const ON: usize = 5;
 pub(super) const OFF: usize = 6;
 /// How many there are.
 pub(super) const STATES: usize = 7;
+
+/// The body once for each index of a state that is below the limit, with the index known. A loop over states of lanes would be turned into vectors of
+/// states, which is slow.
+macro_rules! each_state {
+    ($a:ident in $from:expr, $below:expr => $body:expr) => {
+        each_state!(@ $a $from, $below, $body, 0 1 2 3 4 5 6)
+    };
+    (@ $a:ident $from:expr, $below:expr, $body:expr, $($n:literal)*) => {
+        $({
+            let $a: usize = $n;
+            if ($from..$below).contains(&$a) {
+                $body;
+            }
+        })*
+    };
+}
+pub(super) use each_state;
 
 /// The states before this one move over a segment, the others stand still.
 const MOVING: usize = R;
@@ -46,22 +64,22 @@ pub(super) struct Taken {
 }
 
 /// The linear map of one segment, sparse.
-pub(super) struct Transition {
-    correlation: f64,
+pub(super) struct Transition<T> {
+    correlation: T,
     /// Of log light by z before.
-    u_by_z: f64,
-    voltage: f64,
-    v_by_u: f64,
-    v_by_z: f64,
-    s_by_u: f64,
-    s_by_z: f64,
+    u_by_z: T,
+    voltage: T,
+    v_by_u: T,
+    v_by_z: T,
+    s_by_u: T,
+    s_by_z: T,
     /// Of log light, z, voltage and collected light by what is new.
-    by_new: [f64; MOVING],
+    by_new: [T; MOVING],
 }
 
-impl Transition {
+impl<T: Scalar> Transition<T> {
     #[inline(always)]
-    pub fn new(correlation: f64, scale: f64, slopes: &Slopes) -> Transition {
+    pub fn new(correlation: T, scale: T, slopes: &Slopes<T>) -> Transition<T> {
         let u_by_z = scale * correlation;
         Transition {
             correlation,
@@ -71,19 +89,19 @@ impl Transition {
             v_by_z: slopes.by_last * u_by_z,
             s_by_u: slopes.light_by_both,
             s_by_z: slopes.light_by_last * u_by_z,
-            by_new: [scale, 1.0, slopes.by_last * scale, slopes.light_by_last * scale],
+            by_new: [scale, T::from_f64(1.0), slopes.by_last * scale, slopes.light_by_last * scale],
         }
     }
 
     /// `F x` for the states that move.
     #[inline(always)]
-    fn apply(&self, [u, z, v, s]: [f64; MOVING]) -> [f64; MOVING] {
+    fn apply(&self, [u, z, v, s]: [T; MOVING]) -> [T; MOVING] {
         [u + self.u_by_z * z, self.correlation * z, self.voltage * v + (self.v_by_u * u + self.v_by_z * z), s + (self.s_by_u * u + self.s_by_z * z)]
     }
 
     /// `F' x`.
     #[inline(always)]
-    fn transposed<const N: usize>(&self, x: &mut [f64; N]) {
+    pub fn transposed<const N: usize>(&self, x: &mut [T; N]) {
         let (u, z, v, s) = (x[U], x[Z], x[V], x[S]);
         x[U] = u + (self.v_by_u * v + self.s_by_u * s);
         x[Z] = (self.correlation * z + self.u_by_z * u) + (self.v_by_z * v + self.s_by_z * s);
@@ -93,23 +111,24 @@ impl Transition {
 
 /// Changes of the states and their covariance, of which `p[a][b]` counts for `a <= b` only.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct State<const N: usize> {
-    pub x: [f64; N],
-    pub p: [[f64; N]; N],
+pub(super) struct State<T, const N: usize> {
+    pub x: [T; N],
+    pub p: [[T; N]; N],
 }
 
-impl<const N: usize> State<N> {
-    pub fn new() -> State<N> {
-        State { x: [0.0; N], p: [[0.0; N]; N] }
+impl<T: Scalar, const N: usize> State<T, N> {
+    pub fn new() -> State<T, N> {
+        let zero = T::from_f64(0.0);
+        State { x: [zero; N], p: [[zero; N]; N] }
     }
 
     #[inline(always)]
-    fn at(&self, a: usize, b: usize) -> f64 {
+    pub fn at(&self, a: usize, b: usize) -> T {
         if a <= b { self.p[a][b] } else { self.p[b][a] }
     }
 
     #[inline(always)]
-    fn set(&mut self, a: usize, b: usize, value: f64) {
+    pub fn set(&mut self, a: usize, b: usize, value: T) {
         if a <= b {
             self.p[a][b] = value;
         } else {
@@ -117,6 +136,53 @@ impl<const N: usize> State<N> {
         }
     }
 
+    /// Over a segment: `F x`, `F P F'` and what is new, with variance `fresh` and mean `surprise`.
+    #[inline(always)]
+    pub fn predict(&mut self, f: &Transition<T>, fresh: T, surprise: T) {
+        let x = f.apply([self.x[U], self.x[Z], self.x[V], self.x[S]]);
+        each_state!(a in 0, MOVING => self.x[a] = x[a] + f.by_new[a] * surprise);
+        each_state!(b in MOVING, N => {
+            let column = f.apply([self.p[U][b], self.p[Z][b], self.p[V][b], self.p[S][b]]);
+            (self.p[U][b], self.p[Z][b], self.p[V][b], self.p[S][b]) = (column[U], column[Z], column[V], column[S]);
+        });
+        let mut half = [[T::from_f64(0.0); MOVING]; MOVING];
+        each_state!(b in 0, MOVING => {
+            let column = f.apply([self.at(U, b), self.at(Z, b), self.at(V, b), self.at(S, b)]);
+            (half[U][b], half[Z][b], half[V][b], half[S][b]) = (column[U], column[Z], column[V], column[S]);
+        });
+        each_state!(a in 0, MOVING => {
+            let row = f.apply(half[a]);
+            let new = f.by_new[a] * fresh;
+            each_state!(b in a, MOVING => self.p[a][b] = row[b] + new * f.by_new[b]);
+        });
+    }
+
+    /// Takes in a measurement with these covariances to the states, this variance in all and this difference from what was predicted.
+    #[inline(always)]
+    pub fn take(&mut self, cross: [T; N], spread: T, innovation: T) -> Weight<T, N> {
+        let information = T::from_f64(1.0) / spread;
+        let pull = innovation * information;
+        let mut gain = cross;
+        each_state!(a in 0, N => {
+            gain[a] = cross[a] * information;
+            self.x[a] = self.x[a] + cross[a] * pull;
+            each_state!(b in a, N => self.p[a][b] = self.p[a][b] - gain[a] * cross[b]);
+        });
+        Weight { gain, pull, information }
+    }
+}
+
+/// What a measurement did to the states.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Weight<T, const N: usize> {
+    pub gain: [T; N],
+    /// Innovation over its variance.
+    pub pull: T,
+    /// One over the innovation's variance.
+    pub information: T,
+}
+
+impl<const N: usize> State<f64, N> {
     /// The change of log light and its row of the covariance.
     #[inline(always)]
     pub fn log_light(&self) -> (f64, [f64; STATES]) {
@@ -125,48 +191,12 @@ impl<const N: usize> State<N> {
         (self.x[U], row)
     }
 
-    /// Over a segment: `F x`, `F P F'` and what is new, with variance `fresh` and mean `surprise`.
     #[inline(always)]
-    pub fn predict(&mut self, f: &Transition, fresh: f64, surprise: f64) {
-        let x = f.apply([self.x[U], self.x[Z], self.x[V], self.x[S]]);
-        for a in 0..MOVING {
-            self.x[a] = x[a] + f.by_new[a] * surprise;
-        }
-        for b in MOVING..N {
-            let column = f.apply([self.p[U][b], self.p[Z][b], self.p[V][b], self.p[S][b]]);
-            for a in 0..MOVING {
-                self.p[a][b] = column[a];
-            }
-        }
-        let mut half = [[0.0; MOVING]; MOVING];
-        for b in 0..MOVING {
-            let column = f.apply([self.at(U, b), self.at(Z, b), self.at(V, b), self.at(S, b)]);
-            for a in 0..MOVING {
-                half[a][b] = column[a];
-            }
-        }
-        for a in 0..MOVING {
-            let row = f.apply(half[a]);
-            let new = f.by_new[a] * fresh;
-            for b in a..MOVING {
-                self.p[a][b] = row[b] + new * f.by_new[b];
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn take(&mut self, seen: Seen, cross: [f64; N], spread: f64, innovation: f64) -> Taken {
-        let information = 1.0 / spread;
-        let pull = innovation * information;
+    fn take_seen(&mut self, seen: Seen, cross: [f64; N], spread: f64, innovation: f64) -> Taken {
+        let weight = self.take(cross, spread, innovation);
         let mut gain = [0.0; STATES];
-        for a in 0..N {
-            gain[a] = cross[a] * information;
-            self.x[a] += cross[a] * pull;
-            for b in a..N {
-                self.p[a][b] -= gain[a] * cross[b];
-            }
-        }
-        Taken { seen, gain, pull, information }
+        gain[..N].copy_from_slice(&weight.gain);
+        Taken { seen, gain, pull: weight.pull, information: weight.information }
     }
 
     /// Takes in that voltage less reference less the threshold of `polarity` is larger by `residual` than predicted.
@@ -186,7 +216,7 @@ impl<const N: usize> State<N> {
             spread = cross[V] - cross[R] - sign * cross[threshold];
             expected -= sign * self.x[threshold];
         }
-        self.take(Seen::Event(polarity), cross, spread + variance, residual - expected)
+        self.take_seen(Seen::Event(polarity), cross, spread + variance, residual - expected)
     }
 
     /// Takes in that state `of` is larger by `residual` than predicted.
@@ -196,7 +226,7 @@ impl<const N: usize> State<N> {
         for a in 0..N {
             cross[a] = self.at(a, of);
         }
-        self.take(Seen::Value(of), cross, cross[of] + variance, residual - self.x[of])
+        self.take_seen(Seen::Value(of), cross, cross[of] + variance, residual - self.x[of])
     }
 
     /// State `of` becomes zero.
@@ -258,7 +288,7 @@ impl<const N: usize, const CURVED: bool> Adjoint<N, CURVED> {
     }
 
     /// The gradient along row `a` of a first covariance.
-    pub fn along(&self, first: &State<N>, a: usize) -> f64 {
+    pub fn along(&self, first: &State<f64, N>, a: usize) -> f64 {
         (0..N).map(|b| first.at(a, b) * self.lambda[b]).sum()
     }
 
@@ -346,7 +376,7 @@ impl<const N: usize, const CURVED: bool> Adjoint<N, CURVED> {
 
     /// Undoes [`State::predict`].
     #[inline(always)]
-    pub fn unpredict(&mut self, f: &Transition) {
+    pub fn unpredict(&mut self, f: &Transition<f64>) {
         f.transposed(&mut self.lambda);
         if CURVED {
             for row in &mut self.curvature {

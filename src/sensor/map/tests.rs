@@ -100,16 +100,16 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
 }
 
 /// A pixel that sees an edge pass, as the forward model records it.
-struct Recorded {
+pub(super) struct Recorded {
     light: (Vec<i64>, Vec<f64>),
-    events: Vec<MapEvent>,
-    frames: Vec<MapFrame>,
+    pub events: Vec<MapEvent>,
+    pub frames: Vec<MapFrame>,
 }
 
 const END_NS: i64 = 40_000_000;
 
 /// Log light between 3.4 and 4.8, with steep sides, once every 14 ms.
-fn recorded(reset: Reset) -> Recorded {
+pub(super) fn recorded(reset: Reset) -> Recorded {
     let t_ns: Vec<i64> = (0..=4000).map(|n| n * 10_000).collect();
     let shape = |t: i64| libm::tanh(4.0 * libm::sin(t as f64 * 4.5e-7));
     let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(4.1 + 0.7 * shape(t))).collect();
@@ -134,7 +134,7 @@ fn recorded(reset: Reset) -> Recorded {
 }
 
 impl Recorded {
-    fn problem(&self, reset: Reset) -> MapProblem<'_> {
+    pub fn problem(&self, reset: Reset) -> MapProblem<'_> {
         let sensor = MapSensor { refractory_ns: if reset == Reset::Resample { 50_000 } else { 0 }, ..sensor(reset) };
         let noise = Noise { event: 0.02, ..Noise::default() };
         MapProblem {
@@ -184,14 +184,14 @@ fn steep_light_comes_back_for_both_reset_laws() {
 #[test]
 fn more_noise_is_found_where_thresholds_jump() {
     let recorded = recorded(Reset::Resample);
-    let mut workspace = MapWorkspace::default();
+    let mut group = MapGroup::default();
     let options = MapOptions::default();
     // With three frames none is kept back: the evidence decides.
-    let few = |recorded: &Recorded, workspace: &mut MapWorkspace| {
+    let few = |recorded: &Recorded, group: &mut MapGroup| {
         let problem = MapProblem { frames: &recorded.frames[..3], ..recorded.problem(Reset::Resample) };
-        estimate::choose(&[problem; 2], None, &options, workspace).event
+        estimate::choose(&[problem; 2], None, &options, group).event
     };
-    let clean = few(&recorded, &mut workspace);
+    let clean = few(&recorded, &mut group);
     // Stamps moved by up to 150 us to and fro, where the voltage moves by a threshold in that time.
     let mut shaken = recorded;
     for (k, event) in shaken.events.iter_mut().enumerate() {
@@ -200,18 +200,18 @@ fn more_noise_is_found_where_thresholds_jump() {
         event.t_off_ns += shift;
     }
     shaken.events.sort_by_key(|event| event.t_in_ns);
-    let noisy = few(&shaken, &mut workspace);
+    let noisy = few(&shaken, &mut group);
     assert!(clean <= 0.08 && noisy > clean, "{clean} and {noisy}");
 }
 
 #[test]
 fn events_are_believed_less_where_they_mislead_about_frames() {
     let recorded = recorded(Reset::Resample);
-    let mut workspace = MapWorkspace::default();
+    let mut group = MapGroup::default();
     let right = recorded.problem(Reset::Resample);
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
-    let found = |problem, workspace: &mut MapWorkspace| estimate::choose(&[problem; 2], None, &MapOptions::default(), workspace).event;
-    let (right, wrong) = (found(right, &mut workspace), found(wrong, &mut workspace));
+    let found = |problem, group: &mut MapGroup| estimate::choose(&[problem; 2], None, &MapOptions::default(), group).event;
+    let (right, wrong) = (found(right, &mut group), found(wrong, &mut group));
     assert!(wrong > right, "{right} and {wrong}");
 }
 
@@ -275,8 +275,8 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
         silence_sigma: 0.0,
     };
     let copies = vec![problem; estimate::FEWEST_EVENTS / events.len() + 1];
-    let mut workspace = MapWorkspace::default();
-    let choice = estimate::choose(&copies, None, &MapOptions::default(), &mut workspace);
+    let mut group = MapGroup::default();
+    let choice = estimate::choose(&copies, None, &MapOptions::default(), &mut group);
     let restless = match choice.prior {
         Prior::Local(local) => local.floor_per_s > Local::USUAL.floor_per_s,
         Prior::Glide { .. } => true,

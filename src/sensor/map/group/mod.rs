@@ -1,0 +1,342 @@
+//! Many pixels, eight at a time, one in each lane of a vector.
+//!
+//! The passes over a chain wait for their own results most of the time; eight chains side by side wait together. The same equations in the same
+//! order as for one pixel alone, so that the answer is the same to the last bit (the evidence to rounding), whichever pixels share a
+//! group. What is rare is left to the solver of one pixel: unknown thresholds, standard deviations, pixels that fail.
+
+mod columns;
+mod passes;
+mod stream;
+#[cfg(test)]
+mod tests;
+
+use super::knots::Knots;
+use super::prior::{Prior, Segments};
+use super::smoother::FIRST_VARIANCE;
+use super::start::Start;
+use super::{
+    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, Offsets, SILENCE_FROM, has_run_away,
+    solve_with,
+};
+use crate::wide::{Flags, WIDTH, Wide};
+use columns::{Columns, Common, Cost, Family, Pixel, adapt, moved, run};
+use passes::{Ask, Damped, Kept, Line, damped_step, step};
+use stream::{EVENT, SEGMENT, SILENCE, Stream};
+
+/// A pixel that is to be solved, and how.
+#[derive(Clone, Copy, Debug)]
+pub struct MapTask<'a> {
+    /// The pixel.
+    pub problem: MapProblem<'a>,
+    /// How it is solved.
+    pub options: MapOptions,
+}
+
+/// Solves many pixels; keeps its memory from call to call.
+///
+/// Each gets what [`super::solve`] gives it alone: the same light to the last bit, and the evidence to rounding.
+#[derive(Clone, Debug, Default)]
+pub struct MapGroup {
+    alone: MapWorkspace,
+    lanes: [Lane; WIDTH],
+    columns: Columns,
+    u: Vec<Wide>,
+    trial: Vec<Wide>,
+    change: Vec<Wide>,
+    lines: Vec<Line>,
+    kept: Vec<Kept>,
+    dampings: Vec<Damped>,
+    order: Vec<usize>,
+}
+
+/// One pixel of a group.
+#[derive(Clone, Debug, Default)]
+struct Lane {
+    knots: Knots,
+    segments: Segments,
+    start: Start,
+    stream: Stream,
+    /// The start, later the answer.
+    u: Vec<f64>,
+    state: LaneState,
+}
+
+/// How far a lane has come.
+#[derive(Clone, Copy, Debug)]
+struct LaneState {
+    /// Is it still on its way?
+    steps: bool,
+    status: MapStatus,
+    iterations: usize,
+    /// Refused attempts at the current step.
+    attempts: usize,
+    damping: f64,
+    /// First reference less first voltage.
+    offset: f64,
+    /// 0 while silence does not count.
+    silence_sigma: f64,
+    /// Of where it stands: all, and the parts that do not depend on the prior.
+    cost: f64,
+    measured: f64,
+    silence_square: f64,
+    /// How much of the step is taken.
+    share: f64,
+    /// Of the first reference, as the task states it.
+    reference_sigma: f64,
+}
+
+impl Default for LaneState {
+    fn default() -> LaneState {
+        LaneState {
+            steps: false,
+            status: MapStatus::Unfinished,
+            iterations: 0,
+            attempts: 0,
+            damping: 0.0,
+            offset: 0.0,
+            silence_sigma: 0.0,
+            cost: 0.0,
+            measured: 0.0,
+            silence_square: 0.0,
+            share: 1.0,
+            reference_sigma: 0.0,
+        }
+    }
+}
+
+impl LaneState {
+    fn silence(&self, square: f64) -> f64 {
+        if self.silence_sigma > 0.0 { square / (self.silence_sigma * self.silence_sigma) } else { 0.0 }
+    }
+
+    /// Out of attempts: as good as it gets when some step went down, else a failure.
+    fn give_up(&mut self) {
+        self.status = if self.iterations > 1 { MapStatus::Unfinished } else { MapStatus::Failed };
+        self.steps = false;
+    }
+}
+
+/// Attempts at a step before no step goes down any more.
+const ATTEMPTS: usize = 6;
+
+impl MapGroup {
+    /// Solves `tasks` and gives each answer, with its place in `tasks`, to `take`, in any order.
+    ///
+    /// Quickest when pixels with about equally many events are among them; eight or more, of one front end and one family of priors.
+    pub fn solve(&mut self, tasks: &[MapTask<'_>], take: impl FnMut(usize, MapSolution<'_>)) {
+        self.solve_with(tasks, Evidence::Wanted, take);
+    }
+
+    /// The same, with the evidence or without.
+    pub(super) fn solve_with(&mut self, tasks: &[MapTask<'_>], evidence: Evidence, mut take: impl FnMut(usize, MapSolution<'_>)) {
+        let mut order = std::mem::take(&mut self.order);
+        order.clear();
+        for (n, task) in tasks.iter().enumerate() {
+            if suits(task) {
+                order.push(n);
+            } else {
+                take(n, solve_with(&task.problem, &task.options, evidence, &mut self.alone));
+            }
+        }
+        // Pixels of a group should be about equally long. Nothing else depends on the order.
+        let family = |n: usize| match tasks[n].options.prior {
+            Prior::Local(_) => 0,
+            Prior::Walk { .. } => 1,
+            Prior::Glide { .. } => 2,
+        };
+        order.sort_by_key(|&n| (family(n), tasks[n].problem.events.len(), tasks[n].problem.hints.len(), n));
+        let mut rest = order.as_slice();
+        while let Some(&first) = rest.first() {
+            let alike = |n: usize| {
+                tasks[n].problem.sensor.front_end == tasks[first].problem.sensor.front_end
+                    && is_advancing(&tasks[n]) == is_advancing(&tasks[first])
+                    && family(n) == family(first)
+            };
+            let count = rest.iter().take(WIDTH).take_while(|n| alike(**n)).count();
+            let (group, later) = rest.split_at(count);
+            rest = later;
+            if count == 1 {
+                take(first, solve_with(&tasks[first].problem, &tasks[first].options, evidence, &mut self.alone));
+            } else {
+                self.group(tasks, group, evidence, &mut take);
+            }
+        }
+        self.order = order;
+    }
+
+    fn group(&mut self, all: &[MapTask<'_>], group: &[usize], evidence: Evidence, take: &mut impl FnMut(usize, MapSolution<'_>)) {
+        // Lanes without a pixel repeat the last.
+        let tasks: [&MapTask<'_>; WIDTH] = std::array::from_fn(|l| &all[group[usize::min(l, group.len() - 1)]]);
+        let common = self.begin(&tasks, group.len());
+        let first = self.u[0];
+        while self.lanes.iter().any(|lane| lane.state.steps) {
+            let prior_cost = adapt(&mut self.columns, &common, &self.u);
+            for (l, lane) in self.lanes.iter_mut().enumerate() {
+                begin_step(&mut lane.state, tasks[l], prior_cost.0[l]);
+            }
+            let damping = wide(&self.lanes, |state| if state.steps { state.damping } else { 0.0 });
+            let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), damping);
+            let (longest, offset) = if damping == Wide::ZERO {
+                step(&ask, &mut self.kept, &mut self.change)
+            } else {
+                self.dampings.resize(self.u.len(), Damped::default());
+                damped_step(&ask, &mut self.kept, &mut self.dampings, &mut self.change)
+            };
+            for (l, lane) in self.lanes.iter_mut().enumerate() {
+                lane.state.share = f64::min(1.0, LONGEST_STEP / longest.0[l]);
+            }
+            let share = wide(&self.lanes, |state| state.share);
+            moved(&self.u, &self.change, share, Wide::splat(LOG_LIMIT), &mut self.trial);
+            let trial_offset = wide(&self.lanes, |state| state.offset) + share * offset;
+            let cost = run(&self.columns, &common, &self.trial, trial_offset, &mut self.lines);
+            let mut accepted = Wide::ZERO;
+            for (l, lane) in self.lanes.iter_mut().enumerate() {
+                let is_better = judge(&mut lane.state, tasks[l], &cost, l, longest.0[l], trial_offset.0[l]);
+                accepted.0[l] = if is_better || l >= group.len() { 1.0 } else { 0.0 };
+            }
+            self.accept(&common, accepted);
+        }
+        let log_evidence = if evidence == Evidence::Wanted { self.evidence(&common, first) } else { [0.0; WIDTH] };
+        for (l, &n) in group.iter().enumerate() {
+            let (task, lane) = (tasks[l], &mut self.lanes[l]);
+            lane.u.clear();
+            let steps = lane.stream.steps.iter().enumerate().filter(|(_, step)| step.what & SEGMENT != 0);
+            lane.u.extend(steps.map(|(s, _)| self.u[s].0[l]));
+            if lane.state.status == MapStatus::Failed || has_run_away(&task.problem, &lane.u) {
+                take(n, solve_with(&task.problem, &task.options, evidence, &mut self.alone));
+                continue;
+            }
+            let LaneState { offset, status, iterations, .. } = lane.state;
+            let offsets = Offsets { reference: offset, ..Offsets::default() };
+            let log_evidence = log_evidence[l];
+            take(n, MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance: &[], offsets, status, iterations, log_evidence });
+        }
+    }
+
+    /// Lays out the pixels of a group, each at its start.
+    fn begin(&mut self, tasks: &[&MapTask<'_>; WIDTH], count: usize) -> Common {
+        let family = Family::of(tasks.map(|task| task.options.prior));
+        let front_end = tasks[0].problem.sensor.front_end;
+        let mut common = Common { front_end, family, advances: is_advancing(tasks[0]), ..Common::default() };
+        for l in 0..WIDTH {
+            let MapTask { problem, options } = tasks[l];
+            let lane = &mut self.lanes[l];
+            (common.on.0[l], common.off.0[l]) = (problem.sensor.threshold_on, problem.sensor.threshold_off);
+            common.stamp_sigma_s.0[l] = problem.stamp_sigma_s;
+            lane.state = LaneState { steps: l < count && options.max_iterations > 0, reference_sigma: problem.noise.reference, ..LaneState::default() };
+            if l < count {
+                lane.knots.lay(problem, options.spacing_ns);
+                lane.segments.lay(&lane.knots.t_ns, &options.prior);
+                lane.start.fill(problem, &lane.knots, &mut lane.u);
+                lane.stream.fill(problem, &lane.knots);
+            }
+        }
+        let pixels: [Pixel<'_>; WIDTH] = std::array::from_fn(|l| {
+            let lane = &self.lanes[usize::min(l, count - 1)];
+            Pixel { stream: &lane.stream, segments: &lane.segments, u: &lane.u }
+        });
+        let steps = self.columns.fill(&common, &pixels, &mut self.u);
+        self.trial.resize(steps, Wide::ZERO);
+        self.change.resize(steps, Wide::ZERO);
+        self.lines.resize(steps, Line::default());
+        self.kept.resize(steps, Kept::default());
+        let cost = run(&self.columns, &common, &self.u, Wide::ZERO, &mut self.lines);
+        for (l, lane) in self.lanes.iter_mut().enumerate() {
+            (lane.state.measured, lane.state.silence_square) = (cost.measured.0[l], cost.silence_square.0[l]);
+        }
+        common
+    }
+
+    /// Lanes with 1 go on from the trial, the others from where they were.
+    fn accept(&mut self, common: &Common, accepted: Wide) {
+        if accepted == Wide::ONE {
+            std::mem::swap(&mut self.u, &mut self.trial);
+            return;
+        }
+        for (u, trial) in self.u.iter_mut().zip(&self.trial) {
+            *u = accepted.equal(1.0, *trial, *u);
+        }
+        run(&self.columns, common, &self.u, wide(&self.lanes, |state| state.offset), &mut self.lines);
+    }
+
+    fn evidence(&mut self, common: &Common, first: Wide) -> [f64; WIDTH] {
+        adapt(&mut self.columns, common, &self.u);
+        let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), Wide::ZERO);
+        let evidence = passes::evidence(&ask);
+        std::array::from_fn(|l| evidence.log(l))
+    }
+}
+
+fn wide(lanes: &[Lane; WIDTH], of: impl Fn(&LaneState) -> f64) -> Wide {
+    Wide(std::array::from_fn(|l| of(&lanes[l].state)))
+}
+
+/// What the passes are asked for at `here`, the first log light, when the prior expects `first` of it.
+fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (first, here): (Wide, Wide), damping: Wide) -> Ask<'a> {
+    Ask {
+        lines,
+        expected: &columns.expected,
+        what: &columns.what,
+        events: Flags(std::array::from_fn(|l| if lanes[l].state.silence_sigma > 0.0 { EVENT | SILENCE } else { EVENT })),
+        damping,
+        first: first - here,
+        offset: wide(lanes, |state| state.offset),
+        first_variance: FIRST_VARIANCE,
+        reference_variance: wide(lanes, |state| state.reference_sigma * state.reference_sigma),
+    }
+}
+
+/// Lanes are for the usual: exact thresholds, no standard deviations.
+fn suits(task: &MapTask<'_>) -> bool {
+    task.problem.noise.threshold <= 0.0 && !task.options.with_sigma
+}
+
+fn is_advancing(task: &MapTask<'_>) -> bool {
+    task.problem.sensor.reset != photocurrent_core::sensor::Reset::Resample
+}
+
+/// A new step of a lane, unless it is at another attempt.
+fn begin_step(state: &mut LaneState, task: &MapTask<'_>, prior_cost: f64) {
+    if !state.steps || state.attempts > 0 {
+        return;
+    }
+    state.iterations += 1;
+    if state.iterations == SILENCE_FROM {
+        state.silence_sigma = task.problem.silence_sigma;
+    }
+    state.cost = state.measured + prior_cost + state.silence(state.silence_square);
+    if !state.cost.is_finite() {
+        state.status = MapStatus::Failed;
+        state.steps = false;
+    }
+}
+
+/// What becomes of a lane after a step: is its trial accepted?
+fn judge(state: &mut LaneState, task: &MapTask<'_>, cost: &Cost, l: usize, longest: f64, offset: f64) -> bool {
+    if !state.steps {
+        return false;
+    }
+    let offsets = Offsets { reference: offset, ..Offsets::default() };
+    let measured = cost.measured.0[l] + offsets.cost(&task.problem.noise);
+    let total = measured + cost.prior.0[l] + state.silence(cost.silence_square.0[l]);
+    // A step at the level of rounding may go up by rounding.
+    let goes_down = longest.is_finite() && total <= state.cost * (1.0 + 1e-9) + 1e-9;
+    if !goes_down {
+        state.damping = f64::max(state.damping * 10.0, FIRST_DAMPING);
+        state.attempts += 1;
+        if state.attempts == ATTEMPTS {
+            state.give_up();
+        }
+        return false;
+    }
+    (state.measured, state.silence_square, state.offset) = (measured, cost.silence_square.0[l], offset);
+    state.damping = if state.damping > FIRST_DAMPING { state.damping * 0.1 } else { 0.0 };
+    state.attempts = 0;
+    if longest < task.options.tolerance {
+        state.status = MapStatus::Converged;
+        state.steps = false;
+    } else if state.iterations == task.options.max_iterations {
+        state.steps = false;
+    }
+    true
+}

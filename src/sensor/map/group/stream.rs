@@ -1,0 +1,124 @@
+//! A pixel as a stream of uniform steps, so that eight pixels can go in step.
+//!
+//! A step is a segment, then at most one measurement, then at most a new exposure and a new reference. A knot where more happens becomes several
+//! steps, of which all but the first have no segment: nothing moves there. Pixels with fewer steps than their neighbours end with steps
+//! at which nothing happens.
+
+use super::super::MapProblem;
+use super::super::knots::{Knots, Op};
+use photocurrent_core::sensor::Reset;
+
+/// An event: voltage is reference plus target.
+pub(super) const EVENT: u64 = 1;
+/// A frame value: collected light is the target.
+pub(super) const FRAME: u64 = 2;
+/// Log light is the target.
+pub(super) const LIGHT: u64 = 4;
+/// Silence: voltage and reference are less than a threshold apart.
+pub(super) const SILENCE: u64 = 8;
+/// With [`FRAME`]: the value is a lower bound.
+pub(super) const BOUND: u64 = 16;
+/// No measurement: the reference moves by the target.
+pub(super) const MOVE: u64 = 32;
+/// After the measurement an exposure begins.
+pub(super) const EXPOSE: u64 = 64;
+/// After it the reference becomes the voltage of now.
+pub(super) const LATCH: u64 = 128;
+/// The step has a segment.
+pub(super) const SEGMENT: u64 = 256;
+/// All that can be at a step but once.
+const TAKES: u64 = EVENT | FRAME | LIGHT | SILENCE | MOVE;
+
+/// A step of one pixel.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step {
+    pub knot: u32,
+    /// What is there, of the bits above. The first step of a pixel counts as one that has a segment.
+    pub what: u64,
+    pub target: f64,
+    pub variance: f64,
+    /// Frame values, in standard deviations, per light on the segment; 0 between exposures.
+    pub exposure: f64,
+}
+
+/// The steps of one pixel; kept from pixel to pixel for its memory.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Stream {
+    pub steps: Vec<Step>,
+    /// The first step of each knot.
+    pub first_step: Vec<u32>,
+}
+
+impl Stream {
+    /// Writes down what happens at `knots`.
+    pub fn fill(&mut self, problem: &MapProblem<'_>, knots: &Knots) {
+        let MapProblem { sensor, noise, frames, hints, .. } = problem;
+        self.steps.clear();
+        self.first_step.clear();
+        let mut exposure = 0.0;
+        let mut is_blind = false;
+        for j in 0..knots.len() {
+            self.first_step.push(self.steps.len() as u32);
+            self.begin(j, SEGMENT, exposure);
+            let mut fires = false;
+            for op in &knots.ops[knots.ops_of(j)] {
+                match *op {
+                    Op::Read(l) => {
+                        let frame = &frames[l as usize];
+                        let target = (frame.dn - sensor.black_level_dn) / frame.sigma_dn;
+                        self.measure(if frame.saturated { FRAME | BOUND } else { FRAME }, target, 1.0);
+                        exposure = 0.0;
+                    }
+                    Op::Expose(l) => {
+                        exposure = sensor.gain / frames[l as usize].sigma_dn;
+                        self.last().what |= EXPOSE;
+                    }
+                    Op::Latch => {
+                        self.last().what |= LATCH;
+                        is_blind = false;
+                    }
+                    Op::Hint(l) => {
+                        let hint = &hints[l as usize];
+                        self.measure(LIGHT, hint.log_photocurrent, hint.variance);
+                    }
+                    Op::Fire { polarity, armed } => {
+                        fires = true;
+                        let threshold = if polarity > 0 { sensor.threshold_on } else { sensor.threshold_off };
+                        let step = if polarity > 0 { threshold } else { -threshold };
+                        if armed {
+                            self.measure(EVENT, step, noise.event_variance(threshold));
+                        } else if sensor.reset != Reset::Resample {
+                            self.measure(MOVE, step, 1.0);
+                        }
+                        is_blind = is_blind || sensor.reset == Reset::Resample;
+                    }
+                }
+            }
+            // Where the reference was just taken anew, nothing can be broken.
+            if problem.silence_sigma > 0.0 && !is_blind && !fires && self.last().what & LATCH == 0 {
+                self.measure(SILENCE, 0.0, problem.silence_sigma * problem.silence_sigma);
+            }
+        }
+    }
+
+    fn begin(&mut self, knot: usize, what: u64, exposure: f64) {
+        self.steps.push(Step { knot: knot as u32, what, target: 0.0, variance: 1.0, exposure });
+    }
+
+    fn last(&mut self) -> &mut Step {
+        let last = self.steps.len() - 1;
+        &mut self.steps[last]
+    }
+
+    /// A measurement at the last knot, after all that stands there.
+    fn measure(&mut self, what: u64, target: f64, variance: f64) {
+        let last = *self.last();
+        // Silence does not see what an exposure's begin forgets.
+        if last.what & TAKES != 0 || (last.what & (EXPOSE | LATCH) != 0 && what != SILENCE) {
+            self.begin(last.knot as usize, 0, 0.0);
+        }
+        let step = self.last();
+        step.what |= what;
+        (step.target, step.variance) = (target, variance);
+    }
+}

@@ -1,0 +1,86 @@
+//! Claims about groups: every pixel gets what it gets alone.
+
+use super::super::tests::recorded;
+use super::super::{Hint, Local, MapEvent, MapFrame, solve};
+use super::*;
+use photocurrent_core::sensor::Reset;
+
+/// What a pixel recorded up to an instant.
+struct Cut {
+    events: Vec<MapEvent>,
+    frames: Vec<MapFrame>,
+    hints: Vec<Hint>,
+    end_ns: i64,
+}
+
+/// Pixels of all lengths, with and without events, hints and saturated values; some with measurements at one instant, some with thresholds so wrong that
+/// steps are refused.
+fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
+    let whole = recorded(reset);
+    let cut: Vec<Cut> = (0..21_i64)
+        .map(|n| {
+            let end_ns = 40_000_000 - 1_700_000 * n;
+            let mut events: Vec<MapEvent> = whole.events.iter().filter(|event| event.t_in_ns <= end_ns).copied().collect();
+            let mut frames: Vec<MapFrame> = whole.frames.iter().filter(|frame| frame.end_ns <= end_ns).copied().collect();
+            if n % 7 == 3 {
+                events.clear();
+            }
+            if n % 5 == 2 && events.len() > 2 {
+                // An event as an exposure ends, and the latch of one as another fires.
+                events[1].t_in_ns = events[0].t_in_ns + 80_000;
+                if let Some(frame) = frames.first_mut() {
+                    frame.end_ns = events[2].t_in_ns;
+                }
+            }
+            if n % 6 == 4 && frames.len() > 1 {
+                frames[1].saturated = true;
+            }
+            let hint = |k: i64| Hint { t_ns: k * 400_000 + 1, log_photocurrent: 4.0 + 0.01 * k as f64, variance: 0.04 };
+            let hints = if n % 4 == 1 { (0..end_ns / 400_000).map(hint).collect() } else { Vec::new() };
+            Cut { events, frames, hints, end_ns }
+        })
+        .collect();
+    let tasks: Vec<MapTask<'_>> = cut
+        .iter()
+        .enumerate()
+        .map(|(n, Cut { events, frames, hints, end_ns })| {
+            let mut problem = MapProblem { events, frames, hints, end_ns: *end_ns, silence_sigma: 0.03, ..whole.problem(reset) };
+            problem.sensor.threshold_on *= [1.0, 1.0, 2.5][n % 3];
+            problem.stamp_sigma_s = [0.0, 1e-6][n % 2];
+            let mut options = MapOptions::default();
+            let busy = Prior::Local(Local { floor_per_s: 60.0, ..Local::USUAL });
+            options.prior = [Prior::USUAL, busy, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::Glide { per_s3: 3e6, nu: 3.0 }][n / 2 % 4];
+            options.max_iterations = 5 + n % 9;
+            MapTask { problem, options }
+        })
+        .collect();
+    then(&tasks);
+}
+
+#[test]
+fn a_pixel_gets_the_bits_in_a_group_that_it_gets_alone() {
+    for reset in [Reset::Resample, Reset::Advance] {
+        with_pixels(reset, |tasks| {
+            let mut alone = MapWorkspace::default();
+            let mut group = MapGroup::default();
+            let splits = |task: &MapTask<'_>| {
+                let (mut knots, mut stream) = (Knots::default(), Stream::default());
+                knots.lay(&task.problem, task.options.spacing_ns);
+                stream.fill(&task.problem, &knots);
+                stream.steps.len() > knots.len()
+            };
+            assert!(tasks.iter().any(splits), "no knot has several steps");
+            let mut seen = vec![0; tasks.len()];
+            group.solve(tasks, |n, found| {
+                seen[n] += 1;
+                let expected = solve(&tasks[n].problem, &tasks[n].options, &mut alone);
+                assert_eq!((found.status, found.iterations), (expected.status, expected.iterations), "{reset:?} {n}");
+                assert_eq!((found.t_ns, found.offsets), (expected.t_ns, expected.offsets), "{reset:?} {n}");
+                assert_eq!(found.log_photocurrent, expected.log_photocurrent, "{reset:?} {n}");
+                assert!((found.log_evidence - expected.log_evidence).abs() < 1e-9 * (1.0 + expected.log_evidence.abs()), "{reset:?} {n}");
+            });
+            assert_eq!(seen, vec![1; tasks.len()]);
+            assert!(!group.dampings.is_empty(), "no step was refused, so that damping was not looked at");
+        });
+    }
+}
