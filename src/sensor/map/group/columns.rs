@@ -3,8 +3,8 @@
 use super::super::chain::Slopes;
 use super::super::prior::{FIRST_SLOPE_VARIANCE, Prior, Segments};
 use super::super::segment::fill_pieces;
-use super::passes::{Expected, Line};
-use super::stream::{BOUND, EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, SEGMENT, SILENCE, Stream};
+use super::passes::{Expected, Line, WideOffsets};
+use super::stream::{BOUND, EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, RISE, SEGMENT, SILENCE, Stream};
 use crate::elementary::exp;
 use crate::front_end::FrontEnd;
 use crate::wide::{Flags, WIDTH, Wide};
@@ -253,17 +253,18 @@ struct Block {
     pieces: [[[f64; WIDTH]; BLOCK]; 6],
 }
 
-/// Runs the pixels at `u` with their first references `offset` from their first voltages: as `Chain::run`. The prior's cost is that of the
+/// Runs the pixels at `u` with these offsets: as `Chain::run`. The prior's cost is that of the
 /// scales and correlations that stand in `columns`.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offset: Wide, lines: &mut [Line]) -> Cost {
+pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &WideOffsets, lines: &mut [Line]) -> Cost {
     let steps = u.len();
     let (given, what, expected, lines) = (&columns.given[..steps], &columns.what[..steps], &columns.expected[..steps], &mut lines[..steps]);
     let zero = [[0.0; WIDTH]; BLOCK];
     let mut block = Block { u: [[0.0; WIDTH]; BLOCK + 1], root: [[1.0; WIDTH]; BLOCK + 1], length_s: zero, pieces: [zero; 6] };
     let mut cost = Cost::default();
     let mut voltage = u[0];
-    let mut reference = voltage + offset;
+    let mut reference = voltage + offsets.reference;
+    let (on, off) = (common.on + offsets.on, common.off + offsets.off);
     let mut light = Wide::ZERO;
     let mut z_before = Wide::ZERO;
     let has_stamps = common.stamp_sigma_s != Wide::ZERO;
@@ -306,18 +307,20 @@ pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offset: Wide, 
                 line.slopes = Slopes { by_voltage: Wide::ONE, ..Slopes::default() };
             }
             let is = |what: u64, value: Wide, or: Wide| then.choose(what, value, or);
-            let level = reference + given.target;
+            let level = reference + is(RISE, on, -off);
             let dark = given.target - light;
             let change = voltage - reference;
-            let above = change.above(common.on, common.on - change, Wide::ZERO);
-            let below = (-common.off).above(change, -common.off - change, Wide::ZERO);
+            let above = change.above(on, on - change, Wide::ZERO);
+            let below = (-off).above(change, -off - change, Wide::ZERO);
             let broken = is(SILENCE, above + below, Wide::ZERO);
             for l in 0..WIDTH {
                 // More light than a lower bound is no contradiction, and silence that is not broken none either.
                 let beyond = if dark.0[l] < 0.0 { BOUND } else { 0 };
                 let unbroken = if broken.0[l] == 0.0 { SILENCE } else { 0 };
-                let counts = if then.0[l] & (beyond | unbroken) == 0 { EVENT | FRAME | LIGHT | SILENCE } else { 0 };
-                line.sight.0[l] = then.0[l] & counts;
+                let counts = if then.0[l] & (beyond | unbroken) == 0 { EVENT | FRAME | LIGHT | SILENCE | RISE } else { 0 };
+                // Too high a voltage is too high for the ON threshold.
+                let rises = if broken.0[l] < 0.0 { RISE } else { 0 };
+                line.sight.0[l] = (then.0[l] & counts) | rises;
             }
             line.residual = is(EVENT, level - voltage, is(LIGHT, given.target - here, is(SILENCE, broken, dark)));
             line.variance = given.variance;

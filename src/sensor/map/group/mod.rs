@@ -2,7 +2,7 @@
 //!
 //! The passes over a chain wait for their own results most of the time; eight chains side by side wait together. The same equations in the same
 //! order as for one pixel alone, so that the answer is the same to the last bit (the evidence to rounding), whichever pixels share a
-//! group. What is rare is left to the solver of one pixel: unknown thresholds, standard deviations, pixels that fail.
+//! group. What is rare is left to the solver of one pixel: standard deviations, and pixels that fail.
 
 mod columns;
 mod passes;
@@ -14,13 +14,14 @@ use super::knots::Knots;
 use super::prior::{Prior, Segments};
 use super::smoother::FIRST_VARIANCE;
 use super::start::Start;
+use super::state::{ON, STATES};
 use super::{
-    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, Offsets, SILENCE_FROM, has_run_away,
+    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, Noise, Offsets, SILENCE_FROM, has_run_away,
     solve_with,
 };
 use crate::wide::{Flags, WIDTH, Wide};
 use columns::{Columns, Common, Cost, Family, Pixel, adapt, moved, run};
-use passes::{Ask, Damped, Kept, Line, damped_step, step};
+use passes::{Ask, Line, Memory, WideOffsets, step};
 use stream::{EVENT, SEGMENT, SILENCE, Stream};
 
 /// A pixel that is to be solved, and how.
@@ -44,8 +45,8 @@ pub struct MapGroup {
     trial: Vec<Wide>,
     change: Vec<Wide>,
     lines: Vec<Line>,
-    kept: Vec<Kept>,
-    dampings: Vec<Damped>,
+    exact: Memory<ON>,
+    free: Memory<STATES>,
     order: Vec<usize>,
 }
 
@@ -71,8 +72,7 @@ struct LaneState {
     /// Refused attempts at the current step.
     attempts: usize,
     damping: f64,
-    /// First reference less first voltage.
-    offset: f64,
+    offsets: Offsets,
     /// 0 while silence does not count.
     silence_sigma: f64,
     /// Of where it stands: all, and the parts that do not depend on the prior.
@@ -81,8 +81,8 @@ struct LaneState {
     silence_square: f64,
     /// How much of the step is taken.
     share: f64,
-    /// Of the first reference, as the task states it.
-    reference_sigma: f64,
+    /// As the task states it.
+    noise: Noise,
 }
 
 impl Default for LaneState {
@@ -93,13 +93,13 @@ impl Default for LaneState {
             iterations: 0,
             attempts: 0,
             damping: 0.0,
-            offset: 0.0,
+            offsets: Offsets::default(),
             silence_sigma: 0.0,
             cost: 0.0,
             measured: 0.0,
             silence_square: 0.0,
             share: 1.0,
-            reference_sigma: 0.0,
+            noise: Noise::default(),
         }
     }
 }
@@ -132,10 +132,10 @@ impl MapGroup {
         let mut order = std::mem::take(&mut self.order);
         order.clear();
         for (n, task) in tasks.iter().enumerate() {
-            if suits(task) {
-                order.push(n);
-            } else {
+            if task.options.with_sigma {
                 take(n, solve_with(&task.problem, &task.options, evidence, &mut self.alone));
+            } else {
+                order.push(n);
             }
         }
         // Pixels of a group should be about equally long. Nothing else depends on the order.
@@ -144,13 +144,13 @@ impl MapGroup {
             Prior::Walk { .. } => 1,
             Prior::Glide { .. } => 2,
         };
-        order.sort_by_key(|&n| (family(n), tasks[n].problem.events.len(), tasks[n].problem.hints.len(), n));
+        order.sort_by_key(|&n| (is_exact(&tasks[n]), family(n), tasks[n].problem.events.len(), tasks[n].problem.hints.len(), n));
         let mut rest = order.as_slice();
         while let Some(&first) = rest.first() {
             let alike = |n: usize| {
                 tasks[n].problem.sensor.front_end == tasks[first].problem.sensor.front_end
                     && is_advancing(&tasks[n]) == is_advancing(&tasks[first])
-                    && family(n) == family(first)
+                    && (is_exact(&tasks[n]), family(n)) == (is_exact(&tasks[first]), family(first))
             };
             let count = rest.iter().take(WIDTH).take_while(|n| alike(**n)).count();
             let (group, later) = rest.split_at(count);
@@ -176,27 +176,22 @@ impl MapGroup {
             }
             let damping = wide(&self.lanes, |state| if state.steps { state.damping } else { 0.0 });
             let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), damping);
-            let (longest, offset) = if damping == Wide::ZERO {
-                step(&ask, &mut self.kept, &mut self.change)
-            } else {
-                self.dampings.resize(self.u.len(), Damped::default());
-                damped_step(&ask, &mut self.kept, &mut self.dampings, &mut self.change)
-            };
+            let (longest, by) = if is_exact(tasks[0]) { step(&ask, &mut self.exact, &mut self.change) } else { step(&ask, &mut self.free, &mut self.change) };
             for (l, lane) in self.lanes.iter_mut().enumerate() {
                 lane.state.share = f64::min(1.0, LONGEST_STEP / longest.0[l]);
             }
             let share = wide(&self.lanes, |state| state.share);
             moved(&self.u, &self.change, share, Wide::splat(LOG_LIMIT), &mut self.trial);
-            let trial_offset = wide(&self.lanes, |state| state.offset) + share * offset;
-            let cost = run(&self.columns, &common, &self.trial, trial_offset, &mut self.lines);
+            let offsets = offsets(&self.lanes).moved(&by, share);
+            let cost = run(&self.columns, &common, &self.trial, &offsets, &mut self.lines);
             let mut accepted = Wide::ZERO;
             for (l, lane) in self.lanes.iter_mut().enumerate() {
-                let is_better = judge(&mut lane.state, tasks[l], &cost, l, longest.0[l], trial_offset.0[l]);
+                let is_better = judge(&mut lane.state, tasks[l], &cost, l, longest.0[l], offsets.lane(l));
                 accepted.0[l] = if is_better || l >= group.len() { 1.0 } else { 0.0 };
             }
             self.accept(&common, accepted);
         }
-        let log_evidence = if evidence == Evidence::Wanted { self.evidence(&common, first) } else { [0.0; WIDTH] };
+        let log_evidence = if evidence == Evidence::Wanted { self.evidence(&common, first, is_exact(tasks[0])) } else { [0.0; WIDTH] };
         for (l, &n) in group.iter().enumerate() {
             let (task, lane) = (tasks[l], &mut self.lanes[l]);
             lane.u.clear();
@@ -206,8 +201,7 @@ impl MapGroup {
                 take(n, solve_with(&task.problem, &task.options, evidence, &mut self.alone));
                 continue;
             }
-            let LaneState { offset, status, iterations, .. } = lane.state;
-            let offsets = Offsets { reference: offset, ..Offsets::default() };
+            let LaneState { offsets, status, iterations, .. } = lane.state;
             let log_evidence = log_evidence[l];
             take(n, MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance: &[], offsets, status, iterations, log_evidence });
         }
@@ -223,7 +217,7 @@ impl MapGroup {
             let lane = &mut self.lanes[l];
             (common.on.0[l], common.off.0[l]) = (problem.sensor.threshold_on, problem.sensor.threshold_off);
             common.stamp_sigma_s.0[l] = problem.stamp_sigma_s;
-            lane.state = LaneState { steps: l < count && options.max_iterations > 0, reference_sigma: problem.noise.reference, ..LaneState::default() };
+            lane.state = LaneState { steps: l < count && options.max_iterations > 0, noise: problem.noise, ..LaneState::default() };
             if l < count {
                 lane.knots.lay(problem, options.spacing_ns);
                 lane.segments.lay(&lane.knots.t_ns, &options.prior);
@@ -239,8 +233,7 @@ impl MapGroup {
         self.trial.resize(steps, Wide::ZERO);
         self.change.resize(steps, Wide::ZERO);
         self.lines.resize(steps, Line::default());
-        self.kept.resize(steps, Kept::default());
-        let cost = run(&self.columns, &common, &self.u, Wide::ZERO, &mut self.lines);
+        let cost = run(&self.columns, &common, &self.u, &WideOffsets::default(), &mut self.lines);
         for (l, lane) in self.lanes.iter_mut().enumerate() {
             (lane.state.measured, lane.state.silence_square) = (cost.measured.0[l], cost.silence_square.0[l]);
         }
@@ -256,19 +249,24 @@ impl MapGroup {
         for (u, trial) in self.u.iter_mut().zip(&self.trial) {
             *u = accepted.equal(1.0, *trial, *u);
         }
-        run(&self.columns, common, &self.u, wide(&self.lanes, |state| state.offset), &mut self.lines);
+        run(&self.columns, common, &self.u, &offsets(&self.lanes), &mut self.lines);
     }
 
-    fn evidence(&mut self, common: &Common, first: Wide) -> [f64; WIDTH] {
+    fn evidence(&mut self, common: &Common, first: Wide, is_exact: bool) -> [f64; WIDTH] {
         adapt(&mut self.columns, common, &self.u);
         let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), Wide::ZERO);
-        let evidence = passes::evidence(&ask);
+        let evidence = if is_exact { passes::evidence::<ON>(&ask) } else { passes::evidence::<STATES>(&ask) };
         std::array::from_fn(|l| evidence.log(l))
     }
 }
 
 fn wide(lanes: &[Lane; WIDTH], of: impl Fn(&LaneState) -> f64) -> Wide {
     Wide(std::array::from_fn(|l| of(&lanes[l].state)))
+}
+
+fn offsets(lanes: &[Lane; WIDTH]) -> WideOffsets {
+    let part = |of: fn(&Offsets) -> f64| wide(lanes, |state| of(&state.offsets));
+    WideOffsets { reference: part(|offsets| offsets.reference), on: part(|offsets| offsets.on), off: part(|offsets| offsets.off) }
 }
 
 /// What the passes are asked for at `here`, the first log light, when the prior expects `first` of it.
@@ -280,15 +278,16 @@ fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (firs
         events: Flags(std::array::from_fn(|l| if lanes[l].state.silence_sigma > 0.0 { EVENT | SILENCE } else { EVENT })),
         damping,
         first: first - here,
-        offset: wide(lanes, |state| state.offset),
+        offsets: offsets(lanes),
         first_variance: FIRST_VARIANCE,
-        reference_variance: wide(lanes, |state| state.reference_sigma * state.reference_sigma),
+        reference_variance: wide(lanes, |state| state.noise.reference * state.noise.reference),
+        threshold_variance: wide(lanes, |state| state.noise.threshold * state.noise.threshold),
     }
 }
 
-/// Lanes are for the usual: exact thresholds, no standard deviations.
-fn suits(task: &MapTask<'_>) -> bool {
-    task.problem.noise.threshold <= 0.0 && !task.options.with_sigma
+/// Are the thresholds exact?
+fn is_exact(task: &MapTask<'_>) -> bool {
+    task.problem.noise.threshold <= 0.0
 }
 
 fn is_advancing(task: &MapTask<'_>) -> bool {
@@ -312,11 +311,10 @@ fn begin_step(state: &mut LaneState, task: &MapTask<'_>, prior_cost: f64) {
 }
 
 /// What becomes of a lane after a step: is its trial accepted?
-fn judge(state: &mut LaneState, task: &MapTask<'_>, cost: &Cost, l: usize, longest: f64, offset: f64) -> bool {
+fn judge(state: &mut LaneState, task: &MapTask<'_>, cost: &Cost, l: usize, longest: f64, offsets: Offsets) -> bool {
     if !state.steps {
         return false;
     }
-    let offsets = Offsets { reference: offset, ..Offsets::default() };
     let measured = cost.measured.0[l] + offsets.cost(&task.problem.noise);
     let total = measured + cost.prior.0[l] + state.silence(cost.silence_square.0[l]);
     // A step at the level of rounding may go up by rounding.
@@ -329,7 +327,7 @@ fn judge(state: &mut LaneState, task: &MapTask<'_>, cost: &Cost, l: usize, longe
         }
         return false;
     }
-    (state.measured, state.silence_square, state.offset) = (measured, cost.silence_square.0[l], offset);
+    (state.measured, state.silence_square, state.offsets) = (measured, cost.silence_square.0[l], offsets);
     state.damping = if state.damping > FIRST_DAMPING { state.damping * 0.1 } else { 0.0 };
     state.attempts = 0;
     if longest < task.options.tolerance {

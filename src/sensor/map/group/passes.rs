@@ -1,17 +1,14 @@
-//! The two passes of [`super::super::smoother`] for eight pixels in step: exact thresholds, so five states.
+//! The two passes of [`super::super::smoother`] for eight pixels in step, with seven states, or five where thresholds are exact.
 //!
 //! Pixels do different things at the same step, so every step does everything, and lanes choose: a measurement that a lane does not have weighs
 //! nothing there and leaves its numbers as they are, to the last bit.
 
 use super::super::chain::Slopes;
-use super::super::state::{ON, R, S, State, Transition, U, V, Weight, each_state};
-use super::stream::{EVENT, EXPOSE, FRAME, LATCH, LIGHT, SEGMENT};
+use super::super::state::{OFF, ON, R, S, State, Transition, U, V, Weight, Z, each_state};
+use super::stream::{EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, RISE, SEGMENT};
 use crate::scalar::Scalar;
 use crate::wide::{Flags, WIDTH, Wide};
 use multiversion::multiversion;
-
-/// How many states.
-const STATES: usize = ON;
 
 /// One step at given unknowns: the segment that ends there, and what is measured there, linearised.
 #[derive(Clone, Copy, Debug, Default)]
@@ -37,20 +34,52 @@ pub(super) struct Expected {
 }
 
 /// What the backward pass needs of a step of the forward one.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Kept {
-    gain: [Wide; STATES],
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Kept<const N: usize> {
+    gain: [Wide; N],
     pull: Wide,
     /// Filtered change and the covariance's row of log light.
     change: Wide,
-    row: [Wide; STATES],
+    row: [Wide; N],
 }
 
 /// The same of a damping.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Damped {
-    gain: [Wide; STATES],
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Damped<const N: usize> {
+    gain: [Wide; N],
     pull: Wide,
+}
+
+/// The memory of the passes.
+#[derive(Clone, Debug)]
+pub(super) struct Memory<const N: usize> {
+    kept: Vec<Kept<N>>,
+    pub dampings: Vec<Damped<N>>,
+}
+
+impl<const N: usize> Default for Memory<N> {
+    fn default() -> Memory<N> {
+        Memory { kept: Vec::new(), dampings: Vec::new() }
+    }
+}
+
+/// The [`super::Offsets`] of each lane.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct WideOffsets {
+    pub reference: Wide,
+    pub on: Wide,
+    pub off: Wide,
+}
+
+impl WideOffsets {
+    /// Moved by a share of `by`.
+    pub fn moved(&self, by: &WideOffsets, share: Wide) -> WideOffsets {
+        WideOffsets { reference: self.reference + share * by.reference, on: self.on + share * by.on, off: self.off + share * by.off }
+    }
+
+    pub fn lane(&self, l: usize) -> super::Offsets {
+        super::Offsets { reference: self.reference.0[l], on: self.on.0[l], off: self.off.0[l] }
+    }
 }
 
 /// What the passes are asked for.
@@ -63,11 +92,13 @@ pub(super) struct Ask<'a> {
     pub events: Flags,
     /// Levenberg's damping of each lane; 0 for none.
     pub damping: Wide,
-    /// The first change that the prior expects, and the first reference's offset.
+    /// The first change that the prior expects.
     pub first: Wide,
-    pub offset: Wide,
+    pub offsets: WideOffsets,
     pub first_variance: f64,
     pub reference_variance: Wide,
+    /// Of the thresholds.
+    pub threshold_variance: Wide,
 }
 
 /// Sums that make the evidence.
@@ -89,7 +120,7 @@ impl Evidence {
     }
 
     #[inline(always)]
-    fn add(&mut self, counts: Wide, innovation: Wide, weight: &Weight<Wide, STATES>) {
+    fn add<const N: usize>(&mut self, counts: Wide, innovation: Wide, weight: &Weight<Wide, N>) {
         self.count = self.count + counts;
         self.squares = self.squares + counts.equal(1.0, innovation * weight.pull, Wide::ZERO);
         let product = self.mantissa * counts.equal(1.0, weight.information, Wide::ONE);
@@ -101,22 +132,28 @@ impl Evidence {
 
 /// What is known of the first step before any measurement, as in the solver of one pixel.
 #[inline(always)]
-fn begin(ask: &Ask<'_>) -> State<Wide, STATES> {
+fn begin<const N: usize>(ask: &Ask<'_>) -> State<Wide, N> {
     let mut state = State::new();
-    (state.x[U], state.x[V], state.x[R]) = (ask.first, ask.first, ask.first - ask.offset);
+    (state.x[U], state.x[V], state.x[R]) = (ask.first, ask.first, ask.first - ask.offsets.reference);
     for (a, b) in [(U, U), (U, V), (U, R), (V, V), (V, R), (R, R)] {
         state.p[a][b] = Wide::splat(ask.first_variance);
     }
     state.p[R][R] = state.p[R][R] + ask.reference_variance;
-    state.p[1][1] = Wide::ONE;
+    state.p[Z][Z] = Wide::ONE;
+    each_state!(a in ON, N => {
+        state.x[a] = if a == ON { -ask.offsets.on } else { -ask.offsets.off };
+        state.p[a][a] = ask.threshold_variance;
+    });
     state
 }
 
 #[inline(always)]
-fn forward<const DAMPED: bool, const KEEP: bool, const EVIDENCE: bool>(ask: &Ask<'_>, kept: &mut [Kept], dampings: &mut [Damped], evidence: &mut Evidence) {
-    let mut state = begin(ask);
+fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, const EVIDENCE: bool>(ask: &Ask<'_>, memory: &mut Memory<N>, evidence: &mut Evidence) {
+    let mut state = begin::<N>(ask);
     let steps = ask.lines.len();
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
+    let kept = &mut memory.kept[..if KEEP { steps } else { 0 }];
+    let dampings = &mut memory.dampings[..if DAMPED { steps } else { 0 }];
     for j in 0..steps {
         let line = &lines[j];
         // Nothing moves before the first step: its segment keeps all as it is.
@@ -126,27 +163,42 @@ fn forward<const DAMPED: bool, const KEEP: bool, const EVIDENCE: bool>(ask: &Ask
             let rest = line.sight.choose(FRAME, frame, line.sight.choose(LIGHT, light, Wide::ZERO));
             line.sight.any(ask.events, event, rest)
         };
-        let mut cross = [Wide::ZERO; STATES];
-        each_state!(a in 0, STATES => cross[a] = choose(state.at(a, V) - state.at(a, R), state.at(a, S), state.at(a, U)));
-        let spread = choose(cross[V] - cross[R], cross[S], cross[U]) + line.variance;
-        let innovation = choose(line.residual - (state.x[V] - state.x[R]), line.residual - state.x[S], line.residual - state.x[U]);
+        let mut cross = [Wide::ZERO; N];
+        each_state!(a in 0, N => {
+            let mut event = state.at(a, V) - state.at(a, R);
+            if N > ON {
+                event = event - line.sight.choose(RISE, state.at(a, ON), -state.at(a, OFF));
+            }
+            cross[a] = choose(event, state.at(a, S), state.at(a, U));
+        });
+        let mut event = (cross[V] - cross[R], state.x[V] - state.x[R]);
+        if N > ON {
+            event.0 = event.0 - line.sight.choose(RISE, cross[ON], -cross[OFF]);
+            event.1 = event.1 - line.sight.choose(RISE, state.x[ON], -state.x[OFF]);
+        }
+        let spread = choose(event.0, cross[S], cross[U]) + line.variance;
+        let innovation = choose(line.residual - event.1, line.residual - state.x[S], line.residual - state.x[U]);
         let weight = state.take(cross, spread, innovation);
         if EVIDENCE {
             let counts = line.sight.choose(EVENT | FRAME, Wide::ONE, Wide::ZERO);
             evidence.add(counts, innovation, &weight);
         }
         let then = what[j];
+        if N > ON {
+            add_threshold(&mut state, then);
+        }
         state.x[S] = then.choose(EXPOSE, Wide::ZERO, state.x[S]);
-        each_state!(a in 0, STATES => state.set(a, S, then.choose(EXPOSE, Wide::ZERO, state.at(a, S))));
+        each_state!(a in 0, N => state.set(a, S, then.choose(EXPOSE, Wide::ZERO, state.at(a, S))));
         state.x[R] = then.choose(LATCH, state.x[V], state.x[R]);
         each_state!(a in 0, R => state.set(a, R, then.choose(LATCH, state.at(a, V), state.at(a, R))));
         state.p[R][R] = then.choose(LATCH, state.p[V][V], state.p[R][R]);
+        each_state!(a in ON, N => state.set(a, R, then.choose(LATCH, state.at(a, V), state.at(a, R))));
         if DAMPED {
             // Once a knot, at the last of its steps.
             let next = what.get(j + 1).copied().unwrap_or(Flags([SEGMENT; WIDTH]));
             let damping = next.choose(SEGMENT, ask.damping, Wide::ZERO);
-            let mut cross = [Wide::ZERO; STATES];
-            each_state!(a in 0, STATES => cross[a] = damping.above(Wide::ZERO, state.at(a, U), Wide::ZERO));
+            let mut cross = [Wide::ZERO; N];
+            each_state!(a in 0, N => cross[a] = damping.above(Wide::ZERO, state.at(a, U), Wide::ZERO));
             let variance = damping.above(Wide::ZERO, Wide::ONE / damping, Wide::ONE);
             let innovation = damping.above(Wide::ZERO, Wide::ZERO - state.x[U], Wide::ZERO);
             let damped = state.take(cross, cross[U] + variance, innovation);
@@ -155,23 +207,37 @@ fn forward<const DAMPED: bool, const KEEP: bool, const EVIDENCE: bool>(ask: &Ask
         if KEEP {
             kept[j] = Kept { gain: weight.gain, pull: weight.pull, change: state.x[U], row: state.p[U] };
         }
+        // Through memory: kept in registers, compilers take lanes out of their vectors.
+        std::hint::black_box(&mut state);
     }
 }
 
+/// The reference moves by the threshold of the polarity, in lanes where it does.
 #[inline(always)]
-fn dot(row: &[Wide; STATES], lambda: &[Wide; STATES]) -> Wide {
+fn add_threshold<const N: usize>(state: &mut State<Wide, N>, then: Flags) {
+    let signed = |on: Wide, off: Wide| then.choose(MOVE, then.choose(RISE, on, -off), Wide::ZERO);
+    state.x[R] = state.x[R] + signed(state.x[ON], state.x[OFF]);
+    let square = then.choose(MOVE, then.choose(RISE, state.p[ON][ON], state.p[OFF][OFF]), Wide::ZERO);
+    let twice = Wide::splat(2.0) * signed(state.at(R, ON), state.at(R, OFF));
+    state.p[R][R] = state.p[R][R] + (twice + square);
+    each_state!(a in 0, R => state.set(a, R, state.at(a, R) + signed(state.at(a, ON), state.at(a, OFF))));
+    each_state!(a in ON, N => state.set(a, R, state.at(a, R) + signed(state.at(a, ON), state.at(a, OFF))));
+}
+
+#[inline(always)]
+fn dot<const N: usize>(row: &[Wide; N], lambda: &[Wide; N]) -> Wide {
     let mut sum = Wide::ZERO;
-    each_state!(a in 0, STATES => sum = sum + row[a] * lambda[a]);
+    each_state!(a in 0, N => sum = sum + row[a] * lambda[a]);
     sum
 }
 
-/// Fills the change of log light at each step; gives its largest magnitude and the change of the first reference's offset.
+/// Fills the change of log light at each step; gives its largest magnitude and the change of the offsets.
 #[inline(always)]
-fn backward<const DAMPED: bool>(ask: &Ask<'_>, kept: &[Kept], dampings: &[Damped], change: &mut [Wide]) -> (Wide, Wide) {
+fn backward<const N: usize, const DAMPED: bool>(ask: &Ask<'_>, memory: &Memory<N>, change: &mut [Wide]) -> (Wide, WideOffsets) {
     let steps = ask.lines.len();
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
-    let (kept, change) = (&kept[..steps], &mut change[..steps]);
-    let mut lambda = [Wide::ZERO; STATES];
+    let (kept, change) = (&memory.kept[..steps], &mut change[..steps]);
+    let mut lambda = [Wide::ZERO; N];
     let mut longest = Wide::ZERO;
     let (mut moved, mut next) = (Wide::ZERO, Flags([SEGMENT; WIDTH]));
     for j in (0..steps).rev() {
@@ -183,7 +249,7 @@ fn backward<const DAMPED: bool>(ask: &Ask<'_>, kept: &[Kept], dampings: &[Damped
         change[j] = moved;
         longest = moved.abs().max(longest);
         if DAMPED {
-            let damped = &dampings[j];
+            let damped = &memory.dampings[j];
             let pull = damped.pull - dot(&damped.gain, &lambda);
             lambda[U] = lambda[U] + pull;
         }
@@ -191,44 +257,61 @@ fn backward<const DAMPED: bool>(ask: &Ask<'_>, kept: &[Kept], dampings: &[Damped
         lambda[V] = then.choose(LATCH, lambda[V] + lambda[R], lambda[V]);
         lambda[R] = then.choose(LATCH, Wide::ZERO, lambda[R]);
         lambda[S] = then.choose(EXPOSE, Wide::ZERO, lambda[S]);
+        if N > ON {
+            let threshold = then.choose(MOVE, lambda[R], Wide::ZERO);
+            lambda[ON] = lambda[ON] + then.choose(RISE, threshold, Wide::ZERO);
+            lambda[OFF] = lambda[OFF] - then.choose(RISE, Wide::ZERO, threshold);
+        }
         let pull = kept.pull - dot(&kept.gain, &lambda);
         let event = line.sight.any(ask.events, pull, Wide::ZERO);
         lambda[V] = lambda[V] + event;
         lambda[R] = lambda[R] - event;
+        if N > ON {
+            lambda[ON] = lambda[ON] - line.sight.choose(RISE, event, Wide::ZERO);
+            lambda[OFF] = lambda[OFF] + line.sight.choose(RISE, Wide::ZERO, event);
+        }
         lambda[S] = lambda[S] + line.sight.choose(FRAME, pull, Wide::ZERO);
         lambda[U] = lambda[U] + line.sight.choose(LIGHT, pull, Wide::ZERO);
         let prior = &expected[j];
         Transition::new(prior.correlation, prior.scale, &line.slopes).transposed(&mut lambda);
+        // Through memory: kept in registers, compilers take lanes out of their vectors.
+        std::hint::black_box(&mut lambda);
     }
-    let first = begin(ask);
-    let at = |a: usize| {
+    let first = begin::<N>(ask);
+    let mut at = [Wide::ZERO; N];
+    each_state!(a in 0, N => {
         let mut sum = Wide::ZERO;
-        each_state!(b in 0, STATES => sum = sum + first.at(a, b) * lambda[b]);
-        first.x[a] + sum
-    };
-    (longest, at(R) - at(V))
+        each_state!(b in 0, N => sum = sum + first.at(a, b) * lambda[b]);
+        at[a] = first.x[a] + sum;
+    });
+    let threshold = |a: usize| at.get(a).copied().unwrap_or(Wide::ZERO);
+    (longest, WideOffsets { reference: at[R] - at[V], on: threshold(ON), off: threshold(OFF) })
 }
 
 const NO_EVIDENCE: Evidence = Evidence { mantissa: Wide::ONE, exponent: Wide::ZERO, squares: Wide::ZERO, count: Wide::ZERO };
 
 /// One Gauss-Newton step of each lane: see [`backward`].
-#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn step(ask: &Ask<'_>, kept: &mut [Kept], change: &mut [Wide]) -> (Wide, Wide) {
-    forward::<false, true, false>(ask, kept, &mut [], &mut { NO_EVIDENCE });
-    backward::<false>(ask, kept, &[], change)
+pub(super) fn step<const N: usize>(ask: &Ask<'_>, memory: &mut Memory<N>, change: &mut [Wide]) -> (Wide, WideOffsets) {
+    let steps = ask.lines.len();
+    let nothing = [Wide::ZERO; N];
+    memory.kept.resize(steps, Kept { gain: nothing, pull: Wide::ZERO, change: Wide::ZERO, row: nothing });
+    if ask.damping == Wide::ZERO {
+        return passes::<N, false>(ask, memory, change);
+    }
+    memory.dampings.resize(steps, Damped { gain: nothing, pull: Wide::ZERO });
+    passes::<N, true>(ask, memory, change)
 }
 
-/// The same where some lanes are damped.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn damped_step(ask: &Ask<'_>, kept: &mut [Kept], dampings: &mut [Damped], change: &mut [Wide]) -> (Wide, Wide) {
-    forward::<true, true, false>(ask, kept, dampings, &mut { NO_EVIDENCE });
-    backward::<true>(ask, kept, dampings, change)
+fn passes<const N: usize, const DAMPED: bool>(ask: &Ask<'_>, memory: &mut Memory<N>, change: &mut [Wide]) -> (Wide, WideOffsets) {
+    forward::<N, DAMPED, true, false>(ask, memory, &mut { NO_EVIDENCE });
+    backward::<N, DAMPED>(ask, memory, change)
 }
 
 /// The evidence of each lane.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-pub(super) fn evidence(ask: &Ask<'_>) -> Evidence {
+pub(super) fn evidence<const N: usize>(ask: &Ask<'_>) -> Evidence {
     let mut evidence = NO_EVIDENCE;
-    forward::<false, false, true>(ask, &mut [], &mut [], &mut evidence);
+    forward::<N, false, false, true>(ask, &mut Memory::default(), &mut evidence);
     evidence
 }

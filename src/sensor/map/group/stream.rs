@@ -8,7 +8,7 @@ use super::super::MapProblem;
 use super::super::knots::{Knots, Op};
 use photocurrent_core::sensor::Reset;
 
-/// An event: voltage is reference plus target.
+/// An event: voltage is reference plus or minus a threshold.
 pub(super) const EVENT: u64 = 1;
 /// A frame value: collected light is the target.
 pub(super) const FRAME: u64 = 2;
@@ -18,7 +18,7 @@ pub(super) const LIGHT: u64 = 4;
 pub(super) const SILENCE: u64 = 8;
 /// With [`FRAME`]: the value is a lower bound.
 pub(super) const BOUND: u64 = 16;
-/// No measurement: the reference moves by the target.
+/// No measurement: the reference moves by a threshold.
 pub(super) const MOVE: u64 = 32;
 /// After the measurement an exposure begins.
 pub(super) const EXPOSE: u64 = 64;
@@ -26,6 +26,8 @@ pub(super) const EXPOSE: u64 = 64;
 pub(super) const LATCH: u64 = 128;
 /// The step has a segment.
 pub(super) const SEGMENT: u64 = 256;
+/// With [`EVENT`] and [`MOVE`]: the polarity is ON.
+pub(super) const RISE: u64 = 512;
 /// All that can be at a step but once.
 const TAKES: u64 = EVENT | FRAME | LIGHT | SILENCE | MOVE;
 
@@ -84,11 +86,11 @@ impl Stream {
                     Op::Fire { polarity, armed } => {
                         fires = true;
                         let threshold = if polarity > 0 { sensor.threshold_on } else { sensor.threshold_off };
-                        let step = if polarity > 0 { threshold } else { -threshold };
+                        let rises = if polarity > 0 { RISE } else { 0 };
                         if armed {
-                            self.measure(EVENT, step, noise.event_variance(threshold));
+                            self.measure(EVENT | rises, 0.0, noise.event_variance(threshold));
                         } else if sensor.reset != Reset::Resample {
-                            self.measure(MOVE, step, 1.0);
+                            self.measure(MOVE | rises, 0.0, 1.0);
                         }
                         is_blind = is_blind || sensor.reset == Reset::Resample;
                     }
