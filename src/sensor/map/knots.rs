@@ -77,6 +77,13 @@ impl Knots {
         self.first_op.push(self.ops.len() as u32);
     }
 
+    /// Becomes the same as `other`.
+    pub fn copy(&mut self, other: &Knots) {
+        self.t_ns.clone_from(&other.t_ns);
+        self.first_op.clone_from(&other.first_op);
+        self.ops.clone_from(&other.ops);
+    }
+
     fn begin(&mut self, t_ns: i64) {
         self.first_op.push(self.ops.len() as u32);
         self.t_ns.push(t_ns);

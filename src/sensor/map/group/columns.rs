@@ -127,24 +127,20 @@ impl Columns {
         energy.resize(steps, Wide::ZERO);
         u.resize(steps, Wide::ZERO);
         for s in 0..steps {
-            let (given, nearby, expected) = (&mut given[s], &mut nearby[s], &mut expected[s]);
+            let (given, what, nearby, expected, u) = (&mut given[s], &mut what[s], &mut nearby[s], &mut expected[s], &mut u[s]);
+            // Behind the end and at steps without a segment nothing moves.
+            *given = Given { length_s: Wide::splat(NO_SEGMENT_S), variance: Wide::ONE, ..Given::default() };
+            (*what, *nearby) = (Flags::default(), Nearby::default());
+            *expected = Expected { correlation: Wide::ONE, ..Expected::default() };
             for l in 0..WIDTH {
                 let pixel = &pixels[l];
-                // Behind the end and at steps without a segment nothing moves.
-                (given.length_s.0[l], given.per_s.0[l]) = (NO_SEGMENT_S, 0.0);
-                (what[s].0[l], given.target.0[l], given.exposure.0[l]) = (0, 0.0, 0.0);
-                (given.variance.0[l], given.information.0[l]) = (1.0, 1.0);
-                (nearby.reach_s.0[l], nearby.per_nearby.0[l], nearby.low[l], nearby.high[l]) = (0.0, 0.0, 0, 0);
-                (expected.correlation.0[l], expected.fresh.0[l], expected.per_fresh.0[l]) = (1.0, 0.0, 0.0);
-                (expected.scale.0[l], expected.surprise.0[l]) = (0.0, 0.0);
                 let Some(step) = pixel.stream.steps.get(s) else {
-                    u[s].0[l] = pixel.u[pixel.u.len() - 1];
+                    u.0[l] = pixel.u[pixel.u.len() - 1];
                     continue;
                 };
                 let k = step.knot as usize;
-                u[s].0[l] = pixel.u[k];
-                (what[s].0[l], given.target.0[l], given.exposure.0[l]) = (step.what, step.target, step.exposure);
-                (given.variance.0[l], given.information.0[l]) = (step.variance, 1.0 / step.variance);
+                u.0[l] = pixel.u[k];
+                (what.0[l], given.target.0[l], given.exposure.0[l], given.variance.0[l]) = (step.what, step.target, step.exposure, step.variance);
                 if step.what & SEGMENT != 0 && s > 0 {
                     let segments = pixel.segments;
                     (given.length_s.0[l], given.per_s.0[l]) = (segments.length_s[k], segments.per_s[k]);
@@ -158,9 +154,10 @@ impl Columns {
                         Family::Glide(..) => nearby.reach_s.0[l] = if k > 1 { segments.middle_s[k] - segments.middle_s[k - 1] } else { 0.0 },
                     }
                     (expected.correlation.0[l], expected.fresh.0[l]) = (segments.correlation[k], segments.fresh[k]);
-                    expected.per_fresh.0[l] = 1.0 / segments.fresh[k];
                 }
             }
+            given.information = Wide::ONE / given.variance;
+            expected.per_fresh = expected.fresh.above(Wide::ZERO, Wide::ONE / expected.fresh, Wide::ZERO);
         }
         steps
     }

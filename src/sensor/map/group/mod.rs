@@ -218,12 +218,22 @@ impl MapGroup {
             (common.on.0[l], common.off.0[l]) = (problem.sensor.threshold_on, problem.sensor.threshold_off);
             common.stamp_sigma_s.0[l] = problem.stamp_sigma_s;
             lane.state = LaneState { steps: l < count && options.max_iterations > 0, noise: problem.noise, ..LaneState::default() };
-            if l < count {
-                lane.knots.lay(problem, options.spacing_ns);
-                lane.segments.lay(&lane.knots.t_ns, &options.prior);
-                lane.start.fill(problem, &lane.knots, &mut lane.u);
-                lane.stream.fill(problem, &lane.knots);
+            if l >= count {
+                continue;
             }
+            let (before, lanes) = self.lanes.split_at_mut(l);
+            match before.last().filter(|_| starts_alike(tasks[l - 1], tasks[l])) {
+                Some(before) => {
+                    lanes[0].knots.copy(&before.knots);
+                    lanes[0].u.clone_from(&before.u);
+                }
+                None => {
+                    lanes[0].knots.lay(problem, options.spacing_ns);
+                    lanes[0].start.fill(problem, &lanes[0].knots, &mut lanes[0].u);
+                }
+            }
+            lanes[0].segments.lay(&lanes[0].knots.t_ns, &options.prior);
+            lanes[0].stream.fill(problem, &lanes[0].knots);
         }
         let pixels: [Pixel<'_>; WIDTH] = std::array::from_fn(|l| {
             let lane = &self.lanes[usize::min(l, count - 1)];
@@ -283,6 +293,13 @@ fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (firs
         reference_variance: wide(lanes, |state| state.noise.reference * state.noise.reference),
         threshold_variance: wide(lanes, |state| state.noise.threshold * state.noise.threshold),
     }
+}
+
+/// Are both tasks of one pixel, so that they have the same knots and the same start?
+fn starts_alike(one: &MapTask<'_>, other: &MapTask<'_>) -> bool {
+    let (a, b) = (&one.problem, &other.problem);
+    let same = std::ptr::eq(a.events, b.events) && std::ptr::eq(a.frames, b.frames) && std::ptr::eq(a.hints, b.hints);
+    same && (a.start_ns, a.end_ns, a.sensor, one.options.spacing_ns) == (b.start_ns, b.end_ns, b.sensor, other.options.spacing_ns)
 }
 
 /// Are the thresholds exact?

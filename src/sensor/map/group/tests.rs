@@ -44,7 +44,7 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
             Cut { events, frames, hints, end_ns }
         })
         .collect();
-    let tasks: Vec<MapTask<'_>> = cut
+    let mut tasks: Vec<MapTask<'_>> = cut
         .iter()
         .enumerate()
         .map(|(n, Cut { events, frames, hints, end_ns })| {
@@ -59,6 +59,13 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
             MapTask { problem, options }
         })
         .collect();
+    // One pixel several times, as where a noise or a prior is chosen.
+    for (event, floor_per_s) in [(0.08, 6.0), (0.3, 6.0), (0.3, 30.0)] {
+        let mut again = tasks[0];
+        again.problem.noise.event = event;
+        again.options.prior = Prior::Local(Local { floor_per_s, ..Local::USUAL });
+        tasks.push(again);
+    }
     then(&tasks);
 }
 
