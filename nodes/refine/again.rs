@@ -100,7 +100,7 @@ impl Row {
 }
 
 /// The factors of the hints' variances that are tried, most careful first.
-pub(super) const CAUTIONS: [f64; 6] = [f64::INFINITY, 16.0, 4.0, 1.0, 0.25, 0.06];
+pub(super) const CAUTIONS: [f64; 6] = [f64::INFINITY, 16.0, 4.0, 1.0, 0.25, 0.0625];
 /// About so many rows are looked at to choose one.
 const SAMPLED_ROWS: usize = 18;
 
