@@ -3,12 +3,13 @@
 //! A node knows its inputs, parameters and seed, and nothing of the graph around it. [`catalog`] is the one list of all
 //! of them. What several nodes share stands beside the families: [`sampling`] (when virtual frames are exposed), [`pixel_events`] (a pixel's events as
 //! signed steps), [`reconstruct`] (what methods that start from captured frames do alike), [`co_located`] (events beside frames of more pixels or
-//! colours), [`onnx`] (networks).
+//! colours), [`held`] (means of held values over the exposures of many frames), [`onnx`] (networks).
 
 pub mod baseline;
 pub mod catalog;
 pub mod co_located;
 pub mod compensate;
+pub mod held;
 pub mod onnx;
 pub mod pixel_events;
 pub mod read;

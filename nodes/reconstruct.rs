@@ -2,7 +2,7 @@
 //! what white is, and the walk over rows.
 //!
 //! Methods that stand beside each other must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
-//! planning and for running, and [`by_rows`] cuts the work into rows.
+//! planning and for running, and [`by_rows`] and [`in_rows`] cut the work into rows.
 
 use crate::co_located::{CoLocated, CoLocatedEvents};
 use crate::pixel_events::{Stamp, StepRule, clock_offset};
@@ -206,20 +206,30 @@ pub fn events_of(events: &EventStream, frames: &FramesMeta, rows: Rows) -> Resul
 /// # Errors
 /// When a call fails, or the user interrupts.
 pub fn by_rows(cx: &Context, meta: FramesMeta, row: impl Fn(u32) -> Result<Vec<f32>, NodeError> + Sync) -> Result<FrameSequence, NodeError> {
+    let width = meta.row_values();
+    in_rows(cx, meta, |y, frames| {
+        let picture = row(y)?;
+        frames.iter_mut().zip(picture.chunks_exact(width)).for_each(|(out, values)| out.copy_from_slice(values));
+        Ok(())
+    })
+}
+
+/// The same without a copy: a call gets its row of every frame, all 0, to write.
+///
+/// # Errors
+/// When a call fails, or the user interrupts.
+pub fn in_rows(cx: &Context, meta: FramesMeta, row: impl Fn(u32, &mut [&mut [f32]]) -> Result<(), NodeError> + Sync) -> Result<FrameSequence, NodeError> {
     let rows = cx.rows();
     cx.begin(rows.len() as u64, "rows");
-    let one = |y: u32| -> Result<Vec<f32>, NodeError> {
-        let picture = row(y)?;
-        cx.advance(1)?;
-        Ok(picture)
-    };
-    let pictures: Result<Vec<Vec<f32>>, NodeError> = rows.iter().into_par_iter().map(one).collect();
     let mut block = FrameBlock::zeros(0..meta.times.len(), rows, meta.row_values());
-    for (y, picture) in rows.iter().zip(pictures?) {
-        for (frame, values) in picture.chunks_exact(meta.row_values()).enumerate() {
-            block.row_mut(frame, y).copy_from_slice(values);
-        }
+    let mut of_rows: Vec<(u32, Vec<&mut [f32]>)> = rows.iter().map(|y| (y, Vec::with_capacity(meta.times.len()))).collect();
+    for frame in block.dn.chunks_exact_mut((rows.len() * meta.row_values()).max(1)) {
+        of_rows.iter_mut().zip(frame.chunks_exact_mut(meta.row_values())).for_each(|((_, frames), values)| frames.push(values));
     }
+    of_rows.into_par_iter().try_for_each(|(y, mut frames)| -> Result<(), NodeError> {
+        row(y, &mut frames)?;
+        cx.advance(1)
+    })?;
     Ok(FrameSequence::in_memory(Arc::new(meta), block))
 }
 

@@ -9,10 +9,11 @@
 //! Limits: a pixel without any knot is unknown and comes out as NaN.
 
 use crate::co_located::{channel_gains, gain_of};
-use crate::reconstruct::by_rows;
+use crate::held::{Exposures, HeldMeans, Knots, TILE, develop};
+use crate::reconstruct::in_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
-use photocurrent_core::{Between, Colour, Context, Decl, Exposure, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet};
-use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, HeldTrack, LogLinearTrack};
+use photocurrent_core::{Between, Colour, Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet};
+use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, LogLinearTrack};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -93,24 +94,47 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         let meta = virtual_frames(&self.params.sampling, at, (of.extent, of.colour), of.span, of.nominal_exposure_ns, Some(&input.sensor))?;
         let dn = DigitalNumbers::new(&input.sensor, of.colour)?;
         let band = tracks.read(cx.rows())?;
-        let frames = by_rows(cx, meta.clone(), |row| {
-            let exposures: Vec<Exposure> = (0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect();
-            let seconds: Vec<f64> = exposures.iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
-            Ok(render_pixels(&band, tracks.meta.between, row, meta.row_values(), &exposures, &seconds, dn))
+        let frames = in_rows(cx, meta.clone(), |row, frames| {
+            let exposures = Exposures::new((0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect());
+            let seconds: Vec<f64> = exposures.all().iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
+            match of.between {
+                Between::Hold => render_held(&band, row, &exposures, &seconds, dn, frames),
+                Between::LogLinear => render_log_linear(&band, row, &exposures, &seconds, dn, frames),
+            }
+            Ok(())
         })?;
         Ok(Out { frames })
     }
 }
 
-/// Pixels whose frames are made together: a frame's values of a tile are one cache line.
-const TILE: usize = 16;
-
-/// All frames of one row of `width` values as [frame][value].
-fn render_pixels(band: &TrackBand, between: Between, row: u32, width: usize, exposures: &[Exposure], seconds: &[f64], dn: DigitalNumbers) -> Vec<f32> {
-    let mut picture = vec![f32::NAN; exposures.len() * width];
-    let mut tile = vec![[f32::NAN; TILE]; exposures.len()];
+/// One row of all frames, from held tracks.
+fn render_held(band: &TrackBand, row: u32, exposures: &Exposures, seconds: &[f64], dn: DigitalNumbers, out: &mut [&mut [f32]]) {
+    let width = out.first().map_or(0, |values| values.len());
+    let mut means = HeldMeans::default();
     for left in (0..width).step_by(TILE) {
-        let used = TILE.min(width - left);
+        let tile = left..width.min(left + TILE);
+        let mut gain = [0.0; TILE];
+        gain.iter_mut().zip(tile.clone()).for_each(|(gain, x)| *gain = dn.at(x as u32, row).gain);
+        for frames in Exposures::pieces(0..exposures.len()) {
+            let knots = tile.clone().map(|x| {
+                let track = band.pixel(x as u32, row);
+                Knots { t: track.t, value: track.photocurrent }
+            });
+            let means = means.of(exposures, frames.clone(), knots);
+            develop(means, &seconds[frames.clone()], dn.black_level, &gain, &mut out[frames], left);
+        }
+    }
+}
+
+/// Pixels whose log-linear tracks are integrated before they go to the frames together.
+const COLUMNS: usize = 16;
+
+/// One row of all frames, from tracks whose logarithm is linear between knots.
+fn render_log_linear(band: &TrackBand, row: u32, exposures: &Exposures, seconds: &[f64], dn: DigitalNumbers, out: &mut [&mut [f32]]) {
+    let width = out.first().map_or(0, |values| values.len());
+    let mut tile = vec![[f32::NAN; COLUMNS]; exposures.len()];
+    for left in (0..width).step_by(COLUMNS) {
+        let used = COLUMNS.min(width - left);
         for n in 0..used {
             let track = band.pixel((left + n) as u32, row);
             let dn = dn.at((left + n) as u32, row);
@@ -118,38 +142,14 @@ fn render_pixels(band: &TrackBand, between: Between, row: u32, width: usize, exp
                 tile.iter_mut().for_each(|values| values[n] = f32::NAN);
                 continue;
             }
-            match between {
-                Between::Hold => render_held(track.t, track.photocurrent, exposures, seconds, dn, |frame, value| tile[frame][n] = value),
-                Between::LogLinear => {
-                    let mut cursor = ExposureCursor::new(LogLinearTrack::new(track.t, track.photocurrent));
-                    for (frame, exposure) in exposures.iter().enumerate() {
-                        tile[frame][n] = dn.of(cursor.integral(*exposure) / exposure.seconds() * seconds[frame]) as f32;
-                    }
-                }
+            let mut cursor = ExposureCursor::new(LogLinearTrack::new(track.t, track.photocurrent));
+            for ((values, exposure), seconds) in tile.iter_mut().zip(exposures.all()).zip(seconds) {
+                values[n] = dn.of(cursor.integral(*exposure) / exposure.seconds() * seconds) as f32;
             }
         }
-        for (values, out) in tile.iter().zip(picture.chunks_exact_mut(width)) {
+        for (values, out) in tile.iter().zip(out.iter_mut()) {
             out[left..left + used].copy_from_slice(&values[..used]);
         }
-    }
-    picture
-}
-
-/// The frames of one held track: an exposure inside a hold needs no integral.
-fn render_held(t: &[i64], photocurrent: &[f32], exposures: &[Exposure], seconds: &[f64], dn: DigitalNumber, mut put: impl FnMut(usize, f32)) {
-    let mut cursor = ExposureCursor::new(HeldTrack::new(t, photocurrent));
-    // The hold that is current, and where it ends.
-    let mut k = 0;
-    let end_of = |k: usize| t.get(k + 1).copied().unwrap_or(i64::MAX);
-    for (frame, exposure) in exposures.iter().enumerate() {
-        while k > 0 && t[k] > exposure.start.0 {
-            k -= 1;
-        }
-        while end_of(k) <= exposure.start.0 {
-            k += 1;
-        }
-        let mean = if exposure.end.0 <= end_of(k) { f64::from(photocurrent[k]) } else { cursor.integral(*exposure) / exposure.seconds() };
-        put(frame, dn.of(mean * seconds[frame]) as f32);
     }
 }
 
@@ -178,7 +178,7 @@ mod tests {
     use super::*;
     use crate::sampling::Shutter;
     use photocurrent_core::quantity::{Duration, Rate};
-    use photocurrent_core::{Extent, FrameScale, Ports, Rows, TimeSpan, TracksMeta, testing};
+    use photocurrent_core::{Exposure, Extent, FrameScale, Ports, Rows, TimeSpan, TracksMeta, testing};
 
     fn sensor() -> Arc<Sensor> {
         let mut sensor = Sensor::unknown("test");
