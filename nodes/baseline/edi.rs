@@ -10,15 +10,18 @@
 //! `baseline/contrast`, and a constant latency can be taken off the stamps. With colour, a mosaic or more pixels than the events, every value of a frame is taken
 //! with the events of the event pixel that it lies on. Limits: no front-end delay, no readout latency, no refractory period.
 
+use crate::held::{Exposures, HeldMeans, Knots, Lanes, TILE, develop};
 use crate::pixel_events::{Stamp, StepRule};
-use crate::reconstruct::{Request, black_level, by_rows, contrast_of, events_of, nearest_frame};
+use crate::reconstruct::{Request, black_level, contrast_of, events_of, in_rows, nearest_frame};
 use crate::sampling::{Sampling, scale_seconds};
+use multiversion::multiversion;
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
-use photocurrent_sensor::exposure::{ExposureCursor, HeldTrack};
+use photocurrent_sensor::elementary;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Parameters of `baseline/edi`.
@@ -103,7 +106,7 @@ impl Node for BaselineEdi {
     const DECL: Decl = Decl {
         kind: "baseline/edi",
         about: "The event-based double integral, exactly, with threshold, exposure and latency in the open.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -140,7 +143,7 @@ params = { rate = "1 kHz", latency = "40 us" }
         let job = Job { captured: request.frames, output: &meta, rule, per_frame, black: black_level(request.sensor), params: &self.params };
         let events = events_of(&input.events, request.frames, cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
-        Ok(Out { frames: by_rows(cx, meta.clone(), |row| events.with_row(row, |events| job.row(row, &events, &frames)))? })
+        Ok(Out { frames: in_rows(cx, meta.clone(), |row, out| events.with_row(row, |events| job.row(row, &events, &frames, out)))? })
     }
 }
 
@@ -163,59 +166,109 @@ impl Job<'_> {
         })
     }
 
-    /// All output frames of one row as [frame][value].
-    fn row(&self, row: u32, events: &EventRow, frames: &FrameBlock) -> Vec<f32> {
-        self.latent(row, events, frames).into_iter().map(|dn| dn as f32).collect()
+    /// One row of all output frames.
+    fn row(&self, row: u32, events: &EventRow, frames: &FrameBlock, out: &mut [&mut [f32]]) {
+        let seconds: Vec<f64> = (0..out.len()).map(|l| scale_seconds(self.output.scale, self.output.times.exposure(l, row))).collect();
+        self.latent(row, events, frames, |latent| {
+            develop(latent.mean, &seconds[latent.frames.clone()], self.black, latent.level, &mut out[latent.frames], latent.left);
+        });
     }
 
-    /// The same before it is rounded to 32 bits.
-    fn latent(&self, row: u32, events: &EventRow, frames: &FrameBlock) -> Vec<f64> {
+    /// Shows the latent light of one row, piece by piece: tiles of pixels, and output frames that start from the same captured one.
+    fn latent(&self, row: u32, events: &EventRow, frames: &FrameBlock, mut show: impl FnMut(Latent)) {
         let width = self.captured.row_values();
         let index = events.by_pixel(width as u32);
-        let outputs: Vec<Exposure> = (0..self.output.times.len()).map(|l| self.output.times.exposure(l, row)).collect();
-        let starts_from: Vec<usize> = outputs.iter().map(|e| nearest_frame(self.captured, row, e.mid().0)).collect();
-        let mut picture = vec![0.0; outputs.len() * width];
-        let mut relative = RelativeLight::default();
-        let (mut level, mut work) = (Vec::new(), Vec::new());
-        // Output frames by the captured frame that they start from.
-        let mut groups: Vec<(usize, Vec<usize>)> = Vec::new();
-        for (l, &frame) in starts_from.iter().enumerate() {
-            match groups.iter_mut().find(|(of, _)| *of == frame) {
-                Some((_, group)) => group.push(l),
-                None => groups.push((frame, vec![l])),
-            }
-        }
-        for x in 0..width {
-            let level_of = |cursor: &mut ExposureCursor<HeldTrack<'_, f64>>, l: usize| {
-                let exposure = self.captured.times.exposure(l, row);
-                let above_black = f64::from(frames.row(l, row)[x]) - self.black;
-                // The mean over the blur, as charge of the exposure: with the recorded exposure, the plain integral.
-                let mean = cursor.integral(self.blurred_over(exposure)) / self.blurred_over(exposure).seconds();
-                above_black / (mean * exposure.seconds())
-            };
-            let mut put = |cursor: &mut ExposureCursor<HeldTrack<'_, f64>>, l: usize, level: f64| {
-                let mean = cursor.integral(outputs[l]) / outputs[l].seconds();
-                picture[l * width + x] = self.black + level * mean * scale_seconds(self.output.scale, outputs[l]);
-            };
-            if self.per_frame.is_empty() {
-                relative.fill(&self.rule, events, &index, x, 1.0);
-                let mut cursor = ExposureCursor::new(HeldTrack::new(&relative.t, &relative.light));
-                level.clear();
-                level.extend((0..self.captured.times.len()).map(|l| level_of(&mut cursor, l)));
+        let captured: Vec<Exposure> = (0..self.captured.times.len()).map(|l| self.captured.times.exposure(l, row)).collect();
+        let outputs = Exposures::new((0..self.output.times.len()).map(|l| self.output.times.exposure(l, row)).collect());
+        let groups = groups_of(outputs.all().iter().map(|e| nearest_frame(self.captured, row, e.mid().0)));
+        let mut light = RelativeLight::default();
+        let (mut levels, mut means) = (Levels::default(), HeldMeans::default());
+        // With one threshold, one pass makes all frames; else each captured frame and those that start from it have a pass.
+        let passes: Vec<_> = if self.per_frame.is_empty() { vec![&groups[..]] } else { groups.chunks(1).collect() };
+        for groups in passes {
+            let (Some(first), Some(last)) = (groups.first(), groups.last()) else { return };
+            let used = if self.per_frame.is_empty() { 0..captured.len() } else { first.0..first.0 + 1 };
+            light.fill(&self.rule, events, &index, width, self.per_frame.get(used.start).copied().unwrap_or(1.0));
+            let blurred: Vec<Exposure> = captured[used.clone()].iter().map(|exposure| self.blurred_over(*exposure)).collect();
+            // A stated blur lies around the middles, and those of exposures of different lengths need not be in order.
+            let blurred: Vec<Exposures> = blurred.chunk_by(|a, b| a.start <= b.start).map(|run| Exposures::new(run.to_vec())).collect();
+            for left in (0..width).step_by(TILE) {
+                let tile = left..width.min(left + TILE);
+                levels.of_frames.clear();
+                for run in &blurred {
+                    let mean = means.of(run, 0..run.len(), light.of(tile.clone()));
+                    let dn = |l: usize| &frames.row(l, row)[tile.clone()];
+                    levels.measure(used.start + levels.of_frames.len(), &captured, dn, self.black, mean);
+                }
                 if self.params.chain > 0.0 {
-                    chained(&mut level, self.params.chain, &mut work);
+                    levels.chain(self.params.chain);
                 }
-                (0..outputs.len()).for_each(|l| put(&mut cursor, l, level[starts_from[l]]));
-            } else {
-                for (frame, group) in &groups {
-                    relative.fill(&self.rule, events, &index, x, self.per_frame[*frame]);
-                    let mut cursor = ExposureCursor::new(HeldTrack::new(&relative.t, &relative.light));
-                    let level = level_of(&mut cursor, *frame);
-                    group.iter().for_each(|&l| put(&mut cursor, l, level));
+                for piece in Exposures::pieces(first.1.start..last.1.end) {
+                    let mean = means.of(&outputs, piece.clone(), light.of(tile.clone()));
+                    let first = groups.partition_point(|(_, group)| group.end <= piece.start);
+                    for (frame, group) in groups[first..].iter().take_while(|(_, group)| group.start < piece.end) {
+                        let frames = group.start.max(piece.start)..group.end.min(piece.end);
+                        let mean = &mean[frames.start - piece.start..frames.end - piece.start];
+                        show(Latent { left, frames, mean, level: &levels.of_frames[frame - used.start] });
+                    }
                 }
             }
         }
-        picture
+    }
+}
+
+/// The latent light of up to sixteen pixels in some output frames: `level` times `mean`, above black and per second.
+struct Latent<'a> {
+    /// The first pixel's place in its row.
+    left: usize,
+    /// Which output frames; all start from the same captured one.
+    frames: Range<usize>,
+    /// Mean relative light of each frame and pixel.
+    mean: &'a [Lanes],
+    /// What one of relative light is, each pixel.
+    level: &'a Lanes,
+}
+
+/// Runs of output frames that start from the same captured one: that one, and the run.
+fn groups_of(starts_from: impl Iterator<Item = usize>) -> Vec<(usize, Range<usize>)> {
+    let mut groups: Vec<(usize, Range<usize>)> = Vec::new();
+    for (l, frame) in starts_from.enumerate() {
+        match groups.last_mut() {
+            Some((of, run)) if *of == frame => run.end = l + 1,
+            _ => groups.push((frame, l..l + 1)),
+        }
+    }
+    groups
+}
+
+/// What one of relative light is in each captured frame, for a tile of pixels.
+#[derive(Default)]
+struct Levels {
+    of_frames: Vec<Lanes>,
+    of_pixel: Vec<f64>,
+    work: Vec<f64>,
+}
+
+impl Levels {
+    /// Adds captured frames over mean relative light: `blurred` has the means over the blur of the frames from `first` on, `dn` a frame's values.
+    fn measure<'a>(&mut self, first: usize, captured: &[Exposure], dn: impl Fn(usize) -> &'a [f32], black: f64, blurred: &[Lanes]) {
+        for (l, mean) in (first..).zip(blurred) {
+            // The mean over the blur, as charge of the exposure: with the recorded exposure, the plain integral.
+            let seconds = captured[l].seconds();
+            let mut level = [f64::NAN; TILE];
+            level.iter_mut().zip(mean).zip(dn(l)).for_each(|((level, mean), dn)| *level = (f64::from(*dn) - black) / (mean * seconds));
+            self.of_frames.push(level);
+        }
+    }
+
+    /// Chains the frames of each pixel.
+    fn chain(&mut self, weight: f64) {
+        for lane in 0..TILE {
+            self.of_pixel.clear();
+            self.of_pixel.extend(self.of_frames.iter().map(|level| level[lane]));
+            chained(&mut self.of_pixel, weight, &mut self.work);
+            self.of_frames.iter_mut().zip(&self.of_pixel).for_each(|(levels, level)| levels[lane] = *level);
+        }
     }
 }
 
@@ -250,9 +303,11 @@ fn chained(level: &mut [f64], weight: f64, work: &mut Vec<f64>) {
     level.iter_mut().for_each(|level| *level = libm::exp(*level));
 }
 
-/// One pixel's light up to a factor: exp of the summed steps, held between events.
+/// The light of a row's pixels, each up to a factor: exp of the summed steps, held between events.
 #[derive(Default)]
 struct RelativeLight {
+    /// Where each pixel's knots begin, and their number.
+    offsets: Vec<usize>,
     t: Vec<i64>,
     light: Vec<f64>,
 }
@@ -262,21 +317,42 @@ const LOG_LIGHT_LIMIT: f64 = 600.0;
 
 impl RelativeLight {
     /// With every plain step times `factor`; compensated ones stay what they are.
-    fn fill(&mut self, rule: &StepRule, events: &EventRow, index: &PixelIndex, x: usize, factor: f64) {
+    fn fill(&mut self, rule: &StepRule, events: &EventRow, index: &PixelIndex, width: usize, factor: f64) {
         let factor = if events.step.is_some() { 1.0 } else { factor };
+        self.offsets.clear();
         self.t.clear();
         self.light.clear();
-        // Before the first event the light is 1, whenever that event came.
-        self.t.push(i64::MIN / 4);
-        self.light.push(1.0);
-        let mut log_light = 0.0;
-        for &k in index.pixel(x) {
-            log_light = f64::clamp(log_light + factor * rule.step(events, k), -LOG_LIGHT_LIMIT, LOG_LIGHT_LIMIT);
-            // Stamps of one pixel may fall back by their jitter; a step never comes before the one before it.
-            let t = rule.time(events, k).max(*self.t.last().expect("holds the start"));
-            self.t.push(t);
-            self.light.push(libm::exp(log_light));
+        self.t.reserve(width + events.len());
+        self.light.reserve(width + events.len());
+        for x in 0..width {
+            self.offsets.push(self.t.len());
+            // Before the first event the light is 1, whenever that event came.
+            let (mut last, mut log_light) = (i64::MIN / 4, 0.0);
+            self.t.push(last);
+            self.light.push(log_light);
+            for &k in index.pixel(x) {
+                log_light = f64::clamp(log_light + factor * rule.step(events, k), -LOG_LIGHT_LIMIT, LOG_LIGHT_LIMIT);
+                // Stamps of one pixel may fall back by their jitter; a step never comes before the one before it.
+                last = rule.time(events, k).max(last);
+                self.t.push(last);
+                self.light.push(log_light);
+            }
         }
+        self.offsets.push(self.t.len());
+        exponentials(&mut self.light);
+    }
+
+    /// Some pixels' knots.
+    fn of(&self, pixels: Range<usize>) -> impl Iterator<Item = Knots<'_, f64>> {
+        self.offsets[pixels.start..=pixels.end].windows(2).map(|of| Knots { t: &self.t[of[0]..of[1]], value: &self.light[of[0]..of[1]] })
+    }
+}
+
+/// Every logarithm becomes what it is the logarithm of.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+fn exponentials(logs: &mut [f64]) {
+    for log in logs {
+        *log = elementary::exp(*log);
     }
 }
 
@@ -390,6 +466,15 @@ mod tests {
         assert!((dn[0] - 60.0).abs() < 1e-3, "{dn:?}");
     }
 
+    #[test]
+    fn a_stated_blur_may_come_earlier_in_a_later_frame() {
+        // Exposed from 0 to 10 and from 1 to 2 ms, blurred over 1 ms around 5 and around 1.5; a doubling at 5 ms. So 30 is 1.5 L in the first frame and L in the second.
+        let blurred = Params { blur: Some(Duration::new(1_000_000)), ..params(1000.0) };
+        let dn = edi(blurred, vec![on(5_000_000)], vec![Exposure::new(0, 10_000_000), Exposure::new(1_000_000, 2_000_000)], 30.0);
+        // Instants before both middles start from the first frame, instants after both from the second. DN are those of 1 ms, a tenth of the first exposure.
+        assert!((dn[0] - 2.0).abs() < 1e-3 && (dn[9] - 60.0).abs() < 1e-3, "{dn:?}");
+    }
+
     /// The reference works on 1 + I and takes the latent picture at the instant of the middle; the node gives means over exposures of 2 ns here, and stamps
     /// are whole microseconds, so that an event at the middle counts as after it when the exposure ends there.
     #[test]
@@ -415,7 +500,16 @@ mod tests {
         let events = reference::stream().read(reference::EXTENT.rows()).unwrap();
         let block = captured.read_rows(captured.rows()).unwrap();
         for row in reference::EXTENT.rows().iter() {
-            let picture = job.latent(row, &events.row(row), &block);
+            let mut picture = vec![0.0; output.times.len() * 48];
+            // Twenty milliseconds are the scale, so light above black is times 0.02 s.
+            job.latent(row, &events.row(row), &block, |latent| {
+                for (l, mean) in latent.frames.zip(latent.mean) {
+                    let columns = latent.left..48.min(latent.left + TILE);
+                    for (n, x) in columns.enumerate() {
+                        picture[l * 48 + x] = -255.0 + latent.level[n] * mean[n] * 0.02;
+                    }
+                }
+            });
             for (authors, l) in expected.iter().zip(&kept) {
                 let latent: Vec<f64> = picture[l * 48..][..48].iter().map(|dn| dn / 255.0).collect();
                 let apart = reference::apart(&latent, &authors[row as usize * 48..][..48]);
