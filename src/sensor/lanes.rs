@@ -8,7 +8,6 @@
 //! exponential is flat beyond -87 and 88, the logarithm takes normal positive numbers.
 
 use crate::scalar::Scalar;
-use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// How many lanes.
 pub const LANES: usize = 16;
@@ -115,45 +114,35 @@ fn ln(x: f32) -> f32 {
     if x >= 0.0 { value } else { f32::NAN }
 }
 
-impl Add for Lanes {
-    type Output = Self;
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        self.zip(other, |a, b| a + b)
-    }
-}
+/// Arithmetic of every lane by itself, for a type with `zip` and `map`.
+macro_rules! lanewise {
+    ($type:ty) => {
+        crate::lanes::lanewise!($type, Add, add, +);
+        crate::lanes::lanewise!($type, Sub, sub, -);
+        crate::lanes::lanewise!($type, Mul, mul, *);
+        crate::lanes::lanewise!($type, Div, div, /);
 
-impl Sub for Lanes {
-    type Output = Self;
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        self.zip(other, |a, b| a - b)
-    }
+        impl std::ops::Neg for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn neg(self) -> Self {
+                self.map(|a| -a)
+            }
+        }
+    };
+    ($type:ty, $trait:ident, $method:ident, $operator:tt) => {
+        impl std::ops::$trait for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                self.zip(other, |a, b| a $operator b)
+            }
+        }
+    };
 }
+pub(crate) use lanewise;
 
-impl Mul for Lanes {
-    type Output = Self;
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        self.zip(other, |a, b| a * b)
-    }
-}
-
-impl Div for Lanes {
-    type Output = Self;
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        self.zip(other, |a, b| a / b)
-    }
-}
-
-impl Neg for Lanes {
-    type Output = Self;
-    #[inline(always)]
-    fn neg(self) -> Self {
-        self.map(|a| -a)
-    }
-}
+lanewise!(Lanes);
 
 impl Scalar for Lanes {
     #[inline(always)]

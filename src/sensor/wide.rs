@@ -6,7 +6,6 @@
 
 use crate::elementary;
 use crate::scalar::Scalar;
-use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// How many lanes.
 pub const WIDTH: usize = 8;
@@ -110,45 +109,7 @@ impl Wide {
     }
 }
 
-impl Add for Wide {
-    type Output = Self;
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        self.zip(other, |a, b| a + b)
-    }
-}
-
-impl Sub for Wide {
-    type Output = Self;
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        self.zip(other, |a, b| a - b)
-    }
-}
-
-impl Mul for Wide {
-    type Output = Self;
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        self.zip(other, |a, b| a * b)
-    }
-}
-
-impl Div for Wide {
-    type Output = Self;
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        self.zip(other, |a, b| a / b)
-    }
-}
-
-impl Neg for Wide {
-    type Output = Self;
-    #[inline(always)]
-    fn neg(self) -> Self {
-        self.map(|a| -a)
-    }
-}
+crate::lanes::lanewise!(Wide);
 
 impl Scalar for Wide {
     #[inline(always)]

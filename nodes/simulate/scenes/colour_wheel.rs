@@ -3,13 +3,13 @@
 //! The hard case for a sensor whose event pixels see a mixture of colours: at a border between two sectors every channel changes by another factor, the
 //! mixture by yet another, and between some colours hardly at all. In grey, the disk is its luminance.
 
-use super::shapes::{arrival, blend, covered, hypot, to_border};
+use super::disk::{Disk, WALL};
+use super::shapes::blend;
 use super::{LUMINANCE, Scene};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::TAU;
 
 /// Parameters of the scene `colour_wheel`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -34,51 +34,39 @@ impl Default for ColourWheelParams {
 
 /// Reflectances of red, green and blue: red, yellow, green, cyan, blue, magenta of saturated paint.
 const COLOURS: [[f64; 3]; 6] = [[0.60, 0.08, 0.05], [0.85, 0.65, 0.06], [0.12, 0.45, 0.12], [0.08, 0.42, 0.55], [0.06, 0.10, 0.45], [0.60, 0.10, 0.40]];
-/// Around the disk.
-const WALL: f64 = 0.3;
 
 /// The scene.
 pub struct ColourWheel {
-    centre: (f64, f64),
-    radius: f64,
-    sectors: f64,
-    /// Radians per nanosecond.
-    turning: f64,
+    disk: Disk,
 }
 
 impl ColourWheel {
     /// For a picture of that size.
     pub fn new(params: &ColourWheelParams, extent: Extent) -> ColourWheel {
-        ColourWheel {
-            centre: (f64::from(extent.width - 1) / 2.0, f64::from(extent.height - 1) / 2.0),
-            radius: params.radius * f64::from(extent.width.min(extent.height)),
-            sectors: params.sectors.into(),
-            turning: TAU * params.speed.turns_per_s() * 1e-9,
-        }
+        ColourWheel { disk: Disk::new(extent, params.radius, params.sectors.into(), params.speed) }
     }
 
     /// Distance from the middle, and the place in sectors, at least 0.
     fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
-        let (dx, dy) = (x - self.centre.0, y - self.centre.1);
-        let angle = libm::atan2(dy, dx) - self.turning * t_ns as f64;
-        (hypot(dx, dy), (angle / TAU).rem_euclid(1.0) * self.sectors)
+        let (distance, turns) = self.disk.place(x, y, t_ns);
+        (distance, turns.rem_euclid(1.0) * self.disk.parts)
     }
 
     /// Mean over a pixel of what `of` says of each colour.
     fn mean(&self, x: f64, y: f64, t_ns: i64, of: impl Fn(&[f64; 3]) -> f64) -> f64 {
         let (distance, at) = self.place(x, y, t_ns);
-        let inside = covered(distance - self.radius);
+        let inside = self.disk.inside(distance);
         if inside == 0.0 {
             return WALL;
         }
         // A pixel is never wider than the whole turn.
-        let pixel = (self.sectors / (TAU * distance.max(0.5))).min(self.sectors);
+        let pixel = self.disk.pixel(distance).min(self.disk.parts);
         let (low, high) = (at - pixel / 2.0, at + pixel / 2.0);
         let mut sum = 0.0;
         let mut sector = low.floor();
         while sector < high {
             let overlap = high.min(sector + 1.0) - low.max(sector);
-            sum += overlap * of(&COLOURS[sector.rem_euclid(self.sectors) as usize % COLOURS.len()]);
+            sum += overlap * of(&COLOURS[sector.rem_euclid(self.disk.parts) as usize % COLOURS.len()]);
             sector += 1.0;
         }
         blend(WALL, sum / pixel, inside)
@@ -95,15 +83,11 @@ impl Scene for ColourWheel {
     }
 
     fn speed(&self, x: f64, y: f64) -> f64 {
-        self.turning * hypot(x - self.centre.0, y - self.centre.1).clamp(1.0, self.radius + 1.0)
+        self.disk.speed(x, y)
     }
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
-        let (distance, at) = self.place(x, y, t_ns);
-        if distance >= self.radius + 0.5 {
-            return i64::MAX;
-        }
-        arrival(t_ns, to_border(at) * TAU * distance / self.sectors, self.turning * distance)
+        self.disk.still_until(self.place(x, y, t_ns), t_ns)
     }
 }
 
@@ -120,7 +104,7 @@ mod tests {
         for (turns, sector) in [(0, 0), (1, 1), (4, 3), (6, 5)] {
             // The middle of a sector at that time, 18 pixels from the centre: clockwise on the screen, y down.
             let angle = (60.0 * (f64::from(sector) + 0.5) + 60.0 * f64::from(turns)).to_radians();
-            let (x, y) = (wheel.centre.0 + 18.0 * libm::cos(angle), wheel.centre.1 + 18.0 * libm::sin(angle));
+            let (x, y) = (wheel.disk.centre.0 + 18.0 * libm::cos(angle), wheel.disk.centre.1 + 18.0 * libm::sin(angle));
             for channel in 0..3 {
                 let found = wheel.channel(channel, x, y, i64::from(turns) * 20_000_000);
                 assert!((found - COLOURS[sector as usize][channel]).abs() < 1e-9, "sector {sector}, channel {channel}: {found}");

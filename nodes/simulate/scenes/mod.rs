@@ -9,6 +9,7 @@
 pub mod basketball;
 pub mod checkerboard;
 pub mod colour_wheel;
+mod disk;
 pub mod fan;
 pub mod pellet;
 pub mod running_man;

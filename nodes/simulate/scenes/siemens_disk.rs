@@ -2,7 +2,8 @@
 //!
 //! Spokes are stripes along circles, averaged over a pixel in closed form, so the middle fades to grey without moire.
 
-use super::shapes::{arrival, blend, covered, hypot, stripes, to_border};
+use super::disk::{Disk, WALL};
+use super::shapes::{blend, stripes};
 use super::{BRIGHTEST, DARKEST, Scene};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
@@ -37,64 +38,47 @@ impl Default for SiemensDiskParams {
     }
 }
 
-/// Around the disk.
-const WALL: f64 = 0.3;
-
 /// The scene.
 pub struct SiemensDisk {
-    centre: (f64, f64),
-    radius: f64,
-    /// Dark and bright spokes in a turn.
-    stripes: f64,
+    /// Its parts are dark and bright spokes.
+    disk: Disk,
     dark: f64,
     bright: f64,
-    /// Radians per nanosecond.
-    turning: f64,
 }
 
 impl SiemensDisk {
     /// For a picture of that size.
     pub fn new(params: &SiemensDiskParams, extent: Extent) -> SiemensDisk {
         SiemensDisk {
-            centre: (f64::from(extent.width - 1) / 2.0, f64::from(extent.height - 1) / 2.0),
-            radius: params.radius * f64::from(extent.width.min(extent.height)),
-            stripes: 2.0 * f64::from(params.spokes),
+            disk: Disk::new(extent, params.radius, 2.0 * f64::from(params.spokes), params.speed),
             dark: params.dark.clamp(DARKEST, BRIGHTEST),
             bright: params.bright.clamp(DARKEST, BRIGHTEST),
-            turning: TAU * params.speed.turns_per_s() * 1e-9,
         }
     }
 
     /// Distance from the middle, and the place in stripes.
     fn place(&self, x: f64, y: f64, t_ns: i64) -> (f64, f64) {
-        let (dx, dy) = (x - self.centre.0, y - self.centre.1);
-        let angle = libm::atan2(dy, dx) - self.turning * t_ns as f64;
-        (hypot(dx, dy), angle / TAU * self.stripes)
+        let (distance, turns) = self.disk.place(x, y, t_ns);
+        (distance, turns * self.disk.parts)
     }
 }
 
 impl Scene for SiemensDisk {
     fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let (distance, at) = self.place(x, y, t_ns);
-        let inside = covered(distance - self.radius);
+        let inside = self.disk.inside(distance);
         if inside == 0.0 {
             return WALL;
         }
-        let pixel = self.stripes / (TAU * distance.max(0.5));
-        blend(WALL, blend(self.dark, self.bright, stripes(at, pixel)), inside)
+        blend(WALL, blend(self.dark, self.bright, stripes(at, self.disk.pixel(distance))), inside)
     }
 
     fn speed(&self, x: f64, y: f64) -> f64 {
-        self.turning * hypot(x - self.centre.0, y - self.centre.1).clamp(1.0, self.radius + 1.0)
+        self.disk.speed(x, y)
     }
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
-        let (distance, at) = self.place(x, y, t_ns);
-        if distance >= self.radius + 0.5 {
-            return i64::MAX;
-        }
-        let stripe = TAU * distance / self.stripes;
-        arrival(t_ns, to_border(at) * stripe, self.turning * distance)
+        self.disk.still_until(self.place(x, y, t_ns), t_ns)
     }
 }
 
@@ -110,7 +94,7 @@ mod tests {
         // At t = 0 an edge points along +x; 300 rpm is 1.8 degrees per millisecond.
         for ms in [0, 3, 10, 41] {
             let angle = 1.8_f64.to_radians() * f64::from(ms);
-            let place = |angle: f64| (disk.centre.0 + 20.0 * libm::cos(angle), disk.centre.1 + 20.0 * libm::sin(angle));
+            let place = |angle: f64| (disk.disk.centre.0 + 20.0 * libm::cos(angle), disk.disk.centre.1 + 20.0 * libm::sin(angle));
             let at = |angle: f64| {
                 let (x, y) = place(angle);
                 disk.reflectance(x, y, i64::from(ms) * 1_000_000)
@@ -126,7 +110,8 @@ mod tests {
         for distance in [1.0, 3.0, 8.0, 20.0] {
             let n = 3600;
             let ring = (0..n).map(|k| TAU * f64::from(k) / f64::from(n));
-            let sum: f64 = ring.map(|a| disk.reflectance(disk.centre.0 + distance * libm::cos(a), disk.centre.1 + distance * libm::sin(a), 5_000_000)).sum();
+            let sum: f64 =
+                ring.map(|a| disk.reflectance(disk.disk.centre.0 + distance * libm::cos(a), disk.disk.centre.1 + distance * libm::sin(a), 5_000_000)).sum();
             assert!((sum / f64::from(n) - (disk.dark + disk.bright) / 2.0).abs() < 2e-3);
         }
     }
