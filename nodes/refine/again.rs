@@ -7,11 +7,34 @@ use crate::solve::pixel::shares::RowShares;
 use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Between, Context, EventStream, EventsMeta, Exposure, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TracksMeta, handle::Band,
+    Between, Context, EventStream, EventsMeta, Exposure, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
+    handle::Band,
 };
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
 use rayon::prelude::*;
 use std::sync::Arc;
+
+photocurrent_core::ports! {
+    /// Inputs of a node that solves again.
+    pub struct In {
+        /// The first solution: log-linear tracks, of `solve/pixel` with `method = "map"` or another node that gives such.
+        tracks: TrackSet,
+        /// The events that it was solved from.
+        events: EventStream,
+        /// The frames that it was solved from.
+        frames: FrameSequence,
+        /// The sensor, as for `solve/pixel`.
+        sensor: Arc<Sensor>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// Its outputs.
+    pub struct Out {
+        /// Photocurrent of every pixel over time.
+        tracks: TrackSet,
+    }
+}
 
 /// How the pixels are solved: the parameters that such a node shares with `solve/pixel`.
 #[derive(Clone, Copy, Debug)]

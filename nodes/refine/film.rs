@@ -66,6 +66,9 @@ impl Fired {
     }
 }
 
+/// Pictures in which motion is looked for lie so far apart, ns.
+pub(super) const STEP_NS: i64 = 500_000;
+
 /// Log light of all pixels at steady instants.
 pub(super) struct Film {
     pub width: usize,
@@ -78,11 +81,11 @@ pub(super) struct Film {
 
 impl Film {
     /// Of tracks between two instants. A pixel without a track counts as grey.
-    pub fn new(tracks: &LogTracks, span: (i64, i64), step_ns: i64) -> Film {
+    pub fn new(tracks: &LogTracks, span: (i64, i64)) -> Film {
         let (width, height) = (tracks.extent.width as usize, tracks.extent.height as usize);
-        let count = ((span.1 - span.0) / step_ns + 1) as usize;
+        let count = ((span.1 - span.0) / STEP_NS + 1) as usize;
         let picture = |n: usize| -> Vec<f32> {
-            let t = span.0 + n as i64 * step_ns;
+            let t = span.0 + n as i64 * STEP_NS;
             let known: Vec<Option<f64>> =
                 Rows { start: 0, end: height as u32 }.iter().flat_map(|y| (0..width).map(move |x| (x, y as usize))).map(|(x, y)| tracks.at(x, y, t)).collect();
             let sum = known.iter().flatten().fold((0.0, 0.0), |(sum, n), u| (sum + u, n + 1.0));
@@ -90,7 +93,7 @@ impl Film {
             known.iter().map(|u| u.unwrap_or(grey) as f32).collect()
         };
         let pictures = (0..count).into_par_iter().map(picture).collect();
-        Film { width, height, start_ns: span.0, step_ns, pictures }
+        Film { width, height, start_ns: span.0, step_ns: STEP_NS, pictures }
     }
 
     /// The film with every picture smoothed by a Gaussian of `sigma` pixels.

@@ -15,18 +15,15 @@ pub(super) mod advect;
 #[cfg(test)]
 mod tests;
 
-use super::again::{Setting, Solver};
+use super::again::{In, Out, Setting, Solver};
 use super::film::{Film, LogTracks};
 use super::flow::Flow;
 use crate::solve::pixel::{FrontEndModel, Params as SolveParams};
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackSet};
+use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-
-/// Pictures of the film in which motion is looked for lie so far apart, ns.
-const FILM_STEP_NS: i64 = 500_000;
 
 /// Parameters of `refine/motion`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -52,28 +49,6 @@ impl Default for Params {
     fn default() -> Params {
         let SolveParams { front_end, event_noise, frame_noise, knot_spacing, .. } = SolveParams::default();
         Params { rounds: 3, front_end, event_noise, frame_noise, knot_spacing }
-    }
-}
-
-photocurrent_core::ports! {
-    /// Inputs.
-    pub struct In {
-        /// The first solution: log-linear tracks, of `solve/pixel` with `method = "map"`.
-        tracks: TrackSet,
-        /// The events that it was solved from.
-        events: EventStream,
-        /// The frames that it was solved from.
-        frames: FrameSequence,
-        /// The sensor, as for `solve/pixel`.
-        sensor: Arc<Sensor>,
-    }
-}
-
-photocurrent_core::ports! {
-    /// Outputs.
-    pub struct Out {
-        /// Photocurrent of every pixel over time.
-        tracks: TrackSet,
     }
 }
 
@@ -129,7 +104,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let step_ns = 2 * self.params.knot_spacing.ns();
         for _round in 0..self.params.rounds {
             let log = LogTracks::new(extent, &tracks, &fired);
-            let flow = Flow::new(&Film::new(&log, (span.start.0, span.end.0), FILM_STEP_NS));
+            let flow = Flow::new(&Film::new(&log, (span.start.0, span.end.0)));
             tracks = again.solve(cx, |row, x, threshold, hints| {
                 advect::hints(&log, &flow, row, x, step_ns, threshold, hints);
             })?;

@@ -9,7 +9,8 @@
 //!
 //! Is it rigid? Nothing is assumed. The pictures of neighbouring windows must agree with each other and with the pixel's own events and
 //! frames ([`Trust`]); and before every round the whole is tried without one frame in three: pictures and pixels must foretell those frames better
-//! with the picture than without, or it is left away. How far the picture is believed is what foretells them best.
+//! with the picture than without, or it is left away. How far the picture is believed is what foretells them best. (Motion is found from
+//! tracks that have seen all frames; the picture's light has not.)
 //!
 //! Limits: it needs the whole sensor at once; one affine motion at a time, that of most pixels; edges sharper than a pixel are blurred; with
 //! fewer than four frames nothing can be tried, and no picture is used.
@@ -21,14 +22,14 @@ mod pose;
 mod tests;
 mod window;
 
-use super::again::{Row, Setting, Solver, take_care};
+use super::again::{In, Out, Row, Setting, Solver, take_care};
 use super::film::{Film, LogTracks};
 use super::flow::Flow;
 use super::motion::advect;
 use super::trust::{Known, Said, Trust};
 use crate::solve::pixel::{FrontEndModel, Params as SolveParams};
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackSet};
+use photocurrent_core::{Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_sensor::map::estimate::is_kept_back;
 use photocurrent_sensor::map::{Hint, MapFrame};
 use rayon::prelude::*;
@@ -37,8 +38,6 @@ use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use window::{Scene, Window};
 
-/// Pictures of the film in which motion is looked for lie so far apart, ns.
-const FILM_STEP_NS: i64 = 500_000;
 /// Windows overlap: their middles are this part of a window apart.
 const OVERLAP: i64 = 3;
 
@@ -74,28 +73,6 @@ impl Default for Params {
     fn default() -> Params {
         let SolveParams { front_end, event_noise, frame_noise, knot_spacing, .. } = SolveParams::default();
         Params { rounds: 2, frames: 3, pitch: 0.8, neighbours: true, front_end, event_noise, frame_noise, knot_spacing }
-    }
-}
-
-photocurrent_core::ports! {
-    /// Inputs.
-    pub struct In {
-        /// The first solution: log-linear tracks, of `solve/pixel` with `method = "map"` or `refine/motion`.
-        tracks: TrackSet,
-        /// The events that it was solved from.
-        events: EventStream,
-        /// The frames that it was solved from.
-        frames: FrameSequence,
-        /// The sensor, as for `solve/pixel`.
-        sensor: Arc<Sensor>,
-    }
-}
-
-photocurrent_core::ports! {
-    /// Outputs.
-    pub struct Out {
-        /// Photocurrent of every pixel over time.
-        tracks: TrackSet,
     }
 }
 
@@ -154,7 +131,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let step_ns = 2 * self.params.knot_spacing.ns();
         for _round in 0..self.params.rounds {
             let log = LogTracks::new(extent, &tracks, &fired);
-            let flow = Flow::new(&Film::new(&log, span, FILM_STEP_NS));
+            let flow = Flow::new(&Film::new(&log, span));
             let bright = typical(&tracks.photocurrent);
             let scale = again.scale();
             let pictures = |rows: &[Row], keep_back: bool| {

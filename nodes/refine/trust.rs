@@ -19,6 +19,10 @@ const FRAME_WEIGHT: f64 = 3.0;
 /// One source alone can contradict nobody: its variance counts so many times.
 const ONE_SIDED: f64 = 4.0;
 
+/// Nothing is said any more where contradictions reach one in so many squared thresholds: by itself a pixel knows its light to a threshold or so, and at
+/// one, chance hits of pixels that have nothing to do with each other still cost 0.2 dB.
+const BEYOND_TRUST: f64 = 2.0;
+
 /// What is foretold for one instant.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Said {
@@ -90,9 +94,8 @@ impl Trust {
             };
             let contradiction = pooled(&mut self.said.iter().filter_map(|s| s.contradiction.map(|c| (s.t_ns, c, 1.0))), 0.1, POOLED_MS);
             let own = pooled(&mut self.own.iter().copied(), 0.1, POOLED_MS);
-            // By itself a pixel knows its light to a threshold or so: who misses it by as much where it is known has nothing to say.
             let wide = pooled(&mut self.own.iter().copied(), 0.1, WIDE_MS);
-            let trust = 1.0 - 2.0 * f64::max(own, wide) / (threshold * threshold);
+            let trust = 1.0 - BEYOND_TRUST * f64::max(own, wide) / (threshold * threshold);
             if trust <= 0.0 {
                 continue;
             }

@@ -5,7 +5,7 @@ use crate::refine::film::Fired;
 use crate::refine::fixtures::{EXTENT, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
 use crate::refine::trust::{Known, Trust};
 use crate::solve::pixel::SolvePixel;
-use photocurrent_core::{TrackBand, testing};
+use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
 use photocurrent_sensor::map::{Hint, MapFrame};
 
 fn refine(tracks: &TrackSet, events: &EventStream, frames: &FrameSequence, rounds: u32) -> TrackSet {
@@ -36,7 +36,7 @@ fn pixels_that_have_nothing_to_do_with_each_other_stay_as_they_are() {
 fn the_motion_of_a_sliding_texture_is_found() {
     // From the light itself, so that only the eye is judged.
     let pictures = (0..41).map(|n| (0..384).map(|p| texture(p % 24, p / 24, 0.5 * n as f64) as f32).collect()).collect();
-    let flow = Flow::new(&Film { width: 24, height: 16, start_ns: 0, step_ns: FILM_STEP_NS, pictures });
+    let flow = Flow::new(&Film { width: 24, height: 16, start_ns: 0, step_ns: crate::refine::film::STEP_NS, pictures });
     for (x, y, t_ns) in [(12.0, 8.0, 10_000_000), (5.0, 4.0, 5_000_000), (18.5, 11.5, 15_300_000)] {
         let [vx, vy] = flow.at(x, y, t_ns);
         // A twentieth of a pixel over the three lines that are looked at.

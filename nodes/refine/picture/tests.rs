@@ -7,7 +7,7 @@ use super::*;
 use crate::refine::fixtures::{EXTENT, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
 use nalgebra::{DMatrix, DVector};
 use photocurrent_core::random::Random;
-use photocurrent_core::testing;
+use photocurrent_core::{EventStream, FrameSequence, testing};
 
 fn refine(tracks: &TrackSet, events: &EventStream, frames: &FrameSequence) -> TrackSet {
     let node = RefinePicture::build(Params::default()).unwrap();
@@ -129,4 +129,30 @@ fn slopes_of_the_surface_are_its_differences() {
         let differences = ((at(x + step, y) - at(x - step, y)) / (2.0 * step), (at(x, y + step) - at(x, y - step)) / (2.0 * step));
         assert!((f64::from(slopes.0) - differences.0).abs() < 2e-3 && (f64::from(slopes.1) - differences.1).abs() < 2e-3);
     }
+}
+
+#[test]
+fn a_motion_that_is_a_little_wrong_is_corrected_and_the_picture_foretells_the_light() {
+    let (events, frames) = record(texture);
+    let tracks = solve(&events, &frames);
+    let node = RefinePicture::build(Params::default()).unwrap();
+    let meta = node.solver.meta("test", &tracks.meta, &events.meta, &frames.meta).unwrap();
+    let again = testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.solver.take_in(meta, &events, &frames, &sensor(), cx)).0.unwrap();
+    // The texture slides by 0.7 and 0.2 pixels a millisecond.
+    let flow = Flow::steady(24, 16, [0.65, 0.24]);
+    let scene = Scene { rows: &again.rows, size: (24, 16), flow: &flow, scale: again.scale(), bright: 100.0, pitch: 0.8, keep_back: false };
+    let window = Window::fit(&scene, 20_000_000, 14_000_000).unwrap();
+    let (mut squares, mut count) = (0.0, 0.0);
+    for n in 0..25 {
+        let t_ns = 8_000_000 + n * 1_000_000;
+        for (x, y) in [(12, 8), (9, 6), (15, 9), (11, 11)] {
+            if let Some(log) = window.log_at(x, y, t_ns) {
+                let off = log - texture(x, y, t_ns as f64 * 1e-6);
+                (squares, count) = (squares + off * off, count + 1.0);
+            }
+        }
+    }
+    // The uncorrected motion would be half a pixel off at the window's ends, where light changes by up to 0.3 a pixel.
+    let rms = libm::sqrt(squares / count);
+    assert!(count > 60.0 && rms < 0.03, "{rms} of {count}");
 }

@@ -227,3 +227,47 @@ fn reweigh(rows: &Rows, grid: &Grid, unknowns: &Unknowns, seen: &[Seen], weights
         *weight = seen.weight / (spread * (1.0 + far * far));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::random::Random;
+
+    #[test]
+    fn derivatives_by_the_motion_are_those_of_differences() {
+        let still = |_: i64| [0.3, 0.02, -0.05, -0.2, 0.04, 0.01];
+        let pose_of = |correction: &[f64; CORRECTIONS]| Pose::new(still, 12.0, 10_000_000, 8_000_000, correction);
+        let here = [0.02, -0.01, 0.0, 0.01, 0.03, 0.0, -0.02, 0.01];
+        let instants = vec![vec![3_000_000, 5_000_000, 14_000_000]; 3];
+        let centre = (11.5, 1.0);
+        let grid = cover(&pose_of(&here), &instants, (24, 3), centre, 0.8);
+        let mut random = Random::new(4, &[]);
+        // A smooth surface: where second derivatives jump, differences are no derivatives.
+        let surface: Vec<f32> = (0..grid.len()).map(|k| libm::sin(0.31 * (k % grid.width) as f64 + 0.23 * (k / grid.width) as f64) as f32).collect();
+        let seen: Vec<Seen> = (0..20)
+            .map(|n| Seen { row: n % 3, x: (24.0 * random.uniform()) as usize, instants: [(0, 3), (1, 1), (1, 2)][n % 3], value: 0.0, weight: 1.0 })
+            .collect();
+        let weights = vec![1.0; seen.len()];
+        let predict = |correction: &[f64; CORRECTIONS], rows: &mut Rows, tilted: Option<&[Vec<[Map; CORRECTIONS]>]>| -> Vec<f64> {
+            let pose = pose_of(correction);
+            let maps: Vec<Vec<Map>> = instants.iter().map(|row| row.iter().map(|&t| pose.at(t)).collect()).collect();
+            lay(rows, &grid, &seen, &weights, &maps, tilted, &surface, centre);
+            let unknowns = Unknowns { surface: surface.clone(), ..Unknowns::default() };
+            (0..rows.len()).map(|r| f64::from(rows.predict(&grid, &unknowns, r))).collect()
+        };
+        let mut rows = Rows::default();
+        predict(&here, &mut rows, Some(&tilted(&pose_of, &here, &instants)));
+        let step = 5e-3;
+        for k in 0..CORRECTIONS {
+            let (mut above, mut below) = (here, here);
+            above[k] += step;
+            below[k] -= step;
+            let (above, below) = (predict(&above, &mut Rows::default(), None), predict(&below, &mut Rows::default(), None));
+            for r in 0..seen.len() {
+                let (found, expected) = (f64::from(rows.by_motion[r][k]), (above[r] - below[r]) / (2.0 * step));
+                // Single precision: 1e-7 over a step of 1e-2, and the slope's own change over it.
+                assert!((found - expected).abs() < 2e-2 * (0.1 + expected.abs()), "row {r}, correction {k}: {found} against {expected}");
+            }
+        }
+    }
+}

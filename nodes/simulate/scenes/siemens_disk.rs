@@ -9,7 +9,6 @@ use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::TAU;
 
 /// Parameters of the scene `siemens_disk`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -86,6 +85,7 @@ impl Scene for SiemensDisk {
 mod tests {
     use super::super::tests::EXTENT;
     use super::*;
+    use std::f64::consts::TAU;
 
     #[test]
     fn an_edge_turns_by_speed_times_time() {

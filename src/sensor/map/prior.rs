@@ -259,4 +259,53 @@ mod tests {
             assert!((segments.scale[1] * segments.scale[1] / variance - 1.0).abs() < 1e-4, "{length_ns} ns");
         }
     }
+
+    #[test]
+    fn a_slope_that_lasts_forgets_itself_like_an_exponential() {
+        let prior = Prior::Local(Local { floor_per_s: 5.0, memory_s: 2e-3, reach_s: 0.25e-3 });
+        let mut segments = Segments::default();
+        segments.lay(&[0, 300_000, 1_300_000, 1_310_000], &prior);
+        // Middles 0.65 and 0.505 ms apart.
+        for (j, apart_s) in [(2, 0.65e-3), (3, 0.505e-3)] {
+            let correlation = libm::exp(-apart_s / 2e-3);
+            assert!((segments.correlation[j] - correlation).abs() < 1e-12);
+            assert!((segments.fresh[j] - (1.0 - correlation * correlation)).abs() < 1e-12);
+        }
+    }
+
+    /// -2 log of Student's t of an increment with squared scale `square`, less constants.
+    fn student(increment: f64, square: f64, nu: f64) -> f64 {
+        (nu + 1.0) * libm::log(1.0 + increment * increment / (nu * square))
+    }
+
+    #[test]
+    fn the_weights_of_walk_and_glide_have_the_gradient_of_students_t() {
+        let t_ns = [0, 250_000, 400_000, 1_400_000, 1_650_000];
+        let at = [4.0, 4.02, 4.3, 4.28, 4.9];
+        let seconds: Vec<f64> = t_ns.iter().map(|&t| t as f64 * 1e-9).collect();
+        let walk = |u: &[f64]| -> f64 { (1..5).map(|j| student(u[j] - u[j - 1], 1.0 * (seconds[j] - seconds[j - 1]), 1.0)).sum() };
+        let glide = |u: &[f64]| -> f64 {
+            let slope = |j: usize| (u[j] - u[j - 1]) / (seconds[j] - seconds[j - 1]);
+            let middle = |j: usize| 0.5 * (seconds[j] + seconds[j - 1]);
+            let first = slope(1) * slope(1) / FIRST_SLOPE_VARIANCE;
+            first + (2..5).map(|j| student(slope(j) - slope(j - 1), 3e6 * (middle(j) - middle(j - 1)), 3.0)).sum::<f64>()
+        };
+        type Cost<'a> = &'a dyn Fn(&[f64]) -> f64;
+        for (prior, cost) in [(Prior::Walk { per_s: 1.0, nu: 1.0 }, &walk as Cost<'_>), (Prior::Glide { per_s3: 3e6, nu: 3.0 }, &glide)] {
+            let mut segments = Segments::default();
+            segments.lay(&t_ns, &prior);
+            segments.adapt(&at, &prior);
+            for j in 0..5 {
+                let slope = |of: &mut dyn FnMut(&[f64]) -> f64| {
+                    let (mut above, mut below) = (at, at);
+                    above[j] += 1e-6;
+                    below[j] -= 1e-6;
+                    (of(&above) - of(&below)) / 2e-6
+                };
+                let (expected, found) = (slope(&mut |u| cost(u)), slope(&mut |u| segments.cost(u)));
+                // Rounding of second-order terms over differences of a millionth.
+                assert!((found - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{prior:?} at {j}: {found} against {expected}");
+            }
+        }
+    }
 }
