@@ -2,13 +2,14 @@
 
 use super::film::Fired;
 use crate::co_located::CoLocated;
+use crate::solve::pixel::choice::Settings;
 use crate::solve::pixel::map::{RowSetting, RowSolver};
-use crate::solve::pixel::shares::RowShares;
+use crate::solve::pixel::row::Recorded;
+use crate::solve::pixel::shares::Colours;
 use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Between, Context, EventStream, EventsMeta, Exposure, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
-    handle::Band,
+    Between, Context, EventStream, EventsMeta, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta, handle::Band,
 };
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
 use rayon::prelude::*;
@@ -83,13 +84,16 @@ impl Solver {
     /// Takes a recording in, all rows of it.
     pub fn take_in(&self, meta: TracksMeta, events: &EventStream, frames: &FrameSequence, sensor: &Sensor, cx: &Context) -> Result<Again, NodeError> {
         let model = self.node.model(sensor, &events.meta)?;
-        let rows = cx.rows();
-        let exposures = |row: u32| -> Vec<Exposure> { (0..frames.len()).map(|l| frames.meta.times.exposure(l, row)).collect() };
-        let events = events.read(rows)?;
+        let (rows, times) = (cx.rows(), &frames.meta.times);
+        let colours = Colours::new(CoLocated::new(&events.meta, &frames.meta)?, sensor)?;
+        let events = colours.lie.read(events, rows)?;
         let values = frames.read_rows(rows)?;
+        let recorded = Recorded { meta: &meta, times, colours: &colours, rows, events: &events, frames: &values };
+        let settings = Settings::choose(self.node.params(), &model, &recorded, rows)?;
         let prepare = |row: u32| -> Result<Row, NodeError> {
             let mut solver = RowSolver::default();
-            let setting = solver.prepare(self.node.params(), &model, &meta, row, events.row(row), &values, &exposures(row), &RowShares::default());
+            let setting = *settings.of(row);
+            solver.take(&model, &setting, &recorded, row)?;
             cx.advance(1)?;
             Ok(Row { row, solver, setting })
         };
@@ -113,12 +117,12 @@ impl Row {
 
     /// The events of pixel x, in order of in-pixel time.
     pub fn events_of(&self, x: usize) -> &[MapEvent] {
-        self.solver.events_of(x)
+        self.solver.data().events_of(x)
     }
 
     /// The frame values of pixel x.
     pub fn frames_of(&self, x: usize) -> &[MapFrame] {
-        self.solver.frames_of(x)
+        self.solver.data().frames_of(x)
     }
 }
 

@@ -34,7 +34,7 @@ pub struct Params {
     pub rounds: u32,
     /// As in `solve/pixel`.
     pub front_end: FrontEndModel,
-    /// As in `solve/pixel`: standard deviation of an event as a part of its threshold; absent = chosen for each row.
+    /// As in `solve/pixel`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub event_noise: Option<f64>,
     /// As in `solve/pixel`: part of a frame value that is not believed.
@@ -62,7 +62,7 @@ impl Node for RefineMotion {
     const DECL: Decl = Decl {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the motion.",
-        revision: 4,
+        revision: 5,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -58,7 +58,7 @@ pub struct Params {
     pub neighbours: bool,
     /// As in `solve/pixel`.
     pub front_end: FrontEndModel,
-    /// As in `solve/pixel`: standard deviation of an event as a part of its threshold; absent = chosen for each row.
+    /// As in `solve/pixel`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub event_noise: Option<f64>,
     /// As in `solve/pixel`: part of a frame value that is not believed.
@@ -86,7 +86,7 @@ impl Node for RefinePicture {
     const DECL: Decl = Decl {
         kind: "refine/picture",
         about: "Solves tracks again with a moving picture of a few frames' time, and with what neighbouring pixels saw.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -17,10 +17,12 @@
 //! Limits: colours that change are followed from problem to problem ([`photocurrent_sensor::pooling`] says where that fails). A saturated value counts as the light of saturation, which is a lower bound. A pixel whose
 //! problem does not converge gets the safe estimate (a double integral) and is counted; the `map` output shows where.
 
+pub(crate) mod choice;
 #[cfg(test)]
 mod colour_tests;
 pub(crate) mod map;
 mod paper;
+pub(crate) mod row;
 pub(crate) mod shares;
 #[cfg(test)]
 mod tests;
@@ -28,6 +30,7 @@ mod tests;
 use crate::co_located::{CoLocated, values_of};
 use crate::compensate::readout::check_events;
 use crate::pixel_events::{Stamp, StepRule, clock_offset, left_out};
+use choice::Settings;
 use map::FrameNoise;
 use photocurrent_core::handle::Band;
 use photocurrent_core::quantity::Duration;
@@ -38,6 +41,7 @@ use photocurrent_core::{
 };
 use photocurrent_sensor::front_end::FrontEnd;
 use rayon::prelude::*;
+use row::Recorded;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use shares::Colours;
@@ -127,11 +131,12 @@ pub struct Params {
     /// What is solved for. `map` uses `front_end`, `event_noise`, `frame_noise`, `knot_spacing` and `max_iterations`; `paper` all but `event_noise`, `frame_noise`
     /// and `knot_spacing`.
     pub method: Method,
-    /// Standard deviation of an event as a part of its threshold, for `map`; absent = chosen for each row so that frames
+    /// Standard deviation of an event as a part of its threshold, for `map`; absent = chosen for each block of 16 rows so that frames
     /// that are kept back are predicted best.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub event_noise: Option<f64>,
-    /// Part of a frame value that is not believed, for `map`, beside the noise that the sensor description states and 1 DN.
+    /// Part of a frame value that is not believed, for `map`, beside the noise that the sensor description states, 1 DN, and what pixels without
+    /// events show beyond that.
     #[schemars(range(min = 0.0))]
     pub frame_noise: f64,
     /// Knots near events lie at most this far apart, for `map`; in quiet gaps they widen with the distance from an event, to 8 ms.
@@ -341,7 +346,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 6,
+        revision: 7,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -372,12 +377,11 @@ params = { front_end = "low_pass", readout = "slope", cis_weight = 1.0, evs_weig
     }
 
     fn grain(&self, inputs: &PortMetas) -> Grain {
-        // The rows of a block share an event pixel.
+        // The rows of a block share an event pixel; the most probable light looks at whole blocks of rows.
         let lie = inputs.events("events").and_then(|events| CoLocated::new(events, inputs.frames("frames")?));
-        match lie {
-            Ok(CoLocated { ratio, .. }) if ratio > 1 => Grain::Row { halo: ratio - 1 },
-            _ => Self::DECL.grain,
-        }
+        let blocks = if self.params.method == Method::Map { choice::HALO_ROWS } else { 0 };
+        let halo = blocks + lie.map_or(0, |lie| lie.ratio - 1);
+        if halo > 0 { Grain::Row { halo } } else { Self::DECL.grain }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -394,18 +398,29 @@ params = { front_end = "low_pass", readout = "slope", cis_weight = 1.0, evs_weig
         let rows = cx.rows();
         cx.begin(rows.len() as u64, "rows");
         let colours = Colours::new(CoLocated::new(&input.events.meta, &input.frames.meta)?, &input.sensor)?;
-        let events = colours.lie.read(&input.events, rows)?;
-        let frames = input.frames.read_rows(rows.with_halo(colours.halo(), meta.extent.rows()))?;
+        let (times, all) = (&input.frames.meta.times, meta.extent.rows());
+        let at_hand = match self.params.method {
+            Method::Paper => rows,
+            Method::Map => rows.with_halo(choice::HALO_ROWS, all),
+        };
+        let events = colours.lie.read(&input.events, at_hand)?;
+        let frames = input.frames.read_rows(at_hand.with_halo(colours.halo(), all))?;
         // To the solvers, every value of a row is a pixel.
         let wide = TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta.clone() };
+        let recorded = Recorded { meta: &wide, times, colours: &colours, rows: at_hand, events: &events, frames: &frames };
+        let settings = match self.params.method {
+            Method::Paper => None,
+            Method::Map => Some(Settings::choose(&self.params, &model, &recorded, rows)?),
+        };
         let solve_row = |(workspace, finer): &mut (paper::RowSolver, map::RowSolver), row: u32| -> Result<(TrackBand, MapBand), NodeError> {
-            let exposures: Vec<Exposure> = (0..input.frames.len()).map(|l| input.frames.meta.times.exposure(l, row)).collect();
-            let shares = colours.row(&model, &frames, row);
-            let solved = events.with_row(row, |events| match self.params.method {
-                Method::Paper => workspace.row(&self.params, &model, &wide, row, events, &frames, &exposures, &shares),
-                Method::Map => Ok(finer.row(&self.params, &model, &wide, row, events, &frames, &exposures, &shares)),
-            });
-            let (tracks, map) = solved??;
+            let (tracks, map) = match &settings {
+                None => {
+                    let exposures: Vec<Exposure> = (0..times.len()).map(|l| times.exposure(l, row)).collect();
+                    let shares = colours.row(&model, &frames, row);
+                    events.with_row(row, |events| workspace.row(&self.params, &model, &wide, row, events, &frames, &exposures, &shares))??
+                }
+                Some(settings) => finer.row(&model, settings.of(row), &recorded, row)?,
+            };
             cx.advance(1)?;
             Ok((tracks, of_pixels(map, &meta)))
         };

@@ -54,7 +54,7 @@ fn hints(own: f64, velocity: [f32; 2]) -> Vec<Hint> {
     }
     let fired = Fired::new((0..EXTENT.pixels()).map(|_| vec![20_000_000]));
     let tracks = LogTracks::new(EXTENT, &band, &Arc::new(fired));
-    let event = photocurrent_sensor::map::MapEvent { t_in_ns: 20_000_000, t_off_ns: 20_001_000, polarity: 1 };
+    let event = photocurrent_sensor::map::MapEvent { t_in_ns: 20_000_000, t_off_ns: 20_001_000, polarity: 1, is_lone: false };
     let frame = MapFrame { start_ns: 18_000_000, end_ns: 22_000_000, dn: 500.0, sigma_dn: 2.0, saturated: false };
     let (span, flow) = ((0, 39_900_000), Flow::steady(24, 16, velocity));
     let say = |t_ns: i64| advect::neighbours(&tracks, &flow, 12, 8, span, t_ns);

@@ -1,9 +1,8 @@
 //! `method = "map"`: a row of pixels cut out of the recording, and their most probable light put together.
 
-use super::shares::RowShares;
-use super::{MAP_STEPS, Model, PLANES, Params, Status, map_meta};
-use photocurrent_core::events::EventRow;
-use photocurrent_core::{Exposure, FrameBlock, MapBand, Rows, Sensor, TrackBand, TracksMeta};
+use super::row::{Recorded, RowData};
+use super::{Model, PLANES, Status, map_meta};
+use photocurrent_core::{MapBand, NodeError, Rows, Sensor, TrackBand, TracksMeta};
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapTask, Noise, estimate};
 
 /// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
@@ -32,11 +31,12 @@ impl FrameNoise {
         FrameNoise { read_dn: sensor.frames.read_noise_dn.unwrap_or(0.0), dn_per_electron, share }
     }
 
-    /// Standard deviation of a value, `signal` DN above black.
-    fn sigma_dn(&self, signal: f64) -> f64 {
+    /// Standard deviation of a value, `signal` DN above black, when `more_dn` is not stated.
+    pub fn sigma_dn(&self, signal: f64, more_dn: f64) -> f64 {
         let signal = f64::max(signal, 0.0);
         let share = self.share * signal;
-        libm::sqrt(self.read_dn * self.read_dn + self.dn_per_electron * signal + LEAST_FRAME_SIGMA_DN * LEAST_FRAME_SIGMA_DN + share * share)
+        let read = self.read_dn * self.read_dn + LEAST_FRAME_SIGMA_DN * LEAST_FRAME_SIGMA_DN + more_dn * more_dn;
+        libm::sqrt(read + self.dn_per_electron * signal + share * share)
     }
 }
 
@@ -47,102 +47,61 @@ pub(crate) struct RowSetting {
     pub span: (i64, i64),
     pub noise: Noise,
     pub options: MapOptions,
+    /// Standard deviation of frame values that the description does not explain, DN.
+    pub frame_dn: f64,
 }
 
 /// Solves the pixels of a row; keeps its memory from row to row.
 #[derive(Default)]
 pub(crate) struct RowSolver {
     group: MapGroup,
-    /// Events of all pixels of the row, pixel by pixel.
-    events: Vec<MapEvent>,
-    first_event: Vec<usize>,
-    frames: Vec<MapFrame>,
-    first_frame: Vec<usize>,
-    /// Light of a frame's value over that of its event pixel, in which its problem is posed.
-    light_ratio: Vec<f64>,
-    /// How much that changes, all in all: natural-log units squared.
-    unrest: Vec<f64>,
+    data: RowData,
     /// Knots of the pixels of the row, in the order in which they were solved, and where each pixel's stand.
     knots: Vec<(i64, f32)>,
     knots_of: Vec<std::ops::Range<usize>>,
 }
 
 impl RowSolver {
-    pub fn row(
-        &mut self,
-        params: &Params,
-        model: &Model,
-        meta: &TracksMeta,
-        row: u32,
-        events: EventRow,
-        frames: &FrameBlock,
-        exposures: &[Exposure],
-        shares: &RowShares,
-    ) -> (TrackBand, MapBand) {
-        let setting = self.prepare(params, model, meta, row, events, frames, exposures, shares);
-        self.solve(model, &setting, meta, row, None)
+    /// Takes in a row and solves it.
+    pub fn row(&mut self, model: &Model, setting: &RowSetting, recorded: &Recorded<'_>, row: u32) -> Result<(TrackBand, MapBand), NodeError> {
+        self.take(model, setting, recorded, row)?;
+        Ok(self.solve(model, setting, recorded.meta, row, None))
     }
 
-    /// Takes in a row, and chooses how far its events are believed and which prior suits.
-    pub fn prepare(
-        &mut self,
-        params: &Params,
-        model: &Model,
-        meta: &TracksMeta,
-        row: u32,
-        events: EventRow,
-        frames: &FrameBlock,
-        exposures: &[Exposure],
-        shares: &RowShares,
-    ) -> RowSetting {
-        let width = meta.extent.width as usize;
-        self.take_events(model, &events, width as u32);
-        self.take_frames(model, frames, row, width, exposures, shares);
-        let (first, last) = (exposures[0], exposures[exposures.len() - 1]);
-        let span = (i64::min(meta.span.start.0, first.start.0), i64::max(meta.span.end.0, last.end.0));
-        let mut options =
-            MapOptions { spacing_ns: params.knot_spacing.ns(), max_iterations: usize::min(params.max_iterations as usize, MAP_STEPS), ..MapOptions::default() };
-        let mut noise = Noise::default();
-        let choice = self.choose(params, model, span, noise, &options);
-        (noise.event, options.prior) = (choice.event, choice.prior);
-        RowSetting { span, noise, options }
+    /// Takes in a row.
+    pub fn take(&mut self, model: &Model, setting: &RowSetting, recorded: &Recorded<'_>, row: u32) -> Result<(), NodeError> {
+        self.data.take(model, recorded, row, setting.frame_dn)
     }
 
-    /// The events of pixel x of the row that was taken in, in order of in-pixel time.
-    pub fn events_of(&self, x: usize) -> &[MapEvent] {
-        &self.events[self.first_event[x]..self.first_event[x + 1]]
-    }
-
-    /// The frame values of pixel x of the row that was taken in.
-    pub fn frames_of(&self, x: usize) -> &[MapFrame] {
-        &self.frames[self.first_frame[x]..self.first_frame[x + 1]]
+    /// What was taken in.
+    pub fn data(&self) -> &RowData {
+        &self.data
     }
 
     /// Solves the row that was taken in, with what is known from elsewhere for each of its pixels.
     pub fn solve(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta, row: u32, hints: Option<&[Vec<Hint>]>) -> (TrackBand, MapBand) {
-        let RowSetting { span, noise, options } = *setting;
+        let RowSetting { span, noise, options, .. } = *setting;
         let width = meta.extent.width as usize;
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
-        let RowSolver { group, events, first_event, frames, first_frame, light_ratio, unrest, knots, knots_of } = self;
+        let RowSolver { group, data, knots, knots_of } = self;
         map.row_mut(0, row).fill(Status::NoFrame as u8 as f32);
         knots.clear();
         knots_of.clear();
         knots_of.resize(width, 0..0);
-        let lit: Vec<usize> = (0..width).filter(|&x| first_frame[x + 1] > first_frame[x]).collect();
+        let lit: Vec<usize> = (0..width).filter(|&x| !data.frames_of(x).is_empty()).collect();
         let task = |&x: &usize| {
-            // What colours change between frames is spread over the events.
-            let unrest = unrest[x] / usize::max(first_event[x + 1] - first_event[x], 1) as f64;
+            let unrest = data.unrest(x);
             let off = |sigma: f64, unit: f64| if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma };
             let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
-            let problem = problem(model, &events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]], span, noise);
+            let problem = problem(model, data.events_of(x), data.frames_of(x), span, noise);
             let hints = hints.map_or(&[] as &[Hint], |hints| hints[x].as_slice());
             MapTask { problem: MapProblem { hints, silence_sigma: off(problem.silence_sigma, 1.0), ..problem }, options }
         };
         let tasks: Vec<MapTask<'_>> = lit.iter().map(task).collect();
         group.solve(&tasks, |n, solution| {
             let begin = knots.len();
-            thin(&solution, light_ratio[lit[n]], knots);
+            thin(&solution, data.light_ratio(lit[n]), knots);
             knots_of[lit[n]] = begin..knots.len();
             let status = match solution.status {
                 MapStatus::Failed => Status::SafeEstimate,
@@ -162,8 +121,8 @@ impl RowSolver {
 
     /// Pixels of the row that was taken in that have events and frames, spread over their number of events; at most [`SAMPLED_PIXELS`].
     pub fn sample(&self) -> Vec<usize> {
-        let mut pixels: Vec<usize> = (0..self.first_event.len() - 1).filter(|&x| !self.events_of(x).is_empty() && !self.frames_of(x).is_empty()).collect();
-        pixels.sort_by_key(|&x| (self.events_of(x).len(), x));
+        let mut pixels: Vec<usize> = (0..self.data.width()).filter(|&x| !self.data.events_of(x).is_empty() && !self.data.frames_of(x).is_empty()).collect();
+        pixels.sort_by_key(|&x| (self.data.events_of(x).len(), x));
         let taken = usize::min(pixels.len(), SAMPLED_PIXELS);
         (0..taken).map(|n| pixels[(2 * n + 1) * pixels.len() / (2 * taken)]).collect()
     }
@@ -171,70 +130,15 @@ impl RowSolver {
     /// How badly hints, one set after the other, and its other measurements foretell the frames of a pixel that are kept back
     /// ([`estimate::prediction_errors`]).
     pub fn prediction_errors(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Vec<Hint>]) -> Vec<f64> {
-        let RowSolver { group, events, first_event, frames, first_frame, .. } = self;
-        let (events, frames) = (&events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]]);
-        let problem = problem(model, events, frames, setting.span, setting.noise);
+        let RowSolver { group, data, .. } = self;
+        let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
         let problems: Vec<MapProblem<'_>> = hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
         estimate::prediction_errors(&problems, &setting.options, group)
     }
-
-    fn take_events(&mut self, model: &Model, events: &EventRow, width: u32) {
-        let index = events.by_pixel(width);
-        self.events.clear();
-        self.first_event.clear();
-        for x in 0..width as usize {
-            let begin = self.events.len();
-            self.first_event.push(begin);
-            self.events.extend(index.pixel(x).iter().map(|&k| {
-                let t_in_ns = model.rule.time(events, k);
-                let t_off_ns = i64::max(events.t[k] - model.clock_offset_ns, t_in_ns);
-                MapEvent { t_in_ns, t_off_ns, polarity: if events.on[k] == 1 { 1 } else { -1 } }
-            }));
-            self.events[begin..].sort_by_key(|event| event.t_in_ns);
-        }
-        self.first_event.push(self.events.len());
-    }
-
-    fn take_frames(&mut self, model: &Model, frames: &FrameBlock, row: u32, width: usize, exposures: &[Exposure], shares: &RowShares) {
-        self.frames.clear();
-        self.light_ratio.clear();
-        self.unrest.clear();
-        self.first_frame.clear();
-        for x in 0..width {
-            self.first_frame.push(self.frames.len());
-            let share = shares.of(x, 0..exposures.len());
-            self.light_ratio.push(share.ratio);
-            self.unrest.push(shares.unrest(x, |above| {
-                let relative = model.frame_noise.sigma_dn(above) / above;
-                relative * relative
-            }));
-            for (l, exposure) in exposures.iter().enumerate() {
-                let dn = f64::from(frames.row(l, row)[x]);
-                if dn.is_finite() {
-                    let saturated = dn >= model.saturation_dn;
-                    let sigma_dn = share.sigma(model.frame_noise.sigma_dn(dn - model.black_level));
-                    let dn = share.dn(dn, model.black_level);
-                    self.frames.push(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated });
-                }
-            }
-        }
-        self.first_frame.push(self.frames.len());
-    }
-
-    /// The noise of the row's events and the prior, from pixels spread over their number of events.
-    fn choose(&mut self, params: &Params, model: &Model, span: (i64, i64), noise: Noise, options: &MapOptions) -> estimate::Choice {
-        let sample = self.sample();
-        let RowSolver { group, events, first_event, frames, first_frame, .. } = self;
-        let pixel = |&x: &usize| {
-            let (events, frames) = (&events[first_event[x]..first_event[x + 1]], &frames[first_frame[x]..first_frame[x + 1]]);
-            problem(model, events, frames, span, noise)
-        };
-        let problems: Vec<MapProblem<'_>> = sample.iter().map(pixel).collect();
-        estimate::choose(&problems, params.event_noise, options, group)
-    }
 }
 
-fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], span: (i64, i64), noise: Noise) -> MapProblem<'a> {
+/// The problem of a pixel.
+pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], span: (i64, i64), noise: Noise) -> MapProblem<'a> {
     let sensor = MapSensor {
         front_end: model.front_end,
         threshold_on: model.rule.threshold_on,

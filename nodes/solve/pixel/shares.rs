@@ -22,7 +22,7 @@ use std::ops::Range;
 const RATIO_LIMIT: f64 = 64.0;
 
 /// How frames lie on events, and what the sensor says of colour.
-pub(super) struct Colours {
+pub(crate) struct Colours {
     pub lie: CoLocated,
     gains: [f64; 3],
     seen: Option<[f64; 3]>,

@@ -101,7 +101,8 @@ fn pixels(kind: &str) -> Vec<Recorded> {
         let mut noise = Random(n + 20_240_607);
         let site = Site { x: n as u32, y: 0, width: PIXELS as u32, height: 1, seed: 0 };
         let fired = simulate(&Chain { pixel, reset: Reset::Resample, effects: &[] }, &site, &light, 0, SPAN_NS, &mut noise);
-        let events = fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity }).collect();
+        let events =
+            fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity, is_lone: false }).collect();
         let frames = (0..30).map(|l| {
             let (start_ns, end_ns) = (l * 8_333_333, l * 8_333_333 + 6_500_000);
             let clean = GAIN * light.integral(Exposure::new(start_ns, end_ns));

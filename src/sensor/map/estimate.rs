@@ -6,10 +6,12 @@
 //! it is the weaker judge, because it believes that the model is right.
 
 use super::segment::collected_between;
-use super::{Evidence, Local, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapTask, Noise, Prior};
+use super::{Evidence, Local, LoneEvents, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapTask, Noise, Prior};
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
 pub const EVENT_NOISES: [f64; 3] = [0.32, 0.16, 0.08];
+/// Spreads of thresholds over the pixels that are tried, as parts of a threshold, beside none.
+pub const THRESHOLD_SPREADS: [f64; 2] = [0.07, 0.15];
 /// With fewer events than this in all pixels together nothing is estimated.
 pub const FEWEST_EVENTS: usize = 40;
 /// Frames are kept back where there are at least so many.
@@ -18,7 +20,7 @@ pub const FEWEST_FRAMES: usize = 4;
 const KEPT_BACK: usize = 3;
 /// Added to a frame value that an error is compared with, DN: in the dark, noise is not relative.
 const DARK_DN: f64 = 20.0;
-/// Another prior than the usual one must be better by this factor.
+/// What is not usual must be better by this factor.
 const CLEARLY_BETTER: f64 = 0.97;
 /// A relative error counts at most this: one pixel that went astray does not decide.
 const LARGEST_ERROR: f64 = 0.3;
@@ -26,8 +28,8 @@ const LARGEST_ERROR: f64 = 0.3;
 /// What suits a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
-    /// Standard deviation of an event as a part of its threshold.
-    pub event: f64,
+    /// How far its events are believed.
+    pub noise: Noise,
     /// How light is expected to move.
     pub prior: Prior,
 }
@@ -43,12 +45,13 @@ pub const PRIORS: [Prior; 6] = [
     Prior::Glide { per_s3: 3e6, nu: 3.0 },
 ];
 
-/// The event noise and the prior that explain `problems` best; the usual ones when they have hardly an event.
+/// The noise of events and the prior that explain `problems` best; the usual ones when they have hardly an event.
 ///
 /// `event` is taken where it is given. Without enough frames to keep back, only the event noise is chosen.
 pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOptions, group: &mut MapGroup) -> Choice {
     let events: usize = problems.iter().map(|problem| problem.events.len()).sum();
-    let usual = Choice { event: event.unwrap_or(Noise::default().event), prior: options.prior };
+    let given = problems.first().map_or_else(Noise::default, |problem| problem.noise);
+    let usual = Choice { noise: Noise { event: event.unwrap_or(given.event), ..given }, prior: options.prior };
     if events < FEWEST_EVENTS {
         return usual;
     }
@@ -59,20 +62,30 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
         Some(ref stated) => std::slice::from_ref(stated),
         None => EVENT_NOISES.as_slice(),
     };
-    let choices: Vec<Choice> = noises.iter().map(|&event| Choice { event, ..usual }).collect();
-    for (found, choice) in tried.losses(&choices, group).into_iter().zip(choices) {
-        if found < best.0 {
-            best = (found, choice);
-        }
-    }
-    if by_frames {
-        let choices: Vec<Choice> = PRIORS.into_iter().filter(|prior| *prior != usual.prior).map(|prior| Choice { prior, ..best.1 }).collect();
+    // Takes a choice that is better by a factor.
+    let mut consider = |choices: Vec<Choice>, by: &dyn Fn(&Choice) -> f64, best: &mut (f64, Choice)| {
         for (found, choice) in tried.losses(&choices, group).into_iter().zip(choices) {
-            if found < best.0 * CLEARLY_BETTER {
-                best = (found, choice);
+            if found < best.0 * by(&best.1) {
+                *best = (found, choice);
             }
         }
+    };
+    let with_event = |event: f64, noise: Noise| Choice { noise: Noise { event, ..noise }, ..usual };
+    consider(noises.iter().map(|&event| with_event(event, usual.noise)).collect(), &|_| 1.0, &mut best);
+    if !by_frames {
+        return best.1;
     }
+    // Events may be believed more when their thresholds are right, so both are chosen together.
+    let threshold = mean_threshold(problems);
+    let spreads = THRESHOLD_SPREADS.iter().map(|part| Noise { threshold: part * threshold, ..usual.noise });
+    let choices = spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
+    consider(choices, &|best| if best.noise.threshold > 0.0 { 1.0 } else { CLEARLY_BETTER }, &mut best);
+    if problems.iter().any(|problem| problem.events.iter().any(|event| event.is_lone)) {
+        let noise = Noise { lone: LoneEvents::Doubted, ..best.1.noise };
+        consider(vec![Choice { noise, ..best.1 }], &|_| CLEARLY_BETTER, &mut best);
+    }
+    let priors = PRIORS.into_iter().filter(|prior| *prior != usual.prior).map(|prior| Choice { prior, ..best.1 }).collect();
+    consider(priors, &|_| CLEARLY_BETTER, &mut best);
     best.1
 }
 
@@ -103,7 +116,7 @@ impl Tried<'_> {
             let (p, choice) = (n / choices.len(), &choices[n % choices.len()]);
             let problem = &self.problems[p];
             let frames = self.kept.as_ref().map_or(problem.frames, |kept| kept[p].as_slice());
-            let noise = Noise { event: choice.event, ..problem.noise };
+            let noise = choice.noise;
             MapTask { problem: MapProblem { noise, frames, ..*problem }, options: MapOptions { prior: choice.prior, with_sigma: false, ..self.options } }
         };
         let tasks: Vec<MapTask<'_>> = (0..self.problems.len() * choices.len()).map(task).collect();
@@ -127,6 +140,10 @@ pub fn prediction_errors(problems: &[MapProblem<'_>], options: &MapOptions, grou
     let mut errors = vec![0.0; tasks.len()];
     group.solve_with(&tasks, Evidence::Unwanted, |n, solution| errors[n] = prediction_error(&problems[n], &solution));
     errors
+}
+
+fn mean_threshold(problems: &[MapProblem<'_>]) -> f64 {
+    problems.first().map_or(0.0, |problem| 0.5 * (problem.sensor.threshold_on + problem.sensor.threshold_off))
 }
 
 /// The sum of relative errors of frames that were kept back.

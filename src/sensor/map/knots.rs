@@ -3,7 +3,7 @@
 //! Knots are put at every event (in-pixel time), at every instant when the reference is taken anew, and at the edges of exposures; and
 //! between them so that none lie further apart than asked for near events, and up to [`COARSEST`] times as far in long quiet gaps. What happens at a knot is a short list of [`Op`]s in causal order.
 
-use super::MapProblem;
+use super::{LoneEvents, MapProblem};
 use photocurrent_core::sensor::Reset;
 
 /// In quiet gaps knots may lie so many times as far apart as near events.
@@ -29,8 +29,10 @@ pub(super) enum Op {
     Fire {
         /// Its polarity.
         polarity: i8,
-        /// Was the comparator surely watching?
+        /// Was the comparator surely watching, and is it believed that light made it fire?
         armed: bool,
+        /// Does it say nothing of light at all?
+        doubted: bool,
     },
 }
 
@@ -135,12 +137,13 @@ impl Knots {
                         && (sensor.refractory_ns == 0 || event.t_in_ns > blind_until.saturating_add(LATE_NS))
                 }
             };
-            self.marks.push((event.t_in_ns, 3, Op::Fire { polarity: event.polarity, armed: watching }));
+            let doubted = event.is_lone && problem.noise.lone == LoneEvents::Doubted;
+            self.marks.push((event.t_in_ns, 3, Op::Fire { polarity: event.polarity, armed: watching && !doubted, doubted }));
             // A reference that moves by one threshold is the voltage of the event, unless the event was held back. Taken from the voltage,
             // errors of thresholds do not add up.
             match sensor.reset {
                 Reset::Resample if inside(latch_ns) => self.marks.push((latch_ns, if latch_ns > event.t_in_ns { 2 } else { 4 }, Op::Latch)),
-                Reset::Advance | Reset::AdvanceLossy if watching => self.marks.push((event.t_in_ns, 4, Op::Latch)),
+                Reset::Advance | Reset::AdvanceLossy if watching && !doubted => self.marks.push((event.t_in_ns, 4, Op::Latch)),
                 _ => {}
             }
             blind_until = i64::max(blind_until, latch_ns);

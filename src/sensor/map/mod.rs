@@ -15,6 +15,7 @@
 
 mod chain;
 pub mod estimate;
+pub mod frame_noise;
 mod group;
 mod knots;
 mod prior;
@@ -24,6 +25,7 @@ mod start;
 mod state;
 #[cfg(test)]
 mod tests;
+mod thresholds;
 
 pub use group::{MapGroup, MapTask};
 pub use prior::{Local, Prior};
@@ -46,6 +48,8 @@ pub struct MapEvent {
     pub t_off_ns: i64,
     /// +1 or -1.
     pub polarity: i8,
+    /// Did nothing else happen around it, in time and space? Such an event may be noise: see [`Noise::lone`].
+    pub is_lone: bool,
 }
 
 /// A frame value of the pixel.
@@ -93,6 +97,16 @@ pub struct MapSensor {
     pub black_level_dn: f64,
 }
 
+/// What a lone event says of light.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum LoneEvents {
+    /// As much as any other.
+    #[default]
+    Believed,
+    /// Nothing: it only resets the pixel.
+    Doubted,
+}
+
 /// How far measurements of events are believed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
@@ -102,11 +116,13 @@ pub struct Noise {
     pub reference: f64,
     /// Standard deviation of this pixel's thresholds around the stated ones, natural-log units; 0 = they are exact.
     pub threshold: f64,
+    /// What lone events say.
+    pub lone: LoneEvents,
 }
 
 impl Default for Noise {
     fn default() -> Noise {
-        Noise { event: 0.1, reference: 0.05, threshold: 0.0 }
+        Noise { event: 0.1, reference: 0.05, threshold: 0.0, lone: LoneEvents::Believed }
     }
 }
 
@@ -271,14 +287,18 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
             silence_sigma = problem.silence_sigma;
         }
         segments.adapt(u, &options.prior);
-        let cost = chain.cost(segments.cost(u), silence_sigma);
+        let prior_cost = segments.cost(u);
+        let expected = thresholds::expected(problem, prior_cost, &offsets);
+        let pulled = |offsets: &Offsets| thresholds::pulled(&expected, offsets, &problem.noise);
+        let cost = chain.cost(prior_cost, silence_sigma) - pulled(&offsets);
         if !cost.is_finite() {
             status = MapStatus::Failed;
             break;
         }
         let mut longest = f64::INFINITY;
         for _attempt in 0..6 {
-            smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, silence_sigma, damping, Want::Step));
+            let step = Ask { expected, ..ask(problem, knots, segments, chain, u, first, &offsets, silence_sigma, damping, Want::Step) };
+            smoother.solve(&step);
             longest = smoother.change.iter().fold(0.0, |longest, change| f64::max(longest, change.abs()));
             if !longest.is_finite() {
                 damping = f64::max(damping * 10.0, FIRST_DAMPING);
@@ -290,7 +310,7 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
             let moved = offsets.moved(&smoother.offsets, share);
             trial_chain.run(problem, knots, segments, trial, &moved);
             // A step at the level of rounding may go up by rounding.
-            if trial_chain.cost(segments.cost(trial), silence_sigma) <= cost * (1.0 + 1e-9) + 1e-9 {
+            if trial_chain.cost(segments.cost(trial), silence_sigma) - pulled(&moved) <= cost * (1.0 + 1e-9) + 1e-9 {
                 std::mem::swap(u, trial);
                 std::mem::swap(chain, trial_chain);
                 offsets = moved;
@@ -351,5 +371,5 @@ fn ask<'a>(
     want: Want,
 ) -> Ask<'a> {
     let (noise, reset) = (&problem.noise, problem.sensor.reset);
-    Ask { knots, segments, chain, u, first, offsets, noise, reset, silence_sigma, damping, want }
+    Ask { knots, segments, chain, u, first, offsets, noise, reset, silence_sigma, damping, want, expected: Offsets::default() }
 }

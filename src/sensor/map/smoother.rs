@@ -62,6 +62,8 @@ pub(super) struct Ask<'a> {
     /// Levenberg's damping: one over the variance of a change, per knot; 0 for none.
     pub damping: f64,
     pub want: Want,
+    /// What the prior expects of the thresholds.
+    pub expected: Offsets,
 }
 
 impl Smoother {
@@ -197,7 +199,7 @@ fn begin<const N: usize>(ask: &Ask<'_>) -> State<f64, N> {
     }
     state.p[R][R] += ask.noise.reference * ask.noise.reference;
     state.p[Z][Z] = 1.0;
-    for (threshold, offset) in [(ON, ask.offsets.on), (OFF, ask.offsets.off)] {
+    for (threshold, offset) in [(ON, ask.offsets.on - ask.expected.on), (OFF, ask.offsets.off - ask.expected.off)] {
         if threshold < N {
             state.x[threshold] = -offset;
             state.p[threshold][threshold] = ask.noise.threshold * ask.noise.threshold;

@@ -13,7 +13,7 @@ fn sensor(reset: Reset) -> MapSensor {
 }
 
 fn event(t_in_ns: i64, polarity: i8) -> MapEvent {
-    MapEvent { t_in_ns, t_off_ns: t_in_ns + 30_000, polarity }
+    MapEvent { t_in_ns, t_off_ns: t_in_ns + 30_000, polarity, is_lone: false }
 }
 
 /// Whitened residuals of everything, with frozen prior scales: written down again, from the rows of the chain and the text of the prior.
@@ -46,7 +46,7 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
         // One between events, one at an event's instant.
         let hint = |t_ns, log_photocurrent, variance| Hint { t_ns, log_photocurrent, variance };
         let hints = [hint(4_100_000, 4.7, 0.01), hint(9_000_000, 4.5, 0.04)];
-        let noise = Noise { event: 0.1, reference: 0.03, threshold: 0.02 };
+        let noise = Noise { event: 0.1, reference: 0.03, threshold: 0.02, ..Noise::default() };
         let problem = MapProblem {
             events: &events,
             frames: &frames,
@@ -125,7 +125,7 @@ pub(super) fn recorded(reset: Reset) -> Recorded {
     };
     let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
     let fired = simulate(&Pixels { pixel, reset, effects: &[] }, &site, &light, 0, END_NS, &mut Noiseless);
-    let events = fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity }).collect();
+    let events = fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity, is_lone: false }).collect();
     let frames = (0..5).map(|l| {
         let (start_ns, end_ns) = (l * 8_000_000, l * 8_000_000 + 6_000_000);
         MapFrame { start_ns, end_ns, dn: 850.0 * light.integral(Exposure::new(start_ns, end_ns)), sigma_dn: 1.5, saturated: false }
@@ -189,7 +189,7 @@ fn more_noise_is_found_where_thresholds_jump() {
     // With three frames none is kept back: the evidence decides.
     let few = |recorded: &Recorded, group: &mut MapGroup| {
         let problem = MapProblem { frames: &recorded.frames[..3], ..recorded.problem(Reset::Resample) };
-        estimate::choose(&[problem; 2], None, &options, group).event
+        estimate::choose(&[problem; 2], None, &options, group).noise.event
     };
     let clean = few(&recorded, &mut group);
     // Stamps moved by up to 150 us to and fro, where the voltage moves by a threshold in that time.
@@ -210,7 +210,7 @@ fn events_are_believed_less_where_they_mislead_about_frames() {
     let mut group = MapGroup::default();
     let right = recorded.problem(Reset::Resample);
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
-    let found = |problem, group: &mut MapGroup| estimate::choose(&[problem; 2], None, &MapOptions::default(), group).event;
+    let found = |problem, group: &mut MapGroup| estimate::choose(&[problem; 2], None, &MapOptions::default(), group).noise.event;
     let (right, wrong) = (found(right, &mut group), found(wrong, &mut group));
     assert!(wrong > right, "{right} and {wrong}");
 }
@@ -261,7 +261,8 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
     };
     let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
     let fired = simulate(&Pixels { pixel, reset: Reset::Resample, effects: &[] }, &site, &light, 0, 100_000_000, &mut Noiseless);
-    let events: Vec<MapEvent> = fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity }).collect();
+    let events: Vec<MapEvent> =
+        fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity, is_lone: false }).collect();
     let sensor = MapSensor { threshold_on: 0.3, threshold_off: 0.3, ..sensor(Reset::Resample) };
     let problem = MapProblem {
         events: &events,
@@ -347,8 +348,117 @@ fn shifting_time_changes_nothing() {
     let here = solve(&recorded.problem(Reset::Resample), &MapOptions::default(), &mut workspace).log_photocurrent.to_vec();
     let shift = 3_600_000_000_000;
     let events: Vec<MapEvent> =
-        recorded.events.iter().map(|e| MapEvent { t_in_ns: e.t_in_ns + shift, t_off_ns: e.t_off_ns + shift, polarity: e.polarity }).collect();
+        recorded.events.iter().map(|e| MapEvent { t_in_ns: e.t_in_ns + shift, t_off_ns: e.t_off_ns + shift, polarity: e.polarity, is_lone: false }).collect();
     let frames: Vec<MapFrame> = recorded.frames.iter().map(|f| MapFrame { start_ns: f.start_ns + shift, end_ns: f.end_ns + shift, ..*f }).collect();
     let later = MapProblem { events: &events, frames: &frames, hints: &[], start_ns: shift, end_ns: END_NS + shift, ..recorded.problem(Reset::Resample) };
     assert_eq!(solve(&later, &MapOptions::default(), &mut workspace).log_photocurrent, here);
+}
+
+/// Thresholds of the pixel that [`recorded`] simulates, as parts of those that the problem states.
+fn found_thresholds(on: f64, off: f64) -> (f64, f64) {
+    let recorded = recorded(Reset::Resample);
+    let right = recorded.problem(Reset::Resample);
+    let sensor = MapSensor { threshold_on: 0.2 / on, threshold_off: 0.21 / off, ..right.sensor };
+    let noise = Noise { event: 0.08, threshold: 0.03, ..right.noise };
+    let problem = MapProblem { sensor, noise, ..right };
+    let mut workspace = MapWorkspace::default();
+    let solution = solve(&problem, &MapOptions { max_iterations: 20, ..MapOptions::default() }, &mut workspace);
+    (1.0 + solution.offsets.on / sensor.threshold_on, 1.0 + solution.offsets.off / sensor.threshold_off)
+}
+
+#[test]
+fn thresholds_that_are_stated_wrong_are_found_from_the_frames() {
+    for (on, off) in [(1.0, 1.0), (0.85, 0.85), (1.15, 1.15), (1.1, 0.95)] {
+        let found = found_thresholds(on, off);
+        // Stated to 15 %, so an error of 15 % is met about half-way. Thresholds that are right stay to a third of that.
+        assert!((found.0 - on).abs() < 0.08 && (found.1 - off).abs() < 0.08, "{on} and {off}: found {found:?}");
+        assert!(on != 1.0 || ((found.0 - 1.0).abs() < 0.05 && (found.1 - 1.0).abs() < 0.05), "found {found:?}");
+    }
+}
+
+#[test]
+fn what_is_expected_of_thresholds_makes_the_prior_blind_to_scale() {
+    // Twice the light and twice the thresholds cost the prior 4 P less 2 P log(4) in its own units; to first order around 1 nothing changes:
+    // d/ds [P s^2 - 2 sum(expected offset) / sigma^2] = 0 along offset = (s - 1) threshold.
+    let events = [event(1_000_000, 1), event(2_000_000, 1), event(3_000_000, -1)];
+    let recorded = recorded(Reset::Resample);
+    let problem = MapProblem { events: &events, noise: Noise { threshold: 0.02, ..Noise::default() }, ..recorded.problem(Reset::Resample) };
+    let (prior_cost, offsets) = (37.0, Offsets { reference: 0.0, on: 0.01, off: -0.02 });
+    let expected = thresholds::expected(&problem, prior_cost, &offsets);
+    let along = Offsets { reference: 0.0, on: 0.2 + offsets.on, off: 0.21 + offsets.off };
+    let by_scale = 2.0 * prior_cost - thresholds::pulled(&expected, &along, &problem.noise);
+    assert!(by_scale.abs() < 1e-12, "{by_scale}");
+    // Exact thresholds expect nothing.
+    assert_eq!(thresholds::expected(&MapProblem { noise: Noise::default(), ..problem }, prior_cost, &offsets), Offsets::default());
+}
+
+#[test]
+fn a_doubted_event_resets_the_pixel_and_moves_no_light() {
+    // A pixel at rest, two frames of 100, and an ON event of noise between them.
+    let frame = |start_ns: i64| MapFrame { start_ns, end_ns: start_ns + 5_000_000, dn: 425.0, sigma_dn: 1.0, saturated: false };
+    let frames = [frame(0), frame(20_000_000)];
+    let events = [MapEvent { is_lone: true, ..event(12_000_000, 1) }];
+    let largest = |reset: Reset, lone: LoneEvents| {
+        let noise = Noise { event: 0.05, lone, ..Noise::default() };
+        let problem = MapProblem {
+            events: &events,
+            frames: &frames,
+            hints: &[],
+            start_ns: 0,
+            end_ns: 25_000_000,
+            sensor: sensor(reset),
+            noise,
+            stamp_sigma_s: 0.0,
+            silence_sigma: 0.0,
+        };
+        let mut workspace = MapWorkspace::default();
+        let solution = solve(&problem, &MapOptions::default(), &mut workspace);
+        solution.log_photocurrent.iter().fold(0.0, |most, u| f64::max(most, (u - libm::log(100.0)).abs()))
+    };
+    for reset in [Reset::Resample, Reset::Advance] {
+        let (believed, doubted) = (largest(reset, LoneEvents::Believed), largest(reset, LoneEvents::Doubted));
+        assert!(believed > 0.04 && doubted < 1e-6, "{reset:?}: {believed} and {doubted}");
+    }
+}
+
+#[test]
+fn lone_events_are_doubted_where_they_mislead_about_frames() {
+    // Light at rest, and noise: one event inside each frame that is kept back.
+    let frames: Vec<MapFrame> =
+        (0..12).map(|l| MapFrame { start_ns: l * 8_000_000, end_ns: l * 8_000_000 + 6_000_000, dn: 510.0, sigma_dn: 3.0, saturated: false }).collect();
+    let noise_events: Vec<MapEvent> =
+        [1, 4, 7].into_iter().map(|l| MapEvent { is_lone: true, ..event(l * 8_000_000 + 2_000_000, if l == 4 { -1 } else { 1 }) }).collect();
+    let problem = MapProblem {
+        events: &noise_events,
+        frames: &frames,
+        hints: &[],
+        start_ns: 0,
+        end_ns: 95_000_000,
+        sensor: sensor(Reset::Resample),
+        noise: Noise::default(),
+        stamp_sigma_s: 0.0,
+        silence_sigma: 0.0,
+    };
+    let choice = estimate::choose(&[problem; 14], None, &MapOptions::default(), &mut MapGroup::default());
+    assert_eq!(choice.noise.lone, LoneEvents::Doubted);
+}
+
+#[test]
+fn thresholds_of_their_own_are_found_where_pixels_differ() {
+    // Stated thresholds too small in one pixel, too large in the other.
+    let recorded = recorded(Reset::Resample);
+    let right = recorded.problem(Reset::Resample);
+    let told = |factor: f64| MapProblem { sensor: MapSensor { threshold_on: 0.2 * factor, threshold_off: 0.21 * factor, ..right.sensor }, ..right };
+    let mut workspace = MapWorkspace::default();
+    let problems = [told(0.85), told(1.15)];
+    let chosen = estimate::choose(&problems, None, &MapOptions::default(), &mut MapGroup::default()).noise;
+    let mut error = |noise: Noise| {
+        let of = |problem: &MapProblem<'_>| {
+            let solution = solve(&MapProblem { noise, ..*problem }, &MapOptions::default(), &mut workspace);
+            recorded.error(solution.t_ns, solution.log_photocurrent)
+        };
+        problems.iter().map(of).sum::<f64>()
+    };
+    let exact = estimate::EVENT_NOISES.iter().map(|&event| error(Noise { event, threshold: 0.0, ..chosen })).fold(f64::INFINITY, f64::min);
+    assert!(chosen.threshold > 0.0 && error(chosen) < 0.9 * exact, "{chosen:?}: {} against {exact}", error(chosen));
 }

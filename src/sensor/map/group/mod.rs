@@ -17,7 +17,7 @@ use super::start::Start;
 use super::state::{ON, STATES};
 use super::{
     Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, Noise, Offsets, SILENCE_FROM, has_run_away,
-    solve_with,
+    solve_with, thresholds,
 };
 use crate::wide::{Flags, WIDTH, Wide};
 use columns::{Columns, Common, Cost, Family, Pixel, adapt, moved, run};
@@ -73,6 +73,8 @@ struct LaneState {
     attempts: usize,
     damping: f64,
     offsets: Offsets,
+    /// What the prior expects of the thresholds at the current step.
+    expected: Offsets,
     /// 0 while silence does not count.
     silence_sigma: f64,
     /// Of where it stands: all, and the parts that do not depend on the prior.
@@ -94,6 +96,7 @@ impl Default for LaneState {
             attempts: 0,
             damping: 0.0,
             offsets: Offsets::default(),
+            expected: Offsets::default(),
             silence_sigma: 0.0,
             cost: 0.0,
             measured: 0.0,
@@ -264,6 +267,8 @@ impl MapGroup {
 
     fn evidence(&mut self, common: &Common, first: Wide, is_exact: bool) -> [f64; WIDTH] {
         adapt(&mut self.columns, common, &self.u);
+        // As measured: what the prior expects of thresholds has no part in it.
+        self.lanes.iter_mut().for_each(|lane| lane.state.expected = Offsets::default());
         let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), Wide::ZERO);
         let evidence = if is_exact { passes::evidence::<ON>(&ask) } else { passes::evidence::<STATES>(&ask) };
         std::array::from_fn(|l| evidence.log(l))
@@ -281,6 +286,7 @@ fn offsets(lanes: &[Lane; WIDTH]) -> WideOffsets {
 
 /// What the passes are asked for at `here`, the first log light, when the prior expects `first` of it.
 fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (first, here): (Wide, Wide), damping: Wide) -> Ask<'a> {
+    let offsets = offsets(lanes);
     Ask {
         lines,
         expected: &columns.expected,
@@ -288,7 +294,7 @@ fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (firs
         events: Flags(std::array::from_fn(|l| if lanes[l].state.silence_sigma > 0.0 { EVENT | SILENCE } else { EVENT })),
         damping,
         first: first - here,
-        offsets: offsets(lanes),
+        offsets: WideOffsets { on: offsets.on - wide(lanes, |state| state.expected.on), off: offsets.off - wide(lanes, |state| state.expected.off), ..offsets },
         first_variance: FIRST_VARIANCE,
         reference_variance: wide(lanes, |state| state.noise.reference * state.noise.reference),
         threshold_variance: wide(lanes, |state| state.noise.threshold * state.noise.threshold),
@@ -299,7 +305,8 @@ fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (firs
 fn starts_alike(one: &MapTask<'_>, other: &MapTask<'_>) -> bool {
     let (a, b) = (&one.problem, &other.problem);
     let same = std::ptr::eq(a.events, b.events) && std::ptr::eq(a.frames, b.frames) && std::ptr::eq(a.hints, b.hints);
-    same && (a.start_ns, a.end_ns, a.sensor, one.options.spacing_ns) == (b.start_ns, b.end_ns, b.sensor, other.options.spacing_ns)
+    let solved = |task: &MapTask<'_>| (task.problem.start_ns, task.problem.end_ns, task.problem.sensor, task.problem.noise.lone, task.options.spacing_ns);
+    same && solved(one) == solved(other)
 }
 
 /// Are the thresholds exact?
@@ -320,7 +327,9 @@ fn begin_step(state: &mut LaneState, task: &MapTask<'_>, prior_cost: f64) {
     if state.iterations == SILENCE_FROM {
         state.silence_sigma = task.problem.silence_sigma;
     }
-    state.cost = state.measured + prior_cost + state.silence(state.silence_square);
+    state.expected = thresholds::expected(&task.problem, prior_cost, &state.offsets);
+    let pulled = thresholds::pulled(&state.expected, &state.offsets, &task.problem.noise);
+    state.cost = state.measured + prior_cost + state.silence(state.silence_square) - pulled;
     if !state.cost.is_finite() {
         state.status = MapStatus::Failed;
         state.steps = false;
@@ -333,7 +342,8 @@ fn judge(state: &mut LaneState, task: &MapTask<'_>, cost: &Cost, l: usize, longe
         return false;
     }
     let measured = cost.measured.0[l] + offsets.cost(&task.problem.noise);
-    let total = measured + cost.prior.0[l] + state.silence(cost.silence_square.0[l]);
+    let pulled = thresholds::pulled(&state.expected, &offsets, &task.problem.noise);
+    let total = measured + cost.prior.0[l] + state.silence(cost.silence_square.0[l]) - pulled;
     // A step at the level of rounding may go up by rounding.
     let goes_down = longest.is_finite() && total <= state.cost * (1.0 + 1e-9) + 1e-9;
     if !goes_down {

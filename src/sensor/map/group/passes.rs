@@ -94,6 +94,7 @@ pub(super) struct Ask<'a> {
     pub damping: Wide,
     /// The first change that the prior expects.
     pub first: Wide,
+    /// Thresholds less what the prior expects of them.
     pub offsets: WideOffsets,
     pub first_variance: f64,
     pub reference_variance: Wide,

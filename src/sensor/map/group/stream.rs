@@ -83,7 +83,7 @@ impl Stream {
                         let hint = &hints[l as usize];
                         self.measure(LIGHT, hint.log_photocurrent, hint.variance);
                     }
-                    Op::Fire { polarity, armed } => {
+                    Op::Fire { polarity, armed, .. } => {
                         fires = true;
                         let threshold = if polarity > 0 { sensor.threshold_on } else { sensor.threshold_off };
                         let rises = if polarity > 0 { RISE } else { 0 };

@@ -1,7 +1,7 @@
 //! Claims about groups: every pixel gets what it gets alone.
 
 use super::super::tests::recorded;
-use super::super::{Hint, Local, MapEvent, MapFrame, solve};
+use super::super::{Hint, Local, LoneEvents, MapEvent, MapFrame, solve};
 use super::*;
 use photocurrent_core::sensor::Reset;
 
@@ -36,6 +36,7 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
                     frame.end_ns = events[2].t_in_ns;
                 }
             }
+            events.iter_mut().skip(1).step_by(5).for_each(|event| event.is_lone = n % 3 > 0);
             if n % 6 == 4 && frames.len() > 1 {
                 frames[1].saturated = true;
             }
@@ -52,6 +53,7 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
             problem.sensor.threshold_on *= [1.0, 0.3, 2.5, 1.0, 8.0][n % 5];
             problem.noise.threshold = [0.0, 0.02][n / 8 % 2];
             problem.stamp_sigma_s = [0.0, 1e-6][n % 2];
+            problem.noise.lone = [LoneEvents::Doubted, LoneEvents::Believed][n / 4 % 2];
             let mut options = MapOptions::default();
             let busy = Prior::Local(Local { floor_per_s: 60.0, ..Local::USUAL });
             options.prior = [Prior::USUAL, busy, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::Glide { per_s3: 3e6, nu: 3.0 }][n / 2 % 4];

@@ -1,0 +1,83 @@
+//! What suits a recording: how noisy its events and frames are and which prior fits, estimated from the recording itself.
+//!
+//! Rows are taken in blocks that start at multiples of [`BLOCK_ROWS`], whatever band is asked for, so that bands do not change results: a node
+//! that solves a row reads its whole block, and one row around it. Pixels are looked at all over the block, so that
+//! the choice rests on many and costs less than the solution.
+
+use super::map::{RowSetting, problem};
+use super::row::{Recorded, RowData};
+use super::{MAP_STEPS, Model, Params};
+use photocurrent_core::{NodeError, Rows};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, Noise, estimate, frame_noise};
+use rayon::prelude::*;
+
+/// Rows of a block.
+const BLOCK_ROWS: u32 = 16;
+/// So many rows around a band are read: the rest of its blocks, and one more for neighbours.
+pub(crate) const HALO_ROWS: u32 = BLOCK_ROWS;
+/// So many pixels of a block are looked at, at least.
+const SAMPLED_PIXELS: usize = 64;
+
+/// The settings of some rows.
+pub(crate) struct Settings {
+    first_block: u32,
+    of_blocks: Vec<RowSetting>,
+}
+
+impl Settings {
+    /// Chooses the settings of `rows`. What is at hand includes their blocks.
+    pub fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -> Result<Settings, NodeError> {
+        let first_block = rows.start / BLOCK_ROWS;
+        let blocks = first_block..rows.end.div_ceil(BLOCK_ROWS).max(first_block);
+        let of_block = |block: u32| {
+            let rows = Rows { start: block * BLOCK_ROWS, end: (block + 1) * BLOCK_ROWS }.intersect(recorded.meta.extent.rows());
+            choose(params, model, recorded, rows)
+        };
+        let of_blocks: Result<Vec<RowSetting>, NodeError> = blocks.into_par_iter().map(of_block).collect();
+        Ok(Settings { first_block, of_blocks: of_blocks? })
+    }
+
+    /// That of a row.
+    pub fn of(&self, row: u32) -> &RowSetting {
+        &self.of_blocks[(row / BLOCK_ROWS - self.first_block) as usize]
+    }
+}
+
+fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -> Result<RowSetting, NodeError> {
+    let per_row = SAMPLED_PIXELS.div_ceil(rows.len());
+    let mut data = RowData::default();
+    let mut differences = Vec::new();
+    let mut possible = 0;
+    let mut sample: Vec<(Vec<MapEvent>, Vec<MapFrame>)> = Vec::new();
+    for row in rows.iter() {
+        data.take(model, recorded, row, 0.0)?;
+        let mut active = Vec::new();
+        for x in 0..data.width() {
+            let (events, frames) = (data.events_of(x), data.frames_of(x));
+            differences.extend(frame_noise::differences(events, frames, model.black_level));
+            possible += frames.len().saturating_sub(2);
+            let in_company = events.iter().filter(|event| !event.is_lone).count();
+            if in_company > 0 && !frames.is_empty() {
+                active.push((in_company, x));
+            }
+        }
+        // Spread over their number of events.
+        active.sort_unstable();
+        let taken = usize::min(active.len(), per_row);
+        sample.extend((0..taken).map(|n| {
+            let (_, x) = active[(2 * n + 1) * active.len() / (2 * taken)];
+            (data.events_of(x).to_vec(), data.frames_of(x).to_vec())
+        }));
+    }
+    let span = (recorded.meta.span.start.0, recorded.meta.span.end.0);
+    let max_iterations = usize::min(params.max_iterations as usize, MAP_STEPS);
+    let mut options = MapOptions { spacing_ns: params.knot_spacing.ns(), max_iterations, ..MapOptions::default() };
+    let frame_dn = frame_noise::missing_dn(&mut differences, possible, model.threshold());
+    for frame in sample.iter_mut().flat_map(|(_, frames)| frames) {
+        frame.sigma_dn = libm::sqrt(frame.sigma_dn * frame.sigma_dn + frame_dn * frame_dn);
+    }
+    let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, Noise::default())).collect();
+    let choice = estimate::choose(&problems, params.event_noise, &options, &mut MapGroup::default());
+    options.prior = choice.prior;
+    Ok(RowSetting { span, noise: choice.noise, options, frame_dn })
+}

@@ -1,0 +1,171 @@
+//! What the pixels of a row measured, as the most probable light wants it: events in order of time, frame values with their noise.
+
+use super::Model;
+use super::shares::{Colours, RowShares};
+use crate::co_located::CoLocatedEvents;
+use photocurrent_core::{Exposure, FrameBlock, FrameTimes, NodeError, Rows, TracksMeta};
+use photocurrent_sensor::map::{MapEvent, MapFrame};
+
+/// An event is lone when none of its polarity fired this long before or after, in its pixel or in one of the eight around it, ns.
+const LONE_NS: i64 = 3_000_000;
+
+/// The rows of a recording that are at hand.
+#[derive(Clone, Copy)]
+pub(crate) struct Recorded<'a> {
+    /// As wide as a row has values; a pixel is a value here.
+    pub meta: &'a TracksMeta,
+    pub times: &'a FrameTimes,
+    pub colours: &'a Colours,
+    /// The rows whose events are at hand.
+    pub rows: Rows,
+    pub events: &'a CoLocatedEvents,
+    pub frames: &'a FrameBlock,
+}
+
+/// The measurements of a row, pixel by pixel; kept from row to row for its memory.
+#[derive(Default)]
+pub(crate) struct RowData {
+    events: Events,
+    above: Events,
+    below: Events,
+    frames: Vec<MapFrame>,
+    first_frame: Vec<usize>,
+    /// Light of a frame's value over that of its event pixel, in which its problem is posed.
+    light_ratio: Vec<f64>,
+    /// How much that changes, all in all: natural-log units squared.
+    unrest: Vec<f64>,
+}
+
+impl RowData {
+    /// Takes in a row. `frame_dn` is added in squares to the standard deviation of every frame value.
+    ///
+    /// # Errors
+    /// When the events do not fit each other, a broken invariant of their source.
+    pub fn take(&mut self, model: &Model, recorded: &Recorded<'_>, row: u32, frame_dn: f64) -> Result<(), NodeError> {
+        let rows = recorded.rows;
+        let width = recorded.meta.extent.width;
+        self.events.take(model, recorded.events, row, width)?;
+        for (events, row) in [(&mut self.above, row.checked_sub(1)), (&mut self.below, row.checked_add(1))] {
+            match row.filter(|row| rows.start <= *row && *row < rows.end) {
+                Some(row) => events.take(model, recorded.events, row, width)?,
+                None => events.clear(),
+            }
+        }
+        self.mark_lone(width as usize);
+        let exposures: Vec<Exposure> = (0..recorded.times.len()).map(|l| recorded.times.exposure(l, row)).collect();
+        let shares = recorded.colours.row(model, recorded.frames, row);
+        self.take_frames(model, recorded.frames, row, &exposures, &shares, frame_dn);
+        Ok(())
+    }
+
+    /// Light of value x over that of its event pixel.
+    pub fn light_ratio(&self, x: usize) -> f64 {
+        self.light_ratio[x]
+    }
+
+    /// How far an event of pixel x may be off because its colour changes, natural-log units squared: what colours change between frames is spread
+    /// over the events.
+    pub fn unrest(&self, x: usize) -> f64 {
+        self.unrest[x] / usize::max(self.events_of(x).len(), 1) as f64
+    }
+
+    /// Number of pixels.
+    pub fn width(&self) -> usize {
+        self.light_ratio.len()
+    }
+
+    /// The events of pixel x, in order of in-pixel time.
+    pub fn events_of(&self, x: usize) -> &[MapEvent] {
+        self.events.of(x)
+    }
+
+    /// The frame values of pixel x.
+    pub fn frames_of(&self, x: usize) -> &[MapFrame] {
+        &self.frames[self.first_frame[x]..self.first_frame[x + 1]]
+    }
+
+    fn mark_lone(&mut self, width: usize) {
+        for x in 0..width {
+            for k in self.events.first[x]..self.events.first[x + 1] {
+                let event = self.events.all[k];
+                let columns = x.saturating_sub(1)..usize::min(x + 2, width);
+                let has_company = columns.into_iter().any(|neighbour| {
+                    // An event is no company to itself.
+                    self.events.count(neighbour, &event) > usize::from(neighbour == x)
+                        || self.above.count(neighbour, &event) > 0
+                        || self.below.count(neighbour, &event) > 0
+                });
+                self.events.all[k].is_lone = !has_company;
+            }
+        }
+    }
+
+    fn take_frames(&mut self, model: &Model, frames: &FrameBlock, row: u32, exposures: &[Exposure], shares: &RowShares, frame_dn: f64) {
+        self.frames.clear();
+        self.light_ratio.clear();
+        self.unrest.clear();
+        self.first_frame.clear();
+        for x in 0..frames.row_values {
+            self.first_frame.push(self.frames.len());
+            let share = shares.of(x, 0..exposures.len());
+            self.light_ratio.push(share.ratio);
+            self.unrest.push(shares.unrest(x, |above| {
+                let relative = model.frame_noise.sigma_dn(above, frame_dn) / above;
+                relative * relative
+            }));
+            for (l, exposure) in exposures.iter().enumerate() {
+                let dn = f64::from(frames.row(l, row)[x]);
+                if dn.is_finite() {
+                    let saturated = dn >= model.saturation_dn;
+                    let sigma_dn = share.sigma(model.frame_noise.sigma_dn(dn - model.black_level, frame_dn));
+                    let dn = share.dn(dn, model.black_level);
+                    self.frames.push(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated });
+                }
+            }
+        }
+        self.first_frame.push(self.frames.len());
+    }
+}
+
+/// The events of a row, pixel by pixel.
+#[derive(Default)]
+struct Events {
+    all: Vec<MapEvent>,
+    first: Vec<usize>,
+}
+
+impl Events {
+    fn clear(&mut self) {
+        self.all.clear();
+        self.first.clear();
+    }
+
+    fn take(&mut self, model: &Model, events: &CoLocatedEvents, row: u32, width: u32) -> Result<(), NodeError> {
+        self.clear();
+        events.with_row(row, |events| {
+            let index = events.by_pixel(width);
+            for x in 0..width as usize {
+                let begin = self.all.len();
+                self.first.push(begin);
+                self.all.extend(index.pixel(x).iter().map(|&k| {
+                    let t_in_ns = model.rule.time(&events, k);
+                    let t_off_ns = i64::max(events.t[k] - model.clock_offset_ns, t_in_ns);
+                    MapEvent { t_in_ns, t_off_ns, polarity: if events.on[k] == 1 { 1 } else { -1 }, is_lone: false }
+                }));
+                self.all[begin..].sort_by_key(|event| event.t_in_ns);
+            }
+            self.first.push(self.all.len());
+        })
+    }
+
+    fn of(&self, x: usize) -> &[MapEvent] {
+        if self.first.is_empty() { &[] } else { &self.all[self.first[x]..self.first[x + 1]] }
+    }
+
+    /// Events of pixel x around `event`, of its polarity.
+    fn count(&self, x: usize, event: &MapEvent) -> usize {
+        let events = self.of(x);
+        let from = events.partition_point(|other| other.t_in_ns < event.t_in_ns - LONE_NS);
+        events[from..].iter().take_while(|other| other.t_in_ns <= event.t_in_ns + LONE_NS).filter(|other| other.polarity == event.polarity).count()
+    }
+}

@@ -1,0 +1,157 @@
+//! How noisy frames are: from pixels in which nothing happens.
+//!
+//! Where a pixel fires no event over three consecutive exposures, its light is nearly a straight line, and the middle value less the mean of its
+//! neighbours is noise: of variance `v + (v + v) / 4` when v is a value's. The median of such differences is compared with that of a normal
+//! distribution of the stated noise; what is missing is added to all values alike. The median does not mind the few pixels that do change.
+//!
+//! Light that bends without reaching a threshold looks like noise. Where most pixels are at rest the median does not mind; where hardly one
+//! is, an allowance for it is taken off, and noise that does not even double the stated variance is taken for what the allowance has missed.
+//!
+//! Limits: one number for all values, however bright.
+
+use super::{MapEvent, MapFrame};
+
+/// With fewer differences than this, noise is taken as stated.
+pub const FEWEST_DIFFERENCES: usize = 60;
+/// The median of the absolute value of a normal variable of unit variance.
+const NORMAL_MEDIAN: f64 = 0.674_489_750_196_081_7;
+
+/// A second difference of frame values.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Difference {
+    /// Its absolute value, DN.
+    pub size_dn: f64,
+    /// Its stated variance, DN^2.
+    pub variance: f64,
+    /// The middle value above black, DN.
+    pub bright_dn: f64,
+}
+
+/// With a smaller part of all possible differences than this, hardly a pixel is at rest.
+const AT_REST: f64 = 0.1;
+/// How far the light of a silent pixel that is not at rest bends, root mean square, as a part of its threshold.
+const BEND: f64 = 0.3;
+
+/// The second differences of a pixel where it is silent: no event from the start of the first exposure to the end of the third.
+pub fn differences<'a>(events: &'a [MapEvent], frames: &'a [MapFrame], black_level_dn: f64) -> impl Iterator<Item = Difference> + 'a {
+    frames.windows(3).filter_map(move |three| {
+        let [before, here, after] = three else { return None };
+        let first = events.partition_point(|event| event.t_in_ns < before.start_ns);
+        let silent = events.get(first).is_none_or(|event| event.t_in_ns > after.end_ns);
+        let usable = silent && !three.iter().any(|frame| frame.saturated);
+        let variance = |frame: &MapFrame| frame.sigma_dn * frame.sigma_dn;
+        usable.then(|| Difference {
+            size_dn: (here.dn - 0.5 * (before.dn + after.dn)).abs(),
+            variance: variance(here) + 0.25 * (variance(before) + variance(after)),
+            bright_dn: f64::max(here.dn - black_level_dn, 0.0),
+        })
+    })
+}
+
+/// The standard deviation, DN, that has to be added in squares to every frame value for the differences to be as large as they are; 0 where the
+/// stated noise explains them, or where there are too few. `possible` is the number of differences if every pixel were silent, `threshold`
+/// what light can do in silence, natural-log units. Reorders `differences`.
+pub fn missing_dn(differences: &mut [Difference], possible: usize, threshold: f64) -> f64 {
+    if differences.len() < FEWEST_DIFFERENCES {
+        return 0.0;
+    }
+    let middle = differences.len() / 2;
+    let at_rest = differences.len() as f64 >= AT_REST * possible as f64;
+    let bend = if at_rest { 0.0 } else { BEND * threshold };
+    let (_, typical, _) = differences.select_nth_unstable_by(middle, |a, b| a.variance.total_cmp(&b.variance));
+    let least_dn = if at_rest { 0.0 } else { (typical.variance / 1.5).sqrt() };
+    for difference in differences.iter_mut() {
+        let bent_dn = bend * difference.bright_dn;
+        difference.variance += bent_dn * bent_dn;
+    }
+    let mut median = |extra_variance: f64| {
+        let relative = |d: &Difference| d.size_dn / (d.variance + 1.5 * extra_variance).sqrt();
+        let (_, at, _) = differences.select_nth_unstable_by(middle, |a, b| relative(a).total_cmp(&relative(b)));
+        relative(at)
+    };
+    if median(0.0) <= NORMAL_MEDIAN {
+        return 0.0;
+    }
+    let (mut low, mut high) = (0.0, 1.0);
+    while median(high * high) > NORMAL_MEDIAN && high < 1e9 {
+        (low, high) = (high, 2.0 * high);
+    }
+    // To a thousandth.
+    for _halving in 0..10 {
+        let between = 0.5 * (low + high);
+        if median(between * between) > NORMAL_MEDIAN {
+            low = between;
+        } else {
+            high = between;
+        }
+    }
+    let found = 0.5 * (low + high);
+    if found < least_dn { 0.0 } else { found }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::random::Random;
+
+    /// Pixels that collect `light(pixel, frame)`, read with normal noise of 5 DN of which 3 are stated.
+    fn film(pixels: u64, light: impl Fn(u64, i64) -> f64) -> Vec<Vec<MapFrame>> {
+        let values = |pixel: u64| {
+            let mut random = Random::new(3, &[pixel]);
+            (0..12).map(|l| (l, light(pixel, l) + 5.0 * random.normal())).collect::<Vec<_>>()
+        };
+        let frame = |(l, dn): (i64, f64)| MapFrame { start_ns: l * 8_000_000, end_ns: l * 8_000_000 + 6_000_000, dn, sigma_dn: 3.0, saturated: false };
+        (0..pixels).map(|pixel| values(pixel).into_iter().map(frame).collect()).collect()
+    }
+
+    fn missing(film: &[Vec<MapFrame>], events: &[MapEvent]) -> f64 {
+        let mut all: Vec<Difference> = film.iter().flat_map(|frames| differences(events, frames, 0.0)).collect();
+        missing_dn(&mut all, film.len() * 10, 0.2)
+    }
+
+    #[test]
+    fn noise_that_is_not_stated_is_found() {
+        // 5^2 = 3^2 + 4^2. Of 2,000 differences a median is good to some 2 %, and 5 +- 0.1 leaves 4 +- 0.13.
+        let found = missing(&film(200, |pixel, l| 100.0 + pixel as f64 + 3.0 * l as f64), &[]);
+        assert!((found - 4.0).abs() < 0.3, "{found}");
+    }
+
+    #[test]
+    fn a_few_pixels_that_change_do_not_pass_for_noise() {
+        let jumps = |pixel: u64, l: i64| if pixel.is_multiple_of(10) && l % 2 == 0 { 300.0 } else { 100.0 };
+        let found = missing(&film(200, jumps), &[]);
+        // A tenth far outside moves the median to the quantile 0.556 of the rest: 0.765 / 0.674 times 5 DN, less 3 in squares.
+        assert!((found - 4.8).abs() < 0.4, "{found}");
+    }
+
+    #[test]
+    fn noise_that_is_stated_is_not_added_again() {
+        let mut film = film(200, |_, _| 100.0);
+        film.iter_mut().flatten().for_each(|frame| frame.sigma_dn = 5.5);
+        assert_eq!(missing(&film, &[]), 0.0);
+    }
+
+    #[test]
+    fn pixels_that_fire_say_nothing() {
+        let event = |l: i64| MapEvent { t_in_ns: l * 8_000_000 + 3_000_000, t_off_ns: l * 8_000_000 + 3_001_000, polarity: 1, is_lone: false };
+        let busy: Vec<MapEvent> = (0..12).step_by(3).map(event).collect();
+        let film = film(200, |_, _| 100.0);
+        assert_eq!(film.iter().flat_map(|frames| differences(&busy, frames, 0.0)).count(), 0);
+        assert_eq!(missing(&film, &busy), 0.0);
+    }
+
+    #[test]
+    fn light_that_bends_in_silence_is_no_noise_where_nothing_is_at_rest() {
+        // Of a hundred times as many differences these are the silent ones. Their light swings by 4 % of itself, the noise is stated.
+        let found = |unstated: f64, possible: usize| {
+            let mut film = film(200, |_, l| if l % 2 == 0 { 98.0 } else { 102.0 });
+            film.iter_mut().flatten().for_each(|frame| frame.sigma_dn = 5.0 / unstated);
+            let mut all: Vec<Difference> = film.iter().flat_map(|frames| differences(&[], frames, 0.0)).collect();
+            missing_dn(&mut all, possible, 0.2)
+        };
+        assert!(found(1.0, 2_000) > 1.0);
+        assert_eq!(found(1.0, 200_000), 0.0);
+        // Noise of 5 DN of which 1 is stated is found all the same.
+        assert!((found(5.0, 200_000) - 4.9).abs() < 3.0);
+    }
+}
