@@ -130,6 +130,8 @@ impl Row {
 pub(super) const CAUTIONS: [f64; 6] = [f64::INFINITY, 16.0, 4.0, 1.0, 0.25, 0.0625];
 /// About so many rows are looked at to choose one.
 const SAMPLED_ROWS: usize = 18;
+/// Hints must make the error smaller by this factor to be believed at all.
+const CLEARLY_BETTER: f64 = 0.97;
 
 /// Believes hints less by a factor of their variances; infinity takes them all away.
 pub(super) fn take_care(hints: &mut Vec<Hint>, caution: f64) {
@@ -185,7 +187,8 @@ impl Again {
         let total = |n: usize| errors.iter().map(|errors| errors[n]).sum::<f64>();
         let mut best = 0;
         for n in 1..CAUTIONS.len() {
-            if total(n) < total(best) {
+            let by = if CAUTIONS[best].is_infinite() { CLEARLY_BETTER } else { 1.0 };
+            if total(n) < by * total(best) {
                 best = n;
             }
         }

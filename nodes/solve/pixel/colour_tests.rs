@@ -128,7 +128,9 @@ fn a_channels_gain_is_taken_off_and_rendered_again() {
         let again = testing::with_context(captured.rows(), &["frames"], |cx| node.run(input, cx)).0.unwrap().frames;
         assert_eq!(again.meta, captured.meta);
         let (again, captured) = (again.read_rows(again.rows()).unwrap().dn, captured.read_rows(captured.rows()).unwrap().dn);
-        assert!(again.iter().zip(&captured).all(|(again, dn)| (again / dn - 1.0).abs() < 0.02), "{again:?}\n{captured:?}");
+        // The most probable light follows a frame to twice the noise that is assumed of it, 2 %.
+        let followed = if params.method == Method::Map { 0.04 } else { 0.02 };
+        assert!(again.iter().zip(&captured).all(|(again, dn)| (again / dn - 1.0).abs() < followed), "{again:?}\n{captured:?}");
     }
 }
 
