@@ -76,7 +76,7 @@ fn recording(events: usize) -> (EventStream, FrameSequence) {
 
 #[divan::bench(args = [4, 20, 100])]
 fn render(bencher: Bencher, events: usize) {
-    let node = RenderRows::build(rows::Params { sampling: sampling() }).expect("parameters go together");
+    let node = RenderRows::build(rows::Params { sampling: sampling(), ..rows::Params::default() }).expect("parameters go together");
     let (tracks, sensor) = (tracks(events), sensor());
     bencher.counter(ItemsCount::new(EXTENT.pixels() * FRAMES)).bench_local(|| {
         let input = rows::In { tracks: tracks.clone(), sensor: sensor.clone(), at: None };

@@ -4,6 +4,8 @@
 //! freely, Eq. (5). Exposing all rows at once removes the rolling shutter; exposing for 100 us removes the blur; doing so 10,000 times a
 //! second is the interpolation. Integrals are exact, of held tracks and of those whose logarithm is linear between knots.
 //!
+//! With `roi` only a part of the sensor is rendered, so that ten thousand frames a second need no more memory than they must.
+//!
 //! Tracks of colours become frames of the same colours, a mosaic a mosaic (`render/demosaic` makes colour pictures of it).
 //!
 //! Limits: a pixel without any knot is unknown and comes out as NaN.
@@ -12,7 +14,11 @@ use crate::co_located::{channel_gains, gain_of};
 use crate::held::{Exposures, HeldMeans, Knots, TILE, develop};
 use crate::reconstruct::in_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
-use photocurrent_core::{Between, Colour, Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet};
+use crate::score::roi::Roi;
+use photocurrent_core::{
+    Between, Colour, Context, Decl, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, TrackBand,
+    TrackSet, TracksMeta,
+};
 use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, LogLinearTrack};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,6 +32,8 @@ pub struct Params {
     /// Steady sampling, when nothing is connected to `at`.
     #[serde(flatten)]
     pub sampling: Sampling,
+    /// Only pixels in this rectangle are rendered, and frames have its size; absent = the whole sensor.
+    pub roi: Option<Roi>,
 }
 
 photocurrent_core::ports! {
@@ -82,24 +90,24 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         let sensor = inputs.sensor("sensor")?;
         DigitalNumbers::new(sensor, tracks.colour)?;
         let at = inputs.has("at").then(|| inputs.frames("at")).transpose()?;
-        let meta =
-            virtual_frames(&self.params.sampling, at.map(|at| &**at), (tracks.extent, tracks.colour), tracks.span, tracks.nominal_exposure_ns, Some(sensor))?;
-        Ok(vec![Meta::Frames(Arc::new(meta))])
+        Ok(vec![Meta::Frames(Arc::new(self.frames(tracks, at.map(|at| &**at), sensor)?))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let tracks = &input.tracks;
         let at = input.at.as_ref().map(|at| &*at.meta);
         let of = &*tracks.meta;
-        let meta = virtual_frames(&self.params.sampling, at, (of.extent, of.colour), of.span, of.nominal_exposure_ns, Some(&input.sensor))?;
+        let meta = self.frames(of, at, &input.sensor)?;
+        let Roi { x: left, y: top, .. } = self.params.roi.unwrap_or(Roi::whole(of.extent));
         let dn = DigitalNumbers::new(&input.sensor, of.colour)?;
-        let band = tracks.read(cx.rows())?;
+        let band = tracks.read(Rows { start: top + cx.rows().start, end: top + cx.rows().end })?;
         let frames = in_rows(cx, meta.clone(), |row, frames| {
             let exposures = Exposures::new((0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect());
             let seconds: Vec<f64> = exposures.all().iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
+            let first = (left * of.colour.channels(), top + row);
             match of.between {
-                Between::Hold => render_held(&band, row, &exposures, &seconds, dn, frames),
-                Between::LogLinear => render_log_linear(&band, row, &exposures, &seconds, dn, frames),
+                Between::Hold => render_held(&band, first, &exposures, &seconds, dn, frames),
+                Between::LogLinear => render_log_linear(&band, first, &exposures, &seconds, dn, frames),
             }
             Ok(())
         })?;
@@ -107,17 +115,37 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
     }
 }
 
-/// One row of all frames, from held tracks.
-fn render_held(band: &TrackBand, row: u32, exposures: &Exposures, seconds: &[f64], dn: DigitalNumbers, out: &mut [&mut [f32]]) {
+impl RenderRows {
+    /// The frames to come: of the whole sensor, or of a part of it with the exposures of its own rows.
+    fn frames(&self, tracks: &TracksMeta, at: Option<&FramesMeta>, sensor: &Sensor) -> Result<FramesMeta, NodeError> {
+        let size = (tracks.extent, tracks.colour);
+        let whole = virtual_frames(&self.params.sampling, at, size, tracks.span, tracks.nominal_exposure_ns, Some(sensor))?;
+        let Some(roi) = self.params.roi else { return Ok(whole) };
+        roi.check(tracks.extent)?;
+        let cell = tracks.colour.cell();
+        if roi.x % cell != 0 || roi.y % cell != 0 {
+            return Err(NodeError::usage(format!("`roi` begins at ({}, {}), inside a cell of the mosaic {}", roi.x, roi.y, tracks.colour))
+                .hint(format!("let `x` and `y` be multiples of {cell}, so that the frames begin with the same filter"))
+                .param("roi"));
+        }
+        let later_ns = whole.times.row_time_ns * i64::from(roi.y);
+        let exposures: Vec<Exposure> = whole.times.exposures.iter().map(|exposure| exposure.delayed(later_ns)).collect();
+        let times = FrameTimes::new(exposures, whole.times.row_time_ns)?;
+        Ok(FramesMeta { extent: Extent { width: roi.width, height: roi.height }, times, ..whole })
+    }
+}
+
+/// One row of all frames, from held tracks; `first` is the value and the row of the sensor that it begins with.
+fn render_held(band: &TrackBand, first: (u32, u32), exposures: &Exposures, seconds: &[f64], dn: DigitalNumbers, out: &mut [&mut [f32]]) {
     let width = out.first().map_or(0, |values| values.len());
     let mut means = HeldMeans::default();
     for left in (0..width).step_by(TILE) {
         let tile = left..width.min(left + TILE);
         let mut gain = [0.0; TILE];
-        gain.iter_mut().zip(tile.clone()).for_each(|(gain, x)| *gain = dn.at(x as u32, row).gain);
+        gain.iter_mut().zip(tile.clone()).for_each(|(gain, x)| *gain = dn.at(first.0 + x as u32, first.1).gain);
         for frames in Exposures::pieces(0..exposures.len()) {
             let knots = tile.clone().map(|x| {
-                let track = band.pixel(x as u32, row);
+                let track = band.pixel(first.0 + x as u32, first.1);
                 Knots { t: track.t, value: track.photocurrent }
             });
             let means = means.of(exposures, frames.clone(), knots);
@@ -129,15 +157,16 @@ fn render_held(band: &TrackBand, row: u32, exposures: &Exposures, seconds: &[f64
 /// Pixels whose log-linear tracks are integrated before they go to the frames together.
 const COLUMNS: usize = 16;
 
-/// One row of all frames, from tracks whose logarithm is linear between knots.
-fn render_log_linear(band: &TrackBand, row: u32, exposures: &Exposures, seconds: &[f64], dn: DigitalNumbers, out: &mut [&mut [f32]]) {
+/// The same from tracks whose logarithm is linear between knots.
+fn render_log_linear(band: &TrackBand, first: (u32, u32), exposures: &Exposures, seconds: &[f64], dn: DigitalNumbers, out: &mut [&mut [f32]]) {
     let width = out.first().map_or(0, |values| values.len());
     let mut tile = vec![[f32::NAN; COLUMNS]; exposures.len()];
     for left in (0..width).step_by(COLUMNS) {
         let used = COLUMNS.min(width - left);
         for n in 0..used {
-            let track = band.pixel((left + n) as u32, row);
-            let dn = dn.at((left + n) as u32, row);
+            let value = first.0 + (left + n) as u32;
+            let track = band.pixel(value, first.1);
+            let dn = dn.at(value, first.1);
             if track.t.is_empty() {
                 tile.iter_mut().for_each(|values| values[n] = f32::NAN);
                 continue;
@@ -178,7 +207,7 @@ mod tests {
     use super::*;
     use crate::sampling::Shutter;
     use photocurrent_core::quantity::{Duration, Rate};
-    use photocurrent_core::{Exposure, Extent, FrameScale, Ports, Rows, TimeSpan, TracksMeta, testing};
+    use photocurrent_core::{FrameScale, Ports, TimeSpan, testing};
 
     fn sensor() -> Arc<Sensor> {
         let mut sensor = Sensor::unknown("test");
@@ -204,7 +233,7 @@ mod tests {
     }
 
     fn render(sampling: Sampling, at: Option<FrameSequence>) -> FrameSequence {
-        let node = RenderRows { params: Params { sampling } };
+        let node = RenderRows { params: Params { sampling, roi: None } };
         let (out, _) = testing::with_context(Rows { start: 0, end: 3 }, &["frames"], |cx| node.run(In { tracks: tracks(), sensor: sensor(), at }, cx));
         out.unwrap().frames
     }
@@ -246,6 +275,61 @@ mod tests {
         assert_eq!(frames.meta.scale, FrameScale::Captured);
         // Row 2 is exposed from 5 to 9 ms: all of it after the jump.
         assert_eq!((values(&frames, 0, 0), values(&frames, 0, 2)), (vec![10.0 + 8.0], vec![10.0 + 12.0]));
+    }
+
+    /// Tracks that differ from pixel to pixel.
+    fn uneven(extent: Extent, colour: Colour, between: Between) -> TrackSet {
+        let series = extent.width * colour.channels();
+        let mut band = TrackBand::begin(0, series);
+        for n in 0..series * extent.height {
+            band.push([(0, 1.0 + n as f32), (i64::from(1 + n % 100) * 40_000, 3.0), (6_000_000, 2.0 + 0.5 * n as f32)]);
+        }
+        let meta = TracksMeta { extent, span: TimeSpan::new(0, 10_000_000), nominal_exposure_ns: 4_000_000, between, colour, count_hint: None };
+        TrackSet::in_memory(Arc::new(meta), band)
+    }
+
+    #[test]
+    fn a_part_of_the_sensor_is_cut_out_of_the_whole() {
+        let extent = Extent { width: 40, height: 6 };
+        let roi = Roi { x: 4, y: 2, width: 19, height: 3 };
+        let sampling = Sampling { rate: Rate::new(10_000.0), shutter: Shutter::Rolling, start: Some(Duration::new(3_000_000)), ..Sampling::default() };
+        let cases = [(Colour::Mono, Between::Hold), (Colour::Rgb, Between::LogLinear), (Colour::named("bayer_rggb").unwrap(), Between::Hold)];
+        for (colour, between) in cases {
+            let tracks = uneven(extent, colour, between);
+            let mut sensor = (*sensor()).clone();
+            sensor.frames.channel_gain = Some([0.5, 1.0, 2.0]);
+            let sensor = Arc::new(sensor);
+            let render = |roi: Option<Roi>, rows: Rows| {
+                let node = RenderRows { params: Params { sampling: sampling.clone(), roi } };
+                let input = In { tracks: tracks.clone(), sensor: sensor.clone(), at: None };
+                testing::with_context(rows, &["frames"], |cx| node.run(input, cx)).0.unwrap().frames
+            };
+            let (whole, part) = (render(None, extent.rows()), render(Some(roi), Rows { start: 0, end: 3 }));
+            assert_eq!(part.meta.extent, Extent { width: 19, height: 3 });
+            let (all, cut) = (whole.read_rows(whole.rows()).unwrap(), part.read_rows(part.rows()).unwrap());
+            let channels = colour.channels() as usize;
+            for frame in 0..whole.len() {
+                for row in 0..3 {
+                    assert_eq!(part.meta.times.exposure(frame, row), whole.meta.times.exposure(frame, row + 2));
+                    assert_eq!(cut.row(frame, row), &all.row(frame, row + 2)[4 * channels..23 * channels]);
+                }
+            }
+            // A band of the part is a part of it.
+            let band = render(Some(roi), Rows { start: 1, end: 2 });
+            assert_eq!(band.read_rows(Rows { start: 1, end: 2 }).unwrap(), cut.slice(0..whole.len(), Rows { start: 1, end: 2 }));
+        }
+    }
+
+    #[test]
+    fn a_part_outside_the_sensor_or_inside_a_mosaics_cell_is_refused() {
+        let refused = |roi: Roi| {
+            let node = RenderRows { params: Params { roi: Some(roi), ..Params::default() } };
+            node.frames(&uneven(Extent { width: 8, height: 6 }, Colour::named("bayer_rggb").unwrap(), Between::Hold).meta, None, &sensor()).unwrap_err()
+        };
+        let odd = refused(Roi { x: 2, y: 1, width: 4, height: 2 });
+        assert_eq!((odd.message.as_str(), odd.param.as_deref()), ("`roi` begins at (2, 1), inside a cell of the mosaic bayer_rggb", Some("roi")));
+        assert!(odd.hint.unwrap().contains("multiples of 2"));
+        assert!(refused(Roi { x: 4, y: 0, width: 6, height: 2 }).message.contains("the frames have 8 x 6"));
     }
 
     #[test]

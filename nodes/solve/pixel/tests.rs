@@ -67,7 +67,7 @@ fn with_an_ideal_sensor_and_one_frame_it_is_the_double_integral() {
     let (events, frames) = (walk(EXTENT, 6_000_000), frames(1));
     let sampling = Sampling { rate: Rate::new(5000.0), ..Sampling::default() };
     let (solved, _) = solve(ideal(), events.clone(), frames.clone(), EXTENT.rows());
-    let render = RenderRows::build(rows::Params { sampling: sampling.clone() }).unwrap();
+    let render = RenderRows::build(rows::Params { sampling: sampling.clone(), ..rows::Params::default() }).unwrap();
     let ours = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(rows::In { tracks: solved.tracks, sensor: sensor(), at: None }, cx))
         .0
         .unwrap()
