@@ -19,6 +19,7 @@ pub fn catalogue() -> Catalogue {
         // Events and frames become photocurrent.
         Kind::of::<compensate::readout::CompensateReadout>(),
         Kind::of::<solve::pixel::SolvePixel>(),
+        Kind::of::<refine::steered::RefineSteered>(),
         Kind::of::<refine::motion::RefineMotion>(),
         Kind::of::<refine::picture::RefinePicture>(),
         // Photocurrent becomes frames.

@@ -7,4 +7,5 @@ mod fixtures;
 mod flow;
 pub mod motion;
 pub mod picture;
+pub mod steered;
 mod trust;
