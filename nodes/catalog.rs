@@ -40,6 +40,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<score::bew::ScoreBew>(),
         Kind::of::<score::pixel_error::ScorePixelError>(),
         Kind::of::<score::glitch::ScoreGlitch>(),
+        Kind::of::<score::coverage::ScoreCoverage>(),
         Kind::of::<score::heldout::ScoreHeldout>(),
         // What the user takes away.
         Kind::of::<write::recording::WriteRecording>(),

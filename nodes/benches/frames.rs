@@ -53,6 +53,7 @@ fn tracks(events: usize) -> TrackSet {
         nominal_exposure_ns: 4_000_000,
         between: Between::Hold,
         colour: Colour::Mono,
+        has_sigma: false,
         count_hint: None,
     };
     TrackSet::in_memory(Arc::new(meta), band)

@@ -196,14 +196,15 @@ impl Again {
     }
 
     /// Solves every pixel with the hints that `hints_of` gives for a row and column; its last argument is how exactly a pixel knows its light
-    /// by itself, natural-log units.
-    pub fn solve(&mut self, cx: &Context, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Result<TrackBand, NodeError> {
+    /// by itself, natural-log units. Standard deviations are found in the last round only.
+    pub fn solve(&mut self, cx: &Context, is_last: bool, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Result<TrackBand, NodeError> {
         let Again { model, meta, rows } = self;
         let solve_row = |row: &mut Row| -> Result<TrackBand, NodeError> {
             let mut hints = vec![Vec::new(); meta.extent.width as usize];
             for (x, hints) in hints.iter_mut().enumerate() {
                 hints_of(row, x, model.threshold(), hints);
             }
+            row.setting.options.with_sigma = is_last && meta.has_sigma;
             let band = row.solver.solve(model, &row.setting, meta, row.row, Some(&hints)).0;
             cx.advance(1)?;
             Ok(band)

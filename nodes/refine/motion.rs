@@ -102,10 +102,10 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let fired = again.fired();
         let (extent, span) = (again.meta.extent, again.meta.span);
         let step_ns = 2 * self.params.knot_spacing.ns();
-        for _round in 0..self.params.rounds {
+        for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, &tracks, &fired);
             let flow = Flow::new(&Film::new(&log, (span.start.0, span.end.0)));
-            tracks = again.solve(cx, |row, x, threshold, hints| {
+            tracks = again.solve(cx, round == self.params.rounds, |row, x, threshold, hints| {
                 advect::hints(&log, &flow, row, x, step_ns, threshold, hints);
             })?;
         }

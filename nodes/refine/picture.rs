@@ -129,7 +129,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let span = again.rows.first().map_or((0, 0), |row| row.span());
         let period_ns = period_ns(&input.frames);
         let step_ns = 2 * self.params.knot_spacing.ns();
-        for _round in 0..self.params.rounds {
+        for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, &tracks, &fired);
             let flow = Flow::new(&Film::new(&log, span));
             let bright = typical(&tracks.photocurrent);
@@ -150,7 +150,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             let windows = pictures(&again.rows, true);
             let caution = again.caution(|row, x, threshold, hints| of_picture(&windows, true, row, x, threshold, hints));
             let windows = if caution.is_finite() { pictures(&again.rows, false) } else { Vec::new() };
-            tracks = again.solve(cx, |row, x, threshold, hints| {
+            tracks = again.solve(cx, round == self.params.rounds, |row, x, threshold, hints| {
                 of_picture(&windows, false, row, x, threshold, hints);
                 take_care(hints, caution);
                 if self.params.neighbours {

@@ -8,6 +8,9 @@
 //!
 //! Tracks of colours become frames of the same colours, a mosaic a mosaic (`render/demosaic` makes colour pictures of it).
 //!
+//! Where the tracks carry standard deviations, `sigma` is that of every value, in DN: `gain x integral of sigma(t) i(t)`, with the standard deviation
+//! `sigma(t)` of `ln i`. That is exact for short exposures; over long ones, where errors average out, it is an upper bound.
+//!
 //! Limits: a pixel without any knot is unknown and comes out as NaN.
 
 use crate::co_located::{channel_gains, gain_of};
@@ -16,7 +19,7 @@ use crate::reconstruct::in_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
 use crate::score::roi::Roi;
 use photocurrent_core::{
-    Between, Colour, Context, Decl, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, TrackBand,
+    Between, Colour, Context, DataType, Decl, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, TrackBand,
     TrackSet, TracksMeta,
 };
 use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, LogLinearTrack};
@@ -53,6 +56,8 @@ photocurrent_core::ports! {
     pub struct Out {
         /// The rendered frames, linear DN.
         frames: FrameSequence,
+        /// Standard deviation of every value, DN; absent where the tracks carry none.
+        sigma: Option<FrameSequence>,
     }
 }
 
@@ -65,7 +70,7 @@ impl Node for RenderRows {
     const DECL: Decl = Decl {
         kind: "render/rows",
         about: "Frames from tracks: sharp, free of rolling shutter, at any rate and for any exposure.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -90,7 +95,10 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         let sensor = inputs.sensor("sensor")?;
         DigitalNumbers::new(sensor, tracks.colour)?;
         let at = inputs.has("at").then(|| inputs.frames("at")).transpose()?;
-        Ok(vec![Meta::Frames(Arc::new(self.frames(tracks, at.map(|at| &**at), sensor)?))])
+        let frames = Meta::Frames(Arc::new(self.frames(tracks, at.map(|at| &**at), sensor)?));
+        let why = || "the tracks carry no standard deviation (those of `method = \"map\"` do)".to_string();
+        let sigma = if tracks.has_sigma { frames.clone() } else { Meta::Absent { data_type: DataType::Frames, why: why() } };
+        Ok(vec![frames, sigma])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -111,7 +119,36 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
             }
             Ok(())
         })?;
-        Ok(Out { frames })
+        let sigma = (of.has_sigma && cx.wants("sigma")).then(|| {
+            in_rows(cx, meta.clone(), |row, frames| {
+                let exposures: Vec<Exposure> = (0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect();
+                let seconds: Vec<f64> = exposures.iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
+                let first = (left * of.colour.channels(), top + row);
+                render_sigma(&band, first, &exposures, &seconds, dn, frames);
+                Ok(())
+            })
+        });
+        Ok(Out { frames, sigma: sigma.transpose()? })
+    }
+}
+
+/// One row of the standard deviations of all frames.
+fn render_sigma(band: &TrackBand, (left, row): (u32, u32), exposures: &[Exposure], seconds: &[f64], dn: DigitalNumbers, out: &mut [&mut [f32]]) {
+    let width = out.first().map_or(0, |values| values.len());
+    let mut spread: Vec<f32> = Vec::new();
+    for x in 0..width {
+        let track = band.pixel(left + x as u32, row);
+        let gain = dn.at(left + x as u32, row).gain;
+        spread.clear();
+        spread.extend(track.photocurrent.iter().zip(track.sigma).map(|(photocurrent, sigma)| photocurrent * sigma));
+        if spread.is_empty() {
+            out.iter_mut().for_each(|values| values[x] = f32::NAN);
+            continue;
+        }
+        let mut cursor = ExposureCursor::new(LogLinearTrack::new(track.t, &spread));
+        for ((values, exposure), seconds) in out.iter_mut().zip(exposures).zip(seconds) {
+            values[x] = (gain * cursor.integral(*exposure) / exposure.seconds() * seconds) as f32;
+        }
     }
 }
 
@@ -228,7 +265,15 @@ mod tests {
         for pixel in 0..6 {
             band.push([(0, 1.0), (5_000_000, 3.0)].into_iter().filter(|_| pixel != 1));
         }
-        let meta = TracksMeta { extent, span: TimeSpan::new(0, 10_000_000), nominal_exposure_ns: 4_000_000, between, colour: Colour::Mono, count_hint: None };
+        let meta = TracksMeta {
+            extent,
+            span: TimeSpan::new(0, 10_000_000),
+            nominal_exposure_ns: 4_000_000,
+            between,
+            colour: Colour::Mono,
+            has_sigma: false,
+            count_hint: None,
+        };
         TrackSet::in_memory(Arc::new(meta), band)
     }
 

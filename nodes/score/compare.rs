@@ -28,11 +28,28 @@ impl<'a> Pairs<'a> {
     /// # Errors
     /// When a frame cannot be read, `compare` fails, or the user interrupts.
     pub fn map<T: Send>(&self, cx: &Context, compare: impl Fn(&[f32], &[f32]) -> Result<T, NodeError> + Sync) -> Result<Vec<T>, NodeError> {
+        self.each(cx, |_, picture, reference| compare(picture, reference))
+    }
+
+    /// The same with the frame of the same place in a third sequence, of the same size and length as the frames: (frame, true frame, third).
+    ///
+    /// # Errors
+    /// As [`Pairs::map`].
+    pub fn map_beside<T: Send>(
+        &self,
+        cx: &Context,
+        third: &FrameSequence,
+        compare: impl Fn(&[f32], &[f32], &[f32]) -> Result<T, NodeError> + Sync,
+    ) -> Result<Vec<T>, NodeError> {
+        self.each(cx, |l, picture, reference| compare(picture, reference, &third.read(l..l + 1, third.rows())?.dn))
+    }
+
+    fn each<T: Send>(&self, cx: &Context, compare: impl Fn(usize, &[f32], &[f32]) -> Result<T, NodeError> + Sync) -> Result<Vec<T>, NodeError> {
         cx.begin(self.pairs.len() as u64, "frames");
         let one = |&(l, reference): &(usize, usize)| {
             let picture = self.frames.read(l..l + 1, self.frames.rows())?;
             let true_picture = self.reference.read(reference..reference + 1, self.reference.rows())?;
-            let compared = compare(&picture.dn, &true_picture.dn)?;
+            let compared = compare(l, &picture.dn, &true_picture.dn)?;
             cx.advance(1)?;
             Ok(compared)
         };

@@ -128,8 +128,8 @@ pub enum FirstKnot {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// What is solved for. `map` uses `front_end`, `event_noise`, `frame_noise`, `knot_spacing` and `max_iterations`; `paper` all but `event_noise`, `frame_noise`
-    /// and `knot_spacing`.
+    /// What is solved for. `map` uses `front_end`, `event_noise`, `frame_noise`, `knot_spacing`, `sigma` and `max_iterations`; `paper` all but
+    /// `event_noise`, `frame_noise`, `knot_spacing` and `sigma`.
     pub method: Method,
     /// Standard deviation of an event as a part of its threshold, for `map`; absent = chosen for each block of 16 rows so that frames
     /// that are kept back are predicted best.
@@ -142,6 +142,8 @@ pub struct Params {
     /// Knots near events lie at most this far apart, for `map`; in quiet gaps they widen with the distance from an event, to 8 ms.
     #[schemars(extend("x-min" = "10 us"))]
     pub knot_spacing: Duration,
+    /// Does every knot of the tracks of `map` carry a standard deviation, as the measurements and the prior leave it?
+    pub sigma: bool,
     /// How the front end's delay is treated.
     pub front_end: FrontEndModel,
     /// How readout latency and refractory period are treated. `slope` needs in-pixel times.
@@ -172,6 +174,7 @@ impl Default for Params {
             event_noise: None,
             frame_noise: 0.02,
             knot_spacing: Duration::new(250_000),
+            sigma: true,
             front_end: FrontEndModel::LowPass,
             readout: ReadoutModel::Slope,
             tau_rule: TauChoice::End,
@@ -325,6 +328,7 @@ impl SolvePixel {
         Ok(TracksMeta {
             extent: frames.extent,
             colour: frames.colour,
+            has_sigma: self.params.method == Method::Map && self.params.sigma,
             span: events.span.map_or(covered, |span| span.union(covered)),
             nominal_exposure_ns,
             between: match self.params.method {

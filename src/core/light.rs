@@ -64,7 +64,7 @@ pub type LightBand = SeriesBand<LightMeta>;
 ///
 /// ```
 /// use photocurrent_core::{light, series::Series};
-/// let pixel = Series { t: &[100, 200], photocurrent: &[3.0, 5.0] };
+/// let pixel = Series { t: &[100, 200], photocurrent: &[3.0, 5.0], sigma: &[] };
 /// assert_eq!([0, 100, 150, 200, 900].map(|t| light::at(pixel, t).unwrap()), [3.0, 3.0, 4.0, 5.0, 5.0]);
 /// ```
 pub fn at(pixel: Series<'_>, t_ns: i64) -> Option<f64> {
@@ -97,6 +97,6 @@ mod tests {
 
     #[test]
     fn a_pixel_without_instants_has_no_light() {
-        assert_eq!(at(Series { t: &[], photocurrent: &[] }, 5), None);
+        assert_eq!(at(Series { t: &[], photocurrent: &[], sigma: &[] }, 5), None);
     }
 }

@@ -185,6 +185,15 @@ impl Kind {
     pub fn input(&self, name: &str) -> Option<&PortSpec> {
         self.inputs.iter().find(|port| port.name == name)
     }
+
+    /// The output that the node's name alone stands for: its only one, or its only one that is always there.
+    pub fn main_output(&self) -> Option<&PortSpec> {
+        let mut sure = self.outputs.iter().filter(|port| port.arity != Arity::Optional);
+        match (self.outputs.as_slice(), sure.next(), sure.next()) {
+            ([only], _, _) | (_, Some(only), None) => Some(only),
+            _ => None,
+        }
+    }
 }
 
 /// All node kinds, in reading order.

@@ -20,6 +20,11 @@ pub trait SeriesMeta: BandMeta<Band = SeriesBand<Self>> + Clone + fmt::Debug + P
     /// Grey, or the colours whose series stand beside each other.
     fn colour(&self) -> Colour;
 
+    /// Does every sample carry a standard deviation?
+    fn has_sigma(&self) -> bool {
+        false
+    }
+
     /// Series in a row: one for every pixel, or three, at `x * channels + channel`.
     fn row_series(&self) -> u32 {
         self.extent().width * self.colour().channels()
@@ -39,6 +44,8 @@ pub struct SeriesBand<M> {
     pub t: Vec<i64>,
     /// Photocurrent of each sample, in the units of the sensor description's gain.
     pub photocurrent: Vec<f32>,
+    /// Standard deviation of the photocurrent's natural logarithm at each sample; empty when it is not known.
+    pub sigma: Vec<f32>,
     kind: PhantomData<fn() -> M>,
 }
 
@@ -49,12 +56,14 @@ pub struct Series<'a> {
     pub t: &'a [i64],
     /// Photocurrent of each sample.
     pub photocurrent: &'a [f32],
+    /// Standard deviation of the photocurrent's natural logarithm at each sample; empty when it is not known.
+    pub sigma: &'a [f32],
 }
 
 impl<M: SeriesMeta> SeriesBand<M> {
     /// An empty band that pixels are pushed to, left to right and top to bottom.
     pub fn begin(start_row: u32, width: u32) -> SeriesBand<M> {
-        SeriesBand { start_row, width, offsets: vec![0], t: Vec::new(), photocurrent: Vec::new(), kind: PhantomData }
+        SeriesBand { start_row, width, offsets: vec![0], t: Vec::new(), photocurrent: Vec::new(), sigma: Vec::new(), kind: PhantomData }
     }
 
     /// Adds the next pixel.
@@ -66,17 +75,35 @@ impl<M: SeriesMeta> SeriesBand<M> {
         self.offsets.push(self.t.len());
     }
 
-    /// From columns in canonical order; `offsets` has one entry per pixel and a last one.
+    /// Adds the next pixel, with standard deviations. Either all pixels have them or none.
+    pub fn push_with_sigma(&mut self, samples: impl IntoIterator<Item = (i64, f32, f32)>) {
+        for (t, photocurrent, sigma) in samples {
+            self.t.push(t);
+            self.photocurrent.push(photocurrent);
+            self.sigma.push(sigma);
+        }
+        self.offsets.push(self.t.len());
+    }
+
+    /// From columns in canonical order; `offsets` has one entry per pixel and a last one, `sigma` as many as `t` or none.
     ///
     /// # Errors
     /// When lengths disagree or offsets do not rise: the artefact is damaged.
-    pub fn from_columns(start_row: u32, width: u32, offsets: Vec<usize>, t: Vec<i64>, photocurrent: Vec<f32>) -> Result<SeriesBand<M>, DataError> {
+    pub fn from_columns(
+        start_row: u32,
+        width: u32,
+        offsets: Vec<usize>,
+        t: Vec<i64>,
+        photocurrent: Vec<f32>,
+        sigma: Vec<f32>,
+    ) -> Result<SeriesBand<M>, DataError> {
         let whole_rows = width > 0 && !offsets.is_empty() && (offsets.len() - 1).is_multiple_of(width as usize);
         let rising = offsets.first() == Some(&0) && offsets.last() == Some(&t.len()) && offsets.windows(2).all(|w| w[0] <= w[1]);
-        if !whole_rows || !rising || t.len() != photocurrent.len() {
+        let fitting = t.len() == photocurrent.len() && (sigma.is_empty() || t.len() == sigma.len());
+        if !whole_rows || !rising || !fitting {
             return Err(DataError::new(format!("the columns of a band of {} do not fit each other", M::NAME)));
         }
-        Ok(SeriesBand { start_row, width, offsets, t, photocurrent, kind: PhantomData })
+        Ok(SeriesBand { start_row, width, offsets, t, photocurrent, sigma, kind: PhantomData })
     }
 
     /// Index of the first sample of each pixel, and the number of samples.
@@ -88,7 +115,11 @@ impl<M: SeriesMeta> SeriesBand<M> {
     pub fn pixel(&self, x: u32, row: u32) -> Series<'_> {
         let at = ((row - self.start_row) * self.width + x) as usize;
         let range = self.offsets[at]..self.offsets[at + 1];
-        Series { t: &self.t[range.clone()], photocurrent: &self.photocurrent[range] }
+        Series { t: &self.t[range.clone()], photocurrent: &self.photocurrent[range.clone()], sigma: self.sigma_of(range) }
+    }
+
+    fn sigma_of(&self, samples: std::ops::Range<usize>) -> &[f32] {
+        if self.sigma.is_empty() { &[] } else { &self.sigma[samples] }
     }
 
     fn row_pixels(&self, rows: Rows) -> std::ops::Range<usize> {
@@ -110,7 +141,11 @@ impl<M: SeriesMeta> Band for SeriesBand<M> {
         let counts: Vec<u64> = pixels.clone().map(|p| (self.offsets[p + 1] - self.offsets[p]) as u64).collect();
         let samples = self.offsets[pixels.start]..self.offsets[pixels.end];
         let mut digest = DigestBuilder::new(&format!("{}-row/1", M::NAME));
-        digest.slice(&counts).slice(&self.t[samples.clone()]).slice(&self.photocurrent[samples]);
+        digest.slice(&counts).slice(&self.t[samples.clone()]).slice(&self.photocurrent[samples.clone()]);
+        // Nothing is added where there are none: such series are the content they were before others existed.
+        if !self.sigma.is_empty() {
+            digest.slice(self.sigma_of(samples));
+        }
         digest.finish()
     }
 
@@ -122,7 +157,8 @@ impl<M: SeriesMeta> Band for SeriesBand<M> {
             width: self.width,
             offsets: self.offsets[pixels.start..=pixels.end].iter().map(|offset| offset - samples.start).collect(),
             t: self.t[samples.clone()].to_vec(),
-            photocurrent: self.photocurrent[samples].to_vec(),
+            photocurrent: self.photocurrent[samples.clone()].to_vec(),
+            sigma: self.sigma_of(samples).to_vec(),
             kind: PhantomData,
         }
     }
@@ -135,6 +171,7 @@ impl<M: SeriesMeta> Band for SeriesBand<M> {
             whole.offsets.extend(part.offsets[1..].iter().map(|offset| offset + before));
             whole.t.extend(part.t);
             whole.photocurrent.extend(part.photocurrent);
+            whole.sigma.extend(part.sigma);
         }
         whole
     }
@@ -151,6 +188,19 @@ mod tests {
             band.push((0..pixel % 4).map(|k| (k * 100, (pixel * 10 + k) as f32)));
         }
         band
+    }
+
+    #[test]
+    fn standard_deviations_go_where_their_samples_go() {
+        let mut known = TrackBand::begin(4, 3);
+        for pixel in 0..12 {
+            known.push_with_sigma((0..pixel % 4).map(|k| (k * 100, (pixel * 10 + k) as f32, (pixel * 20 + k) as f32)));
+        }
+        let parts = vec![known.slice(Rows { start: 4, end: 5 }), known.slice(Rows { start: 5, end: 8 })];
+        assert_eq!(TrackBand::concat(parts), known);
+        assert_eq!(known.slice(Rows { start: 6, end: 8 }).pixel(1, 6).sigma, [140.0, 141.0, 142.0]);
+        assert_ne!(known.row_digest(5), band().row_digest(5));
+        assert!(TrackBand::from_columns(0, 1, vec![0, 2], vec![0, 1], vec![0.0, 1.0], vec![0.0]).is_err());
     }
 
     #[test]
@@ -173,7 +223,7 @@ mod tests {
 
     #[test]
     fn columns_that_do_not_fit_are_refused() {
-        assert!(TrackBand::from_columns(0, 2, vec![0, 1, 3], vec![0, 1], vec![0.0, 1.0]).is_err());
-        assert!(TrackBand::from_columns(0, 2, vec![0, 1], vec![0], vec![0.0]).is_err());
+        assert!(TrackBand::from_columns(0, 2, vec![0, 1, 3], vec![0, 1], vec![0.0, 1.0], vec![]).is_err());
+        assert!(TrackBand::from_columns(0, 2, vec![0, 1], vec![0], vec![0.0], vec![]).is_err());
     }
 }

@@ -94,6 +94,7 @@ pub fn tracks(width: u32, height: u32) -> TrackSet {
         nominal_exposure_ns: 4_000_000,
         between: Between::Hold,
         colour: Colour::Mono,
+        has_sigma: false,
         count_hint: None,
     };
     TrackSet::in_memory(Arc::new(meta), band)

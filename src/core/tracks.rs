@@ -2,7 +2,8 @@
 //!
 //! A pixel's track is a list of knots. What happens between two knots is the same for all pixels and said in [`TracksMeta::between`]: the value of
 //! knot k lasts until knot k+1 (the paper's zero-order hold), or its logarithm goes over linearly. Before the first knot its value holds,
-//! after the last one the last. How knots are kept: [`crate::series`].
+//! after the last one the last. A knot may carry the standard deviation of its log photocurrent, whose logarithm goes
+//! over linearly. How knots are kept: [`crate::series`].
 
 use crate::colour::Colour;
 use crate::digest::DigestBuilder;
@@ -38,6 +39,9 @@ pub struct TracksMeta {
     /// Grey, red, green and blue of every pixel (three tracks, one after the other), or a mosaic.
     #[serde(default)]
     pub colour: Colour,
+    /// Does every knot carry a standard deviation of its log photocurrent?
+    #[serde(default)]
+    pub has_sigma: bool,
     /// About how many knots, for memory estimates only: no part of the content.
     pub count_hint: Option<u64>,
 }
@@ -59,6 +63,9 @@ impl BandMeta for TracksMeta {
         if self.colour != Colour::Mono {
             digest.text(self.colour.name());
         }
+        if self.has_sigma {
+            digest.text("sigma");
+        }
     }
 }
 
@@ -67,6 +74,10 @@ impl SeriesMeta for TracksMeta {
 
     fn colour(&self) -> Colour {
         self.colour
+    }
+
+    fn has_sigma(&self) -> bool {
+        self.has_sigma
     }
 
     fn counted(&self, samples: u64) -> TracksMeta {
@@ -91,6 +102,7 @@ mod tests {
             nominal_exposure_ns: 5,
             between,
             colour: Colour::Mono,
+            has_sigma: false,
             count_hint: None,
         }
     }

@@ -125,7 +125,8 @@ impl<'a> Checker<'a, '_> {
         let mut pairs = Vec::new();
         for wire in node.wires.iter().filter(|wire| wire.from.len() == 1) {
             let input = kind.input(&wire.port.name);
-            pairs.extend(kind.outputs.iter().filter(|output| input.is_some_and(|i| i.data_type == output.data_type)).map(|o| (o.name, &wire.from[0])));
+            let outputs = kind.main_output().map_or(kind.outputs.as_slice(), std::slice::from_ref);
+            pairs.extend(outputs.iter().filter(|output| input.is_some_and(|i| i.data_type == output.data_type)).map(|o| (o.name, &wire.from[0])));
         }
         if let [pair] = pairs[..] {
             self.bypasses[at] = Some(pair);
@@ -167,10 +168,11 @@ impl<'a> Checker<'a, '_> {
             return None;
         };
         let kind = self.kinds[at]?;
-        let output = match (port, kind.outputs.as_slice()) {
-            (Some(port), outputs) => outputs.iter().find(|output| output.name == port),
-            (None, [only]) => Some(only),
-            (None, outputs) => {
+        let outputs = &kind.outputs;
+        let output = match (port, kind.main_output()) {
+            (Some(port), _) => outputs.iter().find(|output| output.name == port),
+            (None, Some(main)) => Some(main),
+            (None, None) => {
                 let right = outputs.iter().filter(|output| wanted.is_some_and(|(_, input)| input.data_type == output.data_type)).collect::<Vec<_>>();
                 let problem = Problem::at(&name.origin, format!("`{id}` has {}, so its port must be named", count(outputs.len(), "output")));
                 let problem = problem.note(format!("outputs of {}: {}", kind.decl.kind, list(outputs.iter())));

@@ -71,7 +71,7 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
     }
     let span = (recorded.meta.span.start.0, recorded.meta.span.end.0);
     let max_iterations = usize::min(params.max_iterations as usize, MAP_STEPS);
-    let mut options = MapOptions { spacing_ns: params.knot_spacing.ns(), max_iterations, ..MapOptions::default() };
+    let mut options = MapOptions { spacing_ns: params.knot_spacing.ns(), max_iterations, with_sigma: params.sigma, ..MapOptions::default() };
     let frame_dn = frame_noise::missing_dn(&mut differences, possible, model.threshold());
     for frame in sample.iter_mut().flat_map(|(_, frames)| frames) {
         frame.sigma_dn = libm::sqrt(frame.sigma_dn * frame.sigma_dn + frame_dn * frame_dn);

@@ -13,6 +13,10 @@ const SAMPLED_PIXELS: usize = 16;
 const SILENCE_SIGMA: f64 = 0.03;
 /// A knot is left away where the line between its neighbours misses it by less than this, natural-log units.
 const THINNED_TO: f64 = 2e-4;
+/// The same of the logarithm of its standard deviation.
+const SIGMA_THINNED_TO: f64 = 0.05;
+/// No light is known better than to a ten-thousandth.
+const LEAST_VARIANCE: f64 = 1e-8;
 
 /// What the frames' noise is, as far as it is stated.
 #[derive(Clone, Copy, Debug)]
@@ -56,8 +60,8 @@ pub(crate) struct RowSetting {
 pub(crate) struct RowSolver {
     group: MapGroup,
     data: RowData,
-    /// Knots of the pixels of the row, in the order in which they were solved, and where each pixel's stand.
-    knots: Vec<(i64, f32)>,
+    /// Knots of the pixels of the row with their standard deviations, in the order in which they were solved, and where each pixel's stand.
+    knots: Vec<(i64, f32, f32)>,
     knots_of: Vec<std::ops::Range<usize>>,
 }
 
@@ -114,7 +118,8 @@ impl RowSolver {
             }
         });
         for knots_of in knots_of {
-            tracks.push(knots[knots_of.clone()].iter().copied());
+            let knots = knots[knots_of.clone()].iter().copied();
+            if options.with_sigma { tracks.push_with_sigma(knots) } else { tracks.push(knots.map(|(t, i, _)| (t, i))) }
         }
         (tracks, map)
     }
@@ -151,24 +156,47 @@ pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
     MapProblem { events, frames, hints: &[], start_ns: span.0, end_ns: span.1, sensor, noise, stamp_sigma_s: model.stamp_sigma_s, silence_sigma: SILENCE_SIGMA }
 }
 
-/// Keeps as few knots as join up to the same line within [`THINNED_TO`], all times `light_ratio`.
-fn thin(solution: &MapSolution<'_>, light_ratio: f64, knots: &mut Vec<(i64, f32)>) {
-    let (t, u) = (solution.t_ns, solution.log_photocurrent);
-    let mut keep = |k: usize| knots.push((t[k], (libm::exp(u[k]) * light_ratio) as f32));
+/// Keeps as few knots as join up to the same light, times `light_ratio`, within [`THINNED_TO`], and to the same standard deviation, where there is one,
+/// within [`SIGMA_THINNED_TO`].
+fn thin(solution: &MapSolution<'_>, light_ratio: f64, knots: &mut Vec<(i64, f32, f32)>) {
+    let (t, u, variance) = (solution.t_ns, solution.log_photocurrent, solution.variance);
+    let log_sigma = |k: usize| variance.get(k).map_or(0.0, |variance| 0.5 * libm::log(f64::max(*variance, LEAST_VARIANCE)));
+    let mut keep = |k: usize| knots.push((t[k], (libm::exp(u[k]) * light_ratio) as f32, libm::exp(log_sigma(k)) as f32));
     keep(0);
-    // The slopes from the last kept knot that pass every knot since within the tolerance.
-    let (mut anchor, mut low, mut high) = (0, f64::NEG_INFINITY, f64::INFINITY);
+    let (mut anchor, mut light, mut sigma) = (0, Corridor::OPEN, Corridor::OPEN);
     for k in 1..t.len() {
-        let slope = |anchor: usize, off: f64| (u[k] + off - u[anchor]) / (t[k] - t[anchor]) as f64;
-        if slope(anchor, 0.0) < low || slope(anchor, 0.0) > high {
+        let rise = |anchor: usize| (u[k] - u[anchor], log_sigma(k) - log_sigma(anchor));
+        let run = |anchor: usize| (t[k] - t[anchor]) as f64;
+        let (of_light, of_sigma) = rise(anchor);
+        if !light.holds(of_light / run(anchor)) || !sigma.holds(of_sigma / run(anchor)) {
             anchor = k - 1;
             keep(anchor);
-            (low, high) = (f64::NEG_INFINITY, f64::INFINITY);
+            (light, sigma) = (Corridor::OPEN, Corridor::OPEN);
         }
-        low = f64::max(low, slope(anchor, -THINNED_TO));
-        high = f64::min(high, slope(anchor, THINNED_TO));
+        let (of_light, of_sigma) = rise(anchor);
+        light = light.narrowed(of_light, THINNED_TO, run(anchor));
+        sigma = sigma.narrowed(of_sigma, SIGMA_THINNED_TO, run(anchor));
     }
     if t.len() > 1 {
         keep(t.len() - 1);
+    }
+}
+
+/// The slopes from the last kept knot that pass every knot since within a tolerance.
+#[derive(Clone, Copy)]
+struct Corridor {
+    low: f64,
+    high: f64,
+}
+
+impl Corridor {
+    const OPEN: Corridor = Corridor { low: f64::NEG_INFINITY, high: f64::INFINITY };
+
+    fn holds(&self, slope: f64) -> bool {
+        self.low <= slope && slope <= self.high
+    }
+
+    fn narrowed(self, rise: f64, tolerance: f64, run: f64) -> Corridor {
+        Corridor { low: f64::max(self.low, (rise - tolerance) / run), high: f64::min(self.high, (rise + tolerance) / run) }
     }
 }

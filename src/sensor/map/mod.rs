@@ -349,6 +349,23 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
     MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence }
 }
 
+/// Posterior variance of log light at each knot, for light and offsets that were found elsewhere; `silence_sigma` as it was there.
+fn variance_at<'w>(task: &MapTask<'_>, found: &[f64], offsets: &Offsets, silence_sigma: f64, workspace: &'w mut MapWorkspace) -> &'w [f64] {
+    let MapTask { problem, options } = task;
+    let MapWorkspace { knots, segments, chain, smoother, start, u, .. } = workspace;
+    knots.lay(problem, options.spacing_ns);
+    segments.lay(&knots.t_ns, &options.prior);
+    start.fill(problem, knots, u);
+    let first = u[0];
+    u.clear();
+    u.extend_from_slice(found);
+    chain.run(problem, knots, segments, u, offsets);
+    segments.adapt(u, &options.prior);
+    segments.cost(u);
+    smoother.solve(&ask(problem, knots, segments, chain, u, first, offsets, silence_sigma, 0.0, Want::Variance));
+    &smoother.variance
+}
+
 /// Is the light anywhere beyond belief, given what the frames collected?
 fn has_run_away(problem: &MapProblem<'_>, u: &[f64]) -> bool {
     let collected = |frame: &MapFrame| frame.dn - problem.sensor.black_level_dn + 3.0 * frame.sigma_dn;

@@ -80,8 +80,8 @@ impl ValueWriter {
         let body = match meta {
             Meta::Events(meta) => Body::Events(Box::new(EventsBody::create(&opened, meta)?)),
             Meta::Frames(meta) | Meta::Truth(meta) => Body::Frames(FramesBody::create(&opened, meta)?),
-            Meta::Tracks(_) => Body::Series(Box::new(SeriesBody::create::<TracksMeta>(&opened)?)),
-            Meta::Light(_) => Body::Series(Box::new(SeriesBody::create::<LightMeta>(&opened)?)),
+            Meta::Tracks(meta) => Body::Series(Box::new(SeriesBody::create(&opened, &**meta)?)),
+            Meta::Light(meta) => Body::Series(Box::new(SeriesBody::create(&opened, &**meta)?)),
             Meta::Map(meta) => Body::Map(MapBody::create(&opened, meta)?),
             Meta::Sensor(_) | Meta::Table(_) | Meta::Absent { .. } => Body::Whole(None),
         };

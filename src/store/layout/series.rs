@@ -1,4 +1,5 @@
-//! Tracks and light: one layout for both, flat columns with an offset per pixel, in a group named like the type.
+//! Tracks and light: one layout for both, flat columns with an offset per pixel, in a group named like the type; `sigma` stands beside `photocurrent`
+//! where it is known.
 
 use super::columns::{DAMAGED, column, create_group, each_band, relative, required};
 use crate::error::StoreError;
@@ -16,16 +17,19 @@ use std::sync::Arc;
 pub(super) struct SeriesBody {
     t: ColumnWriter<i64>,
     photocurrent: ColumnWriter<f32>,
+    sigma: Option<ColumnWriter<f32>>,
     pixel_offsets: ColumnWriter<u64>,
 }
 
 impl SeriesBody {
-    pub fn create<M: SeriesMeta>(opened: &Opened) -> Result<SeriesBody, StoreError> {
+    pub fn create<M: SeriesMeta>(opened: &Opened, meta: &M) -> Result<SeriesBody, StoreError> {
         create_group(opened, M::NAME)?;
         let name = |column: &str| format!("{}/{column}", M::NAME);
         let mut pixel_offsets = ColumnWriter::new(opened, &name("pixel_offsets"));
         pixel_offsets.append(&[0])?;
-        Ok(SeriesBody { t: ColumnWriter::new(opened, &name("t")), photocurrent: ColumnWriter::new(opened, &name("photocurrent")), pixel_offsets })
+        let (t, photocurrent) = (ColumnWriter::new(opened, &name("t")), ColumnWriter::new(opened, &name("photocurrent")));
+        let sigma = meta.has_sigma().then(|| ColumnWriter::new(opened, &name("sigma")));
+        Ok(SeriesBody { t, photocurrent, sigma, pixel_offsets })
     }
 
     pub fn append<M: SeriesMeta>(&mut self, part: &Handle<M>, digest: &mut ValueDigest) -> Result<(), StoreError> {
@@ -34,6 +38,9 @@ impl SeriesBody {
             let offsets: Vec<u64> = band.offsets()[1..].iter().map(|&offset| before + offset as u64).collect();
             self.pixel_offsets.append(&offsets)?;
             self.t.append(&band.t)?;
+            if let Some(sigma) = &mut self.sigma {
+                sigma.append(&band.sigma)?;
+            }
             self.photocurrent.append(&band.photocurrent)
         })
     }
@@ -41,6 +48,9 @@ impl SeriesBody {
     pub fn finish(self, opened: &Opened) -> Result<(), StoreError> {
         opened.set_text_attribute(self.t.finish()?.dataset(), "unit", "ns")?;
         self.photocurrent.finish()?;
+        if let Some(sigma) = self.sigma {
+            sigma.finish()?;
+        }
         self.pixel_offsets.finish()?;
         Ok(())
     }
@@ -51,6 +61,7 @@ struct SeriesSource {
     width: usize,
     t: Grid<i64>,
     photocurrent: Grid<f32>,
+    sigma: Option<Grid<f32>>,
     pixel_offsets: Grid<u64>,
 }
 
@@ -61,7 +72,8 @@ impl SeriesSource {
         let (first, offsets) = relative(&self.opened, &format!("/{}/pixel_offsets", M::NAME), offsets, self.t.shape[0])?;
         let range = first..first + offsets.last().copied().unwrap_or(0);
         let (t, photocurrent) = threads::both(|| self.t.column(range.clone()), || self.photocurrent.column(range.clone()));
-        SeriesBand::from_columns(rows.start, self.width as u32, offsets, t?, photocurrent?)
+        let sigma = self.sigma.as_ref().map(|sigma| sigma.column(range.clone())).transpose()?.unwrap_or_default();
+        SeriesBand::from_columns(rows.start, self.width as u32, offsets, t?, photocurrent?, sigma)
             .map_err(|error| self.opened.content(&format!("/{}", M::NAME), error.message, "whole rows of pixels", DAMAGED))
     }
 }
@@ -81,6 +93,7 @@ pub(super) fn open<M: SeriesMeta>(opened: &Opened, meta: &M) -> Result<Handle<M>
         width: meta.row_series() as usize,
         t: column(opened, &name("t"), n)?,
         photocurrent: column(opened, &name("photocurrent"), n)?,
+        sigma: meta.has_sigma().then(|| column(opened, &name("sigma"), n)).transpose()?,
         pixel_offsets: column(opened, &name("pixel_offsets"), meta.row_series() as usize * meta.extent().height as usize + 1)?,
     };
     Ok(Handle::new(Arc::new(meta.counted(n as u64)), meta.extent().rows(), Arc::new(source)))

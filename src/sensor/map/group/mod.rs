@@ -2,7 +2,7 @@
 //!
 //! The passes over a chain wait for their own results most of the time; eight chains side by side wait together. The same equations in the same
 //! order as for one pixel alone, so that the answer is the same to the last bit (the evidence to rounding), whichever pixels share a
-//! group. What is rare is left to the solver of one pixel: standard deviations, and pixels that fail.
+//! group. Left to the solver of one pixel: standard deviations, found once at the end, and pixels that fail.
 
 mod columns;
 mod passes;
@@ -134,13 +134,7 @@ impl MapGroup {
     pub(super) fn solve_with(&mut self, tasks: &[MapTask<'_>], evidence: Evidence, mut take: impl FnMut(usize, MapSolution<'_>)) {
         let mut order = std::mem::take(&mut self.order);
         order.clear();
-        for (n, task) in tasks.iter().enumerate() {
-            if task.options.with_sigma {
-                take(n, solve_with(&task.problem, &task.options, evidence, &mut self.alone));
-            } else {
-                order.push(n);
-            }
-        }
+        order.extend(0..tasks.len());
         // Pixels of a group should be about equally long. Nothing else depends on the order.
         let family = |n: usize| match tasks[n].options.prior {
             Prior::Local(_) => 0,
@@ -205,8 +199,9 @@ impl MapGroup {
                 continue;
             }
             let LaneState { offsets, status, iterations, .. } = lane.state;
+            let variance: &[f64] = if task.options.with_sigma { variance_at(task, &lane.u, &offsets, lane.state.silence_sigma, &mut self.alone) } else { &[] };
             let log_evidence = log_evidence[l];
-            take(n, MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance: &[], offsets, status, iterations, log_evidence });
+            take(n, MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance, offsets, status, iterations, log_evidence });
         }
     }
 

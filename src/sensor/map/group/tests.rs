@@ -58,6 +58,7 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
             let busy = Prior::Local(Local { floor_per_s: 60.0, ..Local::USUAL });
             options.prior = [Prior::USUAL, busy, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::Glide { per_s3: 3e6, nu: 3.0 }][n / 2 % 4];
             options.max_iterations = 5 + n % 9;
+            options.with_sigma = n % 3 != 1;
             MapTask { problem, options }
         })
         .collect();
@@ -91,6 +92,7 @@ fn a_pixel_gets_the_bits_in_a_group_that_it_gets_alone() {
                 assert_eq!((found.status, found.iterations), (expected.status, expected.iterations), "{reset:?} {n}");
                 assert_eq!((found.t_ns, found.offsets), (expected.t_ns, expected.offsets), "{reset:?} {n}");
                 assert_eq!(found.log_photocurrent, expected.log_photocurrent, "{reset:?} {n}");
+                assert_eq!(found.variance, expected.variance, "{reset:?} {n}");
                 assert!((found.log_evidence - expected.log_evidence).abs() < 1e-9 * (1.0 + expected.log_evidence.abs()), "{reset:?} {n}");
             });
             assert_eq!(seen, vec![1; tasks.len()]);
