@@ -118,7 +118,7 @@ mod tests {
     fn worst(kept: &[(i64, f64)], light: impl Fn(i64) -> f64) -> f64 {
         let t: Vec<i64> = kept.iter().map(|k| k.0).collect();
         let values: Vec<f32> = kept.iter().map(|k| k.1 as f32).collect();
-        let line = |at: i64| light::at(Series { t: &t, photocurrent: &values }, at).unwrap();
+        let line = |at: i64| light::at(Series { t: &t, photocurrent: &values, sigma: &[] }, at).unwrap();
         (0..=10_000).map(|k| k * 100).map(|at| libm::log(line(at) / light(at)).abs()).fold(0.0, f64::max)
     }
 

@@ -2,7 +2,7 @@
 
 use crate::context::Context;
 use crate::error::NodeError;
-use crate::ports::{PortMetas, PortSpec, PortValues, Ports};
+use crate::ports::{Arity, PortMetas, PortSpec, PortValues, Ports};
 use crate::value::Meta;
 use schemars::JsonSchema;
 use serde::Serialize;

@@ -17,7 +17,7 @@ use super::start::Start;
 use super::state::{ON, STATES};
 use super::{
     Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, Noise, Offsets, SILENCE_FROM, has_run_away,
-    solve_with, thresholds,
+    solve_with, thresholds, variance_at,
 };
 use crate::wide::{Flags, WIDTH, Wide};
 use columns::{Columns, Common, Cost, Family, Pixel, adapt, moved, run};
