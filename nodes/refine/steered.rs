@@ -22,6 +22,7 @@ use photocurrent_sensor::elementary::exp;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Parameters of `refine/steered`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -105,7 +106,7 @@ in   = { tracks = "solve.tracks" }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let tracks = inputs.tracks("tracks")?;
         check(tracks)?;
-        Ok(vec![Meta::Tracks(tracks.clone())])
+        Ok(vec![Meta::Tracks(Arc::new(without_sigma(tracks)))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
@@ -117,12 +118,17 @@ in   = { tracks = "solve.tracks" }
         let kernel = Kernel::new(&self.params);
         let rows: Result<Vec<TrackBand>, NodeError> =
             cx.rows().iter().into_par_iter().map(|row| self.smooth_row(&film, &kernel, &band, row, &meta, cx)).collect();
-        Ok(Out { tracks: TrackSet::in_memory(meta, TrackBand::concat(rows?)) })
+        Ok(Out { tracks: TrackSet::in_memory(Arc::new(without_sigma(&meta)), TrackBand::concat(rows?)) })
     }
 }
 
 /// Rows beside a row that its values depend on: gradients reach one further than they are pooled.
 const HALO: u32 = POOLED as u32 + 1;
+
+/// What is said of smoothed tracks: how well they are known is not found out.
+fn without_sigma(tracks: &TracksMeta) -> TracksMeta {
+    TracksMeta { has_sigma: false, ..tracks.clone() }
+}
 
 /// Refuses colours: one film of log light is looked at.
 fn check(tracks: &TracksMeta) -> Result<(), NodeError> {

@@ -19,8 +19,8 @@ use crate::reconstruct::in_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
 use crate::score::roi::Roi;
 use photocurrent_core::{
-    Between, Colour, Context, DataType, Decl, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, TrackBand,
-    TrackSet, TracksMeta,
+    Between, Colour, Context, DataType, Decl, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor,
+    TrackBand, TrackSet, TracksMeta,
 };
 use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, LogLinearTrack};
 use schemars::JsonSchema;
@@ -329,8 +329,32 @@ mod tests {
         for n in 0..series * extent.height {
             band.push([(0, 1.0 + n as f32), (i64::from(1 + n % 100) * 40_000, 3.0), (6_000_000, 2.0 + 0.5 * n as f32)]);
         }
-        let meta = TracksMeta { extent, span: TimeSpan::new(0, 10_000_000), nominal_exposure_ns: 4_000_000, between, colour, count_hint: None };
+        let meta =
+            TracksMeta { extent, span: TimeSpan::new(0, 10_000_000), nominal_exposure_ns: 4_000_000, between, colour, has_sigma: false, count_hint: None };
         TrackSet::in_memory(Arc::new(meta), band)
+    }
+
+    #[test]
+    fn standard_deviations_are_rendered_beside_the_frames() {
+        let mut band = TrackBand::begin(0, 2);
+        // Light e^0.1 times brighter and known half as well after 10 ms; the second pixel is unknown.
+        let known = [(0, 2.0, 0.1), (10_000_000, 2.0 * libm::exp(0.1) as f32, 0.2)];
+        for pixel in 0..6 {
+            band.push_with_sigma(known.into_iter().filter(|_| pixel != 1));
+        }
+        let meta = TracksMeta { has_sigma: true, ..(*tracks_joined(Between::LogLinear).meta).clone() };
+        let input = In { tracks: TrackSet::in_memory(Arc::new(meta), band), sensor: sensor(), at: None };
+        let node = RenderRows { params: Params { sampling: Sampling { rate: Rate::new(400.0), ..Sampling::default() }, roi: None } };
+        let (out, _) = testing::with_context(Rows { start: 0, end: 3 }, &["frames", "sigma"], |cx| node.run(input, cx));
+        let (frames, sigma) = out.map(|out| (out.frames, out.sigma.unwrap())).unwrap();
+        assert_eq!(frames.meta, sigma.meta);
+        for (l, (dn, sigma)) in values(&frames, 0, 1).into_iter().zip(values(&sigma, 0, 1)).enumerate() {
+            // As a part of the light: from 0.1 to 0.2 in 10 ms, on a logarithmic scale, at the middle of a short exposure.
+            let middle_ms = frames.meta.times.exposure(l, 1).mid().0 as f64 * 1e-6;
+            let expected = 0.1 * libm::exp2(middle_ms / 10.0);
+            assert!((f64::from(sigma / (dn - 10.0)) / expected - 1.0).abs() < 1e-3, "{sigma} of {dn}, expected {expected}");
+        }
+        assert!(values(&sigma, 1, 0)[0].is_nan());
     }
 
     #[test]

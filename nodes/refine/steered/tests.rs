@@ -24,6 +24,7 @@ fn tracks(log: impl Fn(usize, usize, f64) -> f64, noise: f64) -> TrackSet {
         nominal_exposure_ns: 4_000_000,
         between: Between::LogLinear,
         colour: Colour::Mono,
+        has_sigma: false,
         count_hint: None,
     };
     let mut band = TrackBand::begin(0, EXTENT.width);

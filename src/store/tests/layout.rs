@@ -35,6 +35,14 @@ fn colour_tracks() -> TrackSet {
     TrackSet::in_memory(Arc::new(meta), grey.read(grey.rows()).unwrap())
 }
 
+/// Tracks whose knots carry standard deviations.
+fn known_tracks() -> TrackSet {
+    let plain = testing::tracks(17, 70);
+    let mut band = plain.read(plain.rows()).unwrap();
+    band.sigma = band.photocurrent.iter().map(|i| 0.01 * i).collect();
+    TrackSet::in_memory(Arc::new(TracksMeta { has_sigma: true, ..(*plain.meta).clone() }), band)
+}
+
 fn a_map() -> MapSet {
     let meta = MapMeta { extent: Extent { width: 7, height: 90 }, planes: vec!["cost".into(), "delay [us]".into()] };
     let mut band = MapBand::zeros(meta.extent.rows(), &meta);
@@ -72,6 +80,7 @@ fn banded() -> Vec<Value> {
         Value::Tracks(testing::tracks(17, 70)),
         Value::Light(testing::light(17, 70)),
         Value::Tracks(colour_tracks()),
+        Value::Tracks(known_tracks()),
         Value::Map(a_map()),
         Value::Map(MapSet::in_memory(Arc::new(MapMeta { extent: Extent { width: 2, height: 3 }, planes: vec![] }), no_planes())),
     ]
