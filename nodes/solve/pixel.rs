@@ -142,7 +142,8 @@ pub struct Params {
     /// Knots near events lie at most this far apart, for `map`; in quiet gaps they widen with the distance from an event, to 8 ms.
     #[schemars(extend("x-min" = "10 us"))]
     pub knot_spacing: Duration,
-    /// Does every knot of the tracks of `map` carry a standard deviation, as the measurements and the prior leave it?
+    /// Does every knot of the tracks of `map` carry a standard deviation: what measurements and prior leave open, widened where frames that are kept back
+    /// show that to be too little?
     pub sigma: bool,
     /// How the front end's delay is treated.
     pub front_end: FrontEndModel,
@@ -350,7 +351,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 7,
+        revision: 8,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

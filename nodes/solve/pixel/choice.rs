@@ -77,7 +77,10 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
         frame.sigma_dn = libm::sqrt(frame.sigma_dn * frame.sigma_dn + frame_dn * frame_dn);
     }
     let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, Noise::default())).collect();
-    let choice = estimate::choose(&problems, params.event_noise, &options, &mut MapGroup::default());
+    let mut group = MapGroup::default();
+    let choice = estimate::choose(&problems, params.event_noise, &options, &mut group);
     options.prior = choice.prior;
-    Ok(RowSetting { span, noise: choice.noise, options, frame_dn })
+    let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, choice.noise)).collect();
+    let sigma_factor = if params.sigma { estimate::too_narrow_by(&problems, &options, &mut group) } else { 1.0 };
+    Ok(RowSetting { span, noise: choice.noise, options, frame_dn, sigma_factor })
 }

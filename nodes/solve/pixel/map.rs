@@ -53,6 +53,8 @@ pub(crate) struct RowSetting {
     pub options: MapOptions,
     /// Standard deviation of frame values that the description does not explain, DN.
     pub frame_dn: f64,
+    /// Standard deviations of light are widened by this factor.
+    pub sigma_factor: f64,
 }
 
 /// Solves the pixels of a row; keeps its memory from row to row.
@@ -84,7 +86,7 @@ impl RowSolver {
 
     /// Solves the row that was taken in, with what is known from elsewhere for each of its pixels.
     pub fn solve(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta, row: u32, hints: Option<&[Vec<Hint>]>) -> (TrackBand, MapBand) {
-        let RowSetting { span, noise, options, .. } = *setting;
+        let RowSetting { span, noise, options, sigma_factor, .. } = *setting;
         let width = meta.extent.width as usize;
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
@@ -105,7 +107,7 @@ impl RowSolver {
         let tasks: Vec<MapTask<'_>> = lit.iter().map(task).collect();
         group.solve(&tasks, |n, solution| {
             let begin = knots.len();
-            thin(&solution, data.light_ratio(lit[n]), knots);
+            thin(&solution, data.light_ratio(lit[n]), sigma_factor, knots);
             knots_of[lit[n]] = begin..knots.len();
             let status = match solution.status {
                 MapStatus::Failed => Status::SafeEstimate,
@@ -156,12 +158,12 @@ pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
     MapProblem { events, frames, hints: &[], start_ns: span.0, end_ns: span.1, sensor, noise, stamp_sigma_s: model.stamp_sigma_s, silence_sigma: SILENCE_SIGMA }
 }
 
-/// Keeps as few knots as join up to the same light, times `light_ratio`, within [`THINNED_TO`], and to the same standard deviation, where there is one,
-/// within [`SIGMA_THINNED_TO`].
-fn thin(solution: &MapSolution<'_>, light_ratio: f64, knots: &mut Vec<(i64, f32, f32)>) {
+/// Keeps as few knots as join up to the same light, times `light_ratio`, within [`THINNED_TO`], and to the same standard deviation, where there is one, times
+/// `sigma_factor`, within [`SIGMA_THINNED_TO`].
+fn thin(solution: &MapSolution<'_>, light_ratio: f64, sigma_factor: f64, knots: &mut Vec<(i64, f32, f32)>) {
     let (t, u, variance) = (solution.t_ns, solution.log_photocurrent, solution.variance);
     let log_sigma = |k: usize| variance.get(k).map_or(0.0, |variance| 0.5 * libm::log(f64::max(*variance, LEAST_VARIANCE)));
-    let mut keep = |k: usize| knots.push((t[k], (libm::exp(u[k]) * light_ratio) as f32, libm::exp(log_sigma(k)) as f32));
+    let mut keep = |k: usize| knots.push((t[k], (libm::exp(u[k]) * light_ratio) as f32, (libm::exp(log_sigma(k)) * sigma_factor) as f32));
     keep(0);
     let (mut anchor, mut light, mut sigma) = (0, Corridor::OPEN, Corridor::OPEN);
     for k in 1..t.len() {

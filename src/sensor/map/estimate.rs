@@ -5,6 +5,7 @@
 //! the value is taken that predicts those frames best. With too few frames for that, the marginal likelihood of the measurements decides;
 //! it is the weaker judge, because it believes that the model is right.
 
+use super::frame_noise::NORMAL_MEDIAN;
 use super::segment::collected_between;
 use super::{Evidence, Local, LoneEvents, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapTask, Noise, Prior};
 
@@ -24,6 +25,9 @@ const DARK_DN: f64 = 20.0;
 const CLEARLY_BETTER: f64 = 0.97;
 /// A relative error counts at most this: one pixel that went astray does not decide.
 const LARGEST_ERROR: f64 = 0.3;
+
+/// Standard deviations are widened by this factor at most.
+const LARGEST_FACTOR: f64 = 5.0;
 
 /// What suits a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -140,6 +144,52 @@ pub fn prediction_errors(problems: &[MapProblem<'_>], options: &MapOptions, grou
     let mut errors = vec![0.0; tasks.len()];
     group.solve_with(&tasks, Evidence::Unwanted, |n, solution| errors[n] = prediction_error(&problems[n], &solution));
     errors
+}
+
+/// By what factor standard deviations are too small: what frames that are kept back show of it, at least 1 and at most [`LARGEST_FACTOR`].
+///
+/// The prior and the noise are simpler than the world, and the light follows its own estimate, so the posterior is too narrow where the model is poor. The
+/// median of the prediction errors, over their standard deviations with this factor, is that of a normal distribution. 1 where too few frames can
+/// be kept back.
+pub fn too_narrow_by(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> f64 {
+    let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| kept(problem.frames)).collect();
+    let options = MapOptions { with_sigma: true, ..*options };
+    let tasks: Vec<MapTask<'_>> = problems.iter().zip(&kept).map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options }).collect();
+    let mut errors: Vec<Error> = Vec::new();
+    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
+        let MapProblem { frames, sensor, .. } = problems[n];
+        let spread: Vec<f64> = solution.log_photocurrent.iter().zip(solution.variance).map(|(u, v)| u + 0.5 * libm::log(f64::max(*v, 1e-12))).collect();
+        for (_, frame) in
+            frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l, frames.len()) && !frame.saturated && spread.len() == solution.t_ns.len())
+        {
+            let over = |log: &[f64]| sensor.gain * collected_between(solution.t_ns, log, frame.start_ns, frame.end_ns);
+            let size = (sensor.black_level_dn + over(solution.log_photocurrent) - frame.dn).abs();
+            let sigma = over(&spread);
+            errors.push(Error { size, ours: sigma * sigma, frames: frame.sigma_dn * frame.sigma_dn });
+        }
+    });
+    if errors.len() < FEWEST_EVENTS {
+        return 1.0;
+    }
+    let middle = errors.len() / 2;
+    let mut median = |factor: f64| {
+        let relative = |error: &Error| error.size / (error.ours * factor * factor + error.frames).sqrt();
+        relative(errors.select_nth_unstable_by(middle, |a, b| relative(a).total_cmp(&relative(b))).1)
+    };
+    let (mut low, mut high) = (1.0, LARGEST_FACTOR);
+    // To a hundredth.
+    for _halving in 0..9 {
+        let between = 0.5 * (low + high);
+        if median(between) > NORMAL_MEDIAN { low = between } else { high = between }
+    }
+    0.5 * (low + high)
+}
+
+/// A prediction error, and its variance by ours and by the frame.
+struct Error {
+    size: f64,
+    ours: f64,
+    frames: f64,
 }
 
 fn mean_threshold(problems: &[MapProblem<'_>]) -> f64 {

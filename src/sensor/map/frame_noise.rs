@@ -14,7 +14,7 @@ use super::{MapEvent, MapFrame};
 /// With fewer differences than this, noise is taken as stated.
 pub const FEWEST_DIFFERENCES: usize = 60;
 /// The median of the absolute value of a normal variable of unit variance.
-const NORMAL_MEDIAN: f64 = 0.674_489_750_196_081_7;
+pub(super) const NORMAL_MEDIAN: f64 = 0.674_489_750_196_081_7;
 
 /// A second difference of frame values.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -216,6 +216,19 @@ fn events_are_believed_less_where_they_mislead_about_frames() {
 }
 
 #[test]
+fn standard_deviations_are_widened_where_frames_are_missed_by_more() {
+    let recorded = recorded(Reset::Resample);
+    let right = recorded.problem(Reset::Resample);
+    // Thresholds told 50 % too large, of which the noise knows nothing.
+    let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, threshold_off: 0.315, ..right.sensor }, ..right };
+    let factor = |problem, count| estimate::too_narrow_by(&vec![problem; count], &MapOptions::default(), &mut MapGroup::default());
+    let (told_right, told_wrong) = (factor(right, 60), factor(wrong, 60));
+    assert!(told_right < 2.0 && told_wrong > 1.5 * told_right, "{told_right} and {told_wrong}");
+    // One frame of each is kept back: too few to tell.
+    assert_eq!(factor(wrong, 10), 1.0);
+}
+
+#[test]
 fn a_pixel_without_events_is_as_bright_as_its_frames() {
     let frame = |start_ns: i64| MapFrame { start_ns, end_ns: start_ns + 5_000_000, dn: 425.0, sigma_dn: 1.0, saturated: false };
     let frames = [frame(0), frame(8_000_000)];
