@@ -142,8 +142,8 @@ pub struct Params {
     /// Knots near events lie at most this far apart, for `map`; in quiet gaps they widen with the distance from an event, to 8 ms.
     #[schemars(extend("x-min" = "10 us"))]
     pub knot_spacing: Duration,
-    /// Does every knot of the tracks of `map` carry a standard deviation: what measurements and prior leave open, widened where frames that are kept back
-    /// show that to be too little?
+    /// Every knot of the tracks of `map` carries a standard deviation: what measurements and prior leave open, widened where frames that are kept back
+    /// show that to be too little.
     pub sigma: bool,
     /// How the front end's delay is treated.
     pub front_end: FrontEndModel,
