@@ -46,6 +46,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<write::recording::WriteRecording>(),
         Kind::of::<write::frames::WriteFrames>(),
         Kind::of::<write::table::WriteTable>(),
+        Kind::of::<write::plot::WritePlot>(),
         Kind::of::<write::contact_sheet::WriteContactSheet>(),
     ])
 }

@@ -4,9 +4,11 @@
 //! was written is also an output, a small table, so that a report can list it.
 
 pub mod contact_sheet;
+pub mod figure;
 mod font;
 pub mod frames;
 mod picture;
+pub mod plot;
 pub mod recording;
 pub mod table;
 

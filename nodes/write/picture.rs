@@ -33,7 +33,8 @@ impl Picture<'_> {
         self.encode(BufWriter::new(file)).map_err(|error| cannot_write(path, &error))
     }
 
-    fn encode(&self, to: BufWriter<File>) -> Result<(), png::EncodingError> {
+    /// Encodes it with quick compression.
+    pub fn encode(&self, to: impl std::io::Write) -> Result<(), png::EncodingError> {
         let mut encoder = Encoder::new(to, self.width, self.height);
         encoder.set_color(if self.channels == 1 { ColorType::Grayscale } else { ColorType::Rgb });
         encoder.set_depth(self.depth);

@@ -9,7 +9,7 @@
 //!
 //! Limits: scores of methods that were measured on different frames are put side by side as they are; the number of frames stands in `table.json`.
 
-use photocurrent_core::table::{Column, Score, TableMeta, percentile};
+use photocurrent_core::table::{Column, Score, TableMeta, higher_is_better, percentile};
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -112,18 +112,8 @@ impl Metric {
         if self.unit.is_empty() { self.name.clone() } else { format!("{} [{}]", self.name, self.unit) }
     }
 
-    /// Is a higher value better? `None` when the name does not say.
     fn higher_is_better(&self) -> Option<bool> {
-        let name = self.name.to_lowercase();
-        let has = |words: &[&str]| words.iter().any(|word| name.contains(word));
-        // An error in decibels would be an odd name, but still an error.
-        if has(&["error", "rmse", "mae", "lpips", "bew", "glitch"]) {
-            Some(false)
-        } else if name.ends_with("_db") || has(&["ssim"]) {
-            Some(true)
-        } else {
-            None
-        }
+        higher_is_better(&self.name)
     }
 }
 

@@ -112,6 +112,25 @@ pub fn percentile(sorted: &[f64], share: f64) -> f64 {
     if part == 0.0 || sorted[below] == sorted[below + 1] { sorted[below] } else { sorted[below] + part * (sorted[below + 1] - sorted[below]) }
 }
 
+/// Is a higher value of a metric better? `None` when its name does not say.
+///
+/// ```
+/// use photocurrent_core::table::higher_is_better;
+/// assert_eq!([higher_is_better("psnr_db"), higher_is_better("bew_px"), higher_is_better("count")], [Some(true), Some(false), None]);
+/// ```
+pub fn higher_is_better(metric: &str) -> Option<bool> {
+    let name = metric.to_lowercase();
+    let has = |words: &[&str]| words.iter().any(|word| name.contains(word));
+    // An error in decibels would be an odd name, but still an error; and a glitch of the PSNR is a glitch.
+    if has(&["error", "rmse", "mae", "lpips", "bew", "glitch"]) {
+        Some(false)
+    } else if name.ends_with("_db") || has(&["ssim"]) {
+        Some(true)
+    } else {
+        None
+    }
+}
+
 impl Table {
     /// Adds a column.
     ///
