@@ -9,6 +9,7 @@
 //! - `colour`: colour frames and mosaics, from a scene to pictures by way of a recording.
 //! - `films`: pictures as light, from files to events.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
+//! - `tables`: scores as tables and figures, by `photocurrent table`.
 //! - `tidy`: the invariants of docs/architecture.md.
 
 mod cache;
@@ -21,4 +22,5 @@ mod manifests;
 mod pipelines;
 mod recordings;
 mod support;
+mod tables;
 mod tidy;

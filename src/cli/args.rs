@@ -22,6 +22,8 @@ pub enum Command {
     Explain(ExplainOptions),
     /// Check a manifest, or a recording, without running anything
     Check(CheckOptions),
+    /// Print the scores of finished runs as a table: Markdown, CSV, LaTeX or JSON Lines
+    Table(TableOptions),
     /// Draw the graph of a pipeline
     Graph(GraphOptions),
     /// Show what is in a recording or a cached artefact
@@ -111,6 +113,82 @@ pub struct CheckOptions {
     /// Lay a value over the manifest
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub sets: Vec<String>,
+}
+
+/// How a table is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TableFormat {
+    /// Markdown: the best in bold, the second underlined
+    Md,
+    /// Comma-separated values, all digits, no marks
+    Csv,
+    /// A LaTeX tabular for the package booktabs
+    Latex,
+    /// One JSON object a cell, all digits
+    Jsonl,
+}
+
+/// Among which cells the best is looked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Among {
+    /// The cells of one row and metric
+    Row,
+    /// The cells of one column and metric
+    Column,
+    /// Nowhere
+    None,
+}
+
+/// Which of the pooled numbers of a score is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Pooled {
+    /// The scorer's own pooled value, mostly the mean over frames
+    Value,
+    /// The smallest frame
+    Min,
+    /// The 5th percentile of the frames
+    P05,
+    /// The 95th percentile of the frames
+    P95,
+    /// The largest frame
+    Max,
+}
+
+#[derive(ClapArgs)]
+pub struct TableOptions {
+    /// What was run: a manifest (its scores are in out/NAME), a folder with metrics, or a .jsonl file of scores
+    #[arg(required = true, value_name = "FILE|MANIFEST")]
+    pub sources: Vec<PathBuf>,
+    /// What makes the rows: axes of the ablation, or file, node, method, label, metric, frame
+    #[arg(long, value_name = "AXIS,...", value_delimiter = ',')]
+    pub rows: Vec<String>,
+    /// What makes the columns [default: what differs and is not in the rows]
+    #[arg(long, alias = "cols", value_name = "AXIS,...", value_delimiter = ',')]
+    pub columns: Vec<String>,
+    /// Which metrics, in this order [default: all]
+    #[arg(long, value_name = "METRIC,...", value_delimiter = ',')]
+    pub metric: Vec<String>,
+    /// Only these levels of an axis, in this order: scene=fan,texture
+    #[arg(long = "where", value_name = "AXIS=LEVEL,...")]
+    pub only: Vec<String>,
+    /// Which of the pooled numbers
+    #[arg(long, value_enum, default_value = "value")]
+    pub statistic: Pooled,
+    /// Digits after the point, for all metrics or for one: 2, psnr_db=1,lpips=3 [default: by metric]
+    #[arg(long, value_name = "N|METRIC=N,...", value_delimiter = ',')]
+    pub digits: Vec<String>,
+    /// Among which cells the best and the second are marked [default: row when the columns compare, else column]
+    #[arg(long, value_enum)]
+    pub best: Option<Among>,
+    /// Show a name as another one: edi=EDI
+    #[arg(long, value_name = "NAME=TEXT")]
+    pub rename: Vec<String>,
+    /// How to write it
+    #[arg(long, value_enum, default_value = "md")]
+    pub format: TableFormat,
+    /// Draw it as well, the rows along the axis: levels are numbers with a unit (73rpm), the file ends in .svg or .png
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
 }
 
 #[derive(Clone, Copy, ValueEnum)]

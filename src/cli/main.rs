@@ -14,6 +14,7 @@ mod plan;
 mod problems;
 mod progress;
 mod run;
+mod table;
 mod tables;
 
 use args::{Args, Command};
@@ -28,6 +29,7 @@ fn main() -> ExitCode {
         Command::Plan(options) => plan::plan(options),
         Command::Explain(options) => plan::explain(options),
         Command::Check(options) => plan::check(options),
+        Command::Table(options) => table::table(options),
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),
         Command::Nodes(options) => nodes::nodes(options),
