@@ -148,7 +148,8 @@ impl Panel {
             for stretch in series.points.split(|(x, y)| !(x.is_finite() && y.is_finite())).filter(|stretch| !stretch.is_empty()) {
                 let line = chart.draw_series(LineSeries::new(stretch.iter().copied(), style))?;
                 if is_first {
-                    line.label(&series.label).legend(move |(x, y)| PathElement::new([(x, y), (x + 18 * unit, y)], style));
+                    // Letters are broader than `plotters` guesses: without room behind them they would run over the legend's border.
+                    line.label(format!("{}  ", series.label)).legend(move |(x, y)| PathElement::new([(x, y), (x + 18 * unit, y)], style));
                     is_first = false;
                 }
                 if series.points.len() <= MOST_MARKS || stretch.len() == 1 {

@@ -296,7 +296,11 @@ mod tests {
     fn text_at(svg: &str, text: &str) -> Vec<(f64, f64)> {
         let lines: Vec<&str> = svg.lines().collect();
         let number = |line: &str, name: &str| line.split(&format!(" {name}=\"")).nth(1).unwrap().split('"').next().unwrap().parse().unwrap();
-        lines.windows(2).filter(|pair| pair[1] == text && pair[0].starts_with("<text")).map(|pair| (number(pair[0], "x"), number(pair[0], "y"))).collect()
+        lines
+            .windows(2)
+            .filter(|pair| pair[1].trim_end() == text && pair[0].starts_with("<text"))
+            .map(|pair| (number(pair[0], "x"), number(pair[0], "y")))
+            .collect()
     }
 
     const BLUE: &str = "#0072B2";

@@ -177,7 +177,7 @@ pub struct TableOptions {
     /// Digits after the point, for all metrics or for one: 2, psnr_db=1,lpips=3 [default: by metric]
     #[arg(long, value_name = "N|METRIC=N,...", value_delimiter = ',')]
     pub digits: Vec<String>,
-    /// Among which cells the best and the second are marked [default: row when the columns compare, else column]
+    /// Among which cells the best and the second are marked [default: where methods stand beside each other]
     #[arg(long, value_enum)]
     pub best: Option<Among>,
     /// Show a name as another one: edi=EDI

@@ -70,9 +70,14 @@ impl Grid {
         Ok(Grid { row_axes, column_axes, rows, columns, cells })
     }
 
-    /// Do the columns set something beside something else, and not only one metric beside another?
+    /// Are cells compared along a row? Methods with methods, where there are any; else what stands beside each other, unless that is one metric beside another.
     pub fn columns_compare(&self) -> bool {
-        self.column_axes.iter().any(|axis| axis != "metric")
+        let has_methods = |axes: &[String]| axes.iter().any(|axis| ["method", "node", "label"].contains(&axis.as_str()));
+        match (has_methods(&self.column_axes), has_methods(&self.row_axes)) {
+            (true, _) => true,
+            (false, true) => false,
+            (false, false) => self.column_axes.iter().any(|axis| axis != "metric"),
+        }
     }
 
     /// The metrics in the order in which they stand.
@@ -197,6 +202,8 @@ pub mod tests {
         assert_eq!(grid.rows, [["ours"], ["edi"], ["akf"]]);
         assert_eq!(grid.columns, [["psnr_db", "fan"], ["psnr_db", "ball"], ["lpips", "fan"], ["lpips", "ball"]]);
         assert_eq!(grid.cells[1][1].as_ref().map(|cell| cell.value), Some(21.0));
+        // Methods are compared with methods.
+        assert!(!grid.columns_compare());
     }
 
     #[test]
