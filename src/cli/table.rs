@@ -110,15 +110,15 @@ mod tests {
         let metrics = ["psnr_db".to_string(), "lpips".to_string()];
         let of = |asked: &[&str]| digits(&asked.iter().map(ToString::to_string).collect::<Vec<_>>(), &metrics).map(|d| (d["psnr_db"], d["lpips"]));
         assert!(matches!(of(&[]), Ok((2, 3))) && matches!(of(&["1"]), Ok((1, 1))) && matches!(of(&["1", "lpips=4"]), Ok((1, 4))));
-        let found = message(of(&["ssim=2"]).err().expect("no such metric"));
+        let found = message(of(&["ssim=2"]).unwrap_err());
         assert_eq!(found, "--digits ssim=2: the table has no metric `ssim`; it has psnr_db, lpips");
-        assert!(message(of(&["x"]).err().expect("no number")).contains("0 to 12"));
+        assert!(message(of(&["x"]).unwrap_err()).contains("0 to 12"));
     }
 
     #[test]
     fn choices_and_names_need_both_sides() {
         assert!(matches!(choice("scene=fan,texture"), Ok((axis, levels)) if axis == "scene" && levels == ["fan", "texture"]));
-        assert!(message(choice("scene").err().expect("no levels")).starts_with("--where scene: expected"));
-        assert!(message(names(&["edi".into()]).err().expect("no text")).starts_with("--rename edi: expected"));
+        assert!(message(choice("scene").unwrap_err()).starts_with("--where scene: expected"));
+        assert!(message(names(&["edi".into()]).unwrap_err()).starts_with("--rename edi: expected"));
     }
 }
