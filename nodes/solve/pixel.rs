@@ -40,6 +40,7 @@ use photocurrent_core::{
     NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
 };
 use photocurrent_sensor::front_end::FrontEnd;
+use photocurrent_sensor::residuals::Misfit;
 use rayon::prelude::*;
 use row::Recorded;
 use schemars::JsonSchema;
@@ -206,7 +207,7 @@ photocurrent_core::ports! {
     pub struct Out {
         /// Photocurrent of every value of the frames over time.
         tracks: TrackSet,
-        /// How the solution went: planes `status` (0 converged, 1 safe estimate, 2 saturated, 3 no usable frame), `iterations` (largest), `cost` (sum).
+        /// How the solution went: planes `status` (0 converged, 1 safe estimate, 2 saturated, 3 no usable frame), `iterations` (largest), `cost` (sum), `event_residual` and `frame_residual` (root mean squares in standard deviations, NaN for none).
         map: MapSet,
     }
 }
@@ -228,7 +229,16 @@ enum Status {
 /// More steps than this do not improve a pixel of `method = "map"`.
 const MAP_STEPS: usize = 5;
 
-const PLANES: [&str; 3] = ["status", "iterations", "cost"];
+const PLANES: [&str; 5] = ["status", "iterations", "cost", "event_residual", "frame_residual"];
+
+/// What stands in [`PLANES`] for a pixel.
+///
+/// Residuals are measured less predicted, over the standard deviations of `method = "map"` or times the roots of the weights of `method = "paper"`: of all
+/// windows, frames in two of them counting twice. Events in blind times and saturated values that are met say nothing to `map` and are left out; a safe
+/// estimate of `paper` meets its events.
+fn planes(status: Status, iterations: usize, cost: f64, misfit: &Misfit) -> [f32; PLANES.len()] {
+    [status as u8 as f32, iterations as f32, cost as f32, misfit.event_rms() as f32, misfit.frame_rms() as f32]
+}
 
 /// Everything about the sensor that one pixel's problem needs, checked once.
 pub(crate) struct Model {
@@ -351,7 +361,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 8,
+        revision: 9,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -441,7 +451,7 @@ fn map_meta(extent: photocurrent_core::Extent) -> MapMeta {
     MapMeta { extent, planes: PLANES.map(String::from).to_vec() }
 }
 
-/// The worst, the largest and the sum over the values of each pixel.
+/// Over the values of each pixel: the worst, the largest, the sum, and root mean squares of residuals.
 fn of_pixels(values: MapBand, meta: &TracksMeta) -> MapBand {
     let channels = meta.colour.channels() as usize;
     if channels == 1 {
@@ -451,7 +461,14 @@ fn of_pixels(values: MapBand, meta: &TracksMeta) -> MapBand {
     for row in values.rows().iter() {
         for (plane, name) in PLANES.iter().enumerate() {
             for (out, of_pixel) in map.row_mut(plane, row).iter_mut().zip(values.row(plane, row).chunks_exact(channels)) {
-                *out = if *name == "cost" { of_pixel.iter().sum() } else { of_pixel.iter().copied().fold(0.0, f32::max) };
+                *out = match *name {
+                    "cost" => of_pixel.iter().sum(),
+                    "event_residual" | "frame_residual" => {
+                        let known = || of_pixel.iter().filter(|rms| !rms.is_nan());
+                        (known().map(|rms| rms * rms).sum::<f32>() / known().count() as f32).sqrt()
+                    }
+                    _ => of_pixel.iter().copied().fold(0.0, f32::max),
+                };
             }
         }
     }

@@ -1,9 +1,10 @@
 //! `method = "map"`: a row of pixels cut out of the recording, and their most probable light put together.
 
 use super::row::{Recorded, RowData};
-use super::{Model, PLANES, Status, map_meta};
+use super::{Model, Status, map_meta, planes};
 use photocurrent_core::{MapBand, NodeError, Rows, Sensor, TrackBand, TracksMeta};
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapTask, Noise, estimate};
+use photocurrent_sensor::residuals::Misfit;
 
 /// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
 const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
@@ -91,7 +92,10 @@ impl RowSolver {
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
         let RowSolver { group, data, knots, knots_of } = self;
-        map.row_mut(0, row).fill(Status::NoFrame as u8 as f32);
+        // As it stays where a pixel has no frame.
+        for (plane, value) in planes(Status::NoFrame, 0, 0.0, &Misfit::default()).into_iter().enumerate() {
+            map.row_mut(plane, row).fill(value);
+        }
         knots.clear();
         knots_of.clear();
         knots_of.resize(width, 0..0);
@@ -114,8 +118,8 @@ impl RowSolver {
                 _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
                 MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
             };
-            let values = [status as u8 as f32, solution.iterations as f32, -solution.log_evidence as f32];
-            for (plane, value) in values.into_iter().enumerate().take(PLANES.len()) {
+            let values = planes(status, solution.iterations, -solution.log_evidence, &solution.misfit);
+            for (plane, value) in values.into_iter().enumerate() {
                 map.row_mut(plane, row)[lit[n]] = value;
             }
         });

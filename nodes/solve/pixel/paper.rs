@@ -4,13 +4,14 @@
 //! pixels of a group need about the same time; what the group hands back, and what has no steps at all, is solved one by one in double precision.
 
 use super::shares::{RowShares, Share};
-use super::{FirstKnot, Joint, Model, Params, Precision, ReadoutModel, Status, TauChoice, map_meta};
+use super::{FirstKnot, Joint, Model, Params, Precision, ReadoutModel, Status, TauChoice, map_meta, planes};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::{Exposure, FrameBlock, MapBand, NodeError, Rows, TrackBand, TracksMeta};
 use photocurrent_sensor::front_end::TauRule;
 use photocurrent_sensor::inverse::{FrameSample, LaneGroup, PixelProblem, SolveOptions, Workspace, solve};
 use photocurrent_sensor::lanes::LANES;
 use photocurrent_sensor::readout::compensated_step;
+use photocurrent_sensor::residuals::Misfit;
 use std::ops::Range;
 
 /// Solves the pixels of a row; keeps its memory from row to row.
@@ -40,6 +41,7 @@ struct Problem {
     status: Status,
     iterations: usize,
     cost: f64,
+    misfit: Misfit,
 }
 
 impl RowSolver {
@@ -71,12 +73,13 @@ impl RowSolver {
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
         for (x, problems) in self.problems.chunks_exact(windows.len()).enumerate() {
-            let (mut worst, mut iterations, mut cost) = (Status::Converged, 0, 0.0);
+            let (mut worst, mut iterations, mut cost, mut misfit) = (Status::Converged, 0, 0.0, Misfit::default());
             self.knots.clear();
             for (window, problem) in windows.iter().zip(problems) {
                 worst = worst.max(problem.status);
                 iterations = iterations.max(problem.iterations);
                 cost += problem.cost;
+                misfit.add(&problem.misfit);
                 for (k, at) in problem.knots.clone().enumerate() {
                     let t = window.start + (self.t_s[at] * 1e9).round() as i64;
                     if problem.status != Status::NoFrame && (k == 0 || t < window.counts_until) {
@@ -85,7 +88,7 @@ impl RowSolver {
                 }
             }
             tracks.push(self.knots.iter().copied());
-            for (plane, value) in [worst as u8 as f32, iterations as f32, cost as f32].into_iter().enumerate() {
+            for (plane, value) in planes(worst, iterations, cost, &misfit).into_iter().enumerate() {
                 map.row_mut(plane, row)[x] = value;
             }
         }
@@ -152,7 +155,7 @@ impl RowSolver {
             }
         }
         let (knots, samples) = (first_at..self.t_s.len(), first_sample..self.samples.len());
-        self.problems.push(Problem { knots, samples, light_ratio: share.ratio, status, iterations: 0, cost: 0.0 });
+        self.problems.push(Problem { knots, samples, light_ratio: share.ratio, status, iterations: 0, cost: 0.0, misfit: Misfit::default() });
     }
 
     /// Solves all problems of the row.
@@ -201,7 +204,7 @@ impl RowSolver {
                     continue;
                 };
                 let problem = &mut self.problems[*n];
-                (problem.iterations, problem.cost) = (solution.iterations, solution.cost.into());
+                (problem.iterations, problem.cost, problem.misfit) = (solution.iterations, solution.cost.into(), solution.misfit);
                 for (out, u) in self.log_photocurrent[problem.knots.clone()].iter_mut().zip(solution.log_photocurrent()) {
                     *out = u.into();
                 }
@@ -213,7 +216,7 @@ impl RowSolver {
             if !solution.has_converged() {
                 problem.status = problem.status.max(Status::SafeEstimate);
             }
-            (problem.iterations, problem.cost) = (solution.iterations, solution.cost);
+            (problem.iterations, problem.cost, problem.misfit) = (solution.iterations, solution.cost, solution.misfit);
             self.log_photocurrent[problem.knots.clone()].copy_from_slice(solution.log_photocurrent);
         }
         Ok(())

@@ -195,6 +195,36 @@ fn dead_saturated_and_unknown_pixels_have_stated_outcomes() {
 }
 
 #[test]
+fn residuals_of_events_and_frames_are_mapped_apart() {
+    let step = |x: u16, y: u16, k: i64| Event { x, y, polarity: Polarity::from_bit((k % 2) as u8), t: k * 1_300_000 + 20_000, t_in: Some(k * 1_300_000) };
+    let events: Vec<Event> = (0..4).flat_map(|y| (1..5).flat_map(move |x| (1..10).map(move |k| step(x, y, k)))).collect();
+    let frames = testing::captured(EXTENT, exposures(2), 0, |_, x, _| if x == 4 { f32::NAN } else { 200.0 });
+    for params in [Params::default(), Params { precision: Precision::Double, ..Params::default() }, most_probable()] {
+        let (solved, _) = solve(params, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
+        let map = solved.map.read(EXTENT.rows()).unwrap();
+        assert_eq!(solved.map.meta.planes[3..], ["event_residual", "frame_residual"]);
+        for y in EXTENT.rows().iter() {
+            let (event, frame) = (map.row(3, y), map.row(4, y));
+            assert!(event[0].is_nan() && (1..4).all(|x| event[x] >= 0.0), "{event:?}");
+            assert!(frame[4].is_nan() && (0..4).all(|x| frame[x] >= 0.0), "{frame:?}");
+        }
+    }
+}
+
+#[test]
+fn weights_four_times_as_large_double_the_residuals() {
+    // Both weights together move no minimum.
+    let residuals = |weight: f64| {
+        let params = Params { precision: Precision::Double, cis_weight: weight, evs_weight: weight, ..Params::default() };
+        let map = solve(params, walk(EXTENT, 14_000_000), frames(3), EXTENT.rows()).0.map.read(EXTENT.rows()).unwrap();
+        EXTENT.rows().iter().flat_map(|y| [map.row(3, y).to_vec(), map.row(4, y).to_vec()]).flatten().collect::<Vec<f32>>()
+    };
+    let (once, four) = (residuals(1.0), residuals(4.0));
+    assert!(once.iter().filter(|rms| **rms > 1e-3).count() > 10, "{once:?}");
+    assert!(once.iter().zip(&four).all(|(once, four)| (four - 2.0 * once).abs() <= 1e-3 * (1e-2 + four)), "{once:?} {four:?}");
+}
+
+#[test]
 fn a_recording_without_events_holds_the_light_of_each_pair() {
     let (solved, _) = solve(Params::default(), testing::stream(EXTENT, vec![]), frames(3), EXTENT.rows());
     let tracks = solved.tracks.read(EXTENT.rows()).unwrap();

@@ -38,6 +38,9 @@ pub(super) struct Candidate {
     pub dn: Vec<f64>,
     /// Eq. (13).
     pub cost: f64,
+    /// The parts of it: of the EVS rows and of the CIS rows.
+    pub evs_cost: f64,
+    pub cis_cost: f64,
 }
 
 impl Candidate {
@@ -183,12 +186,15 @@ impl Candidate {
             cost += (measured - step) * (measured - step);
         }
         cost *= problem.evs_weight;
+        (self.evs_cost, self.cis_cost) = (cost, 0.0);
         self.dn.clear();
         for (l, frame) in problem.frames.iter().enumerate() {
             let held = overlap.row(l).iter().zip(&self.photocurrent);
             let integral: f64 = held.map(|(seconds, i)| seconds * i).sum();
             let dn = problem.black_level + problem.gain * integral;
-            cost += frame.weight * (frame.dn - dn) * (frame.dn - dn);
+            let part = frame.weight * (frame.dn - dn) * (frame.dn - dn);
+            cost += part;
+            self.cis_cost += part;
             self.dn.push(dn);
         }
         self.cost = cost;

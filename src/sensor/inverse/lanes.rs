@@ -10,6 +10,7 @@
 use super::problem::{LOG_PHOTOCURRENT_MAX, PixelProblem};
 use crate::front_end::{FrontEnd, TauRule, settled_photocurrent, settling_rate};
 use crate::lanes::{LANES, Lanes};
+use crate::residuals::Misfit;
 use crate::scalar::Scalar;
 use multiversion::multiversion;
 
@@ -57,6 +58,8 @@ pub struct LaneSolution<'g> {
     lane: usize,
     /// Eq. (13).
     pub cost: f32,
+    /// The same in two parts: EVS rows as events, CIS rows as frames, each times its weight.
+    pub misfit: Misfit,
     /// Steps tried.
     pub iterations: usize,
 }
@@ -100,6 +103,9 @@ struct Point {
     by_before: Vec<Lanes>,
     dn: Vec<Lanes>,
     cost: Lanes,
+    /// The parts of it.
+    evs_cost: Lanes,
+    cis_cost: Lanes,
     /// 1 where every knot was found, away from its fold and in range.
     valid: Lanes,
 }
@@ -140,7 +146,10 @@ impl LaneGroup {
     /// The solution of pixel `n` of the group, or nothing when it is left to the scalar solver.
     pub fn solution(&self, n: usize) -> Option<LaneSolution<'_>> {
         let log_photocurrent = &self.current.log_photocurrent[..self.counts[n]];
-        (self.solved.0[n] > 0.0).then(|| LaneSolution { log_photocurrent, lane: n, cost: self.current.cost.0[n], iterations: self.rounds.0[n] as usize })
+        let Point { cost, evs_cost, cis_cost, .. } = &self.current;
+        let (event_square, frame_square) = (f64::from(evs_cost.0[n]), f64::from(cis_cost.0[n]));
+        let misfit = Misfit { event_square, events: self.counts[n] - 1, frame_square, frames: self.given.frames };
+        (self.solved.0[n] > 0.0).then(|| LaneSolution { log_photocurrent, lane: n, cost: cost.0[n], misfit, iterations: self.rounds.0[n] as usize })
     }
 }
 
@@ -378,13 +387,16 @@ impl Point {
         }
         self.valid = Lanes::splat(0.5).at_least(most, self.valid, Lanes::ZERO);
         let mut cost = square / given.evs_variance;
+        (self.evs_cost, self.cis_cost) = (cost, Lanes::ZERO);
         for l in 0..given.frames {
             let mut dn = Lanes::ZERO;
             for (i, exposed) in self.photocurrent.iter().zip(given.exposed(l)) {
                 dn = dn + *i * *exposed;
             }
             let miss = given.dn[l] - dn;
-            cost = cost + miss * miss / given.variance[l];
+            let part = miss * miss / given.variance[l];
+            cost = cost + part;
+            self.cis_cost = self.cis_cost + part;
             self.dn[l] = dn;
         }
         self.cost = cost;
@@ -420,6 +432,8 @@ impl Point {
             }
         }
         self.cost = is_taken.at_least(half, other.cost, self.cost);
+        self.evs_cost = is_taken.at_least(half, other.evs_cost, self.evs_cost);
+        self.cis_cost = is_taken.at_least(half, other.cis_cost, self.cis_cost);
         self.valid = is_taken.at_least(half, other.valid, self.valid);
     }
 }

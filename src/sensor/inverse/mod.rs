@@ -133,6 +133,7 @@ pub fn solve_from<'w>(
         front_end_voltage: &solved.voltage,
         dn: &solved.dn,
         cost: solved.cost,
+        misfit: problem.misfit(solved.evs_cost, solved.cis_cost),
         iterations,
         outcome: Outcome::Converged,
     })
@@ -223,6 +224,7 @@ impl Workspace {
             cost += frame.weight * (frame.dn - dn) * (frame.dn - dn);
             self.current.dn.push(dn);
         }
-        Solution { log_photocurrent: &self.closed_form, front_end_voltage: &self.closed_form, dn: &self.current.dn, cost, iterations, outcome }
+        let misfit = problem.misfit(0.0, cost);
+        Solution { log_photocurrent: &self.closed_form, front_end_voltage: &self.closed_form, dn: &self.current.dn, cost, misfit, iterations, outcome }
     }
 }

@@ -1,6 +1,7 @@
 //! What one pixel's inverse problem consists of, and what makes it ill posed.
 
 use crate::front_end::{FrontEnd, TauRule};
+use crate::residuals::Misfit;
 
 /// Smallest natural log of photocurrent that a solution may hold: 4e-18, dark for any unit in use.
 pub const LOG_PHOTOCURRENT_MIN: f64 = -40.0;
@@ -102,6 +103,11 @@ pub enum ProblemError {
 }
 
 impl PixelProblem<'_> {
+    /// The misfit whose EVS rows cost `evs_cost` and whose CIS rows cost `cis_cost`.
+    pub(super) fn misfit(&self, evs_cost: f64, cis_cost: f64) -> Misfit {
+        Misfit { event_square: evs_cost, events: self.t_s.len().saturating_sub(1), frame_square: cis_cost, frames: self.frames.len() }
+    }
+
     /// Checks every promise of the fields; the first broken one is returned.
     pub fn check(&self) -> Result<(), ProblemError> {
         if self.frames.is_empty() {
@@ -219,6 +225,8 @@ pub struct Solution<'w> {
     pub dn: &'w [f64],
     /// The cost of Eq. (13). For a safe estimate, that of the ideal front end (its EVS rows are then met exactly).
     pub cost: f64,
+    /// The same in two parts: EVS rows as events, CIS rows as frames, each times its weight.
+    pub misfit: Misfit,
     /// Accepted and refused steps tried, over all damping values.
     pub iterations: usize,
     /// Whether this is a minimum or the safe estimate.

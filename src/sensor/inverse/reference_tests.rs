@@ -3,7 +3,7 @@
 use super::*;
 use crate::front_end::{FrontEnd, TauRule};
 use crate::readout::compensated_steps;
-use crate::residuals::cost;
+use crate::residuals::{cost, residuals};
 use serde::Deserialize;
 
 const FILE: &str = include_str!("../../../data/solver/reference_problems.json");
@@ -149,6 +149,31 @@ fn lanes_reach_the_optimum_to_four_digits_or_hand_the_pixel_back() {
     });
     // Problem 14 lies at a fold.
     assert_eq!(solved, 28);
+}
+
+#[test]
+fn the_misfit_is_that_of_the_rows_written_down_apart() {
+    let (mut workspace, mut group) = (Workspace::default(), LaneGroup::default());
+    for_each_problem(|index, problem, _| {
+        let check = |u: &[f64], misfit: &crate::residuals::Misfit, tolerance: f64| {
+            let mut rows = Vec::new();
+            residuals(problem, &problem.front_end, u, &mut rows);
+            let (evs, cis) = rows.split_at(problem.t_s.len() - 1);
+            let event_square: f64 = evs.iter().map(|row| problem.evs_weight * row * row).sum();
+            let frame_square: f64 = cis.iter().zip(problem.frames).map(|(row, frame)| frame.weight * row * row).sum();
+            assert_eq!((misfit.events, misfit.frames), (evs.len(), cis.len()));
+            // Rows that nearly vanish have lost their digits.
+            let near = |found: f64, expected: f64| (found - expected).abs() <= tolerance * (expected + 1.0);
+            assert!(near(misfit.event_square, event_square) && near(misfit.frame_square, frame_square), "{index}: {misfit:?} {event_square} {frame_square}");
+        };
+        let solution = solve(problem, &SolveOptions::default(), &mut workspace).expect("well posed");
+        check(solution.log_photocurrent, &solution.misfit, 1e-9);
+        group.solve(&[*problem]);
+        if let Some(solution) = group.solution(0) {
+            let u: Vec<f64> = solution.log_photocurrent().map(f64::from).collect();
+            check(&u, &solution.misfit, 2e-3);
+        }
+    });
 }
 
 #[test]

@@ -4,6 +4,7 @@ use super::knots::{Knots, Op};
 use super::prior::Segments;
 use super::segment::Pieces;
 use super::{MapProblem, Offsets};
+use crate::residuals::Misfit;
 use photocurrent_core::sensor::Reset;
 
 /// What a measurement at a knot looks at.
@@ -25,6 +26,17 @@ pub(super) struct Row {
     pub sight: Sight,
     pub residual: f64,
     pub variance: f64,
+}
+
+impl Row {
+    fn misfit(&self) -> Misfit {
+        let square = self.residual * self.residual * (1.0 / self.variance);
+        match self.sight {
+            Sight::Event(_) => Misfit { event_square: square, events: 1, ..Misfit::default() },
+            Sight::Frame => Misfit { frame_square: square, frames: 1, ..Misfit::default() },
+            Sight::Light | Sight::None => Misfit::default(),
+        }
+    }
 }
 
 /// A segment's derivatives: of the voltage by voltage and both ends, of the scaled light by both ends.
@@ -158,6 +170,15 @@ impl Chain {
         }
         self.measured_cost = cost + offsets.cost(noise);
         self.silence_square = silence_square;
+    }
+
+    /// How far the pixel's events and frames are from the predictions; those that say nothing (unarmed events, lower bounds that hold) are left away.
+    pub fn misfit(&self) -> Misfit {
+        let mut misfit = Misfit::default();
+        for row in &self.rows {
+            misfit.add(&row.misfit());
+        }
+        misfit
     }
 
     /// Twice the negative log of the posterior density, less constants, when `prior_cost` is the prior's part and `silence_sigma` the

@@ -18,6 +18,8 @@ pub mod estimate;
 pub mod frame_noise;
 mod group;
 mod knots;
+#[cfg(test)]
+mod misfit_tests;
 mod prior;
 mod segment;
 mod smoother;
@@ -32,6 +34,7 @@ pub use prior::{Local, Prior};
 pub use segment::ramp_voltage;
 
 use crate::front_end::FrontEnd;
+use crate::residuals::Misfit;
 use chain::Chain;
 use knots::Knots;
 use photocurrent_core::sensor::Reset;
@@ -228,6 +231,8 @@ pub struct MapSolution<'a> {
     pub iterations: usize,
     /// Log of the measurements' marginal likelihood, of the problem linearised at the answer.
     pub log_evidence: f64,
+    /// How far its events and frames are from the predictions, in the standard deviations that they are believed to.
+    pub misfit: Misfit,
 }
 
 /// Memory that is kept from pixel to pixel.
@@ -259,11 +264,11 @@ pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w 
     solve_with(problem, options, Evidence::Wanted, workspace)
 }
 
-/// Is the log of the marginal likelihood wanted?
+/// Are the log of the marginal likelihood and the misfit wanted?
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Evidence {
     Wanted,
-    /// It is left at zero, which saves a pass.
+    /// It is left at zero, and so is the misfit, which saves a pass.
     Unwanted,
 }
 
@@ -346,7 +351,8 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
     }
     let variance: &[f64] = if options.with_sigma { &smoother.variance } else { &[] };
     let log_evidence = if evidence == Evidence::Wanted { smoother.log_evidence } else { 0.0 };
-    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence }
+    let misfit = if evidence == Evidence::Wanted { chain.misfit() } else { Misfit::default() };
+    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence, misfit }
 }
 
 /// Posterior variance of log light at each knot, for light and offsets that were found elsewhere; `silence_sigma` as it was there.

@@ -7,6 +7,7 @@ use super::passes::{Expected, Line, WideOffsets};
 use super::stream::{BOUND, EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, RISE, SEGMENT, SILENCE, Stream};
 use crate::elementary::exp;
 use crate::front_end::FrontEnd;
+use crate::residuals::Misfit;
 use crate::wide::{Flags, WIDTH, Wide};
 use multiversion::multiversion;
 
@@ -341,6 +342,22 @@ pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &Wide
         }
     }
     cost
+}
+
+/// How far each pixel's events and frames are from the predictions: as `Chain::misfit`.
+pub(super) fn misfits(lines: &[Line]) -> [Misfit; WIDTH] {
+    let mut misfits = [Misfit::default(); WIDTH];
+    for line in lines {
+        for (l, misfit) in misfits.iter_mut().enumerate() {
+            let square = || line.residual.0[l] * line.residual.0[l] * (1.0 / line.variance.0[l]);
+            if line.sight.0[l] & EVENT != 0 {
+                misfit.add(&Misfit { event_square: square(), events: 1, ..Misfit::default() });
+            } else if line.sight.0[l] & FRAME != 0 {
+                misfit.add(&Misfit { frame_square: square(), frames: 1, ..Misfit::default() });
+            }
+        }
+    }
+    misfits
 }
 
 #[inline(always)]

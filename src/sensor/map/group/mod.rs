@@ -19,8 +19,9 @@ use super::{
     Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, Noise, Offsets, SILENCE_FROM, has_run_away,
     solve_with, thresholds, variance_at,
 };
+use crate::residuals::Misfit;
 use crate::wide::{Flags, WIDTH, Wide};
-use columns::{Columns, Common, Cost, Family, Pixel, adapt, moved, run};
+use columns::{Columns, Common, Cost, Family, Pixel, adapt, misfits, moved, run};
 use passes::{Ask, Line, Memory, WideOffsets, step};
 use stream::{EVENT, SEGMENT, SILENCE, Stream};
 
@@ -189,6 +190,7 @@ impl MapGroup {
             self.accept(&common, accepted);
         }
         let log_evidence = if evidence == Evidence::Wanted { self.evidence(&common, first, is_exact(tasks[0])) } else { [0.0; WIDTH] };
+        let misfits = if evidence == Evidence::Wanted { misfits(&self.lines) } else { [Misfit::default(); WIDTH] };
         for (l, &n) in group.iter().enumerate() {
             let (task, lane) = (tasks[l], &mut self.lanes[l]);
             lane.u.clear();
@@ -200,8 +202,8 @@ impl MapGroup {
             }
             let LaneState { offsets, status, iterations, .. } = lane.state;
             let variance: &[f64] = if task.options.with_sigma { variance_at(task, &lane.u, &offsets, lane.state.silence_sigma, &mut self.alone) } else { &[] };
-            let log_evidence = log_evidence[l];
-            take(n, MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance, offsets, status, iterations, log_evidence });
+            let (log_evidence, misfit) = (log_evidence[l], misfits[l]);
+            take(n, MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance, offsets, status, iterations, log_evidence, misfit });
         }
     }
 

@@ -93,6 +93,7 @@ fn a_pixel_gets_the_bits_in_a_group_that_it_gets_alone() {
                 assert_eq!((found.t_ns, found.offsets), (expected.t_ns, expected.offsets), "{reset:?} {n}");
                 assert_eq!(found.log_photocurrent, expected.log_photocurrent, "{reset:?} {n}");
                 assert_eq!(found.variance, expected.variance, "{reset:?} {n}");
+                assert_eq!(found.misfit, expected.misfit, "{reset:?} {n}");
                 assert!((found.log_evidence - expected.log_evidence).abs() < 1e-9 * (1.0 + expected.log_evidence.abs()), "{reset:?} {n}");
             });
             assert_eq!(seen, vec![1; tasks.len()]);
