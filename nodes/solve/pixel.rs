@@ -5,7 +5,8 @@
 //! problem; this node cuts a recording into such problems and puts the answers together.
 //!
 //! `method = "map"` asks for the most probable light ([`photocurrent_sensor::map`]): all frames and events of the pixel at once, with knots that are finer
-//! than the events, the exact reset and a prior. Nothing is cut into windows there, and its tracks are log-linear between knots.
+//! than the events, the exact reset and a prior. Silences in which events were evidently lost are not believed ([`photocurrent_sensor::map::losses`]).
+//! Nothing is cut into windows there, and its tracks are log-linear between knots.
 //!
 //! `method = "paper"` is Eq. (13), solved in [`photocurrent_sensor::inverse`], with the approximations that the paper makes. Frames are taken two by two, as in the paper: the pair (l, l+1) is solved with all events from the start of exposure l to
 //! the end of exposure l+1, and its answer counts until exposure l+1 starts. The first window reaches back to the recording's start, the
@@ -24,6 +25,8 @@ pub(crate) mod map;
 mod paper;
 pub(crate) mod row;
 pub(crate) mod shares;
+#[cfg(test)]
+mod stamps_tests;
 #[cfg(test)]
 mod tests;
 
@@ -361,7 +364,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 9,
+        revision: 10,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

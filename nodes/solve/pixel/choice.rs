@@ -8,7 +8,8 @@ use super::map::{RowSetting, problem};
 use super::row::{Recorded, RowData};
 use super::{MAP_STEPS, Model, Params};
 use photocurrent_core::{NodeError, Rows};
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, Noise, estimate, frame_noise};
+use photocurrent_sensor::map::losses::{self, Plain};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, estimate, frame_noise};
 use rayon::prelude::*;
 
 /// Rows of a block.
@@ -76,11 +77,23 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
     for frame in sample.iter_mut().flat_map(|(_, frames)| frames) {
         frame.sigma_dn = libm::sqrt(frame.sigma_dn * frame.sigma_dn + frame_dn * frame_dn);
     }
-    let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, Noise::default())).collect();
     let mut group = MapGroup::default();
+    let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, Noise::default())).collect();
+    // Or pixels that have lost events would choose for all.
+    let lost = losses_of(&problems, &options, &mut group);
+    let problems: Vec<_> = problems.into_iter().zip(&lost).map(|(problem, lost_before)| MapProblem { lost_before, ..problem }).collect();
     let choice = estimate::choose(&problems, params.event_noise, &options, &mut group);
     options.prior = choice.prior;
-    let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, choice.noise)).collect();
+    let problems: Vec<_> = problems.into_iter().map(|problem| MapProblem { noise: choice.noise, ..problem }).collect();
     let sigma_factor = if params.sigma { estimate::too_narrow_by(&problems, &options, &mut group) } else { 1.0 };
     Ok(RowSetting { span, noise: choice.noise, options, frame_dn, sigma_factor })
+}
+
+/// The events of each problem before which events were lost ([`losses::lost_before`]).
+fn losses_of(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<Vec<u32>> {
+    let options = MapOptions { with_sigma: false, ..*options };
+    let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options }).collect();
+    let mut plain = vec![Plain::default(); tasks.len()];
+    group.solve(&tasks, |n, solution| plain[n] = Plain::of(&solution));
+    losses::lost_before(&tasks, &plain, group)
 }

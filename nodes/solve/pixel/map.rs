@@ -3,6 +3,7 @@
 use super::row::{Recorded, RowData};
 use super::{Model, Status, map_meta, planes};
 use photocurrent_core::{MapBand, NodeError, Rows, Sensor, TrackBand, TracksMeta};
+use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapTask, Noise, estimate};
 use photocurrent_sensor::residuals::Misfit;
 
@@ -109,9 +110,10 @@ impl RowSolver {
             MapTask { problem: MapProblem { hints, silence_sigma: off(problem.silence_sigma, 1.0), ..problem }, options }
         };
         let tasks: Vec<MapTask<'_>> = lit.iter().map(task).collect();
-        group.solve(&tasks, |n, solution| {
+        let mut plain = vec![Plain::default(); tasks.len()];
+        let mut put = |n: usize, solution: &MapSolution<'_>| {
             let begin = knots.len();
-            thin(&solution, data.light_ratio(lit[n]), sigma_factor, knots);
+            thin(solution, data.light_ratio(lit[n]), sigma_factor, knots);
             knots_of[lit[n]] = begin..knots.len();
             let status = match solution.status {
                 MapStatus::Failed => Status::SafeEstimate,
@@ -122,7 +124,16 @@ impl RowSolver {
             for (plane, value) in values.into_iter().enumerate() {
                 map.row_mut(plane, row)[lit[n]] = value;
             }
+        };
+        group.solve(&tasks, |n, solution| {
+            plain[n] = Plain::of(&solution);
+            put(n, &solution);
         });
+        let lost = losses::lost_before(&tasks, &plain, group);
+        let again: Vec<usize> = (0..tasks.len()).filter(|&n| !lost[n].is_empty()).collect();
+        let with_losses = |&n: &usize| MapTask { problem: MapProblem { lost_before: &lost[n], ..tasks[n].problem }, ..tasks[n] };
+        let with_losses: Vec<MapTask<'_>> = again.iter().map(with_losses).collect();
+        group.solve(&with_losses, |n, solution| put(again[n], &solution));
         for knots_of in knots_of {
             let knots = knots[knots_of.clone()].iter().copied();
             if options.with_sigma { tracks.push_with_sigma(knots) } else { tracks.push(knots.map(|(t, i, _)| (t, i))) }
@@ -159,7 +170,18 @@ pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
         gain: model.gain,
         black_level_dn: model.black_level,
     };
-    MapProblem { events, frames, hints: &[], start_ns: span.0, end_ns: span.1, sensor, noise, stamp_sigma_s: model.stamp_sigma_s, silence_sigma: SILENCE_SIGMA }
+    MapProblem {
+        events,
+        frames,
+        hints: &[],
+        start_ns: span.0,
+        end_ns: span.1,
+        sensor,
+        noise,
+        stamp_sigma_s: model.stamp_sigma_s,
+        silence_sigma: SILENCE_SIGMA,
+        lost_before: &[],
+    }
 }
 
 /// Keeps as few knots as join up to the same light, times `light_ratio`, within [`THINNED_TO`], and to the same standard deviation, where there is one, times

@@ -127,7 +127,18 @@ impl Recorded {
             black_level_dn: 0.0,
         };
         let (events, frames) = (&self.events, &self.frames);
-        MapProblem { events, frames, hints: &[], start_ns: 0, end_ns: SPAN_NS, sensor, noise: Noise::default(), stamp_sigma_s: 0.0, silence_sigma: 0.03 }
+        MapProblem {
+            events,
+            frames,
+            hints: &[],
+            start_ns: 0,
+            end_ns: SPAN_NS,
+            sensor,
+            noise: Noise::default(),
+            stamp_sigma_s: 0.0,
+            silence_sigma: 0.03,
+            lost_before: &[],
+        }
     }
 }
 

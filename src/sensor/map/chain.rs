@@ -121,6 +121,7 @@ impl Chain {
                         reference = voltage;
                         blind = false;
                     }
+                    Op::Lose => blind = true,
                     Op::Hint(l) => {
                         let hint = &problem.hints[l as usize];
                         row = Row { sight: Sight::Light, residual: hint.log_photocurrent - u[j], variance: hint.variance };
@@ -172,13 +173,16 @@ impl Chain {
         self.silence_square = silence_square;
     }
 
-    /// How far the pixel's events and frames are from the predictions; those that say nothing (unarmed events, lower bounds that hold) are left away.
-    pub fn misfit(&self) -> Misfit {
-        let mut misfit = Misfit::default();
+    /// How far the pixel's events and frames are from the predictions; those that say nothing (unarmed events, lower bounds that hold) are left away. And the largest
+    /// of the squares that are summed up.
+    pub fn misfit(&self) -> (Misfit, f64) {
+        let (mut misfit, mut largest) = (Misfit::default(), 0.0);
         for row in &self.rows {
-            misfit.add(&row.misfit());
+            let of_row = row.misfit();
+            largest = f64::max(largest, of_row.event_square + of_row.frame_square);
+            misfit.add(&of_row);
         }
-        misfit
+        (misfit, largest)
     }
 
     /// Twice the negative log of the posterior density, less constants, when `prior_cost` is the prior's part and `silence_sigma` the

@@ -23,6 +23,8 @@ pub(super) enum Op {
     Expose(u32),
     /// The reference becomes the voltage of now.
     Latch,
+    /// From here to the next latch silence says nothing: events were lost.
+    Lose,
     /// Log light is known from elsewhere, by this hint.
     Hint(u32),
     /// An event fires; `armed` when the comparator was surely watching.
@@ -138,7 +140,11 @@ impl Knots {
                 }
             };
             let doubted = event.is_lone && problem.noise.lone == LoneEvents::Doubted;
-            self.marks.push((event.t_in_ns, 3, Op::Fire { polarity: event.polarity, armed: watching && !doubted, doubted }));
+            let after_loss = problem.lost_before.binary_search(&(k as u32)).is_ok();
+            if after_loss && blind_until <= event.t_in_ns {
+                self.marks.push((i64::max(blind_until, start_ns), 6, Op::Lose));
+            }
+            self.marks.push((event.t_in_ns, 3, Op::Fire { polarity: event.polarity, armed: watching && !doubted && !after_loss, doubted }));
             // A reference that moves by one threshold is the voltage of the event, unless the event was held back. Taken from the voltage,
             // errors of thresholds do not add up.
             match sensor.reset {

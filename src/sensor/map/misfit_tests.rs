@@ -76,6 +76,7 @@ fn misfit(event: f64, frame: f64) -> Misfit {
         noise: Noise { event: EVENT, ..Noise::default() },
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
+        lost_before: &[],
     };
     solve(&problem, &MapOptions::default(), &mut MapWorkspace::default()).misfit
 }

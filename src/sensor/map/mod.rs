@@ -18,6 +18,7 @@ pub mod estimate;
 pub mod frame_noise;
 mod group;
 mod knots;
+pub mod losses;
 #[cfg(test)]
 mod misfit_tests;
 mod prior;
@@ -180,6 +181,8 @@ pub struct MapProblem<'a> {
     pub stamp_sigma_s: f64,
     /// Softness of "no event, so no threshold was crossed", natural-log units; 0 = not used. Counts in the last steps only.
     pub silence_sigma: f64,
+    /// Numbers of events before which events were lost, rising; may be empty. The silence before them says nothing, and they only take the reference anew.
+    pub lost_before: &'a [u32],
 }
 
 /// How the problem is solved.
@@ -233,6 +236,8 @@ pub struct MapSolution<'a> {
     pub log_evidence: f64,
     /// How far its events and frames are from the predictions, in the standard deviations that they are believed to.
     pub misfit: Misfit,
+    /// The largest of the squares that the misfit sums up.
+    pub largest_square: f64,
 }
 
 /// Memory that is kept from pixel to pixel.
@@ -351,8 +356,8 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
     }
     let variance: &[f64] = if options.with_sigma { &smoother.variance } else { &[] };
     let log_evidence = if evidence == Evidence::Wanted { smoother.log_evidence } else { 0.0 };
-    let misfit = if evidence == Evidence::Wanted { chain.misfit() } else { Misfit::default() };
-    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence, misfit }
+    let (misfit, largest_square) = if evidence == Evidence::Wanted { chain.misfit() } else { Default::default() };
+    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence, misfit, largest_square }
 }
 
 /// Posterior variance of log light at each knot, for light and offsets that were found elsewhere; `silence_sigma` as it was there.

@@ -120,7 +120,7 @@ impl Smoother {
                     }
                 }
                 match ask.knots.ops[at] {
-                    Op::Read(_) | Op::Hint(_) => {}
+                    Op::Read(_) | Op::Lose | Op::Hint(_) => {}
                     Op::Expose(_) => state.forget(S),
                     Op::Latch => state.copy(R, V),
                     Op::Fire { armed, .. } if armed || ask.reset == Reset::Resample => {}
@@ -169,7 +169,7 @@ impl Smoother {
             }
             for at in ask.knots.ops_of(j).rev() {
                 match ask.knots.ops[at] {
-                    Op::Read(_) | Op::Hint(_) => {}
+                    Op::Read(_) | Op::Lose | Op::Hint(_) => {}
                     Op::Expose(_) => adjoint.forget(S),
                     Op::Latch => adjoint.copy(R, V),
                     Op::Fire { armed, .. } if armed || ask.reset == Reset::Resample => {}

@@ -57,7 +57,7 @@ impl Start {
                         let bright = f64::max(problem.frames[l as usize].dn - problem.sensor.black_level_dn, DARK_DN);
                         self.levels.push((0.5 * (begun_s + self.seconds[j]), libm::log(bright / (problem.sensor.gain * light))));
                     }
-                    Op::Latch | Op::Hint(_) | Op::Fire { .. } => {}
+                    Op::Latch | Op::Lose | Op::Hint(_) | Op::Fire { .. } => {}
                 }
             }
         }

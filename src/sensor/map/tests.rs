@@ -57,6 +57,7 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
             noise,
             stamp_sigma_s: 0.0,
             silence_sigma: 0.0,
+            lost_before: &[],
         };
         let (mut knots, mut segments, mut u) = (Knots::default(), Segments::default(), Vec::new());
         knots.lay(&problem, 1_000_000);
@@ -147,18 +148,25 @@ impl Recorded {
             noise,
             stamp_sigma_s: 0.0,
             silence_sigma: 0.0,
+            lost_before: &[],
         }
     }
 
     /// The rms error of log light over the recording, of knots joined by lines.
     fn error(&self, t_ns: &[i64], u: &[f64]) -> f64 {
-        let squares = self.light.0.iter().zip(&self.light.1).map(|(&t, i)| {
+        self.error_from(0, t_ns, u)
+    }
+
+    /// The same from an instant on.
+    fn error_from(&self, from_ns: i64, t_ns: &[i64], u: &[f64]) -> f64 {
+        let from = self.light.0.partition_point(|t| *t < from_ns);
+        let squares = self.light.0[from..].iter().zip(&self.light.1[from..]).map(|(&t, i)| {
             let k = t_ns.partition_point(|&knot| knot <= t).clamp(1, t_ns.len() - 1);
             let share = (t - t_ns[k - 1]) as f64 / (t_ns[k] - t_ns[k - 1]) as f64;
             let error = u[k - 1] + share * (u[k] - u[k - 1]) - libm::log(*i);
             error * error
         });
-        (squares.sum::<f64>() / self.light.0.len() as f64).sqrt()
+        (squares.sum::<f64>() / (self.light.0.len() - from) as f64).sqrt()
     }
 }
 
@@ -242,6 +250,7 @@ fn a_pixel_without_events_is_as_bright_as_its_frames() {
         noise: Noise::default(),
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
+        lost_before: &[],
     };
     let mut workspace = MapWorkspace::default();
     let solution = solve(&problem, &MapOptions::default(), &mut workspace);
@@ -287,6 +296,7 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
         noise: Noise::default(),
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
+        lost_before: &[],
     };
     let copies = vec![problem; estimate::FEWEST_EVENTS / events.len() + 1];
     let mut group = MapGroup::default();
@@ -307,8 +317,18 @@ fn light_that_would_have_fired_is_pulled_back() {
     let change = |silence_sigma: f64| {
         let sensor = sensor(Reset::Resample);
         let noise = Noise { reference: 0.001, ..Noise::default() };
-        let problem =
-            MapProblem { events: &[], frames: &frames, hints: &[], start_ns: 0, end_ns: 14_000_000, sensor, noise, stamp_sigma_s: 0.0, silence_sigma };
+        let problem = MapProblem {
+            events: &[],
+            frames: &frames,
+            hints: &[],
+            start_ns: 0,
+            end_ns: 14_000_000,
+            sensor,
+            noise,
+            stamp_sigma_s: 0.0,
+            lost_before: &[],
+            silence_sigma,
+        };
         let mut workspace = MapWorkspace::default();
         let u = solve(&problem, &MapOptions { max_iterations: 8, ..MapOptions::default() }, &mut workspace).log_photocurrent.to_vec();
         u[u.len() - 1] - u[0]
@@ -342,6 +362,7 @@ fn a_saturated_value_is_a_lower_bound_only() {
         noise: Noise::default(),
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
+        lost_before: &[],
     };
     let mut workspace = MapWorkspace::default();
     // Brighter than the bound: the bound has no say.
@@ -423,6 +444,7 @@ fn a_doubted_event_resets_the_pixel_and_moves_no_light() {
             noise,
             stamp_sigma_s: 0.0,
             silence_sigma: 0.0,
+            lost_before: &[],
         };
         let mut workspace = MapWorkspace::default();
         let solution = solve(&problem, &MapOptions::default(), &mut workspace);
@@ -451,6 +473,7 @@ fn lone_events_are_doubted_where_they_mislead_about_frames() {
         noise: Noise::default(),
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
+        lost_before: &[],
     };
     let choice = estimate::choose(&[problem; 14], None, &MapOptions::default(), &mut MapGroup::default());
     assert_eq!(choice.noise.lone, LoneEvents::Doubted);
@@ -474,4 +497,31 @@ fn thresholds_of_their_own_are_found_where_pixels_differ() {
     };
     let exact = estimate::EVENT_NOISES.iter().map(|&event| error(Noise { event, threshold: 0.0, ..chosen })).fold(f64::INFINITY, f64::min);
     assert!(chosen.threshold > 0.0 && error(chosen) < 0.9 * exact, "{chosen:?}: {} against {exact}", error(chosen));
+}
+
+#[test]
+fn lost_events_are_found_where_frames_contradict_the_silence_and_nowhere_else() {
+    for reset in [Reset::Resample, Reset::Advance] {
+        let whole = recorded(reset);
+        // One edge goes unseen: light falls by 1.4 while the pixel is silent, and rises again after it.
+        let kept = whole.events.iter().copied().filter(|event| !(10_000_000..17_500_000).contains(&event.t_in_ns)).collect();
+        let holed = Recorded { light: whole.light.clone(), frames: whole.frames.clone(), events: kept };
+        let after = holed.events.partition_point(|event| event.t_in_ns < 17_500_000) as u32;
+        assert!(holed.events.len() + 3 < whole.events.len());
+        let options = MapOptions { max_iterations: 8, ..MapOptions::default() };
+        let mut group = MapGroup::default();
+        let tasks = [&whole, &holed, &whole].map(|recorded| MapTask { problem: MapProblem { silence_sigma: 0.03, ..recorded.problem(reset) }, options });
+        let mut plain = [losses::Plain::default(); 3];
+        group.solve(&tasks, |n, solution| plain[n] = losses::Plain::of(&solution));
+        let lost = losses::lost_before(&tasks, &plain, &mut group);
+        assert_eq!(lost, [vec![], vec![after], vec![]], "{reset:?}");
+        // Behind the stretch, light is as if nothing had happened.
+        let mut workspace = MapWorkspace::default();
+        let mut error = |task: &MapTask<'_>, lost_before: &[u32]| {
+            let solution = solve(&MapProblem { lost_before, ..task.problem }, &task.options, &mut workspace);
+            whole.error_from(24_000_000, solution.t_ns, solution.log_photocurrent)
+        };
+        let (before, believed, doubted) = (error(&tasks[0], &[]), error(&tasks[1], &[]), error(&tasks[1], &lost[1]));
+        assert!(believed > 3.0 * before && doubted < 1.5 * before, "{reset:?}: {before} whole, {believed} believed, {doubted} doubted");
+    }
 }

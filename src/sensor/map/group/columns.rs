@@ -345,16 +345,21 @@ pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &Wide
 }
 
 /// How far each pixel's events and frames are from the predictions: as `Chain::misfit`.
-pub(super) fn misfits(lines: &[Line]) -> [Misfit; WIDTH] {
-    let mut misfits = [Misfit::default(); WIDTH];
+pub(super) fn misfits(lines: &[Line]) -> [(Misfit, f64); WIDTH] {
+    let mut misfits = [(Misfit::default(), 0.0); WIDTH];
     for line in lines {
-        for (l, misfit) in misfits.iter_mut().enumerate() {
-            let square = || line.residual.0[l] * line.residual.0[l] * (1.0 / line.variance.0[l]);
-            if line.sight.0[l] & EVENT != 0 {
-                misfit.add(&Misfit { event_square: square(), events: 1, ..Misfit::default() });
-            } else if line.sight.0[l] & FRAME != 0 {
-                misfit.add(&Misfit { frame_square: square(), frames: 1, ..Misfit::default() });
+        for (l, (misfit, largest)) in misfits.iter_mut().enumerate() {
+            let sight = line.sight.0[l];
+            if sight & (EVENT | FRAME) == 0 {
+                continue;
             }
+            let square = line.residual.0[l] * line.residual.0[l] * (1.0 / line.variance.0[l]);
+            *largest = f64::max(*largest, square);
+            misfit.add(&if sight & EVENT != 0 {
+                Misfit { event_square: square, events: 1, ..Misfit::default() }
+            } else {
+                Misfit { frame_square: square, frames: 1, ..Misfit::default() }
+            });
         }
     }
     misfits

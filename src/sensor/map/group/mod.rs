@@ -190,7 +190,7 @@ impl MapGroup {
             self.accept(&common, accepted);
         }
         let log_evidence = if evidence == Evidence::Wanted { self.evidence(&common, first, is_exact(tasks[0])) } else { [0.0; WIDTH] };
-        let misfits = if evidence == Evidence::Wanted { misfits(&self.lines) } else { [Misfit::default(); WIDTH] };
+        let misfits = if evidence == Evidence::Wanted { misfits(&self.lines) } else { [(Misfit::default(), 0.0); WIDTH] };
         for (l, &n) in group.iter().enumerate() {
             let (task, lane) = (tasks[l], &mut self.lanes[l]);
             lane.u.clear();
@@ -202,8 +202,11 @@ impl MapGroup {
             }
             let LaneState { offsets, status, iterations, .. } = lane.state;
             let variance: &[f64] = if task.options.with_sigma { variance_at(task, &lane.u, &offsets, lane.state.silence_sigma, &mut self.alone) } else { &[] };
-            let (log_evidence, misfit) = (log_evidence[l], misfits[l]);
-            take(n, MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance, offsets, status, iterations, log_evidence, misfit });
+            let (log_evidence, (misfit, largest_square)) = (log_evidence[l], misfits[l]);
+            take(
+                n,
+                MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance, offsets, status, iterations, log_evidence, misfit, largest_square },
+            );
         }
     }
 
@@ -301,7 +304,7 @@ fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (firs
 /// Are both tasks of one pixel, so that they have the same knots and the same start?
 fn starts_alike(one: &MapTask<'_>, other: &MapTask<'_>) -> bool {
     let (a, b) = (&one.problem, &other.problem);
-    let same = std::ptr::eq(a.events, b.events) && std::ptr::eq(a.frames, b.frames) && std::ptr::eq(a.hints, b.hints);
+    let same = a.lost_before == b.lost_before && std::ptr::eq(a.events, b.events) && std::ptr::eq(a.frames, b.frames) && std::ptr::eq(a.hints, b.hints);
     let solved = |task: &MapTask<'_>| (task.problem.start_ns, task.problem.end_ns, task.problem.sensor, task.problem.noise.lone, task.options.spacing_ns);
     same && solved(one) == solved(other)
 }

@@ -79,6 +79,7 @@ impl Stream {
                         self.last().what |= LATCH;
                         is_blind = false;
                     }
+                    Op::Lose => is_blind = true,
                     Op::Hint(l) => {
                         let hint = &hints[l as usize];
                         self.measure(LIGHT, hint.log_photocurrent, hint.variance);
