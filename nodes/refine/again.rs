@@ -1,5 +1,6 @@
 //! A recording that is solved again: what every node of this folder takes in, and how it gives hints to the solver.
 
+use super::caution::{CAUTIONS, Caution, Lost, take_care};
 use super::film::Fired;
 use crate::co_located::CoLocated;
 use crate::solve::pixel::choice::Settings;
@@ -126,20 +127,8 @@ impl Row {
     }
 }
 
-/// The factors of the hints' variances that are tried, most careful first.
-pub(super) const CAUTIONS: [f64; 6] = [f64::INFINITY, 16.0, 4.0, 1.0, 0.25, 0.0625];
 /// About so many rows are looked at to choose one.
 const SAMPLED_ROWS: usize = 18;
-/// Hints must make the error smaller by this factor to be believed at all.
-const CLEARLY_BETTER: f64 = 0.97;
-
-/// Believes hints less by a factor of their variances; infinity takes them all away.
-pub(super) fn take_care(hints: &mut Vec<Hint>, caution: f64) {
-    if caution.is_infinite() {
-        hints.clear();
-    }
-    hints.iter_mut().for_each(|hint| hint.variance *= caution);
-}
 
 /// A recording that was taken in.
 pub(super) struct Again {
@@ -161,38 +150,27 @@ impl Again {
         self.model.frame_scale()
     }
 
-    /// How careful to be with hints: the factor of their variances, one of [`CAUTIONS`], with which pixels spread over the sensor best foretell
-    /// frames that were kept back from them; `hints_of` as for [`Again::solve`], but its hints must know nothing of those frames.
-    ///
-    /// Infinity stands for no hints at all.
-    pub fn caution(&mut self, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> f64 {
-        let Again { model, rows, .. } = self;
+    /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best foretell frames that were kept back
+    /// from them; `hints_of` as for [`Again::solve`], but its hints must know nothing of those frames.
+    pub fn caution(&mut self, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Caution {
+        let Again { model, meta, rows } = self;
         let stride = usize::max(rows.len() / SAMPLED_ROWS, 1);
-        let of_row = |row: &mut Row| -> [f64; CAUTIONS.len()] {
-            let mut errors = [0.0; CAUTIONS.len()];
-            let mut hints = Vec::new();
-            for x in row.solver.sample() {
+        let of_row = |row: &mut Row| -> Vec<Lost> {
+            let (pixels, mut hints) = (row.solver.sample(), Vec::new());
+            let of_pixel = |x: usize| {
                 hints_of(row, x, model.threshold(), &mut hints);
                 let cautious = CAUTIONS.map(|caution| {
                     let mut hints = hints.clone();
                     take_care(&mut hints, caution);
                     hints
                 });
-                let of_pixel = row.solver.prediction_errors(model, &row.setting, x, &cautious);
-                errors.iter_mut().zip(of_pixel).for_each(|(error, of_pixel)| *error += of_pixel);
-            }
-            errors
+                let lost = row.solver.prediction_errors(model, &row.setting, x, &cautious);
+                Lost { x, y: row.row as usize, errors: std::array::from_fn(|n| lost[n]) }
+            };
+            pixels.into_iter().map(of_pixel).collect()
         };
-        let errors: Vec<[f64; CAUTIONS.len()]> = rows.par_iter_mut().skip(stride / 2).step_by(stride).map(of_row).collect();
-        let total = |n: usize| errors.iter().map(|errors| errors[n]).sum::<f64>();
-        let mut best = 0;
-        for n in 1..CAUTIONS.len() {
-            let by = if CAUTIONS[best].is_infinite() { CLEARLY_BETTER } else { 1.0 };
-            if total(n) < by * total(best) {
-                best = n;
-            }
-        }
-        CAUTIONS[best]
+        let lost: Vec<Vec<Lost>> = rows.par_iter_mut().skip(stride / 2).step_by(stride).map(of_row).collect();
+        Caution::choose(meta.extent, &lost.concat())
     }
 
     /// Solves every pixel with the hints that `hints_of` gives for a row and column; its last argument is how exactly a pixel knows its light

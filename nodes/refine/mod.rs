@@ -1,6 +1,7 @@
 //! Photocurrent that is known already, solved again with more knowledge.
 
 mod again;
+mod caution;
 mod film;
 #[cfg(test)]
 mod fixtures;

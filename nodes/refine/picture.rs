@@ -2,15 +2,17 @@
 //!
 //! Idea: where something rigid moves, all its frames are views of one picture. Between events and between exposures a pixel by itself knows
 //! nothing of a smooth texture; the picture does, because other exposures saw the same place, from elsewhere. So in windows of a few frames
-//! one picture is fitted to all frame values, each the mean over its own row's exposure. It moves as the tracks do, which know the motion
+//! one picture is fitted to all frame values, each the mean over its own row's exposure, and to how far light moved between the events of
+//! every pixel. It moves as the tracks do, which know the motion
 //! from the events; one affine motion of the whole sensor at every instant, corrected in the fit. What the picture foretells for a pixel is a
 //! further measurement beside the pixel's own events and frames (and what its neighbours say, as in `refine/motion`), with which the pixel is
 //! solved again. Better tracks give a better motion: a few rounds.
 //!
 //! Is it rigid? Nothing is assumed. The pictures of neighbouring windows must agree with each other and with the pixel's own events and
 //! frames ([`Trust`]); and before every round the whole is tried without one frame in three: pictures and pixels must foretell those frames better
-//! with the picture than without, or it is left away. How far the picture is believed is what foretells them best. (Motion is found from
-//! tracks that have seen all frames; the picture's light has not.)
+//! with the picture than without, or it is left away. How far the picture is believed is what foretells them best, region by region
+//! ([`Caution`](super::caution::Caution)). (Motion is found from tracks that have seen all frames, and so is how far light moved between two
+//! events, which is a threshold in any case; the picture's light has not.)
 //!
 //! Limits: it needs the whole sensor at once; one affine motion at a time, that of most pixels; edges sharper than a pixel are blurred; with
 //! fewer than four frames nothing can be tried, and no picture is used.
@@ -22,7 +24,8 @@ mod pose;
 mod tests;
 mod window;
 
-use super::again::{In, Out, Row, Setting, Solver, take_care};
+use super::again::{In, Out, Row, Setting, Solver};
+use super::caution::take_care;
 use super::film::{Film, LogTracks};
 use super::flow::Flow;
 use super::motion::advect;
@@ -136,7 +139,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             let scale = again.scale();
             let pictures = |rows: &[Row], keep_back: bool| {
                 let size = (extent.width as usize, extent.height as usize);
-                let scene = Scene { rows, size, flow: &flow, scale, bright, pitch: self.params.pitch, keep_back };
+                let scene = Scene { rows, size, log: &log, flow: &flow, scale, bright, pitch: self.params.pitch, keep_back };
                 self.windows(&scene, span, period_ns)
             };
             let of_picture = |windows: &[Window], keep_back: bool, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
@@ -149,10 +152,10 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             // First without the frames that are kept back: do they come out better with the picture than without?
             let windows = pictures(&again.rows, true);
             let caution = again.caution(|row, x, threshold, hints| of_picture(&windows, true, row, x, threshold, hints));
-            let windows = if caution.is_finite() { pictures(&again.rows, false) } else { Vec::new() };
+            let windows = if caution.believes_some() { pictures(&again.rows, false) } else { Vec::new() };
             tracks = again.solve(cx, round == self.params.rounds, |row, x, threshold, hints| {
                 of_picture(&windows, false, row, x, threshold, hints);
-                take_care(hints, caution);
+                take_care(hints, caution.at(x, row.row as usize));
                 if self.params.neighbours {
                     let mut said = Vec::new();
                     advect::hints(&log, &flow, row, x, step_ns, threshold, &mut said);

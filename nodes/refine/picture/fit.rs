@@ -1,18 +1,18 @@
 //! The picture and the correction of its motion that explain frames best: one sparse least-squares problem.
 //!
-//! A frame value is the mean of the picture over the instants of its own row's exposure: linear in the picture's coefficients, and nearly so
-//! in the correction of the motion. The normal equations are never formed:
+//! A frame value is the mean of the picture over the instants of its own row's exposure, and from one event of a pixel to its next the picture
+//! becomes so many times as bright: both are linear in the picture's coefficients, and nearly so in the correction of the motion. The normal equations are never formed:
 //! conjugate gradients on the rows (CGLS; Björck 1996, section 7.4), with the diagonal as preconditioner.
 
 use super::grid::{Grid, Taps};
 use super::pose::CORRECTIONS;
 
-/// Measurements of the picture: row r is the mean over `taps[first[r]..first[r + 1]]`.
+/// Measurements of the picture: row r is the sum over `taps[first[r]..first[r + 1]]`, each by its share.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Rows {
     pub first: Vec<u32>,
     pub taps: Vec<Taps>,
-    /// One over the number of taps.
+    /// What each of the taps counts.
     pub share: Vec<f32>,
     /// What was measured.
     pub value: Vec<f32>,
@@ -45,29 +45,32 @@ impl Rows {
 
     /// What the picture says of row r.
     pub fn predict(&self, grid: &Grid, unknowns: &Unknowns, r: usize) -> f32 {
-        let taps = &self.taps[self.first[r] as usize..self.first[r + 1] as usize];
-        let sum: f32 = taps.iter().map(|taps| grid.look(&unknowns.surface, taps.first, &taps.x, &taps.y)).sum();
+        let sum: f32 = self.taps_of(r).map(|(taps, share)| share * grid.look(&unknowns.surface, taps.first, &taps.x, &taps.y)).sum();
         let moved: f32 = self.by_motion[r].iter().zip(&unknowns.motion).map(|(a, b)| a * b).sum();
-        sum * self.share[r] + moved
+        sum + moved
+    }
+
+    /// The places that row r saw, and what each counts.
+    fn taps_of(&self, r: usize) -> impl Iterator<Item = (&Taps, f32)> {
+        let range = self.first[r] as usize..self.first[r + 1] as usize;
+        self.taps[range.clone()].iter().zip(self.share[range].iter().copied())
     }
 
     /// Adds the transposed of row r times `value`.
     fn spread(&self, grid: &Grid, into: &mut Unknowns, r: usize, value: f32) {
-        for taps in &self.taps[self.first[r] as usize..self.first[r + 1] as usize] {
-            grid.spread(&mut into.surface, taps, value * self.share[r]);
+        for (taps, share) in self.taps_of(r) {
+            grid.spread(&mut into.surface, taps, value * share);
         }
         for (into, by) in into.motion.iter_mut().zip(&self.by_motion[r]) {
             *into += value * by;
         }
     }
 
-    /// How often each coefficient was measured.
-    pub fn coverage(&self, grid: &Grid) -> Vec<f32> {
+    /// How often each coefficient was measured by the first `count` rows.
+    pub fn coverage(&self, grid: &Grid, count: usize) -> Vec<f32> {
         let mut sum = vec![0.0; grid.len()];
-        for r in 0..self.len() {
-            for taps in &self.taps[self.first[r] as usize..self.first[r + 1] as usize] {
-                grid.spread(&mut sum, taps, self.share[r]);
-            }
+        for (taps, share) in (0..count).flat_map(|r| self.taps_of(r)) {
+            grid.spread(&mut sum, taps, share);
         }
         sum
     }
@@ -141,9 +144,9 @@ pub(super) fn improve(rows: &Rows, grid: &Grid, smooth: &Smoothness, unknowns: &
     let mut diagonal = zeros();
     for r in 0..rows.len() {
         let weight = rows.weight[r] * rows.weight[r];
-        for taps in &rows.taps[rows.first[r] as usize..rows.first[r + 1] as usize] {
+        for (taps, share) in rows.taps_of(r) {
             let squares = Taps { first: taps.first, x: taps.x.map(|w| w * w), y: taps.y.map(|w| w * w) };
-            grid.spread(&mut diagonal.surface, &squares, weight * rows.share[r]);
+            grid.spread(&mut diagonal.surface, &squares, weight * share.abs());
         }
         for (into, by) in diagonal.motion.iter_mut().zip(&rows.by_motion[r]) {
             *into += weight * by * by;

@@ -55,9 +55,10 @@ fn rows() -> Rows {
         let count = 1 + r % 3;
         for _ in 0..count {
             rows.taps.push(GRID.taps(-1.2 + 4.0 * random.uniform(), -0.7 + 3.4 * random.uniform()).unwrap().0);
+            // The last place of every fourth row counts the other way, as an event's earlier light does.
+            rows.share.push(if r % 4 == 0 { -0.9 } else { 1.0 / count as f32 });
         }
         rows.first.push(rows.taps.len() as u32);
-        rows.share.push(1.0 / count as f32);
         rows.value.push(random.uniform() as f32);
         rows.weight.push(if r == 7 { 0.0 } else { 1.0 + r as f32 / 20.0 });
         rows.by_motion.push(std::array::from_fn(|_| random.uniform() as f32 - 0.5));
@@ -73,10 +74,11 @@ fn conjugate_gradients_reach_the_solution_of_dense_algebra() {
     let mut values = Vec::new();
     for r in 0..rows.len() {
         let mut line = vec![0.0; n + CORRECTIONS];
-        for taps in &rows.taps[rows.first[r] as usize..rows.first[r + 1] as usize] {
+        for n in rows.first[r] as usize..rows.first[r + 1] as usize {
+            let (taps, share) = (&rows.taps[n], rows.share[n]);
             for (j, y) in taps.y.iter().enumerate() {
                 for (i, x) in taps.x.iter().enumerate() {
-                    line[taps.first as usize + j * GRID.width + i] += f64::from(y * x * rows.share[r] * rows.weight[r]);
+                    line[taps.first as usize + j * GRID.width + i] += f64::from(y * x * share * rows.weight[r]);
                 }
             }
         }
@@ -140,7 +142,8 @@ fn a_motion_that_is_a_little_wrong_is_corrected_and_the_picture_foretells_the_li
     let again = testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.solver.take_in(meta, &events, &frames, &sensor(), cx)).0.unwrap();
     // The texture slides by 0.7 and 0.2 pixels a millisecond.
     let flow = Flow::steady(24, 16, [0.65, 0.24]);
-    let scene = Scene { rows: &again.rows, size: (24, 16), flow: &flow, scale: again.scale(), bright: 100.0, pitch: 0.8, keep_back: false };
+    let log = LogTracks::new(EXTENT, &tracks.read(EXTENT.rows()).unwrap(), &again.fired());
+    let scene = Scene { rows: &again.rows, size: (24, 16), log: &log, flow: &flow, scale: again.scale(), bright: 100.0, pitch: 0.8, keep_back: false };
     let window = Window::fit(&scene, 20_000_000, 14_000_000).unwrap();
     let (mut squares, mut count) = (0.0, 0.0);
     for n in 0..25 {

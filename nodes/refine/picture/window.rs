@@ -2,8 +2,9 @@
 
 use super::fit::{Rows, Smoothness, Unknowns, improve};
 use super::grid::Grid;
-use super::pose::{CORRECTIONS, Map, Pose, apply};
+use super::pose::{CORRECTIONS, Pose, apply};
 use crate::refine::again::Row;
+use crate::refine::film::LogTracks;
 use crate::refine::flow::Flow;
 use photocurrent_sensor::map::estimate::is_kept_back;
 
@@ -12,6 +13,8 @@ pub(super) struct Scene<'a> {
     pub rows: &'a [Row],
     /// Extent of the sensor, pixels.
     pub size: (usize, usize),
+    /// Log light of the pixels, and how it moves.
+    pub log: &'a LogTracks,
     pub flow: &'a Flow,
     /// DN per photocurrent and second, and DN of darkness.
     pub scale: (f64, f64),
@@ -45,17 +48,42 @@ const MOTION_SIGMA: f32 = 0.1;
 const ROUNDS: [usize; 3] = [25, 20, 30];
 /// A residual of so many robust standard deviations counts half.
 const ROBUST: f32 = 3.0;
+/// Standard deviation of how far light moved between two events, natural-log units.
+const CHANGE_SIGMA: f64 = 0.03;
+/// At most so many changes between events for each pixel of the sensor.
+const MOST_CHANGES: usize = 10;
 /// A place is known where so many frames saw it.
 const LEAST_COVERAGE: f32 = 0.7;
 
-/// A frame value, before it is put on a grid.
+/// Something measured, before it is put on a grid: a sum over instants.
 struct Seen {
     row: usize,
     x: usize,
-    /// Index of the first instant of its exposure in the row's list, and how many.
+    /// Index of its first instant in the row's list, and how many.
     instants: (usize, usize),
+    what: What,
     value: f32,
     weight: f32,
+}
+
+/// What is measured.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum What {
+    /// A frame value: the mean over an exposure.
+    Mean,
+    /// From one event of a pixel to its next, light became so many times as bright: the later value less this times the earlier one is zero.
+    Change(f32),
+}
+
+impl Seen {
+    /// What instant n of its own counts.
+    fn counts(&self, n: usize) -> f32 {
+        match self.what {
+            What::Mean => 1.0 / self.instants.1 as f32,
+            What::Change(factor) if n == 0 => -factor,
+            What::Change(_) => 1.0,
+        }
+    }
 }
 
 impl Window {
@@ -77,14 +105,15 @@ impl Window {
         if seen.is_empty() {
             return None;
         }
-        let grid = cover(&pose, &instants, (width, height), centre, scene.pitch);
+        let (frame_values, exposed) = (seen.len(), instants.clone());
+        look_at_events(scene, (middle_ns - reach_ns, middle_ns + reach_ns), &mut instants, &mut seen);
+        let grid = cover(&pose, &exposed, (width, height), centre, scene.pitch);
         let mut unknowns = Unknowns { surface: vec![1.0; grid.len()], ..Unknowns::default() };
         let mut weights: Vec<f32> = seen.iter().map(|seen| seen.weight).collect();
         let mut rows = Rows::default();
         for (round, steps) in ROUNDS.into_iter().enumerate() {
-            let tilted = (round > 0).then(|| tilted(&pose_of, &correction, &instants));
-            let maps: Vec<Vec<Map>> = instants.iter().map(|row| row.iter().map(|&t| pose.at(t)).collect()).collect();
-            lay(&mut rows, &grid, &seen, &weights, &maps, tilted.as_deref(), &unknowns.surface, centre);
+            let laid = Laid { grid: &grid, pose: &pose, tilted: (round > 0).then(|| tilted(&pose_of, &correction)) };
+            lay(&mut rows, &laid, &instants, &seen, &weights, &unknowns.surface, centre);
             let smooth = Smoothness { surface: 1.0 / ROUGHNESS, motion: 1.0 / MOTION_SIGMA };
             unknowns.motion = [0.0; CORRECTIONS];
             improve(&rows, &grid, &smooth, &mut unknowns, steps);
@@ -96,7 +125,7 @@ impl Window {
                 reweigh(&rows, &grid, &unknowns, &seen, &mut weights);
             }
         }
-        let coverage = rows.coverage(&grid);
+        let coverage = rows.coverage(&grid, frame_values);
         let least_coverage = LEAST_COVERAGE * (scene.pitch * scene.pitch) as f32;
         Some(Window { middle_ns, pose, grid, surface: unknowns.surface, coverage, least_coverage, centre, bright: scene.bright })
     }
@@ -138,7 +167,38 @@ fn look_at_row(scene: &Scene<'_>, row: &Row, span: (i64, i64), instants: &mut Ve
             });
             let collected = gain * (frame.end_ns - frame.start_ns) as f64 * 1e-9 * scene.bright;
             let (value, weight) = ((frame.dn - black_level) / collected, collected / frame.sigma_dn);
-            seen.push(Seen { row: y, x, instants: range, value: value as f32, weight: weight as f32 });
+            seen.push(Seen { row: y, x, instants: range, what: What::Mean, value: value as f32, weight: weight as f32 });
+        }
+    }
+}
+
+/// How light changed from each event of a pixel to its next, inside a span.
+fn look_at_events(scene: &Scene<'_>, span: (i64, i64), instants: &mut [Vec<i64>], seen: &mut Vec<Seen>) {
+    let inside = |t_ns: i64| t_ns >= span.0 && t_ns <= span.1;
+    let width = scene.size.0;
+    let in_row = |row: &Row| (0..width).map(|x| row.events_of(x).iter().filter(|event| inside(event.t_in_ns)).count()).sum::<usize>();
+    let count: usize = scene.rows.iter().map(in_row).sum();
+    let every = usize::max(count.div_ceil(MOST_CHANGES * width * scene.size.1), 1);
+    let mut passed = 0;
+    for row in scene.rows {
+        let y = row.row as usize;
+        for x in 0..width {
+            for pair in row.events_of(x).windows(2) {
+                let (from_ns, to_ns) = (pair[0].t_in_ns, pair[1].t_in_ns);
+                if !inside(from_ns) || !inside(to_ns) || to_ns <= from_ns {
+                    continue;
+                }
+                passed += 1;
+                if passed % every != 0 {
+                    continue;
+                }
+                let (Some(from), Some(to)) = (scene.log.at(x, y, from_ns), scene.log.at(x, y, to_ns)) else { continue };
+                let first = instants[y].len();
+                instants[y].extend([from_ns, to_ns]);
+                let level = libm::exp(0.5 * (from + to)) / scene.bright;
+                let weight = (1.0 / (CHANGE_SIGMA * level)) as f32;
+                seen.push(Seen { row: y, x, instants: (first, 2), what: What::Change(libm::exp(to - from) as f32), value: 0.0, weight });
+            }
         }
     }
 }
@@ -159,72 +219,74 @@ fn cover(pose: &Pose, instants: &[Vec<i64>], (width, height): (usize, usize), ce
     Grid::over((low.0 - margin, low.1 - margin), (high.0 + margin, high.1 + margin), pitch)
 }
 
-/// The maps with each correction a little larger, for each row and instant.
-fn tilted(pose_of: &impl Fn(&[f64; CORRECTIONS]) -> Pose, correction: &[f64; CORRECTIONS], instants: &[Vec<i64>]) -> Vec<Vec<[Map; CORRECTIONS]>> {
-    let poses: [Pose; CORRECTIONS] = std::array::from_fn(|k| {
+/// The poses with each correction a little larger.
+fn tilted(pose_of: &impl Fn(&[f64; CORRECTIONS]) -> Pose, correction: &[f64; CORRECTIONS]) -> [Pose; CORRECTIONS] {
+    std::array::from_fn(|k| {
         let mut more = *correction;
         more[k] += TILT;
         pose_of(&more)
-    });
-    instants.iter().map(|row| row.iter().map(|&t| std::array::from_fn(|k| poses[k].at(t))).collect()).collect()
+    })
 }
 
 /// How much a correction is changed to see what it does, pixels per millisecond.
 const TILT: f64 = 1e-3;
 
+/// Where the picture lies.
+struct Laid<'a> {
+    grid: &'a Grid,
+    pose: &'a Pose,
+    /// The same with each correction a little larger.
+    tilted: Option<[Pose; CORRECTIONS]>,
+}
+
 /// Puts what was seen on the grid.
-#[expect(clippy::too_many_arguments, reason = "what was seen, and where the picture lay")]
-fn lay(
-    rows: &mut Rows,
-    grid: &Grid,
-    seen: &[Seen],
-    weights: &[f32],
-    maps: &[Vec<Map>],
-    tilted: Option<&[Vec<[Map; CORRECTIONS]>]>,
-    surface: &[f32],
-    centre: (f64, f64),
-) {
+fn lay(rows: &mut Rows, laid: &Laid<'_>, instants: &[Vec<i64>], seen: &[Seen], weights: &[f32], surface: &[f32], centre: (f64, f64)) {
     rows.clear();
+    let grid = laid.grid;
     for (seen, &weight) in seen.iter().zip(weights) {
         let (x, y) = (seen.x as f64 - centre.0, seen.row as f64 - centre.1);
         let begun = rows.taps.len();
         let mut by_motion = [0.0; CORRECTIONS];
-        for n in seen.instants.0..seen.instants.0 + seen.instants.1 {
-            let (px, py) = apply(&maps[seen.row][n], x, y);
+        for n in 0..seen.instants.1 {
+            let t_ns = instants[seen.row][seen.instants.0 + n];
+            let (px, py) = apply(&laid.pose.at(t_ns), x, y);
             let Some((taps, slope_x, slope_y)) = grid.taps(px, py) else { continue };
+            let share = seen.counts(n);
             rows.taps.push(taps);
-            if let Some(tilted) = tilted {
+            rows.share.push(share);
+            if let Some(tilted) = &laid.tilted {
                 let gradient = (grid.look(surface, taps.first, &slope_x, &taps.y), grid.look(surface, taps.first, &taps.x, &slope_y));
-                for (by, map) in by_motion.iter_mut().zip(&tilted[seen.row][n]) {
-                    let (qx, qy) = apply(map, x, y);
-                    *by += gradient.0 * ((qx - px) / TILT) as f32 + gradient.1 * ((qy - py) / TILT) as f32;
+                for (by, pose) in by_motion.iter_mut().zip(tilted) {
+                    let (qx, qy) = apply(&pose.at(t_ns), x, y);
+                    *by += share * (gradient.0 * ((qx - px) / TILT) as f32 + gradient.1 * ((qy - py) / TILT) as f32);
                 }
             }
         }
         let whole = rows.taps.len() - begun == seen.instants.1;
-        let share = 1.0 / seen.instants.1 as f32;
         rows.first.push(rows.taps.len() as u32);
-        rows.share.push(share);
         rows.value.push(seen.value);
         rows.weight.push(if whole { weight } else { 0.0 });
-        rows.by_motion.push(by_motion.map(|by| by * share));
+        rows.by_motion.push(by_motion);
     }
 }
 
-/// Lets what the picture cannot explain count less.
+/// Lets what the picture cannot explain count less; frames among frames, events among events.
 fn reweigh(rows: &Rows, grid: &Grid, unknowns: &Unknowns, seen: &[Seen], weights: &mut [f32]) {
     let residuals: Vec<f32> = (0..rows.len()).map(|r| (rows.value[r] - rows.predict(grid, unknowns, r)) * seen[r].weight).collect();
-    let mut sizes: Vec<f32> = (0..rows.len()).filter(|&r| rows.weight[r] > 0.0).map(|r| residuals[r].abs()).collect();
-    if sizes.is_empty() {
-        return;
-    }
-    let middle = sizes.len() / 2;
-    sizes.select_nth_unstable_by(middle, f32::total_cmp);
-    // 1.48 of the median is the standard deviation of a normal law.
-    let spread = f32::max(1.48 * sizes[middle], 1.0);
-    for ((weight, seen), residual) in weights.iter_mut().zip(seen).zip(&residuals) {
-        let far = residual / (ROBUST * spread);
-        *weight = seen.weight / (spread * (1.0 + far * far));
+    for of_frames in [true, false] {
+        let alike = |r: &usize| (seen[*r].what == What::Mean) == of_frames;
+        let mut sizes: Vec<f32> = (0..rows.len()).filter(alike).filter(|&r| rows.weight[r] > 0.0).map(|r| residuals[r].abs()).collect();
+        if sizes.is_empty() {
+            continue;
+        }
+        let middle = sizes.len() / 2;
+        sizes.select_nth_unstable_by(middle, f32::total_cmp);
+        // 1.48 of the median is the standard deviation of a normal law.
+        let spread = f32::max(1.48 * sizes[middle], 1.0);
+        for r in (0..rows.len()).filter(alike) {
+            let far = residuals[r] / (ROBUST * spread);
+            weights[r] = seen[r].weight / (spread * (1.0 + far * far));
+        }
     }
 }
 
@@ -245,18 +307,20 @@ mod tests {
         // A smooth surface: where second derivatives jump, differences are no derivatives.
         let surface: Vec<f32> = (0..grid.len()).map(|k| libm::sin(0.31 * (k % grid.width) as f64 + 0.23 * (k / grid.width) as f64) as f32).collect();
         let seen: Vec<Seen> = (0..20)
-            .map(|n| Seen { row: n % 3, x: (24.0 * random.uniform()) as usize, instants: [(0, 3), (1, 1), (1, 2)][n % 3], value: 0.0, weight: 1.0 })
+            .map(|n| {
+                let what = if n % 3 == 2 { What::Change(1.2) } else { What::Mean };
+                Seen { row: n % 3, x: (24.0 * random.uniform()) as usize, instants: [(0, 3), (1, 1), (1, 2)][n % 3], what, value: 0.0, weight: 1.0 }
+            })
             .collect();
         let weights = vec![1.0; seen.len()];
-        let predict = |correction: &[f64; CORRECTIONS], rows: &mut Rows, tilted: Option<&[Vec<[Map; CORRECTIONS]>]>| -> Vec<f64> {
+        let predict = |correction: &[f64; CORRECTIONS], rows: &mut Rows, tilted: Option<[Pose; CORRECTIONS]>| -> Vec<f64> {
             let pose = pose_of(correction);
-            let maps: Vec<Vec<Map>> = instants.iter().map(|row| row.iter().map(|&t| pose.at(t)).collect()).collect();
-            lay(rows, &grid, &seen, &weights, &maps, tilted, &surface, centre);
+            lay(rows, &Laid { grid: &grid, pose: &pose, tilted }, &instants, &seen, &weights, &surface, centre);
             let unknowns = Unknowns { surface: surface.clone(), ..Unknowns::default() };
             (0..rows.len()).map(|r| f64::from(rows.predict(&grid, &unknowns, r))).collect()
         };
         let mut rows = Rows::default();
-        predict(&here, &mut rows, Some(&tilted(&pose_of, &here, &instants)));
+        predict(&here, &mut rows, Some(tilted(&pose_of, &here)));
         let step = 5e-3;
         for k in 0..CORRECTIONS {
             let (mut above, mut below) = (here, here);
