@@ -12,6 +12,7 @@ use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
     Between, Context, EventStream, EventsMeta, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta, handle::Band,
 };
+use photocurrent_sensor::map::estimate;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -129,7 +130,6 @@ impl Row {
 
 /// About so many rows are looked at to choose one.
 const SAMPLED_ROWS: usize = 18;
-
 /// A recording that was taken in.
 pub(super) struct Again {
     model: Model,
@@ -153,24 +153,44 @@ impl Again {
     /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best foretell frames that were kept back
     /// from them; `hints_of` as for [`Again::solve`], but its hints must know nothing of those frames.
     pub fn caution(&mut self, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Caution {
-        let Again { model, meta, rows } = self;
+        let of_pixel = |row: &mut Row, model: &Model, x: usize, hints: &[Hint]| {
+            let cautious = CAUTIONS.map(|caution| {
+                let mut hints = hints.to_vec();
+                take_care(&mut hints, caution);
+                hints
+            });
+            let lost = row.solver.prediction_errors(model, &row.setting, x, &cautious);
+            vec![Lost { x, y: row.row as usize, errors: std::array::from_fn(|n| lost[n]) }]
+        };
+        let lost = self.ask(hints_of, of_pixel);
+        Caution::choose(self.meta.extent, &lost)
+    }
+
+    /// Widens standard deviations so far as frames that were kept back show that to be needed with the same hints as will be given; they must know
+    /// nothing of those frames.
+    pub fn widen(&mut self, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) {
+        let of_pixel = |row: &mut Row, model: &Model, x: usize, hints: &[Hint]| row.solver.misses(model, &row.setting, x, hints);
+        let factor = estimate::too_narrow_by(&mut self.ask(hints_of, of_pixel));
+        self.rows.iter_mut().for_each(|row| row.setting.sigma_factor = factor);
+    }
+
+    /// What `answer` says of pixels that are spread over the sensor, each with its hints.
+    fn ask<T: Send>(
+        &mut self,
+        hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync,
+        answer: impl Fn(&mut Row, &Model, usize, &[Hint]) -> Vec<T> + Sync,
+    ) -> Vec<T> {
+        let Again { model, rows, .. } = self;
         let stride = usize::max(rows.len() / SAMPLED_ROWS, 1);
-        let of_row = |row: &mut Row| -> Vec<Lost> {
+        let of_row = |row: &mut Row| -> Vec<T> {
             let (pixels, mut hints) = (row.solver.sample(), Vec::new());
             let of_pixel = |x: usize| {
                 hints_of(row, x, model.threshold(), &mut hints);
-                let cautious = CAUTIONS.map(|caution| {
-                    let mut hints = hints.clone();
-                    take_care(&mut hints, caution);
-                    hints
-                });
-                let lost = row.solver.prediction_errors(model, &row.setting, x, &cautious);
-                Lost { x, y: row.row as usize, errors: std::array::from_fn(|n| lost[n]) }
+                answer(row, model, x, &hints)
             };
-            pixels.into_iter().map(of_pixel).collect()
+            pixels.into_iter().flat_map(of_pixel).collect()
         };
-        let lost: Vec<Vec<Lost>> = rows.par_iter_mut().skip(stride / 2).step_by(stride).map(of_row).collect();
-        Caution::choose(meta.extent, &lost.concat())
+        rows.par_iter_mut().skip(stride / 2).step_by(stride).flat_map_iter(of_row).collect()
     }
 
     /// Solves every pixel with the hints that `hints_of` gives for a row and column; its last argument is how exactly a pixel knows its light

@@ -89,7 +89,7 @@ impl Node for RefinePicture {
     const DECL: Decl = Decl {
         kind: "refine/picture",
         about: "Solves tracks again with a moving picture of a few frames' time, and with what neighbouring pixels saw.",
-        revision: 5,
+        revision: 6,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -152,6 +152,12 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             // First without the frames that are kept back: do they come out better with the picture than without?
             let windows = pictures(&again.rows, true);
             let caution = again.caution(|row, x, threshold, hints| of_picture(&windows, true, row, x, threshold, hints));
+            if round == self.params.rounds && caution.believes_some() {
+                again.widen(|row, x, threshold, hints| {
+                    of_picture(&windows, true, row, x, threshold, hints);
+                    take_care(hints, caution.at(x, row.row as usize));
+                });
+            }
             let windows = if caution.believes_some() { pictures(&again.rows, false) } else { Vec::new() };
             tracks = again.solve(cx, round == self.params.rounds, |row, x, threshold, hints| {
                 of_picture(&windows, false, row, x, threshold, hints);

@@ -364,7 +364,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 10,
+        revision: 11,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

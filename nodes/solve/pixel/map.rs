@@ -3,6 +3,7 @@
 use super::row::{Recorded, RowData};
 use super::{Model, Status, map_meta, planes};
 use photocurrent_core::{MapBand, NodeError, Rows, Sensor, TrackBand, TracksMeta};
+use photocurrent_sensor::map::estimate::Miss;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapTask, Noise, estimate};
 use photocurrent_sensor::residuals::Misfit;
@@ -156,6 +157,13 @@ impl RowSolver {
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
         let problems: Vec<MapProblem<'_>> = hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
         estimate::prediction_errors(&problems, &setting.options, group)
+    }
+
+    /// How the frames of a pixel that are kept back are missed by hints and its other measurements ([`estimate::misses`]).
+    pub fn misses(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> Vec<Miss> {
+        let RowSolver { group, data, .. } = self;
+        let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
+        estimate::misses(&[MapProblem { hints, ..problem }], &setting.options, group)
     }
 }
 

@@ -28,6 +28,10 @@ const LARGEST_ERROR: f64 = 0.3;
 
 /// Standard deviations are widened by this factor at most.
 const LARGEST_FACTOR: f64 = 5.0;
+/// With fewer misses than this they are taken as they are.
+const FEWEST_MISSES: usize = 40;
+/// No light is known better than to a ten-thousandth.
+const LEAST_VARIANCE: f64 = 1e-8;
 
 /// What suits a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -146,50 +150,62 @@ pub fn prediction_errors(problems: &[MapProblem<'_>], options: &MapOptions, grou
     errors
 }
 
-/// By what factor standard deviations are too small: what frames that are kept back show of it, at least 1 and at most [`LARGEST_FACTOR`].
-///
-/// The prior and the noise are simpler than the world, and the light follows its own estimate, so the posterior is too narrow where the model is poor. The
-/// median of the prediction errors, over their standard deviations with this factor, is that of a normal distribution. 1 where too few frames can
-/// be kept back.
-pub fn too_narrow_by(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> f64 {
+/// How a frame that was kept back is missed.
+#[derive(Clone, Copy, Debug)]
+pub struct Miss {
+    /// Predicted less recorded, absolute value, DN.
+    size_dn: f64,
+    /// The variance that the solution states for its prediction, DN^2.
+    ours: f64,
+    /// That of the frame value.
+    frames: f64,
+}
+
+/// How each problem's frames that are kept back are missed by its other measurements.
+pub fn misses(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<Miss> {
     let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| kept(problem.frames)).collect();
     let options = MapOptions { with_sigma: true, ..*options };
     let tasks: Vec<MapTask<'_>> = problems.iter().zip(&kept).map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options }).collect();
-    let mut errors: Vec<Error> = Vec::new();
+    let mut misses: Vec<(usize, Miss)> = Vec::new();
     group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
         let MapProblem { frames, sensor, .. } = problems[n];
-        let spread: Vec<f64> = solution.log_photocurrent.iter().zip(solution.variance).map(|(u, v)| u + 0.5 * libm::log(f64::max(*v, 1e-12))).collect();
-        for (_, frame) in
-            frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l, frames.len()) && !frame.saturated && spread.len() == solution.t_ns.len())
-        {
+        let log_sigma = |variance: f64| 0.5 * libm::log(f64::max(variance, LEAST_VARIANCE));
+        let spread: Vec<f64> = solution.log_photocurrent.iter().zip(solution.variance).map(|(u, variance)| u + log_sigma(*variance)).collect();
+        for (_, frame) in frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l, frames.len()) && !frame.saturated) {
             let over = |log: &[f64]| sensor.gain * collected_between(solution.t_ns, log, frame.start_ns, frame.end_ns);
-            let size = (sensor.black_level_dn + over(solution.log_photocurrent) - frame.dn).abs();
-            let sigma = over(&spread);
-            errors.push(Error { size, ours: sigma * sigma, frames: frame.sigma_dn * frame.sigma_dn });
+            let (predicted, sigma) = (sensor.black_level_dn + over(solution.log_photocurrent), over(&spread));
+            misses.push((n, Miss { size_dn: (predicted - frame.dn).abs(), ours: sigma * sigma, frames: frame.sigma_dn * frame.sigma_dn }));
         }
     });
-    if errors.len() < FEWEST_EVENTS {
+    // Problem by problem, whatever order they were solved in.
+    misses.sort_by_key(|(n, _)| *n);
+    misses.into_iter().map(|(_, miss)| miss).collect()
+}
+
+/// By what factor standard deviations of light are too small: what misses show of it, at least 1 and at most [`LARGEST_FACTOR`].
+///
+/// The prior and the noise are simpler than the world, and the light follows its own estimate, so the posterior is too narrow where the model is poor. With
+/// this factor the median of the misses, over their standard deviations, is that of a normal distribution. 1 where there are too few.
+pub fn too_narrow_by(misses: &mut [Miss]) -> f64 {
+    if misses.len() < FEWEST_MISSES {
         return 1.0;
     }
-    let middle = errors.len() / 2;
+    let middle = misses.len() / 2;
     let mut median = |factor: f64| {
-        let relative = |error: &Error| error.size / (error.ours * factor * factor + error.frames).sqrt();
-        relative(errors.select_nth_unstable_by(middle, |a, b| relative(a).total_cmp(&relative(b))).1)
+        let relative = |miss: &Miss| miss.size_dn / (miss.ours * factor * factor + miss.frames).sqrt();
+        relative(misses.select_nth_unstable_by(middle, |a, b| relative(a).total_cmp(&relative(b))).1)
     };
     let (mut low, mut high) = (1.0, LARGEST_FACTOR);
     // To a hundredth.
     for _halving in 0..9 {
         let between = 0.5 * (low + high);
-        if median(between) > NORMAL_MEDIAN { low = between } else { high = between }
+        if median(between) > NORMAL_MEDIAN {
+            low = between;
+        } else {
+            high = between;
+        }
     }
-    0.5 * (low + high)
-}
-
-/// A prediction error, and its variance by ours and by the frame.
-struct Error {
-    size: f64,
-    ours: f64,
-    frames: f64,
+    low
 }
 
 fn mean_threshold(problems: &[MapProblem<'_>]) -> f64 {

@@ -4,10 +4,10 @@
 //! neighbours is noise: of variance `v + (v + v) / 4` when v is a value's. The median of such differences is compared with that of a normal
 //! distribution of the stated noise; what is missing is added to all values alike. The median does not mind the few pixels that do change.
 //!
-//! Light that bends without reaching a threshold looks like noise. Where most pixels are at rest the median does not mind; where hardly one
-//! is, an allowance for it is taken off, and noise that does not even double the stated variance is taken for what the allowance has missed.
+//! Light that bends without reaching a threshold looks like noise. Where many pixels are at rest the median does not mind; where hardly one is, the few
+//! silent ones are those that bend a little less than a threshold, and nothing is said of noise.
 //!
-//! Limits: one number for all values, however bright.
+//! Limits: one number for all values, however bright; where everything moves, noise is taken as stated.
 
 use super::{MapEvent, MapFrame};
 
@@ -23,17 +23,13 @@ pub struct Difference {
     pub size_dn: f64,
     /// Its stated variance, DN^2.
     pub variance: f64,
-    /// The middle value above black, DN.
-    pub bright_dn: f64,
 }
 
 /// With a smaller part of all possible differences than this, hardly a pixel is at rest.
 const AT_REST: f64 = 0.1;
-/// How far the light of a silent pixel that is not at rest bends, root mean square, as a part of its threshold.
-const BEND: f64 = 0.3;
 
 /// The second differences of a pixel where it is silent: no event from the start of the first exposure to the end of the third.
-pub fn differences<'a>(events: &'a [MapEvent], frames: &'a [MapFrame], black_level_dn: f64) -> impl Iterator<Item = Difference> + 'a {
+pub fn differences<'a>(events: &'a [MapEvent], frames: &'a [MapFrame]) -> impl Iterator<Item = Difference> + 'a {
     frames.windows(3).filter_map(move |three| {
         let [before, here, after] = three else { return None };
         let first = events.partition_point(|event| event.t_in_ns < before.start_ns);
@@ -43,27 +39,18 @@ pub fn differences<'a>(events: &'a [MapEvent], frames: &'a [MapFrame], black_lev
         usable.then(|| Difference {
             size_dn: (here.dn - 0.5 * (before.dn + after.dn)).abs(),
             variance: variance(here) + 0.25 * (variance(before) + variance(after)),
-            bright_dn: f64::max(here.dn - black_level_dn, 0.0),
         })
     })
 }
 
 /// The standard deviation, DN, that has to be added in squares to every frame value for the differences to be as large as they are; 0 where the
-/// stated noise explains them, or where there are too few. `possible` is the number of differences if every pixel were silent, `threshold`
-/// what light can do in silence, natural-log units. Reorders `differences`.
-pub fn missing_dn(differences: &mut [Difference], possible: usize, threshold: f64) -> f64 {
-    if differences.len() < FEWEST_DIFFERENCES {
+/// stated noise explains them, where there are too few, or where they are too small a part of the `possible` ones, which is their number if every pixel
+/// were silent. Reorders `differences`.
+pub fn missing_dn(differences: &mut [Difference], possible: usize) -> f64 {
+    if differences.len() < FEWEST_DIFFERENCES || (differences.len() as f64) < AT_REST * possible as f64 {
         return 0.0;
     }
     let middle = differences.len() / 2;
-    let at_rest = differences.len() as f64 >= AT_REST * possible as f64;
-    let bend = if at_rest { 0.0 } else { BEND * threshold };
-    let (_, typical, _) = differences.select_nth_unstable_by(middle, |a, b| a.variance.total_cmp(&b.variance));
-    let least_dn = if at_rest { 0.0 } else { (typical.variance / 1.5).sqrt() };
-    for difference in differences.iter_mut() {
-        let bent_dn = bend * difference.bright_dn;
-        difference.variance += bent_dn * bent_dn;
-    }
     let mut median = |extra_variance: f64| {
         let relative = |d: &Difference| d.size_dn / (d.variance + 1.5 * extra_variance).sqrt();
         let (_, at, _) = differences.select_nth_unstable_by(middle, |a, b| relative(a).total_cmp(&relative(b)));
@@ -85,8 +72,7 @@ pub fn missing_dn(differences: &mut [Difference], possible: usize, threshold: f6
             high = between;
         }
     }
-    let found = 0.5 * (low + high);
-    if found < least_dn { 0.0 } else { found }
+    0.5 * (low + high)
 }
 
 #[cfg(test)]
@@ -105,8 +91,8 @@ mod tests {
     }
 
     fn missing(film: &[Vec<MapFrame>], events: &[MapEvent]) -> f64 {
-        let mut all: Vec<Difference> = film.iter().flat_map(|frames| differences(events, frames, 0.0)).collect();
-        missing_dn(&mut all, film.len() * 10, 0.2)
+        let mut all: Vec<Difference> = film.iter().flat_map(|frames| differences(events, frames)).collect();
+        missing_dn(&mut all, film.len() * 10)
     }
 
     #[test]
@@ -136,22 +122,20 @@ mod tests {
         let event = |l: i64| MapEvent { t_in_ns: l * 8_000_000 + 3_000_000, t_off_ns: l * 8_000_000 + 3_001_000, polarity: 1, is_lone: false };
         let busy: Vec<MapEvent> = (0..12).step_by(3).map(event).collect();
         let film = film(200, |_, _| 100.0);
-        assert_eq!(film.iter().flat_map(|frames| differences(&busy, frames, 0.0)).count(), 0);
+        assert_eq!(film.iter().flat_map(|frames| differences(&busy, frames)).count(), 0);
         assert_eq!(missing(&film, &busy), 0.0);
     }
 
     #[test]
     fn light_that_bends_in_silence_is_no_noise_where_nothing_is_at_rest() {
-        // Of a hundred times as many differences these are the silent ones. Their light swings by 4 % of itself, the noise is stated.
-        let found = |unstated: f64, possible: usize| {
+        // Light swings by 4 % of itself, the noise is stated. Of a hundred times as many differences these are the silent ones.
+        let found = |possible: usize| {
             let mut film = film(200, |_, l| if l % 2 == 0 { 98.0 } else { 102.0 });
-            film.iter_mut().flatten().for_each(|frame| frame.sigma_dn = 5.0 / unstated);
-            let mut all: Vec<Difference> = film.iter().flat_map(|frames| differences(&[], frames, 0.0)).collect();
-            missing_dn(&mut all, possible, 0.2)
+            film.iter_mut().flatten().for_each(|frame| frame.sigma_dn = 5.0);
+            let mut all: Vec<Difference> = film.iter().flat_map(|frames| differences(&[], frames)).collect();
+            missing_dn(&mut all, possible)
         };
-        assert!(found(1.0, 2_000) > 1.0);
-        assert_eq!(found(1.0, 200_000), 0.0);
-        // Noise of 5 DN of which 1 is stated is found all the same.
-        assert!((found(5.0, 200_000) - 4.9).abs() < 3.0);
+        assert!(found(2_000) > 1.0);
+        assert_eq!(found(200_000), 0.0);
     }
 }

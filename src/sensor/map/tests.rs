@@ -229,7 +229,7 @@ fn standard_deviations_are_widened_where_frames_are_missed_by_more() {
     let right = recorded.problem(Reset::Resample);
     // Thresholds told 50 % too large, of which the noise knows nothing.
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, threshold_off: 0.315, ..right.sensor }, ..right };
-    let factor = |problem, count| estimate::too_narrow_by(&vec![problem; count], &MapOptions::default(), &mut MapGroup::default());
+    let factor = |problem, count| estimate::too_narrow_by(&mut estimate::misses(&vec![problem; count], &MapOptions::default(), &mut MapGroup::default()));
     let (told_right, told_wrong) = (factor(right, 60), factor(wrong, 60));
     assert!(told_right < 2.0 && told_wrong > 1.5 * told_right, "{told_right} and {told_wrong}");
     // One frame of each is kept back: too few to tell.
