@@ -34,7 +34,7 @@ params = { path = "out/m/file/recording.h5" }
 [nodes.solve]
 kind = "solve/pixel"
 in = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }
-params = { evs_weight = 1000.0 }
+params = { method = "paper", evs_weight = 1000.0 }
 [nodes.map]
 kind = "solve/pixel"
 in = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }

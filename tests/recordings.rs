@@ -25,7 +25,7 @@ params = {{ path = "rec.h5" }}
 [nodes.solve]
 kind = "solve/pixel"
 in = {{ events = "recording.events", frames = "recording.frames", sensor = "sensor" }}
-params = {{ front_end = "ideal", readout = "none", cis_weight = 1.0, evs_weight = 1000.0 }}
+params = {{ method = "paper", front_end = "ideal", readout = "none", cis_weight = 1.0, evs_weight = 1000.0 }}
 [nodes.render]
 kind = "render/rows"
 in = {{ tracks = "solve.tracks", sensor = "sensor" }}

@@ -105,7 +105,7 @@ in = {{ light = "scene.light", sensor = "sensor" }}
 [nodes.solve]
 kind = "solve/pixel"
 in = {{ events = "recording.events", frames = "recording.frames", sensor = "sensor" }}
-params = {{ cis_weight = 1.0, evs_weight = 1000.0 }}
+params = {{ method = "paper", cis_weight = 1.0, evs_weight = 1000.0 }}
 [nodes.render]
 kind = "render/rows"
 in = {{ tracks = "solve.tracks", sensor = "sensor" }}

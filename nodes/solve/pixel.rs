@@ -56,9 +56,9 @@ use std::sync::Arc;
 #[serde(rename_all = "snake_case")]
 pub enum Method {
     /// The paper's least squares: one unknown per event, held between events.
-    #[default]
     Paper,
     /// The most probable light: fine knots, exact reset, all frames at once, and a prior.
+    #[default]
     Map,
 }
 
@@ -175,7 +175,7 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Self {
         Params {
-            method: Method::Paper,
+            method: Method::Map,
             event_noise: None,
             frame_noise: 0.02,
             knot_spacing: Duration::new(250_000),
@@ -373,7 +373,7 @@ impl Node for SolvePixel {
 [nodes.solve]
 kind   = "solve/pixel"
 in     = { events = "recording.events", frames = "recording.frames", sensor = "sensor" }
-params = { front_end = "low_pass", readout = "slope", cis_weight = 1.0, evs_weight = 1.0 }
+params = { method = "map" }
 "#,
     };
     type Params = Params;

@@ -107,7 +107,12 @@ fn threads_do_not_change_a_bit() {
 #[test]
 fn held_tracks_are_refused() {
     let (events, frames) = record(|x, _, _| 4.0 + 0.01 * x as f64);
-    let node = SolvePixel::build(SolveParams { readout: crate::solve::pixel::ReadoutModel::None, ..SolveParams::default() }).unwrap();
+    let node = SolvePixel::build(SolveParams {
+        readout: crate::solve::pixel::ReadoutModel::None,
+        method: crate::solve::pixel::Method::Paper,
+        ..SolveParams::default()
+    })
+    .unwrap();
     let input = crate::solve::pixel::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
     let held = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap().tracks;
     let node = RefineMotion::build(Params::default()).unwrap();

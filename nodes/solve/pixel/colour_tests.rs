@@ -1,6 +1,6 @@
 //! Claims about frames with colours or more pixels than the events: what must come out as of grey frames, by algebra.
 
-use super::tests::{exposures, sensor, walk};
+use super::tests::{exposures, paper, sensor, walk};
 use super::*;
 use crate::baseline::edi::{self, BaselineEdi};
 use crate::render::rows::{self, RenderRows};
@@ -31,7 +31,7 @@ fn grey(l: usize, x: u32, y: u32) -> f32 {
 
 /// Two methods; in double precision, so that rounding does not hide a mistake.
 fn methods() -> [Params; 2] {
-    [Params { precision: Precision::Double, ..Params::default() }, Params { method: Method::Map, ..Params::default() }]
+    [Params { precision: Precision::Double, ..paper() }, Params { method: Method::Map, ..Params::default() }]
 }
 
 /// The track of value `v` of row `y`, as (t, photocurrent).
@@ -139,9 +139,9 @@ fn rows_of_one_block_are_solved_alike_whatever_the_band() {
     let events = walk(EVENTS, 30_000_000);
     let quad = Colour::named("quad_bayer_bggr").unwrap();
     let frames = frames(2, quad, 3, |l, x, y, _| grey(l, x, y));
-    let whole = solve(Params::default(), &events, &frames, sensor()).tracks.read(frames.rows()).unwrap();
+    let whole = solve(paper(), &events, &frames, sensor()).tracks.read(frames.rows()).unwrap();
     let metas = [("events".to_string(), vec![Meta::Events(events.meta.clone())]), ("frames".to_string(), vec![Meta::Frames(frames.meta.clone())])];
-    let node = SolvePixel { params: Params::default() };
+    let node = SolvePixel { params: paper() };
     assert_eq!(node.grain(&PortMetas::new(metas.into())), Grain::Row { halo: 1 });
     for band in frames.rows().bands(1) {
         // As the engine cuts them: events whole, frames with their halo.
@@ -181,9 +181,9 @@ fn frames_of_no_whole_multiple_are_refused() {
         let of = |name: &str, meta: Meta| (name.to_string(), vec![meta]);
         PortMetas::new([of("events", Meta::Events(events.meta)), of("frames", Meta::Frames(frames.meta)), of("sensor", sensor)].into())
     };
-    let error = SolvePixel { params: Params::default() }.plan(&metas(testing::frames(6, 5, 2))).unwrap_err();
+    let error = SolvePixel { params: paper() }.plan(&metas(testing::frames(6, 5, 2))).unwrap_err();
     assert_eq!(error.message, "events are 3 x 2, frames are 6 x 5");
     assert!(error.hint.unwrap().contains("a whole multiple"));
     let rows = Rows { start: 0, end: 4 };
-    assert_eq!(SolvePixel { params: Params::default() }.plan(&metas(testing::frames(6, 4, 2))).unwrap()[0].rows(), Some(rows));
+    assert_eq!(SolvePixel { params: paper() }.plan(&metas(testing::frames(6, 4, 2))).unwrap()[0].rows(), Some(rows));
 }

@@ -28,8 +28,13 @@ fn solve(params: Params, events: EventStream, frames: FrameSequence, rows: Rows)
     (out.unwrap(), notes)
 }
 
+/// The paper's cost, everything else as it is by default.
+pub(super) fn paper() -> Params {
+    Params { method: Method::Paper, ..Params::default() }
+}
+
 fn ideal() -> Params {
-    Params { front_end: FrontEndModel::Ideal, readout: ReadoutModel::None, ..Params::default() }
+    Params { front_end: FrontEndModel::Ideal, readout: ReadoutModel::None, ..paper() }
 }
 
 const EXTENT: Extent = Extent { width: 5, height: 4 };
@@ -85,9 +90,9 @@ fn with_an_ideal_sensor_and_one_frame_it_is_the_double_integral() {
 #[test]
 fn rows_are_solved_alike_whatever_the_band() {
     let (events, frames) = (walk(EXTENT, 30_000_000), frames(4));
-    let whole = solve(Params::default(), events.clone(), frames.clone(), EXTENT.rows()).0.tracks.read(EXTENT.rows()).unwrap();
+    let whole = solve(paper(), events.clone(), frames.clone(), EXTENT.rows()).0.tracks.read(EXTENT.rows()).unwrap();
     for band in EXTENT.rows().bands(3) {
-        let part = solve(Params::default(), events.clone(), frames.clone(), band).0.tracks.read(band).unwrap();
+        let part = solve(paper(), events.clone(), frames.clone(), band).0.tracks.read(band).unwrap();
         assert_eq!(part, whole.slice(band));
     }
 }
@@ -158,7 +163,7 @@ fn compensated_steps_are_refused_where_the_readout_is_undone_anyway() {
 #[test]
 fn solved_tracks_reproduce_the_frames_they_came_from() {
     let frames = testing::captured(EXTENT, exposures(2), 30_000, |_, x, y| 100.0 + 40.0 * x as f32 + 10.0 * y as f32);
-    let (solved, notes) = solve(Params::default(), walk(EXTENT, 14_000_000), frames.clone(), EXTENT.rows());
+    let (solved, notes) = solve(paper(), walk(EXTENT, 14_000_000), frames.clone(), EXTENT.rows());
     let render = RenderRows::build(rows::Params::default()).unwrap();
     let input = rows::In { tracks: solved.tracks.clone(), sensor: sensor(), at: Some(frames.clone()) };
     let again = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx)).0.unwrap().frames.read_rows(EXTENT.rows()).unwrap();
@@ -179,7 +184,7 @@ fn solved_tracks_reproduce_the_frames_they_came_from() {
 fn dead_saturated_and_unknown_pixels_have_stated_outcomes() {
     let dn = |_: usize, x: u32, _: u32| [0.0, 1023.0, f32::NAN, 200.0, 200.0][x as usize];
     let frames = testing::captured(EXTENT, exposures(2), 0, dn);
-    let (solved, notes) = solve(Params::default(), walk(EXTENT, 14_000_000), frames.clone(), EXTENT.rows());
+    let (solved, notes) = solve(paper(), walk(EXTENT, 14_000_000), frames.clone(), EXTENT.rows());
     let tracks = solved.tracks.read(EXTENT.rows()).unwrap();
     assert!(tracks.pixel(0, 0).photocurrent.iter().all(|i| *i < 1e-10));
     assert!(tracks.pixel(1, 0).photocurrent.iter().all(|i| i.is_finite() && *i > 0.0));
@@ -199,7 +204,7 @@ fn residuals_of_events_and_frames_are_mapped_apart() {
     let step = |x: u16, y: u16, k: i64| Event { x, y, polarity: Polarity::from_bit((k % 2) as u8), t: k * 1_300_000 + 20_000, t_in: Some(k * 1_300_000) };
     let events: Vec<Event> = (0..4).flat_map(|y| (1..5).flat_map(move |x| (1..10).map(move |k| step(x, y, k)))).collect();
     let frames = testing::captured(EXTENT, exposures(2), 0, |_, x, _| if x == 4 { f32::NAN } else { 200.0 });
-    for params in [Params::default(), Params { precision: Precision::Double, ..Params::default() }, most_probable()] {
+    for params in [paper(), Params { precision: Precision::Double, ..paper() }, most_probable()] {
         let (solved, _) = solve(params, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
         let map = solved.map.read(EXTENT.rows()).unwrap();
         assert_eq!(solved.map.meta.planes[3..], ["event_residual", "frame_residual"]);
@@ -215,7 +220,7 @@ fn residuals_of_events_and_frames_are_mapped_apart() {
 fn weights_four_times_as_large_double_the_residuals() {
     // Both weights together move no minimum.
     let residuals = |weight: f64| {
-        let params = Params { precision: Precision::Double, cis_weight: weight, evs_weight: weight, ..Params::default() };
+        let params = Params { precision: Precision::Double, cis_weight: weight, evs_weight: weight, ..paper() };
         let map = solve(params, walk(EXTENT, 14_000_000), frames(3), EXTENT.rows()).0.map.read(EXTENT.rows()).unwrap();
         EXTENT.rows().iter().flat_map(|y| [map.row(3, y).to_vec(), map.row(4, y).to_vec()]).flatten().collect::<Vec<f32>>()
     };
@@ -226,14 +231,14 @@ fn weights_four_times_as_large_double_the_residuals() {
 
 #[test]
 fn a_recording_without_events_holds_the_light_of_each_pair() {
-    let (solved, _) = solve(Params::default(), testing::stream(EXTENT, vec![]), frames(3), EXTENT.rows());
+    let (solved, _) = solve(paper(), testing::stream(EXTENT, vec![]), frames(3), EXTENT.rows());
     let tracks = solved.tracks.read(EXTENT.rows()).unwrap();
     assert_eq!(tracks.pixel(1, 1).t, [0, 8_030_000]);
 }
 
 #[test]
 fn windows_answer_for_every_instant_once() {
-    let meta = SolvePixel { params: Params::default() }.tracks_meta(&walk(EXTENT, 30_000_000).meta, &frames(4).meta).unwrap();
+    let meta = SolvePixel { params: paper() }.tracks_meta(&walk(EXTENT, 30_000_000).meta, &frames(4).meta).unwrap();
     let windows = windows(Joint::Pairs, &exposures(4), &meta);
     assert_eq!(windows.len(), 3);
     assert!(windows.windows(2).all(|w| w[0].counts_until == w[1].start && w[0].end > w[1].start));
@@ -243,6 +248,6 @@ fn windows_answer_for_every_instant_once() {
 #[test]
 fn no_frame_at_all_is_refused_with_the_reason() {
     let none = FramesMeta { times: photocurrent_core::FrameTimes::new(vec![], 0).unwrap(), ..(*frames(1).meta).clone() };
-    let error = SolvePixel { params: Params::default() }.tracks_meta(&walk(EXTENT, 1_000_000).meta, &none).unwrap_err();
+    let error = SolvePixel { params: paper() }.tracks_meta(&walk(EXTENT, 1_000_000).meta, &none).unwrap_err();
     assert_eq!(error.message, "there is no frame, and events alone leave the photocurrent's level open");
 }
