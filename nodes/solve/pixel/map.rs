@@ -18,8 +18,6 @@ const SILENCE_SIGMA: f64 = 0.03;
 const THINNED_TO: f64 = 2e-4;
 /// The same of the logarithm of its standard deviation.
 const SIGMA_THINNED_TO: f64 = 0.05;
-/// No light is known better than to a ten-thousandth.
-const LEAST_VARIANCE: f64 = 1e-8;
 
 /// What the frames' noise is, as far as it is stated.
 #[derive(Clone, Copy, Debug)]
@@ -196,7 +194,7 @@ pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
 /// `sigma_factor`, within [`SIGMA_THINNED_TO`].
 fn thin(solution: &MapSolution<'_>, light_ratio: f64, sigma_factor: f64, knots: &mut Vec<(i64, f32, f32)>) {
     let (t, u, variance) = (solution.t_ns, solution.log_photocurrent, solution.variance);
-    let log_sigma = |k: usize| variance.get(k).map_or(0.0, |variance| 0.5 * libm::log(f64::max(*variance, LEAST_VARIANCE)));
+    let log_sigma = |k: usize| variance.get(k).map_or(0.0, |&variance| estimate::log_sigma(variance));
     let mut keep = |k: usize| knots.push((t[k], (libm::exp(u[k]) * light_ratio) as f32, (libm::exp(log_sigma(k)) * sigma_factor) as f32));
     keep(0);
     let (mut anchor, mut light, mut sigma) = (0, Corridor::OPEN, Corridor::OPEN);

@@ -169,7 +169,6 @@ pub fn misses(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut Map
     let mut misses: Vec<(usize, Miss)> = Vec::new();
     group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
         let MapProblem { frames, sensor, .. } = problems[n];
-        let log_sigma = |variance: f64| 0.5 * libm::log(f64::max(variance, LEAST_VARIANCE));
         let spread: Vec<f64> = solution.log_photocurrent.iter().zip(solution.variance).map(|(u, variance)| u + log_sigma(*variance)).collect();
         for (_, frame) in frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l, frames.len()) && !frame.saturated) {
             let over = |log: &[f64]| sensor.gain * collected_between(solution.t_ns, log, frame.start_ns, frame.end_ns);
@@ -180,6 +179,11 @@ pub fn misses(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut Map
     // Problem by problem, whatever order they were solved in.
     misses.sort_by_key(|(n, _)| *n);
     misses.into_iter().map(|(_, miss)| miss).collect()
+}
+
+/// Natural log of the standard deviation of log light, from its variance.
+pub fn log_sigma(variance: f64) -> f64 {
+    0.5 * libm::log(f64::max(variance, LEAST_VARIANCE))
 }
 
 /// By what factor standard deviations of light are too small: what misses show of it, at least 1 and at most [`LARGEST_FACTOR`].
