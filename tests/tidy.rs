@@ -14,12 +14,13 @@ use std::process::Command;
 const MOST_LINES: usize = 700;
 
 /// The names of our crates' folders, and which of ours each may depend on, directly or for its tests.
-const DIRECTION: [(&str, &str, &[&str]); 5] = [
+const DIRECTION: [(&str, &str, &[&str]); 6] = [
     ("src/core", "photocurrent-core", &[]),
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
+    ("src/diagnosis", "photocurrent-diagnosis", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/store", "photocurrent-store", &["photocurrent-core"]),
     ("src/engine", "photocurrent-engine", &["photocurrent-core", "photocurrent-store"]),
-    ("nodes", "photocurrent-nodes", &["photocurrent-core", "photocurrent-sensor", "photocurrent-store"]),
+    ("nodes", "photocurrent-nodes", &["photocurrent-core", "photocurrent-sensor", "photocurrent-diagnosis", "photocurrent-store"]),
 ];
 
 /// The files of the project, relative to its root: what git has or would take; without git, what lies there.

@@ -1,0 +1,20 @@
+//! Where a recording and the sensor model differ, and which physics is missing.
+//!
+//! The scene is unknown: it is estimated with the model as stated, and an effect shows in what that scene cannot explain. Everything physical is called
+//! from [`photocurrent_sensor`]: an effect that is added to the catalogue there is a candidate here.
+//!
+//! In reading order:
+//!
+//! - [`case`]: what is diagnosed: events by pixel, frames, the description.
+//! - [`nominal`]: the sensor as the description states it, ready to simulate and to solve.
+//! - [`sample`]: which pixels are looked at.
+//! - [`scene`]: the light of those pixels, estimated with the nominal sensor.
+//! - [`record`]: what a sensor with effects would have recorded of that light.
+//!
+//! The crate knows no files and no graphs. It never sees true light.
+
+pub mod case;
+pub mod nominal;
+pub mod record;
+pub mod sample;
+pub mod scene;

@@ -1,0 +1,192 @@
+//! What a sensor with effects would have recorded of an estimated scene: the same pixels, exposures and stamps as the recording.
+//!
+//! Light is log-linear between knots in a scene and linear in the forward model: steep pieces are cut until both agree to a part in a thousand. Beyond the sample
+//! the nearest pixel of the same row or column stands in where an effect mixes neighbours' light. The load of a readout queue is that of the recording.
+//! Stamps are put on the recording's grid, frames get the noise that the description states and that the caller estimated.
+
+use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
+use crate::nominal::Nominal;
+use crate::sample::Sample;
+use crate::scene::Scene;
+use photocurrent_core::random::Random;
+use photocurrent_sensor::effects::{ArrayEvent, Effect, Kernel, PixelEvent, Tap, from_description};
+use photocurrent_sensor::forward::neighbours::{joined, mixed, stand_in};
+use photocurrent_sensor::forward::{Chain, FrameReadout, LinearLight, PixelNoise, read_frames, simulate};
+use rayon::prelude::*;
+use serde_json::{Map, Value};
+use std::cell::Cell;
+use std::collections::BTreeMap;
+
+/// The longest piece of log-linear light that counts as linear, natural-log units: they differ by an eighth of its square.
+const PIECE: f64 = 0.08;
+
+/// What a simulated recording adds to the stated sensor.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Conditions {
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Standard deviation of frame values as a share of the signal, beyond what is stated.
+    pub frame_share: f64,
+    /// And in DN.
+    pub frame_dn: f64,
+}
+
+/// Effects with their parameters, by catalogue id, as `[effects]` of a sensor description states them.
+pub type Described = BTreeMap<String, Map<String, Value>>;
+
+/// Records the sampled pixels with the nominal sensor and `more` effects beside (or, of the same id, instead of) those that the description states. Pixels outside
+/// the sample stay without events and with NaN in the frames.
+///
+/// # Errors
+/// When an effect or its parameters are not understood, or effects cannot be combined.
+pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, more: &Described, conditions: &Conditions) -> Result<Case, String> {
+    let mut described = case.sensor.effects.clone();
+    described.extend(more.iter().map(|(id, parameters)| (id.clone(), parameters.clone())));
+    let mut effects = from_description(&described)?;
+    let kernel = joined(&effects).map_err(|why| why.to_string())?;
+    inform(case, &mut effects);
+    let effects: &[Box<dyn Effect>] = &effects;
+    let number = FrameReadout { number: nominal.number, saturation: nominal.saturation_dn, row_time_ns: nominal.row_time_ns };
+    let one = |n: usize| -> (Vec<Recorded>, Vec<f32>) {
+        let pixel = sample.pixels[n] as usize;
+        let own = linear(scene, n);
+        let seen = kernel.as_ref().map_or_else(|| own.clone(), |kernel| mix(case, sample, scene, kernel, n));
+        let site = Nominal::site(case, pixel, conditions.seed);
+        let chain = Chain { pixel: nominal.pixel, reset: nominal.reset, effects };
+        let mut noise = Draws { random: Random::new(conditions.seed, &[pixel as u64, 1]), sigma: nominal.threshold_noise };
+        let light = LinearLight::new(&seen.0, &seen.1);
+        let fired = simulate(&chain, &site, &light, case.span.0, case.span.1, &mut noise);
+        let kept = fired.into_iter().filter(|fired| fired.left_ns < case.span.1).filter_map(|fired| fired.recorded);
+        let events = kept.map(|event| on_grid(case, nominal, &event)).collect();
+        let mut random = Random::new(conditions.seed, &[pixel as u64, 2]);
+        let frames = case.frames.as_ref().map_or_else(Vec::new, |frames| {
+            let exposures: Vec<_> = (0..frames.times.len()).map(|l| frames.times.exposure(l, site.y)).collect();
+            let dn = read_frames(&number, effects, &site, &LinearLight::new(&own.0, &own.1), &exposures);
+            let noisy = |dn: f64| {
+                let (stated, share) = (nominal.stated_frame_sigma_dn(dn), conditions.frame_share * (dn - nominal.number.black_level));
+                let sigma = libm::sqrt(stated * stated + share * share + conditions.frame_dn * conditions.frame_dn);
+                (dn + sigma * random.normal()).min(nominal.saturation_dn) as f32
+            };
+            dn.into_iter().map(noisy).collect()
+        });
+        (events, frames)
+    };
+    let recorded: Vec<(Vec<Recorded>, Vec<f32>)> = (0..sample.len()).into_par_iter().with_min_len(16).map(one).collect();
+    let mut pixels = vec![Vec::new(); case.extent.pixels()];
+    let frames = case.frames.as_ref().map(|frames| {
+        let mut dn = vec![f32::NAN; frames.dn.len()];
+        for (&pixel, (_, values)) in sample.pixels.iter().zip(&recorded) {
+            for (l, value) in values.iter().enumerate() {
+                dn[l * case.extent.pixels() + pixel as usize] = *value;
+            }
+        }
+        CaseFrames { times: frames.times.clone(), dn }
+    });
+    for (&pixel, (events, _)) in sample.pixels.iter().zip(recorded) {
+        pixels[pixel as usize] = events;
+    }
+    Ok(Case { events: PixelEvents::new(pixels), frames, sensor: case.sensor.clone(), ..*case })
+}
+
+/// Tells effects that depend on the load what the recording holds.
+fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
+    if effects.iter().all(|effect| effect.informed(&[]).is_none()) {
+        return;
+    }
+    let mut load: Vec<ArrayEvent> = Vec::with_capacity(case.events.all().len());
+    for pixel in 0..case.events.pixels() {
+        let (x, y) = case.place(pixel);
+        load.extend(case.events.of(pixel).iter().map(|event| ArrayEvent { x, y, event: as_pixel_event(event) }));
+    }
+    load.sort_by_key(|event| event.event.t_off_ns);
+    for effect in effects {
+        if let Some(informed) = effect.informed(&load) {
+            *effect = informed;
+        }
+    }
+}
+
+fn as_pixel_event(event: &Recorded) -> PixelEvent {
+    PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity }
+}
+
+/// Stamps as the recorder writes them: on its grid, or the in-pixel time taken from the off-pixel one where it was not recorded.
+fn on_grid(case: &Case, nominal: &Nominal, event: &PixelEvent) -> Recorded {
+    let step = case.t_resolution_ns;
+    let rounded = |t: i64| if step > 1 { (t as f64 / step as f64).round() as i64 * step } else { t };
+    let t_off_ns = rounded(event.t_off_ns);
+    let t_in_ns = if case.has_t_in { rounded(event.t_in_ns) } else { t_off_ns - nominal.pixel.latency_ns };
+    Recorded { t_in_ns, t_off_ns, polarity: event.polarity }
+}
+
+/// Instants and photocurrent of a pixel of the scene, fine enough to be taken as linear.
+fn linear(scene: &Scene, n: usize) -> (Vec<i64>, Vec<f64>) {
+    let (t, u) = scene.pixel(n);
+    let (mut instants, mut light) = (vec![t[0]], vec![libm::exp(u[0])]);
+    for k in 1..t.len() {
+        let pieces = (((u[k] - u[k - 1]).abs() / PIECE).ceil() as i64).clamp(1, i64::max(1, (t[k] - t[k - 1]) / 1000));
+        for piece in 1..=pieces {
+            let share = piece as f64 / pieces as f64;
+            instants.push(t[k - 1] + ((t[k] - t[k - 1]) as f64 * share) as i64);
+            light.push(libm::exp(u[k - 1] + (u[k] - u[k - 1]) * share));
+        }
+    }
+    (instants, light)
+}
+
+/// The mixture of neighbours that the event path sees.
+fn mix(case: &Case, sample: &Sample, scene: &Scene, kernel: &Kernel, n: usize) -> (Vec<i64>, Vec<f64>) {
+    let (x, y) = case.place(sample.pixels[n] as usize);
+    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+    let neighbour = |tap: &Tap| {
+        // As far towards the neighbour as the sample goes.
+        let mut at = n;
+        for (dx, dy) in [(tap.dx, tap.dy), (tap.dx.signum(), tap.dy.signum()), (tap.dx, 0), (0, tap.dy)] {
+            let pixel = stand_in(y as usize, dy, height) * width + stand_in(x as usize, dx, width);
+            if let Some(place) = sample.place(pixel).filter(|&place| scene.is_known[place]) {
+                at = place;
+                break;
+            }
+        }
+        at
+    };
+    let lights: Vec<(Vec<i64>, Vec<f64>)> = kernel.taps.iter().map(|tap| linear(scene, neighbour(tap))).collect();
+    let mut instants: Vec<i64> = lights.iter().flat_map(|light| light.0.iter().copied()).collect();
+    instants.sort_unstable();
+    instants.dedup();
+    let mut cursors = vec![0_usize; lights.len()];
+    let light = instants
+        .iter()
+        .map(|&t| {
+            let mut tap_light = Vec::with_capacity(lights.len());
+            for (cursor, (times, values)) in cursors.iter_mut().zip(&lights) {
+                while *cursor + 1 < times.len() && times[*cursor + 1] <= t {
+                    *cursor += 1;
+                }
+                let at = *cursor;
+                let value = match times.get(at + 1) {
+                    Some(&next) if t > times[at] => values[at] + (values[at + 1] - values[at]) * (t - times[at]) as f64 / (next - times[at]) as f64,
+                    _ => values[at],
+                };
+                tap_light.push(value);
+            }
+            let next = Cell::new(0);
+            mixed(kernel, |_| tap_light[next.replace(next.get() + 1)])
+        })
+        .collect();
+    (instants, light)
+}
+
+struct Draws {
+    random: Random,
+    sigma: f64,
+}
+
+impl PixelNoise for Draws {
+    fn uniform(&mut self) -> f64 {
+        self.random.uniform()
+    }
+    fn threshold_offset(&mut self) -> f64 {
+        if self.sigma == 0.0 { 0.0 } else { self.sigma * self.random.normal() }
+    }
+}

@@ -1,0 +1,137 @@
+//! The light of the sampled pixels, estimated with the nominal sensor: log light at knots, linear between.
+
+use crate::case::Case;
+use crate::nominal::Nominal;
+use crate::sample::Sample;
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, MapTask, Noise};
+use rayon::prelude::*;
+
+/// How the light is estimated.
+#[derive(Clone, Copy, Debug)]
+pub struct SceneSetting {
+    /// How far events are believed.
+    pub noise: Noise,
+    /// Frame values are believed to this share of the signal, beyond their stated noise.
+    pub frame_share: f64,
+    /// And to this, DN.
+    pub frame_dn: f64,
+    /// Softness of silence, natural-log units; 0 = not used.
+    pub silence_sigma: f64,
+    /// Prior, spacing of knots, steps.
+    pub options: MapOptions,
+}
+
+impl Default for SceneSetting {
+    fn default() -> SceneSetting {
+        let noise = Noise { event: 0.03, ..Noise::default() };
+        SceneSetting { noise, frame_share: 0.005, frame_dn: 0.5, silence_sigma: 0.03, options: MapOptions::default() }
+    }
+}
+
+/// Knots, log light, and whether it is known.
+pub type Found = (Vec<i64>, Vec<f64>, bool);
+
+/// Log light of the pixels of a sample.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Scene {
+    first: Vec<usize>,
+    /// Knots, ns, pixel after pixel.
+    pub t_ns: Vec<i64>,
+    /// Log light at each.
+    pub log_light: Vec<f64>,
+    /// Which pixels of the sample have an estimate; the others have no usable frame or did not converge, and carry one constant knot.
+    pub is_known: Vec<bool>,
+}
+
+impl Scene {
+    /// The light of every pixel of a sample.
+    ///
+    /// Each pixel by itself, so it does not matter which others are in the sample.
+    pub fn estimate(case: &Case, nominal: &Nominal, sample: &Sample, setting: &SceneSetting) -> Scene {
+        const CHUNK: usize = 64;
+        let places: Vec<usize> = (0..sample.len()).collect();
+        let parts: Vec<Vec<Found>> = places
+            .par_chunks(CHUNK)
+            .map_init(MapGroup::default, |group, places| {
+                let data: Vec<PixelData> = places.iter().map(|&n| pixel_data(case, nominal, setting, sample.pixels[n] as usize)).collect();
+                let mut found = vec![(vec![case.span.0], vec![0.0], false); places.len()];
+                let lit: Vec<usize> = (0..places.len()).filter(|&n| data[n].1.iter().any(|frame| !frame.saturated)).collect();
+                let tasks: Vec<MapTask<'_>> = lit.iter().map(|&n| task(case, nominal, setting, &data[n])).collect();
+                group.solve(&tasks, |n, solution| {
+                    found[lit[n]] = (solution.t_ns.to_vec(), solution.log_photocurrent.to_vec(), solution.status != MapStatus::Failed);
+                });
+                found
+            })
+            .collect();
+        Scene::from_pixels(parts.into_iter().flatten())
+    }
+
+    /// From knots, log light, and whether it is known, of each pixel in turn.
+    pub fn from_pixels(pixels: impl IntoIterator<Item = Found>) -> Scene {
+        let mut scene = Scene { first: vec![0], ..Scene::default() };
+        for (t_ns, log_light, is_known) in pixels {
+            scene.t_ns.extend(t_ns);
+            scene.log_light.extend(log_light);
+            scene.first.push(scene.t_ns.len());
+            scene.is_known.push(is_known);
+        }
+        scene
+    }
+
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        self.is_known.len()
+    }
+
+    /// No pixel at all?
+    pub fn is_empty(&self) -> bool {
+        self.is_known.is_empty()
+    }
+
+    /// Knots and log light of pixel `n` of the sample.
+    pub fn pixel(&self, n: usize) -> (&[i64], &[f64]) {
+        let range = self.first[n]..self.first[n + 1];
+        (&self.t_ns[range.clone()], &self.log_light[range])
+    }
+}
+
+/// A pixel's measurements as the solver takes them.
+pub type PixelData = (Vec<MapEvent>, Vec<MapFrame>);
+
+/// A pixel's measurements as the solver takes them.
+pub fn pixel_data(case: &Case, nominal: &Nominal, setting: &SceneSetting, pixel: usize) -> PixelData {
+    let event = |event: &crate::case::Recorded| MapEvent {
+        t_in_ns: event.t_in_ns,
+        t_off_ns: event.t_off_ns.max(event.t_in_ns),
+        polarity: event.polarity,
+        is_lone: false,
+    };
+    let events = case.events.of(pixel).iter().map(event).collect();
+    let (_, y) = case.place(pixel);
+    let frame = |l: usize| -> Option<MapFrame> {
+        let dn = case.dn(l, pixel);
+        let exposure = case.frames.as_ref()?.times.exposure(l, y);
+        let signal = f64::max(dn - nominal.number.black_level, 0.0);
+        let (stated, share) = (nominal.stated_frame_sigma_dn(dn), setting.frame_share * signal);
+        let sigma_dn = libm::sqrt(stated * stated + share * share + setting.frame_dn * setting.frame_dn);
+        dn.is_finite().then_some(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated: dn >= nominal.saturation_dn })
+    };
+    (events, (0..case.frame_count()).filter_map(frame).collect())
+}
+
+/// The problem of one pixel.
+pub fn task<'a>(case: &Case, nominal: &Nominal, setting: &SceneSetting, data: &'a PixelData) -> MapTask<'a> {
+    let problem = MapProblem {
+        events: &data.0,
+        frames: &data.1,
+        hints: &[],
+        start_ns: case.span.0,
+        end_ns: case.span.1,
+        sensor: nominal.map_sensor(),
+        noise: setting.noise,
+        stamp_sigma_s: case.t_resolution_ns as f64 * 1e-9 / libm::sqrt(12.0),
+        silence_sigma: setting.silence_sigma,
+        lost_before: &[],
+    };
+    MapTask { problem, options: setting.options }
+}
