@@ -10,12 +10,14 @@
 //! - [`sample`]: which pixels are looked at.
 //! - [`scene`]: the light of those pixels, estimated with the nominal sensor.
 //! - [`record`]: what a sensor with effects would have recorded of that light.
+//! - [`faithful`]: the prior that gives each pixel a light which fires its events again.
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is put on.
 //!
 //! The crate knows no files and no graphs. It never sees true light.
 
 pub mod candidates;
 pub mod case;
+pub mod faithful;
 pub mod nominal;
 pub mod record;
 pub mod sample;

@@ -3,7 +3,7 @@
 use crate::case::Case;
 use crate::nominal::Nominal;
 use crate::sample::Sample;
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, MapTask, Noise};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, MapTask, Noise, Prior};
 use rayon::prelude::*;
 
 /// How the light is estimated.
@@ -41,29 +41,48 @@ pub struct Scene {
     pub log_light: Vec<f64>,
     /// Which pixels of the sample have an estimate; the others have no usable frame or did not converge, and carry one constant knot.
     pub is_known: Vec<bool>,
+    /// How well the prior foretold each pixel's measurements; 0 where the light was not estimated.
+    pub log_evidence: Vec<f64>,
 }
 
 impl Scene {
-    /// The light of every pixel of a sample.
+    /// The light of every pixel of a sample, with the setting's prior.
+    pub fn estimate(case: &Case, nominal: &Nominal, sample: &Sample, setting: &SceneSetting) -> Scene {
+        Scene::estimate_with(case, nominal, sample, setting, &vec![setting.options.prior; sample.len()])
+    }
+
+    /// The light of every pixel of a sample, with a prior for each.
     ///
     /// Each pixel by itself, so it does not matter which others are in the sample.
-    pub fn estimate(case: &Case, nominal: &Nominal, sample: &Sample, setting: &SceneSetting) -> Scene {
+    ///
+    /// # Panics
+    /// When there is not one prior for each pixel.
+    pub fn estimate_with(case: &Case, nominal: &Nominal, sample: &Sample, setting: &SceneSetting, priors: &[Prior]) -> Scene {
         const CHUNK: usize = 64;
+        assert_eq!(priors.len(), sample.len(), "one prior for each pixel");
         let places: Vec<usize> = (0..sample.len()).collect();
-        let parts: Vec<Vec<Found>> = places
+        let parts: Vec<Vec<(Found, f64)>> = places
             .par_chunks(CHUNK)
             .map_init(MapGroup::default, |group, places| {
                 let data: Vec<PixelData> = places.iter().map(|&n| pixel_data(case, nominal, setting, sample.pixels[n] as usize)).collect();
-                let mut found = vec![(vec![case.span.0], vec![0.0], false); places.len()];
+                let mut found = vec![((vec![case.span.0], vec![0.0], false), 0.0); places.len()];
                 let lit: Vec<usize> = (0..places.len()).filter(|&n| data[n].1.iter().any(|frame| !frame.saturated)).collect();
-                let tasks: Vec<MapTask<'_>> = lit.iter().map(|&n| task(case, nominal, setting, &data[n])).collect();
+                let tasks: Vec<MapTask<'_>> = lit
+                    .iter()
+                    .map(|&n| {
+                        let task = task(case, nominal, setting, &data[n]);
+                        MapTask { options: MapOptions { prior: priors[places[n]], ..task.options }, ..task }
+                    })
+                    .collect();
                 group.solve(&tasks, |n, solution| {
-                    found[lit[n]] = (solution.t_ns.to_vec(), solution.log_photocurrent.to_vec(), solution.status != MapStatus::Failed);
+                    let is_known = solution.status != MapStatus::Failed;
+                    found[lit[n]] = ((solution.t_ns.to_vec(), solution.log_photocurrent.to_vec(), is_known), solution.log_evidence);
                 });
                 found
             })
             .collect();
-        Scene::from_pixels(parts.into_iter().flatten())
+        let (pixels, log_evidence): (Vec<Found>, Vec<f64>) = parts.into_iter().flatten().unzip();
+        Scene { log_evidence, ..Scene::from_pixels(pixels) }
     }
 
     /// From knots, log light, and whether it is known, of each pixel in turn.
@@ -74,6 +93,7 @@ impl Scene {
             scene.log_light.extend(log_light);
             scene.first.push(scene.t_ns.len());
             scene.is_known.push(is_known);
+            scene.log_evidence.push(0.0);
         }
         scene
     }
