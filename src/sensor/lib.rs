@@ -20,6 +20,7 @@
 //! - [`residuals`]: measured minus predicted for a candidate photocurrent, with its Jacobian.
 //! - [`inverse`]: events and frames in, photocurrent out: the least-squares problem of Eq. (13).
 //! - [`map`]: the same with knots that are fine, the exact reset and a prior: the most probable light.
+//! - [`likelihood`]: how probable events are given light: residuals with an exact distribution.
 //! - [`effects`]: non-idealities beyond the model above, one file each.
 //!
 //! Results are the same bits on every machine: no fused multiply-add and no platform `exp` or `ln`
@@ -33,6 +34,7 @@ pub mod forward;
 pub mod front_end;
 pub mod inverse;
 pub mod lanes;
+pub mod likelihood;
 pub mod map;
 pub mod pooling;
 pub mod readout;
