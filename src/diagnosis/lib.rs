@@ -12,12 +12,16 @@
 //! - [`record`]: what a sensor with effects would have recorded of that light.
 //! - [`faithful`]: the prior that gives each pixel a light which fires its events again.
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is put on.
+//! - [`covariates`], [`differences`], [`locate`]: where a recording and a simulation of it differ.
 //!
 //! The crate knows no files and no graphs. It never sees true light.
 
 pub mod candidates;
 pub mod case;
+pub mod covariates;
+pub mod differences;
 pub mod faithful;
+pub mod locate;
 pub mod nominal;
 pub mod record;
 pub mod sample;

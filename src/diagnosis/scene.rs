@@ -113,6 +113,17 @@ impl Scene {
         let range = self.first[n]..self.first[n + 1];
         (&self.t_ns[range.clone()], &self.log_light[range])
     }
+
+    /// Log light of pixel `n` of the sample at an instant: linear between knots, constant beyond them.
+    pub fn at(&self, n: usize, t_ns: i64) -> f64 {
+        let (t, u) = self.pixel(n);
+        let after = t.partition_point(|&knot| knot <= t_ns);
+        match (after.checked_sub(1), t.get(after)) {
+            (None, _) => u[0],
+            (Some(last), None) => u[last],
+            (Some(before), Some(&next)) => u[before] + (u[after] - u[before]) * (t_ns - t[before]) as f64 / (next - t[before]) as f64,
+        }
+    }
 }
 
 /// A pixel's measurements as the solver takes them.
