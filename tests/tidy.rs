@@ -23,6 +23,9 @@ const DIRECTION: [(&str, &str, &[&str]); 6] = [
     ("nodes", "photocurrent-nodes", &["photocurrent-core", "photocurrent-sensor", "photocurrent-diagnosis", "photocurrent-store"]),
 ];
 
+/// A package that stands outside the workspace: it shares nothing with the others, so that its recordings can examine them.
+const OUTSIDE: &str = "data/sealed/generator";
+
 /// The files of the project, relative to its root: what git has or would take; without git, what lies there.
 fn files() -> BTreeSet<String> {
     let git = Command::new("git").args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"]).current_dir(root()).output();
@@ -168,7 +171,7 @@ fn dependencies(manifest: &toml::Table) -> BTreeSet<String> {
 /// Every package's folder ("" is the root) and dependencies.
 fn packages() -> BTreeMap<String, BTreeSet<String>> {
     let folders = files().into_iter().filter_map(|name| Some(name.strip_suffix("Cargo.toml")?.trim_end_matches('/').to_string()));
-    folders.map(|folder| (folder.clone(), dependencies(&manifest(&folder)))).collect()
+    folders.filter(|folder| folder != OUTSIDE).map(|folder| (folder.clone(), dependencies(&manifest(&folder)))).collect()
 }
 
 /// Complains about packages other than `allowed` that depend on something that begins with `name`.
@@ -211,9 +214,23 @@ fn the_workspace_lists_its_members_one_by_one() {
 }
 
 #[test]
+fn the_maker_of_sealed_recordings_shares_nothing_with_the_engine() {
+    let outside = manifest(OUTSIDE);
+    assert!(outside.contains_key("workspace"), "{OUTSIDE}/Cargo.toml has an empty [workspace] table: it belongs to no other");
+    let ours: Vec<String> = dependencies(&outside).into_iter().filter(|name| name.starts_with("photocurrent")).collect();
+    assert!(ours.is_empty(), "{OUTSIDE}/Cargo.toml depends on {ours:?}: who makes the recordings that examine the engine may not use it");
+    for name in rust_files().filter(|name| is_under(name, &[OUTSIDE])) {
+        let code = code(&read(&name));
+        for word in [concat!("photocurrent", "_"), "#[path", "include!"] {
+            assert!(!code.contains(word), "{name} has `{word}`: write it anew; who makes the recordings that examine the engine may not use it");
+        }
+    }
+}
+
+#[test]
 fn hdf5_is_known_to_the_store_alone() {
     only_in("hdf5", &["src/store"]);
-    let known = |name: &String| !is_under(name, &["src/store"]);
+    let known = |name: &String| !is_under(name, &["src/store", OUTSIDE]);
     for name in rust_files().filter(known) {
         let code = code(&read(&name));
         for word in [concat!("hdf5", "::"), concat!("hdf5_", "sys")] {
@@ -304,6 +321,12 @@ fn no_code_knows_where_answers_are_kept() {
             });
             assert!(!names, "{name}:{}: names a file of answers; the code under test must not know them", at + 1);
         }
+    }
+    // What the sealed recordings conceal: no file of the tool names it, be it code, a comment or data.
+    for name in files().into_iter().filter(|name| is_under(name, &["src", "nodes"])) {
+        let bytes = fs::read(root().join(&name)).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let text = String::from_utf8_lossy(&bytes);
+        assert!(!text.contains("answers.json"), "{name}: names the answers to the sealed recordings; the code under test must not know them");
     }
 }
 
