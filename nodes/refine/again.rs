@@ -57,7 +57,14 @@ impl Solver {
     pub fn build(setting: Setting) -> Result<Solver, NodeError> {
         let Setting { front_end, event_noise, frame_noise, knot_spacing } = setting;
         Ok(Solver {
-            node: SolvePixel::build(SolveParams { method: Method::Map, front_end, event_noise, frame_noise, knot_spacing, ..SolveParams::default() })?,
+            node: SolvePixel::build(SolveParams {
+                method: Method::Map,
+                front_end,
+                event_noise,
+                frame_noise: Some(frame_noise),
+                knot_spacing: Some(knot_spacing),
+                ..SolveParams::default()
+            })?,
         })
     }
 

@@ -18,7 +18,7 @@ mod tests;
 use super::again::{In, Out, Setting, Solver};
 use super::film::{Film, LogTracks};
 use super::flow::Flow;
-use crate::solve::pixel::{FrontEndModel, Params as SolveParams};
+use crate::solve::pixel::{FRAME_NOISE, FrontEndModel, KNOT_SPACING};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use schemars::JsonSchema;
@@ -47,8 +47,7 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Params {
-        let SolveParams { front_end, event_noise, frame_noise, knot_spacing, .. } = SolveParams::default();
-        Params { rounds: 3, front_end, event_noise, frame_noise, knot_spacing }
+        Params { rounds: 3, front_end: FrontEndModel::default(), event_noise: None, frame_noise: FRAME_NOISE, knot_spacing: KNOT_SPACING }
     }
 }
 

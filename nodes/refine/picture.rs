@@ -30,7 +30,7 @@ use super::film::{Film, LogTracks};
 use super::flow::Flow;
 use super::motion::advect;
 use super::trust::{Known, Said, Trust};
-use crate::solve::pixel::{FrontEndModel, Params as SolveParams};
+use crate::solve::pixel::{FRAME_NOISE, FrontEndModel, KNOT_SPACING};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_sensor::map::estimate::is_kept_back;
@@ -74,8 +74,16 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Params {
-        let SolveParams { front_end, event_noise, frame_noise, knot_spacing, .. } = SolveParams::default();
-        Params { rounds: 2, frames: 3, pitch: 0.8, neighbours: true, front_end, event_noise, frame_noise, knot_spacing }
+        Params {
+            rounds: 2,
+            frames: 3,
+            pitch: 0.8,
+            neighbours: true,
+            front_end: FrontEndModel::default(),
+            event_noise: None,
+            frame_noise: FRAME_NOISE,
+            knot_spacing: KNOT_SPACING,
+        }
     }
 }
 

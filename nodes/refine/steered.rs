@@ -88,7 +88,7 @@ impl Node for RefineSteered {
 [nodes.solve]
 kind   = "solve/pixel"
 in     = { events = "recording.events", frames = "recording.frames", sensor = "sensor" }
-params = { evs_weight = 1000.0 }
+params = { method = "paper", evs_weight = 1000.0 }
 
 [nodes.steered]
 kind = "refine/steered"

@@ -23,6 +23,7 @@ pub(crate) mod choice;
 mod colour_tests;
 pub(crate) mod map;
 mod paper;
+mod params;
 pub(crate) mod row;
 pub(crate) mod shares;
 #[cfg(test)]
@@ -35,8 +36,9 @@ use crate::compensate::readout::check_events;
 use crate::pixel_events::{Stamp, StepRule, clock_offset, left_out};
 use choice::Settings;
 use map::FrameNoise;
+pub(crate) use params::{FRAME_NOISE, KNOT_SPACING};
+pub use params::{FirstKnot, FrontEndModel, Joint, Method, Params, Precision, ReadoutModel, TauChoice};
 use photocurrent_core::handle::Band;
-use photocurrent_core::quantity::Duration;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{
     Between, Colour, Context, Decl, EventStream, EventsMeta, Exposure, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet, Meta, Node,
@@ -46,152 +48,8 @@ use photocurrent_sensor::front_end::FrontEnd;
 use photocurrent_sensor::residuals::Misfit;
 use rayon::prelude::*;
 use row::Recorded;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use shares::Colours;
 use std::sync::Arc;
-
-/// What is solved for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Method {
-    /// The paper's least squares: one unknown per event, held between events.
-    Paper,
-    /// The most probable light: fine knots, exact reset, all frames at once, and a prior.
-    #[default]
-    Map,
-}
-
-/// How the front end's delay is treated.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum FrontEndModel {
-    /// No delay: V_FE = V_DC, tau = 0 in Eq. (7).
-    Ideal,
-    /// A first-order low-pass with tau = tau_0 + alpha / i_pd, Eqs. (1)-(3).
-    #[default]
-    LowPass,
-}
-
-/// How readout latency and refractory period are treated.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ReadoutModel {
-    /// Not at all: Eq. (8).
-    None,
-    /// By the local slope: Eqs. (9)-(12).
-    #[default]
-    Slope,
-}
-
-/// Which photocurrent sets the time constant of an interval.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum TauChoice {
-    /// The one at its start, as Eqs. (2) and (3) are printed.
-    Start,
-    /// The one at its end, which drives the voltage in Eq. (1): better at every steep edge.
-    #[default]
-    End,
-}
-
-/// How exactly Eq. (13) is minimised.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Precision {
-    /// Sixteen pixels at once in single precision: costs to four digits, more than ten times as fast. Pixels near a fold are solved in double precision.
-    #[default]
-    Single,
-    /// One pixel after the other in double precision: the reference.
-    Double,
-}
-
-/// Which frames are solved together.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Joint {
-    /// Two consecutive frames at a time.
-    #[default]
-    Pairs,
-    /// All frames of the recording at once.
-    All,
-}
-
-/// Where the first unknown of a window stands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum FirstKnot {
-    /// At the window's start, so that the first event's step counts too.
-    #[default]
-    Window,
-    /// At the first event, as printed: its step is not used.
-    Event,
-}
-
-/// Parameters of `solve/pixel`.
-#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Params {
-    /// What is solved for. `map` uses `front_end`, `event_noise`, `frame_noise`, `knot_spacing`, `sigma` and `max_iterations`; `paper` all but
-    /// `event_noise`, `frame_noise`, `knot_spacing` and `sigma`.
-    pub method: Method,
-    /// Standard deviation of an event as a part of its threshold, for `map`; absent = chosen for each block of 16 rows so that frames
-    /// that are kept back are predicted best.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub event_noise: Option<f64>,
-    /// Part of a frame value that is not believed, for `map`, beside the noise that the sensor description states, 1 DN, and what pixels without
-    /// events show beyond that.
-    #[schemars(range(min = 0.0))]
-    pub frame_noise: f64,
-    /// Knots near events lie at most this far apart, for `map`; in quiet gaps they widen with the distance from an event, to 8 ms.
-    #[schemars(extend("x-min" = "10 us"))]
-    pub knot_spacing: Duration,
-    /// Every knot of the tracks of `map` carries a standard deviation: what measurements and prior leave open, widened where frames that are kept back
-    /// show that to be too little.
-    pub sigma: bool,
-    /// How the front end's delay is treated.
-    pub front_end: FrontEndModel,
-    /// How readout latency and refractory period are treated. `slope` needs in-pixel times.
-    pub readout: ReadoutModel,
-    /// Which photocurrent sets the time constant of an interval.
-    pub tau_rule: TauChoice,
-    /// How exactly `paper` computes.
-    pub precision: Precision,
-    /// Which frames are solved together.
-    pub frames: Joint,
-    /// Where the first unknown of a window stands.
-    pub first_knot: FirstKnot,
-    /// Weight of a squared frame residual, per DN^2; the paper sets 1.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub cis_weight: f64,
-    /// Weight of a squared event residual, per natural-log unit squared; the paper sets 1.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub evs_weight: f64,
-    /// Most steps tried for one problem; `map` never takes more than 5: more make it follow its own estimate.
-    #[schemars(range(min = 1, max = 10000))]
-    pub max_iterations: u32,
-}
-
-impl Default for Params {
-    fn default() -> Self {
-        Params {
-            method: Method::Map,
-            event_noise: None,
-            frame_noise: 0.02,
-            knot_spacing: Duration::new(250_000),
-            sigma: true,
-            front_end: FrontEndModel::LowPass,
-            readout: ReadoutModel::Slope,
-            tau_rule: TauChoice::End,
-            precision: Precision::Single,
-            frames: Joint::Pairs,
-            first_knot: FirstKnot::Window,
-            cis_weight: 1.0,
-            evs_weight: 1.0,
-            max_iterations: 100,
-        }
-    }
-}
 
 photocurrent_core::ports! {
     /// Inputs.
@@ -296,7 +154,7 @@ impl SolvePixel {
                 }
             }
         };
-        let refractory_s = match (self.params.method, self.params.readout) {
+        let refractory_s = match (self.params.method, self.params.readout()) {
             (Method::Map, _) => {
                 const MAP: &str = "`method = \"map\"`";
                 if events.has_step {
@@ -322,7 +180,7 @@ impl SolvePixel {
             reset: sensor.comparator.reset,
             clock_offset_ns: clock_offset(sensor)?.offset_ns,
             stamp_sigma_s: events.t_resolution_ns.unwrap_or(0) as f64 * 1e-9 / libm::sqrt(12.0),
-            frame_noise: FrameNoise::new(sensor, self.params.frame_noise),
+            frame_noise: FrameNoise::new(sensor, self.params.frame_noise.unwrap_or(FRAME_NOISE)),
             gain: sensor.need(sensor.frames.gain, "frames.gain", WHO)?,
             black_level: sensor.frames.black_level_dn.unwrap_or(0.0),
             saturation_dn: sensor.frames.saturation_dn.unwrap_or(f64::INFINITY),
@@ -342,7 +200,7 @@ impl SolvePixel {
         Ok(TracksMeta {
             extent: frames.extent,
             colour: frames.colour,
-            has_sigma: self.params.method == Method::Map && self.params.sigma,
+            has_sigma: self.params.method == Method::Map && self.params.sigma(),
             span: events.span.map_or(covered, |span| span.union(covered)),
             nominal_exposure_ns,
             between: match self.params.method {
@@ -381,6 +239,7 @@ params = { method = "map" }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
+        params.check()?;
         Ok(SolvePixel { params })
     }
 

@@ -4,6 +4,7 @@ use super::*;
 use crate::refine::film::Fired;
 use crate::refine::fixtures::{EXTENT, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
 use crate::refine::trust::{Known, Trust};
+use crate::solve::pixel::Params as SolveParams;
 use crate::solve::pixel::SolvePixel;
 use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
 use photocurrent_sensor::map::{Hint, MapFrame};
@@ -108,7 +109,7 @@ fn threads_do_not_change_a_bit() {
 fn held_tracks_are_refused() {
     let (events, frames) = record(|x, _, _| 4.0 + 0.01 * x as f64);
     let node = SolvePixel::build(SolveParams {
-        readout: crate::solve::pixel::ReadoutModel::None,
+        readout: Some(crate::solve::pixel::ReadoutModel::None),
         method: crate::solve::pixel::Method::Paper,
         ..SolveParams::default()
     })

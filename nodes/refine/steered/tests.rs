@@ -111,7 +111,7 @@ fn an_unknown_pixel_stays_unknown_and_is_not_asked() {
 /// What the paper's solver makes of the recording of a texture: held tracks.
 fn held() -> TrackSet {
     let (events, frames) = record(texture);
-    let node = SolvePixel::build(SolveParams { method: crate::solve::pixel::Method::Paper, evs_weight: 1000.0, ..SolveParams::default() }).unwrap();
+    let node = SolvePixel::build(SolveParams { method: crate::solve::pixel::Method::Paper, evs_weight: Some(1000.0), ..SolveParams::default() }).unwrap();
     let input = crate::solve::pixel::In { events, frames, sensor: sensor() };
     testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap().tracks
 }

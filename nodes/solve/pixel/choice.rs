@@ -72,7 +72,7 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
     }
     let span = (recorded.meta.span.start.0, recorded.meta.span.end.0);
     let max_iterations = usize::min(params.max_iterations as usize, MAP_STEPS);
-    let mut options = MapOptions { spacing_ns: params.knot_spacing.ns(), max_iterations, with_sigma: params.sigma, ..MapOptions::default() };
+    let mut options = MapOptions { spacing_ns: params.knot_spacing().ns(), max_iterations, with_sigma: params.sigma(), ..MapOptions::default() };
     let frame_dn = frame_noise::missing_dn(&mut differences, possible);
     for frame in sample.iter_mut().flat_map(|(_, frames)| frames) {
         frame.sigma_dn = libm::sqrt(frame.sigma_dn * frame.sigma_dn + frame_dn * frame_dn);
@@ -85,7 +85,7 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
     let choice = estimate::choose(&problems, params.event_noise, &options, &mut group);
     options.prior = choice.prior;
     let problems: Vec<_> = problems.into_iter().map(|problem| MapProblem { noise: choice.noise, ..problem }).collect();
-    let sigma_factor = if params.sigma { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, &mut group)) } else { 1.0 };
+    let sigma_factor = if params.sigma() { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, &mut group)) } else { 1.0 };
     Ok(RowSetting { span, noise: choice.noise, options, frame_dn, sigma_factor })
 }
 

@@ -31,7 +31,7 @@ fn grey(l: usize, x: u32, y: u32) -> f32 {
 
 /// Two methods; in double precision, so that rounding does not hide a mistake.
 fn methods() -> [Params; 2] {
-    [Params { precision: Precision::Double, ..paper() }, Params { method: Method::Map, ..Params::default() }]
+    [Params { precision: Some(Precision::Double), ..paper() }, Params { method: Method::Map, ..Params::default() }]
 }
 
 /// The track of value `v` of row `y`, as (t, photocurrent).
@@ -114,7 +114,6 @@ fn a_channels_gain_is_taken_off_and_rendered_again() {
     let coloured = Arc::new(coloured);
     let shown = |l: usize, x: u32, y: u32, v: u32| (f64::from(grey(l, x, y)) * gains[(v % 3) as usize]) as f32;
     for params in methods() {
-        let params = Params { cis_weight: 1.0, ..params };
         let captured = frames(1, Colour::Rgb, 1, shown);
         let mono = solve(params.clone(), &events, &frames(1, Colour::Mono, 1, |l, x, y, _| grey(l, x, y)), sensor());
         let out = solve(params.clone(), &events, &captured, coloured.clone());

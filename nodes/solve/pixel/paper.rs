@@ -57,7 +57,7 @@ impl RowSolver {
         shares: &RowShares,
     ) -> Result<(TrackBand, MapBand), NodeError> {
         let index = events.by_pixel(meta.extent.width);
-        let windows = windows(params.frames, exposures, meta);
+        let windows = windows(params.frames.unwrap_or_default(), exposures, meta);
         self.t_s.clear();
         self.steps.clear();
         self.samples.clear();
@@ -102,7 +102,7 @@ impl RowSolver {
         let mut before: Option<usize> = None;
         for &k in index.pixel(x) {
             let (t, plain) = (model.rule.time(events, k), model.rule.step(events, k));
-            let step = match (params.readout, before) {
+            let step = match (params.readout(), before) {
                 (ReadoutModel::Slope, Some(before)) => {
                     let since = |t: i64| (t - model.rule.time(events, before)) as f64 * 1e-9;
                     compensated_step(plain, 0.0, since(events.t[before] - model.rule.shift_ns), since(t), model.refractory_s)
@@ -130,7 +130,7 @@ impl RowSolver {
             start_s: seconds(exposures[l].start.0),
             end_s: seconds(exposures[l].end.0),
             dn: share.dn(dn, model.black_level),
-            weight: share.weight(params.cis_weight),
+            weight: share.weight(params.weights().0),
         };
         let known = || window.frames.clone().map(|l| (l, f64::from(dn(l)))).filter(|(_, dn)| dn.is_finite());
         self.samples.extend(known().filter(|(_, dn)| *dn < model.saturation_dn).map(|(l, dn)| sample(l, dn)));
@@ -142,7 +142,7 @@ impl RowSolver {
             status = Status::NoFrame;
         }
         let inside = self.event_t.partition_point(|&t| t < window.start)..self.event_t.partition_point(|&t| t < window.end);
-        let first_knot = params.first_knot == FirstKnot::Window || inside.is_empty();
+        let first_knot = params.first_knot.unwrap_or_default() == FirstKnot::Window || inside.is_empty();
         if first_knot {
             self.t_s.push(0.0);
             self.steps.push(0.0);
@@ -160,7 +160,7 @@ impl RowSolver {
 
     /// Solves all problems of the row.
     fn solve(&mut self, params: &Params, model: &Model) -> Result<(), NodeError> {
-        let tau_rule = match params.tau_rule {
+        let tau_rule = match params.tau_rule.unwrap_or_default() {
             TauChoice::Start => TauRule::Start,
             TauChoice::End => TauRule::End,
         };
@@ -169,7 +169,7 @@ impl RowSolver {
             t_s: &self.t_s[problem.knots.clone()],
             steps: &self.steps[problem.knots.clone()],
             frames: &self.samples[problem.samples.clone()],
-            evs_weight: params.evs_weight,
+            evs_weight: params.weights().1,
             front_end: model.front_end,
             tau_rule,
             black_level: model.black_level,
@@ -180,7 +180,7 @@ impl RowSolver {
         self.order.clear();
         self.order.extend((0..self.problems.len()).filter(|n| self.problems[*n].status != Status::NoFrame));
         // By frames, then by knots; what the lanes do not take comes last.
-        let takes = |problem: &Problem| params.precision == Precision::Single && problem.knots.len() > 1;
+        let takes = |problem: &Problem| params.precision.unwrap_or_default() == Precision::Single && problem.knots.len() > 1;
         self.order.sort_by_key(|n| {
             let problem = &self.problems[*n];
             (!takes(problem), problem.samples.len(), problem.knots.len())

@@ -2,6 +2,7 @@
 
 use super::*;
 use photocurrent_core::events::{Event, Polarity};
+use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Extent, testing};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};

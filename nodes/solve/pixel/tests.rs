@@ -34,7 +34,7 @@ pub(super) fn paper() -> Params {
 }
 
 fn ideal() -> Params {
-    Params { front_end: FrontEndModel::Ideal, readout: ReadoutModel::None, ..paper() }
+    Params { front_end: FrontEndModel::Ideal, readout: Some(ReadoutModel::None), ..paper() }
 }
 
 const EXTENT: Extent = Extent { width: 5, height: 4 };
@@ -204,7 +204,7 @@ fn residuals_of_events_and_frames_are_mapped_apart() {
     let step = |x: u16, y: u16, k: i64| Event { x, y, polarity: Polarity::from_bit((k % 2) as u8), t: k * 1_300_000 + 20_000, t_in: Some(k * 1_300_000) };
     let events: Vec<Event> = (0..4).flat_map(|y| (1..5).flat_map(move |x| (1..10).map(move |k| step(x, y, k)))).collect();
     let frames = testing::captured(EXTENT, exposures(2), 0, |_, x, _| if x == 4 { f32::NAN } else { 200.0 });
-    for params in [paper(), Params { precision: Precision::Double, ..paper() }, most_probable()] {
+    for params in [paper(), Params { precision: Some(Precision::Double), ..paper() }, most_probable()] {
         let (solved, _) = solve(params, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
         let map = solved.map.read(EXTENT.rows()).unwrap();
         assert_eq!(solved.map.meta.planes[3..], ["event_residual", "frame_residual"]);
@@ -220,7 +220,7 @@ fn residuals_of_events_and_frames_are_mapped_apart() {
 fn weights_four_times_as_large_double_the_residuals() {
     // Both weights together move no minimum.
     let residuals = |weight: f64| {
-        let params = Params { precision: Precision::Double, cis_weight: weight, evs_weight: weight, ..paper() };
+        let params = Params { precision: Some(Precision::Double), cis_weight: Some(weight), evs_weight: Some(weight), ..paper() };
         let map = solve(params, walk(EXTENT, 14_000_000), frames(3), EXTENT.rows()).0.map.read(EXTENT.rows()).unwrap();
         EXTENT.rows().iter().flat_map(|y| [map.row(3, y).to_vec(), map.row(4, y).to_vec()]).flatten().collect::<Vec<f32>>()
     };
