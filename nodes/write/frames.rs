@@ -1,4 +1,4 @@
-//! Writes frames as a folder of 16-bit PNGs with a table of their exposures.
+//! Writes frames as a folder of 16-bit PNGs with a table of their exposures, or as one HDF5 file.
 //!
 //! The folder holds `000000.png`, `000001.png` ... and `frames.csv`: when each frame was exposed, and how codes become digital numbers
 //! (`dn = offset + scale * code`, in the first line). Values are linear DN; there is no gamma, in the pixels or in the headers. DN stand for a
@@ -8,29 +8,49 @@
 //! pixels. So a first pass looks for both ends, and a second one writes; a few frames are in memory at a time. `offset` and `scale`
 //! can be stated instead, when several folders must share one code.
 //!
+//! With `format = "hdf5_u16"` the same codes go into one file, `frames.h5`, and with `"hdf5_f32"` the values themselves: \[frame, row, column\] in chunks, with
+//! exposures and code beside them (docs/formats.md), for those who want thousands of frames in one piece.
+//!
 //! Limits: 16 bits are 1/65535 of the span between darkest and brightest pixel. A value that is not known (NaN) becomes code 0 and is counted.
 
 use super::picture::Picture;
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{Context, Decl, FrameScale, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Table};
+use photocurrent_store::{DnCode, write_rendered};
 use png::BitDepth;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+
+/// What is written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Format {
+    /// A picture of 16 bits for each frame, and `frames.csv`.
+    #[default]
+    Png,
+    /// One file `frames.h5` of 16-bit codes.
+    Hdf5U16,
+    /// One file `frames.h5` of 32-bit floating point; NaN stays NaN.
+    Hdf5F32,
+}
 
 /// Parameters of `write/frames`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
+    /// Pictures, or one HDF5 file of 16-bit codes or of 32-bit floating point.
+    pub format: Format,
     /// DN per code, positive. Default: such that the highest value of all frames is code 65535.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub scale: Option<f64>,
     /// DN of code 0. Default: the lowest value of all frames, or 0 when none is negative.
     pub offset: Option<f64>,
-    /// Also write 8-bit copies into the folder `preview`. They are for looking only: linear, and coarser by a factor of 257.
+    /// Also write 8-bit copies into the folder `preview`, beside PNGs. They are for looking only: linear, and coarser by a factor of 257.
     pub preview: bool,
 }
 
@@ -55,26 +75,11 @@ pub struct WriteFrames {
     params: Params,
 }
 
-/// How codes become DN.
-#[derive(Clone, Copy, Debug)]
-struct Code {
-    offset: f64,
-    scale: f64,
-}
-
-/// The highest code of 16 bits.
-const WHITE: f64 = 65535.0;
+/// The file of `format = "hdf5_u16"` and `"hdf5_f32"`.
+const HDF5: &str = "frames.h5";
 
 /// Frames in memory at a time take about this much.
 const BYTES_AT_ONCE: usize = 64 << 20;
-
-impl Code {
-    /// The code of a value, and whether the value lies outside of what codes can say.
-    fn of(self, dn: f32) -> (u16, bool) {
-        let code = ((f64::from(dn) - self.offset) / self.scale).round();
-        (code.clamp(0.0, WHITE) as u16, !(0.0..=WHITE).contains(&code))
-    }
-}
 
 /// Which frames are read together.
 fn batches(frames: &FrameSequence) -> impl Iterator<Item = Range<usize>> + use<> {
@@ -97,15 +102,15 @@ fn range(frames: &FrameSequence, cx: &Context) -> Result<Option<(f32, f32)>, Nod
 }
 
 impl WriteFrames {
-    fn code(&self, frames: &FrameSequence, cx: &Context) -> Result<Code, NodeError> {
+    fn code(&self, frames: &FrameSequence, cx: &Context) -> Result<DnCode, NodeError> {
         if let (Some(offset), Some(scale)) = (self.params.offset, self.params.scale) {
-            return Ok(Code { offset, scale });
+            return Ok(DnCode { offset, scale });
         }
         let (lowest, highest) = range(frames, cx)?.unwrap_or((0.0, 0.0));
         let offset = self.params.offset.unwrap_or(f64::from(lowest).min(0.0));
         let span = f64::from(highest) - offset;
-        let scale = self.params.scale.unwrap_or(if span > 0.0 { span / WHITE } else { 1.0 });
-        Ok(Code { offset, scale })
+        let scale = self.params.scale.unwrap_or(if span > 0.0 { span / DnCode::WHITE } else { 1.0 });
+        Ok(DnCode { offset, scale })
     }
 }
 
@@ -122,10 +127,10 @@ fn file_name(frame: usize) -> String {
 }
 
 /// `frames.csv`. A rolling shutter is stated at the end of the first line; without a statement the shutter is global.
-fn csv(meta: &FramesMeta, code: Code) -> String {
+fn csv(meta: &FramesMeta, code: DnCode) -> String {
     let row_time = if meta.times.row_time_ns == 0 { String::new() } else { format!("; row_time_ns={}", meta.times.row_time_ns) };
     // `{:?}` writes the shortest decimal that reads back as the same number.
-    let Code { offset, scale } = code;
+    let DnCode { offset, scale } = code;
     let exposure_ns = nominal_exposure_ns(meta).unwrap_or(0);
     let mut text = format!("# dn = offset + scale * code; offset={offset:?} scale={scale:?}; exposure_dn_of_ns={exposure_ns}{row_time}\n");
     text += "index,t_start_ns,t_end_ns,t_mid_ns,file\n";
@@ -135,25 +140,25 @@ fn csv(meta: &FramesMeta, code: Code) -> String {
     text
 }
 
-fn listing(meta: &FramesMeta) -> Table {
+fn listing(meta: &FramesMeta, file: impl Fn(usize) -> String) -> Table {
     let exposures = &meta.times.exposures;
     Table::default()
         .with("index", Column::Integers((0..exposures.len() as i64).collect()))
         .with("t_start_ns", Column::Integers(exposures.iter().map(|e| e.start.0).collect()))
         .with("t_end_ns", Column::Integers(exposures.iter().map(|e| e.end.0).collect()))
         .with("t_mid_ns", Column::Integers(exposures.iter().map(|e| e.mid().0).collect()))
-        .with("file", Column::Texts((0..exposures.len()).map(file_name).collect()))
+        .with("file", Column::Texts((0..exposures.len()).map(file).collect()))
 }
 
 impl Node for WriteFrames {
     const DECL: Decl = Decl {
         kind: "write/frames",
-        about: "Writes frames as 16-bit PNGs of linear DN with a table of their exposures.",
+        about: "Writes frames of linear DN with their exposures, as 16-bit PNGs or as one HDF5 file.",
         revision: 1,
         grain: Grain::Whole,
         draws: false,
         exports: true,
-        sources: &["16-bit PNG, linear (docs/formats.md)"],
+        sources: &["16-bit PNG, linear (docs/formats.md)", "photocurrent-frames/1 (docs/formats.md)"],
         example: r#"
 [nodes.recording]
 kind   = "read/recording"
@@ -176,6 +181,18 @@ params = { preview = true }
         if let Some(offset) = params.offset.filter(|offset| !offset.is_finite()) {
             return Err(NodeError::usage(format!("`offset` is {offset}, and must be a number of DN")).param("offset"));
         }
+        let hdf5 = "`format = \"hdf5_u16\"` or \"hdf5_f32\"";
+        if params.preview && params.format != Format::Png {
+            return Err(NodeError::usage(format!("`preview` writes pictures beside PNGs, and does nothing with {hdf5}"))
+                .hint("take it out; write/contact_sheet shows frames in one picture")
+                .param("preview"));
+        }
+        let stated = [("scale", params.scale.is_some()), ("offset", params.offset.is_some())];
+        if let Some((name, _)) = stated.iter().find(|(_, is_stated)| *is_stated && params.format == Format::Hdf5F32) {
+            return Err(NodeError::usage(format!("`{name}` is that of codes, and `format = \"hdf5_f32\"` stores values as they are"))
+                .hint("take it out, or set `format = \"hdf5_u16\"`")
+                .param(*name));
+        }
         Ok(WriteFrames { params })
     }
 
@@ -190,6 +207,56 @@ params = { preview = true }
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let (frames, meta) = (&input.frames, &input.frames.meta);
         let folder = cx.export_dir()?;
+        let found = match self.params.format {
+            Format::Png => self.pictures(frames, folder, cx)?,
+            Format::Hdf5U16 => self.codes(frames, folder, cx)?,
+            Format::Hdf5F32 => {
+                write_rendered(&folder.join(HDF5), frames, nominal_exposure_ns(meta).unwrap_or(0), None)?;
+                Found::default()
+            }
+        };
+        cx.count(found.unknown, "values are not known (NaN) and were written as code 0");
+        cx.count(found.clipped, "values lie outside of what the stated code can say and were clipped");
+        let times = if self.params.format == Format::Png { "frames.csv" } else { HDF5 };
+        if meta.times.row_time_ns != 0 {
+            cx.note(format!("rolling shutter: the times in {times} are those of row 0, each further row is {} ns later", meta.times.row_time_ns));
+        }
+        let lengths = meta.times.exposures.iter().map(|exposure| exposure.length_ns());
+        if let (FrameScale::Captured, Some(shortest), Some(longest)) = (meta.scale, lengths.clone().min(), lengths.max())
+            && shortest != longest
+        {
+            cx.note(format!("captured frames of {shortest} to {longest} ns: each keeps the DN of its own exposure; {times} names their median"));
+        }
+        if self.params.preview {
+            cx.note("preview/ is for looking only: 8 bits, linear");
+        }
+        let file = |l: usize| if self.params.format == Format::Png { file_name(l) } else { HDF5.into() };
+        Ok(Out { listing: Arc::new(listing(meta, file)) })
+    }
+}
+
+/// How many values codes could not say.
+#[derive(Clone, Copy, Debug, Default)]
+struct Found {
+    unknown: u64,
+    clipped: u64,
+}
+
+impl Found {
+    fn in_frame(values: &[f32], code: DnCode) -> Found {
+        let mut found = Found::default();
+        for &dn in values {
+            found.unknown += u64::from(dn.is_nan());
+            found.clipped += u64::from(code.of(dn).1 && !dn.is_nan());
+        }
+        found
+    }
+}
+
+impl WriteFrames {
+    /// PNGs, previews and `frames.csv`.
+    fn pictures(&self, frames: &FrameSequence, folder: &Path, cx: &Context) -> Result<Found, NodeError> {
+        let meta = &frames.meta;
         let preview = folder.join("preview");
         if self.params.preview {
             std::fs::create_dir_all(&preview).map_err(|error| super::cannot_write(&preview, &error))?;
@@ -201,16 +268,10 @@ params = { preview = true }
         for batch in batches(frames) {
             let block = frames.read(batch.clone(), frames.rows())?;
             batch.into_par_iter().try_for_each(|l| {
-                let mut codes = Vec::with_capacity(block.frame(l).len());
-                let (mut not_known, mut beyond) = (0, 0);
-                for &dn in block.frame(l) {
-                    let (value, outside) = code.of(dn);
-                    not_known += u64::from(dn.is_nan());
-                    beyond += u64::from(outside && !dn.is_nan());
-                    codes.push(value);
-                }
-                unknown.fetch_add(not_known, Ordering::Relaxed);
-                clipped.fetch_add(beyond, Ordering::Relaxed);
+                let codes: Vec<u16> = block.frame(l).iter().map(|&dn| code.of(dn).0).collect();
+                let found = Found::in_frame(block.frame(l), code);
+                unknown.fetch_add(found.unknown, Ordering::Relaxed);
+                clipped.fetch_add(found.clipped, Ordering::Relaxed);
                 let (width, height) = (meta.extent.width, frames.rows().len() as u32);
                 let bytes: Vec<u8> = codes.iter().flat_map(|code| code.to_be_bytes()).collect();
                 Picture { width, height, channels: meta.channels(), depth: BitDepth::Sixteen, bytes: &bytes, comment: None }
@@ -224,22 +285,22 @@ params = { preview = true }
             })?;
         }
         super::save(&folder.join("frames.csv"), csv(meta, code).as_bytes())?;
+        Ok(Found { unknown: unknown.into_inner(), clipped: clipped.into_inner() })
+    }
 
-        cx.count(unknown.into_inner(), "values are not known (NaN) and were written as code 0");
-        cx.count(clipped.into_inner(), "values lie outside of what the stated code can say and were clipped");
-        if meta.times.row_time_ns != 0 {
-            cx.note(format!("rolling shutter: the times in frames.csv are those of row 0, each further row is {} ns later", meta.times.row_time_ns));
+    /// One file of codes.
+    fn codes(&self, frames: &FrameSequence, folder: &Path, cx: &Context) -> Result<Found, NodeError> {
+        cx.begin(2 * frames.len() as u64, "frames");
+        let code = self.code(frames, cx)?;
+        let mut found = Found::default();
+        for batch in batches(frames) {
+            let block = frames.read(batch.clone(), frames.rows())?;
+            let more = Found::in_frame(&block.dn, code);
+            found = Found { unknown: found.unknown + more.unknown, clipped: found.clipped + more.clipped };
+            cx.advance(batch.len() as u64)?;
         }
-        let lengths = meta.times.exposures.iter().map(|exposure| exposure.length_ns());
-        if let (FrameScale::Captured, Some(shortest), Some(longest)) = (meta.scale, lengths.clone().min(), lengths.max())
-            && shortest != longest
-        {
-            cx.note(format!("captured frames of {shortest} to {longest} ns: each keeps the DN of its own exposure; frames.csv names their median"));
-        }
-        if self.params.preview {
-            cx.note("preview/ is for looking only: 8 bits, linear");
-        }
-        Ok(Out { listing: Arc::new(listing(meta)) })
+        write_rendered(&folder.join(HDF5), frames, nominal_exposure_ns(&frames.meta).unwrap_or(0), Some(code))?;
+        Ok(found)
     }
 }
 
@@ -250,7 +311,6 @@ mod tests {
     use super::*;
     use photocurrent_core::{Exposure, Extent, FrameBlock, testing};
     use std::collections::BTreeMap;
-    use std::path::Path;
 
     const EXTENT: Extent = Extent { width: 5, height: 4 };
 
@@ -320,7 +380,7 @@ mod tests {
             (2, _) => 700_000.0,
             _ => 5.0,
         });
-        write(&frames, Params { scale: Some(10.0), offset: Some(0.0), preview: false }, |_, notes, folder| {
+        write(&frames, Params { scale: Some(10.0), offset: Some(0.0), ..Params::default() }, |_, notes, folder| {
             let codes = load(&folder.join("000000.png")).0;
             assert_eq!(codes[..4], [0, 0, 65535, 1]);
             // One below 0 and four in column 2 lie outside of 0 ..= 655350 DN; 5 DN are half a code and round away from zero.
@@ -355,6 +415,33 @@ mod tests {
             let (codes, info) = load(&folder.join("preview/000000.png"));
             assert_eq!((codes, info.bit_depth), (vec![255, 1, 0], BitDepth::Eight));
             assert!(notes[0].contains("for looking only"));
+        });
+    }
+
+    #[test]
+    fn what_a_format_does_not_take_is_refused_by_name() {
+        let refused = |params: Params| WriteFrames::build(params).err().and_then(|error| error.param);
+        let f32 = Params { format: Format::Hdf5F32, ..Params::default() };
+        assert_eq!(refused(f32.clone()), None);
+        assert_eq!(refused(Params { scale: Some(1.0), ..f32.clone() }).as_deref(), Some("scale"));
+        assert_eq!(refused(Params { offset: Some(1.0), ..f32.clone() }).as_deref(), Some("offset"));
+        assert_eq!(refused(Params { preview: true, ..f32 }).as_deref(), Some("preview"));
+        assert_eq!(refused(Params { format: Format::Hdf5U16, scale: Some(1.0), ..Params::default() }), None);
+    }
+
+    #[test]
+    fn one_file_of_codes_counts_what_codes_cannot_say() {
+        let frames = testing::captured(EXTENT, exposures(3), 0, |l, x, _| if (l, x) == (1, 0) { f32::NAN } else { 100.0 * x as f32 });
+        let params = Params { format: Format::Hdf5U16, scale: Some(1.0), offset: Some(200.0), preview: false };
+        write(&frames, params, |listing, notes, folder| {
+            assert_eq!(listing.column("file").unwrap().cell(2), "frames.h5");
+            // Of three frames of four rows: one column unknown in one frame, and column 0 of two, column 1 of three are below code 0.
+            assert_eq!(
+                notes,
+                ["4 values are not known (NaN) and were written as code 0", "20 values lie outside of what the stated code can say and were clipped"]
+            );
+            let names: Vec<_> = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+            assert_eq!(names, ["frames.h5"]);
         });
     }
 

@@ -157,8 +157,18 @@ fn events_solved(bencher: Bencher<'_, '_>, kind: &str) {
 /// The same, eight pixels at a time.
 #[divan::bench(args = KINDS)]
 fn events_solved_in_groups(bencher: Bencher<'_, '_>, kind: &str) {
+    solve_in_groups(bencher, kind, MapOptions::default());
+}
+
+/// The same with the standard deviation of the light at every knot, as `solve/pixel` asks for it unless told not to.
+#[divan::bench(args = KINDS)]
+fn events_solved_in_groups_with_sigma(bencher: Bencher<'_, '_>, kind: &str) {
+    solve_in_groups(bencher, kind, MapOptions { with_sigma: true, ..MapOptions::default() });
+}
+
+fn solve_in_groups(bencher: Bencher<'_, '_>, kind: &str, options: MapOptions) {
     let pixels = pixels(kind);
-    let tasks: Vec<MapTask<'_>> = pixels.iter().map(|pixel| MapTask { problem: pixel.problem(), options: MapOptions::default() }).collect();
+    let tasks: Vec<MapTask<'_>> = pixels.iter().map(|pixel| MapTask { problem: pixel.problem(), options }).collect();
     let mut group = MapGroup::default();
     bencher.counter(events(&pixels)).bench_local(|| {
         let mut sum = 0.0;

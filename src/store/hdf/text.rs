@@ -108,6 +108,12 @@ impl Opened {
         self.wrap(&format!("attribute `{name}`"), "write it", result)
     }
 
+    /// Writes a number as an attribute.
+    pub fn set_number_attribute(&self, location: &Location, name: &str, value: f64) -> Result<(), StoreError> {
+        let result = locked(|| location.new_attr::<f64>().create(name).and_then(|attribute| attribute.write_scalar(&value)));
+        self.wrap(&format!("attribute `{name}`"), "write it", result)
+    }
+
     /// Writes a scalar text as a dataset: an attribute holds 64 kB at most.
     pub fn set_text(&self, name: &str, text: &str) -> Result<(), StoreError> {
         let at = format!("/{name}");

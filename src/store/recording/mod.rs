@@ -10,9 +10,11 @@
 mod events;
 mod frames;
 mod inspect;
+mod rendered;
 mod write;
 
 pub use inspect::{EventsSummary, FramesSummary, Inspection, Spread, TruthSummary};
+pub use rendered::{DnCode, write_rendered};
 pub use write::{DnType, RecordingContent, write_recording};
 
 use crate::error::StoreError;

@@ -4,10 +4,11 @@
 //! this is not for the largest recordings; events that are in memory already are not copied.
 
 use super::FORMAT;
+use super::rendered::write_numbers;
 use crate::error::StoreError;
+use crate::hdf::Opened;
 use crate::hdf::write::ColumnWriter;
-use crate::hdf::{Item, Opened};
-use crate::layout::{StripWriter, close, create_group};
+use crate::layout::{close, create_group};
 use photocurrent_core::handle::Band;
 use photocurrent_core::{Colour, EventBand, EventStream, Extent, FrameSequence, Rows, Truth};
 use std::os::unix::fs::PermissionsExt;
@@ -54,36 +55,44 @@ impl RecordingContent<'_> {
 /// # Errors
 /// When data cannot be read, do not cover the sensor, or the file cannot be written.
 pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<u64, StoreError> {
+    whole_file(path, |opened| {
+        opened.set_text_attribute(&opened.file, "format", FORMAT)?;
+        opened.set_integer_attribute(&opened.file, "width", content.extent.width.into())?;
+        opened.set_integer_attribute(&opened.file, "height", content.extent.height.into())?;
+        let mut written = 0;
+        if let Some(events) = content.events {
+            covers(path, "events", (events.meta.extent, events.rows()), content.extent, Some(1))?;
+            written = write_events(opened, events)?;
+        }
+        if let Some(frames) = content.frames {
+            covers(path, "frames", (frames.meta.extent, frames.rows()), content.extent, None)?;
+            write_frames(opened, frames, content)?;
+        }
+        if let Some(Truth(truth)) = content.truth {
+            covers(path, "true frames", (truth.meta.extent, truth.rows()), content.extent, None)?;
+            write_truth(opened, truth)?;
+        }
+        if let Some(sensor) = content.sensor {
+            opened.set_text("sensor", sensor)?;
+        }
+        Ok(written)
+    })
+}
+
+/// Lets `fill` write a new file beside `path`, and moves it there when it is complete and synced.
+pub(super) fn whole_file<T>(path: &Path, fill: impl FnOnce(&Opened) -> Result<T, StoreError>) -> Result<T, StoreError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // The umask still applies: temporary files are private by default, and a recording is not.
     let everybody = std::fs::Permissions::from_mode(0o666);
     let temporary = tempfile::Builder::new().prefix(".").suffix(".part").permissions(everybody).tempfile_in(folder);
     let temporary = temporary.map_err(|error| StoreError::io(folder, "create a file in the folder", error))?;
     let opened = Opened::create(temporary.path())?;
-    opened.set_text_attribute(&opened.file, "format", FORMAT)?;
-    opened.set_integer_attribute(&opened.file, "width", content.extent.width.into())?;
-    opened.set_integer_attribute(&opened.file, "height", content.extent.height.into())?;
-    let mut written = 0;
-    if let Some(events) = content.events {
-        covers(path, "events", (events.meta.extent, events.rows()), content.extent, Some(1))?;
-        written = write_events(&opened, events)?;
-    }
-    if let Some(frames) = content.frames {
-        covers(path, "frames", (frames.meta.extent, frames.rows()), content.extent, None)?;
-        write_frames(&opened, frames, content)?;
-    }
-    if let Some(Truth(truth)) = content.truth {
-        covers(path, "true frames", (truth.meta.extent, truth.rows()), content.extent, None)?;
-        write_truth(&opened, truth)?;
-    }
-    if let Some(sensor) = content.sensor {
-        opened.set_text("sensor", sensor)?;
-    }
+    let filled = fill(&opened)?;
     close(opened)?;
     temporary.as_file().sync_all().map_err(|error| StoreError::io(path, "sync the file", error))?;
     temporary.persist(path).map_err(|error| StoreError::io(path, "move the file to its place", error.error))?;
     std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(|error| StoreError::io(folder, "sync the folder", error))?;
-    Ok(written)
+    Ok(filled)
 }
 
 /// Data must have all rows, and `times` the extent of the sensor; any whole number of times without it.
@@ -171,7 +180,7 @@ fn for_slices_of_time(band: &EventBand, about: usize, mut take: impl FnMut(&[Pla
     Ok(())
 }
 
-fn write_times(opened: &Opened, name: &str, times: Vec<i64>) -> Result<(), StoreError> {
+pub(super) fn write_times(opened: &Opened, name: &str, times: Vec<i64>) -> Result<(), StoreError> {
     let mut column = ColumnWriter::new(opened, name);
     column.append(&times)?;
     opened.set_text_attribute(column.finish()?.dataset(), "unit", "ns")
@@ -182,9 +191,9 @@ fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingCont
     opened.set_integer_attribute(&group, "row_time_ns", frames.meta.times.row_time_ns)?;
     write_colour(opened, &group, frames.meta.colour)?;
     match content.dn {
-        DnType::F32 => write_numbers::<f32>(opened, "frames/dn", frames, |dn| dn)?,
+        DnType::F32 => write_numbers::<f32>(opened, "frames/dn", frames, None, |dn| dn)?,
         // `as` saturates, and makes 0 of NaN.
-        DnType::U16 => write_numbers::<u16>(opened, "frames/dn", frames, |dn| dn.round() as u16)?,
+        DnType::U16 => write_numbers::<u16>(opened, "frames/dn", frames, None, |dn| dn.round() as u16)?,
     }
     let exposures = &frames.meta.times.exposures;
     write_times(opened, "frames/exposure_start", exposures.iter().map(|exposure| exposure.start.0).collect())?;
@@ -192,28 +201,15 @@ fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingCont
 }
 
 /// Grey goes without saying.
-fn write_colour(opened: &Opened, group: &hdf5::Group, colour: Colour) -> Result<(), StoreError> {
+pub(super) fn write_colour(opened: &Opened, group: &hdf5::Group, colour: Colour) -> Result<(), StoreError> {
     if colour == Colour::Mono { Ok(()) } else { opened.set_text_attribute(group, "colour", colour.name()) }
 }
 
 fn write_truth(opened: &Opened, truth: &FrameSequence) -> Result<(), StoreError> {
     let group = create_group(opened, "truth")?;
     write_colour(opened, &group, truth.meta.colour)?;
-    write_numbers::<f32>(opened, "truth/dn", truth, |dn| dn)?;
+    write_numbers::<f32>(opened, "truth/dn", truth, None, |dn| dn)?;
     write_times(opened, "truth/t", truth.meta.times.exposures.iter().map(|exposure| exposure.start.0 + exposure.length_ns() / 2).collect())
-}
-
-fn write_numbers<T: Item>(opened: &Opened, name: &str, frames: &FrameSequence, convert: impl Fn(f32) -> T + Sync) -> Result<(), StoreError> {
-    let (width, channels) = (frames.meta.extent.width as usize, frames.meta.channels() as usize);
-    let tail = [width, channels];
-    // Grey frames have three dimensions.
-    let tail = if channels == 1 { &tail[..1] } else { &tail[..] };
-    let mut writer = StripWriter::create::<T>(opened, name, frames.len(), frames.meta.extent.height as usize, tail)?;
-    for rows in frames.rows().bands(writer.rows_at_once()) {
-        let block = frames.read_rows(rows).map_err(StoreError::Source)?;
-        writer.append(&block, &convert)?;
-    }
-    Ok(())
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@
 use hdf5::types::VarLenUnicode;
 use photocurrent_core::frames::{FrameScale, FrameTimes};
 use photocurrent_core::{testing, *};
-use photocurrent_store::{DnType, Recording, RecordingContent, write_recording};
+use photocurrent_store::{DnCode, DnType, Recording, RecordingContent, write_recording, write_rendered};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -47,6 +47,38 @@ fn a_recording_comes_back_as_it_was() {
     }
     let leftovers: Vec<_> = std::fs::read_dir(folder.path()).unwrap().collect();
     assert_eq!(leftovers.len(), 1, "no temporary file stays");
+}
+
+/// What another program reads from a file of rendered frames: the values, and both attributes of the code.
+fn plain<T: hdf5::H5Type>(path: &Path) -> (Vec<T>, Vec<usize>, Option<(f64, f64)>) {
+    let file = hdf5::File::open(path).unwrap();
+    let dn = file.dataset("frames/dn").unwrap();
+    let number = |name: &str| dn.attr(name).and_then(|attribute| attribute.read_scalar::<f64>()).ok();
+    let times = |name: &str| file.dataset(name).unwrap().read_raw::<i64>().unwrap();
+    assert_eq!(file.attr("format").unwrap().read_scalar::<VarLenUnicode>().unwrap().as_str(), "photocurrent-frames/1");
+    assert_eq!(file.group("frames").unwrap().attr("exposure_dn_of_ns").unwrap().read_scalar::<i64>().unwrap(), 6_500_000);
+    assert_eq!(times("frames/exposure_end").iter().zip(times("frames/exposure_start")).filter(|(end, start)| **end > *start).count(), dn.shape()[0]);
+    (dn.read_raw::<T>().unwrap(), dn.shape(), number("scale_factor").zip(number("add_offset")))
+}
+
+#[test]
+fn rendered_frames_are_one_file_of_values_or_of_codes_with_their_scale() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("frames.h5");
+    let frames = testing::frames(EXTENT.width, EXTENT.height, 5);
+    let dn = frames.read_rows(frames.rows()).unwrap().dn;
+    write_rendered(&path, &frames, 6_500_000, None).unwrap();
+    let (values, shape, code) = plain::<f32>(&path);
+    assert_eq!((values.as_slice(), shape.as_slice(), code), (dn.as_slice(), &[5, 9, 12][..], None));
+    let code = DnCode { offset: -3.0, scale: 0.125 };
+    write_rendered(&path, &frames, 6_500_000, Some(code)).unwrap();
+    let (codes, shape, found) = plain::<u16>(&path);
+    let (scale, offset) = found.unwrap();
+    assert_eq!((shape.as_slice(), scale, offset), (&[5, 9, 12][..], 0.125, -3.0));
+    // Half a code is the best that rounding can do, and nothing lies beyond the codes here.
+    assert!(codes.iter().zip(&dn).all(|(code, dn)| (offset + scale * f64::from(*code) - f64::from(*dn)).abs() <= scale / 2.0));
+    assert!(codes.iter().any(|code| *code != codes[0]));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file stays");
 }
 
 #[test]
