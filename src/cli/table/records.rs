@@ -64,6 +64,12 @@ fn find(source: &Path, by_frame: bool) -> Result<(PathBuf, String), Failure> {
     let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     if source.extension().is_some_and(|extension| extension == "toml") {
         let stem = source.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        if !source.exists() {
+            return Err(usage(format!(
+                "{}: there is no such manifest\n  name a manifest that was run, the folder that it wrote to, or a file {file}",
+                source.display()
+            )));
+        }
         let path = Path::new("out").join(&stem).join(file);
         if !path.exists() {
             return Err(usage(format!(
@@ -78,10 +84,16 @@ fn find(source: &Path, by_frame: bool) -> Result<(PathBuf, String), Failure> {
         // A folder of `run`, or one of write/table.
         let other = if by_frame { "metrics.jsonl" } else { "pooled.jsonl" };
         let path = [file, other].iter().map(|file| source.join(file)).find(|path| path.exists());
-        return path.map(|path| (path, name(source))).ok_or_else(|| usage(format!("{}: the folder has no {file}", source.display())));
+        return path.map(|path| (path, name(source))).ok_or_else(|| {
+            let hint = "name a folder that `photocurrent run` wrote scores to (out/NAME of the manifest), or one of write/table";
+            usage(format!("{}: the folder has no {file}\n  {hint}", source.display()))
+        });
     }
     if !source.exists() {
-        return Err(usage(format!("{} is not there", source.display())));
+        return Err(usage(format!(
+            "{} is not there\n  name a manifest that was run, the folder that it wrote to (out/NAME unless --out said otherwise), or a file {file}; `photocurrent run MANIFEST` writes them",
+            source.display()
+        )));
     }
     Ok((source.to_path_buf(), source.parent().map(name).unwrap_or_default()))
 }
