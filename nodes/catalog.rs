@@ -33,6 +33,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<baseline::akf::BaselineAkf>(),
         Kind::of::<baseline::external::BaselineExternal>(),
         Kind::of::<baseline::exec::BaselineExec>(),
+        Kind::of::<baseline::onnx::BaselineOnnx>(),
         // How good it is.
         Kind::of::<score::psnr::ScorePsnr>(),
         Kind::of::<score::ssim::ScoreSsim>(),

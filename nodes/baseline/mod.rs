@@ -6,6 +6,7 @@ pub mod contrast;
 pub mod edi;
 pub mod exec;
 pub mod external;
+pub mod onnx;
 pub mod repeat;
 
 #[cfg(test)]

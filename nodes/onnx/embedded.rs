@@ -1,6 +1,6 @@
 //! The backend that is always there: `rten`, in pure Rust.
 
-use super::{Network, Tensor};
+use super::{Network, Sockets, Tensor};
 use photocurrent_core::NodeError;
 use rten::{Model, RunOptions, ThreadPool, ValueView};
 use rten_tensor::Layout;
@@ -29,7 +29,7 @@ impl Embedded {
         NodeError::failed(format!("the network {} failed: {error}", self.name)).hint("check that pictures are of a size that the network takes")
     }
 
-    fn calculate(&self, inputs: &[(&str, &Tensor)], output: &str) -> Result<Tensor, NodeError> {
+    fn calculate(&self, inputs: &[(&str, &Tensor)], outputs: &[&str]) -> Result<Vec<Tensor>, NodeError> {
         let id = |name: &str| self.model.node_id(name).map_err(|_| NodeError::input(format!("the network {} has no input or output `{name}`", self.name)));
         let mut values = Vec::with_capacity(inputs.len());
         for (name, tensor) in inputs {
@@ -38,19 +38,28 @@ impl Embedded {
         }
         // One thread: frames are what runs side by side, on the threads that the user allows.
         let options = RunOptions::default().with_thread_pool(Some(Arc::new(ThreadPool::with_num_threads(1))));
-        let [result] = self.model.run_n(values, [id(output)?], Some(options)).map_err(|error| self.failed(error))?;
-        let result: rten_tensor::Tensor<f32> = result.try_into().map_err(|error: rten::TryFromValueError| self.failed(error))?;
-        Ok(Tensor { shape: result.shape().to_vec(), values: result.into_data() })
+        let wanted = outputs.iter().map(|name| id(name)).collect::<Result<Vec<_>, NodeError>>()?;
+        let results = self.model.run(values, &wanted, Some(options)).map_err(|error| self.failed(error))?;
+        let tensor = |result: rten::Value| -> Result<Tensor, NodeError> {
+            let result: rten_tensor::Tensor<f32> = result.try_into().map_err(|error: rten::TryFromValueError| self.failed(error))?;
+            Ok(Tensor { shape: result.shape().to_vec(), values: result.into_data() })
+        };
+        results.into_iter().map(tensor).collect()
     }
 }
 
 impl Network for Embedded {
-    fn run(&self, inputs: &[(&str, &Tensor)], output: &str) -> Result<Tensor, NodeError> {
+    fn run_all(&self, inputs: &[(&str, &Tensor)], outputs: &[&str]) -> Result<Vec<Tensor>, NodeError> {
         // A thread of its own: a worker of the caller's pool that waited for another pool would begin further frames meanwhile, without end.
         std::thread::scope(|scope| {
-            let thread = scope.spawn(|| self.calculate(inputs, output));
+            let thread = scope.spawn(|| self.calculate(inputs, outputs));
             thread.join().unwrap_or_else(|_| Err(self.failed("it panicked")))
         })
+    }
+
+    fn sockets(&self) -> Sockets {
+        let names = |ids: &[rten::NodeId]| ids.iter().filter_map(|id| self.model.node_info(*id)?.name().map(String::from)).collect();
+        Sockets { inputs: names(self.model.input_ids()), outputs: names(self.model.output_ids()) }
     }
 
     fn backend(&self) -> String {

@@ -21,13 +21,34 @@ pub struct Tensor {
     pub values: Vec<f32>,
 }
 
+/// Names of a network's inputs and outputs, in the order of its file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Sockets {
+    /// What it has to be given.
+    pub inputs: Vec<String>,
+    /// What it gives.
+    pub outputs: Vec<String>,
+}
+
 /// A network ready to run, from many threads at once.
 pub trait Network: Send + Sync {
+    /// The outputs of these names, in this order, for inputs by name.
+    ///
+    /// # Errors
+    /// When the network has no input or output of such a name, or does not take such shapes.
+    fn run_all(&self, inputs: &[(&str, &Tensor)], outputs: &[&str]) -> Result<Vec<Tensor>, NodeError>;
+
     /// The output of a name for inputs by name.
     ///
     /// # Errors
-    /// When the network has no input or output of that name, or does not take such shapes.
-    fn run(&self, inputs: &[(&str, &Tensor)], output: &str) -> Result<Tensor, NodeError>;
+    /// As [`Network::run_all`].
+    fn run(&self, inputs: &[(&str, &Tensor)], output: &str) -> Result<Tensor, NodeError> {
+        let all = self.run_all(inputs, &[output])?;
+        all.into_iter().next().ok_or_else(|| NodeError::failed(format!("the network gave nothing for its output `{output}`")))
+    }
+
+    /// What it takes and gives.
+    fn sockets(&self) -> Sockets;
 
     /// What runs it, for cards.
     fn backend(&self) -> String;
@@ -66,6 +87,12 @@ mod tests {
         let distance = network.run(&[("img0", &a), ("img1", &b)], "lpips").unwrap();
         assert_eq!((distance.shape.as_slice(), distance.values.len()), (&[1][..], 1));
         distance.values[0]
+    }
+
+    #[test]
+    fn a_network_names_its_inputs_and_outputs() {
+        let sockets = load("alex", weights(), None).unwrap().sockets();
+        assert_eq!((sockets.inputs, sockets.outputs), (vec!["img0".to_string(), "img1".into()], vec!["lpips".to_string()]));
     }
 
     #[test]

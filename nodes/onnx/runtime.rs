@@ -3,7 +3,7 @@
 //! Where a library is: PyPI's `onnxruntime` has it as `onnxruntime/capi/libonnxruntime.so.<version>`; 1.24 is the oldest that fits.
 //! A process loads one library, and keeps it.
 
-use super::{Network, Tensor};
+use super::{Network, Sockets, Tensor};
 use ort::environment::Environment;
 use ort::session::{Session, SessionInputValue};
 use photocurrent_core::NodeError;
@@ -20,6 +20,7 @@ pub struct Runtime {
     library: String,
     content: Vec<u8>,
     environment: Environment,
+    sockets: Sockets,
     /// A session serves one caller at a time; those that nobody uses wait here.
     idle: Mutex<Vec<Session>>,
 }
@@ -55,8 +56,17 @@ impl Runtime {
     pub fn load(name: &str, content: Vec<u8>, library: &Path) -> Result<Runtime, NodeError> {
         let environment = environment(library)?;
         let file = library.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-        let runtime = Runtime { name: name.into(), library: file, content, environment, idle: Mutex::new(Vec::new()) };
+        let mut runtime = Runtime {
+            name: name.into(),
+            library: file,
+            content,
+            environment,
+            sockets: Sockets { inputs: Vec::new(), outputs: Vec::new() },
+            idle: Mutex::new(Vec::new()),
+        };
         let first = runtime.session()?;
+        let names = |outlets: &[ort::value::Outlet]| outlets.iter().map(|outlet| outlet.name().to_string()).collect();
+        runtime.sockets = Sockets { inputs: names(first.inputs()), outputs: names(first.outputs()) };
         runtime.put_back(first);
         Ok(runtime)
     }
@@ -81,26 +91,33 @@ impl Runtime {
         NodeError::failed(format!("the network {} failed: {error}", self.name)).hint("check that pictures are of a size that the network takes")
     }
 
-    fn calculate(&self, session: &mut Session, inputs: &[(&str, &Tensor)], output: &str) -> Result<Tensor, NodeError> {
+    fn calculate(&self, session: &mut Session, inputs: &[(&str, &Tensor)], outputs: &[&str]) -> Result<Vec<Tensor>, NodeError> {
         let mut values: Vec<(Cow<str>, SessionInputValue)> = Vec::with_capacity(inputs.len());
         for (name, tensor) in inputs {
             let shape: Vec<i64> = tensor.shape.iter().map(|n| *n as i64).collect();
             let value = ort::value::Tensor::from_array((shape, tensor.values.clone())).map_err(|error| self.failed(error))?;
             values.push(((*name).into(), value.into()));
         }
-        let outputs = session.run(values).map_err(|error| self.failed(error))?;
-        let value = outputs.get(output).ok_or_else(|| NodeError::input(format!("the network {} has no input or output `{output}`", self.name)))?;
-        let (shape, values) = value.try_extract_tensor::<f32>().map_err(|error| self.failed(error))?;
-        Ok(Tensor { shape: shape.iter().map(|n| *n as usize).collect(), values: values.to_vec() })
+        let results = session.run(values).map_err(|error| self.failed(error))?;
+        let tensor = |output: &&str| -> Result<Tensor, NodeError> {
+            let value = results.get(output).ok_or_else(|| NodeError::input(format!("the network {} has no input or output `{output}`", self.name)))?;
+            let (shape, values) = value.try_extract_tensor::<f32>().map_err(|error| self.failed(error))?;
+            Ok(Tensor { shape: shape.iter().map(|n| *n as usize).collect(), values: values.to_vec() })
+        };
+        outputs.iter().map(tensor).collect()
     }
 }
 
 impl Network for Runtime {
-    fn run(&self, inputs: &[(&str, &Tensor)], output: &str) -> Result<Tensor, NodeError> {
+    fn run_all(&self, inputs: &[(&str, &Tensor)], outputs: &[&str]) -> Result<Vec<Tensor>, NodeError> {
         let mut session = self.session()?;
-        let result = self.calculate(&mut session, inputs, output);
+        let result = self.calculate(&mut session, inputs, outputs);
         self.put_back(session);
         result
+    }
+
+    fn sockets(&self) -> Sockets {
+        self.sockets.clone()
     }
 
     fn backend(&self) -> String {
