@@ -6,11 +6,11 @@
 //!
 //! The paper's own definition is not public, and its lowest figure (0.7) lies below the floor: compare methods and trends, not single figures.
 //! `profile = "row"` over a segment of 40 pixels is the closest imitation of its Fig. 10(i). Limits: one edge a rectangle, straight, with plateaus on both
-//! sides; no pooling of frames where an edge is parallel to the pixels.
+//! sides. An edge parallel to the pixels shows too few sub-pixel phases in one frame: `pool = "frames"` lays the frames in which it moves over each other.
 
 use super::card::{Card, OWN};
 use super::compare::Peak;
-use super::edge::{BOOTSTRAPS, Direction, Edge, FLOOR_PX, LEAST_ACROSS, LEAST_ALONG, Question, Refusal, Thresholds, measure};
+use super::edge::{BOOTSTRAPS, Direction, Edge, FLOOR_PX, Fit, LEAST_ACROSS, LEAST_ALONG, Question, Refusal, Thresholds, measure, measure_all};
 use super::matching::no_mosaic;
 use super::roi::Roi;
 use photocurrent_core::table::{Column, Score, TableMeta, percentile};
@@ -37,6 +37,23 @@ pub struct Params {
     pub profile: Direction,
     /// What the width is divided by.
     pub normalise: Normalise,
+    /// What is laid through the edge's positions.
+    pub fit: Fit,
+    /// What the pooled scores are made of.
+    pub pool: Pool,
+    /// How fast each edge moves along its normal, pixels per millisecond; one number counts for all edges. With it, `bet_us` is the width divided by the speed.
+    pub speeds_px_per_ms: Vec<f64>,
+}
+
+/// What pooled scores are made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Pool {
+    /// The median of the widths of single frames and edges.
+    #[default]
+    Widths,
+    /// The median over edges of the width of one profile from all frames in which the edge was found, each by its own position there.
+    Frames,
 }
 
 /// What the width is divided by.
@@ -73,9 +90,9 @@ photocurrent_core::ports! {
 photocurrent_core::ports! {
     /// Outputs.
     pub struct Out {
-        /// `bew_px`, `bew_gaussian_px`, `bew_overshoot`, `bew_ghosts`: per frame the median over edges, pooled the median over frames and edges.
+        /// `bew_px`, `bew_gaussian_px`, `bew_overshoot`, `bew_ghosts`, with speeds `bet_us`: per frame the median over edges, pooled as `pool` says.
         scores: Arc<Table>,
-        /// Everything about each edge in each frame, with the reason where there is no width.
+        /// Everything about each edge in each frame (-1: in all of them together), with the reason where there is no width.
         edges: Arc<Table>,
         /// The edge spread functions.
         profiles: Arc<Table>,
@@ -104,6 +121,12 @@ impl ScoreBew {
                     .param("edges"));
             }
         }
+        let speeds = self.params.speeds_px_per_ms.len();
+        if speeds > 1 && speeds != self.params.edges.len() {
+            return Err(NodeError::usage(format!("`speeds_px_per_ms` has {speeds} numbers, and there are {} edges", self.params.edges.len()))
+                .hint("state one for each edge, in the same order, or one for all")
+                .param("speeds_px_per_ms"));
+        }
         if self.params.channel >= channels {
             return Err(NodeError::usage(format!("`channel` is {}, and the frames have {channels}, counted from 0", self.params.channel))
                 .hint(format!("state a channel from 0 to {}", channels - 1))
@@ -117,7 +140,7 @@ impl Node for ScoreBew {
     const DECL: Decl = Decl {
         kind: "score/bew",
         about: "Width of blurred edges in pixels, with overshoot, ghosts and interval; needs no ground truth.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: true,
         exports: false,
@@ -139,6 +162,19 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
                 .hint("state a rectangle around each edge: edges = [{ x = 40, y = 30, width = 40, height = 24 }]")
                 .param("edges"));
         }
+        if let Some(speed) = params.speeds_px_per_ms.iter().find(|speed| !(speed.is_finite() && **speed > 0.0)) {
+            return Err(NodeError::usage(format!("an edge does not move at {speed} pixels per millisecond"))
+                .hint("state speeds greater than 0, without their direction")
+                .param("speeds_px_per_ms"));
+        }
+        let along_rows = [("fit", params.fit != Fit::default()), ("pool", params.pool != Pool::default())];
+        if let Some((name, _)) = along_rows.iter().find(|(_, is_set)| *is_set && params.profile == Direction::Row) {
+            return Err(NodeError::usage(format!(
+                "`{name}` is about edges with a position on each line, and `profile = \"row\"` averages lines as they stand"
+            ))
+            .hint("take it out, or set `profile = \"normal\"`")
+            .param(*name));
+        }
         Ok(ScoreBew { params })
     }
 
@@ -157,43 +193,69 @@ params = { edges = [{ x = 40, y = 30, width = 40, height = 24 }] }
         let question = Question {
             thresholds: self.params.thresholds,
             direction: self.params.profile,
+            fit: self.params.fit,
             full_scale: peak.dn,
             saturation: input.sensor.as_deref().and_then(|sensor| sensor.frames.saturation_dn),
             seed: cx.seed(),
         };
         cx.begin(frames.len() as u64, "frames");
-        let one = |l: usize| -> Result<Vec<Edge>, NodeError> {
+        let planes = |l: usize| -> Result<Vec<Vec<f64>>, NodeError> {
             let picture = frames.read(l..l + 1, frames.rows())?;
             let value = |x: u32, y: u32| f64::from(picture.row(l, y)[(x * meta.channels() + self.params.channel) as usize]);
-            let edges = self.params.edges.iter().map(|roi| {
-                let plane: Vec<f64> = (roi.y..roi.y + roi.height).flat_map(|y| (roi.x..roi.x + roi.width).map(move |x| value(x, y))).collect();
-                let mut edge = measure(&plane, roi.width as usize, &question);
-                let divisor = self.params.normalise.divisor();
-                edge.width /= divisor;
-                edge.interval = edge.interval.map(|end| end / divisor);
-                edge.middle = [edge.middle[0] + f64::from(roi.x), edge.middle[1] + f64::from(roi.y)];
-                edge
-            });
-            let edges = edges.collect();
+            let plane = |roi: &Roi| (roi.y..roi.y + roi.height).flat_map(|y| (roi.x..roi.x + roi.width).map(move |x| value(x, y))).collect();
             cx.advance(1)?;
-            Ok(edges)
+            Ok(self.params.edges.iter().map(plane).collect())
         };
-        let found: Result<Vec<Vec<Edge>>, NodeError> = (0..frames.len()).into_par_iter().map(one).collect();
-        let found = found?;
+        let (found, joint): (Vec<Vec<Edge>>, Vec<(Edge, usize)>) = match self.params.pool {
+            Pool::Widths => {
+                let one = |l: usize| -> Result<Vec<Edge>, NodeError> {
+                    let edges = self.params.edges.iter().zip(planes(l)?);
+                    Ok(edges.map(|(roi, plane)| self.placed(measure(&plane, roi.width as usize, &question), roi)).collect())
+                };
+                let found: Result<Vec<Vec<Edge>>, NodeError> = (0..frames.len()).into_par_iter().map(one).collect();
+                (found?, Vec::new())
+            }
+            Pool::Frames => {
+                let all: Result<Vec<Vec<Vec<f64>>>, NodeError> = (0..frames.len()).into_par_iter().map(planes).collect();
+                let all = all?;
+                let of_edge = |(e, roi): (usize, &Roi)| {
+                    let (edges, joint, count) = measure_all(all.iter().map(|planes| planes[e].as_slice()), roi.width as usize, &question);
+                    let edges: Vec<Edge> = edges.into_iter().map(|edge| self.placed(edge, roi)).collect();
+                    (edges, (self.placed(joint, roi), count))
+                };
+                let (of_edges, joint): (Vec<Vec<Edge>>, Vec<_>) = self.params.edges.par_iter().enumerate().map(of_edge).unzip();
+                ((0..frames.len()).map(|l| of_edges.iter().map(|edges| edges[l].clone()).collect()).collect(), joint)
+            }
+        };
         for refusal in found.iter().flatten().filter_map(|edge| edge.refusal) {
             cx.count(1, &format!("edges have no width: {}", refusal.describe()));
         }
         cx.count(found.iter().flatten().filter(|edge| self.is_sub_floor(edge)).count() as u64, "widths are below that of an unsharpened edge");
         let times: Vec<i64> = (0..frames.len()).map(|l| meta.times.exposures[l].mid().0).collect();
         Ok(Out {
-            scores: Arc::new(Table::scores(scores(&found, &times), self.card(frames, &peak))),
-            edges: Arc::new(self.edges(&found, &times)),
-            profiles: Arc::new(profiles(&found)),
+            scores: Arc::new(Table::scores(self.scores(&found, &joint, &times), self.card(frames, &peak))),
+            edges: Arc::new(self.edges(&found, &joint, &times)),
+            profiles: Arc::new(profiles(&found, &joint)),
         })
     }
 }
 
 impl ScoreBew {
+    /// The edge of a rectangle, in the frame's pixels and divided as asked.
+    fn placed(&self, mut edge: Edge, roi: &Roi) -> Edge {
+        let divisor = self.params.normalise.divisor();
+        edge.width /= divisor;
+        edge.interval = edge.interval.map(|end| end / divisor);
+        edge.middle = [edge.middle[0] + f64::from(roi.x), edge.middle[1] + f64::from(roi.y)];
+        edge
+    }
+
+    /// How long the edge takes to pass, us; NaN without a speed.
+    fn transit_us(&self, e: usize, edge: &Edge) -> f64 {
+        let speeds = &self.params.speeds_px_per_ms;
+        speeds.get(e).or(speeds.first()).map_or(f64::NAN, |speed| 1000.0 * edge.width / speed)
+    }
+
     /// Narrower than an unsharpened edge can be? Known for 10 to 90 % along the normal only.
     fn is_sub_floor(&self, edge: &Edge) -> bool {
         self.params.thresholds == Thresholds::TenNinety && self.params.profile == Direction::Normal && edge.width * self.params.normalise.divisor() < FLOOR_PX
@@ -210,7 +272,10 @@ impl ScoreBew {
             region: self.params.edges.iter().map(|roi| roi.describe()).collect::<Vec<_>>().join(" and "),
             weights: None,
             backend: OWN.into(),
-            pooled: "median over frames and edges".into(),
+            pooled: match self.params.pool {
+                Pool::Widths => "median over frames and edges".into(),
+                Pool::Frames => "one profile of all frames for each edge, median over edges".into(),
+            },
             more: vec![
                 ("thresholds", format!("{low} to {} %", 100.0 - low)),
                 (
@@ -220,6 +285,13 @@ impl ScoreBew {
                         Direction::Row => "along the row, mean of the rows, one value a column (imitates a plot of DN on a segment)".into(),
                     },
                 ),
+                (
+                    "fit",
+                    match self.params.fit {
+                        Fit::Straight => "straight line".into(),
+                        Fit::Quadratic => "parabola".into(),
+                    },
+                ),
                 ("normalise", self.params.normalise.divisor().to_string()),
                 ("interval", format!("95 % of {BOOTSTRAPS} draws of lines")),
                 ("floor", format!("{FLOOR_PX:.2} pixels, below it: sub-floor (sharpened)")),
@@ -227,21 +299,26 @@ impl ScoreBew {
         }
     }
 
-    fn edges(&self, found: &[Vec<Edge>], times: &[i64]) -> Table {
-        let all = || found.iter().enumerate().flat_map(|(l, edges)| edges.iter().enumerate().map(move |(e, edge)| (l, e, edge)));
+    fn edges(&self, found: &[Vec<Edge>], joint: &[(Edge, usize)], times: &[i64]) -> Table {
+        let all = || all(found, joint);
         let numbers = |value: &dyn Fn(&Edge) -> f64| Column::Numbers(all().map(|(_, _, edge)| value(edge)).collect());
-        let remark = |edge: &Edge| match edge.refusal {
-            Some(refusal) => refusal.describe().to_string(),
-            None if self.is_sub_floor(edge) => "sub-floor (sharpened)".into(),
-            None => String::new(),
+        let remark = |l: i64, e: usize, edge: &Edge| {
+            let joined = if l < 0 { format!("of {} frames together", joint[e].1) } else { String::new() };
+            let what = match edge.refusal {
+                Some(refusal) => refusal.describe().to_string(),
+                None if self.is_sub_floor(edge) => "sub-floor (sharpened)".into(),
+                None => String::new(),
+            };
+            if joined.is_empty() || what.is_empty() { joined + &what } else { format!("{joined}: {what}") }
         };
         Table::default()
-            .with("frame", Column::Integers(all().map(|(l, _, _)| l as i64).collect()))
-            .with("t_ns", Column::Integers(all().map(|(l, _, _)| times[l]).collect()))
+            .with("frame", Column::Integers(all().map(|(l, _, _)| l).collect()))
+            .with("t_ns", Column::Integers(all().map(|(l, _, _)| usize::try_from(l).map_or(0, |l| times[l])).collect()))
             .with("edge", Column::Integers(all().map(|(_, e, _)| e as i64).collect()))
             .with("bew_px", numbers(&|edge| edge.width))
             .with("bew_low_px", numbers(&|edge| edge.interval[0]))
             .with("bew_high_px", numbers(&|edge| edge.interval[1]))
+            .with("bet_us", Column::Numbers(all().map(|(_, e, edge)| self.transit_us(e, edge)).collect()))
             .with("gaussian_px", numbers(&|edge| edge.gaussian_width))
             .with("overshoot_percent", numbers(&|edge| edge.overshoot))
             .with("undershoot_percent", numbers(&|edge| edge.undershoot))
@@ -253,8 +330,39 @@ impl ScoreBew {
             .with("ghost_spacing_px", numbers(&|edge| edge.ghost_spacing))
             .with("contrast_dn", numbers(&|edge| edge.contrast))
             .with("noise_dn", numbers(&|edge| edge.noise))
-            .with("remark", Column::Texts(all().map(|(_, _, edge)| remark(edge)).collect()))
+            .with("remark", Column::Texts(all().map(|(l, e, edge)| remark(l, e, edge)).collect()))
     }
+
+    fn scores(&self, found: &[Vec<Edge>], joint: &[(Edge, usize)], times: &[i64]) -> Vec<Score> {
+        let ghosts = |edge: &Edge| if edge.refusal.is_some_and(|refusal| refusal != Refusal::Ghosts) { f64::NAN } else { f64::from(edge.ghosts) };
+        type Reading<'a> = (&'a str, &'a str, &'a dyn Fn(usize, &Edge) -> f64);
+        let metrics: [Reading; 5] = [
+            ("bew_px", "px", &|_, edge| edge.width),
+            ("bew_gaussian_px", "px", &|_, edge| edge.gaussian_width),
+            ("bew_overshoot", "%", &|_, edge| edge.overshoot),
+            ("bew_ghosts", "", &|_, edge| ghosts(edge)),
+            ("bet_us", "us", &|e, edge| self.transit_us(e, edge)),
+        ];
+        let asked = if self.params.speeds_px_per_ms.is_empty() { 4 } else { 5 };
+        let mut scores = Vec::new();
+        for (metric, unit, value) in &metrics[..asked] {
+            let score = |frame, t_ns, value| Score { metric: (*metric).into(), frame, t_ns, value, unit: (*unit).into() };
+            let over = |edges: &[Edge]| median(edges.iter().enumerate().map(|(e, edge)| value(e, edge)));
+            scores.extend(found.iter().enumerate().map(|(l, edges)| score(l as i64, times[l], over(edges))));
+            let pooled = match self.params.pool {
+                Pool::Widths => median(found.iter().flat_map(|edges| edges.iter().enumerate()).map(|(e, edge)| value(e, edge))),
+                Pool::Frames => median(joint.iter().enumerate().map(|(e, (edge, _))| value(e, edge))),
+            };
+            scores.push(score(-1, 0, pooled));
+        }
+        scores
+    }
+}
+
+/// Every edge with its frame (-1: all of them) and its number.
+fn all<'a>(found: &'a [Vec<Edge>], joint: &'a [(Edge, usize)]) -> impl Iterator<Item = (i64, usize, &'a Edge)> {
+    let single = found.iter().enumerate().flat_map(|(l, edges)| edges.iter().enumerate().map(move |(e, edge)| (l as i64, e, edge)));
+    single.chain(joint.iter().enumerate().map(|(e, (edge, _))| (-1, e, edge)))
 }
 
 fn median(values: impl Iterator<Item = f64>) -> f64 {
@@ -263,29 +371,10 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     percentile(&values, 0.5)
 }
 
-fn scores(found: &[Vec<Edge>], times: &[i64]) -> Vec<Score> {
-    let ghosts = |edge: &Edge| if edge.refusal.is_some_and(|refusal| refusal != Refusal::Ghosts) { f64::NAN } else { f64::from(edge.ghosts) };
-    type Reading<'a> = (&'a str, &'a str, &'a dyn Fn(&Edge) -> f64);
-    let metrics: [Reading; 4] = [
-        ("bew_px", "px", &|edge| edge.width),
-        ("bew_gaussian_px", "px", &|edge| edge.gaussian_width),
-        ("bew_overshoot", "%", &|edge| edge.overshoot),
-        ("bew_ghosts", "", &ghosts),
-    ];
-    let mut scores = Vec::new();
-    for (metric, unit, value) in metrics {
-        let score = |frame, t_ns, value| Score { metric: metric.into(), frame, t_ns, value, unit: unit.into() };
-        scores.extend(found.iter().enumerate().map(|(l, edges)| score(l as i64, times[l], median(edges.iter().map(value)))));
-        scores.push(score(-1, 0, median(found.iter().flatten().map(value))));
-    }
-    scores
-}
-
-fn profiles(found: &[Vec<Edge>]) -> Table {
-    let edges = || found.iter().enumerate().flat_map(|(l, edges)| edges.iter().enumerate().map(move |(e, edge)| (l, e, edge)));
-    let all = || edges().flat_map(|(l, e, edge)| edge.profile.iter().map(move |point| (l, e, point)));
+fn profiles(found: &[Vec<Edge>], joint: &[(Edge, usize)]) -> Table {
+    let all = || all(found, joint).flat_map(|(l, e, edge)| edge.profile.iter().map(move |point| (l, e, point)));
     Table::default()
-        .with("frame", Column::Integers(all().map(|(l, _, _)| l as i64).collect()))
+        .with("frame", Column::Integers(all().map(|(l, _, _)| l).collect()))
         .with("edge", Column::Integers(all().map(|(_, e, _)| e as i64).collect()))
         .with("distance_px", Column::Numbers(all().map(|(_, _, (distance, _))| *distance).collect()))
         .with("share_of_contrast", Column::Numbers(all().map(|(_, _, (_, share))| *share).collect()))
@@ -346,6 +435,32 @@ mod tests {
         // Straight lines between columns widen this edge by up to 0.32 pixels.
         assert!((0.0..0.32).contains(&(value(&out.scores, "bew_px", 0) - 2.563)), "{}", value(&out.scores, "bew_px", 0));
         assert!(out.scores.notes[0].1.contains("along the row"));
+    }
+
+    #[test]
+    fn all_frames_together_give_the_pooled_width_and_say_of_how_many_it_is() {
+        let (out, _) = run(Params { edges: vec![EDGE], pool: Pool::Frames, ..Params::default() }).unwrap();
+        // Frame 1 is flat: one frame takes part.
+        assert!((value(&out.scores, "bew_px", -1) - value(&out.scores, "bew_px", 0)).abs() < 1e-9);
+        let (Some(Column::Integers(frame)), Some(Column::Texts(remark))) = (out.edges.column("frame"), out.edges.column("remark")) else { panic!() };
+        assert_eq!((frame.as_slice(), remark[2].as_str()), (&[0, 1, -1][..], "of 1 frames together"));
+        assert!(out.scores.notes[0].1.contains("pooled = one profile of all frames for each edge"), "{}", out.scores.notes[0].1);
+    }
+
+    #[test]
+    fn a_speed_turns_width_into_time() {
+        let (out, _) = run(Params { edges: vec![EDGE, EDGE], speeds_px_per_ms: vec![0.5, 2.0], ..Params::default() }).unwrap();
+        let width = value(&out.scores, "bew_px", 0);
+        // The median of two is their mean: 2000 and 500 us a pixel.
+        assert!((value(&out.scores, "bet_us", 0) - 1250.0 * width).abs() < 1e-6, "{}", value(&out.scores, "bet_us", 0));
+        let (out, _) = run(Params { edges: vec![EDGE, EDGE], speeds_px_per_ms: vec![2.0], ..Params::default() }).unwrap();
+        assert!((value(&out.scores, "bet_us", -1) - 500.0 * width).abs() < 1e-6);
+        let (out, _) = run(Params { edges: vec![EDGE], ..Params::default() }).unwrap();
+        assert!(out.scores.as_scores().unwrap().iter().all(|score| score.metric != "bet_us"), "only when asked");
+        let refused = |params| run(params).err().unwrap().param.unwrap();
+        assert_eq!(refused(Params { edges: vec![EDGE], speeds_px_per_ms: vec![0.0], ..Params::default() }), "speeds_px_per_ms");
+        assert_eq!(refused(Params { edges: vec![EDGE, EDGE, EDGE], speeds_px_per_ms: vec![1.0, 2.0], ..Params::default() }), "speeds_px_per_ms");
+        assert_eq!(refused(Params { edges: vec![EDGE], profile: Direction::Row, fit: Fit::Quadratic, ..Params::default() }), "fit");
     }
 
     #[test]

@@ -67,6 +67,17 @@ pub enum Direction {
     Row,
 }
 
+/// What is laid through the edge's positions on the lines.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Fit {
+    /// A straight line.
+    #[default]
+    Straight,
+    /// A parabola, for edges that bend: rims of disks, spokes under a rolling shutter.
+    Quadratic,
+}
+
 /// Why an edge has no width.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Refusal {
@@ -102,7 +113,7 @@ impl Refusal {
             Refusal::Saturated => "the bright side is saturated: clipping makes an edge look sharp",
             Refusal::LowContrast => "no edge, or too little contrast: less than 5 % of full scale",
             Refusal::Noisy => "too noisy: contrast is less than 20 times the noise",
-            Refusal::NotStraight => "no straight edge: its positions scatter by more than 2 pixels",
+            Refusal::NotStraight => "no straight edge, nor a bent one where `fit` allows it: its positions scatter by more than 2 pixels",
             Refusal::AtTheBorder => "the edge leaves the region, or comes closer than 5 pixels to its border",
             Refusal::TooSmall => "the region has less than 20 pixels across the edge or 12 along it",
             Refusal::Phases => "the edge is parallel to the pixels (less than 2 degrees) and fewer than 3 of 4 sub-pixel phases are seen",
@@ -120,6 +131,8 @@ pub struct Question {
     pub thresholds: Thresholds,
     /// Along what.
     pub direction: Direction,
+    /// What is laid through the edge.
+    pub fit: Fit,
     /// DN of full scale.
     pub full_scale: f64,
     /// DN at which the sensor saturates, where that is known.
@@ -184,8 +197,82 @@ impl Edge {
 
 /// Measures the one edge in a plane of linear DN, row-major.
 pub fn measure(plane: &[f64], width: usize, question: &Question) -> Edge {
+    let (edge, located) = locate(plane, width, question);
+    match located {
+        Some(located) => judged(edge, &located, question),
+        None => edge,
+    }
+}
+
+/// Measures an edge in every one of several planes, and once more in all of them together, each by its own position: pictures of a moving edge fill the
+/// sub-pixel phases that one of them lacks. The joint edge is that of the planes in which the edge was found; the last value is their number.
+pub fn measure_all<'a>(planes: impl Iterator<Item = &'a [f64]>, width: usize, question: &Question) -> (Vec<Edge>, Edge, usize) {
+    let (mut edges, mut kept) = (Vec::new(), Vec::new());
+    for plane in planes {
+        let (edge, located) = locate(plane, width, question);
+        edges.push(match located {
+            None => edge,
+            Some(located) => {
+                let edge = judged(edge, &located, question);
+                kept.push((located.lines, located.line, located.plateaus, edge.angle));
+                edge
+            }
+        });
+    }
+    let joint = joined(&edges, &kept, question);
+    (edges, joint, kept.len())
+}
+
+/// The edge of several pictures together: lines, position, levels and angle of each.
+fn joined(edges: &[Edge], kept: &[(Lines, Line, spread::Plateaus, f64)], question: &Question) -> Edge {
     let mut edge = Edge::nothing();
-    edge.refusal = measure_into(&mut edge, plane, width, question).err();
+    if kept.is_empty() {
+        // The commonest reason stands for all.
+        let times = |reason: Refusal| edges.iter().filter(|edge| edge.refusal == Some(reason)).count();
+        edge.refusal = edges.iter().filter_map(|edge| edge.refusal).max_by_key(|&reason| times(reason));
+        return edge;
+    }
+    let typical = |values: &mut dyn Iterator<Item = f64>| {
+        let mut values: Vec<f64> = values.collect();
+        values.sort_by(f64::total_cmp);
+        photocurrent_core::table::percentile(&values, 0.5)
+    };
+    edge.angle = typical(&mut kept.iter().map(|(.., angle)| *angle));
+    let contrast = typical(&mut kept.iter().map(|(_, _, plateaus, _)| plateaus.contrast()));
+    let spread = Spread::joined(kept.iter().map(|(lines, line, plateaus, _)| (lines, line, plateaus)), question.direction);
+    let mut phases = [0; 4];
+    kept.iter().for_each(|(lines, line, ..)| line.count_phases(lines.len(), &mut phases));
+    let judged = spread.plateaus().and_then(|plateaus| {
+        (edge.contrast, edge.noise) = (contrast * plateaus.contrast(), contrast * plateaus.noise);
+        judge(&mut edge, &spread, &plateaus, phases, question)
+    });
+    edge.refusal = judged.err();
+    edge
+}
+
+/// An edge that was found in a picture.
+struct Located {
+    lines: Lines,
+    line: Line,
+    spread: Spread,
+    plateaus: spread::Plateaus,
+}
+
+fn locate(plane: &[f64], width: usize, question: &Question) -> (Edge, Option<Located>) {
+    let mut edge = Edge::nothing();
+    match locate_into(&mut edge, plane, width, question) {
+        Ok(located) => (edge, Some(located)),
+        Err(refusal) => {
+            edge.refusal = Some(refusal);
+            (edge, None)
+        }
+    }
+}
+
+fn judged(mut edge: Edge, located: &Located, question: &Question) -> Edge {
+    let mut phases = [0; 4];
+    located.line.count_phases(located.lines.len(), &mut phases);
+    edge.refusal = judge(&mut edge, &located.spread, &located.plateaus, phases, question).err();
     edge
 }
 
@@ -221,7 +308,7 @@ fn oriented(plane: &[f64], width: usize, direction: Direction) -> (Lines, bool, 
     (Lines { values, across }, transposed, mirrored)
 }
 
-fn measure_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Question) -> Result<(), Refusal> {
+fn locate_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Question) -> Result<Located, Refusal> {
     if plane.iter().any(|value| !value.is_finite()) {
         return Err(Refusal::Unknown);
     }
@@ -244,7 +331,7 @@ fn measure_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Questio
     if question.saturation.is_some_and(|saturation| is_saturated(&lines, saturation)) {
         return Err(Refusal::Saturated);
     }
-    let line = Line::find(&lines, question.direction)?;
+    let line = Line::find(&lines, question.direction, question.fit)?;
     let at = if mirrored { lines.across as f64 - 1.0 - line.middle } else { line.middle };
     let along = (lines.len() as f64 - 1.0) / 2.0;
     edge.middle = if transposed { [along, at] } else { [at, along] };
@@ -255,7 +342,12 @@ fn measure_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Questio
     if edge.contrast < LEAST_CONTRAST * question.full_scale {
         return Err(Refusal::LowContrast);
     }
-    edge.profile = spread.profile(&plateaus, None);
+    Ok(Located { lines, line, spread, plateaus })
+}
+
+/// What the profile says; `phases` counts the lines in each quarter-pixel phase.
+fn judge(edge: &mut Edge, spread: &Spread, plateaus: &spread::Plateaus, phases: [usize; 4], question: &Question) -> Result<(), Refusal> {
+    edge.profile = spread.profile(plateaus, None);
     let halves = crossings(&edge.profile, 0.5);
     edge.ghosts = (halves.len() as u32).saturating_sub(1);
     if let (Some(first), Some(last)) = (halves.first(), halves.last()) {
@@ -265,10 +357,10 @@ fn measure_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Questio
     if edge.ghosts == 0 && plateaus.still_changes() {
         return Err(Refusal::NoPlateau);
     }
-    if edge.contrast < LEAST_SNR * plateaus.noise {
+    if plateaus.contrast() < LEAST_SNR * plateaus.noise {
         return Err(Refusal::Noisy);
     }
-    if question.direction == Direction::Normal && edge.angle < 2.0 && line.phases(lines.len()) < 3 {
+    if question.direction == Direction::Normal && edge.angle < 2.0 && phases.iter().filter(|lines| **lines >= 2).count() < 3 {
         return Err(Refusal::Phases);
     }
     let rise = spread::rise(&edge.profile, question.thresholds.low())?;
@@ -281,7 +373,7 @@ fn measure_into(edge: &mut Edge, plane: &[f64], width: usize, question: &Questio
         return Err(Refusal::Ghosts);
     }
     edge.width = rise.width();
-    edge.interval = bootstrap(&spread, &plateaus, question, lines.len());
+    edge.interval = bootstrap(spread, plateaus, question);
     Ok(())
 }
 
@@ -293,7 +385,8 @@ fn is_saturated(lines: &Lines, saturation: f64) -> bool {
 }
 
 /// 95 % interval of the width when the lines are drawn anew, with replacement; NaN for a single line.
-fn bootstrap(spread: &Spread, plateaus: &spread::Plateaus, question: &Question, lines: usize) -> [f64; 2] {
+fn bootstrap(spread: &Spread, plateaus: &spread::Plateaus, question: &Question) -> [f64; 2] {
+    let lines = spread.lines();
     if lines < 2 {
         return [f64::NAN; 2];
     }

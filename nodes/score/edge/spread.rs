@@ -31,6 +31,8 @@ pub struct Spread {
     samples: Vec<(f64, f64)>,
     bins: BTreeMap<i64, Vec<Piece>>,
     least_samples: u32,
+    lines: u32,
+    direction: Direction,
 }
 
 /// The levels on both sides.
@@ -58,30 +60,53 @@ impl Plateaus {
 
 impl Spread {
     pub(crate) fn new(lines: &Lines, line: &Line, direction: Direction) -> Spread {
-        let to_normal = 1.0 / (1.0 + line.slope * line.slope).sqrt();
-        let (per_pixel, least_samples) = match direction {
-            Direction::Normal => (BINS_PER_PIXEL, LEAST_SAMPLES),
-            Direction::Row => (1.0, 1),
-        };
-        let mut samples = Vec::with_capacity(lines.len() * lines.across);
-        let mut bins: BTreeMap<i64, Vec<Piece>> = BTreeMap::new();
+        let mut spread = Spread::empty(direction);
+        spread.add(lines, line, |value| value);
+        spread.sorted()
+    }
+
+    /// Of several pictures of an edge, each by its own position; contrasts are 1 in all of them, so that values are shares.
+    pub(crate) fn joined<'a>(pictures: impl Iterator<Item = (&'a Lines, &'a Line, &'a Plateaus)>, direction: Direction) -> Spread {
+        let mut spread = Spread::empty(direction);
+        for (lines, line, plateaus) in pictures {
+            spread.add(lines, line, |value| (value - plateaus.dark) / plateaus.contrast());
+        }
+        spread.sorted()
+    }
+
+    fn empty(direction: Direction) -> Spread {
+        let least_samples = if direction == Direction::Normal { LEAST_SAMPLES } else { 1 };
+        Spread { samples: Vec::new(), bins: BTreeMap::new(), least_samples, lines: 0, direction }
+    }
+
+    fn add(&mut self, lines: &Lines, line: &Line, scaled: impl Fn(f64) -> f64) {
         for (j, values) in lines.iter().enumerate() {
+            let number = self.lines;
+            self.lines += 1;
             for (i, value) in values.iter().enumerate() {
-                let distance = (i as f64 - line.at(j)) * to_normal;
-                samples.push((distance, *value));
-                let bin = match direction {
-                    Direction::Normal => (distance * per_pixel).floor() as i64,
+                let (distance, value) = (line.distance(j, i as f64 - line.at(j)), scaled(*value));
+                self.samples.push((distance, value));
+                let bin = match self.direction {
+                    Direction::Normal => (distance * BINS_PER_PIXEL).floor() as i64,
                     Direction::Row => i as i64,
                 };
-                let pieces = bins.entry(bin).or_default();
-                match pieces.last_mut().filter(|piece| piece.line == j as u32) {
+                let pieces = self.bins.entry(bin).or_default();
+                match pieces.last_mut().filter(|piece| piece.line == number) {
                     Some(piece) => (piece.samples, piece.distance, piece.value) = (piece.samples + 1, piece.distance + distance, piece.value + value),
-                    None => pieces.push(Piece { line: j as u32, samples: 1, distance, value: *value }),
+                    None => pieces.push(Piece { line: number, samples: 1, distance, value }),
                 }
             }
         }
-        samples.sort_by(|a, b| a.0.total_cmp(&b.0));
-        Spread { samples, bins, least_samples }
+    }
+
+    fn sorted(mut self) -> Spread {
+        self.samples.sort_by(|a, b| a.0.total_cmp(&b.0));
+        self
+    }
+
+    /// How many lines it was made of.
+    pub fn lines(&self) -> usize {
+        self.lines as usize
     }
 
     /// Medians of the outer fifth of each side.

@@ -34,7 +34,7 @@ fn step(d: f64) -> f64 {
 }
 
 fn question() -> Question {
-    Question { thresholds: Thresholds::TenNinety, direction: Direction::Normal, full_scale: FULL_SCALE, saturation: None, seed: 7 }
+    Question { thresholds: Thresholds::TenNinety, direction: Direction::Normal, fit: Fit::Straight, full_scale: FULL_SCALE, saturation: None, seed: 7 }
 }
 
 fn measured(plane: &[f64]) -> Edge {
@@ -192,4 +192,62 @@ fn what_cannot_be_measured_is_refused_with_a_reason() {
     let zigzag: Vec<f64> = (0..30).flat_map(|y| (0..40).map(move |x| if x < 14 + 12 * (y / 5 % 2) { 200.0 } else { 600.0 })).collect();
     assert_eq!(refused(&zigzag), Some(Refusal::NotStraight));
     assert_eq!(measure(&sharp(5.0)[..400], 40, &question()).refusal, Some(Refusal::TooSmall));
+}
+
+/// A disk of radius `r` whose rim stands at column 19.8 of the middle row, `tilt` degrees off the vertical there; its edge is a Gaussian of sigma 1.
+fn rim(r: f64, tilt: f64) -> Vec<f64> {
+    let (sin, cos) = (libm::sin(tilt.to_radians()), libm::cos(tilt.to_radians()));
+    let value = |x: i32, y: i32| {
+        let (dx, dy) = (f64::from(x) - 19.8 + r * cos, f64::from(y) - 14.5 + r * sin);
+        600.0 - 400.0 * gaussian(1.0)((dx * dx + dy * dy).sqrt() - r)
+    };
+    (0..30).flat_map(|y| (0..40).map(move |x| (x, y))).map(|(x, y)| value(x, y)).collect()
+}
+
+#[test]
+fn a_bent_edge_needs_a_parabola() {
+    let of = |r: f64, tilt, fit| measure(&rim(r, tilt), 40, &Question { fit, ..question() });
+    for (r, tilt) in [(60.0, 5.0), (40.0, 8.0)] {
+        // A rim of 30 rows is 1.9 or 2.9 pixels behind at its ends: a straight line mixes that into the width.
+        let (straight, bent) = (of(r, tilt, Fit::Straight), of(r, tilt, Fit::Quadratic));
+        assert!(straight.width > 1.08 * TEN_TO_NINETY, "{r}: {} {:?}", straight.width, straight.refusal);
+        assert!((bent.width / TEN_TO_NINETY - 1.0).abs() < 0.035, "{r}: {} {:?}", bent.width, bent.refusal);
+        // A circle is no parabola: its slope in the middle comes out a little steeper.
+        assert!((bent.angle - tilt).abs() < 0.5, "{}", bent.angle);
+    }
+    // An upright rim shows all phases by itself, where its bend is known.
+    assert_eq!(of(60.0, 0.0, Fit::Straight).refusal, Some(Refusal::Phases));
+    assert!((of(60.0, 0.0, Fit::Quadratic).width / TEN_TO_NINETY - 1.0).abs() < 0.035);
+    // It takes nothing from a straight edge.
+    let straight = measure(&picture(5.0, gaussian(1.0)), 40, &Question { fit: Fit::Quadratic, ..question() });
+    assert!((straight.width / TEN_TO_NINETY - 1.0).abs() < 0.035, "{}", straight.width);
+}
+
+#[test]
+fn pictures_of_a_moving_edge_fill_each_others_phases() {
+    // Upright: no picture has a width by itself. Where the edge stands differs by a third of a pixel from picture to picture, and so does the light.
+    let at = |n: u32| -> Vec<f64> {
+        let value = |x: u32| f64::from(3 + n) * 100.0 * (1.0 + gaussian(1.0)(f64::from(x) - 18.0 - f64::from(n) / 3.0));
+        (0..30 * 40).map(|i| value(i % 40)).collect()
+    };
+    let pictures: Vec<Vec<f64>> = (0..4).map(at).collect();
+    let (edges, joint, count) = measure_all(pictures.iter().map(Vec::as_slice), 40, &question());
+    assert!(edges.iter().all(|edge| edge.refusal == Some(Refusal::Phases)), "{:?}", edges[0].refusal);
+    assert_eq!((joint.refusal, count), (None, 4));
+    // Three phases of a third of a pixel: bins of a quarter pixel are met by one or two of them.
+    assert!((joint.width / TEN_TO_NINETY - 1.0).abs() < 0.06, "{}", joint.width);
+    assert!((joint.contrast - 450.0).abs() < 5.0, "the middle of 300 to 600 DN: {}", joint.contrast);
+    // The same picture four times has one phase still.
+    let (_, joint, _) = measure_all(vec![pictures[0].as_slice(); 4].into_iter(), 40, &question());
+    assert_eq!(joint.refusal, Some(Refusal::Phases));
+}
+
+#[test]
+fn pictures_without_the_edge_take_no_part() {
+    let (flat, sharp) = (vec![300.0; 1200], picture(5.0, gaussian(1.0)));
+    let (edges, joint, count) = measure_all([flat.as_slice(), sharp.as_slice(), flat.as_slice()].into_iter(), 40, &question());
+    assert_eq!((count, edges.len()), (1, 3));
+    assert!((joint.width - edges[1].width).abs() < 1e-9, "{} {}", joint.width, edges[1].width);
+    let (_, joint, count) = measure_all([flat.as_slice()].into_iter(), 40, &question());
+    assert_eq!((joint.refusal, count), (Some(Refusal::LowContrast), 0));
 }
