@@ -11,7 +11,7 @@ use photocurrent_sensor::effects::{EffectDecl, ParameterDecl, Unit, catalogue};
 use serde_json::{Map, Value, json};
 
 /// What strengths of effects are measured by: how bright, fast and busy a recording is.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Scales {
     /// Median photocurrent.
     pub light: f64,
@@ -200,6 +200,16 @@ impl Candidate {
             ("black_level", _) => nominal.number.black_level,
             _ => 0.0,
         }
+    }
+
+    /// Is its number a limit or a time constant that means nothing when it is infinite, not when it is 0?
+    pub fn is_limit(&self) -> bool {
+        matches!(self.id, "slew_limit" | "high_pass_front_end")
+    }
+
+    /// The candidate of an effect by one of its parameters.
+    pub fn find(id: &str, parameter: &str) -> Option<&'static Candidate> {
+        CANDIDATES.iter().find(|candidate| candidate.id == id && candidate.parameter == parameter)
     }
 
     /// The parameter at a strength, in the unit of its declaration.

@@ -14,6 +14,11 @@
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is put on.
 //! - [`covariates`], [`differences`], [`locate`]: where a recording and a simulation of it differ.
 //!
+//! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
+//! - [`verdict`]: one answer from all tests.
+//! - [`fitted`]: the description with what was found put in.
+//! - [`report`]: what a diagnosis says, as `diagnosis.json`.
+//!
 //! The crate knows no files and no graphs. It never sees true light.
 
 pub mod candidates;
@@ -22,10 +27,14 @@ pub mod covariates;
 pub mod differences;
 pub mod faithful;
 pub mod locate;
+pub mod fitted;
+pub mod integrity;
 pub mod nominal;
 pub mod record;
+pub mod report;
 pub mod sample;
 pub mod scene;
+pub mod verdict;
 
 #[cfg(test)]
 mod testing;

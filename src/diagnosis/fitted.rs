@@ -1,0 +1,114 @@
+//! The fitted description: the stated one with what was found put in, in the form that simulator and solver load.
+//!
+//! An effect whose number has a field of its own in a description (time constants, thresholds, blind time, black level, row time, reset law) changes that field; all
+//! others stand under `[effects]`.
+
+use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
+use crate::nominal::Nominal;
+use crate::report::six_digits;
+use photocurrent_core::Sensor;
+use photocurrent_core::quantity::Duration;
+
+/// A description with effects put in; each is an index into [`CANDIDATES`] with a value in the unit of its declaration.
+pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usize, f64)]) -> Sensor {
+    let mut sensor = sensor.clone();
+    let mut trial = Trial::stated(nominal);
+    for (which, value) in found {
+        let candidate = &CANDIDATES[*which];
+        let value = six_digits(*value);
+        if !put_in_field(&mut sensor, nominal, candidate, value) {
+            let strength = candidate.strength(value, scales, nominal);
+            candidate.put_on(&mut trial, strength, scales);
+        }
+    }
+    for (id, parameters) in trial.effects {
+        sensor.effects.insert(id, parameters);
+    }
+    sensor
+}
+
+/// Changes the field that an effect belongs to; false when it has none.
+fn put_in_field(sensor: &mut Sensor, nominal: &Nominal, candidate: &Candidate, value: f64) -> bool {
+    let duration = |seconds: f64| Some(Duration::new((seconds * 1e9).round().max(0.0) as i64));
+    let (on, off) = (sensor.comparator.threshold_on.unwrap_or(0.0), sensor.comparator.threshold_off.unwrap_or(0.0));
+    match (candidate.id, candidate.parameter) {
+        ("time_constant", "tau_0") => sensor.front_end.tau_0 = duration(value),
+        ("time_constant", "alpha") => sensor.front_end.alpha = duration(value),
+        ("threshold_scale", _) => {
+            sensor.comparator.threshold_on = Some(six_digits(on * (1.0 + value)));
+            sensor.comparator.threshold_off = Some(six_digits(off * (1.0 + value)));
+        }
+        ("threshold_asymmetry", _) => {
+            sensor.comparator.threshold_on = Some(six_digits(on * (1.0 + value)));
+            sensor.comparator.threshold_off = Some(six_digits(off * (1.0 - value)));
+        }
+        ("threshold_noise", _) => sensor.comparator.threshold_noise = Some(six_digits(value)),
+        ("refractory", "refractory") => sensor.readout.refractory = duration(value),
+        ("refractory", "reset") => {
+            let mut trial = Trial::stated(nominal);
+            candidate.put_on(&mut trial, 1.0, &Scales::default());
+            sensor.comparator.reset = trial.nominal.reset;
+        }
+        ("black_level", _) => sensor.frames.black_level_dn = Some(value),
+        ("row_time", _) => sensor.frames.row_time = duration(value),
+        _ => return false,
+    }
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+    use photocurrent_core::document::Source;
+    use photocurrent_core::sensor::Reset;
+    use photocurrent_sensor::effects::from_description;
+    use std::path::Path;
+
+    fn fitted_with(found: &[(&str, &str, f64)]) -> Sensor {
+        let case = testing::case();
+        let nominal = Nominal::new(&case).unwrap();
+        let scales = Scales::of(&case, &nominal);
+        let place = |id: &str, parameter: &str| CANDIDATES.iter().position(|one| one.id == id && one.parameter == parameter).unwrap();
+        let found: Vec<(usize, f64)> = found.iter().map(|(id, parameter, value)| (place(id, parameter), *value)).collect();
+        fitted(&testing::sensor(), &nominal, &scales, &found)
+    }
+
+    fn read_back(sensor: &Sensor) -> Sensor {
+        let source = Source::new("sensor.fitted.toml", Path::new("."), &sensor.to_toml());
+        Sensor::parse(&source).unwrap_or_else(|problems| panic!("{}\n{}", problems[0].message, sensor.to_toml()))
+    }
+
+    #[test]
+    fn effects_with_a_field_change_it_and_the_text_is_read_back() {
+        let sensor = fitted_with(&[("time_constant", "alpha", 0.012), ("threshold_asymmetry", "fraction", 0.1), ("refractory", "refractory", 379e-6)]);
+        assert_eq!(sensor.front_end.alpha, Some(Duration::new(12_000_000)));
+        assert!((sensor.comparator.threshold_on.unwrap() - 0.22).abs() < 1e-12);
+        assert!((sensor.comparator.threshold_off.unwrap() - 0.189).abs() < 1e-12);
+        assert_eq!(sensor.readout.refractory, Some(Duration::new(379_000)));
+        assert!(sensor.effects.is_empty());
+        assert_eq!(read_back(&sensor), sensor);
+    }
+
+    #[test]
+    fn another_reset_law_and_a_common_threshold_error_change_fields_too() {
+        let sensor = fitted_with(&[("refractory", "reset", 1.0), ("threshold_scale", "fraction", -0.25), ("black_level", "black_level_dn", 31.5)]);
+        assert_eq!(sensor.comparator.reset, Reset::Advance);
+        assert!((sensor.comparator.threshold_on.unwrap() - 0.15).abs() < 1e-12);
+        assert_eq!(sensor.frames.black_level_dn, Some(31.5));
+        assert_eq!(read_back(&sensor), sensor);
+    }
+
+    #[test]
+    fn every_candidate_gives_a_description_that_loads() {
+        let case = testing::case();
+        let nominal = Nominal::new(&case).unwrap();
+        let scales = Scales::of(&case, &nominal);
+        for (which, candidate) in CANDIDATES.iter().enumerate() {
+            let sensor = fitted(&testing::sensor(), &nominal, &scales, &[(which, candidate.value(1.0, &scales, &nominal))]);
+            let back = read_back(&sensor);
+            from_description(&back.effects).unwrap_or_else(|why| panic!("{}: {why}", candidate.label()));
+            assert_ne!(back, testing::sensor(), "{}", candidate.label());
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! Recordings that contradict themselves, and those that hold too little.
+
+use crate::case::Case;
+
+/// With fewer events nothing is said of the event path.
+pub const FEWEST_EVENTS: usize = 300;
+
+/// With fewer frames the two paths cannot be compared.
+pub const FEWEST_FRAMES: usize = 3;
+
+/// What makes the data useless, a sentence each.
+pub fn broken(case: &Case) -> Vec<String> {
+    let mut why = Vec::new();
+    let events = case.events.all();
+    if events.len() >= FEWEST_EVENTS {
+        let early = events.iter().filter(|event| event.t_off_ns < event.t_in_ns).count();
+        if case.has_t_in && early * 100 > events.len() {
+            why.push(format!("{early} of {} events leave the array before they fire: t < t_in in /events", events.len()));
+        }
+        let first = events[0].t_off_ns;
+        if events.iter().all(|event| event.t_off_ns == first) {
+            why.push(format!("all {} events have one and the same time, {first} ns", events.len()));
+        }
+        // A pixel cannot fire twice at one instant; a coarse grid makes a few equal, a broken clock nearly all.
+        let pairs = events.len() - (0..case.events.pixels()).filter(|&pixel| !case.events.of(pixel).is_empty()).count();
+        let equal: usize = (0..case.events.pixels())
+            .map(|pixel| case.events.of(pixel).windows(2).filter(|pair| pair[0].t_off_ns == pair[1].t_off_ns && pair[0].polarity == pair[1].polarity).count())
+            .sum();
+        if pairs >= FEWEST_EVENTS && equal * 2 > pairs {
+            why.push(format!(
+                "{equal} of {pairs} events repeat the time and sign of the pixel's event before: the same event twice, or stamps that stand still"
+            ));
+        }
+    }
+    if let Some(frames) = &case.frames {
+        let known: Vec<f32> = frames.dn.iter().copied().filter(|dn| dn.is_finite()).collect();
+        let count = frames.dn.len().max(1);
+        if known.len() * 2 < count {
+            why.push(format!("{} of {count} frame values are not numbers", count - known.len()));
+        } else if known.iter().all(|dn| *dn == known[0]) && known.len() > 1 {
+            why.push(format!("every frame value is {}: the frames hold no picture", known[0]));
+        }
+        let full = case.sensor.frames.saturation_dn.unwrap_or(f64::INFINITY);
+        let saturated = known.iter().filter(|dn| f64::from(**dn) >= full).count();
+        if saturated * 10 > known.len() * 9 {
+            why.push(format!("{saturated} of {} frame values are saturated (>= {full} DN)", known.len()));
+        }
+        let black = case.sensor.frames.black_level_dn.unwrap_or(0.0);
+        let room = if full.is_finite() { full - black } else { 1e4 };
+        let absurd = known.iter().filter(|dn| f64::from(**dn) < black - room || f64::from(**dn) > black + 10.0 * room).count();
+        if absurd * 10 > known.len() {
+            why.push(format!("{absurd} of {} frame values lie outside anything that black level {black} and saturation {full} allow", known.len()));
+        }
+    }
+    why
+}
+
+/// What there is too little of, a sentence each.
+pub fn lacking(case: &Case) -> Vec<String> {
+    let mut why = Vec::new();
+    let (events, frames) = (case.events.all().len(), case.frame_count());
+    if events < FEWEST_EVENTS {
+        why.push(format!("{events} events; {FEWEST_EVENTS} are needed to say anything of the event path"));
+    }
+    if frames < FEWEST_FRAMES {
+        why.push(format!("{frames} frames; {FEWEST_FRAMES} are needed to compare events with frames"));
+    }
+    why
+}

@@ -1,0 +1,144 @@
+//! Rows and pixels that fire by themselves: far more than those around them, all the time, whatever the scene does.
+//!
+//! Rows come first, or each pixel of a hot row would count as a hot pixel. Counts are compared with neighbours' (the scene moves across all of them) and with the
+//! spread of that comparison over the array: where thresholds differ from pixel to pixel, unlike counts are no sign of anything.
+
+use super::{Finding, median};
+use crate::case::Case;
+
+/// A row must have this many standard deviations of counting more events in its median pixel than the rows around it.
+const ROW_SIGMAS: f64 = 1.6;
+/// In this share of its pixels it must be more than both.
+const ROW_SHARE: f64 = 0.75;
+/// A pixel must have this many times the spread of the comparison.
+const PIXEL_SIGMAS: f64 = 8.0;
+/// The excess must be there in this many of [`PARTS`] parts of the recording.
+const STEADY: usize = 10;
+const PARTS: usize = 12;
+
+/// Hot rows, and the pixels in them.
+pub fn rows(case: &Case) -> (Option<Finding>, Vec<u32>) {
+    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+    if height < 8 || width < 8 {
+        return (None, Vec::new());
+    }
+    let count = |x: usize, y: usize| case.events.range(y * width + x).len() as f64;
+    let (mut hot, mut excess, mut strongest) = (Vec::new(), 0.0, 0.0_f64);
+    let medians: Vec<f64> = (0..height).map(|y| median(&mut (0..width).map(|x| count(x, y)).collect::<Vec<_>>())).collect();
+    for y in 0..height {
+        // Two rows may stand beside each other: of the four around, the quieter two pairs decide.
+        let around: Vec<usize> = [y.checked_sub(2), y.checked_sub(1), Some(y + 1), Some(y + 2)].into_iter().flatten().filter(|row| *row < height).collect();
+        let mut levels: Vec<f64> = around.iter().map(|&row| medians[row]).collect();
+        let middle = median(&mut levels);
+        let sigmas = (medians[y] - middle) / libm::sqrt(middle + 1.0);
+        if sigmas <= ROW_SIGMAS {
+            continue;
+        }
+        let quiet: Vec<usize> = around.iter().copied().filter(|&row| medians[row] <= middle).collect();
+        let more = (0..width).filter(|&x| quiet.iter().all(|&row| count(x, y) > count(x, row) + 1.0)).count();
+        let steady =
+            steady(case, &(0..width).map(|x| y * width + x).collect::<Vec<_>>(), |pixel| quiet.iter().map(|&row| row * width + pixel % width).collect());
+        if more as f64 > ROW_SHARE * width as f64 && steady >= STEADY {
+            hot.push(y as u32);
+            let here: f64 = (0..width).map(|x| count(x, y)).sum();
+            let there: f64 = quiet.iter().flat_map(|&row| (0..width).map(move |x| count(x, row))).sum();
+            excess += (here - there / quiet.len() as f64) / width as f64;
+            strongest = strongest.max(sigmas);
+        }
+    }
+    let pixels: Vec<u32> = hot.iter().flat_map(|y| (0..width as u32).map(move |x| y * width as u32 + x)).collect();
+    // More than a few rows are no defect but a scene with stripes.
+    if hot.is_empty() || hot.len() * 8 > height {
+        return (None, Vec::new());
+    }
+    let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
+    let rate = excess / hot.len() as f64 / seconds;
+    let share = hot.len() as f64 / height as f64;
+    let finding = Finding {
+        id: "hot_rows",
+        parameters: vec![("fraction", share), ("rate", rate)],
+        statistic: strongest,
+        threshold: ROW_SIGMAS,
+        share,
+        polarity: polarity(case, &pixels),
+        pixels: pixels.clone(),
+        seen: format!("rows {hot:?}: every pixel fires about {rate:.0} times a second more than in the rows around, all the time"),
+    };
+    (Some(finding), pixels)
+}
+
+/// Hot pixels outside the masked ones; adds them to the mask.
+pub fn pixels(case: &Case, masked: &mut Vec<u32>) -> Option<Finding> {
+    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+    let in_hot_row = masked.clone();
+    let is_masked = |pixel: usize| in_hot_row.binary_search(&(pixel as u32)).is_ok();
+    let count = |pixel: usize| case.events.range(pixel).len() as f64;
+    let around = |pixel: usize| -> Vec<usize> {
+        let (x, y) = (pixel % width, pixel / width);
+        let columns = x.saturating_sub(1)..(x + 2).min(width);
+        let rows = y.saturating_sub(1)..(y + 2).min(height);
+        rows.flat_map(|row| columns.clone().map(move |column| row * width + column)).filter(|&other| other != pixel && !is_masked(other)).collect()
+    };
+    let level = |pixel: usize| median(&mut around(pixel).into_iter().map(count).collect::<Vec<_>>());
+    let sound: Vec<usize> = (0..width * height).filter(|&pixel| !is_masked(pixel)).collect();
+    let sigmas: Vec<f64> = sound.iter().map(|&pixel| (count(pixel) - level(pixel)) / libm::sqrt(level(pixel) + 1.0)).collect();
+    let spread = f64::max(1.0, 1.4826 * median(&mut sigmas.iter().map(|sigma| sigma.abs()).collect::<Vec<_>>()));
+    let (mut hot, mut strongest, mut excess) = (Vec::new(), 0.0_f64, 0.0);
+    for (&pixel, sigma) in sound.iter().zip(&sigmas) {
+        if *sigma > PIXEL_SIGMAS * spread && count(pixel) > 1.5 * level(pixel) + 10.0 && steady(case, &[pixel], around) >= STEADY {
+            hot.push(pixel as u32);
+            strongest = strongest.max(sigma / spread);
+            excess += count(pixel) - level(pixel);
+        }
+    }
+    if hot.is_empty() || hot.len() * 20 > sound.len() {
+        return None;
+    }
+    masked.extend(&hot);
+    masked.sort_unstable();
+    let rate = excess / hot.len() as f64 / ((case.span.1 - case.span.0) as f64 * 1e-9);
+    let share = hot.len() as f64 / (width * height) as f64;
+    let seen = format!("{} pixels fire about {rate:.0} times a second more than those around them, all the time", hot.len());
+    let polarity = polarity(case, &hot);
+    Some(Finding {
+        id: "hot_pixels",
+        parameters: vec![("fraction", share), ("rate", rate)],
+        statistic: strongest,
+        threshold: PIXEL_SIGMAS,
+        share,
+        polarity,
+        pixels: hot,
+        seen,
+    })
+}
+
+/// In how many of [`PARTS`] equal parts of the recording some pixels have more events than their reference pixels have on average.
+fn steady(case: &Case, pixels: &[usize], reference: impl Fn(usize) -> Vec<usize>) -> usize {
+    let length = ((case.span.1 - case.span.0) / PARTS as i64).max(1);
+    let part = |t_ns: i64| (((t_ns - case.span.0) / length) as usize).min(PARTS - 1);
+    let mut excess = [0.0; PARTS];
+    for &pixel in pixels {
+        case.events.of(pixel).iter().for_each(|event| excess[part(event.t_in_ns)] += 1.0);
+        let others = reference(pixel);
+        for &other in &others {
+            case.events.of(other).iter().for_each(|event| excess[part(event.t_in_ns)] -= 1.0 / others.len() as f64);
+        }
+    }
+    excess.iter().filter(|excess| **excess > 0.0).count()
+}
+
+/// The sign that prevails by nine to one.
+fn polarity(case: &Case, pixels: &[u32]) -> &'static str {
+    let (mut on, mut all) = (0, 0);
+    for &pixel in pixels {
+        on += case.events.of(pixel as usize).iter().filter(|event| event.polarity > 0).count();
+        all += case.events.of(pixel as usize).len();
+    }
+    if on * 10 > all * 9 {
+        "on"
+    } else if on * 10 < all {
+        "off"
+    } else {
+        "both"
+    }
+}

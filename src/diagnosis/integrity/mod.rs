@@ -1,0 +1,141 @@
+//! What shows without knowing the scene: data that contradict themselves, stamps on a coarser grid, a readout queue, hot rows and pixels, noise events, lost events,
+//! events in step with the frames; and flicker of the light, which is a property of the scene.
+//!
+//! Each test is strict: it speaks only where a sound sensor could hardly look like this whatever it sees. Silence of a test is no proof of health; what is finer
+//! than these tests see is the business of the tests that estimate the scene.
+//!
+//! In reading order:
+//!
+//! - [`data`]: broken and insufficient recordings.
+//! - [`stamps`]: grids and regular gaps of time stamps.
+//! - [`hot`]: rows, then pixels, that fire far more than those around them.
+//! - [`intervals`]: intervals that are too short for any light (noise, jitter), or pile up at their shortest (blind time).
+//! - [`load`]: windows of time with one and the same count (loss), bursts in step with the frames.
+//! - [`flicker`]: one rhythm common to the whole array.
+
+pub mod data;
+pub mod flicker;
+pub mod hot;
+pub mod intervals;
+pub mod load;
+pub mod stamps;
+
+use crate::case::Case;
+use crate::nominal::Nominal;
+use crate::report::SceneProperty;
+use serde::Serialize;
+
+/// A departure from the description that a direct test saw.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    /// Catalogue id.
+    pub id: &'static str,
+    /// Estimates by parameter, in the unit of its declaration; empty when the test gives none.
+    pub parameters: Vec<(&'static str, f64)>,
+    /// What the test measured.
+    pub statistic: f64,
+    /// The value from which it counts.
+    pub threshold: f64,
+    /// Share of the events, or of the rows or pixels, that are touched.
+    pub share: f64,
+    /// `on`, `off` or `both`.
+    pub polarity: &'static str,
+    /// Pixels that are touched (`y * width + x`, rising); empty = all.
+    pub pixels: Vec<u32>,
+    /// What was seen, in a sentence.
+    pub seen: String,
+}
+
+/// What the direct tests say.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Integrity {
+    /// What makes the data useless, a sentence each.
+    pub broken: Vec<String>,
+    /// What there is too little of, a sentence each.
+    pub lacking: Vec<String>,
+    /// Departures, strongest (statistic over threshold) first.
+    pub findings: Vec<Finding>,
+    /// Not mismatches.
+    pub scene: Vec<SceneProperty>,
+    /// Pixels that later stages should leave out, rising.
+    pub masked: Vec<u32>,
+}
+
+/// All direct tests of a recording; `nominal` is the description as stated, none when it lacks what the model needs.
+pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
+    let mut found = Integrity { broken: data::broken(case), lacking: data::lacking(case), ..Integrity::default() };
+    if !found.broken.is_empty() || case.events.all().len() < data::FEWEST_EVENTS {
+        return found;
+    }
+    let stream = Stream::of(case);
+    let (rows, mut masked) = hot::rows(case);
+    let pixels = hot::pixels(case, &mut masked);
+    found.findings.extend(rows);
+    found.findings.extend(pixels);
+    found.masked = masked;
+    let tight = stamps::findings(case, &stream);
+    let on_grid = tight.iter().any(|finding| finding.id == "timestamp_quantization");
+    found.findings.extend(tight);
+    found.findings.extend(intervals::findings(case, nominal, &found.masked));
+    if !on_grid {
+        found.findings.extend(load::loss(case, &stream));
+    }
+    found.findings.extend(load::frame_coupling(case, &stream));
+    found.scene = nominal.map_or_else(Vec::new, |nominal| flicker::flicker(case, nominal, &stream));
+    // The same effect by two tests is one finding, the stronger.
+    found.findings.sort_by(|a, b| (b.statistic / b.threshold).total_cmp(&(a.statistic / a.threshold)).then(a.id.cmp(b.id)));
+    let mut ids: Vec<&str> = Vec::new();
+    found.findings.retain(|finding| {
+        let is_new = !ids.contains(&finding.id);
+        ids.push(finding.id);
+        is_new
+    });
+    found
+}
+
+/// An event of the whole array in order of the recorded time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stamped {
+    /// The recorded off-pixel time, ns.
+    pub t_ns: i64,
+    /// `y * width + x`.
+    pub pixel: u32,
+    /// +1 or -1.
+    pub polarity: i8,
+}
+
+/// All events of the array in order of their recorded time.
+#[derive(Clone, Debug, Default)]
+pub struct Stream(pub Vec<Stamped>);
+
+impl Stream {
+    /// Of a recording.
+    pub fn of(case: &Case) -> Stream {
+        let mut all = Vec::with_capacity(case.events.all().len());
+        for pixel in 0..case.events.pixels() {
+            all.extend(case.events.of(pixel).iter().map(|event| Stamped { t_ns: event.t_off_ns, pixel: pixel as u32, polarity: event.polarity }));
+        }
+        all.sort_unstable_by_key(|event| (event.t_ns, event.pixel));
+        Stream(all)
+    }
+
+    /// First and last stamp, ns; none without events.
+    pub fn span(&self) -> Option<(i64, i64)> {
+        Some((self.0.first()?.t_ns, self.0.last()?.t_ns))
+    }
+}
+
+/// The value below which a share of sorted values lies; 0 of none.
+pub(crate) fn quantile<T: Copy + Default>(sorted: &[T], share: f64) -> T {
+    let at = ((sorted.len() as f64 * share) as usize).min(sorted.len().saturating_sub(1));
+    sorted.get(at).copied().unwrap_or_default()
+}
+
+/// The median; sorts.
+pub(crate) fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    quantile(values, 0.5)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,365 @@
+//! The report of a diagnosis: `diagnosis.json` (`photocurrent-diagnosis/1`, docs/formats.md), field by field.
+//!
+//! The text is the same bytes for the same report: fields stand in the order of these structs, numbers are rounded to six significant digits, and nothing in it
+//! depends on the clock, the machine or the number of threads.
+
+use crate::candidates::Candidate;
+use crate::nominal::Nominal;
+use photocurrent_sensor::effects::EffectDecl;
+use serde::Serialize;
+use serde_json::{Number, Value};
+use std::collections::BTreeMap;
+
+/// The version of the form.
+pub const SCHEMA: &str = "photocurrent-diagnosis/1";
+
+/// What a diagnosis comes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Nothing that the recording shows speaks against the description.
+    Consistent,
+    /// One cause is named for what differs.
+    Named,
+    /// Several causes would do; the recording cannot tell.
+    Ambiguous,
+    /// Something differs, and no effect of the catalogue explains it.
+    Unnamed,
+    /// What differs is not more than the errors of our own numbers.
+    Numerical,
+    /// The data contradict themselves.
+    BrokenData,
+    /// There is too little to say anything.
+    Insufficient,
+}
+
+impl Verdict {
+    /// As in the JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Verdict::Consistent => "consistent",
+            Verdict::Named => "named",
+            Verdict::Ambiguous => "ambiguous",
+            Verdict::Unnamed => "unnamed",
+            Verdict::Numerical => "numerical",
+            Verdict::BrokenData => "broken_data",
+            Verdict::Insufficient => "insufficient",
+        }
+    }
+}
+
+/// One number of an effect.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Parameter {
+    /// In `unit`.
+    pub estimate: f64,
+    /// 95 % interval; absent when it was not worked out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ci95: Option<[f64; 2]>,
+    /// The description's value, or the one that means nothing; absent when there is no such.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub nominal: Option<f64>,
+    /// `s`, `Hz`, `fraction`, ...
+    pub unit: String,
+}
+
+/// Where, when and on what an effect shows.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Location {
+    /// `events`, `frames` or `both`.
+    pub stream: &'static str,
+    /// `on`, `off` or `both`.
+    pub polarity: &'static str,
+    /// First and last row.
+    pub rows: [u32; 2],
+    /// First and last column.
+    pub columns: [u32; 2],
+    /// First and last instant, ns.
+    pub time_ns: [i64; 2],
+    /// What it depends on, by the names of docs/formats.md.
+    pub covariate: String,
+    /// How it depends on that, in a word; absent when unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shape: Option<String>,
+    /// How many pixels.
+    pub pixels: u64,
+    /// Which pixels, when not all (`y * width + x`, rising; at most [`MASK_LIMIT`]).
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub pixel_list: Vec<u32>,
+}
+
+/// The most pixels that a location lists.
+pub const MASK_LIMIT: usize = 4096;
+
+/// How strongly the recording speaks for an effect. What was not measured is absent.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Evidence {
+    /// The statistic that the effect was found by, over the value from which it counts (1 = just).
+    pub statistic: f64,
+    /// Chance of so much without the effect.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub p_value: Option<f64>,
+    /// Gain in log-likelihood on measurements that the estimate did not see, nats.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heldout_nats: Option<f64>,
+    /// Its 95 % interval.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heldout_nats_ci95: Option<[f64; 2]>,
+    /// The same per event.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heldout_nats_per_event: Option<f64>,
+    /// Which of the tests found it: `direct`, `likelihood`, `synthesis`.
+    pub found_by: Vec<String>,
+}
+
+/// An effect that the description does not state.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct EffectReport {
+    /// Catalogue id, or `unnamed`.
+    pub id: String,
+    /// Ids that would explain the recording about as well.
+    pub also_possible: Vec<String>,
+    /// In plain words.
+    pub plain: String,
+    /// As an equation.
+    pub equation: String,
+    /// Where in the chain: `light`, `front_end`, `comparator`, `reset`, `readout`, `time`, `exposure`.
+    pub insertion: String,
+    /// Numbers by JSON key.
+    pub parameters: BTreeMap<String, Parameter>,
+    /// Where it shows.
+    pub location: Location,
+    /// Why it is believed.
+    pub evidence: Evidence,
+}
+
+/// A number with the description as stated, and with the fitted one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct BeforeAfter {
+    /// As stated.
+    pub before: f64,
+    /// As fitted.
+    pub after: f64,
+}
+
+/// How well both descriptions predict measurements that no earlier step saw. What was not measured is absent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Fit {
+    /// Log-likelihood of held-out measurements, nats per event.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heldout_nats_per_event: Option<BeforeAfter>,
+    /// Frames that were kept back, predicted from events and the other frames, dB of the largest value.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heldout_frame_psnr_db: Option<BeforeAfter>,
+    /// Distance of residuals from uniform (Kolmogorov-Smirnov).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration_ks: Option<BeforeAfter>,
+}
+
+/// What could have been seen of an effect that is not claimed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Detectable {
+    /// Catalogue id.
+    pub id: String,
+    /// Which number, by JSON key.
+    pub parameter: String,
+    /// Estimate; absent when only the limit is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub estimate: Option<f64>,
+    /// Its standard error.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub standard_error: Option<f64>,
+    /// The smallest departure from nominal that would have been found in most recordings like this.
+    pub minimal_detectable: f64,
+    /// Of all three.
+    pub unit: String,
+}
+
+/// A property of the scene that looks like one of the sensor, and is none.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SceneProperty {
+    /// `flicker`.
+    pub property: String,
+    /// How often.
+    pub frequency_hz: f64,
+    /// Amplitude as a share of the light.
+    pub depth: f64,
+}
+
+/// An effect that this recording can say nothing about.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct NotTestable {
+    /// Catalogue id.
+    pub id: String,
+    /// Why.
+    pub why: String,
+}
+
+/// Where a report comes from.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Provenance {
+    /// Digest of events, frames and their times.
+    pub recording_digest: String,
+    /// Digest of the sensor description.
+    pub sensor_digest: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Of the program.
+    pub version: String,
+    /// The stages that took part, in order.
+    pub stages: Vec<String>,
+}
+
+/// The whole report.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Report {
+    /// [`SCHEMA`].
+    pub schema: &'static str,
+    /// In a word.
+    pub verdict: Verdict,
+    /// In a sentence.
+    pub summary: String,
+    /// Strongest first.
+    pub effects: Vec<EffectReport>,
+    /// Before and after.
+    pub fit: Fit,
+    /// What could have been seen.
+    pub detectability: Vec<Detectable>,
+    /// Not mismatches, but worth knowing.
+    pub scene: Vec<SceneProperty>,
+    /// What could not.
+    pub not_testable: Vec<NotTestable>,
+    /// What to record to know more.
+    pub next_experiment: Vec<String>,
+    /// Share of the misfit that the named effects leave; absent when it was not measured.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub residual_left: Option<f64>,
+    /// The fitted description beside the report; absent when there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor_fitted: Option<String>,
+    /// From what.
+    pub provenance: Provenance,
+}
+
+impl Report {
+    /// As the text of `diagnosis.json`, with a newline at its end.
+    ///
+    /// # Errors
+    /// When a number is not finite: a report never holds one.
+    pub fn to_json(&self) -> Result<String, String> {
+        let mut value = serde_json::to_value(self).map_err(|error| error.to_string())?;
+        round(&mut value);
+        let mut text = serde_json::to_string_pretty(&value).map_err(|error| error.to_string())?;
+        text.push('\n');
+        Ok(text)
+    }
+}
+
+impl EffectReport {
+    /// What the catalogue says of an effect; numbers, location and evidence are the caller's.
+    pub fn of(decl: &EffectDecl, location: Location, evidence: Evidence) -> EffectReport {
+        EffectReport {
+            id: decl.id.to_owned(),
+            also_possible: Vec::new(),
+            plain: decl.about.to_owned(),
+            equation: decl.equation.to_owned(),
+            insertion: decl.stage.name().to_owned(),
+            parameters: BTreeMap::new(),
+            location,
+            evidence,
+        }
+    }
+
+    /// Adds the number that a candidate seeks; a switch has none.
+    pub fn put(&mut self, candidate: &Candidate, estimate: f64, ci95: Option<[f64; 2]>, nominal: &Nominal) {
+        if candidate.parameter_decl().is_none() {
+            return;
+        }
+        let (key, unit) = candidate.json_key();
+        let nominal = Some(candidate.nominal_value(nominal)).filter(|_| !candidate.is_limit());
+        self.parameters.insert(key, Parameter { estimate, ci95, nominal, unit: unit.to_owned() });
+    }
+}
+
+/// The number to six significant digits.
+pub fn six_digits(value: f64) -> f64 {
+    format!("{value:.5e}").parse().unwrap_or(value)
+}
+
+fn round(value: &mut Value) {
+    match value {
+        Value::Number(number) if number.is_f64() => {
+            if let Some(rounded) = number.as_f64().map(six_digits).and_then(Number::from_f64) {
+                *number = rounded;
+            }
+        }
+        Value::Array(values) => values.iter_mut().for_each(round),
+        Value::Object(fields) => fields.values_mut().for_each(round),
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::candidates::CANDIDATES;
+    use crate::testing;
+
+    fn location() -> Location {
+        Location {
+            stream: "events",
+            polarity: "both",
+            rows: [0, 9],
+            columns: [0, 11],
+            time_ns: [0, 60_000_000],
+            covariate: "time_since_last_event".into(),
+            shape: None,
+            pixels: 120,
+            pixel_list: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_report_has_the_documented_fields_and_six_digits() {
+        let case = testing::case();
+        let nominal = Nominal::new(&case).unwrap();
+        let leak = CANDIDATES.iter().find(|candidate| candidate.id == "leak_events").unwrap();
+        let mut effect = EffectReport::of(&leak.decl(), location(), Evidence { statistic: 183.000_000_4, ..Evidence::default() });
+        effect.put(leak, 1.0 / 3.0, Some([0.3, 0.4]), &nominal);
+        let report = Report {
+            schema: SCHEMA,
+            verdict: Verdict::Named,
+            summary: String::new(),
+            effects: vec![effect],
+            fit: Fit { heldout_frame_psnr_db: Some(BeforeAfter { before: 27.1, after: 31.0 }), ..Fit::default() },
+            detectability: Vec::new(),
+            scene: Vec::new(),
+            not_testable: Vec::new(),
+            next_experiment: Vec::new(),
+            residual_left: None,
+            sensor_fitted: Some("sensor.fitted.toml".into()),
+            provenance: Provenance { seed: 7, ..Provenance::default() },
+        };
+        let text = report.to_json().unwrap();
+        let value: Value = serde_json::from_str(&text).unwrap();
+        assert_eq!(value["schema"], "photocurrent-diagnosis/1");
+        assert_eq!(value["verdict"], "named");
+        let effect = &value["effects"][0];
+        assert_eq!(effect["id"], "leak_events");
+        assert_eq!(effect["insertion"], "reset");
+        assert_eq!(effect["parameters"]["rate_hz"]["estimate"], 0.333333);
+        assert_eq!(effect["parameters"]["rate_hz"]["nominal"], 0.0);
+        assert_eq!(effect["parameters"]["rate_hz"]["unit"], "Hz");
+        assert_eq!(effect["evidence"]["statistic"], 183.0);
+        assert_eq!(value["fit"]["heldout_frame_psnr_db"]["after"], 31.0);
+        assert!(value["fit"].get("calibration_ks").is_none(), "what was not measured is absent, not null: {text}");
+        assert_eq!(value["provenance"]["seed"], 7);
+    }
+
+    #[test]
+    fn six_digits_are_kept_at_any_size() {
+        assert_eq!(six_digits(123_456_789.0), 123_457_000.0);
+        assert_eq!(six_digits(-1.234_567_8e-7), -1.234_57e-7);
+        assert_eq!(six_digits(0.0), 0.0);
+    }
+}

@@ -1,0 +1,280 @@
+//! One answer from several independent tests: the direct ones, and any number of roads that estimate the scene.
+//!
+//! Two roads that give the same name are far more often right than either is alone, so agreement is what a name is believed for. Where they differ and both are sure,
+//! the answer is a set. Where one is sure and the other silent, it is named if it is well over its alarm. A direct test that speaks is believed: it needs no scene.
+//! But it does not end the search: the roads are run with what it found added to the description, and speak of the rest.
+//!
+//! An effect is named only when it matters ([`is_material`]), not only when it is certain: in a million events a microsecond is a hundred standard deviations.
+
+use crate::candidates::{CANDIDATES, Candidate};
+use crate::case::Case;
+use crate::integrity::{Finding, Integrity};
+use crate::nominal::Nominal;
+use crate::report::{Detectable, NotTestable, Verdict};
+use photocurrent_sensor::effects::Unit;
+use serde::Serialize;
+
+/// What a road thinks of one candidate.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Proposal {
+    /// Index into [`CANDIDATES`].
+    pub candidate: usize,
+    /// Its statistic over the one from which this road speaks: 1 = just.
+    pub score: f64,
+    /// Share of this road's belief among its candidates, 0 to 1.
+    pub probability: f64,
+    /// The parameter, in the unit of its declaration.
+    pub value: f64,
+    /// Its 95 % interval.
+    pub ci95: Option<[f64; 2]>,
+    /// Did it pass every gate of its road?
+    pub passed: bool,
+    /// Gain in log-likelihood on held-out measurements, nats, and per event.
+    pub heldout_nats: Option<f64>,
+    /// See there.
+    pub heldout_nats_per_event: Option<f64>,
+}
+
+/// Something that no effect of the catalogue explains.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Unexplained {
+    /// What it depends on, by the names of docs/formats.md.
+    pub covariate: String,
+    /// How, as an equation or in words.
+    pub equation: String,
+    /// Where in the chain.
+    pub insertion: String,
+    /// Its statistic over the one from which it counts.
+    pub score: f64,
+}
+
+/// What one road found.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Road {
+    /// `likelihood`, `synthesis`.
+    pub name: String,
+    /// Does the recording differ from the description at all?
+    pub alarm: bool,
+    /// For one more effect, best first.
+    pub proposals: Vec<Proposal>,
+    /// For a second one beside the first of `proposals`, best first.
+    pub second: Vec<Proposal>,
+    /// Of what no candidate explains.
+    pub unexplained: Option<Unexplained>,
+    /// What could have been seen.
+    pub detectability: Vec<Detectable>,
+    /// What could not.
+    pub not_testable: Vec<NotTestable>,
+    /// Held-out log-likelihood per event with the description, and with the first proposal.
+    pub nats_per_event: Option<(f64, f64)>,
+    /// Share of the misfit that the first proposal leaves.
+    pub residual_left: Option<f64>,
+}
+
+/// One effect that is claimed.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Claim {
+    /// Catalogue id.
+    pub id: &'static str,
+    /// Others that would do about as well.
+    pub also_possible: Vec<&'static str>,
+    /// Its numbers, with their intervals: index into [`CANDIDATES`], value in the unit of the declaration.
+    pub values: Vec<(usize, f64, Option<[f64; 2]>)>,
+    /// Over the alarm of what found it.
+    pub score: f64,
+    /// Who found it.
+    pub found_by: Vec<String>,
+    /// Gain on held-out measurements.
+    pub heldout_nats: Option<f64>,
+    /// The same per event.
+    pub heldout_nats_per_event: Option<f64>,
+    /// What a direct test saw.
+    pub finding: Option<Finding>,
+}
+
+/// The answer.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Answer {
+    /// In a word.
+    pub verdict: Verdict,
+    /// Strongest first.
+    pub claims: Vec<Claim>,
+    /// What no candidate explains.
+    pub unexplained: Option<Unexplained>,
+}
+
+/// A road that stands alone must be so far over its alarm.
+const ALONE: f64 = 2.0;
+/// A candidate with this share of the best one's support is in the set.
+const IN_SET: f64 = 0.5;
+/// The least probability that counts as support.
+const LEAST: f64 = 0.02;
+/// The largest set that is told.
+const LARGEST_SET: usize = 3;
+
+/// Joins what the tests found.
+pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[Road]) -> Answer {
+    if !integrity.broken.is_empty() {
+        return Answer { verdict: Verdict::BrokenData, claims: Vec::new(), unexplained: None };
+    }
+    let mut claims: Vec<Claim> = integrity.findings.iter().filter_map(|finding| direct(case, nominal, finding)).collect();
+    let known: Vec<&str> = claims.iter().map(|claim| claim.id).collect();
+    let speaking: Vec<Road> = roads.iter().map(|road| without(case, nominal, road, &known)).collect();
+    let alone = if claims.is_empty() { ALONE } else { 2.0 * ALONE };
+    if let Some(first) = strongest(&speaking, |road| &road.proposals, alone) {
+        let id = first.id;
+        let is_sure = first.also_possible.is_empty() || claims.is_empty();
+        if is_sure {
+            claims.push(first);
+            let rest: Vec<Road> = speaking.iter().map(|road| second_of(road, id)).collect();
+            let two_by_two = || rest.iter().filter(|road| road.alarm && !road.proposals.is_empty()).count() > 1;
+            if let Some(second) = strongest(&rest, |road| &road.proposals, 2.0 * ALONE)
+                && (two_by_two() || second.score > 2.0 * ALONE)
+                && !claims.iter().any(|claim| claim.id == second.id || claim.also_possible.contains(&second.id))
+            {
+                claims.push(second);
+            }
+        }
+    }
+    claims.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let unexplained = speaking.iter().filter(|road| road.alarm).filter_map(|road| road.unexplained.clone()).find(|found| found.score >= 1.0);
+    let verdict = match (&claims[..], &unexplained) {
+        ([], Some(_)) => Verdict::Unnamed,
+        ([], None) if case.events.all().len() < crate::integrity::data::FEWEST_EVENTS => Verdict::Insufficient,
+        ([], None) => Verdict::Consistent,
+        (claims, _) if claims.iter().any(|claim| !claim.also_possible.is_empty()) => Verdict::Ambiguous,
+        _ => Verdict::Named,
+    };
+    let unexplained = unexplained.filter(|_| claims.is_empty());
+    Answer { verdict, claims, unexplained }
+}
+
+fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
+    let values: Vec<(usize, f64, Option<[f64; 2]>)> = finding
+        .parameters
+        .iter()
+        .filter_map(|(parameter, value)| Some((CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == *parameter)?, *value, None)))
+        .collect();
+    let matters = values.is_empty() || values.iter().any(|(candidate, value, _)| is_material(case, nominal, &CANDIDATES[*candidate], *value));
+    matters.then(|| Claim {
+        id: finding.id,
+        also_possible: Vec::new(),
+        values,
+        score: finding.statistic / finding.threshold,
+        found_by: vec!["direct".into()],
+        heldout_nats: None,
+        heldout_nats_per_event: None,
+        finding: Some(finding.clone()),
+    })
+}
+
+/// A road less what is known already, and what does not matter.
+fn without(case: &Case, nominal: &Nominal, road: &Road, known: &[&str]) -> Road {
+    let keep = |proposals: &[Proposal]| -> Vec<Proposal> {
+        let matters = |proposal: &&Proposal| is_material(case, nominal, &CANDIDATES[proposal.candidate], proposal.value);
+        proposals.iter().filter(|proposal| !known.contains(&CANDIDATES[proposal.candidate].id)).filter(matters).cloned().collect()
+    };
+    Road { proposals: keep(&road.proposals), second: keep(&road.second), ..road.clone() }
+}
+
+/// What a road says of a second effect when the first is `id`: its own second, or what it put first itself if that is another.
+fn second_of(road: &Road, id: &str) -> Road {
+    let other = |proposal: &&Proposal| CANDIDATES[proposal.candidate].id != id;
+    let puts_first = road.proposals.first().is_some_and(|proposal| CANDIDATES[proposal.candidate].id == id);
+    let proposals = if puts_first { road.second.iter().filter(other).cloned().collect() } else { Vec::new() };
+    Road { proposals, ..road.clone() }
+}
+
+/// The claim that the roads support together; none when none is sure, or only one and not sure enough (`alone`).
+fn strongest(roads: &[Road], of: fn(&Road) -> &Vec<Proposal>, alone: f64) -> Option<Claim> {
+    let sure: Vec<&Road> = roads.iter().filter(|road| road.alarm && of(road).iter().any(|proposal| proposal.passed)).collect();
+    let best_score = sure.iter().flat_map(|road| of(road)).filter(|proposal| proposal.passed).map(|proposal| proposal.score).fold(0.0, f64::max);
+    let heard = roads.iter().filter(|road| !of(road).is_empty()).count();
+    match sure.len() {
+        0 => return None,
+        // The other road was there and silent: this one must be well over its alarm.
+        1 if heard > 1 && best_score < alone => return None,
+        1 if heard == 1 && best_score < 1.0 => return None,
+        _ => {}
+    }
+    // Support of an id: the mean over the sure roads of the logarithm of its probability; each road knows an id by its best parameter.
+    let mut ids: Vec<&'static str> = sure.iter().flat_map(|road| of(road)).map(|proposal| CANDIDATES[proposal.candidate].id).collect();
+    ids.sort_unstable();
+    ids.dedup();
+    let probability = |road: &Road, id: &str| {
+        of(road).iter().filter(|proposal| CANDIDATES[proposal.candidate].id == id).map(|proposal| proposal.probability).fold(LEAST, f64::max)
+    };
+    let support = |id: &str| libm::exp(sure.iter().map(|road| libm::log(probability(road, id))).sum::<f64>() / sure.len() as f64);
+    let mut ranked: Vec<(&'static str, f64)> = ids.into_iter().map(|id| (id, support(id))).collect();
+    ranked.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(b.0)));
+    let (id, best) = *ranked.first()?;
+    let firsts: Vec<&str> =
+        sure.iter().filter_map(|road| of(road).iter().find(|proposal| proposal.passed)).map(|proposal| CANDIDATES[proposal.candidate].id).collect();
+    let agreed = firsts.len() > 1 && firsts.iter().all(|first| *first == id);
+    let mut also_possible: Vec<&'static str> = Vec::new();
+    if !agreed {
+        // What a sure road put first stays in the set; then whatever has support, as long as the set is small.
+        let named = ranked.iter().skip(1).filter(|(other, support)| (firsts.len() > 1 && firsts.contains(other)) || *support > IN_SET * best);
+        also_possible = named.map(|(other, _)| *other).take(LARGEST_SET - 1).collect();
+    }
+    let mut values: Vec<(usize, f64, Option<[f64; 2]>)> = Vec::new();
+    let mut found_by = Vec::new();
+    let (mut nats, mut per_event, mut score) = (None, None, 0.0_f64);
+    for road in &sure {
+        for proposal in of(road).iter().filter(|proposal| CANDIDATES[proposal.candidate].id == id).take(1) {
+            found_by.push(road.name.clone());
+            score = score.max(proposal.score);
+            nats = nats.or(proposal.heldout_nats);
+            per_event = per_event.or(proposal.heldout_nats_per_event);
+            // The first road with an interval has the better estimate.
+            if values.is_empty() || (values[0].2.is_none() && proposal.ci95.is_some()) {
+                values = vec![(proposal.candidate, proposal.value, proposal.ci95)];
+            }
+        }
+    }
+    Some(Claim { id, also_possible, values, score, found_by, heldout_nats: nats, heldout_nats_per_event: per_event, finding: None })
+}
+
+/// Does a value of a candidate differ from nothing by more than anybody would care about? Times: the larger of 2 us and a tenth of the stamp's width; thresholds,
+/// gains and light: 0.5 %; rates: 0.01 Hz a pixel; shares: 0.1 %.
+pub fn is_material(case: &Case, nominal: &Nominal, candidate: &Candidate, value: f64) -> bool {
+    let Some(decl) = candidate.parameter_decl() else { return true };
+    if candidate.is_limit() {
+        return true;
+    }
+    let size = (value - candidate.nominal_value(nominal)).abs();
+    let width_s = case.t_resolution_ns as f64 * 1e-9;
+    let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
+    match (candidate.id, decl.unit) {
+        // A tenth of a stamp over the length of the recording.
+        ("clock_drift", _) => size * seconds > f64::max(2e-6, 0.1 * width_s),
+        // Half a step of the stamps is no offset: they are rounded down.
+        ("clock_offset", _) => size > f64::max(2e-6, 0.5 * width_s),
+        ("row_skew", _) if candidate.parameter == "per_row" => size * f64::from(case.extent.height) > f64::max(2e-6, 0.1 * width_s),
+        ("row_time", _) => size * f64::from(case.extent.height) > 2e-6,
+        ("time_constant" | "second_pole", _) if candidate.parameter != "tau_0" && candidate.parameter != "tau" => size > 2e-6 * typical_light(case, nominal),
+        ("threshold_drift", _) => size * seconds > 0.005,
+        ("dark_current", _) => size > 0.005 * typical_light(case, nominal),
+        ("black_level", _) => size > 0.005 * typical_dn(case, nominal),
+        (_, Unit::Time) => size > f64::max(2e-6, 0.1 * width_s),
+        (_, Unit::Rate) => size > 0.01,
+        (_, Unit::Number("fraction")) => size > 0.001,
+        (_, Unit::Number("ln")) => size > 0.005 * nominal.pixel.threshold_on,
+        _ => size > 0.0,
+    }
+}
+
+fn typical_dn(case: &Case, nominal: &Nominal) -> f64 {
+    let Some(frames) = &case.frames else { return 0.0 };
+    let mut signals: Vec<f64> = frames.dn.iter().step_by(101).filter(|dn| dn.is_finite()).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
+    crate::integrity::median(&mut signals).max(0.0)
+}
+
+fn typical_light(case: &Case, nominal: &Nominal) -> f64 {
+    let exposure_s = case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).unwrap_or(0) as f64 * 1e-9;
+    if exposure_s > 0.0 { typical_dn(case, nominal) / (nominal.number.gain * exposure_s) } else { 0.0 }
+}
+
+#[cfg(test)]
+#[path = "verdict_tests.rs"]
+mod tests;

@@ -1,0 +1,112 @@
+use super::*;
+use crate::testing;
+
+fn index(id: &str, parameter: &str) -> usize {
+    CANDIDATES.iter().position(|candidate| candidate.id == id && candidate.parameter == parameter).unwrap()
+}
+
+fn proposal(id: &str, parameter: &str, score: f64, probability: f64, value: f64) -> Proposal {
+    Proposal { candidate: index(id, parameter), score, probability, value, passed: score >= 1.0, ..Proposal::default() }
+}
+
+fn road(name: &str, proposals: Vec<Proposal>) -> Road {
+    Road { name: name.into(), alarm: proposals.iter().any(|proposal| proposal.passed), proposals, ..Road::default() }
+}
+
+fn answer(roads: &[Road]) -> Answer {
+    answer_with(&Integrity::default(), roads)
+}
+
+fn answer_with(integrity: &Integrity, roads: &[Road]) -> Answer {
+    let case = testing::case();
+    let nominal = Nominal::new(&case).unwrap();
+    verdict(&case, &nominal, integrity, roads)
+}
+
+fn leak(score: f64, probability: f64) -> Proposal {
+    proposal("leak_events", "rate", score, probability, 8.0)
+}
+
+fn asymmetry(score: f64, probability: f64) -> Proposal {
+    proposal("threshold_asymmetry", "fraction", score, probability, 0.1)
+}
+
+#[test]
+fn two_roads_that_agree_name_the_effect() {
+    let roads = [road("likelihood", vec![leak(1.2, 0.5), asymmetry(1.1, 0.4)]), road("synthesis", vec![leak(1.1, 0.6), asymmetry(1.05, 0.3)])];
+    let answer = answer(&roads);
+    assert_eq!(answer.verdict, Verdict::Named);
+    assert_eq!(answer.claims[0].id, "leak_events");
+    assert!(answer.claims[0].also_possible.is_empty());
+    assert_eq!(answer.claims[0].found_by, ["likelihood", "synthesis"]);
+}
+
+#[test]
+fn two_sure_roads_that_differ_give_a_set_with_both() {
+    let answer = answer(&[road("likelihood", vec![leak(5.0, 0.9)]), road("synthesis", vec![asymmetry(5.0, 0.8)])]);
+    assert_eq!(answer.verdict, Verdict::Ambiguous);
+    let claim = &answer.claims[0];
+    let mut set = claim.also_possible.clone();
+    set.push(claim.id);
+    set.sort_unstable();
+    assert_eq!(set, ["leak_events", "threshold_asymmetry"]);
+    assert_eq!(answer.claims.len(), 1, "an ambiguity is one claim, not two");
+}
+
+#[test]
+fn a_road_alone_needs_more_when_the_other_is_silent() {
+    let silent = || Road { alarm: false, ..road("synthesis", vec![asymmetry(0.3, 0.5)]) };
+    assert_eq!(answer(&[road("likelihood", vec![leak(1.3, 0.9)]), silent()]).verdict, Verdict::Consistent);
+    assert_eq!(answer(&[road("likelihood", vec![leak(3.0, 0.9)]), silent()]).verdict, Verdict::Named);
+    // When there is no other road its own alarm is all there is.
+    assert_eq!(answer(&[road("likelihood", vec![leak(1.3, 0.9)])]).verdict, Verdict::Named);
+}
+
+#[test]
+fn what_is_certain_but_immaterial_is_not_claimed() {
+    let tiny = |value: f64| answer(&[road("likelihood", vec![proposal("time_constant", "tau_0", 50.0, 1.0, value)])]).verdict;
+    // The description states 30 us; a microsecond more is nothing.
+    assert_eq!(tiny(31e-6), Verdict::Consistent);
+    assert_eq!(tiny(60e-6), Verdict::Named);
+}
+
+#[test]
+fn a_second_effect_needs_both_roads_or_a_wide_margin() {
+    let with_second = |name: &str, second: Proposal| Road { second: vec![second], ..road(name, vec![leak(9.0, 0.9)]) };
+    let both = [with_second("likelihood", asymmetry(2.0, 0.9)), with_second("synthesis", asymmetry(2.0, 0.9))];
+    assert_eq!(answer(&both).claims.len(), 2);
+    let one = [with_second("likelihood", asymmetry(2.0, 0.9)), road("synthesis", vec![leak(9.0, 0.9)])];
+    assert_eq!(answer(&one).claims.len(), 1);
+    let wide = [with_second("likelihood", asymmetry(30.0, 0.9)), road("synthesis", vec![leak(9.0, 0.9)])];
+    assert_eq!(answer(&wide).claims.len(), 2);
+}
+
+#[test]
+fn a_direct_finding_is_named_and_a_stronger_term_stands_before_it() {
+    let finding = Finding {
+        id: "hot_pixels",
+        parameters: vec![("fraction", 0.002), ("rate", 900.0)],
+        statistic: 16.0,
+        threshold: 8.0,
+        share: 0.002,
+        polarity: "on",
+        pixels: vec![3],
+        seen: String::new(),
+    };
+    let integrity = Integrity { findings: vec![finding], ..Integrity::default() };
+    let alone = answer_with(&integrity, &[]);
+    assert_eq!((alone.verdict, alone.claims[0].id), (Verdict::Named, "hot_pixels"));
+    let joined = answer_with(&integrity, &[road("likelihood", vec![leak(40.0, 0.9)]), road("synthesis", vec![leak(30.0, 0.9)])]);
+    let ids: Vec<&str> = joined.claims.iter().map(|claim| claim.id).collect();
+    assert_eq!(ids, ["leak_events", "hot_pixels"]);
+}
+
+#[test]
+fn nothing_over_its_alarm_is_consistent_and_something_unexplained_has_no_name() {
+    assert_eq!(answer(&[road("likelihood", vec![leak(0.7, 0.9)])]).verdict, Verdict::Consistent);
+    let unexplained = Unexplained { covariate: "frame_phase".into(), score: 3.0, ..Unexplained::default() };
+    let found = answer(&[Road { alarm: true, unexplained: Some(unexplained), ..road("likelihood", Vec::new()) }]);
+    assert!(found.claims.is_empty());
+    assert_eq!(found.unexplained.map(|found| found.covariate), Some("frame_phase".to_owned()));
+    assert_eq!(found.verdict, Verdict::Unnamed);
+}
