@@ -75,7 +75,7 @@ mod tests {
     }
 
     fn read_back(sensor: &Sensor) -> Sensor {
-        let source = Source::new("sensor.fitted.toml", Path::new("."), &sensor.to_toml());
+        let source = Source::new("sensor.fitted.toml", Path::new("."), sensor.to_toml());
         Sensor::parse(&source).unwrap_or_else(|problems| panic!("{}\n{}", problems[0].message, sensor.to_toml()))
     }
 

@@ -27,6 +27,7 @@ pub mod covariates;
 pub mod differences;
 pub mod faithful;
 pub mod locate;
+pub mod faithful;
 pub mod fitted;
 pub mod integrity;
 pub mod nominal;
