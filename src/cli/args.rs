@@ -28,6 +28,8 @@ pub enum Command {
     Graph(GraphOptions),
     /// Show what is in a recording or a cached artefact
     Inspect(InspectOptions),
+    /// Say where a recording and the sensor description differ, and which physics is missing
+    Diagnose(DiagnoseOptions),
     /// List the node kinds, or print the manual of one
     Nodes(NodesOptions),
     /// List what a sensor may do beyond the paper's model, or print the page of one effect
@@ -221,6 +223,30 @@ pub struct InspectOptions {
     /// Print as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct DiagnoseOptions {
+    /// The recording (.h5)
+    pub recording: PathBuf,
+    /// The sensor description, TOML [default: the one in the recording]
+    #[arg(short, long, value_name = "FILE")]
+    pub sensor: Option<PathBuf>,
+    /// Folder for diagnosis.json, sensor.fitted.toml and report.html [default: out/NAME of the recording]
+    #[arg(short, long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+    /// Seed of everything random
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Threads [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub threads: Option<u32>,
+    /// Print diagnosis.json instead of a summary
+    #[arg(long)]
+    pub json: bool,
+    /// Say only what went wrong
+    #[arg(short, long)]
+    pub quiet: bool,
 }
 
 #[derive(ClapArgs)]

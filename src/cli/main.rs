@@ -6,6 +6,7 @@
 mod args;
 mod cache;
 mod common;
+mod diagnose;
 mod effects;
 mod graph;
 mod inspect;
@@ -32,6 +33,7 @@ fn main() -> ExitCode {
         Command::Table(options) => table::table(options),
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),
+        Command::Diagnose(options) => diagnose::diagnose(options),
         Command::Nodes(options) => nodes::nodes(options),
         Command::Effects(options) => effects::effects(options),
         Command::Schema => nodes::schema(),

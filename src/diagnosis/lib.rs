@@ -17,20 +17,28 @@
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
 //! - [`verdict`]: one answer from all tests.
 //! - [`fitted`]: the description with what was found put in.
+//! - [`heldout`]: frames that were kept back, before and after.
+//! - [`advice`]: what to record next.
+//! - [`diagnose`]: all of it, in order.
+//! - [`page`]: the same as a page of HTML.
 //! - [`report`]: what a diagnosis says, as `diagnosis.json`.
 //!
 //! The crate knows no files and no graphs. It never sees true light.
 
+pub mod advice;
 pub mod candidates;
 pub mod case;
 pub mod covariates;
 pub mod differences;
 pub mod faithful;
 pub mod locate;
+pub mod diagnose;
 pub mod faithful;
 pub mod fitted;
+pub mod heldout;
 pub mod integrity;
 pub mod nominal;
+pub mod page;
 pub mod record;
 pub mod report;
 pub mod sample;

@@ -286,6 +286,12 @@ pub fn six_digits(value: f64) -> f64 {
     format!("{value:.5e}").parse().unwrap_or(value)
 }
 
+/// For people: four significant digits, plain where that is short.
+pub fn short(value: f64) -> String {
+    let rounded: f64 = format!("{value:.3e}").parse().unwrap_or(value);
+    if rounded != 0.0 && (rounded.abs() < 1e-3 || rounded.abs() >= 1e6) { format!("{rounded:e}") } else { format!("{rounded}") }
+}
+
 fn round(value: &mut Value) {
     match value {
         Value::Number(number) if number.is_f64() => {
@@ -361,5 +367,13 @@ mod tests {
         assert_eq!(six_digits(123_456_789.0), 123_457_000.0);
         assert_eq!(six_digits(-1.234_567_8e-7), -1.234_57e-7);
         assert_eq!(six_digits(0.0), 0.0);
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        assert_eq!(short(0.123_456), "0.1235");
+        assert_eq!(short(1.5e-5), "1.5e-5");
+        assert_eq!(short(0.0), "0");
+        assert_eq!(short(1234.6), "1235");
     }
 }

@@ -1,0 +1,352 @@
+//! A whole diagnosis: direct tests, roads, verdict, fitted description, proof, report.
+
+use crate::candidates::{CANDIDATES, Candidate, Scales};
+use crate::case::{Case, PixelEvents};
+use crate::fitted::fitted;
+use crate::heldout::{Prediction, is_read_by_solver, predict, undone};
+use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
+use crate::integrity::{Finding, Integrity, integrity};
+use crate::nominal::Nominal;
+use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
+use crate::sample::Sample;
+use crate::scene::SceneSetting;
+use crate::verdict::{Answer, Claim, Road, verdict};
+use photocurrent_core::digest::DigestBuilder;
+use photocurrent_core::{NodeError, Sensor};
+use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
+
+/// How a diagnosis is made.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Setting {
+    /// Seed of everything random.
+    pub seed: u64,
+    /// How the light is estimated.
+    pub scene: SceneSetting,
+}
+
+/// A test that estimates the scene: what it is called, and how it is run on a recording. The recording has what the direct tests found in its description.
+pub struct RoadKind {
+    /// `likelihood`, `synthesis`.
+    pub name: &'static str,
+    /// Runs it.
+    pub run: fn(&Case, &Setting) -> Result<Road, String>,
+}
+
+/// The roads that take part, in order.
+pub fn roads() -> Vec<RoadKind> {
+    Vec::new()
+}
+
+/// What came of a diagnosis.
+#[derive(Clone, Debug)]
+pub struct Diagnosis {
+    /// The report.
+    pub report: Report,
+    /// The description with what was found put in; none when nothing was found.
+    pub fitted: Option<Sensor>,
+    /// What direct tests saw.
+    pub integrity: Integrity,
+    /// What each road found.
+    pub roads: Vec<Road>,
+    /// Roads that did not get to an end, and why.
+    pub failed: Vec<String>,
+    /// Kept frames predicted as stated, and as fitted.
+    pub predictions: (Option<Prediction>, Option<Prediction>),
+    /// The pixels of the predictions.
+    pub sample: Option<Sample>,
+}
+
+/// Diagnoses a recording. `tell` hears the name of each stage as it begins.
+///
+/// # Errors
+/// When the description does not state what the model needs, or its effects are not understood.
+pub fn diagnose(case: &Case, setting: &Setting, roads: &[RoadKind], mut tell: impl FnMut(&str)) -> Result<Diagnosis, NodeError> {
+    let nominal = Nominal::new(case)?;
+    tell("integrity");
+    let integrity = integrity(case, Some(&nominal));
+    let scales = Scales::of(case, &nominal);
+    let mut stages = vec!["integrity".to_owned()];
+    let can_compare = integrity.broken.is_empty() && case.events.all().len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES;
+    let (mut found, mut failed) = (Vec::new(), Vec::new());
+    if can_compare {
+        let amended = amended(case, &nominal, &scales, &integrity);
+        for road in roads {
+            tell(road.name);
+            match (road.run)(&amended, setting) {
+                Ok(result) => {
+                    stages.push(road.name.to_owned());
+                    found.push(result);
+                }
+                Err(why) => failed.push(format!("{}: {why}", road.name)),
+            }
+        }
+    }
+    tell("verdict");
+    let mut answer = verdict(case, &nominal, &integrity, &found);
+    if answer.verdict == Verdict::Consistent && !can_compare {
+        answer.verdict = Verdict::Insufficient;
+    }
+    let values: Vec<(usize, f64)> = answer.claims.iter().flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value))).collect();
+    let changed = (!values.is_empty()).then(|| fitted(&case.sensor, &nominal, &scales, &values));
+    tell("proof");
+    let sample = can_compare.then(|| looked_at(case)).filter(|sample| !sample.is_empty());
+    let predictions = match &sample {
+        Some(sample) => (predict(case, &case.sensor, sample, &setting.scene)?, after(case, &nominal, changed.as_ref(), &values, sample, setting)?),
+        None => (None, None),
+    };
+    let report = report(case, &nominal, setting, &integrity, &found, &answer, changed.as_ref(), &predictions, stages);
+    Ok(Diagnosis { report, fitted: changed, integrity, roads: found, failed, predictions, sample })
+}
+
+/// The pixels in which the proof is looked for: blocks spread over the array, or all of a small one.
+fn looked_at(case: &Case) -> Sample {
+    const SIDE: u32 = 8;
+    let zones = (6, 5);
+    if case.extent.width < zones.0 * SIDE || case.extent.height < zones.1 * SIDE {
+        return Sample::all(case, SIDE);
+    }
+    Sample::blocks(case, zones, SIDE, 1, (3.0, 300.0))
+}
+
+/// The recording with what direct tests found in its description, and without the pixels that they exclude, so that roads look for the rest.
+fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
+    let mut amended = case.clone();
+    if !integrity.masked.is_empty() {
+        let keep = |pixel: usize| integrity.masked.binary_search(&(pixel as u32)).is_err();
+        let events = (0..case.events.pixels()).map(|pixel| if keep(pixel) { case.events.of(pixel).to_vec() } else { Vec::new() });
+        amended.events = PixelEvents::new(events);
+        if let Some(frames) = &mut amended.frames {
+            let pixels = case.extent.pixels();
+            let masked = integrity.masked.iter().flat_map(|&pixel| (pixel as usize..frames.dn.len()).step_by(pixels));
+            masked.collect::<Vec<_>>().into_iter().for_each(|at| frames.dn[at] = f32::NAN);
+        }
+    }
+    // Hot rows and pixels are out with their pixels.
+    let rest = integrity.findings.iter().filter(|finding| !matches!(finding.id, "hot_rows" | "hot_pixels"));
+    let values: Vec<(usize, f64)> = rest.flat_map(values_of).collect();
+    amended.sensor = fitted(&case.sensor, nominal, scales, &values);
+    if let Some(step) = values.iter().find(|(which, _)| CANDIDATES[*which].id == "timestamp_quantization").map(|(_, step)| *step) {
+        amended.t_resolution_ns = (step * 1e9).round() as i64;
+    }
+    amended
+}
+
+fn values_of(finding: &Finding) -> Vec<(usize, f64)> {
+    let place = |parameter: &str| CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == parameter);
+    finding.parameters.iter().filter_map(|(parameter, value)| Some((place(parameter)?, *value))).collect()
+}
+
+/// The kept frames with the fitted description; none when the solver can undo nothing of it.
+fn after(
+    case: &Case,
+    nominal: &Nominal,
+    changed: Option<&Sensor>,
+    values: &[(usize, f64)],
+    sample: &Sample,
+    setting: &Setting,
+) -> Result<Option<Prediction>, NodeError> {
+    let Some(changed) = changed else { return Ok(None) };
+    let right = undone(case, values);
+    if right.is_none() && !is_read_by_solver(nominal, &Nominal::of(changed, case)?) {
+        return Ok(None);
+    }
+    predict(right.as_ref().unwrap_or(case), changed, sample, &setting.scene)
+}
+
+fn report(
+    case: &Case,
+    nominal: &Nominal,
+    setting: &Setting,
+    integrity: &Integrity,
+    roads: &[Road],
+    answer: &Answer,
+    changed: Option<&Sensor>,
+    predictions: &(Option<Prediction>, Option<Prediction>),
+    stages: Vec<String>,
+) -> Report {
+    let mut effects: Vec<EffectReport> = answer.claims.iter().map(|claim| effect(case, nominal, claim)).collect();
+    if let Some(found) = &answer.unexplained {
+        let mut location = everywhere(case, None);
+        location.covariate.clone_from(&found.covariate);
+        effects.push(EffectReport {
+            id: "unnamed".into(),
+            also_possible: Vec::new(),
+            plain: "something that no effect of the catalogue explains".into(),
+            equation: found.equation.clone(),
+            insertion: found.insertion.clone(),
+            parameters: Default::default(),
+            location,
+            evidence: Evidence { statistic: found.score, ..Evidence::default() },
+        });
+    }
+    let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
+    let first = roads.iter().find(|road| road.nats_per_event.is_some());
+    let nats = first.and_then(|road| road.nats_per_event).filter(|_| !effects.is_empty()).map(|(before, after)| BeforeAfter { before, after });
+    let mut detectability: Vec<_> = roads.iter().flat_map(|road| road.detectability.iter().cloned()).collect();
+    detectability.dedup_by(|a, b| a.id == b.id && a.parameter == b.parameter);
+    Report {
+        schema: SCHEMA,
+        verdict: answer.verdict,
+        summary: summary(integrity, answer),
+        not_testable: not_testable(case, roads),
+        next_experiment: crate::advice::next_experiments(case, answer, integrity),
+        residual_left: roads.iter().find_map(|road| road.residual_left).filter(|_| !effects.is_empty()),
+        effects,
+        fit: Fit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks: None },
+        detectability,
+        scene: integrity.scene.clone(),
+        sensor_fitted: changed.map(|_| "sensor.fitted.toml".to_owned()),
+        provenance: Provenance {
+            recording_digest: digest(case),
+            sensor_digest: DigestBuilder::new("photocurrent-diagnosis-sensor/1").text(&case.sensor.canonical_json()).finish().to_string(),
+            seed: setting.seed,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            stages,
+        },
+    }
+}
+
+/// The report of a recording that could not be read as one: its data contradict the format or themselves.
+pub fn broken(why: &str, seed: u64) -> Report {
+    Report {
+        schema: SCHEMA,
+        verdict: Verdict::BrokenData,
+        summary: why.to_owned(),
+        effects: Vec::new(),
+        fit: Fit::default(),
+        detectability: Vec::new(),
+        scene: Vec::new(),
+        not_testable: Vec::new(),
+        next_experiment: vec!["record again, or repair the file: nothing can be said of a sensor whose data contradict themselves".into()],
+        residual_left: None,
+        sensor_fitted: None,
+        provenance: Provenance { seed, version: env!("CARGO_PKG_VERSION").to_owned(), ..Provenance::default() },
+    }
+}
+
+fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
+    let decl = decl(claim.id);
+    let evidence = Evidence {
+        statistic: claim.score,
+        p_value: None,
+        heldout_nats: claim.heldout_nats,
+        heldout_nats_ci95: None,
+        heldout_nats_per_event: claim.heldout_nats_per_event,
+        found_by: claim.found_by.clone(),
+    };
+    let mut effect = EffectReport::of(&decl, location(case, &decl, claim.finding.as_ref()), evidence);
+    effect.also_possible = claim.also_possible.iter().map(|id| (*id).to_owned()).collect();
+    for (candidate, value, ci95) in &claim.values {
+        effect.put(&CANDIDATES[*candidate], *value, *ci95, nominal);
+    }
+    if claim.values.iter().any(|(candidate, ..)| CANDIDATES[*candidate].parameter == "reset") {
+        effect.equation = "the reference moves by one threshold at each event, or is taken anew, other than stated (comparator.reset)".into();
+    }
+    if let Some(finding) = &claim.finding {
+        effect.plain = format!("{}: {}", decl.about, finding.seen);
+        // Numbers that are no candidates of their own stand beside.
+        for (parameter, value) in &finding.parameters {
+            if let Some(of) = decl.parameters.iter().find(|of| of.name == *parameter).filter(|_| Candidate::find(claim.id, parameter).is_none()) {
+                let key = format!("{parameter}{}", of.unit.suffix());
+                effect.parameters.insert(key, Parameter { estimate: *value, ci95: None, nominal: of.null, unit: of.unit.text().to_owned() });
+            }
+        }
+    }
+    effect
+}
+
+fn decl(id: &str) -> EffectDecl {
+    catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == id).unwrap_or_else(|| unreachable!("claims are of the catalogue"))
+}
+
+fn everywhere(case: &Case, decl: Option<&EffectDecl>) -> Location {
+    Location {
+        stream: match decl.map(|decl| decl.stage) {
+            Some(Stage::Exposure) => "frames",
+            None => "both",
+            Some(_) => "events",
+        },
+        polarity: "both",
+        rows: [0, case.extent.height.saturating_sub(1)],
+        columns: [0, case.extent.width.saturating_sub(1)],
+        time_ns: [case.span.0, case.span.1],
+        covariate: decl.map_or_else(String::new, |decl| decl.covariate.to_owned()),
+        shape: None,
+        pixels: case.extent.pixels() as u64,
+        pixel_list: Vec::new(),
+    }
+}
+
+fn location(case: &Case, decl: &EffectDecl, finding: Option<&Finding>) -> Location {
+    let mut location = everywhere(case, Some(decl));
+    let Some(finding) = finding else { return location };
+    location.polarity = finding.polarity;
+    if !finding.pixels.is_empty() {
+        let places: Vec<(u32, u32)> = finding.pixels.iter().map(|&pixel| case.place(pixel as usize)).collect();
+        let ends = |values: Vec<u32>| [values.iter().copied().min().unwrap_or(0), values.iter().copied().max().unwrap_or(0)];
+        location.columns = ends(places.iter().map(|place| place.0).collect());
+        location.rows = ends(places.iter().map(|place| place.1).collect());
+        location.pixels = finding.pixels.len() as u64;
+        location.pixel_list = finding.pixels.iter().copied().take(MASK_LIMIT).collect();
+    }
+    location
+}
+
+fn summary(integrity: &Integrity, answer: &Answer) -> String {
+    let name = |claim: &Claim| {
+        let others: String = claim.also_possible.iter().map(|id| format!(" or {id}")).collect();
+        format!("{}{others}", claim.id)
+    };
+    match answer.verdict {
+        Verdict::BrokenData => integrity.broken.join("; "),
+        Verdict::Insufficient => integrity.lacking.join("; "),
+        Verdict::Consistent => "the recording agrees with the description as far as these tests see; detectability says how far that is".into(),
+        Verdict::Unnamed => "the recording differs from the description, and no effect of the catalogue explains how".into(),
+        Verdict::Numerical => "what differs is not more than numerical error".into(),
+        Verdict::Named | Verdict::Ambiguous => answer.claims.iter().map(name).collect::<Vec<_>>().join(", and "),
+    }
+}
+
+/// Effects that a direct test looks for.
+const DIRECT: [&str; 8] =
+    ["timestamp_quantization", "timestamp_jitter", "readout_queue", "hot_rows", "hot_pixels", "background_activity", "event_loss", "frame_coupling"];
+
+fn not_testable(case: &Case, roads: &[Road]) -> Vec<NotTestable> {
+    let mut found: Vec<NotTestable> = roads.iter().flat_map(|road| road.not_testable.iter().cloned()).collect();
+    found.sort_by(|a, b| a.id.cmp(&b.id));
+    found.dedup_by(|a, b| a.id == b.id);
+    if !roads.is_empty() {
+        return found;
+    }
+    let why = if case.frame_count() < FEWEST_FRAMES {
+        "it needs events and frames of the same scene, and there are not enough frames"
+    } else if case.events.all().len() < FEWEST_EVENTS {
+        "it needs events and frames of the same scene, and there are not enough events"
+    } else {
+        "it needs the scene, and no test that estimates the scene took part"
+    };
+    let ids = catalogue().into_iter().map(|kind| kind.decl.id).filter(|id| !DIRECT.contains(id) || case.events.all().len() < FEWEST_EVENTS);
+    ids.map(|id| NotTestable { id: id.to_owned(), why: why.to_owned() }).collect()
+}
+
+/// Of events, frames and their times.
+fn digest(case: &Case) -> String {
+    let mut digest = DigestBuilder::new("photocurrent-diagnosis-case/1");
+    digest.integer(case.extent.width.into()).integer(case.extent.height.into()).integer(case.t_resolution_ns).integer(case.has_t_in.into());
+    for pixel in 0..case.events.pixels() {
+        let numbers: Vec<i64> = case.events.of(pixel).iter().flat_map(|event| [event.t_in_ns, event.t_off_ns, event.polarity.into()]).collect();
+        digest.slice(&numbers);
+    }
+    if let Some(frames) = &case.frames {
+        digest.integer(frames.times.row_time_ns);
+        for exposure in frames.times.exposures.iter() {
+            digest.integer(exposure.start.0).integer(exposure.end.0);
+        }
+        digest.slice(&frames.dn);
+    }
+    digest.finish().to_string()
+}
+
+#[cfg(test)]
+#[path = "diagnose_tests.rs"]
+mod tests;

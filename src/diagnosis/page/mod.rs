@@ -1,0 +1,216 @@
+//! The report as one page of HTML that needs nothing beside it: text first, then pictures as inline SVG.
+//!
+//! The page says what `diagnosis.json` says, and shows what that cannot hold: how strongly each candidate was supported, where and when kept frames disagree, and
+//! the light of a few pixels with the description as stated and as fitted. The same diagnosis gives the same bytes.
+
+mod pixels;
+mod svg;
+
+use crate::candidates::CANDIDATES;
+use crate::case::Case;
+use crate::diagnose::Diagnosis;
+use crate::report::{EffectReport, Parameter, Report, Verdict, short as number};
+use std::fmt::Write;
+use svg::{Bar, bars, heat, steps};
+
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1b1f24;background:#fff}\
+h1{font-size:1.5rem;margin:0}h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid #d0d7de;padding-bottom:.2rem}\
+h3{font-size:1rem;margin:1rem 0 .3rem}table{border-collapse:collapse;margin:.5rem 0}td,th{padding:.15rem .8rem .15rem 0;text-align:left;vertical-align:top}\
+th{color:#57606a;font-weight:600}td.n{text-align:right;font-variant-numeric:tabular-nums}code{background:#f3f4f6;padding:.1rem .3rem;border-radius:3px}\
+.badge{display:inline-block;padding:.15rem .7rem;border-radius:1rem;color:#fff;font-weight:600}.note{color:#57606a}svg{max-width:100%;height:auto}\
+.effect{border-left:4px solid #0072b2;padding:.1rem 0 .1rem 1rem;margin:1rem 0}";
+
+/// The page of a report; pictures need the recording and what came of its diagnosis.
+pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> String {
+    let mut html = String::from("<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<title>Diagnosis</title>\n");
+    let _ = write!(html, "<style>{STYLE}</style>\n</head>\n<body>\n");
+    head(&mut html, report);
+    effects(&mut html, report);
+    if let Some(found) = found {
+        scores(&mut html, found);
+    }
+    if let (Some(case), Some(found)) = (case, found) {
+        proof(&mut html, report, case, found);
+        pixels::examples(&mut html, case, found);
+    }
+    limits(&mut html, report);
+    provenance(&mut html, report);
+    html.push_str("</body>\n</html>\n");
+    html
+}
+
+fn head(html: &mut String, report: &Report) {
+    let colour = match report.verdict {
+        Verdict::Consistent => "#1a7f37",
+        Verdict::Named => "#0072b2",
+        Verdict::Ambiguous | Verdict::Unnamed => "#bf5b00",
+        Verdict::Numerical | Verdict::Insufficient => "#57606a",
+        Verdict::BrokenData => "#b00020",
+    };
+    let _ = writeln!(html, "<h1>Diagnosis <span class=\"badge\" style=\"background:{colour}\">{}</span></h1>", report.verdict.name());
+    let _ = writeln!(html, "<p>{}</p>", escaped(&report.summary));
+    for property in &report.scene {
+        let text = format!("The light itself: {} at {:.0} Hz, depth {:.2}; no fault of the sensor.", property.property, property.frequency_hz, property.depth);
+        let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
+    }
+}
+
+fn effects(html: &mut String, report: &Report) {
+    if report.effects.is_empty() {
+        return;
+    }
+    html.push_str("<h2>What is missing in the description</h2>\n");
+    for effect in &report.effects {
+        let _ = writeln!(html, "<div class=\"effect\"><h3>{}</h3>\n<p>{}</p>", escaped(&effect.id), escaped(&effect.plain));
+        let _ = writeln!(html, "<p><code>{}</code> <span class=\"note\">(enters at: {})</span></p>", escaped(&effect.equation), escaped(&effect.insertion));
+        if !effect.parameters.is_empty() {
+            html.push_str("<table><tr><th>parameter</th><th>estimate</th><th>95 %</th><th>stated</th><th>unit</th></tr>\n");
+            effect.parameters.iter().for_each(|(key, parameter)| parameter_row(html, key, parameter));
+            html.push_str("</table>\n");
+        }
+        if !effect.also_possible.is_empty() {
+            let _ = writeln!(html, "<p>This recording cannot tell it from: {}.</p>", escaped(&effect.also_possible.join(", ")));
+        }
+        location(html, effect);
+        html.push_str("</div>\n");
+    }
+}
+
+fn parameter_row(html: &mut String, key: &str, parameter: &Parameter) {
+    let interval = parameter.ci95.map_or_else(|| "-".to_owned(), |[low, high]| format!("{} to {}", number(low), number(high)));
+    let nominal = parameter.nominal.map_or_else(|| "-".to_owned(), number);
+    let cells = [number(parameter.estimate), interval, nominal];
+    let cells: String = cells.iter().map(|cell| format!("<td class=\"n\">{cell}</td>")).collect();
+    let _ = writeln!(html, "<tr><td>{}</td>{cells}<td>{}</td></tr>", escaped(key), escaped(&parameter.unit));
+}
+
+fn location(html: &mut String, effect: &EffectReport) {
+    let (place, evidence) = (&effect.location, &effect.evidence);
+    let mut text = format!(
+        "{}, {} polarity, rows {}-{}, columns {}-{}, {} pixels; depends on {}. ",
+        place.stream, place.polarity, place.rows[0], place.rows[1], place.columns[0], place.columns[1], place.pixels, place.covariate
+    );
+    let _ = write!(text, "Found by: {}; {:.1} times its alarm.", evidence.found_by.join(", "), evidence.statistic);
+    if let Some(nats) = evidence.heldout_nats {
+        let _ = write!(text, " On measurements kept back it gains {nats:.0} nats.");
+    }
+    let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
+}
+
+/// How far over or under its alarm each candidate is.
+fn scores(html: &mut String, found: &Diagnosis) {
+    html.push_str("<h2>Who speaks for what</h2>\n<p class=\"note\">Statistic over the value from which it counts; the line is the alarm.</p>\n");
+    let direct: Vec<Bar> = found
+        .integrity
+        .findings
+        .iter()
+        .map(|finding| Bar { label: finding.id.to_owned(), value: finding.statistic / finding.threshold, is_marked: true })
+        .collect();
+    let mut groups = vec![("direct tests".to_owned(), direct)];
+    for road in &found.roads {
+        let of_road = road.proposals.iter().take(10);
+        let bars = of_road.map(|one| Bar { label: CANDIDATES[one.candidate].label(), value: one.score, is_marked: one.passed }).collect();
+        groups.push((road.name.clone(), bars));
+    }
+    for (name, group) in groups {
+        let _ = writeln!(html, "<h3>{}</h3>", escaped(&name));
+        if group.is_empty() {
+            html.push_str("<p>nothing</p>\n");
+        } else {
+            html.push_str(&bars(&group));
+        }
+    }
+    for why in &found.failed {
+        let _ = writeln!(html, "<p>not finished: {}</p>", escaped(why));
+    }
+}
+
+/// Kept frames: before and after, where, when.
+fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
+    let Some(before) = &found.predictions.0 else { return };
+    html.push_str("<h2>Frames that were kept back</h2>\n");
+    html.push_str("<p>Every third frame is kept back and predicted from the events and the other frames.</p>\n");
+    html.push_str("<table><tr><th></th><th>as stated</th><th>as fitted</th></tr>\n");
+    let after = found.predictions.1.as_ref();
+    let fitted = after.map_or_else(|| "-".to_owned(), |after| format!("{:.2} dB", after.psnr_db()));
+    let _ = writeln!(html, "<tr><td>peak signal to noise</td><td class=\"n\">{:.2} dB</td><td class=\"n\">{fitted}</td></tr>", before.psnr_db());
+    if let Some(nats) = report.fit.heldout_nats_per_event {
+        let _ = writeln!(html, "<tr><td>log-likelihood an event</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.3}</td></tr>", nats.before, nats.after);
+    }
+    html.push_str("</table>\n");
+    if after.is_none() && !report.effects.is_empty() {
+        html.push_str("<p class=\"note\">The solver cannot undo what was found, so the fitted description predicts the same.</p>\n");
+    }
+    if let Some(sample) = &found.sample {
+        let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+        let mut map = vec![f64::NAN; width * height];
+        for (&pixel, value) in sample.pixels.iter().zip(&before.by_pixel) {
+            map[pixel as usize] = *value;
+        }
+        html.push_str("<h3>Where: error of a kept frame as a share of the pixel's mean, as stated</h3>\n");
+        html.push_str(&heat(&map, width, height));
+    }
+    html.push_str("<h3>When: error by frame, DN</h3>\n");
+    let mut lines = vec![("as stated".to_owned(), before.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect::<Vec<_>>())];
+    lines.extend(after.map(|after| ("as fitted".to_owned(), after.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect())));
+    html.push_str(&steps(&lines, "frame", "DN"));
+}
+
+fn limits(html: &mut String, report: &Report) {
+    if !report.detectability.is_empty() {
+        html.push_str("<h2>What would have been seen</h2>\n<table><tr><th>effect</th><th>parameter</th><th>estimate</th><th>standard error</th>");
+        html.push_str("<th>smallest that is found</th><th>unit</th></tr>\n");
+        let cell = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), number);
+        for one in &report.detectability {
+            let cells = [cell(one.estimate), cell(one.standard_error), number(one.minimal_detectable)];
+            let cells: String = cells.iter().map(|cell| format!("<td class=\"n\">{cell}</td>")).collect();
+            let _ = writeln!(html, "<tr><td>{}</td><td>{}</td>{cells}<td>{}</td></tr>", escaped(&one.id), escaped(&one.parameter), escaped(&one.unit));
+        }
+        html.push_str("</table>\n");
+    }
+    if !report.not_testable.is_empty() {
+        html.push_str("<h2>What this recording says nothing about</h2>\n<table>\n");
+        let mut reasons: Vec<&str> = Vec::new();
+        report.not_testable.iter().map(|one| one.why.as_str()).for_each(|why| {
+            if !reasons.contains(&why) {
+                reasons.push(why);
+            }
+        });
+        for why in reasons {
+            let ids: Vec<&str> = report.not_testable.iter().filter(|one| one.why == why).map(|one| one.id.as_str()).collect();
+            let _ = writeln!(html, "<tr><td>{}</td><td class=\"note\">{}</td></tr>", escaped(&ids.join(", ")), escaped(why));
+        }
+        html.push_str("</table>\n");
+    }
+    if !report.next_experiment.is_empty() {
+        html.push_str("<h2>What to record next</h2>\n<ul>\n");
+        report.next_experiment.iter().for_each(|advice| {
+            let _ = writeln!(html, "<li>{}</li>", escaped(advice));
+        });
+        html.push_str("</ul>\n");
+    }
+}
+
+fn provenance(html: &mut String, report: &Report) {
+    let from = &report.provenance;
+    html.push_str("<h2>Where this comes from</h2>\n<table>\n");
+    let rows = [
+        ("recording", from.recording_digest.clone()),
+        ("description", from.sensor_digest.clone()),
+        ("seed", from.seed.to_string()),
+        ("version", from.version.clone()),
+        ("stages", from.stages.join(", ")),
+    ];
+    for (name, value) in rows {
+        let _ = writeln!(html, "<tr><th>{name}</th><td>{}</td></tr>", escaped(&value));
+    }
+    html.push_str("</table>\n");
+}
+
+/// Text in HTML.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests;
