@@ -70,7 +70,7 @@ pub fn faithful(case: &Case, nominal: &Nominal, sample: &Sample, setting: &Scene
 }
 
 /// How many of the recorded events have a partner of their polarity nearby.
-fn came_again(recorded: &[Recorded], simulated: &[Recorded]) -> usize {
+pub(crate) fn came_again(recorded: &[Recorded], simulated: &[Recorded]) -> usize {
     let has_partner = |event: &&Recorded| {
         let from = simulated.partition_point(|other| other.t_in_ns < event.t_in_ns - NEAR_NS);
         simulated[from..].iter().take_while(|other| other.t_in_ns <= event.t_in_ns + NEAR_NS).any(|other| other.polarity == event.polarity)

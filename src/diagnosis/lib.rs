@@ -11,6 +11,7 @@
 //! - [`scene`]: the light of those pixels, estimated with the nominal sensor.
 //! - [`record`]: what a sensor with effects would have recorded of that light.
 //! - [`faithful`]: the prior that gives each pixel a light which fires its events again.
+//! - [`likelihood`]: how far effects explain, event by event, what the estimated light does not.
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is put on.
 //! - [`covariates`], [`differences`], [`locate`]: where a recording and a simulation of it differ.
 //!
@@ -37,6 +38,7 @@ pub mod faithful;
 pub mod fitted;
 pub mod heldout;
 pub mod integrity;
+pub mod likelihood;
 pub mod nominal;
 pub mod page;
 pub mod record;

@@ -89,7 +89,7 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, mo
 }
 
 /// Tells effects that depend on the load what the recording holds.
-fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
+pub(crate) fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
     if effects.iter().all(|effect| effect.informed(&[]).is_none()) {
         return;
     }

@@ -173,6 +173,21 @@ impl Chain {
         self.silence_square = silence_square;
     }
 
+    /// Adds to what is predicted of the measurements, frames in standard deviations: `events` of each firing in order, `frames` of each frame; empty = nothing.
+    pub fn shift(&mut self, knots: &Knots, events: &[f64], frames: impl Fn(u32) -> f64) {
+        let mut event = 0;
+        for (row, op) in self.rows.iter_mut().zip(&knots.ops) {
+            match *op {
+                Op::Fire { .. } => {
+                    row.residual -= events.get(event).copied().unwrap_or(0.0);
+                    event += 1;
+                }
+                Op::Read(l) => row.residual -= frames(l),
+                _ => {}
+            }
+        }
+    }
+
     /// How far the pixel's events and frames are from the predictions; those that say nothing (unarmed events, lower bounds that hold) are left away. And the largest
     /// of the squares that are summed up.
     pub fn misfit(&self) -> (Misfit, f64) {

@@ -29,10 +29,12 @@ mod state;
 #[cfg(test)]
 mod tests;
 mod thresholds;
+mod whitened;
 
 pub use group::{MapGroup, MapTask};
 pub use prior::{Local, Prior};
 pub use segment::ramp_voltage;
+pub use whitened::{Column, LeftOut, Whitened, refine, whiten};
 
 use crate::front_end::FrontEnd;
 use crate::residuals::Misfit;

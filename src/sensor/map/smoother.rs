@@ -31,6 +31,9 @@ pub(super) struct Smoother {
     pub offsets: Offsets,
     /// Posterior variance of log light at each knot, where asked for.
     pub variance: Vec<f64>,
+    /// Of each measurement, in order, where asked for: `C^-1 y` and the diagonal of `C^-1`, so that their ratio is the residual when it is left out and one over the
+    /// diagonal its variance.
+    pub left_out: Vec<(f64, f64)>,
     /// Log of the marginal likelihood of all measurements, damping and silence left out, where asked for.
     pub log_evidence: f64,
 }
@@ -44,6 +47,8 @@ pub(super) enum Want {
     Evidence,
     /// The evidence and standard deviations; the change as well.
     Variance,
+    /// The same, and each measurement as the others foretell it.
+    LeftOut,
 }
 
 /// What a step is asked for.
@@ -73,6 +78,7 @@ impl Smoother {
         self.filtered.clear();
         self.log_evidence = 0.0;
         self.variance.clear();
+        self.left_out.clear();
         // Exact thresholds are no unknowns.
         if ask.noise.threshold > 0.0 { self.passes::<STATES>(ask) } else { self.passes::<ON>(ask) }
     }
@@ -85,7 +91,7 @@ impl Smoother {
                 self.backward::<N, false>(ask, &first);
             }
             Want::Evidence => self.forward::<N, true, false>(ask, &first),
-            Want::Variance => {
+            Want::Variance | Want::LeftOut => {
                 self.forward::<N, true, true>(ask, &first);
                 self.backward::<N, true>(ask, &first);
             }
@@ -150,8 +156,12 @@ impl Smoother {
         self.variance.resize(if WITH_VARIANCE { knots } else { 0 }, 0.0);
         let mut adjoint = Adjoint::<N, WITH_VARIANCE>::new();
         let mut taken = self.taken.iter().rev();
+        let left_out = &mut self.left_out;
         let mut untake = |adjoint: &mut Adjoint<N, WITH_VARIANCE>| {
             if let Some(taken) = taken.next() {
+                if WITH_VARIANCE && ask.want == Want::LeftOut {
+                    left_out.push((taken.pull - adjoint.dot(&taken.gain), taken.information + adjoint.information(&taken.gain)));
+                }
                 adjoint.untake(taken);
             }
         };
@@ -183,13 +193,14 @@ impl Smoother {
                 adjoint.unpredict(&Transition::new(ask.segments.correlation[j], ask.segments.scale[j], &ask.chain.slopes[j]));
             }
         }
+        self.left_out.reverse();
         let at = |a: usize| if a < N { first.x[a] + adjoint.along(first, a) } else { 0.0 };
         self.offsets = Offsets { reference: at(R) - at(V), on: at(ON), off: at(OFF) };
     }
 }
 
 /// What is known of the first knot before any measurement.
-fn begin<const N: usize>(ask: &Ask<'_>) -> State<f64, N> {
+pub(super) fn begin<const N: usize>(ask: &Ask<'_>) -> State<f64, N> {
     let mut state = State::new();
     // The pixel starts settled: voltage and log light are one; the reference is near.
     let change = ask.first - ask.u[0];

@@ -56,7 +56,7 @@ enum Seen {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Taken {
     seen: Seen,
-    gain: [f64; STATES],
+    pub gain: [f64; STATES],
     /// Innovation over its variance.
     pub pull: f64,
     /// One over the innovation's variance.
@@ -95,7 +95,7 @@ impl<T: Scalar> Transition<T> {
 
     /// `F x` for the states that move.
     #[inline(always)]
-    fn apply(&self, [u, z, v, s]: [T; MOVING]) -> [T; MOVING] {
+    pub fn apply(&self, [u, z, v, s]: [T; MOVING]) -> [T; MOVING] {
         [u + self.u_by_z * z, self.correlation * z, self.voltage * v + (self.v_by_u * u + self.v_by_z * z), s + (self.s_by_u * u + self.s_by_z * z)]
     }
 

@@ -1,0 +1,402 @@
+//! How far effects explain, event by event, what the estimated light does not.
+//!
+//! The light is estimated with the stated sensor, in blocks of pixels spread over the array. What is left at every event and frame is scored for every effect of the catalogue, with everything
+//! projected out that light could do ([`score`]). What the estimation itself leaves is taken off by a control: the stated sensor on the same scene ([`crate::faithful`]), through all of it again. The
+//! candidates with the largest scores, and those that have no column because they are random, are then put on, simulated on the same scene and estimated again: the one whose
+//! difference from the control is most like that of the recording is named first ([`features`]).
+//!
+//! Limits: one pixel alone, so what needs neighbours (vignetting, shifts) is hardly seen; effects that act alike through events and frames stay a set; the bias that
+//! estimation has from scene to scene is a stated constant.
+
+pub mod conditional;
+pub mod features;
+pub mod score;
+#[cfg(test)]
+mod tests;
+pub mod view;
+
+use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
+use crate::case::Case;
+use crate::faithful::{Faithful, faithful};
+use crate::nominal::Nominal;
+use crate::record::Conditions;
+use crate::sample::Sample;
+use crate::scene::{Scene, SceneSetting};
+use features::{Bench, Features, Measured};
+use photocurrent_sensor::map::{MapOptions, Noise};
+use score::pair;
+use serde::{Deserialize, Serialize};
+
+/// How much is looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct LikelihoodSetting {
+    /// Zones of the array, each with one block.
+    pub zones: (u32, u32),
+    /// Side of a block, pixels.
+    pub side: u32,
+    /// Pixels around the scored ones, whose light is estimated for their neighbours' sake.
+    pub margin: u32,
+    /// Blocks have a mean number of events a pixel between these.
+    pub events: (f64, f64),
+    /// How light is estimated.
+    pub scene: SceneSetting,
+    /// Candidates with a column that are simulated.
+    pub shortlist: usize,
+    /// The best of them are simulated again at their strength.
+    pub refined: usize,
+    /// Log density that an effect must add on pixels that its strength was not fitted to, nats.
+    pub least_nats: f64,
+    /// And the share of blocks that it must improve.
+    pub least_share: f64,
+    /// Effects whose statistic is at least this share of the best are not told apart from it.
+    pub alike: f64,
+    /// Seed of simulated recordings.
+    pub seed: u64,
+}
+
+/// Events are believed closely and more steps are taken: more of them come again from such light.
+fn scene_setting() -> SceneSetting {
+    let usual = SceneSetting::default();
+    SceneSetting { noise: Noise { event: 0.01, ..usual.noise }, options: MapOptions { max_iterations: 8, ..usual.options }, ..usual }
+}
+
+impl Default for LikelihoodSetting {
+    fn default() -> LikelihoodSetting {
+        LikelihoodSetting {
+            zones: (5, 4),
+            side: 6,
+            margin: 1,
+            events: (3.0, 250.0),
+            scene: scene_setting(),
+            shortlist: 8,
+            refined: 4,
+            least_nats: 40.0,
+            least_share: 0.6,
+            alike: 0.85,
+            seed: 1,
+        }
+    }
+}
+
+/// An effect that may be missing, as this road sees it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Proposal {
+    /// Number in [`CANDIDATES`].
+    pub candidate: usize,
+    /// Its name there: id and parameter.
+    pub label: String,
+    /// Its strength.
+    pub strength: f64,
+    /// The parameter, in the unit of `diagnosis.json`; the interval holds noise and the bias of estimation.
+    pub value: f64,
+    /// See there.
+    pub ci95: [f64; 2],
+    /// Twice the log density that it adds, at its best strength.
+    pub statistic: f64,
+    /// Log density that it adds to blocks that its strength was not fitted to, nats.
+    pub heldout_nats: f64,
+    /// The same over the events looked at.
+    pub heldout_nats_per_event: f64,
+    /// Share of the blocks that it improves.
+    pub blocks_better: f64,
+}
+
+/// How well an effect could be seen in this recording.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Detectable {
+    /// Number in [`CANDIDATES`].
+    pub candidate: usize,
+    /// Its name there.
+    pub label: String,
+    /// What a single linear step says of the parameter, less that of the control: the scene takes over much of an effect, so it is too small where there is one.
+    pub estimate: f64,
+    /// Standard deviation of it.
+    pub standard_error: f64,
+    /// What would have been seen in half of the cases, at 5 % with one side: 2.92 standard errors.
+    pub minimal_detectable: f64,
+    /// How much of the information is left when the light is unknown.
+    pub share: f64,
+    /// Why it cannot be tested here, if so.
+    pub not_testable: Option<String>,
+}
+
+/// What this road says of a recording.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Likelihood {
+    /// Best first; of each effect its best parameter only.
+    pub proposals: Vec<Proposal>,
+    /// Does the first pass the gates?
+    pub is_alarm: bool,
+    /// Labels of those that are not told apart from the first, without it.
+    pub also_possible: Vec<String>,
+    /// Of every candidate with a column.
+    pub detectability: Vec<Detectable>,
+    /// By how much residuals are larger than they are believed to; 1 when they are not.
+    pub dispersion: f64,
+    /// The same in the control.
+    pub control_dispersion: f64,
+    /// How well the light that was estimated with the stated sensor fires the recorded events again: 1 is perfect.
+    pub agreement: f64,
+    /// Pixels that were scored.
+    pub pixels: usize,
+    /// Events and frame values that were scored.
+    pub measurements: usize,
+}
+
+/// A candidate, simulated at a strength.
+#[derive(Clone, Debug)]
+pub struct Expected {
+    /// Number in [`CANDIDATES`].
+    pub candidate: usize,
+    /// Strength.
+    pub strength: f64,
+    /// What was measured of it.
+    pub measured: Measured,
+}
+
+/// Everything that is compared: for the caller that wants to look closer.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// The recording.
+    pub data: Measured,
+    /// The stated sensor on its scene.
+    pub control: Measured,
+    /// Candidates on its scene.
+    pub expected: Vec<Expected>,
+    /// How well the light fires the recorded events again: 1 is perfect.
+    pub agreement: f64,
+}
+
+/// Shares of information below this cannot be tested.
+const LEAST_SHARE: f64 = 0.005;
+
+/// What a likelihood with estimated light says of a recording.
+///
+/// # Errors
+/// When the stated effects cannot be combined.
+pub fn likelihood(case: &Case, nominal: &Nominal, setting: &LikelihoodSetting) -> Result<Likelihood, String> {
+    let scales = Scales::of(case, nominal);
+    let comparison = compare(case, nominal, &scales, setting)?;
+    Ok(judge(&comparison, nominal, &scales, setting))
+}
+
+/// Measures a recording, its control and the likeliest candidates.
+///
+/// # Errors
+/// When the stated effects cannot be combined.
+pub fn compare(case: &Case, nominal: &Nominal, scales: &Scales, setting: &LikelihoodSetting) -> Result<Comparison, String> {
+    let sample = Sample::blocks(case, setting.zones, setting.side, setting.margin, setting.events);
+    let conditions = Conditions { seed: setting.seed, frame_share: 0.003, frame_dn: 0.3 };
+    let Faithful { scene, priors, agreement } = faithful(case, nominal, &sample, &setting.scene)?;
+    let bench = Bench { case, nominal, sample: &sample, setting: &setting.scene, scales, conditions, priors: &priors };
+    let data = bench.measure_scene(case, &scene)?;
+    let control = bench.expect(&scene, &Trial::stated(nominal))?;
+    let mut comparison = Comparison { data, control, expected: Vec::new(), agreement };
+    for (candidate, strength) in shortlist(&comparison, setting) {
+        comparison.simulate(&bench, &scene, candidate, strength);
+    }
+    let mut best: Vec<(usize, f64, f64)> = comparison.matches();
+    best.sort_by(|a, b| b.2.total_cmp(&a.2));
+    let again: Vec<(usize, f64)> = best.iter().take(setting.refined).map(|(n, share, _)| (*n, *share)).collect();
+    for (n, share) in again {
+        let Expected { candidate, strength, .. } = comparison.expected[n];
+        if CANDIDATES[candidate].signs != Signs::Switch && !(0.9..1.1).contains(&share) {
+            comparison.simulate(&bench, &scene, candidate, strength * share.clamp(0.2, 4.0));
+        }
+    }
+    Ok(comparison)
+}
+
+impl Comparison {
+    fn simulate(&mut self, bench: &Bench<'_>, scene: &Scene, candidate: usize, strength: f64) {
+        let mut trial = Trial::stated(bench.nominal);
+        CANDIDATES[candidate].put_on(&mut trial, strength, bench.scales);
+        // One that cannot be combined with what the description states is no candidate.
+        if let Ok(measured) = bench.expect(scene, &trial) {
+            self.expected.push(Expected { candidate, strength, measured });
+        }
+    }
+
+    /// Of each simulated candidate: by how much its strength is to be multiplied, and twice the log density that it adds.
+    fn matches(&self) -> Vec<(usize, f64, f64)> {
+        let (data, control) = (self.data.sum(|_| true), self.control.sum(|_| true));
+        let metric = data.metric();
+        let found = metric.whitened(&data.less(&control));
+        let of = |(n, expected): (usize, &Expected)| {
+            let (along, square) = products(&found, &metric.whitened(&expected.measured.sum(|_| true).less(&control)));
+            (n, along / square, if along > 0.0 { along * along / square } else { 0.0 })
+        };
+        self.expected.iter().enumerate().map(of).collect()
+    }
+}
+
+/// `a b` and `b b`.
+fn products(a: &[f64], b: &[f64]) -> (f64, f64) {
+    a.iter().zip(b).fold((0.0, 1e-12), |(along, square), (a, b)| (along + a * b, square + b * b))
+}
+
+/// One linear step of a column: strength in the data less that in the control, and information.
+fn step(data: &Features, control: &Features, j: usize) -> (f64, f64, f64) {
+    let at = |of: &Features| {
+        let information = of.information.get(pair(j, j)).copied().unwrap_or(0.0);
+        if information > 0.0 { of.values[j] / information } else { 0.0 }
+    };
+    (at(data) - at(control), at(data), data.information.get(pair(j, j)).copied().unwrap_or(0.0))
+}
+
+/// Which candidates are simulated, at what strength: those with the largest scores, with the control and without, and all random ones.
+fn shortlist(comparison: &Comparison, setting: &LikelihoodSetting) -> Vec<(usize, f64)> {
+    let (data, control) = (comparison.data.sum(|_| true), comparison.control.sum(|_| true));
+    let columns = &comparison.data.columns;
+    let mut listed: Vec<(usize, f64)> = Vec::new();
+    for (is_less_control, count) in [(true, setting.shortlist), (false, setting.shortlist / 2)] {
+        let mut ranked: Vec<(f64, usize, f64)> = columns
+            .iter()
+            .enumerate()
+            .map(|(j, &candidate)| {
+                let (less, plain, information) = step(&data, &control, j);
+                let strength = if is_less_control { less } else { plain };
+                let is_physics = CANDIDATES[candidate].signs == Signs::Both || strength > 0.0;
+                (if is_physics { strength * strength * information } else { 0.0 }, candidate, strength)
+            })
+            .collect();
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        for (_, candidate, strength) in ranked.into_iter().take(count).filter(|(statistic, ..)| *statistic > 0.0) {
+            if listed.iter().all(|(other, _)| *other != candidate) {
+                // The scene takes over more than half of most effects.
+                let size = (2.5 * strength.abs()).clamp(0.3, 2.5);
+                let is_switch = CANDIDATES[candidate].signs == Signs::Switch;
+                listed.push((candidate, if is_switch { 1.0 } else { size.copysign(strength) }));
+            }
+        }
+    }
+    listed.extend(CANDIDATES.iter().enumerate().filter(|(_, kind)| kind.is_random).map(|(candidate, _)| (candidate, 1.0)));
+    listed
+}
+
+/// From what was measured to what is said.
+pub fn judge(comparison: &Comparison, nominal: &Nominal, scales: &Scales, setting: &LikelihoodSetting) -> Likelihood {
+    let Comparison { data, control, expected, agreement } = comparison;
+    let zones = setting.zones.0 as usize;
+    let half = |block: usize| (block % zones + block / zones) % 2;
+    let halves = [0, 1].map(|side| Half::new(data, control, |block| half(block) == side));
+    let blocks: Vec<(usize, Half)> =
+        (0..data.blocks.len()).filter(|&n| data.blocks[n].counts[0] > 0.0).map(|n| (n, Half::new(data, control, |block| block == n))).collect();
+    let all = Half::new(data, control, |_| true);
+    let events = f64::max(data.sum(|_| true).counts[0], 1.0);
+    let mut proposals: Vec<Proposal> = Vec::new();
+    for one in expected {
+        let kind = &CANDIDATES[one.candidate];
+        let (along, square) = all.match_with(&one.measured, control);
+        if along <= 0.0 {
+            continue;
+        }
+        // From one half of the blocks to the other.
+        let shares = [0, 1].map(|side| {
+            let keep = |block: usize| half(block) == side;
+            let (along, square) = halves[side].match_kept(&one.measured, control, keep);
+            (along / square, along, square)
+        });
+        let gain = |share: f64, along: f64, square: f64| share * along - 0.5 * share * share * square;
+        let heldout_nats = gain(shares[0].0, shares[1].1, shares[1].2) + gain(shares[1].0, shares[0].1, shares[0].2);
+        let better = blocks.iter().filter(|(n, block)| {
+            let (along, square) = block.match_kept(&one.measured, control, |other| other == *n);
+            gain(shares[1 - half(*n)].0, along, square) > 0.0
+        });
+        let blocks_better = better.count() as f64 / f64::max(blocks.len() as f64, 1.0);
+        let share = along / square;
+        let is_switch = kind.signs == Signs::Switch;
+        let at = |share: f64| if is_switch { 1.0 } else { kind.value(one.strength * share, scales, nominal) };
+        let sigma = 1.96 / libm::sqrt(square);
+        let (low, high) = (at(f64::max(share - sigma, 0.0)), at(share + sigma));
+        proposals.push(Proposal {
+            candidate: one.candidate,
+            label: kind.label(),
+            strength: if is_switch { 1.0 } else { one.strength * share },
+            value: at(share),
+            ci95: [f64::min(low, high), f64::max(low, high)],
+            statistic: along * along / square,
+            heldout_nats,
+            heldout_nats_per_event: heldout_nats / events,
+            blocks_better,
+        });
+    }
+    proposals.sort_by(|a, b| b.statistic.total_cmp(&a.statistic).then(a.candidate.cmp(&b.candidate)));
+    let mut seen: Vec<&str> = Vec::new();
+    proposals.retain(|proposal| {
+        let id = CANDIDATES[proposal.candidate].id;
+        let is_first = !seen.contains(&id);
+        seen.push(id);
+        is_first
+    });
+    let first = proposals.first();
+    let is_alarm = first.is_some_and(|first| first.heldout_nats > setting.least_nats && first.blocks_better > setting.least_share);
+    let best = first.map_or(0.0, |first| first.statistic);
+    let also_possible = proposals.iter().skip(1).filter(|other| is_alarm && other.statistic > setting.alike * best).map(|other| other.label.clone()).collect();
+    Likelihood {
+        is_alarm,
+        also_possible,
+        detectability: detectability(data, control, nominal, scales),
+        dispersion: data.sum(|_| true).dispersion,
+        control_dispersion: control.sum(|_| true).dispersion,
+        pixels: data.scores.pixels.len(),
+        measurements: data.scores.pixels.iter().map(|pixel| pixel.count).sum(),
+        agreement: *agreement,
+        proposals,
+    }
+}
+
+/// Some blocks of a recording against the control.
+struct Half {
+    metric: features::Metric,
+    found: Vec<f64>,
+}
+
+impl Half {
+    fn new(data: &Measured, control: &Measured, keep: impl Fn(usize) -> bool) -> Half {
+        let (data, control) = (data.sum(&keep), control.sum(&keep));
+        let metric = data.metric();
+        let found = metric.whitened(&data.less(&control));
+        Half { metric, found }
+    }
+
+    fn match_with(&self, expected: &Measured, control: &Measured) -> (f64, f64) {
+        self.match_kept(expected, control, |_| true)
+    }
+
+    fn match_kept(&self, expected: &Measured, control: &Measured, keep: impl Fn(usize) -> bool) -> (f64, f64) {
+        products(&self.found, &self.metric.whitened(&expected.sum(&keep).less(&control.sum(&keep))))
+    }
+}
+
+fn detectability(data: &Measured, control: &Measured, nominal: &Nominal, scales: &Scales) -> Vec<Detectable> {
+    let (sum, sum_control) = (data.sum(|_| true), control.sum(|_| true));
+    let mut raw = vec![0.0; data.columns.len()];
+    for pixel in &data.scores.pixels {
+        raw.iter_mut().zip(&pixel.raw).for_each(|(sum, value)| *sum += value);
+    }
+    let of = |(j, &candidate): (usize, &usize)| {
+        let kind = &CANDIDATES[candidate];
+        let (strength, _, information) = step(&sum, &sum_control, j);
+        let share = if raw[j] > 0.0 { information / raw[j] } else { 0.0 };
+        let unit = (kind.value(1.0, scales, nominal) - kind.nominal_value(nominal)).abs();
+        let standard_error = unit * libm::sqrt(sum.dispersion / f64::max(information, 1e-12));
+        let why = if raw[j] <= 0.0 {
+            Some("it changes nothing in this recording".to_owned())
+        } else if share < LEAST_SHARE {
+            Some(format!("the light of the scene could do the same: {:.1} % of what it changes is left", 100.0 * share))
+        } else {
+            None
+        };
+        Detectable {
+            candidate,
+            label: kind.label(),
+            estimate: if kind.signs == Signs::Switch { 0.0 } else { kind.nominal_value(nominal) + strength * unit },
+            standard_error,
+            minimal_detectable: 2.92 * standard_error,
+            share,
+            not_testable: why,
+        }
+    };
+    data.columns.iter().enumerate().map(of).collect()
+}
