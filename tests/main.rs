@@ -6,6 +6,7 @@
 //! - `cache`: what runs again after a change, and what does not.
 //! - `crash`: kills at random moments, two runs at once, damage: never a wrong artefact.
 //! - `determinism`: the same bits for any number of threads, any band height, any machine.
+//! - `diagnosis`: `photocurrent diagnose`, from a recording to its report.
 //! - `colour`: colour frames and mosaics, from a scene to pictures by way of a recording.
 //! - `films`: pictures as light, from files to events.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
@@ -17,6 +18,7 @@ mod colour;
 mod conformance;
 mod crash;
 mod determinism;
+mod diagnosis;
 mod films;
 mod manifests;
 mod pipelines;

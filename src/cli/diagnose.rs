@@ -4,9 +4,9 @@ use crate::args::DiagnoseOptions;
 use crate::common::{Done, Failure, human_seconds, print};
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Sensor;
-use photocurrent_core::document::{Problem, Source};
+use photocurrent_core::document::Source;
 use photocurrent_diagnosis::case::Case;
-use photocurrent_diagnosis::diagnose::{Diagnosis, Setting, broken, roads};
+use photocurrent_diagnosis::diagnose::{Diagnosis, Setting, broken};
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::report::{Report, Verdict, short};
 use photocurrent_store::StoreError;
@@ -49,7 +49,7 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
         Err(Unread::Other(failure)) => return Err(failure),
     };
     let setting = Setting { seed: options.seed, ..Setting::default() };
-    let found = photocurrent_diagnosis::diagnose::diagnose(&case, &setting, &roads(), |stage| bar.set_message(stage.to_owned()));
+    let found = photocurrent_diagnosis::diagnose::diagnose(&case, &setting, &photocurrent_diagnosis::roads::all(), |stage| bar.set_message(stage.to_owned()));
     bar.finish_and_clear();
     let found = found.map_err(|error| Failure::Other { message: format!("{}: {error}", options.recording.display()), code: 2 })?;
     let mut files = vec![(REPORT, text(&found.report)?), (PAGE, page(&found.report, Some(&case), Some(&found)))];

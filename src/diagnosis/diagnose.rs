@@ -29,12 +29,17 @@ pub struct RoadKind {
     /// `likelihood`, `synthesis`.
     pub name: &'static str,
     /// Runs it.
-    pub run: fn(&Case, &Setting) -> Result<Road, String>,
+    pub run: RunRoad,
 }
 
-/// The roads that take part, in order.
-pub fn roads() -> Vec<RoadKind> {
-    Vec::new()
+/// Runs a road on a recording; an error is told, and the others go on.
+pub type RunRoad = Box<dyn Fn(&Case, &Setting) -> Result<Road, String>>;
+
+impl RoadKind {
+    /// A road by its name and what runs it.
+    pub fn new(name: &'static str, run: impl Fn(&Case, &Setting) -> Result<Road, String> + 'static) -> RoadKind {
+        RoadKind { name, run: Box::new(run) }
+    }
 }
 
 /// What came of a diagnosis.
@@ -63,7 +68,9 @@ pub struct Diagnosis {
 pub fn diagnose(case: &Case, setting: &Setting, roads: &[RoadKind], mut tell: impl FnMut(&str)) -> Result<Diagnosis, NodeError> {
     let nominal = Nominal::new(case)?;
     tell("integrity");
-    let integrity = integrity(case, Some(&nominal));
+    let mut integrity = integrity(case, Some(&nominal));
+    // What the description states is no departure from it.
+    integrity.findings.retain(|finding| !case.sensor.effects.contains_key(finding.id));
     let scales = Scales::of(case, &nominal);
     let mut stages = vec!["integrity".to_owned()];
     let can_compare = integrity.broken.is_empty() && case.events.all().len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES;

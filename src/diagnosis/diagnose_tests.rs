@@ -17,7 +17,7 @@ fn a_named_effect_is_reported_fitted_and_proven() {
     let offset = serde_json::json!({"offset": "-700 us"});
     let effects = [("clock_offset".to_owned(), offset.as_object().unwrap().clone())].into_iter().collect();
     let case = testing::case_with(&effects);
-    let found = quiet(&case, &[RoadKind { name: "likelihood", run: |_, _| Ok(clock(-700e-6)) }]);
+    let found = quiet(&case, &[RoadKind::new("likelihood", |_, _| Ok(clock(-700e-6)))]);
     let report = &found.report;
     assert_eq!(report.verdict, Verdict::Named);
     assert_eq!(report.effects[0].parameters["offset_s"].estimate, -700e-6);
@@ -39,7 +39,7 @@ fn a_sound_recording_is_consistent_and_says_what_was_not_tested() {
 
 #[test]
 fn a_road_that_fails_is_told_and_the_others_go_on() {
-    let roads = [RoadKind { name: "synthesis", run: |_, _| Err("no light".into()) }, RoadKind { name: "likelihood", run: |_, _| Ok(clock(1e-3)) }];
+    let roads = [RoadKind::new("synthesis", |_, _| Err("no light".into())), RoadKind::new("likelihood", |_, _| Ok(clock(1e-3)))];
     let found = quiet(&testing::case(), &roads);
     assert_eq!(found.failed, ["synthesis: no light"]);
     assert_eq!(found.report.provenance.stages, ["integrity", "likelihood"]);
@@ -48,13 +48,24 @@ fn a_road_that_fails_is_told_and_the_others_go_on() {
 #[test]
 fn events_alone_are_insufficient_unless_a_direct_test_speaks() {
     let alone = Case { frames: None, ..testing::case() };
-    let found = quiet(&alone, &[RoadKind { name: "likelihood", run: |_, _| Ok(clock(1e-3)) }]);
+    let found = quiet(&alone, &[RoadKind::new("likelihood", |_, _| Ok(clock(1e-3)))]);
     assert_eq!(found.report.verdict, Verdict::Insufficient);
     assert!(found.report.summary.contains("0 frames"), "{}", found.report.summary);
 }
 
 #[test]
 fn the_same_recording_gives_the_same_bytes() {
-    let run = || quiet(&testing::case(), &[RoadKind { name: "likelihood", run: |_, _| Ok(clock(1e-3)) }]).report.to_json().unwrap();
+    let run = || quiet(&testing::case(), &[RoadKind::new("likelihood", |_, _| Ok(clock(1e-3)))]).report.to_json().unwrap();
     assert_eq!(run(), run());
+}
+
+#[test]
+fn an_effect_that_the_description_states_is_no_finding() {
+    let step = serde_json::json!({"step": "130 us"});
+    let effects: crate::record::Described = [("timestamp_quantization".to_owned(), step.as_object().unwrap().clone())].into_iter().collect();
+    let mut case = testing::case_with(&effects);
+    // The stated resolution is that of the recorder: 1 ns.
+    assert_eq!(quiet(&case, &[]).integrity.findings.iter().map(|finding| finding.id).collect::<Vec<_>>(), ["timestamp_quantization"]);
+    case.sensor.effects = effects;
+    assert!(quiet(&case, &[]).integrity.findings.is_empty());
 }

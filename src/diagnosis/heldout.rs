@@ -63,7 +63,8 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSet
             if !dn.is_finite() || dn >= nominal.saturation_dn {
                 continue;
             }
-            let error = (expected_dn(&nominal.number, &scene, n, frames.times.exposure(frame, y)).min(nominal.saturation_dn) - dn).powi(2);
+            let off = expected_dn(&nominal.number, &scene, n, frames.times.exposure(frame, y)).min(nominal.saturation_dn) - dn;
+            let error = off * off;
             own += error;
             values += 1.0;
             level += dn - nominal.number.black_level;

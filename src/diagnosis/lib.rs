@@ -16,6 +16,7 @@
 //! - [`covariates`], [`differences`], [`locate`]: where a recording and a simulation of it differ.
 //!
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
+//! - [`roads`]: the tests that estimate the scene, in one form.
 //! - [`verdict`]: one answer from all tests.
 //! - [`fitted`]: the description with what was found put in.
 //! - [`heldout`]: frames that were kept back, before and after.
@@ -43,6 +44,7 @@ pub mod nominal;
 pub mod page;
 pub mod record;
 pub mod report;
+pub mod roads;
 pub mod sample;
 pub mod scene;
 pub mod verdict;

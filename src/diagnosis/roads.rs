@@ -1,0 +1,126 @@
+//! The roads that estimate the scene, each in its own words, brought to the form that [`crate::verdict`] joins.
+
+use crate::candidates::CANDIDATES;
+use crate::case::Case;
+use crate::diagnose::{RoadKind, Setting};
+use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
+use crate::nominal::Nominal;
+use crate::report::{Detectable, NotTestable};
+use crate::verdict::{Proposal, Road};
+
+/// All roads, in the order in which they are run.
+pub fn all() -> Vec<RoadKind> {
+    vec![RoadKind::new("likelihood", run_likelihood)]
+}
+
+fn run_likelihood(case: &Case, setting: &Setting) -> Result<Road, String> {
+    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let setting = LikelihoodSetting { seed: setting.seed, ..LikelihoodSetting::default() };
+    Ok(from_likelihood(&likelihood(case, &nominal, &setting)?, &setting))
+}
+
+/// A candidate whose statistic is this much below the best, as a share of it, is believed a factor e less.
+const SOFTNESS: f64 = 0.15;
+/// How many of its candidates a road tells.
+const TOLD: usize = 12;
+
+/// What the likelihood says.
+pub fn from_likelihood(found: &Likelihood, setting: &LikelihoodSetting) -> Road {
+    let best = found.proposals.first().map_or(0.0, |first| first.statistic);
+    let mut proposals: Vec<Proposal> = found
+        .proposals
+        .iter()
+        .take(TOLD)
+        .map(|one| {
+            let passed = found.is_alarm && one.heldout_nats > setting.least_nats && one.blocks_better > setting.least_share;
+            Proposal {
+                candidate: one.candidate,
+                score: f64::max(one.heldout_nats / setting.least_nats, 0.0),
+                probability: libm::exp((one.statistic / f64::max(best, 1e-12) - 1.0) / SOFTNESS),
+                value: one.value,
+                ci95: Some(one.ci95),
+                passed,
+                heldout_nats: Some(one.heldout_nats),
+                heldout_nats_per_event: Some(one.heldout_nats_per_event),
+            }
+        })
+        .collect();
+    normalise(&mut proposals);
+    Road {
+        name: "likelihood".into(),
+        alarm: found.is_alarm,
+        proposals,
+        detectability: found.detectability.iter().filter(|one| one.not_testable.is_none()).map(detectable).collect(),
+        not_testable: not_testable(&found.detectability),
+        ..Road::default()
+    }
+}
+
+fn detectable(one: &likelihood::Detectable) -> Detectable {
+    let candidate = &CANDIDATES[one.candidate];
+    let (parameter, unit) = candidate.json_key();
+    Detectable {
+        id: candidate.id.to_owned(),
+        parameter,
+        estimate: Some(one.estimate).filter(|_| !candidate.is_limit() && !unit.is_empty()),
+        standard_error: Some(one.standard_error),
+        minimal_detectable: one.minimal_detectable,
+        unit: unit.to_owned(),
+    }
+}
+
+/// Effects of which no parameter can be tested.
+fn not_testable(all: &[likelihood::Detectable]) -> Vec<NotTestable> {
+    let id = |one: &likelihood::Detectable| CANDIDATES[one.candidate].id;
+    let mut found: Vec<NotTestable> = Vec::new();
+    for one in all {
+        let Some(why) = &one.not_testable else { continue };
+        let is_testable = all.iter().any(|other| id(other) == id(one) && other.not_testable.is_none());
+        if !is_testable && !found.iter().any(|other| other.id == id(one)) {
+            found.push(NotTestable { id: id(one).to_owned(), why: why.clone() });
+        }
+    }
+    found
+}
+
+/// Probabilities that add up to one.
+fn normalise(proposals: &mut [Proposal]) {
+    let sum: f64 = proposals.iter().map(|one| one.probability).sum();
+    proposals.iter_mut().for_each(|one| one.probability /= f64::max(sum, 1e-300));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(id: &str, statistic: f64, heldout_nats: f64) -> likelihood::Proposal {
+        let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
+        likelihood::Proposal { candidate, statistic, heldout_nats, blocks_better: 0.9, value: 1.0, ..likelihood::Proposal::default() }
+    }
+
+    #[test]
+    fn the_likelihood_keeps_its_order_and_its_gates() {
+        let setting = LikelihoodSetting::default();
+        let least = setting.least_nats;
+        let proposals = vec![said("leak_events", 900.0, 3.0 * least), said("blur", 450.0, 0.5 * least)];
+        let road = from_likelihood(&Likelihood { is_alarm: true, proposals, ..Likelihood::default() }, &setting);
+        assert!(road.alarm && road.proposals[0].passed && !road.proposals[1].passed);
+        assert!((road.proposals[0].score - 3.0).abs() < 1e-12);
+        let sum: f64 = road.proposals.iter().map(|one| one.probability).sum();
+        assert!((sum - 1.0).abs() < 1e-12 && road.proposals[0].probability > 0.9);
+        let silent = from_likelihood(&Likelihood { proposals: vec![said("leak_events", 9.0, 9.0)], ..Likelihood::default() }, &setting);
+        assert!(!silent.alarm && !silent.proposals[0].passed);
+    }
+
+    #[test]
+    fn an_effect_with_one_testable_parameter_is_testable() {
+        let place = |parameter: &str| CANDIDATES.iter().position(|one| one.id == "second_pole" && one.parameter == parameter).unwrap();
+        let one = |parameter: &str, why: Option<&str>| likelihood::Detectable {
+            candidate: place(parameter),
+            not_testable: why.map(str::to_owned),
+            ..likelihood::Detectable::default()
+        };
+        assert!(not_testable(&[one("tau", Some("dark")), one("tau_light", None)]).is_empty());
+        assert_eq!(not_testable(&[one("tau", Some("dark")), one("tau_light", Some("dark"))]).len(), 1);
+    }
+}
