@@ -21,8 +21,16 @@ pub const SCATTERS: usize = 5;
 const DROPPED: f64 = 0.03;
 /// By how much of a strength the estimation itself is biased from scene to scene.
 const BIAS: f64 = 0.05;
-/// By how much scatter differs between simulators, as a share.
-const SCATTER_BIAS: f64 = 0.15;
+/// By how much scatter differs between simulators, natural-log units.
+const SCATTER_BIAS: f64 = 0.2;
+/// A column with less information than this says nothing.
+const LEAST_INFORMATION: f64 = 1e-6;
+/// Standard deviation of what says nothing.
+const UNSEEN: f64 = 1e3;
+/// The least mean square whose logarithm is taken.
+const LEAST_MEAN: f64 = 1e-3;
+/// A share of events that do not come again weighs as much as so many times that in the logarithm of a scatter.
+const MISSED_WEIGHT: f64 = 5.0;
 
 /// Everything that stays the same from estimation to estimation.
 #[derive(Clone, Copy)]
@@ -153,26 +161,41 @@ impl Measured {
 }
 
 impl Features {
-    /// What these are beyond others.
-    pub fn less(&self, other: &Features) -> Vec<f64> {
-        self.values.iter().zip(&other.values).map(|(a, b)| a - b).collect()
+    /// Numbers that move in proportion to an effect, whatever the number of measurements: of each column the strength that a linear step finds, then logarithms and shares of
+    /// the scatters.
+    pub fn responses(&self) -> Vec<f64> {
+        let m = self.values.len().saturating_sub(SCATTERS);
+        let mut responses: Vec<f64> = (0..m)
+            .map(|j| {
+                let information = self.information[pair(j, j)];
+                if information > LEAST_INFORMATION { self.values[j] / information } else { 0.0 }
+            })
+            .collect();
+        let Some(scatters) = self.values.get(m..) else { return responses };
+        let mean = |k: usize| scatters[k] / f64::max(self.counts[k], 1.0);
+        let log = |k: usize| libm::log(f64::max(mean(k), LEAST_MEAN));
+        responses.extend([log(0), log(1), mean(2) / f64::max(mean(0), LEAST_MEAN), log(3), MISSED_WEIGHT * mean(4)]);
+        responses
     }
 
-    /// The Cholesky factor of the covariance of features around what an effect makes of them: noise of the measurements, and biases of the estimation.
-    pub fn metric(&self) -> Metric {
+    /// The covariance of responses around what an effect makes of them, factored: noise of the measurements, and biases of the estimation, which are larger in columns that
+    /// anything moves (`scale`, at least 1).
+    pub fn metric(&self, scale: &[f64]) -> Metric {
         let n = self.values.len();
         let m = n - SCATTERS;
         let mut covariance = vec![vec![0.0; n]; n];
+        let information = |j: usize| self.information[pair(j, j)];
         for a in 0..m {
             for b in 0..=a {
-                covariance[a][b] = self.dispersion * self.information[pair(a, b)];
+                if information(a) > LEAST_INFORMATION && information(b) > LEAST_INFORMATION {
+                    covariance[a][b] = self.dispersion * self.information[pair(a, b)] / (information(a) * information(b));
+                }
             }
-            let bias = BIAS * self.information[pair(a, a)];
-            covariance[a][a] += bias * bias + 1e-9;
+            let bias = if information(a) > LEAST_INFORMATION { BIAS * scale[a] } else { UNSEEN };
+            covariance[a][a] += bias * bias;
         }
-        for k in 0..SCATTERS {
-            let bias = SCATTER_BIAS * self.counts[k];
-            covariance[m + k][m + k] = 2.0 * self.counts[k] * self.dispersion * self.dispersion + bias * bias + 1e-9;
+        for (k, count) in self.counts.iter().enumerate() {
+            covariance[m + k][m + k] = SCATTER_BIAS * SCATTER_BIAS + 2.0 / f64::max(*count, 1.0);
         }
         Metric::new(covariance)
     }

@@ -1,9 +1,9 @@
 //! How far effects explain, event by event, what the estimated light does not.
 //!
 //! The light is estimated with the stated sensor, in blocks of pixels spread over the array. What is left at every event and frame is scored for every effect of the catalogue, with everything
-//! projected out that light could do ([`score`]). What the estimation itself leaves is taken off by a control: the stated sensor on the same scene ([`crate::faithful`]), through all of it again. The
-//! candidates with the largest scores, and those that have no column because they are random, are then put on, simulated on the same scene and estimated again: the one whose
-//! difference from the control is most like that of the recording is named first ([`features`]).
+//! projected out that light could do ([`score`]). What the estimation itself leaves is taken off by a control: the stated sensor on the same scene ([`crate::faithful`]), through all of it again.
+//! Then every candidate is put on, simulated on the same scene and estimated again: the one whose difference from the control is most like that of the
+//! recording is named first ([`features`]).
 //!
 //! Limits: one pixel alone, so what needs neighbours (vignetting, shifts) is hardly seen; effects that act alike through events and frames stay a set; the bias that
 //! estimation has from scene to scene is a stated constant.
@@ -22,7 +22,7 @@ use crate::nominal::Nominal;
 use crate::record::Conditions;
 use crate::sample::Sample;
 use crate::scene::{Scene, SceneSetting};
-use features::{Bench, Features, Measured};
+use features::{Bench, Features, Measured, Metric};
 use photocurrent_sensor::map::{MapOptions, Noise};
 use score::pair;
 use serde::{Deserialize, Serialize};
@@ -40,10 +40,8 @@ pub struct LikelihoodSetting {
     pub events: (f64, f64),
     /// How light is estimated.
     pub scene: SceneSetting,
-    /// Candidates with a column that are simulated.
-    pub shortlist: usize,
-    /// The best of them are simulated again at their strength.
-    pub refined: usize,
+    /// Every candidate is simulated; then so many of the best, once each round, again at the strength that fits.
+    pub refined: [usize; 3],
     /// Log density that an effect must add on pixels that its strength was not fitted to, nats.
     pub least_nats: f64,
     /// And the share of blocks that it must improve.
@@ -63,13 +61,12 @@ fn scene_setting() -> SceneSetting {
 impl Default for LikelihoodSetting {
     fn default() -> LikelihoodSetting {
         LikelihoodSetting {
-            zones: (5, 4),
+            zones: (4, 4),
             side: 6,
             margin: 1,
             events: (3.0, 250.0),
             scene: scene_setting(),
-            shortlist: 8,
-            refined: 4,
+            refined: [8, 5, 3],
             least_nats: 40.0,
             least_share: 0.6,
             alike: 0.85,
@@ -180,7 +177,7 @@ pub fn likelihood(case: &Case, nominal: &Nominal, setting: &LikelihoodSetting) -
     Ok(judge(&comparison, nominal, &scales, setting))
 }
 
-/// Measures a recording, its control and the likeliest candidates.
+/// Measures a recording, its control and every candidate.
 ///
 /// # Errors
 /// When the stated effects cannot be combined.
@@ -192,39 +189,73 @@ pub fn compare(case: &Case, nominal: &Nominal, scales: &Scales, setting: &Likeli
     let data = bench.measure_scene(case, &scene)?;
     let control = bench.expect(&scene, &Trial::stated(nominal))?;
     let mut comparison = Comparison { data, control, expected: Vec::new(), agreement };
-    for (candidate, strength) in shortlist(&comparison, setting) {
+    for (candidate, strength) in comparison.first_strengths() {
         comparison.simulate(&bench, &scene, candidate, strength);
     }
-    let mut best: Vec<(usize, f64, f64)> = comparison.matches();
-    best.sort_by(|a, b| b.2.total_cmp(&a.2));
-    let again: Vec<(usize, f64)> = best.iter().take(setting.refined).map(|(n, share, _)| (*n, *share)).collect();
-    for (n, share) in again {
-        let Expected { candidate, strength, .. } = comparison.expected[n];
-        if CANDIDATES[candidate].signs != Signs::Switch && !(0.9..1.1).contains(&share) {
-            comparison.simulate(&bench, &scene, candidate, strength * share.clamp(0.2, 4.0));
+    for count in setting.refined {
+        let mut best: Vec<(usize, f64, f64)> = comparison.matches();
+        best.sort_by(|a, b| b.2.total_cmp(&a.2).then(a.0.cmp(&b.0)));
+        let again: Vec<(usize, f64, f64)> =
+            best.into_iter().take(count).map(|(n, share, _)| (comparison.expected[n].candidate, comparison.expected[n].strength, share)).collect();
+        for (candidate, strength, share) in again {
+            let kind = &CANDIDATES[candidate];
+            let is_near = (0.93..1.07).contains(&share) || kind.signs == Signs::Switch;
+            let share = if share > 0.0 { share.clamp(0.3, 3.0) } else { share.clamp(-3.0, -0.3) };
+            if !is_near && (kind.signs == Signs::Both || share > 0.0) {
+                comparison.simulate(&bench, &scene, candidate, (strength * share).clamp(-6.0, 6.0));
+            }
         }
     }
     Ok(comparison)
 }
 
 impl Comparison {
+    /// Simulates a candidate at a strength; it takes the place of what was there of it.
     fn simulate(&mut self, bench: &Bench<'_>, scene: &Scene, candidate: usize, strength: f64) {
         let mut trial = Trial::stated(bench.nominal);
         CANDIDATES[candidate].put_on(&mut trial, strength, bench.scales);
         // One that cannot be combined with what the description states is no candidate.
         if let Ok(measured) = bench.expect(scene, &trial) {
+            self.expected.retain(|other| other.candidate != candidate);
             self.expected.push(Expected { candidate, strength, measured });
         }
     }
 
+    /// Every candidate, with a strength to begin with: what a linear step finds, within bounds.
+    fn first_strengths(&self) -> Vec<(usize, f64)> {
+        let (data, control) = (self.data.sum(|_| true).responses(), self.control.sum(|_| true).responses());
+        let strength = |candidate: usize| {
+            let kind = &CANDIDATES[candidate];
+            let found = self.data.columns.iter().position(|&column| column == candidate).map_or(1.0, |j| data[j] - control[j]);
+            let size = (1.2 * found.abs()).clamp(0.4, 2.0);
+            match kind.signs {
+                Signs::Both => size.copysign(found),
+                Signs::Positive if !kind.is_random => size,
+                _ => 1.0,
+            }
+        };
+        (0..CANDIDATES.len()).map(|candidate| (candidate, strength(candidate))).collect()
+    }
+
+    /// By how much biases of each response are larger than usual: what most candidates move, at least 1.
+    fn scale(&self) -> Vec<f64> {
+        let control = self.control.sum(|_| true).responses();
+        let all: Vec<Vec<f64>> = self.expected.iter().map(|expected| expected.measured.sum(|_| true).responses()).collect();
+        let of = |j: usize| {
+            let mut moved: Vec<f64> = all.iter().map(|responses| (responses[j] - control[j]).abs()).collect();
+            moved.sort_by(f64::total_cmp);
+            moved.get(moved.len() * 3 / 4).map_or(1.0, |moved| f64::max(*moved, 1.0))
+        };
+        (0..control.len()).map(of).collect()
+    }
+
     /// Of each simulated candidate: by how much its strength is to be multiplied, and twice the log density that it adds.
     fn matches(&self) -> Vec<(usize, f64, f64)> {
-        let (data, control) = (self.data.sum(|_| true), self.control.sum(|_| true));
-        let metric = data.metric();
-        let found = metric.whitened(&data.less(&control));
+        let part = Part::new(&self.data, &self.control, &self.scale(), |_| true);
         let of = |(n, expected): (usize, &Expected)| {
-            let (along, square) = products(&found, &metric.whitened(&expected.measured.sum(|_| true).less(&control)));
-            (n, along / square, if along > 0.0 { along * along / square } else { 0.0 })
+            let (along, square) = part.match_with(&expected.measured, |_| true);
+            let is_physics = CANDIDATES[expected.candidate].signs == Signs::Both || along > 0.0;
+            (n, along / square, if is_physics { along * along / square } else { 0.0 })
         };
         self.expected.iter().enumerate().map(of).collect()
     }
@@ -244,63 +275,34 @@ fn step(data: &Features, control: &Features, j: usize) -> (f64, f64, f64) {
     (at(data) - at(control), at(data), data.information.get(pair(j, j)).copied().unwrap_or(0.0))
 }
 
-/// Which candidates are simulated, at what strength: those with the largest scores, with the control and without, and all random ones.
-fn shortlist(comparison: &Comparison, setting: &LikelihoodSetting) -> Vec<(usize, f64)> {
-    let (data, control) = (comparison.data.sum(|_| true), comparison.control.sum(|_| true));
-    let columns = &comparison.data.columns;
-    let mut listed: Vec<(usize, f64)> = Vec::new();
-    for (is_less_control, count) in [(true, setting.shortlist), (false, setting.shortlist / 2)] {
-        let mut ranked: Vec<(f64, usize, f64)> = columns
-            .iter()
-            .enumerate()
-            .map(|(j, &candidate)| {
-                let (less, plain, information) = step(&data, &control, j);
-                let strength = if is_less_control { less } else { plain };
-                let is_physics = CANDIDATES[candidate].signs == Signs::Both || strength > 0.0;
-                (if is_physics { strength * strength * information } else { 0.0 }, candidate, strength)
-            })
-            .collect();
-        ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        for (_, candidate, strength) in ranked.into_iter().take(count).filter(|(statistic, ..)| *statistic > 0.0) {
-            if listed.iter().all(|(other, _)| *other != candidate) {
-                // The scene takes over more than half of most effects.
-                let size = (2.5 * strength.abs()).clamp(0.3, 2.5);
-                let is_switch = CANDIDATES[candidate].signs == Signs::Switch;
-                listed.push((candidate, if is_switch { 1.0 } else { size.copysign(strength) }));
-            }
-        }
-    }
-    listed.extend(CANDIDATES.iter().enumerate().filter(|(_, kind)| kind.is_random).map(|(candidate, _)| (candidate, 1.0)));
-    listed
-}
-
 /// From what was measured to what is said.
 pub fn judge(comparison: &Comparison, nominal: &Nominal, scales: &Scales, setting: &LikelihoodSetting) -> Likelihood {
     let Comparison { data, control, expected, agreement } = comparison;
     let zones = setting.zones.0 as usize;
     let half = |block: usize| (block % zones + block / zones) % 2;
-    let halves = [0, 1].map(|side| Half::new(data, control, |block| half(block) == side));
-    let blocks: Vec<(usize, Half)> =
-        (0..data.blocks.len()).filter(|&n| data.blocks[n].counts[0] > 0.0).map(|n| (n, Half::new(data, control, |block| block == n))).collect();
-    let all = Half::new(data, control, |_| true);
+    let scale = comparison.scale();
+    let halves = [0, 1].map(|side| Part::new(data, control, &scale, |block| half(block) == side));
+    let blocks = (0..data.blocks.len()).filter(|&n| data.blocks[n].counts[0] > 0.0 && control.blocks[n].counts[0] > 0.0);
+    let blocks: Vec<(usize, Part)> = blocks.map(|n| (n, Part::new(data, control, &scale, |block| block == n))).collect();
+    let all = Part::new(data, control, &scale, |_| true);
     let events = f64::max(data.sum(|_| true).counts[0], 1.0);
     let mut proposals: Vec<Proposal> = Vec::new();
     for one in expected {
         let kind = &CANDIDATES[one.candidate];
-        let (along, square) = all.match_with(&one.measured, control);
+        let (along, square) = all.match_with(&one.measured, |_| true);
         if along <= 0.0 {
             continue;
         }
         // From one half of the blocks to the other.
         let shares = [0, 1].map(|side| {
             let keep = |block: usize| half(block) == side;
-            let (along, square) = halves[side].match_kept(&one.measured, control, keep);
+            let (along, square) = halves[side].match_with(&one.measured, keep);
             (along / square, along, square)
         });
         let gain = |share: f64, along: f64, square: f64| share * along - 0.5 * share * share * square;
         let heldout_nats = gain(shares[0].0, shares[1].1, shares[1].2) + gain(shares[1].0, shares[0].1, shares[0].2);
         let better = blocks.iter().filter(|(n, block)| {
-            let (along, square) = block.match_kept(&one.measured, control, |other| other == *n);
+            let (along, square) = block.match_with(&one.measured, |other| other == *n);
             gain(shares[1 - half(*n)].0, along, square) > 0.0
         });
         let blocks_better = better.count() as f64 / f64::max(blocks.len() as f64, 1.0);
@@ -347,26 +349,29 @@ pub fn judge(comparison: &Comparison, nominal: &Nominal, scales: &Scales, settin
 }
 
 /// Some blocks of a recording against the control.
-struct Half {
-    metric: features::Metric,
+struct Part {
+    metric: Metric,
+    /// What the recording has beyond the control, in standard deviations.
     found: Vec<f64>,
+    control: Vec<f64>,
 }
 
-impl Half {
-    fn new(data: &Measured, control: &Measured, keep: impl Fn(usize) -> bool) -> Half {
-        let (data, control) = (data.sum(&keep), control.sum(&keep));
-        let metric = data.metric();
-        let found = metric.whitened(&data.less(&control));
-        Half { metric, found }
+impl Part {
+    fn new(data: &Measured, control: &Measured, scale: &[f64], keep: impl Fn(usize) -> bool) -> Part {
+        let (data, control) = (data.sum(&keep), control.sum(&keep).responses());
+        let metric = data.metric(scale);
+        let found = metric.whitened(&less(&data.responses(), &control));
+        Part { metric, found, control }
     }
 
-    fn match_with(&self, expected: &Measured, control: &Measured) -> (f64, f64) {
-        self.match_kept(expected, control, |_| true)
+    /// The products of what was found and what a candidate makes, and of that with itself.
+    fn match_with(&self, expected: &Measured, keep: impl Fn(usize) -> bool) -> (f64, f64) {
+        products(&self.found, &self.metric.whitened(&less(&expected.sum(&keep).responses(), &self.control)))
     }
+}
 
-    fn match_kept(&self, expected: &Measured, control: &Measured, keep: impl Fn(usize) -> bool) -> (f64, f64) {
-        products(&self.found, &self.metric.whitened(&expected.sum(&keep).less(&control.sum(&keep))))
-    }
+fn less(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
 }
 
 fn detectability(data: &Measured, control: &Measured, nominal: &Nominal, scales: &Scales) -> Vec<Detectable> {

@@ -13,9 +13,9 @@ use photocurrent_sensor::forward::neighbours::{joined, stand_in};
 use rayon::prelude::*;
 
 /// The longest step of light, ns.
-const STEP_NS: i64 = 100_000;
+const STEP_NS: i64 = 500_000;
 /// The grid on which neighbours' light is mixed, ns.
-const GRID_NS: i64 = 100_000;
+const GRID_NS: i64 = 200_000;
 
 /// A trial with its effects built and told the load of the recording.
 pub struct Prepared {
