@@ -62,7 +62,7 @@ impl Default for LikelihoodSetting {
     fn default() -> LikelihoodSetting {
         LikelihoodSetting {
             zones: (4, 4),
-            side: 6,
+            side: 5,
             margin: 1,
             events: (3.0, 250.0),
             scene: scene_setting(),

@@ -46,7 +46,7 @@ fn without_effects_residuals_are_those_of_the_solver() {
 fn misses(case: &crate::case::Case, nominal: &Nominal, trial: &Trial) -> (f64, f64, f64) {
     let sample = Sample::all(case, 4);
     let scene: Scene = testing::scene(case);
-    let view = View::new(case, nominal, &sample, &scene, &SceneSetting::default());
+    let view = View::in_steps(case, nominal, &sample, &scene, &SceneSetting::default(), 100_000);
     let prepared = Prepared::new(case, trial).unwrap();
     let (mut events, mut frames) = (Vec::new(), Vec::new());
     let mut seen = Conditional::default();

@@ -66,8 +66,13 @@ pub struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    /// Of a scene.
+    /// Of a scene, in steps that are fine enough for scores.
     pub fn new(case: &'a Case, nominal: &Nominal, sample: &'a Sample, scene: &Scene, setting: &SceneSetting) -> View<'a> {
+        View::in_steps(case, nominal, sample, scene, setting, STEP_NS)
+    }
+
+    /// Of a scene, its light cut into steps of at most `step_ns`.
+    pub fn in_steps(case: &'a Case, nominal: &Nominal, sample: &'a Sample, scene: &Scene, setting: &SceneSetting, step_ns: i64) -> View<'a> {
         let pixels: Vec<(PixelData, Track, OnGrid)> = (0..sample.len())
             .into_par_iter()
             .with_min_len(16)
@@ -75,7 +80,7 @@ impl<'a> View<'a> {
                 let (t, u) = scene.pixel(n);
                 let log: Vec<f64> = grid(case).map(|instant| at(t, u, instant)).collect();
                 let light = log.iter().map(|u| exp(*u)).collect();
-                (pixel_data(case, nominal, setting, sample.pixels[n] as usize), Track::new(t, u, STEP_NS), (log, light))
+                (pixel_data(case, nominal, setting, sample.pixels[n] as usize), Track::new(t, u, step_ns), (log, light))
             })
             .collect();
         let mut view = View { case, sample, data: Vec::new(), scored: Vec::new(), tracks: Vec::new(), is_known: scene.is_known.clone(), grid: Vec::new() };
@@ -111,11 +116,6 @@ impl<'a> View<'a> {
     /// The place of pixel `n` of the sample.
     pub fn site(&self, n: usize) -> Site {
         Nominal::site(self.case, self.sample.pixels[n] as usize, 0)
-    }
-
-    /// The light of pixel `n` at knots, cut into short steps.
-    pub fn track(t_ns: &[i64], log_light: &[f64]) -> Track {
-        Track::new(t_ns, log_light, STEP_NS)
     }
 
     /// Log light of the event path at the instants of a pixel's track: its own, and what neighbours change of it on the grid.
