@@ -9,11 +9,16 @@
 //! - [`nominal`]: the sensor as the description states it, ready to simulate and to solve.
 //! - [`sample`]: which pixels are looked at.
 //! - [`scene`]: the light of those pixels, estimated with the nominal sensor.
+//! - [`band`]: the same light quicker, by a thread through the events, anchored to the frames.
 //! - [`record`]: what a sensor with effects would have recorded of that light.
 //! - [`faithful`]: the prior that gives each pixel a light which fires its events again.
 //! - [`likelihood`]: how far effects explain, event by event, what the estimated light does not.
+//! - [`summaries`]: a recording in some three hundred numbers.
+//! - [`deviation`]: how it differs in them from the nominal sensor's recording of the same scene, and how it would with an effect.
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is put on.
 //! - [`covariates`], [`differences`], [`locate`]: where a recording and a simulation of it differ.
+//! - [`synthesis`]: recognition: [`floor`] (what means nothing), [`proposer`] (a small net), [`matching`] (templates against the deviation), [`knowledge`] (the file).
+//! - [`scenes`], [`train`]: made-up recordings, and what the recogniser learns from.
 //!
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
 //! - [`roads`]: the tests that estimate the scene, in one form.
@@ -28,25 +33,36 @@
 //! The crate knows no files and no graphs. It never sees true light.
 
 pub mod advice;
+pub mod band;
 pub mod candidates;
 pub mod case;
 pub mod covariates;
 pub mod differences;
 pub mod faithful;
 pub mod locate;
+pub mod deviation;
 pub mod diagnose;
 pub mod faithful;
 pub mod fitted;
+pub mod floor;
 pub mod heldout;
 pub mod integrity;
+pub mod knowledge;
 pub mod likelihood;
+pub mod matching;
 pub mod nominal;
+pub mod onnx;
 pub mod page;
+pub mod proposer;
 pub mod record;
 pub mod report;
 pub mod roads;
 pub mod sample;
 pub mod scene;
+pub mod scenes;
+pub mod summaries;
+pub mod synthesis;
+pub mod train;
 pub mod verdict;
 
 #[cfg(test)]

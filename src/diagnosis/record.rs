@@ -20,6 +20,9 @@ use std::collections::BTreeMap;
 /// The longest piece of log-linear light that counts as linear, natural-log units: they differ by an eighth of its square.
 const PIECE: f64 = 0.08;
 
+/// Mixtures of neighbours' light are evaluated at least this often, ns.
+const MIXED_NS: i64 = 100_000;
+
 /// What a simulated recording adds to the stated sensor.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Conditions {
@@ -151,7 +154,11 @@ fn mix(case: &Case, sample: &Sample, scene: &Scene, kernel: &Kernel, n: usize) -
         at
     };
     let lights: Vec<(Vec<i64>, Vec<f64>)> = kernel.taps.iter().map(|tap| linear(scene, neighbour(tap))).collect();
-    let mut instants: Vec<i64> = lights.iter().flat_map(|light| light.0.iter().copied()).collect();
+    // The pixel's own instants and a grid: those of all neighbours together would be tens of thousands.
+    let mut instants: Vec<i64> = linear(scene, n).0;
+    let (first, last) = lights.iter().fold((i64::MAX, i64::MIN), |(first, last), (t, _)| (first.min(t[0]), last.max(t[t.len() - 1])));
+    instants.extend((0..=(last - first) / MIXED_NS).map(|k| first + k * MIXED_NS));
+    instants.push(last);
     instants.sort_unstable();
     instants.dedup();
     let mut cursors = vec![0_usize; lights.len()];

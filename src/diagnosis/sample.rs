@@ -52,6 +52,58 @@ impl Sample {
         Sample::new(case, pixels)
     }
 
+    /// Blocks of 6 x 6 pixels that together touch many rows and columns: in every band of six rows, those with the most events in each of `across` parts of the
+    /// band's length, and the blocks around the few pixels that fire most against their surround. The inner 4 x 4 of each are marked.
+    pub fn spread(case: &Case, across: u32) -> Sample {
+        const SIDE: u32 = 6;
+        let (columns, rows) = ((case.extent.width / SIDE).max(1), (case.extent.height / SIDE).max(1));
+        let side = |length: u32| u32::min(SIDE, length);
+        let (wide, high) = (side(case.extent.width), side(case.extent.height));
+        let width = case.extent.width;
+        let count = |column: u32, row: u32| -> usize {
+            let first = |y: u32| (y * width + column * SIDE) as usize;
+            (row * SIDE..row * SIDE + high)
+                .map(|y| case.events.range(first(y)).start..case.events.range(first(y) + wide as usize - 1).end)
+                .map(|r| r.len())
+                .sum()
+        };
+        let mut is_chosen = vec![false; (columns * rows) as usize];
+        for row in 0..rows {
+            for part in 0..across {
+                let within = part * columns / across..(part + 1) * columns / across;
+                let best = within.max_by_key(|&column| (count(column, row), u32::MAX - column));
+                if let Some(column) = best {
+                    is_chosen[(row * columns + column) as usize] = true;
+                }
+            }
+        }
+        let mut outliers: Vec<(i64, u32, u32)> = Vec::new();
+        for y in 1..case.extent.height.saturating_sub(1) {
+            for x in 1..width.saturating_sub(1) {
+                let events = |dx: u32, dy: u32| case.events.range(((y + dy - 1) * width + x + dx - 1) as usize).len() as i64;
+                let around = (0..3).flat_map(|dy| (0..3).map(move |dx| (dx, dy))).filter(|at| *at != (1, 1)).map(|(dx, dy)| events(dx, dy)).max().unwrap_or(0);
+                let excess = events(1, 1) - 2 * around;
+                if excess > 20 {
+                    outliers.push((excess, x / SIDE, y / SIDE));
+                }
+            }
+        }
+        outliers.sort_by_key(|outlier| (std::cmp::Reverse(outlier.0), outlier.1, outlier.2));
+        for (_, column, row) in outliers.iter().take(4).filter(|outlier| outlier.1 < columns && outlier.2 < rows) {
+            is_chosen[(row * columns + column) as usize] = true;
+        }
+        let mut pixels: Vec<(u32, bool, u32)> = Vec::new();
+        for block in (0..columns * rows).filter(|block| is_chosen[*block as usize]) {
+            let (left, top) = (block % columns * SIDE, block / columns * SIDE);
+            for (dx, dy) in (0..high).flat_map(|dy| (0..wide).map(move |dx| (dx, dy))) {
+                let inside = |at: u32| (1..SIDE - 1).contains(&at);
+                pixels.push(((top + dy) * width + left + dx, inside(dx) && inside(dy), block));
+            }
+        }
+        pixels.sort_unstable();
+        Sample::new(case, pixels)
+    }
+
     /// Every pixel, in blocks of `side` x `side`.
     pub fn all(case: &Case, side: u32) -> Sample {
         let (width, height) = (case.extent.width, case.extent.height);

@@ -1,0 +1,203 @@
+//! Scenes and sensors made up for training: a drifting or shaken texture, a turning star, discs that fly over a slow texture; light, speed, thresholds, time
+//! constants, reset laws, exposures and stamps over the ranges of cameras that such recordings are made with.
+//!
+//! Everything follows from a seed. Light is analytic in place and time, so its size, length and number of pixels can be anything.
+//! Limits: grey, no flicker, no noise of the light; objects are opaque and bright or dark, edges are a pixel wide.
+
+use crate::case::{Case, CaseFrames, PixelEvents};
+use crate::nominal::Nominal;
+use crate::record::{Conditions, record};
+use crate::sample::Sample;
+use crate::scene::Scene;
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::random::Random;
+use photocurrent_core::sensor::Reset;
+use photocurrent_core::{Exposure, Extent, FrameTimes, Sensor};
+use rayon::prelude::*;
+
+/// What moves.
+#[derive(Clone, Debug)]
+enum Motion {
+    /// A texture at a velocity, px/s, shaken with an amplitude, px, at a frequency, Hz.
+    Texture { velocity: (f64, f64), shake_px: f64, shake_hz: f64 },
+    /// Spokes that turn, and how fast, rad/s, around a centre.
+    Star { spokes: f64, rate: f64, centre: (f64, f64) },
+    /// Discs of a radius and shade (0 to 1) at a velocity, over a texture that drifts.
+    Discs { radius: f64, shade: f64, velocity: (f64, f64), pitch: f64, drift: (f64, f64) },
+}
+
+/// A made-up scene before a made-up sensor.
+#[derive(Clone, Debug)]
+pub struct MadeUp {
+    motion: Motion,
+    low: f64,
+    high: f64,
+    seed: u64,
+    contrast: f64,
+    sensor: Sensor,
+    exposures: Vec<Exposure>,
+    resolution_ns: i64,
+    extent: Extent,
+    span: (i64, i64),
+}
+
+/// A smooth random surface between 0 and 1, of features of a size in pixels.
+fn surface(seed: u64, x: f64, y: f64, size: f64) -> f64 {
+    let (u, v) = (x / size, y / size);
+    let (a, b) = (u.floor(), v.floor());
+    let smooth = |s: f64| s * s * s * (s * (6.0 * s - 15.0) + 10.0);
+    let (s, t) = (smooth(u - a), smooth(v - b));
+    let corner = |da: i64, db: i64| Random::new(seed, &[(a as i64 + da) as u64, (b as i64 + db) as u64]).uniform();
+    let (top, bottom) = (corner(0, 0) * (1.0 - s) + corner(1, 0) * s, corner(0, 1) * (1.0 - s) + corner(1, 1) * s);
+    top * (1.0 - t) + bottom * t
+}
+
+/// A texture of mean power falling with frequency, about 0 to 1.
+fn texture(seed: u64, x: f64, y: f64) -> f64 {
+    const SIZES: [f64; 4] = [26.0, 11.0, 5.0, 2.4];
+    const SHARES: [f64; 4] = [0.40, 0.30, 0.20, 0.10];
+    (0..4).map(|n| SHARES[n] * surface(seed.wrapping_add(n as u64), x + 31.7 * n as f64, y - 17.3 * n as f64, SIZES[n])).sum()
+}
+
+impl MadeUp {
+    /// Scene number `index` of a seed, on an array of an extent, for some seconds.
+    pub fn new(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
+        let mut random = Random::new(seed, &[index, 77]);
+        let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
+        let kind = between(0.0, 1.0);
+        let angle = between(0.0, std::f64::consts::TAU);
+        let sign = if between(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
+        let (width, height) = (f64::from(extent.width), f64::from(extent.height));
+        let motion = if kind < 0.5 {
+            let speed = between(400.0, 1200.0);
+            Motion::Texture { velocity: (speed * libm::cos(angle), speed * libm::sin(angle)), shake_px: between(0.5, 3.0), shake_hz: between(5.0, 15.0) }
+        } else if kind < 0.85 {
+            let rate = sign * between(1.5, 5.5) * std::f64::consts::TAU;
+            let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
+            Motion::Star { spokes: between(3.0, 6.0).floor(), rate, centre }
+        } else {
+            let (speed, drift) = (between(700.0, 2300.0), between(80.0, 180.0));
+            let shade = if sign > 0.0 { 1.1 } else { -0.05 };
+            let velocity = (speed * libm::cos(angle), speed * libm::sin(angle));
+            Motion::Discs {
+                radius: between(2.5, 5.5),
+                shade,
+                velocity,
+                pitch: between(60.0, 110.0),
+                drift: (drift * libm::sin(angle), drift * libm::cos(angle)),
+            }
+        };
+        let (low, high) = (between(26.0, 38.0), between(150.0, 205.0));
+        let us = |us: f64| Some(Duration::new((us * 1e3).round() as i64));
+        let mut sensor = Sensor::unknown("made up");
+        let law = between(0.0, 1.0);
+        let threshold = between(0.15, 0.25);
+        sensor.comparator.threshold_on = Some(threshold);
+        sensor.comparator.threshold_off = Some(threshold * between(0.92, 1.09));
+        sensor.comparator.reset = if law < 0.4 { Reset::Resample } else { Reset::Advance };
+        sensor.readout.refractory = us(if law < 0.4 { between(30.0, 90.0).round() } else { 0.0 });
+        sensor.readout.latency_min = us(1.0);
+        let tau_0 = between(8.0, 48.0);
+        sensor.front_end.tau_0 = us(if law < 0.2 { 0.0 } else { tau_0 });
+        sensor.front_end.alpha = us(between(7_500.0, 31_000.0));
+        let exposure_ns = (between(3.0e6, 4.5e6)).round() as i64;
+        sensor.frames.gain = Some(between(600.0, 1200.0) * if between(0.0, 1.0) < 0.5 { 0.8 } else { 1.0 });
+        sensor.frames.row_time = us(between(25.0, 45.0));
+        sensor.frames.saturation_dn = Some(1023.0);
+        let first_ns = between(1e5, 6e5).round() as i64;
+        let span = (0, (duration_s * 1e9) as i64);
+        let period_ns = 8_333_333;
+        let rows_ns = sensor.frames.row_time.map_or(0, Duration::ns) * i64::from(extent.height);
+        let exposures = (0..)
+            .map(|l| Exposure::new(first_ns + l * period_ns, first_ns + l * period_ns + exposure_ns))
+            .take_while(|exposure| exposure.end.0 + rows_ns < span.1)
+            .collect();
+        let resolution_ns = if law < 0.2 || (0.4..0.7).contains(&law) {
+            1_000
+        } else if law < 0.4 {
+            1
+        } else {
+            20_000
+        };
+        let contrast = between(0.8, 1.6);
+        MadeUp { motion, low, high, seed: seed.wrapping_mul(1009).wrapping_add(index), contrast, sensor, exposures, resolution_ns, extent, span }
+    }
+
+    /// Log photocurrent at a place and time, seconds.
+    fn log_light(&self, x: f64, y: f64, t: f64) -> f64 {
+        let shade = match &self.motion {
+            Motion::Texture { velocity, shake_px, shake_hz } => {
+                let shake = shake_px * libm::sin(std::f64::consts::TAU * shake_hz * t);
+                0.5 + self.contrast * (texture(self.seed, x - velocity.0 * t - shake, y - velocity.1 * t + shake) - 0.5)
+            }
+            Motion::Star { spokes, rate, centre } => {
+                let (dx, dy) = (x - centre.0, y - centre.1);
+                let radius = libm::sqrt(dx * dx + dy * dy);
+                let wave = libm::sin(spokes * (libm::atan2(dy, dx) - rate * t));
+                // Half a pixel of edge on either side.
+                let sharp = (wave * f64::max(radius, 1.0) / spokes / 0.7).clamp(-1.0, 1.0);
+                0.5 + 0.5 * sharp
+            }
+            Motion::Discs { radius, shade, velocity, pitch, drift } => {
+                let ground = 0.5 + self.contrast * (texture(self.seed, x - drift.0 * t, y - drift.1 * t) - 0.5);
+                let wrap = |at: f64| (at / pitch - (at / pitch).floor() - 0.5) * pitch;
+                let (dx, dy) = (wrap(x - velocity.0 * t), wrap(y - velocity.1 * t));
+                let inside = (radius - libm::sqrt(dx * dx + dy * dy) + 0.5).clamp(0.0, 1.0);
+                ground + (shade - ground) * inside
+            }
+        };
+        libm::log(f64::max(self.low + (self.high - self.low) * shade.clamp(-0.1, 1.1), 2.0))
+    }
+
+    /// The recording of this scene by this sensor, with nothing beyond the description.
+    ///
+    /// # Errors
+    /// Never for the sensors made here; the message of [`Nominal::new`] or [`record`] otherwise.
+    pub fn recording(&self) -> Result<Case, String> {
+        let frames = FrameTimes::new(self.exposures.clone(), self.sensor.frames.row_time.map_or(0, Duration::ns)).map_err(|why| why.to_string())?;
+        let dn = vec![f32::NAN; frames.len() * self.extent.pixels()];
+        let blank = Case {
+            extent: self.extent,
+            span: self.span,
+            events: PixelEvents::new(vec![Vec::new(); self.extent.pixels()]),
+            has_t_in: true,
+            t_resolution_ns: self.resolution_ns,
+            frames: Some(CaseFrames { times: frames, dn }),
+            sensor: self.sensor.clone(),
+        };
+        let step_ns = 200_000;
+        let instants: Vec<i64> = (0..=self.span.1 / step_ns).map(|k| k * step_ns).collect();
+        let pixels: Vec<(Vec<i64>, Vec<f64>, bool)> = (0..self.extent.pixels())
+            .into_par_iter()
+            .map(|pixel| {
+                let (x, y) = blank.place(pixel);
+                let light = instants.iter().map(|t| self.log_light(f64::from(x), f64::from(y), *t as f64 * 1e-9)).collect();
+                (instants.clone(), light, true)
+            })
+            .collect();
+        let nominal = Nominal::new(&blank).map_err(|why| why.to_string())?;
+        record(
+            &blank,
+            &nominal,
+            &Sample::all(&blank, 6),
+            &Scene::from_pixels(pixels),
+            &Default::default(),
+            &Conditions { seed: self.seed, ..Conditions::default() },
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_same_number_gives_the_same_recording_and_another_number_another() {
+        let extent = Extent { width: 18, height: 12 };
+        let of = |index: u64| MadeUp::new(5, index, extent, 0.05).recording().unwrap();
+        let (a, b, c) = (of(1), of(1), of(2));
+        assert_eq!(a.events, b.events);
+        assert_ne!(a.events, c.events);
+        assert!(a.events.all().len() > 200 && c.frame_count() >= 4);
+    }
+}
