@@ -19,7 +19,6 @@
 //! - [`covariates`], [`differences`], [`locate`]: where a recording and a simulation of it differ.
 //! - [`synthesis`]: recognition: [`floor`] (what means nothing), [`proposer`] (a small net), [`matching`] (templates against the deviation), [`knowledge`] (the file).
 //! - [`scenes`], [`train`]: made-up recordings, and what the recogniser learns from.
-//!
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
 //! - [`roads`]: the tests that estimate the scene, in one form.
 //! - [`verdict`]: one answer from all tests.
@@ -37,11 +36,9 @@ pub mod band;
 pub mod candidates;
 pub mod case;
 pub mod covariates;
-pub mod differences;
-pub mod faithful;
-pub mod locate;
 pub mod deviation;
 pub mod diagnose;
+pub mod differences;
 pub mod faithful;
 pub mod fitted;
 pub mod floor;
@@ -49,6 +46,7 @@ pub mod heldout;
 pub mod integrity;
 pub mod knowledge;
 pub mod likelihood;
+pub mod locate;
 pub mod matching;
 pub mod nominal;
 pub mod onnx;
