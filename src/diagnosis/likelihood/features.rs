@@ -19,10 +19,12 @@ use photocurrent_sensor::map::Prior;
 pub const SCATTERS: usize = 5;
 /// Share of the pixels that is left away, those with the largest residuals.
 const DROPPED: f64 = 0.03;
-/// By how much of a strength the estimation itself is biased from scene to scene.
+/// By how much of a strength the estimation itself is biased from scene to scene, in a column of usual information.
 const BIAS: f64 = 0.05;
 /// By how much scatter differs between simulators, natural-log units.
 const SCATTER_BIAS: f64 = 0.2;
+/// What share of a response a simulated effect misses.
+const INEXACT: f64 = 0.1;
 /// A column with less information than this says nothing.
 const LEAST_INFORMATION: f64 = 1e-6;
 /// Standard deviation of what says nothing.
@@ -106,14 +108,14 @@ impl Bench<'_> {
         Ok(Measured::new(scores, self.sample, came))
     }
 
-    /// What the stated sensor with effects would have recorded of a scene, measured.
+    /// What the stated sensor with effects would have recorded of a scene, measured, and the light that the stated sensor makes of it.
     ///
     /// # Errors
     /// When effects cannot be combined.
-    pub fn expect(&self, scene: &Scene, trial: &Trial) -> Result<Measured, String> {
+    pub fn expect(&self, scene: &Scene, trial: &Trial) -> Result<(Scene, Measured), String> {
         let described: Described = trial.effects.clone();
         let case = record(self.case, &trial.nominal, self.sample, scene, &described, &self.conditions)?;
-        Ok(self.measure(&case)?.1)
+        self.measure(&case)
     }
 }
 
@@ -144,10 +146,10 @@ impl Measured {
         Measured { columns: scores.candidates.clone(), blocks, scores }
     }
 
-    /// Sums over the blocks that are wanted.
-    pub fn sum(&self, keep: impl Fn(usize) -> bool) -> Features {
+    /// Sums over all blocks.
+    pub fn sum(&self) -> Features {
         let mut sum = Features::default();
-        for (_, block) in self.blocks.iter().enumerate().filter(|(n, _)| keep(*n)) {
+        for block in &self.blocks {
             if sum.values.is_empty() {
                 sum = block.clone();
                 continue;
@@ -178,24 +180,29 @@ impl Features {
         responses
     }
 
-    /// The covariance of responses around what an effect makes of them, factored: noise of the measurements, and biases of the estimation, which are larger in columns that
-    /// anything moves (`scale`, at least 1).
-    pub fn metric(&self, scale: &[f64]) -> Metric {
+    /// The covariance of responses around what an effect makes of them, factored: noise of the measurements, biases of the estimation (of one size for columns of one
+    /// information), and a share of what is to be explained (`moved`), since no simulated effect is exact.
+    pub fn metric(&self, moved: &[f64]) -> Metric {
         let n = self.values.len();
         let m = n - SCATTERS;
         let mut covariance = vec![vec![0.0; n]; n];
         let information = |j: usize| self.information[pair(j, j)];
+        let mut usual: Vec<f64> = (0..m).map(information).filter(|information| *information > LEAST_INFORMATION).collect();
+        usual.sort_by(f64::total_cmp);
+        let usual = usual.get(usual.len() / 2).copied().unwrap_or(1.0);
         for a in 0..m {
             for b in 0..=a {
                 if information(a) > LEAST_INFORMATION && information(b) > LEAST_INFORMATION {
                     covariance[a][b] = self.dispersion * self.information[pair(a, b)] / (information(a) * information(b));
                 }
             }
-            let bias = if information(a) > LEAST_INFORMATION { BIAS * scale[a] } else { UNSEEN };
-            covariance[a][a] += bias * bias;
+            covariance[a][a] += if information(a) > LEAST_INFORMATION { BIAS * BIAS * usual / information(a) } else { UNSEEN * UNSEEN };
         }
         for (k, count) in self.counts.iter().enumerate() {
             covariance[m + k][m + k] = SCATTER_BIAS * SCATTER_BIAS + 2.0 / f64::max(*count, 1.0);
+        }
+        for (k, moved) in moved.iter().enumerate() {
+            covariance[k][k] += INEXACT * INEXACT * moved * moved;
         }
         Metric::new(covariance)
     }
@@ -208,7 +215,7 @@ pub struct Metric {
 
 impl Metric {
     /// Of the lower half of a covariance.
-    fn new(mut matrix: Vec<Vec<f64>>) -> Metric {
+    pub(super) fn new(mut matrix: Vec<Vec<f64>>) -> Metric {
         let n = matrix.len();
         for a in 0..n {
             for b in 0..=a {

@@ -3,7 +3,8 @@
 //! The light is estimated with the stated sensor, in blocks of pixels spread over the array. What is left at every event and frame is scored for every effect of the catalogue, with everything
 //! projected out that light could do ([`score`]). What the estimation itself leaves is taken off by a control: the stated sensor on the same scene ([`crate::faithful`]), through all of it again.
 //! Then every candidate is put on, simulated on the same scene and estimated again: the one whose difference from the control is most like that of the
-//! recording is named first ([`features`]).
+//! recording is named first ([`features`]). The best are simulated again at the strength that fits; what the same
+//! search finds in a simulated recording of known strength calibrates it.
 //!
 //! Limits: one pixel alone, so what needs neighbours (vignetting, shifts) is hardly seen; effects that act alike through events and frames stay a set; the bias that
 //! estimation has from scene to scene is a stated constant.
@@ -19,7 +20,7 @@ use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::Case;
 use crate::faithful::{Faithful, faithful};
 use crate::nominal::Nominal;
-use crate::record::Conditions;
+use crate::record::{Conditions, record};
 use crate::sample::Sample;
 use crate::scene::{Scene, SceneSetting};
 use features::{Bench, Features, Measured, Metric};
@@ -41,7 +42,11 @@ pub struct LikelihoodSetting {
     /// How light is estimated.
     pub scene: SceneSetting,
     /// Every candidate is simulated; then so many of the best, once each round, again at the strength that fits.
-    pub refined: [usize; 3],
+    pub refined: [usize; 4],
+    /// Of so many effects the strength is calibrated with a simulated recording where it is known.
+    pub calibrated: usize,
+    /// What [`Proposal::statistic_of_sums`] some effect must reach for an alarm.
+    pub least_statistic: f64,
     /// Log density that an effect must add on pixels that its strength was not fitted to, nats.
     pub least_nats: f64,
     /// And the share of blocks that it must improve.
@@ -66,8 +71,10 @@ impl Default for LikelihoodSetting {
             margin: 1,
             events: (3.0, 250.0),
             scene: scene_setting(),
-            refined: [8, 5, 3],
-            least_nats: 40.0,
+            refined: [9, 6, 5, 4],
+            calibrated: 2,
+            least_statistic: 12.0,
+            least_nats: 10.0,
             least_share: 0.6,
             alike: 0.85,
             seed: 1,
@@ -90,6 +97,8 @@ pub struct Proposal {
     pub ci95: [f64; 2],
     /// Twice the log density that it adds, at its best strength.
     pub statistic: f64,
+    /// The same of sums over all blocks, in which biases of the estimation count once: by this an alarm is raised.
+    pub statistic_of_sums: f64,
     /// Log density that it adds to blocks that its strength was not fitted to, nats.
     pub heldout_nats: f64,
     /// The same over the events looked at.
@@ -134,6 +143,8 @@ pub struct Likelihood {
     pub control_dispersion: f64,
     /// How well the light that was estimated with the stated sensor fires the recorded events again: 1 is perfect.
     pub agreement: f64,
+    /// Twice the log density that an exact explanation would add; proposals explain parts of it.
+    pub total: f64,
     /// Pixels that were scored.
     pub pixels: usize,
     /// Events and frame values that were scored.
@@ -162,6 +173,8 @@ pub struct Comparison {
     pub expected: Vec<Expected>,
     /// How well the light fires the recorded events again: 1 is perfect.
     pub agreement: f64,
+    /// By how much strengths of a candidate are found too small, where that was tried.
+    pub calibration: Vec<(usize, f64)>,
 }
 
 /// Shares of information below this cannot be tested.
@@ -187,35 +200,82 @@ pub fn compare(case: &Case, nominal: &Nominal, scales: &Scales, setting: &Likeli
     let Faithful { scene, priors, agreement } = faithful(case, nominal, &sample, &setting.scene)?;
     let bench = Bench { case, nominal, sample: &sample, setting: &setting.scene, scales, conditions, priors: &priors };
     let data = bench.measure_scene(case, &scene)?;
-    let control = bench.expect(&scene, &Trial::stated(nominal))?;
-    let mut comparison = Comparison { data, control, expected: Vec::new(), agreement };
+    let (_, control) = bench.expect(&scene, &Trial::stated(nominal))?;
+    let mut comparison = Comparison { data, control, expected: Vec::new(), agreement, calibration: Vec::new() };
     for (candidate, strength) in comparison.first_strengths() {
         comparison.simulate(&bench, &scene, candidate, strength);
     }
     for count in setting.refined {
         let mut best: Vec<(usize, f64, f64)> = comparison.matches();
         best.sort_by(|a, b| b.2.total_cmp(&a.2).then(a.0.cmp(&b.0)));
-        let again: Vec<(usize, f64, f64)> =
-            best.into_iter().take(count).map(|(n, share, _)| (comparison.expected[n].candidate, comparison.expected[n].strength, share)).collect();
-        for (candidate, strength, share) in again {
-            let kind = &CANDIDATES[candidate];
-            let is_near = (0.93..1.07).contains(&share) || kind.signs == Signs::Switch;
+        let again: Vec<(Expected, f64)> = best.into_iter().take(count).map(|(n, share, _)| (comparison.expected[n].clone(), share)).collect();
+        for (one, share) in again {
+            let kind = &CANDIDATES[one.candidate];
             let share = if share > 0.0 { share.clamp(0.3, 3.0) } else { share.clamp(-3.0, -0.3) };
-            if !is_near && (kind.signs == Signs::Both || share > 0.0) {
-                comparison.simulate(&bench, &scene, candidate, (strength * share).clamp(-6.0, 6.0));
-            }
+            let share = if kind.signs == Signs::Switch || (kind.signs != Signs::Both && share < 0.0) { 1.0 } else { share };
+            comparison.simulate(&bench, &scene, one.candidate, (one.strength * share).clamp(-6.0, 6.0));
+        }
+    }
+    for candidate in comparison.leading(setting.calibrated) {
+        let found = comparison.fitted(candidate);
+        if CANDIDATES[candidate].signs != Signs::Switch
+            && let Some(again) = found.and_then(|strength| comparison.find_again(&bench, &scene, candidate, strength))
+        {
+            comparison.calibration.push((candidate, found.map_or(1.0, |strength| (strength / again).clamp(1.0 / LARGEST_CALIBRATION, LARGEST_CALIBRATION))));
         }
     }
     Ok(comparison)
 }
 
+/// Strengths are corrected by no more than this factor.
+const LARGEST_CALIBRATION: f64 = 3.0;
+
 impl Comparison {
-    /// Simulates a candidate at a strength; it takes the place of what was there of it.
-    fn simulate(&mut self, bench: &Bench<'_>, scene: &Scene, candidate: usize, strength: f64) {
+    /// The candidates of the best matches, one for each effect.
+    fn leading(&self, count: usize) -> Vec<usize> {
+        let mut best = self.matches();
+        best.sort_by(|a, b| b.2.total_cmp(&a.2).then(a.0.cmp(&b.0)));
+        let mut leading: Vec<usize> = Vec::new();
+        for (n, ..) in best {
+            let candidate = self.expected[n].candidate;
+            if leading.len() < count && leading.iter().all(|&other| CANDIDATES[other].id != CANDIDATES[candidate].id) {
+                leading.push(candidate);
+            }
+        }
+        leading
+    }
+
+    /// The strength at which a candidate matches best.
+    fn fitted(&self, candidate: usize) -> Option<f64> {
+        let n = self.expected.iter().position(|expected| expected.candidate == candidate)?;
+        self.matches().get(n).map(|(_, share, _)| share * self.expected[n].strength).filter(|strength| strength.abs() > 1e-3)
+    }
+
+    /// What all of this finds of a candidate's strength in a simulated recording where it is known: the light takes over a part of every effect, here as in the recording.
+    fn find_again(&self, bench: &Bench<'_>, scene: &Scene, candidate: usize, strength: f64) -> Option<f64> {
+        let mut trial = Trial::stated(bench.nominal);
+        CANDIDATES[candidate].put_on(&mut trial, strength, bench.scales);
+        let case = record(bench.case, &trial.nominal, bench.sample, scene, &trial.effects, &bench.conditions).ok()?;
+        let Faithful { scene, priors, agreement } = faithful(&case, bench.nominal, bench.sample, bench.setting).ok()?;
+        let conditions = Conditions { seed: bench.conditions.seed + 1, ..bench.conditions };
+        let bench = Bench { priors: &priors, conditions, ..*bench };
+        let data = bench.measure_scene(&case, &scene).ok()?;
+        let (_, control) = bench.expect(&scene, &Trial::stated(bench.nominal)).ok()?;
+        let mut known = Comparison { data, control, expected: Vec::new(), agreement, calibration: Vec::new() };
+        let mut found = 0.7 * strength;
+        for _round in 0..3 {
+            known.simulate(&bench, &scene, candidate, found);
+            found = known.fitted(candidate)?;
+        }
+        (found / strength > 0.0).then_some(found)
+    }
+
+    /// Simulates a candidate on some light at a strength; it takes the place of what was there of it.
+    fn simulate(&mut self, bench: &Bench<'_>, light: &Scene, candidate: usize, strength: f64) {
         let mut trial = Trial::stated(bench.nominal);
         CANDIDATES[candidate].put_on(&mut trial, strength, bench.scales);
         // One that cannot be combined with what the description states is no candidate.
-        if let Ok(measured) = bench.expect(scene, &trial) {
+        if let Ok((_, measured)) = bench.expect(light, &trial) {
             self.expected.retain(|other| other.candidate != candidate);
             self.expected.push(Expected { candidate, strength, measured });
         }
@@ -223,7 +283,7 @@ impl Comparison {
 
     /// Every candidate, with a strength to begin with: what a linear step finds, within bounds.
     fn first_strengths(&self) -> Vec<(usize, f64)> {
-        let (data, control) = (self.data.sum(|_| true).responses(), self.control.sum(|_| true).responses());
+        let (data, control) = (self.data.sum().responses(), self.control.sum().responses());
         let strength = |candidate: usize| {
             let kind = &CANDIDATES[candidate];
             let found = self.data.columns.iter().position(|&column| column == candidate).map_or(1.0, |j| data[j] - control[j]);
@@ -237,23 +297,11 @@ impl Comparison {
         (0..CANDIDATES.len()).map(|candidate| (candidate, strength(candidate))).collect()
     }
 
-    /// By how much biases of each response are larger than usual: what most candidates move, at least 1.
-    fn scale(&self) -> Vec<f64> {
-        let control = self.control.sum(|_| true).responses();
-        let all: Vec<Vec<f64>> = self.expected.iter().map(|expected| expected.measured.sum(|_| true).responses()).collect();
-        let of = |j: usize| {
-            let mut moved: Vec<f64> = all.iter().map(|responses| (responses[j] - control[j]).abs()).collect();
-            moved.sort_by(f64::total_cmp);
-            moved.get(moved.len() * 3 / 4).map_or(1.0, |moved| f64::max(*moved, 1.0))
-        };
-        (0..control.len()).map(of).collect()
-    }
-
     /// Of each simulated candidate: by how much its strength is to be multiplied, and twice the log density that it adds.
     fn matches(&self) -> Vec<(usize, f64, f64)> {
-        let part = Part::new(&self.data, &self.control, &self.scale(), |_| true);
+        let parts = parts(&self.data, &self.control);
         let of = |(n, expected): (usize, &Expected)| {
-            let (along, square) = part.match_with(&expected.measured, |_| true);
+            let (along, square) = matched(&parts, &expected.measured, |_| true);
             let is_physics = CANDIDATES[expected.candidate].signs == Signs::Both || along > 0.0;
             (n, along / square, if is_physics { along * along / square } else { 0.0 })
         };
@@ -277,39 +325,37 @@ fn step(data: &Features, control: &Features, j: usize) -> (f64, f64, f64) {
 
 /// From what was measured to what is said.
 pub fn judge(comparison: &Comparison, nominal: &Nominal, scales: &Scales, setting: &LikelihoodSetting) -> Likelihood {
-    let Comparison { data, control, expected, agreement } = comparison;
+    let Comparison { data, control, expected, agreement, calibration } = comparison;
     let zones = setting.zones.0 as usize;
     let half = |block: usize| (block % zones + block / zones) % 2;
-    let scale = comparison.scale();
-    let halves = [0, 1].map(|side| Part::new(data, control, &scale, |block| half(block) == side));
-    let blocks = (0..data.blocks.len()).filter(|&n| data.blocks[n].counts[0] > 0.0 && control.blocks[n].counts[0] > 0.0);
-    let blocks: Vec<(usize, Part)> = blocks.map(|n| (n, Part::new(data, control, &scale, |block| block == n))).collect();
-    let all = Part::new(data, control, &scale, |_| true);
-    let events = f64::max(data.sum(|_| true).counts[0], 1.0);
+    let parts = parts(data, control);
+    let sums = Part::new(0, &data.sum(), &control.sum());
+    let events = f64::max(data.sum().counts[0], 1.0);
     let mut proposals: Vec<Proposal> = Vec::new();
     for one in expected {
         let kind = &CANDIDATES[one.candidate];
-        let (along, square) = all.match_with(&one.measured, |_| true);
+        let (along, square) = matched(&parts, &one.measured, |_| true);
         if along <= 0.0 {
             continue;
         }
         // From one half of the blocks to the other.
         let shares = [0, 1].map(|side| {
-            let keep = |block: usize| half(block) == side;
-            let (along, square) = halves[side].match_with(&one.measured, keep);
+            let (along, square) = matched(&parts, &one.measured, |block| half(block) == side);
             (along / square, along, square)
         });
         let gain = |share: f64, along: f64, square: f64| share * along - 0.5 * share * share * square;
         let heldout_nats = gain(shares[0].0, shares[1].1, shares[1].2) + gain(shares[1].0, shares[0].1, shares[0].2);
-        let better = blocks.iter().filter(|(n, block)| {
-            let (along, square) = block.match_with(&one.measured, |other| other == *n);
-            gain(shares[1 - half(*n)].0, along, square) > 0.0
+        let better = parts.iter().filter(|part| {
+            let (along, square) = matched(&parts, &one.measured, |block| block == part.block);
+            gain(shares[1 - half(part.block)].0, along, square) > 0.0
         });
-        let blocks_better = better.count() as f64 / f64::max(blocks.len() as f64, 1.0);
-        let share = along / square;
+        let blocks_better = better.count() as f64 / f64::max(parts.len() as f64, 1.0);
+        // What was not tried itself is found too small as the best was.
+        let by = calibration.iter().find(|(candidate, _)| *candidate == one.candidate).or(calibration.first()).map_or(1.0, |(_, by)| *by);
+        let share = by * along / square;
         let is_switch = kind.signs == Signs::Switch;
         let at = |share: f64| if is_switch { 1.0 } else { kind.value(one.strength * share, scales, nominal) };
-        let sigma = 1.96 / libm::sqrt(square);
+        let sigma = 1.96 * by / libm::sqrt(square);
         let (low, high) = (at(f64::max(share - sigma, 0.0)), at(share + sigma));
         proposals.push(Proposal {
             candidate: one.candidate,
@@ -318,6 +364,10 @@ pub fn judge(comparison: &Comparison, nominal: &Nominal, scales: &Scales, settin
             value: at(share),
             ci95: [f64::min(low, high), f64::max(low, high)],
             statistic: along * along / square,
+            statistic_of_sums: {
+                let (along, square) = products(&sums.found, &sums.metric.whitened(&less(&one.measured.sum().responses(), &sums.control)));
+                if along > 0.0 { along * along / square } else { 0.0 }
+            },
             heldout_nats,
             heldout_nats_per_event: heldout_nats / events,
             blocks_better,
@@ -332,24 +382,28 @@ pub fn judge(comparison: &Comparison, nominal: &Nominal, scales: &Scales, settin
         is_first
     });
     let first = proposals.first();
-    let is_alarm = first.is_some_and(|first| first.heldout_nats > setting.least_nats && first.blocks_better > setting.least_share);
+    let loudest = proposals.iter().fold(0.0, |most, proposal| f64::max(most, proposal.statistic_of_sums));
+    let is_alarm =
+        loudest > setting.least_statistic && first.is_some_and(|first| first.heldout_nats > setting.least_nats && first.blocks_better > setting.least_share);
     let best = first.map_or(0.0, |first| first.statistic);
     let also_possible = proposals.iter().skip(1).filter(|other| is_alarm && other.statistic > setting.alike * best).map(|other| other.label.clone()).collect();
     Likelihood {
         is_alarm,
         also_possible,
         detectability: detectability(data, control, nominal, scales),
-        dispersion: data.sum(|_| true).dispersion,
-        control_dispersion: control.sum(|_| true).dispersion,
+        dispersion: data.sum().dispersion,
+        control_dispersion: control.sum().dispersion,
         pixels: data.scores.pixels.len(),
         measurements: data.scores.pixels.iter().map(|pixel| pixel.count).sum(),
         agreement: *agreement,
+        total: parts.iter().flat_map(|part| &part.found).map(|z| z * z).sum(),
         proposals,
     }
 }
 
-/// Some blocks of a recording against the control.
+/// One block of a recording against the control.
 struct Part {
+    block: usize,
     metric: Metric,
     /// What the recording has beyond the control, in standard deviations.
     found: Vec<f64>,
@@ -357,17 +411,28 @@ struct Part {
 }
 
 impl Part {
-    fn new(data: &Measured, control: &Measured, scale: &[f64], keep: impl Fn(usize) -> bool) -> Part {
-        let (data, control) = (data.sum(&keep), control.sum(&keep).responses());
-        let metric = data.metric(scale);
-        let found = metric.whitened(&less(&data.responses(), &control));
-        Part { metric, found, control }
+    fn new(block: usize, data: &Features, control: &Features) -> Part {
+        let control = control.responses();
+        let moved = less(&data.responses(), &control);
+        let metric = data.metric(&moved);
+        Part { block, found: metric.whitened(&moved), metric, control }
     }
+}
 
-    /// The products of what was found and what a candidate makes, and of that with itself.
-    fn match_with(&self, expected: &Measured, keep: impl Fn(usize) -> bool) -> (f64, f64) {
-        products(&self.found, &self.metric.whitened(&less(&expected.sum(&keep).responses(), &self.control)))
-    }
+/// Every block that both have.
+fn parts(data: &Measured, control: &Measured) -> Vec<Part> {
+    let both = data.blocks.iter().zip(&control.blocks).enumerate();
+    both.filter(|(_, (data, control))| data.counts[0] > 0.0 && control.counts[0] > 0.0)
+        .map(|(block, (data, control))| Part::new(block, data, control))
+        .collect()
+}
+
+/// The products of what was found and what a candidate makes, and of that with itself, block by block: a block's light, speed and place are the same in both.
+fn matched(parts: &[Part], expected: &Measured, keep: impl Fn(usize) -> bool) -> (f64, f64) {
+    parts.iter().filter(|part| keep(part.block)).fold((0.0, 1e-12), |sum, part| {
+        let (along, square) = products(&part.found, &part.metric.whitened(&less(&expected.blocks[part.block].responses(), &part.control)));
+        (sum.0 + along, sum.1 + square)
+    })
 }
 
 fn less(a: &[f64], b: &[f64]) -> Vec<f64> {
@@ -375,7 +440,7 @@ fn less(a: &[f64], b: &[f64]) -> Vec<f64> {
 }
 
 fn detectability(data: &Measured, control: &Measured, nominal: &Nominal, scales: &Scales) -> Vec<Detectable> {
-    let (sum, sum_control) = (data.sum(|_| true), control.sum(|_| true));
+    let (sum, sum_control) = (data.sum(), control.sum());
     let mut raw = vec![0.0; data.columns.len()];
     for pixel in &data.scores.pixels {
         raw.iter_mut().zip(&pixel.raw).for_each(|(sum, value)| *sum += value);

@@ -1,7 +1,9 @@
 //! Claims about the conditional model: against the solver's own residuals, and against simulated recordings with effects.
 
 use super::conditional::{Conditional, Look, Track, conditional};
+use super::features::Metric;
 use super::view::{Prepared, View};
+use super::{LikelihoodSetting, likelihood};
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::nominal::Nominal;
 use crate::sample::Sample;
@@ -83,4 +85,38 @@ fn events_of_an_effect_are_explained_by_the_same_effect_and_by_nothing_less() {
         tried += 1;
     }
     assert!(wrong.is_empty() && tried > 25, "{tried} tried: {wrong:#?}");
+}
+
+/// As in [`LikelihoodSetting::default`], for an array of 12 x 10 pixels.
+fn small() -> LikelihoodSetting {
+    LikelihoodSetting { zones: (2, 2), refined: [4, 4, 0, 0], calibrated: 1, ..LikelihoodSetting::default() }
+}
+
+#[test]
+fn a_leak_is_named_with_its_rate_and_a_clean_recording_raises_no_alarm() {
+    let clean = testing::case();
+    let nominal = Nominal::new(&clean).unwrap();
+    let nothing = likelihood(&clean, &nominal, &LikelihoodSetting { refined: [0; 4], calibrated: 0, ..small() }).unwrap();
+    let scales = Scales::of(&clean, &nominal);
+    let (candidate, kind) = CANDIDATES.iter().enumerate().find(|(_, kind)| kind.id == "leak_events").unwrap();
+    let trial = Trial::with(&nominal, kind, 1.0, &scales);
+    let found = likelihood(&testing::case_with(&trial.effects), &nominal, &small()).unwrap();
+    assert!(!nothing.is_alarm && found.is_alarm, "{:?}\n{:?}", nothing.proposals.first(), found.proposals.first());
+    let leak = found.proposals.iter().find(|proposal| proposal.candidate == candidate).unwrap();
+    // On a few pixels of one brightness others are much alike: a leak in proportion to light, thresholds apart.
+    let best = &found.proposals[0];
+    assert!(leak.statistic > 0.8 * best.statistic, "{leak:?}\n{best:?}");
+    assert!((leak.value / 12.0 - 1.0).abs() < 0.3, "{} Hz", leak.value);
+    let detectable = found.detectability.iter().find(|detectable| detectable.candidate == candidate).unwrap();
+    assert!(detectable.not_testable.is_none() && detectable.minimal_detectable < 6.0, "{detectable:?}");
+}
+
+#[test]
+fn products_of_whitened_values_are_those_of_the_inverse_covariance() {
+    // [[4, 2], [2, 5]] has the inverse [[5, -2], [-2, 4]] / 16.
+    let metric = Metric::new(vec![vec![4.0, 0.0], vec![2.0, 5.0]]);
+    let (a, b) = (metric.whitened(&[3.0, 1.0]), metric.whitened(&[1.0, 2.0]));
+    let product = a[0] * b[0] + a[1] * b[1];
+    // (3, 1) (5 - 4, -2 + 8) / 16
+    assert!((product - 9.0 / 16.0).abs() < 1e-12, "{product}");
 }
