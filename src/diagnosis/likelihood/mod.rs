@@ -11,6 +11,7 @@
 
 pub mod conditional;
 pub mod features;
+pub mod pairs;
 pub mod score;
 #[cfg(test)]
 mod tests;
@@ -24,6 +25,7 @@ use crate::record::{Conditions, record};
 use crate::sample::Sample;
 use crate::scene::{Scene, SceneSetting};
 use features::{Bench, Features, Measured, Metric};
+use pairs::{Pair, Responses, best_pair};
 use photocurrent_sensor::map::{MapOptions, Noise};
 use score::pair;
 use serde::{Deserialize, Serialize};
@@ -133,6 +135,8 @@ pub struct Likelihood {
     pub proposals: Vec<Proposal>,
     /// Does the first pass the gates?
     pub is_alarm: bool,
+    /// Two effects that explain more together.
+    pub pair: Option<Pair>,
     /// Labels of those that are not told apart from the first, without it.
     pub also_possible: Vec<String>,
     /// Of every candidate with a column.
@@ -395,6 +399,7 @@ pub fn judge(comparison: &Comparison, nominal: &Nominal, scales: &Scales, settin
         control_dispersion: control.sum().dispersion,
         pixels: data.scores.pixels.len(),
         measurements: data.scores.pixels.iter().map(|pixel| pixel.count).sum(),
+        pair: best_pair(&parts.iter().map(|part| part.found.clone()).collect::<Vec<_>>(), &responses(&parts, expected), |n| half(parts[n].block)),
         agreement: *agreement,
         total: parts.iter().flat_map(|part| &part.found).map(|z| z * z).sum(),
         proposals,
@@ -425,6 +430,13 @@ fn parts(data: &Measured, control: &Measured) -> Vec<Part> {
     both.filter(|(_, (data, control))| data.counts[0] > 0.0 && control.counts[0] > 0.0)
         .map(|(block, (data, control))| Part::new(block, data, control))
         .collect()
+}
+
+/// What each candidate makes of each block, in standard deviations.
+fn responses(parts: &[Part], expected: &[Expected]) -> Vec<Responses> {
+    let white = |part: &Part, one: &Expected| part.metric.whitened(&less(&one.measured.blocks[part.block].responses(), &part.control));
+    let of = |one: &Expected| Responses { candidate: one.candidate, strength: one.strength, blocks: parts.iter().map(|part| white(part, one)).collect() };
+    expected.iter().map(of).collect()
 }
 
 /// The products of what was found and what a candidate makes, and of that with itself, block by block: a block's light, speed and place are the same in both.
