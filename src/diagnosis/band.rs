@@ -103,6 +103,8 @@ impl Band {
         self.is_known = true;
         let front_end = nominal.pixel.front_end;
         let mut level = 0.0;
+        let (least, most) = self.frames.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), frame| (a.min(frame.log_measured), b.max(frame.log_measured)));
+        let (darkest, brightest) = (least - 0.7, most + 0.7);
         self.log_light.clone_from(&self.v);
         for round in 0..3 {
             let light: Vec<f64> = self.log_light.iter().map(|u| exp(*u)).collect();
@@ -122,9 +124,13 @@ impl Band {
                 }
                 break;
             }
+            // The time constant is that of the light as the frames have it: sums of thresholds may have drifted far from it.
+            let closures: Vec<f64> = self.frames.iter().map(|frame| frame.closure - offset).collect();
+            self.interpolate(&closures);
             for n in 0..self.t.len() {
-                let tau = front_end.tau_0_s + front_end.alpha_s * f64::min(exp(-(self.v[n] + level)), 1e6);
-                self.log_light[n] = self.v[n] + level + tau * self.slope[n];
+                let seen = (self.v[n] + level + self.anchor[n]).clamp(darkest, brightest);
+                let tau = front_end.tau_0_s + front_end.alpha_s * exp(-seen);
+                self.log_light[n] = self.v[n] + level + (tau * self.slope[n]).clamp(-3.0, 3.0);
             }
         }
         for v in &mut self.v {
@@ -162,18 +168,21 @@ impl Band {
         let last = self.t.len() - 1;
         let (a, b) = (n.saturating_sub(1), usize::min(n + 1, last));
         let rate = if self.t[b] > self.t[a] { (self.anchor[b] - self.anchor[a]) / (self.t[b] - self.t[a]) } else { 0.0 };
-        let tau = nominal.pixel.front_end.tau_0_s + nominal.pixel.front_end.alpha_s * f64::min(exp(-self.v[n]), 1e6);
-        self.v[n] + self.anchor[n] - tau * rate
+        let tau = nominal.pixel.front_end.tau_0_s + nominal.pixel.front_end.alpha_s * exp(-f64::max(self.v[n] + self.anchor[n], -10.0));
+        self.v[n] + self.anchor[n] - f64::min(tau, 5e-3) * rate
     }
 
     /// As a pixel of a scene, anchored.
     fn found(&self, case: &Case) -> Found {
         let (mut t_ns, mut log_light): (Vec<i64>, Vec<f64>) = (Vec::with_capacity(self.t.len()), Vec::with_capacity(self.t.len()));
+        // Light is not far from what frames saw of it.
+        let far = |sign: f64| self.frames.iter().map(|frame| sign * frame.log_measured).fold(f64::NEG_INFINITY, f64::max);
+        let (least, most) = if self.frames.is_empty() { (-30.0, 30.0) } else { (-far(-1.0) - 3.0, far(1.0) + 3.0) };
         for n in 0..self.t.len() {
             let t = case.span.0 + (self.t[n] * 1e9).round() as i64;
             if t_ns.last().is_none_or(|last| t > *last) {
                 t_ns.push(t);
-                log_light.push((self.log_light[n] + self.anchor[n]).clamp(-30.0, 30.0));
+                log_light.push((self.log_light[n] + self.anchor[n]).clamp(least, most));
             }
         }
         (t_ns, log_light, self.is_known)

@@ -253,7 +253,14 @@ impl Candidate {
         };
         parameters.insert(self.parameter.to_owned(), written);
         self.complete(parameters, scales);
-        if matches!(self.id, "refractory_spread" | "refractory_light") && trial.nominal.pixel.refractory_ns == 0 {
+        if self.id == "refractory_light" {
+            // What an engineer meets is a period that grows in the dark beyond the stated one; the stated one is what it comes down to in bright light.
+            let bright = f64::max(trial.nominal.pixel.refractory_ns as f64 * 1e-9, SOME_REFRACTORY_S);
+            let dark = bright * (1.0 + 4.0 * strength.max(0.0)) * (1.0 + value * scales.light);
+            let refractory: Map<String, Value> = [("refractory".to_owned(), json!(format!("{} ns", (dark * 1e9).round())))].into_iter().collect();
+            trial.effects.entry("refractory".to_owned()).or_insert(refractory);
+        }
+        if self.id == "refractory_spread" && trial.nominal.pixel.refractory_ns == 0 {
             let refractory: Map<String, Value> = [("refractory".to_owned(), json!(format!("{} ns", SOME_REFRACTORY_S * 1e9)))].into_iter().collect();
             trial.effects.entry("refractory".to_owned()).or_insert(refractory);
         }

@@ -62,7 +62,18 @@ fn put_values(bytes: &mut Vec<u8>, values: &[f32]) {
     }
 }
 
+/// What comes with the program.
+const SHIPPED: &[u8] = include_bytes!("../../data/diagnosis/knowledge.bin");
+
 impl Knowledge {
+    /// The knowledge that comes with the program.
+    ///
+    /// # Errors
+    /// When it was made for another catalogue of effects.
+    pub fn shipped() -> Result<Knowledge, String> {
+        Knowledge::from_bytes(SHIPPED)
+    }
+
     /// As a file.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
@@ -136,6 +147,14 @@ fn read_net(reader: &mut Reader<'_>, count: usize, inputs: usize) -> Result<Net,
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_comes_with_the_program_fits_its_summaries_and_has_nulls() {
+        let shipped = Knowledge::shipped().unwrap();
+        assert_eq!(shipped.names, crate::summaries::names().unwrap());
+        assert!(shipped.floor.nulls.len() >= 30 && shipped.net.is_some());
+        assert_eq!(shipped.to_bytes(), SHIPPED);
+    }
 
     #[test]
     fn knowledge_survives_being_written_and_a_cut_file_is_refused() {

@@ -1,14 +1,15 @@
 //! How well a template explains a deviation: a strength and what is gained in likelihood.
 //!
-//! Deviations are heavy-tailed and summaries go together, so each summary counts as a Student-t variable and the sum is divided by twelve. A template is wrong
-//! by a share of itself: the scene is reconstructed, and strengths do not act linearly.
+//! Summaries go together, so the sum over them is divided by twelve. Deviation and template are both known only to a share of themselves: the scene is reconstructed,
+//! and strengths do not act linearly. That share enters by the deviation and by the template as it was made, not as it is scaled: a variance that grew with the
+//! strength would pull it down.
 
-/// Degrees of freedom of a summary's deviation.
-const FREEDOM: f64 = 4.0;
+/// Degrees of freedom of a summary's deviation: nearly normal.
+const FREEDOM: f64 = 20.0;
 /// Number of summaries that count as one.
 const TOGETHER: f64 = 12.0;
-/// A template is known to this share.
-const TEMPLATE_SHARE: f64 = 0.25;
+/// Deviations and templates are known to this share.
+const SHARE: f64 = 0.1;
 
 /// The best strength of a template, as a factor on it, and the gain in log-likelihood over none.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -19,32 +20,24 @@ pub struct Match {
     pub gain: f64,
 }
 
-/// Minus log-likelihood of deviations in spreads.
+/// Minus log-likelihood of deviations in spreads, none being exact.
 pub fn misfit(z: &[f64]) -> f64 {
-    z.iter().map(|z| one(*z)).sum::<f64>() / TOGETHER
+    misfit_with(z, z, 0.0)
 }
 
 fn one(z: f64) -> f64 {
     0.5 * (FREEDOM + 1.0) * libm::log1p(z * z / FREEDOM)
 }
 
-/// Minus log-likelihood with a template times a factor taken away, which widens what it touches.
+/// Minus log-likelihood with a template times a factor taken away.
 pub fn misfit_with(z: &[f64], template: &[f64], factor: f64) -> f64 {
-    let sum: f64 = z
-        .iter()
-        .zip(template)
-        .map(|(z, t)| {
-            let (moved, wide) = (factor * t, TEMPLATE_SHARE * factor * t);
-            let variance = 1.0 + wide * wide;
-            one((z - moved) / libm::sqrt(variance)) + 0.5 * libm::log(variance)
-        })
-        .sum();
-    sum / TOGETHER
+    let part = |(z, t): (&f64, &f64)| one((z - factor * t) / libm::sqrt(1.0 + SHARE * SHARE * (z * z + t * t)));
+    z.iter().zip(template).map(part).sum::<f64>() / TOGETHER
 }
 
 /// The factor of a size within `range` that explains most, by a grid of quarter octaves and a bisection around its best. Factors below zero too with `both`.
 pub fn best(z: &[f64], template: &[f64], range: (f64, f64), both: bool) -> Match {
-    let without = misfit(z);
+    let without = misfit_with(z, template, 0.0);
     let mut found = Match::default();
     let consider = |factor: f64, found: &mut Match| {
         let gain = without - misfit_with(z, template, factor);

@@ -29,7 +29,7 @@ pub struct SynthesisSetting {
 
 impl Default for SynthesisSetting {
     fn default() -> SynthesisSetting {
-        SynthesisSetting { seed: 7, candidates: 12, name: String::new(), alarm_gain: 4.0 }
+        SynthesisSetting { seed: 7, candidates: 12, name: String::new(), alarm_gain: 0.9 }
     }
 }
 
@@ -104,9 +104,14 @@ struct Template {
 /// Least and most strength that is considered.
 const STRENGTHS: (f64, f64) = (0.08, 4.0);
 
-/// Most strength of a candidate. A wide blur costs a hundred times what other effects cost.
+/// Most strength of a candidate. A wide blur costs a hundred times what other effects cost, and thresholds that spread to nothing fire without end.
 fn most(candidate: &Candidate) -> f64 {
-    if candidate.id == "blur" { 1.8 } else { STRENGTHS.1 }
+    match candidate.id {
+        "blur" => 1.8,
+        "threshold_mismatch" => 2.0,
+        "refractory" => 12.0,
+        _ => STRENGTHS.1,
+    }
 }
 
 /// Recognises a recording.
@@ -127,7 +132,7 @@ pub fn synthesis(case: &Case, knowledge: &Knowledge, setting: &SynthesisSetting)
     let maker = Maker { lean: &lean, bottom: &bottom, level: &level, z: &z, seed: setting.seed };
     // Every candidate once, then the best anew at the strengths that fit, twice.
     let mut templates: Vec<Template> = (0..CANDIDATES.len()).filter_map(|candidate| maker.fitted(candidate, 1.0)).collect();
-    let score = |template: &Template| template.gain + NET * libm::log(probabilities[template.candidate] + 1e-3);
+    let score = |template: &Template| template.gain + NET * libm::log(probabilities[template.candidate] + 1e-2);
     for (count, tolerance) in [(setting.candidates, 1.15), (setting.candidates / 2, 1.1)] {
         templates.sort_by(|a, b| score(b).total_cmp(&score(a)).then(a.candidate.cmp(&b.candidate)));
         for template in templates.iter_mut().take(count) {
@@ -214,7 +219,7 @@ fn ranked(template: &Template, lean: &Prepared<'_>, probability: f64) -> Ranked 
         label: candidate.label(),
         probability,
         gain: template.gain,
-        score: template.gain + NET * libm::log(probability + 1e-3),
+        score: template.gain + NET * libm::log(probability + 1e-2),
         strength,
         value: candidate.value(strength, &lean.scales, &lean.nominal),
         key: candidate.json_key().0,
@@ -222,7 +227,7 @@ fn ranked(template: &Template, lean: &Prepared<'_>, probability: f64) -> Ranked 
 }
 
 /// How many nats a factor e in the net's probability counts as.
-const NET: f64 = 0.5;
+const NET: f64 = 0.3;
 
 /// The best effect beside the first: what it explains of what the first leaves.
 fn second(z: &[f64], first: &Template, templates: &[Template], lean: &Prepared<'_>, probabilities: &[f64]) -> Option<Ranked> {
