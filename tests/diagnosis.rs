@@ -131,6 +131,8 @@ fn what_cannot_be_diagnosed_says_why() {
     recordings::write(&bench.path("plain.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
     says(&bench.run(&["diagnose", "plain.h5"]), 2, &["no sensor description", "--sensor"]);
     says(&bench.run(&["diagnose", "plain.h5", "--sensor", "none.toml"]), 2, &["none.toml", "cannot read"]);
+    bench.write("noise.bin", "nothing that anybody knows");
+    says(&bench.run(&["diagnose", "plain.h5", "--knowledge", "noise.bin"]), 2, &["noise.bin", "no knowledge"]);
     bench.write("empty.toml", "format = \"photocurrent-sensor/1\"\n");
     says(&bench.run(&["diagnose", "plain.h5", "--sensor", "empty.toml"]), 2, &["front_end.tau_0", "comparator.threshold_on", "frames.gain"]);
     assert!(!bench.path("out").exists(), "nothing is left behind");

@@ -235,6 +235,9 @@ pub struct DiagnoseOptions {
     /// Folder for diagnosis.json, sensor.fitted.toml and report.html [default: out/NAME of the recording]
     #[arg(short, long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
+    /// What recordings without an effect look like, for recognition by synthesis; without it that test is left out
+    #[arg(long, value_name = "FILE")]
+    pub knowledge: Option<PathBuf>,
     /// Seed of everything random
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,

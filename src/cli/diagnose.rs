@@ -7,6 +7,7 @@ use photocurrent_core::Sensor;
 use photocurrent_core::document::Source;
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::diagnose::{Diagnosis, Setting, broken};
+use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::report::{Report, Verdict, short};
 use photocurrent_store::StoreError;
@@ -29,6 +30,7 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     let started = Instant::now();
     let folder = options.out.clone().unwrap_or_else(|| Path::new("out").join(options.recording.file_stem().unwrap_or_default()));
     check_free(&folder)?;
+    let knowledge = knowledge(options)?;
     if let Some(threads) = options.threads {
         // It can only fail when something made the pool before us, and then that one works as well.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(threads as usize).build_global();
@@ -49,7 +51,8 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
         Err(Unread::Other(failure)) => return Err(failure),
     };
     let setting = Setting { seed: options.seed, ..Setting::default() };
-    let found = photocurrent_diagnosis::diagnose::diagnose(&case, &setting, &photocurrent_diagnosis::roads::all(), |stage| bar.set_message(stage.to_owned()));
+    let found =
+        photocurrent_diagnosis::diagnose::diagnose(&case, &setting, &photocurrent_diagnosis::roads::all(knowledge), |stage| bar.set_message(stage.to_owned()));
     bar.finish_and_clear();
     let found = found.map_err(|error| Failure::Other { message: format!("{}: {error}", options.recording.display()), code: 2 })?;
     let mut files = vec![(REPORT, text(&found.report)?), (PAGE, page(&found.report, Some(&case), Some(&found)))];
@@ -74,6 +77,13 @@ fn bar(quiet: bool) -> ProgressBar {
     bar.set_style(ProgressStyle::with_template("{spinner} {msg} {elapsed}").unwrap_or_else(|_| ProgressStyle::default_spinner()));
     bar.enable_steady_tick(std::time::Duration::from_millis(120));
     bar
+}
+
+/// What synthesis knows beforehand: the file that is named, or what is built in.
+fn knowledge(options: &DiagnoseOptions) -> Result<Option<Knowledge>, Failure> {
+    let Some(path) = &options.knowledge else { return Knowledge::shipped().map(Some).map_err(|why| usage(format!("the knowledge that is built in: {why}"))) };
+    let bytes = std::fs::read(path).map_err(|error| usage(format!("{}: cannot read the knowledge: {error}", path.display())))?;
+    Knowledge::from_bytes(&bytes).map(Some).map_err(|why| usage(format!("{}: this is no knowledge of the diagnosis: {why}", path.display())))
 }
 
 /// The description: a file's, or the recording's own.

@@ -3,14 +3,23 @@
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
 use crate::diagnose::{RoadKind, Setting};
+use crate::knowledge::Knowledge;
 use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
 use crate::nominal::Nominal;
 use crate::report::{Detectable, NotTestable};
+use crate::synthesis::{Ranked, Synthesis, SynthesisSetting, synthesis};
 use crate::verdict::{Proposal, Road};
 
-/// All roads, in the order in which they are run.
-pub fn all() -> Vec<RoadKind> {
-    vec![RoadKind::new("likelihood", run_likelihood)]
+/// All roads, in the order in which they are run. Synthesis needs to know what recordings without an effect look like, and is left out without that knowledge.
+pub fn all(knowledge: Option<Knowledge>) -> Vec<RoadKind> {
+    let mut roads = vec![RoadKind::new("likelihood", run_likelihood)];
+    roads.extend(knowledge.map(|knowledge| RoadKind::new("synthesis", move |case, setting| run_synthesis(case, &knowledge, setting))));
+    roads
+}
+
+fn run_synthesis(case: &Case, knowledge: &Knowledge, setting: &Setting) -> Result<Road, String> {
+    let own = SynthesisSetting { seed: setting.seed, ..SynthesisSetting::default() };
+    Ok(from_synthesis(&synthesis(case, knowledge, &own)?))
 }
 
 fn run_likelihood(case: &Case, setting: &Setting) -> Result<Road, String> {
@@ -54,6 +63,31 @@ pub fn from_likelihood(found: &Likelihood, setting: &LikelihoodSetting) -> Road 
         not_testable: not_testable(&found.detectability),
         ..Road::default()
     }
+}
+
+/// What synthesis says: its order is by nats, so belief is their exponential.
+pub fn from_synthesis(found: &Synthesis) -> Road {
+    let best = found.ranked.first().map_or(0.0, |first| first.score);
+    let one = |ranked: &Ranked| Proposal {
+        candidate: ranked.candidate,
+        score: f64::max(ranked.gain / found.threshold, 0.0),
+        probability: libm::exp(ranked.score - best),
+        value: ranked.value,
+        passed: found.alarm && ranked.gain > found.threshold,
+        ..Proposal::default()
+    };
+    let mut proposals: Vec<Proposal> = Vec::new();
+    for ranked in &found.ranked {
+        // Of each effect its best parameter only.
+        if proposals.iter().all(|other| CANDIDATES[other.candidate].id != ranked.id) {
+            proposals.push(one(ranked));
+        }
+    }
+    proposals.truncate(TOLD);
+    normalise(&mut proposals);
+    let mut second: Vec<Proposal> = found.second.iter().map(one).collect();
+    normalise(&mut second);
+    Road { name: "synthesis".into(), alarm: found.alarm, proposals, second, residual_left: Some(found.left).filter(|_| found.alarm), ..Road::default() }
 }
 
 fn detectable(one: &likelihood::Detectable) -> Detectable {
@@ -110,6 +144,38 @@ mod tests {
         assert!((sum - 1.0).abs() < 1e-12 && road.proposals[0].probability > 0.9);
         let silent = from_likelihood(&Likelihood { proposals: vec![said("leak_events", 9.0, 9.0)], ..Likelihood::default() }, &setting);
         assert!(!silent.alarm && !silent.proposals[0].passed);
+    }
+
+    #[test]
+    fn synthesis_believes_by_nats_and_passes_what_is_over_its_alarm() {
+        let ranked = |id: &str, gain: f64| Ranked {
+            candidate: CANDIDATES.iter().position(|one| one.id == id).unwrap(),
+            id: id.into(),
+            label: id.into(),
+            probability: 0.5,
+            gain,
+            score: gain,
+            strength: 1.0,
+            value: 1.0,
+            key: String::new(),
+        };
+        let found = Synthesis {
+            alarm: true,
+            statistic: 12.0,
+            threshold: 4.0,
+            consistent: 0.0,
+            ranked: vec![ranked("leak_events", 12.0), ranked("blur", 2.0)],
+            second: None,
+            deviating: Vec::new(),
+            context: Vec::new(),
+            nulls: 10.0,
+            left: 0.2,
+            frame_share: 0.0,
+        };
+        let road = from_synthesis(&found);
+        assert_eq!(road.proposals.iter().map(|one| one.passed).collect::<Vec<_>>(), [true, false]);
+        let ratio = road.proposals[0].probability / road.proposals[1].probability;
+        assert!((libm::log(ratio) - 10.0).abs() < 1e-9 && (road.proposals[0].score - 3.0).abs() < 1e-12);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::case::Case;
 use crate::integrity::{Finding, Integrity};
 use crate::nominal::Nominal;
 use crate::report::{Detectable, NotTestable, Verdict};
-use photocurrent_sensor::effects::Unit;
+use photocurrent_sensor::effects::{Unit, catalogue};
 use serde::Serialize;
 
 /// What a road thinks of one candidate.
@@ -168,13 +168,19 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
     })
 }
 
-/// A road less what is known already, and what does not matter.
+/// A road less what is known already or looks like it, and what does not matter.
 fn without(case: &Case, nominal: &Nominal, road: &Road, known: &[&str]) -> Road {
     let keep = |proposals: &[Proposal]| -> Vec<Proposal> {
         let matters = |proposal: &&Proposal| is_material(case, nominal, &CANDIDATES[proposal.candidate], proposal.value);
-        proposals.iter().filter(|proposal| !known.contains(&CANDIDATES[proposal.candidate].id)).filter(matters).cloned().collect()
+        proposals.iter().filter(|proposal| !known.iter().any(|known| looks_like(known, &CANDIDATES[proposal.candidate]))).filter(matters).cloned().collect()
     };
     Road { proposals: keep(&road.proposals), second: keep(&road.second), ..road.clone() }
+}
+
+/// Is a candidate an effect, or taken for it (or it for the candidate) by the catalogue's own word? What a direct estimate leaves of its effect looks like that.
+fn looks_like(known: &str, candidate: &Candidate) -> bool {
+    let confused = |id: &str| catalogue().into_iter().find(|kind| kind.decl.id == id).map_or(&[][..], |kind| kind.decl.confused_with);
+    known == candidate.id || confused(known).contains(&candidate.id) || confused(candidate.id).contains(&known)
 }
 
 /// What a road says of a second effect when the first is `id`: its own second, or what it put first itself if that is another.
@@ -194,7 +200,8 @@ fn strongest(roads: &[Road], of: fn(&Road) -> &Vec<Proposal>, alone: f64) -> Opt
         0 => return None,
         // The other road was there and silent: this one must be well over its alarm.
         1 if heard > 1 && best_score < alone => return None,
-        1 if heard == 1 && best_score < 1.0 => return None,
+        // There is no other: its own alarm is enough, unless something is named already.
+        1 if heard == 1 && best_score < if alone > ALONE { alone } else { 1.0 } => return None,
         _ => {}
     }
     // Support of an id: the mean over the sure roads of the logarithm of its probability; each road knows an id by its best parameter.

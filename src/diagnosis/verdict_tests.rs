@@ -110,3 +110,24 @@ fn nothing_over_its_alarm_is_consistent_and_something_unexplained_has_no_name() 
     assert_eq!(found.unexplained.map(|found| found.covariate), Some("frame_phase".to_owned()));
     assert_eq!(found.verdict, Verdict::Unnamed);
 }
+
+#[test]
+fn what_looks_like_a_direct_finding_is_its_remainder() {
+    let finding = Finding {
+        id: "event_loss",
+        parameters: vec![("fraction", 0.2)],
+        statistic: 50.0,
+        threshold: 5.0,
+        share: 0.2,
+        polarity: "both",
+        pixels: Vec::new(),
+        seen: String::new(),
+    };
+    let integrity = Integrity { findings: vec![finding], ..Integrity::default() };
+    let scale = || proposal("threshold_scale", "fraction", 60.0, 0.9, 0.2);
+    let found = answer_with(&integrity, &[road("likelihood", vec![scale()]), road("synthesis", vec![scale()])]);
+    assert_eq!(found.claims.iter().map(|claim| claim.id).collect::<Vec<_>>(), ["event_loss"]);
+    // Something of another kind is named beside, if it is far over its alarm.
+    let beside = |score: f64| answer_with(&integrity, &[road("likelihood", vec![leak(score, 0.9)])]).claims.len();
+    assert_eq!((beside(2.0), beside(20.0)), (1, 2));
+}
