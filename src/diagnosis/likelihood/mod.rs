@@ -187,7 +187,7 @@ const LEAST_SHARE: f64 = 0.005;
 /// What a likelihood with estimated light says of a recording.
 ///
 /// # Errors
-/// When the stated effects cannot be combined.
+/// When the stated effects cannot be combined, or no block of pixels has enough events.
 pub fn likelihood(case: &Case, nominal: &Nominal, setting: &LikelihoodSetting) -> Result<Likelihood, String> {
     let scales = Scales::of(case, nominal);
     let comparison = compare(case, nominal, &scales, setting)?;
@@ -197,9 +197,15 @@ pub fn likelihood(case: &Case, nominal: &Nominal, setting: &LikelihoodSetting) -
 /// Measures a recording, its control and every candidate.
 ///
 /// # Errors
-/// When the stated effects cannot be combined.
+/// When the stated effects cannot be combined, or no block of pixels has enough events.
 pub fn compare(case: &Case, nominal: &Nominal, scales: &Scales, setting: &LikelihoodSetting) -> Result<Comparison, String> {
     let sample = Sample::blocks(case, setting.zones, setting.side, setting.margin, setting.events);
+    if sample.is_empty() {
+        let (LikelihoodSetting { side, .. }, (least, most)) = (setting, setting.events);
+        return Err(format!(
+            "no block of {side} x {side} pixels has between {least} and {most} events a pixel, so nothing can be scored; record more change, or for longer"
+        ));
+    }
     let conditions = Conditions { seed: setting.seed, frame_share: 0.003, frame_dn: 0.3 };
     let Faithful { scene, priors, agreement } = faithful(case, nominal, &sample, &setting.scene)?;
     let bench = Bench { case, nominal, sample: &sample, setting: &setting.scene, scales, conditions, priors: &priors };

@@ -5,6 +5,7 @@ use super::features::Metric;
 use super::view::{Prepared, View};
 use super::{LikelihoodSetting, likelihood};
 use crate::candidates::{CANDIDATES, Scales, Trial};
+use crate::case::PixelEvents;
 use crate::nominal::Nominal;
 use crate::sample::Sample;
 use crate::scene::{Scene, SceneSetting, task};
@@ -109,6 +110,14 @@ fn a_leak_is_named_with_its_rate_and_a_clean_recording_raises_no_alarm() {
     assert!((leak.value / 12.0 - 1.0).abs() < 0.3, "{} Hz", leak.value);
     let detectable = found.detectability.iter().find(|detectable| detectable.candidate == candidate).unwrap();
     assert!(detectable.not_testable.is_none() && detectable.minimal_detectable < 6.0, "{detectable:?}");
+}
+
+#[test]
+fn a_recording_without_events_is_refused_with_what_to_do() {
+    let mut case = testing::case();
+    case.events = PixelEvents::new(vec![Vec::new(); case.extent.pixels()]);
+    let why = likelihood(&case, &Nominal::new(&case).unwrap(), &small()).unwrap_err();
+    assert!(why.contains("5 x 5 pixels") && why.contains("record more change"), "{why}");
 }
 
 #[test]
