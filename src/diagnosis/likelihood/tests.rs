@@ -1,12 +1,13 @@
 //! Claims about the conditional model: against the solver's own residuals, and against simulated recordings with effects.
 
 use super::conditional::{Conditional, Look, Track, conditional};
-use super::features::Metric;
+use super::features::{Bench, Metric};
 use super::view::{Prepared, View};
 use super::{LikelihoodSetting, likelihood};
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::case::PixelEvents;
 use crate::nominal::Nominal;
+use crate::record::Conditions;
 use crate::sample::Sample;
 use crate::scene::{Scene, SceneSetting, task};
 use crate::testing;
@@ -118,6 +119,23 @@ fn a_recording_without_events_is_refused_with_what_to_do() {
     case.events = PixelEvents::new(vec![Vec::new(); case.extent.pixels()]);
     let why = likelihood(&case, &Nominal::new(&case).unwrap(), &small()).unwrap_err();
     assert!(why.contains("5 x 5 pixels") && why.contains("record more change"), "{why}");
+}
+
+#[test]
+fn features_are_the_same_bits_for_one_thread_and_three() {
+    let case = testing::case();
+    let nominal = Nominal::new(&case).unwrap();
+    let (sample, scales, setting) = (Sample::all(&case, 4), Scales::of(&case, &nominal), small());
+    let priors = vec![setting.scene.options.prior; sample.len()];
+    let conditions = Conditions::default();
+    let bench = Bench { case: &case, nominal: &nominal, sample: &sample, setting: &setting.scene, scales: &scales, conditions, priors: &priors };
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| bench.measure(&case).unwrap().1.sum())
+    };
+    let (one, three) = (with(1), with(3));
+    assert!(one.values.iter().any(|value| *value != 0.0));
+    assert_eq!((one.values, one.information), (three.values, three.information));
 }
 
 #[test]
