@@ -48,7 +48,7 @@ pub fn draw(index: usize, entry: &Entry, seed: &str) -> Result<Draft, String> {
     let family = Family::draw(name, &mut random, WIDTH as f64, HEIGHT as f64, edge);
     let light = if entry.condition == "dim" { random.log_between(2.0, 6.0) } else { random.log_between(20.0, 200.0) };
     let contrast = match entry.condition {
-        "fast" | "sluggish" => 0.95,
+        "fast" => 0.9,
         "wide_range" => 1.5,
         _ => random.between(0.5, 0.95),
     };
@@ -62,22 +62,17 @@ pub fn draw(index: usize, entry: &Entry, seed: &str) -> Result<Draft, String> {
     let target = match entry.condition {
         "few_events" => random.between(3e3, 6e3),
         "still_ground" | "dim" => random.between(15e3, 25e3),
-        "fast" => 60e3,
+        "fast" => random.between(30e3, 40e3),
         _ => random.between(36e3, 46e3),
     };
     let threshold = 0.5 * (nominal.on + nominal.off);
-    let fastest = if entry.condition == "fast" { 8.0 } else { 3.0 };
-    set_pace(&mut scene, &timing, threshold, target, fastest);
+    let pace = set_pace(&mut scene, &timing, threshold, target);
 
     // The brightest pixel reads 85 % of full scale (a dim scene: 12 %); the time constant is what `sensor` says at the mean light.
     let brightest = survey(&scene, &timing, threshold).1;
     let share = if entry.condition == "dim" { 0.12 } else { 0.85 };
     nominal.gain = (share * (nominal.saturation - nominal.black) / (brightest * exposure)).round();
-    let slow = match entry.condition {
-        "dim" => random.between(500e-6, 900e-6),
-        "sluggish" => random.between(500e-6, 700e-6),
-        _ => random.between(120e-6, 250e-6),
-    };
+    let slow = if entry.condition == "dim" { random.between(500e-6, 900e-6) } else { random.between(120e-6, 250e-6) };
     nominal.alpha = whole_ns(slow * light);
 
     let mut physics = Physics::of(nominal.clone());
@@ -109,7 +104,7 @@ pub fn draw(index: usize, entry: &Entry, seed: &str) -> Result<Draft, String> {
         "kind": entry.kind.name(),
         "condition": entry.condition,
         "scene": {
-            "family": name, "light_middle": light, "contrast_ln": scene.contrast, "pace": scene.pace, "edge_px": edge,
+            "family": name, "light_middle": light, "contrast_ln": contrast, "pace": pace, "edge_px": edge,
             "flicker": flicker.map(|[depth, frequency, _]| json!({ "depth": depth, "frequency_hz": frequency })),
         },
         "recording": {
@@ -216,17 +211,13 @@ fn survey(scene: &Scene, timing: &Timing, threshold: f64) -> (f64, f64) {
     (count, libm::exp(brightest))
 }
 
-/// Sets the scene's pace so that about `target` events are to be expected; where that would be faster than `fastest`, contrast helps.
-fn set_pace(scene: &mut Scene, timing: &Timing, threshold: f64, target: f64, fastest: f64) {
-    for _ in 0..7 {
-        let missing = target / survey(scene, timing, threshold).0.max(1.0);
-        let wanted = scene.pace * missing.clamp(0.3, 3.0);
-        scene.pace = wanted.clamp(0.05, fastest);
-        if wanted > fastest {
-            // A light range of 11 at most: the time constant still is what the description of the sensors says over most of it.
-            scene.contrast = f64::max(scene.contrast, (scene.contrast * libm::sqrt(wanted / fastest)).min(1.2));
-        }
+/// Sets the scene's pace so that about `target` events are to be expected.
+fn set_pace(scene: &mut Scene, timing: &Timing, threshold: f64, target: f64) -> f64 {
+    for _ in 0..6 {
+        let expected = survey(scene, timing, threshold).0.max(1.0);
+        scene.pace = (scene.pace * (target / expected).clamp(0.3, 3.0)).clamp(0.05, 8.0);
     }
+    scene.pace
 }
 
 /// A law outside the catalogue by name, with its strengths drawn.

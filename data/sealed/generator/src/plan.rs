@@ -57,10 +57,6 @@ const fn single(effect: &'static [&'static str]) -> Entry {
     Entry { kind: Kind::Single, effects: effect, law: None, condition: "", family: "" }
 }
 
-const fn single_in(condition: &'static str, effect: &'static [&'static str], family: &'static str) -> Entry {
-    Entry { kind: Kind::Single, effects: effect, law: None, condition, family }
-}
-
 const fn pair(effects: &'static [&'static str]) -> Entry {
     Entry { kind: Kind::Pair, effects, law: None, condition: "", family: "" }
 }
@@ -89,8 +85,8 @@ pub const PLAN: &[Entry] = &[
     null(""),
     null(""),
     null(""),
-    hard("fast", "bars"),
-    hard("fast", "few_discs"),
+    hard("fast", "spokes"),
+    hard("fast", "discs"),
     hard("dim", "drift"),
     hard("dim", "patch"),
     hard("few_events", "spots"),
@@ -108,7 +104,7 @@ pub const PLAN: &[Entry] = &[
     single(&["dark_current"]),
     single(&["time_constant"]),
     single(&["second_pole"]),
-    single_in("sluggish", &["large_signal_front_end"], "discs"),
+    single(&["large_signal_front_end"]),
     single(&["slew_limit"]),
     single(&["high_pass_front_end"]),
     single(&["bandwidth_gradient"]),

@@ -119,9 +119,9 @@ impl Family {
                 disc: texture(random),
                 ground: texture(random),
                 centre,
-                radius: height * random.between(0.48, 0.6),
+                radius: height * random.between(0.38, 0.48),
                 omega: random.sign() * 25.0,
-                drift: random.between(0.0, 200.0),
+                drift: random.between(0.0, 60.0),
             },
             "patch" => {
                 let body = Body { place: centre, velocity: heading(500.0), radius: height * random.between(0.25, 0.4), level: 0.0 };
@@ -139,12 +139,12 @@ impl Family {
                 let few = name == "few_discs";
                 let mut body = || {
                     let angle = random.between(0.0, 2.0 * PI);
-                    let speed = random.between(300.0, 800.0);
+                    let speed = random.between(300.0, 900.0);
                     let velocity = [speed * libm::cos(angle), speed * libm::sin(angle)];
                     let place = [random.between(0.0, width), random.between(0.0, height)];
-                    Body { place, velocity, radius: random.between(3.0, if few { 9.0 } else { 11.0 }), level: random.sign() * random.between(0.7, 1.1) }
+                    Body { place, velocity, radius: random.between(3.0, 9.0), level: random.sign() * random.between(0.6, 1.1) }
                 };
-                let bodies = (0..if few { 2 } else { 12 }).map(|_| body()).collect();
+                let bodies = (0..if few { 2 } else { 8 }).map(|_| body()).collect();
                 Self::Discs { bodies, width: edge, ground: texture(random), share: if few { 0.5 } else { 0.3 } }
             }
             "rings" => Self::Rings { centre, wavelength: random.between(14.0, 26.0), speed: random.sign() * 350.0, texture: texture(random) },
@@ -168,10 +168,10 @@ impl Family {
                 let mut spot = || {
                     let (x, y) = (random.between(0.0, width), random.between(0.0, height));
                     let (rx, ry) = (random.between(8.0, 25.0), random.between(8.0, 20.0));
-                    let (fx, fy) = (random.between(5.0, 11.0), random.between(5.0, 11.0));
+                    let (fx, fy) = (random.between(3.0, 9.0), random.between(3.0, 9.0));
                     [x, y, rx, ry, fx, fy, random.between(2.5, 6.0), random.sign() * random.between(0.6, 1.2)]
                 };
-                let spots = (0..14).map(|_| spot()).collect();
+                let spots = (0..9).map(|_| spot()).collect();
                 Self::Spots { spots, ground: texture(random) }
             }
             _ => {
@@ -201,7 +201,7 @@ impl Family {
         match self {
             Self::Drift { texture, velocity } => each(out, &|x, y| bounded(texture.at(x - velocity[0] * t, y - velocity[1] * t))),
             Self::Zoom { texture, centre, frequency, phase } => {
-                let scale = libm::exp(0.5 * libm::sin(2.0 * PI * frequency * t + phase));
+                let scale = libm::exp(0.35 * libm::sin(2.0 * PI * frequency * t + phase));
                 each(out, &|x, y| bounded(texture.at(centre[0] + (x - centre[0]) * scale, centre[1] + (y - centre[1]) * scale)));
             }
             Self::Spin { texture, centre, omega } => {
