@@ -53,7 +53,8 @@ pub fn best(z: &[f64], template: &[f64], range: (f64, f64), both: bool) -> Match
         }
         factor *= 1.19;
     }
-    for width in [1.09, 1.045, 1.022, 1.011] {
+    let widths: &[f64] = if range.0 < range.1 { &[1.09, 1.045, 1.022, 1.011] } else { &[] };
+    for width in widths {
         let middle = found.factor;
         consider(middle / width, &mut found);
         consider(middle * width, &mut found);
