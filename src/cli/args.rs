@@ -235,6 +235,9 @@ pub struct DiagnoseOptions {
     /// Folder for diagnosis.json, sensor.fitted.toml and report.html [default: out/NAME of the recording]
     #[arg(short, long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
+    /// Only the tests that need no scene: a second, and blind for most effects
+    #[arg(long, conflicts_with = "knowledge")]
+    pub direct: bool,
     /// What recordings without an effect look like, for recognition by synthesis; without it that test is left out
     #[arg(long, value_name = "FILE")]
     pub knowledge: Option<PathBuf>,

@@ -1,3 +1,5 @@
+//! A whole diagnosis of small recordings, with roads that say what they are told.
+
 use super::*;
 use crate::testing;
 use crate::verdict::Proposal;

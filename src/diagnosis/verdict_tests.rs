@@ -1,3 +1,5 @@
+//! What is claimed when tests agree, differ, or stand alone.
+
 use super::*;
 use crate::testing;
 

@@ -1,3 +1,5 @@
+//! Pages are whole, and safe to open.
+
 use super::*;
 use crate::diagnose::{Setting, broken, diagnose};
 use crate::testing;
