@@ -238,7 +238,7 @@ pub struct DiagnoseOptions {
     /// Only the tests that need no scene: a second, and blind for most effects
     #[arg(long, conflicts_with = "knowledge")]
     pub direct: bool,
-    /// What recordings without an effect look like, for recognition by synthesis; without it that test is left out
+    /// What recordings without an effect look like, for recognition by synthesis [default: built in]
     #[arg(long, value_name = "FILE")]
     pub knowledge: Option<PathBuf>,
     /// Seed of everything random

@@ -255,7 +255,8 @@ impl Nulls {
     /// A null of a context like an example's: the nearest of four at random.
     fn near(&self, context: &[f32], random: &mut Random) -> usize {
         let far = |n: usize| -> f64 {
-            self.contexts[n].iter().zip(context).zip(&self.scale).map(|((a, b), (_, s))| ((a - f64::from(*b)) / f64::from(*s)).powi(2)).sum()
+            let apart = |((a, b), (_, s)): ((&f64, &f32), &(f32, f32))| (a - f64::from(*b)) / f64::from(*s);
+            self.contexts[n].iter().zip(context).zip(&self.scale).map(apart).map(|apart| apart * apart).sum()
         };
         let mut best = (f64::INFINITY, 0);
         for _ in 0..4 {
@@ -323,7 +324,8 @@ impl Adam {
 
     fn step(&mut self, net: &mut Net, gradient: &[Layer], rate: f32) {
         self.step += 1;
-        let (fix_mean, fix_square) = (1.0 - 0.9_f32.powi(self.step), 1.0 - 0.999_f32.powi(self.step));
+        let left = |rate: f64| libm::pow(rate, f64::from(self.step)) as f32;
+        let (fix_mean, fix_square) = (1.0 - left(0.9), 1.0 - left(0.999));
         let update = |w: &mut [f32], m: &mut [f32], v: &mut [f32], g: &[f32], decay: f32| {
             for n in 0..w.len() {
                 m[n] = 0.9 * m[n] + 0.1 * g[n];

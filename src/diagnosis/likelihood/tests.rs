@@ -108,7 +108,8 @@ fn a_leak_is_named_with_its_rate_and_a_clean_recording_raises_no_alarm() {
     // On a few pixels of one brightness others are much alike: a leak in proportion to light, thresholds apart.
     let best = &found.proposals[0];
     assert!(leak.statistic > 0.8 * best.statistic, "{leak:?}\n{best:?}");
-    assert!((leak.value / 12.0 - 1.0).abs() < 0.3, "{} Hz", leak.value);
+    // The scene takes over a part of a leak and gives back another's: strengths are good to a factor of one and a half.
+    assert!(leak.value > 12.0 / 1.5 && leak.value < 12.0 * 1.5, "{} Hz", leak.value);
     let detectable = found.detectability.iter().find(|detectable| detectable.candidate == candidate).unwrap();
     assert!(detectable.not_testable.is_none() && detectable.minimal_detectable < 6.0, "{detectable:?}");
 }
