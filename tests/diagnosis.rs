@@ -3,7 +3,7 @@
 use crate::recordings;
 use crate::support::{self, Bench, Done};
 use photocurrent_core::testing;
-use photocurrent_store::{RecordingContent, write_recording};
+use photocurrent_store::RecordingContent;
 use serde_json::Value;
 
 fn read(bench: &Bench, name: &str) -> String {
@@ -21,7 +21,7 @@ fn data_without_a_picture_are_broken_and_reported() {
     let black = testing::captured(recordings::EXTENT, recordings::exposures(4), 30_000, |_, _, _| 0.0);
     let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
     let content = RecordingContent { frames: Some(&black), sensor: Some(&text), ..RecordingContent::empty(recordings::EXTENT) };
-    write_recording(&bench.path("black.h5"), &content).expect("the store writes it");
+    recordings::write_content(&bench.path("black.h5"), &content);
     let done = bench.run(&["diagnose", "black.h5", "-o", "found"]);
     assert_eq!(done.code, 3, "{}", done.stderr);
     assert!(done.stdout.starts_with("broken_data: ") && done.stdout.contains("hold no picture"), "{}", done.stdout);
@@ -35,7 +35,7 @@ fn frames_alone_are_insufficient() {
     let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
     let frames = recordings::frames(4);
     let content = RecordingContent { frames: Some(&frames), sensor: Some(&text), ..RecordingContent::empty(recordings::EXTENT) };
-    write_recording(&bench.path("frames.h5"), &content).expect("the store writes it");
+    recordings::write_content(&bench.path("frames.h5"), &content);
     let done = bench.run(&["diagnose", "frames.h5", "-o", "found"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     assert!(done.stdout.starts_with("insufficient: 0 events"), "{}", done.stdout);
@@ -44,7 +44,7 @@ fn frames_alone_are_insufficient() {
 #[test]
 fn what_cannot_be_diagnosed_says_why() {
     let bench = Bench::new();
-    says(&bench.run(&["diagnose", "nowhere.h5"]), 1, &["nowhere.h5"]);
+    says(&bench.run(&["diagnose", "nowhere.h5"]), 2, &["nowhere.h5", "cannot read the recording", "photocurrent-recording/1"]);
     recordings::write(&bench.path("plain.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
     says(&bench.run(&["diagnose", "plain.h5"]), 2, &["no sensor description", "--sensor"]);
     says(&bench.run(&["diagnose", "plain.h5", "--sensor", "none.toml"]), 2, &["none.toml", "cannot read"]);
@@ -53,4 +53,16 @@ fn what_cannot_be_diagnosed_says_why() {
     bench.write("empty.toml", "format = \"photocurrent-sensor/1\"\n");
     says(&bench.run(&["diagnose", "plain.h5", "--sensor", "empty.toml"]), 2, &["front_end.tau_0", "comparator.threshold_on", "frames.gain"]);
     assert!(!bench.path("out").exists(), "nothing is left behind");
+}
+
+#[test]
+fn threads_do_not_change_a_byte_of_the_report_nor_of_the_page() {
+    let bench = Bench::new();
+    let recording = support::root().join("data/sealed/recordings/75b9f397.h5");
+    let run = |threads: &str, folder: &str| {
+        let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", folder, "--threads", threads]);
+        assert_eq!(done.code, 0, "{}", done.stderr);
+        ["diagnosis.json", "report.html"].map(|name| read(&bench, &format!("{folder}/{name}")))
+    };
+    assert_eq!(run("1", "one"), run("2", "two"));
 }

@@ -65,7 +65,7 @@ pub fn events() -> EventStream {
 
 /// Writes a recording. The library locks the file it writes, and a command that another test starts just then inherits the open file with its
 /// lock for as long as it lives: so what the commands read is a copy.
-fn write_content(path: &Path, content: &RecordingContent) {
+pub fn write_content(path: &Path, content: &RecordingContent) {
     let original = path.with_extension("original");
     write_recording(&original, content).expect("the store writes it");
     std::fs::write(path, std::fs::read(&original).expect("the recording")).expect("a copy");

@@ -37,6 +37,11 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     }
     let bar = bar(options.quiet);
     bar.set_message("reading the recording");
+    // The HDF5 library's word for a missing file comes without what to do about it.
+    if let Err(error) = std::fs::metadata(&options.recording) {
+        let hint = "hint: name a recording, an HDF5 file in the form photocurrent-recording/1 (docs/formats.md)";
+        return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", options.recording.display())));
+    }
     let recording = Recording::open(&options.recording)?;
     let sensor = sensor(options, &recording)?;
     let case = match case(&recording, &sensor) {

@@ -90,8 +90,10 @@ pub fn diagnose(case: &Case, setting: &Setting, roads: &[RoadKind], mut tell: im
     }
     tell("verdict");
     let mut answer = verdict(case, &nominal, &integrity, &found);
-    if answer.verdict == Verdict::Consistent && !can_compare {
+    // Silence of a test that could not be made says nothing.
+    if answer.verdict == Verdict::Consistent && (!can_compare || !failed.is_empty()) {
         answer.verdict = Verdict::Insufficient;
+        integrity.lacking.extend(failed.iter().cloned());
     }
     let values: Vec<(usize, f64)> = answer.claims.iter().flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value))).collect();
     let changed = (!values.is_empty()).then(|| fitted(&case.sensor, &nominal, &scales, &values));

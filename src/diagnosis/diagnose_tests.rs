@@ -48,6 +48,16 @@ fn a_road_that_fails_is_told_and_the_others_go_on() {
 }
 
 #[test]
+fn silence_beside_a_test_that_could_not_be_made_is_not_consistency() {
+    let silent = || RoadKind::new("likelihood", |_, _| Ok(Road { name: "likelihood".into(), ..Road::default() }));
+    let failing = RoadKind::new("synthesis", |_, _| Err("too few events".into()));
+    assert_eq!(quiet(&testing::case(), &[silent()]).report.verdict, Verdict::Consistent);
+    let found = quiet(&testing::case(), &[failing, silent()]);
+    assert_eq!(found.report.verdict, Verdict::Insufficient);
+    assert!(found.report.summary.contains("too few events"), "{}", found.report.summary);
+}
+
+#[test]
 fn events_alone_are_insufficient_unless_a_direct_test_speaks() {
     let alone = Case { frames: None, ..testing::case() };
     let found = quiet(&alone, &[RoadKind::new("likelihood", |_, _| Ok(clock(1e-3)))]);
