@@ -17,7 +17,14 @@ pub fn all(knowledge: Option<Knowledge>) -> Vec<RoadKind> {
     roads
 }
 
+/// With fewer events a pixel than this, frames alone make the scene, and every effect of the events looks like every other.
+const LEAST_EVENTS_A_PIXEL: f64 = 0.3;
+
 fn run_synthesis(case: &Case, knowledge: &Knowledge, setting: &Setting) -> Result<Road, String> {
+    let events_a_pixel = case.events.all().len() as f64 / case.events.pixels().max(1) as f64;
+    if events_a_pixel < LEAST_EVENTS_A_PIXEL {
+        return Err(format!("there are {events_a_pixel:.2} events a pixel, and {LEAST_EVENTS_A_PIXEL} are needed; record more change, or for longer"));
+    }
     let own = SynthesisSetting { seed: setting.seed, ..SynthesisSetting::default() };
     Ok(from_synthesis(&synthesis(case, knowledge, &own)?))
 }
