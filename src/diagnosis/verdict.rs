@@ -103,8 +103,10 @@ pub struct Answer {
     pub unexplained: Option<Unexplained>,
 }
 
-/// A road that stands alone must be so far over its alarm.
-const ALONE: f64 = 2.0;
+/// A road that stands alone while the other is silent must be so far over its alarm: noise of the frames that nobody stated brings one to seven and eight.
+const ALONE: f64 = 10.0;
+/// A second effect must be so far over it.
+const SECOND: f64 = 4.0;
 /// A candidate with this share of the best one's support is in the set.
 const IN_SET: f64 = 0.5;
 /// The least probability that counts as support.
@@ -128,8 +130,8 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
             claims.push(first);
             let rest: Vec<Road> = speaking.iter().map(|road| second_of(road, id)).collect();
             let two_by_two = || rest.iter().filter(|road| road.alarm && !road.proposals.is_empty()).count() > 1;
-            if let Some(second) = strongest(&rest, |road| &road.proposals, 2.0 * ALONE)
-                && (two_by_two() || second.score > 2.0 * ALONE)
+            if let Some(second) = strongest(&rest, |road| &road.proposals, SECOND)
+                && (two_by_two() || second.score > SECOND)
                 && !claims.iter().any(|claim| claim.id == second.id || claim.also_possible.contains(&second.id))
             {
                 claims.push(second);

@@ -58,8 +58,8 @@ fn two_sure_roads_that_differ_give_a_set_with_both() {
 #[test]
 fn a_road_alone_needs_more_when_the_other_is_silent() {
     let silent = || Road { alarm: false, ..road("synthesis", vec![asymmetry(0.3, 0.5)]) };
-    assert_eq!(answer(&[road("likelihood", vec![leak(1.3, 0.9)]), silent()]).verdict, Verdict::Consistent);
-    assert_eq!(answer(&[road("likelihood", vec![leak(3.0, 0.9)]), silent()]).verdict, Verdict::Named);
+    assert_eq!(answer(&[road("likelihood", vec![leak(8.0, 0.9)]), silent()]).verdict, Verdict::Consistent);
+    assert_eq!(answer(&[road("likelihood", vec![leak(12.0, 0.9)]), silent()]).verdict, Verdict::Named);
     // When there is no other road its own alarm is all there is.
     assert_eq!(answer(&[road("likelihood", vec![leak(1.3, 0.9)])]).verdict, Verdict::Named);
 }
