@@ -54,7 +54,7 @@ impl<'a> Prepared<'a> {
         let own = summaries(&view);
         let context = context(&view, &own);
         let scene = Band::scene(case, &bands);
-        let conditions = Conditions { seed, frame_share: 0.0, frame_dn: 0.0 };
+        let conditions = Conditions { seed, ..Conditions::default() };
         let mut prepared = Prepared { case, nominal, sample, scales, scene, conditions, own, deviation: Vec::new(), context };
         prepared.conditions.frame_share = prepared.frame_noise(&bands)?;
         prepared.deviation = prepared.against_nominal(case, &prepared.scene, &prepared.own, seed)?;

@@ -48,11 +48,13 @@ pub mod knowledge;
 pub mod likelihood;
 pub mod locate;
 pub mod matching;
+pub mod mismatch;
 pub mod nominal;
 pub mod onnx;
 pub mod page;
 pub mod proposer;
 pub mod record;
+pub mod refit;
 pub mod report;
 pub mod roads;
 pub mod sample;
@@ -61,6 +63,7 @@ pub mod scenes;
 pub mod summaries;
 pub mod synthesis;
 pub mod train;
+pub mod under;
 pub mod verdict;
 
 #[cfg(test)]

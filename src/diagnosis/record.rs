@@ -32,6 +32,8 @@ pub struct Conditions {
     pub frame_share: f64,
     /// And in DN.
     pub frame_dn: f64,
+    /// The scene is light behind all mixing of neighbours.
+    pub is_mixed: bool,
 }
 
 /// Effects with their parameters, by catalogue id, as `[effects]` of a sensor description states them.
@@ -46,7 +48,7 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, mo
     let mut described = case.sensor.effects.clone();
     described.extend(more.iter().map(|(id, parameters)| (id.clone(), parameters.clone())));
     let mut effects = from_description(&described)?;
-    let kernel = joined(&effects).map_err(|why| why.to_string())?;
+    let kernel = joined(&effects).map_err(|why| why.to_string())?.filter(|_| !conditions.is_mixed);
     inform(case, &mut effects);
     let effects: &[Box<dyn Effect>] = &effects;
     let number = FrameReadout { number: nominal.number, saturation: nominal.saturation_dn, row_time_ns: nominal.row_time_ns };

@@ -3,7 +3,7 @@
 use crate::case::Case;
 use crate::nominal::Nominal;
 use crate::sample::Sample;
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, MapTask, Noise, Prior};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, Noise, Prior};
 use rayon::prelude::*;
 
 /// How the light is estimated.
@@ -58,19 +58,34 @@ impl Scene {
     /// # Panics
     /// When there is not one prior for each pixel.
     pub fn estimate_with(case: &Case, nominal: &Nominal, sample: &Sample, setting: &SceneSetting, priors: &[Prior]) -> Scene {
+        let told = |n: usize| Told { data: pixel_data(case, nominal, setting, sample.pixels[n] as usize), sensor: nominal.map_sensor(), beyond: Vec::new() };
+        Scene::estimate_from(sample, priors, told, |told| task(case, setting, &told.data, told.sensor, &told.beyond), case.span.0)
+    }
+
+    /// The light of every pixel of a sample, from measurements and sensor of each (by its place in the sample) and the problem that they make.
+    ///
+    /// # Panics
+    /// When there is not one prior for each pixel.
+    pub fn estimate_from(
+        sample: &Sample,
+        priors: &[Prior],
+        told: impl Fn(usize) -> Told + Sync,
+        task: impl for<'a> Fn(&'a Told) -> MapTask<'a> + Sync,
+        start_ns: i64,
+    ) -> Scene {
         const CHUNK: usize = 64;
         assert_eq!(priors.len(), sample.len(), "one prior for each pixel");
         let places: Vec<usize> = (0..sample.len()).collect();
         let parts: Vec<Vec<(Found, f64)>> = places
             .par_chunks(CHUNK)
             .map_init(MapGroup::default, |group, places| {
-                let data: Vec<PixelData> = places.iter().map(|&n| pixel_data(case, nominal, setting, sample.pixels[n] as usize)).collect();
-                let mut found = vec![((vec![case.span.0], vec![0.0], false), 0.0); places.len()];
-                let lit: Vec<usize> = (0..places.len()).filter(|&n| data[n].1.iter().any(|frame| !frame.saturated)).collect();
+                let told: Vec<Told> = places.iter().map(|&n| told(n)).collect();
+                let mut found = vec![((vec![start_ns], vec![0.0], false), 0.0); places.len()];
+                let lit: Vec<usize> = (0..places.len()).filter(|&n| told[n].data.1.iter().any(|frame| !frame.saturated)).collect();
                 let tasks: Vec<MapTask<'_>> = lit
                     .iter()
                     .map(|&n| {
-                        let task = task(case, nominal, setting, &data[n]);
+                        let task = task(&told[n]);
                         MapTask { options: MapOptions { prior: priors[places[n]], ..task.options }, ..task }
                     })
                     .collect();
@@ -129,6 +144,17 @@ impl Scene {
 /// A pixel's measurements as the solver takes them.
 pub type PixelData = (Vec<MapEvent>, Vec<MapFrame>);
 
+/// What the solver is told of a pixel.
+#[derive(Clone, Debug)]
+pub struct Told {
+    /// What was measured.
+    pub data: PixelData,
+    /// By which sensor.
+    pub sensor: MapSensor,
+    /// See [`MapProblem::beyond`].
+    pub beyond: Vec<f64>,
+}
+
 /// A pixel's measurements as the solver takes them.
 pub fn pixel_data(case: &Case, nominal: &Nominal, setting: &SceneSetting, pixel: usize) -> PixelData {
     let event = |event: &crate::case::Recorded| MapEvent {
@@ -151,18 +177,19 @@ pub fn pixel_data(case: &Case, nominal: &Nominal, setting: &SceneSetting, pixel:
 }
 
 /// The problem of one pixel.
-pub fn task<'a>(case: &Case, nominal: &Nominal, setting: &SceneSetting, data: &'a PixelData) -> MapTask<'a> {
+pub fn task<'a>(case: &Case, setting: &SceneSetting, data: &'a PixelData, sensor: MapSensor, beyond: &'a [f64]) -> MapTask<'a> {
     let problem = MapProblem {
         events: &data.0,
         frames: &data.1,
         hints: &[],
         start_ns: case.span.0,
         end_ns: case.span.1,
-        sensor: nominal.map_sensor(),
+        sensor,
         noise: setting.noise,
         stamp_sigma_s: case.t_resolution_ns as f64 * 1e-9 / libm::sqrt(12.0),
         silence_sigma: setting.silence_sigma,
         lost_before: &[],
+        beyond,
     };
     MapTask { problem, options: setting.options }
 }

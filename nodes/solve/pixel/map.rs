@@ -187,6 +187,7 @@ pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
         stamp_sigma_s: model.stamp_sigma_s,
         silence_sigma: SILENCE_SIGMA,
         lost_before: &[],
+        beyond: &[],
     }
 }
 

@@ -15,13 +15,15 @@ use photocurrent_core::random::Random;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{Exposure, Timestamp};
 use photocurrent_sensor::comparator::signed_step;
-use photocurrent_sensor::effects::{Drive, Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds};
+use photocurrent_sensor::effects::{
+    BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds,
+};
 use photocurrent_sensor::elementary::{exp, exp_m1, ln};
 use photocurrent_sensor::exposure::log_linear_mean;
 use photocurrent_sensor::map::{MapEvent, MapFrame};
 
 /// Silence that ends a burst, ns: as in the simulator.
-const BURST_GAP_NS: i64 = 10_000_000;
+
 /// An event this soon after the blind time may be one that was held back, ns: as in the solver of the most probable light.
 const LATE_NS: i64 = 1_000;
 /// Time constants below this are taken as that, seconds.

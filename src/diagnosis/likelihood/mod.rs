@@ -206,7 +206,7 @@ pub fn compare(case: &Case, nominal: &Nominal, scales: &Scales, setting: &Likeli
             "no block of {side} x {side} pixels has between {least} and {most} events a pixel, so nothing can be scored; record more change, or for longer"
         ));
     }
-    let conditions = Conditions { seed: setting.seed, frame_share: 0.003, frame_dn: 0.3 };
+    let conditions = Conditions { seed: setting.seed, frame_share: 0.003, frame_dn: 0.3, is_mixed: false };
     let Faithful { scene, priors, agreement } = faithful(case, nominal, &sample, &setting.scene)?;
     let bench = Bench { case, nominal, sample: &sample, setting: &setting.scene, scales, conditions, priors: &priors };
     let data = bench.measure_scene(case, &scene)?;

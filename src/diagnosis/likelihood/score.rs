@@ -90,7 +90,7 @@ pub fn pair(a: usize, b: usize) -> usize {
 pub fn scores(view: &View<'_>, nominal: &Nominal, base: &Prepared, scene: &Scene, priors: &[Prior], setting: &SceneSetting, probes: &[Probe]) -> Scores {
     let one = |workspace: &mut MapWorkspace, &n: &usize| -> PixelScore {
         let data = &view.data[n];
-        let mut task = task(view.case, nominal, setting, data);
+        let mut task = task(view.case, setting, data, nominal.map_sensor(), &[]);
         task.options.prior = priors[n];
         let (mut plain, mut with) = (Conditional::default(), Conditional::default());
         view.through(base, n, &mut plain);

@@ -31,7 +31,7 @@ fn without_effects_residuals_are_those_of_the_solver() {
         let site = Nominal::site(&case, sample.pixels[n] as usize, 0);
         conditional(&nominal, &[], &Look { site, track: &track, seen: None, events, frames }, &mut seen);
         let mut whitened = Whitened::default();
-        whiten(&task(&case, &nominal, &setting, &view.data[n]), u, Column::default(), &[], &mut MapWorkspace::default(), &mut whitened);
+        whiten(&task(&case, &setting, &view.data[n], nominal.map_sensor(), &[]), u, Column::default(), &[], &mut MapWorkspace::default(), &mut whitened);
         for (measurement, residual) in whitened.measurement.iter().zip(&whitened.residual) {
             let measurement = *measurement as usize;
             if measurement < events.len() {

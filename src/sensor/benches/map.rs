@@ -138,6 +138,7 @@ impl Recorded {
             stamp_sigma_s: 0.0,
             silence_sigma: 0.03,
             lost_before: &[],
+            beyond: &[],
         }
     }
 }

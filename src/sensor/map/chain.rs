@@ -127,9 +127,9 @@ impl Chain {
                         row = Row { sight: Sight::Light, residual: hint.log_photocurrent - u[j], variance: hint.variance };
                         cost += row.residual * row.residual * (1.0 / row.variance);
                     }
-                    Op::Fire { polarity, armed, .. } => {
+                    Op::Fire { event, polarity, armed, .. } => {
                         fires = true;
-                        let level = reference + if polarity > 0 { on } else { -off };
+                        let level = reference + if polarity > 0 { on } else { -off } + problem.beyond_of(event);
                         row.residual = level - voltage;
                         if armed {
                             row.sight = Sight::Event(polarity);

@@ -29,6 +29,8 @@ pub(super) enum Op {
     Hint(u32),
     /// An event fires; `armed` when the comparator was surely watching.
     Fire {
+        /// Number of the event.
+        event: u32,
         /// Its polarity.
         polarity: i8,
         /// Was the comparator surely watching, and is it believed that light made it fire?
@@ -144,7 +146,7 @@ impl Knots {
             if after_loss && blind_until <= event.t_in_ns {
                 self.marks.push((i64::max(blind_until, start_ns), 6, Op::Lose));
             }
-            self.marks.push((event.t_in_ns, 3, Op::Fire { polarity: event.polarity, armed: watching && !doubted && !after_loss, doubted }));
+            self.marks.push((event.t_in_ns, 3, Op::Fire { event: k as u32, polarity: event.polarity, armed: watching && !doubted && !after_loss, doubted }));
             // A reference that moves by one threshold is the voltage of the event, unless the event was held back. Taken from the voltage,
             // errors of thresholds do not add up.
             match sensor.reset {

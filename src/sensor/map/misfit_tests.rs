@@ -77,6 +77,7 @@ fn misfit(event: f64, frame: f64) -> Misfit {
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
         lost_before: &[],
+        beyond: &[],
     };
     solve(&problem, &MapOptions::default(), &mut MapWorkspace::default()).misfit
 }

@@ -185,6 +185,16 @@ pub struct MapProblem<'a> {
     pub silence_sigma: f64,
     /// Numbers of events before which events were lost, rising; may be empty. The silence before them says nothing, and they only take the reference anew.
     pub lost_before: &'a [u32],
+    /// What each event's signed step from the reference is known to be beyond its threshold (drift of the reference since the reset, thresholds of that moment),
+    /// natural-log units; empty = nothing. Silence does not know of it.
+    pub beyond: &'a [f64],
+}
+
+impl MapProblem<'_> {
+    /// [`MapProblem::beyond`] of an event.
+    pub(crate) fn beyond_of(&self, event: u32) -> f64 {
+        self.beyond.get(event as usize).copied().unwrap_or(0.0)
+    }
 }
 
 /// How the problem is solved.

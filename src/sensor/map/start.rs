@@ -87,8 +87,8 @@ fn steps(problem: &MapProblem<'_>, knots: &Knots, seconds: &[f64], u: &mut [f64]
         u[j] = sum;
         let mut step = 0.0;
         for op in &knots.ops[knots.ops_of(j)] {
-            if let Op::Fire { polarity, doubted: false, .. } = *op {
-                step += if polarity > 0 { problem.sensor.threshold_on } else { -problem.sensor.threshold_off };
+            if let Op::Fire { event, polarity, doubted: false, .. } = *op {
+                step += if polarity > 0 { problem.sensor.threshold_on } else { -problem.sensor.threshold_off } + problem.beyond_of(event);
             }
         }
         if step != 0.0 {

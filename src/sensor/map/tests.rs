@@ -58,6 +58,7 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
             stamp_sigma_s: 0.0,
             silence_sigma: 0.0,
             lost_before: &[],
+            beyond: &[],
         };
         let (mut knots, mut segments, mut u) = (Knots::default(), Segments::default(), Vec::new());
         knots.lay(&problem, 1_000_000);
@@ -149,6 +150,7 @@ impl Recorded {
             stamp_sigma_s: 0.0,
             silence_sigma: 0.0,
             lost_before: &[],
+            beyond: &[],
         }
     }
 
@@ -251,6 +253,7 @@ fn a_pixel_without_events_is_as_bright_as_its_frames() {
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
         lost_before: &[],
+        beyond: &[],
     };
     let mut workspace = MapWorkspace::default();
     let solution = solve(&problem, &MapOptions::default(), &mut workspace);
@@ -297,6 +300,7 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
         lost_before: &[],
+        beyond: &[],
     };
     let copies = vec![problem; estimate::FEWEST_EVENTS / events.len() + 1];
     let mut group = MapGroup::default();
@@ -327,6 +331,7 @@ fn light_that_would_have_fired_is_pulled_back() {
             noise,
             stamp_sigma_s: 0.0,
             lost_before: &[],
+            beyond: &[],
             silence_sigma,
         };
         let mut workspace = MapWorkspace::default();
@@ -363,6 +368,7 @@ fn a_saturated_value_is_a_lower_bound_only() {
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
         lost_before: &[],
+        beyond: &[],
     };
     let mut workspace = MapWorkspace::default();
     // Brighter than the bound: the bound has no say.
@@ -445,6 +451,7 @@ fn a_doubted_event_resets_the_pixel_and_moves_no_light() {
             stamp_sigma_s: 0.0,
             silence_sigma: 0.0,
             lost_before: &[],
+            beyond: &[],
         };
         let mut workspace = MapWorkspace::default();
         let solution = solve(&problem, &MapOptions::default(), &mut workspace);
@@ -474,6 +481,7 @@ fn lone_events_are_doubted_where_they_mislead_about_frames() {
         stamp_sigma_s: 0.0,
         silence_sigma: 0.0,
         lost_before: &[],
+        beyond: &[],
     };
     let choice = estimate::choose(&[problem; 14], None, &MapOptions::default(), &mut MapGroup::default());
     assert_eq!(choice.noise.lone, LoneEvents::Doubted);

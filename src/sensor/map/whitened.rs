@@ -228,6 +228,7 @@ mod tests {
             stamp_sigma_s: 1e-4,
             silence_sigma: 0.0,
             lost_before,
+            beyond: &[],
         };
         let options = MapOptions { spacing_ns: 1_000_000, ..MapOptions::default() };
         let (mut knots, mut segments, mut u) = (Knots::default(), Segments::default(), Vec::new());

@@ -305,7 +305,7 @@ pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &Wide
                 line.slopes = Slopes { by_voltage: Wide::ONE, ..Slopes::default() };
             }
             let is = |what: u64, value: Wide, or: Wide| then.choose(what, value, or);
-            let level = reference + is(RISE, on, -off);
+            let level = reference + is(RISE, on, -off) + is(EVENT | MOVE, given.target, Wide::ZERO);
             let dark = given.target - light;
             let change = voltage - reference;
             let above = change.above(on, on - change, Wide::ZERO);

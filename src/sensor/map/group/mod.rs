@@ -304,7 +304,11 @@ fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (firs
 /// Are both tasks of one pixel, so that they have the same knots and the same start?
 fn starts_alike(one: &MapTask<'_>, other: &MapTask<'_>) -> bool {
     let (a, b) = (&one.problem, &other.problem);
-    let same = a.lost_before == b.lost_before && std::ptr::eq(a.events, b.events) && std::ptr::eq(a.frames, b.frames) && std::ptr::eq(a.hints, b.hints);
+    let same = a.lost_before == b.lost_before
+        && a.beyond == b.beyond
+        && std::ptr::eq(a.events, b.events)
+        && std::ptr::eq(a.frames, b.frames)
+        && std::ptr::eq(a.hints, b.hints);
     let solved = |task: &MapTask<'_>| (task.problem.start_ns, task.problem.end_ns, task.problem.sensor, task.problem.noise.lone, task.options.spacing_ns);
     same && solved(one) == solved(other)
 }

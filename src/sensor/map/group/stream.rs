@@ -84,14 +84,14 @@ impl Stream {
                         let hint = &hints[l as usize];
                         self.measure(LIGHT, hint.log_photocurrent, hint.variance);
                     }
-                    Op::Fire { polarity, armed, .. } => {
+                    Op::Fire { event, polarity, armed, .. } => {
                         fires = true;
                         let threshold = if polarity > 0 { sensor.threshold_on } else { sensor.threshold_off };
                         let rises = if polarity > 0 { RISE } else { 0 };
                         if armed {
-                            self.measure(EVENT | rises, 0.0, noise.event_variance(threshold));
+                            self.measure(EVENT | rises, problem.beyond_of(event), noise.event_variance(threshold));
                         } else if sensor.reset != Reset::Resample {
-                            self.measure(MOVE | rises, 0.0, 1.0);
+                            self.measure(MOVE | rises, problem.beyond_of(event), 1.0);
                         }
                         is_blind = is_blind || sensor.reset == Reset::Resample;
                     }

@@ -51,6 +51,7 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
         .map(|(n, Cut { events, frames, hints, end_ns })| {
             let mut problem = MapProblem { events, frames, hints, end_ns: *end_ns, silence_sigma: 0.03, ..whole.problem(reset) };
             problem.lost_before = if n % 7 == 1 { &[0, 2, 6] } else { &[] };
+            problem.beyond = if n % 5 == 2 { &[0.03, -0.02, 0.0, 0.05, -0.04, 0.01] } else { &[] };
             problem.sensor.threshold_on *= [1.0, 0.3, 2.5, 1.0, 8.0][n % 5];
             problem.noise.threshold = [0.0, 0.02][n / 8 % 2];
             problem.stamp_sigma_s = [0.0, 1e-6][n % 2];

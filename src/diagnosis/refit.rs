@@ -1,0 +1,328 @@
+//! The exact test of a candidate: can a sensor with it have recorded this, whatever the light was?
+//!
+//! For a strength of a candidate the light is estimated as that sensor must have seen it ([`crate::under`]), the sensor looks at that light, and what it records is
+//! compared with the recording, event by event ([`crate::mismatch`]). The strength that agrees best is sought. The right effect lets events and frames agree that no other
+//! effect can bring together, because light has to explain both.
+//!
+//! Effects that are random have no events of their own to agree with: their place is elsewhere (`likelihood`, `synthesis`).
+
+use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
+use crate::case::Case;
+use crate::mismatch::{Mismatch, mismatch};
+use crate::sample::Sample;
+use crate::scene::SceneSetting;
+use crate::under::Under;
+use photocurrent_sensor::map::Prior;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// How much is tried.
+#[derive(Clone, Copy, Debug)]
+pub struct RefitSetting {
+    /// So many candidates are followed from the first strengths on.
+    pub followed: usize,
+    /// Of them, so many to the end.
+    pub finished: usize,
+    /// Corrections of the light, at first and at the end.
+    pub turns: (usize, usize),
+    /// Strengths lie within this.
+    pub largest: f64,
+}
+
+impl Default for RefitSetting {
+    fn default() -> RefitSetting {
+        RefitSetting { followed: 10, finished: 6, turns: (1, 2), largest: 6.0 }
+    }
+}
+
+/// A recording, the stated sensor, and what is looked at.
+#[derive(Clone, Copy)]
+pub struct Refit<'a> {
+    /// The recording.
+    pub case: &'a Case,
+    /// What is on the sensor already: as stated, or with effects that were found before.
+    pub base: &'a Trial,
+    /// What strengths are measured by.
+    pub scales: &'a Scales,
+    /// Which pixels.
+    pub sample: &'a Sample,
+    /// How light is estimated.
+    pub scene: &'a SceneSetting,
+    /// The prior of each pixel.
+    pub priors: &'a [Prior],
+}
+
+/// A strength that was tried.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Tried {
+    /// Strength.
+    pub strength: f64,
+    /// Mismatch of each block.
+    pub blocks: Vec<Mismatch>,
+}
+
+impl Tried {
+    /// Cost of all blocks that are kept.
+    pub fn cost(&self, keep: impl Fn(usize) -> bool) -> f64 {
+        self.blocks.iter().enumerate().filter(|(block, _)| keep(*block)).map(|(_, of)| of.cost()).sum()
+    }
+
+    /// All blocks together.
+    pub fn all(&self) -> Mismatch {
+        self.blocks.iter().fold(Mismatch::default(), |sum, of| sum.and(of))
+    }
+}
+
+/// How well a candidate can explain a recording.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Explained {
+    /// Number in [`CANDIDATES`].
+    pub candidate: usize,
+    /// The strength that agrees best.
+    pub strength: f64,
+    /// The parameter there, in the unit of its declaration.
+    pub value: f64,
+    /// 95 % interval, from block to block.
+    pub ci95: [f64; 2],
+    /// Cost there, an event: 0 when every event comes again at its instant.
+    pub cost: f64,
+    /// What the same costs on a simulated recording of that sensor: this much its estimation leaves where it is right.
+    pub control: f64,
+    /// Share of the cost of the sensor without it that it takes away; on blocks that the strength was not fitted to.
+    pub heldout: f64,
+    /// Share of the blocks that it improves.
+    pub blocks_better: f64,
+    /// Was it followed to the end?
+    pub is_finished: bool,
+}
+
+/// What was found.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Refitted {
+    /// Cost without any candidate, an event.
+    pub stated: f64,
+    /// Cost of a simulated recording of the stated sensor, treated alike: what estimation leaves where nothing is missing.
+    pub control: f64,
+    /// Mean square of frame residuals as stated.
+    pub stated_frames: f64,
+    /// Cheapest first.
+    pub explained: Vec<Explained>,
+}
+
+impl Refit<'_> {
+    /// A strength of a candidate; none where it cannot be combined with what is stated.
+    pub fn at(&self, candidate: Option<usize>, strength: f64, turns: usize) -> Option<Tried> {
+        let mut trial = self.base.clone();
+        if let Some(candidate) = candidate {
+            CANDIDATES[candidate].put_on(&mut trial, strength, self.scales);
+        }
+        let under = Under::new(self.case, &trial).ok()?;
+        let (_, recording) = under.corrected(self.sample, self.scene, self.priors, turns).ok()?;
+        Some(Tried { strength, blocks: self.blocks(under.case(), &recording) })
+    }
+
+    fn blocks(&self, case: &Case, recording: &Case) -> Vec<Mismatch> {
+        let mut blocks = vec![Mismatch::default(); self.sample.block.iter().map(|block| *block as usize + 1).max().unwrap_or(0)];
+        for (of, &block) in mismatch(case, recording, self.sample, &self.base.nominal).iter().zip(&self.sample.block) {
+            blocks[block as usize] = blocks[block as usize].and(of);
+        }
+        blocks
+    }
+
+    /// What a recording of a trial would cost: its own light, recorded and estimated again.
+    fn control(&self, candidate: Option<usize>, strength: f64, turns: usize) -> Option<Tried> {
+        let mut trial = self.base.clone();
+        if let Some(candidate) = candidate {
+            CANDIDATES[candidate].put_on(&mut trial, strength, self.scales);
+        }
+        let under = Under::new(self.case, &trial).ok()?;
+        let (_, recording) = under.corrected(self.sample, self.scene, self.priors, turns).ok()?;
+        // Its light is mixed already.
+        let own = Trial { effects: trial.effects.iter().filter(|(id, _)| !is_mixing(id)).map(|(id, of)| (id.clone(), of.clone())).collect(), ..trial.clone() };
+        let (_, again) = Under::new(&recording, &own).ok()?.corrected(self.sample, self.scene, self.priors, turns).ok()?;
+        Some(Tried { strength: 0.0, blocks: self.blocks(&recording, &again) })
+    }
+
+    /// Tries every candidate; `starts` are strengths that something else suggests.
+    pub fn run(&self, setting: &RefitSetting, starts: &[(usize, f64)]) -> Refitted {
+        let mut tried: Vec<(usize, Vec<Tried>)> = (0..CANDIDATES.len()).filter(|&n| !CANDIDATES[n].is_random).map(|n| (n, Vec::new())).collect();
+        let (first, last) = setting.turns;
+        let [Some(stated), Some(control)] = [self.at(None, 0.0, first), self.control(None, 0.0, first)] else { return Refitted::default() };
+        let stated_last = self.at(None, 0.0, last).unwrap_or_else(|| stated.clone());
+        let best_stated = if stated_last.cost(|_| true) < stated.cost(|_| true) { &stated_last } else { &stated };
+        let first_strengths: Vec<(usize, f64)> = tried
+            .iter()
+            .flat_map(|&(candidate, _)| {
+                let mut strengths = match CANDIDATES[candidate].signs {
+                    Signs::Switch => vec![1.0],
+                    Signs::Both => vec![-1.0, -0.4, 0.4, 1.0],
+                    Signs::Positive => vec![0.4, 1.2],
+                };
+                let more = starts.iter().filter(|start| start.0 == candidate && CANDIDATES[candidate].signs != Signs::Switch).map(|start| start.1);
+                strengths.extend(more.filter(|start| start.abs() > 0.05 && (CANDIDATES[candidate].signs == Signs::Both || *start > 0.0)));
+                strengths.into_iter().map(move |strength| (candidate, strength))
+            })
+            .collect();
+        self.extend(&mut tried, &first_strengths, first);
+        // Strengths further out or in, then between, for those that do best.
+        for round in 0..6 {
+            order(&mut tried);
+            let count = if round < 2 { setting.followed } else { setting.finished };
+            let next: Vec<(usize, f64)> =
+                tried.iter().take(count).filter_map(|(candidate, tried)| Some((*candidate, self.next(*candidate, tried, setting)?))).collect();
+            self.extend(&mut tried, &next, first);
+        }
+        order(&mut tried);
+        let mut finished: Vec<(usize, Vec<Tried>)> = tried.iter().take(setting.finished).map(|(candidate, _)| (*candidate, Vec::new())).collect();
+        if last > first {
+            let again: Vec<(usize, f64)> = tried
+                .iter()
+                .take(setting.finished)
+                .flat_map(|(candidate, tried)| {
+                    let best = best(tried).strength;
+                    let is_switch = CANDIDATES[*candidate].signs == Signs::Switch;
+                    let shares: &[f64] = if is_switch { &[1.0] } else { &[0.8, 1.0, 1.25] };
+                    shares.iter().map(|share| (*candidate, (best * share).clamp(-setting.largest, setting.largest))).collect::<Vec<_>>()
+                })
+                .collect();
+            self.extend(&mut finished, &again, last);
+            for _round in 0..2 {
+                let next: Vec<(usize, f64)> =
+                    finished.iter().filter_map(|(candidate, tried)| Some((*candidate, self.next(*candidate, tried, setting)?))).collect();
+                self.extend(&mut finished, &next, last);
+            }
+        }
+        let mut explained: Vec<Explained> = tried
+            .iter()
+            .filter(|(candidate, tried)| !tried.is_empty() && !finished.iter().any(|(other, tried)| other == candidate && !tried.is_empty()))
+            .map(|(candidate, tried)| self.explain(*candidate, tried, best_stated, false))
+            .collect();
+        explained.extend(finished.iter().filter(|(_, tried)| !tried.is_empty()).map(|(candidate, tried)| self.explain(*candidate, tried, best_stated, true)));
+        let controls: Vec<Option<Tried>> =
+            explained.par_iter().map(|one| if one.is_finished { self.control(Some(one.candidate), one.strength, last) } else { None }).collect();
+        let an_event = |tried: &Tried| tried.cost(|_| true) / f64::max(tried.all().count, 1.0);
+        for (one, control) in explained.iter_mut().zip(controls) {
+            one.control = control.as_ref().map_or(0.0, |control| an_event(control));
+        }
+        explained.sort_by(|a, b| a.cost.total_cmp(&b.cost).then(a.candidate.cmp(&b.candidate)));
+        let frames = best_stated.all();
+        Refitted { stated: an_event(best_stated), control: an_event(&control), stated_frames: frames.frames / f64::max(frames.frame_count, 1.0), explained }
+    }
+
+    fn extend(&self, tried: &mut [(usize, Vec<Tried>)], strengths: &[(usize, f64)], turns: usize) {
+        let results: Vec<Option<Tried>> = strengths.par_iter().map(|&(candidate, strength)| self.at(Some(candidate), strength, turns)).collect();
+        for (&(candidate, _), result) in strengths.iter().zip(results) {
+            if let (Some((_, tried)), Some(result)) = (tried.iter_mut().find(|(other, _)| *other == candidate), result) {
+                tried.push(result);
+                tried.sort_by(|a, b| a.strength.total_cmp(&b.strength));
+            }
+        }
+    }
+
+    /// The strength to try next: beyond the best when it is at the rim, else the lowest point of a parabola through the best and its neighbours; none when it is known well enough.
+    fn next(&self, candidate: usize, tried: &[Tried], setting: &RefitSetting) -> Option<f64> {
+        let kind = &CANDIDATES[candidate];
+        if kind.signs == Signs::Switch || tried.is_empty() {
+            return None;
+        }
+        // Without the candidate: strength 0 is a point of every curve, but its cost is known only to be more.
+        let at = place_of_best(tried);
+        let (here, cost) = (tried[at].strength, |n: usize| tried[n].cost(|_| true));
+        let before = at.checked_sub(1).filter(|&n| tried[n].strength * here > 0.0);
+        let after = Some(at + 1).filter(|&n| n < tried.len() && tried[n].strength * here > 0.0);
+        let next = match (before, after) {
+            (Some(before), Some(after)) => {
+                let (a, c) = (tried[before].strength, tried[after].strength);
+                let lowest = vertex((a, cost(before)), (here, cost(at)), (c, cost(after)))?;
+                if (c - a).abs() < 0.12 * here.abs() {
+                    return None;
+                }
+                // A parabola that keeps to one side is helped across.
+                let lowest = lowest.clamp(a + 0.15 * (c - a), c - 0.15 * (c - a));
+                if (lowest - here).abs() < 0.04 * here.abs() { here + 0.4 * if c - here > here - a { c - here } else { a - here } } else { lowest }
+            }
+            // The rim, outwards or towards 0.
+            (_, None) if here > 0.0 => here * 1.6,
+            (None, _) if here < 0.0 => here * 1.6,
+            _ => here * 0.5,
+        };
+        let next = next.clamp(-setting.largest, setting.largest);
+        (next.abs() > 0.03 && tried.iter().all(|other| (other.strength - next).abs() > 0.01 * next.abs())).then_some(next)
+    }
+
+    fn explain(&self, candidate: usize, tried: &[Tried], stated: &Tried, is_finished: bool) -> Explained {
+        let best_one = best(tried);
+        let kind = &CANDIDATES[candidate];
+        let blocks = stated.blocks.len();
+        let fit = |keep: &dyn Fn(usize) -> bool| fitted(tried, keep);
+        let strength = fit(&|_| true);
+        // What leaving one block away does to the strength.
+        let left_out: Vec<f64> = (0..blocks).filter(|&block| stated.blocks[block].count > 0.0).map(|block| fit(&|other| other != block)).collect();
+        let n = f64::max(left_out.len() as f64, 1.0);
+        let mean = left_out.iter().sum::<f64>() / n;
+        let error = libm::sqrt((n - 1.0) / n * left_out.iter().map(|one| (one - mean) * (one - mean)).sum::<f64>());
+        let at = |strength: f64| if kind.signs == Signs::Switch { 1.0 } else { kind.value(strength, self.scales, &self.base.nominal) };
+        let (low, high) = (at(strength - 1.96 * error), at(strength + 1.96 * error));
+        // On each half of the blocks with the strength that is best on the other.
+        let half = |block: usize| block % 2;
+        let (mut before, mut after) = (0.0, 0.0);
+        for side in 0..2 {
+            let chosen = best_on(tried, |block| half(block) == side);
+            before += stated.cost(|block| half(block) != side);
+            after += chosen.cost(|block| half(block) != side);
+        }
+        let better = (0..blocks).filter(|&block| stated.blocks[block].count > 0.0 && best_one.blocks[block].cost() < stated.blocks[block].cost()).count();
+        Explained {
+            candidate,
+            strength,
+            value: at(strength),
+            ci95: [f64::min(low, high), f64::max(low, high)],
+            cost: best_one.cost(|_| true) / f64::max(stated.all().count, 1.0),
+            control: 0.0,
+            heldout: 1.0 - after / f64::max(before, 1e-12),
+            blocks_better: better as f64 / n,
+            is_finished,
+        }
+    }
+}
+
+fn is_mixing(id: &str) -> bool {
+    matches!(id, "blur" | "crosstalk" | "misalignment" | "lateral_inhibition")
+}
+
+fn order(tried: &mut [(usize, Vec<Tried>)]) {
+    let cost = |tried: &[Tried]| if tried.is_empty() { f64::INFINITY } else { best(tried).cost(|_| true) };
+    tried.sort_by(|a, b| cost(&a.1).total_cmp(&cost(&b.1)).then(a.0.cmp(&b.0)));
+}
+
+fn place_of_best(tried: &[Tried]) -> usize {
+    (0..tried.len()).min_by(|&a, &b| tried[a].cost(|_| true).total_cmp(&tried[b].cost(|_| true))).unwrap_or(0)
+}
+
+fn best(tried: &[Tried]) -> &Tried {
+    &tried[place_of_best(tried)]
+}
+
+fn best_on(tried: &[Tried], keep: impl Fn(usize) -> bool) -> &Tried {
+    let cost = |n: usize| tried[n].cost(&keep);
+    &tried[(0..tried.len()).min_by(|&a, &b| cost(a).total_cmp(&cost(b))).unwrap_or(0)]
+}
+
+/// The strength at which the blocks that are kept cost least: the lowest point of a parabola through the three best neighbours.
+fn fitted(tried: &[Tried], keep: &dyn Fn(usize) -> bool) -> f64 {
+    let cost = |n: usize| tried[n].cost(keep);
+    let at = (0..tried.len()).min_by(|&a, &b| cost(a).total_cmp(&cost(b))).unwrap_or(0);
+    let here = tried[at].strength;
+    if at == 0 || at + 1 >= tried.len() {
+        return here;
+    }
+    let point = |n: usize| (tried[n].strength, cost(n));
+    vertex(point(at - 1), point(at), point(at + 1)).map_or(here, |lowest| lowest.clamp(tried[at - 1].strength, tried[at + 1].strength))
+}
+
+/// The lowest point of a parabola through three; none when it opens downwards.
+fn vertex(a: (f64, f64), b: (f64, f64), c: (f64, f64)) -> Option<f64> {
+    let (left, right) = ((b.1 - a.1) / (b.0 - a.0), (c.1 - b.1) / (c.0 - b.0));
+    let curvature = (right - left) / (c.0 - a.0);
+    (curvature > 0.0).then(|| 0.5 * (a.0 + b.0) - 0.5 * left / curvature)
+}

@@ -1,0 +1,260 @@
+//! The light of the sampled pixels as a sensor with effects would have had to see it, to record what was recorded.
+//!
+//! The solver knows one front end with one time constant, two thresholds, a refractory period and a gain. Everything of a trial that can be brought to that form is, through the
+//! hooks that the simulator uses: stamps and exposures are taken back to true times, digital numbers to charge, a second pole counts with the first, light that is added
+//! behind the lens is taken off again. What is left (leaks, neighbours, memories) is corrected by turns: the trial looks at the light, its recording is
+//! estimated in the same way, and the light moves by what that differs.
+
+use crate::candidates::Trial;
+use crate::case::{Case, CaseFrames};
+use crate::nominal::Nominal;
+use crate::record::{Conditions, inform, record};
+use crate::sample::Sample;
+use crate::scene::{Scene, SceneSetting, Told, pixel_data, task};
+use photocurrent_core::random::Random;
+use photocurrent_core::sensor::Reset;
+use photocurrent_core::{Exposure, Timestamp};
+use photocurrent_sensor::comparator::signed_step;
+use photocurrent_sensor::effects::{
+    BURST_GAP_NS, Effect, FrontEndModel, History, Kernel, Kick, KickTarget, LastEvent, PixelEvent, Reading, RowSite, Site, Tap, Thresholds, from_description,
+};
+use photocurrent_sensor::forward::neighbours::{joined, mixed, stand_in};
+use photocurrent_sensor::front_end::FrontEnd;
+use photocurrent_sensor::map::{MapEvent, MapSensor, Prior};
+use rayon::prelude::*;
+use std::borrow::Cow;
+
+/// One correction moves log light by at most this.
+const LARGEST_CORRECTION: f64 = 0.5;
+/// Knots nearer than this are one, ns.
+const SAME_KNOT_NS: i64 = 20_000;
+/// Signals that are mixed are at least this, DN.
+const LEAST_SIGNAL_DN: f64 = 0.5;
+/// Light behind the lens is at least this share of what the pixel sees.
+const LEAST_SHARE: f64 = 0.02;
+
+/// A trial that looks at a recording.
+pub struct Under<'a> {
+    /// The recording; where the event path sees a mixture of neighbours, its frames are mixed alike, so that both are of one light.
+    case: Cow<'a, Case>,
+    trial: &'a Trial,
+    effects: Vec<Box<dyn Effect>>,
+}
+
+impl<'a> Under<'a> {
+    /// A trial with what the description states.
+    ///
+    /// # Errors
+    /// When an effect or its parameters are not understood.
+    pub fn new(case: &'a Case, trial: &'a Trial) -> Result<Under<'a>, String> {
+        let mut described = case.sensor.effects.clone();
+        described.extend(trial.effects.iter().map(|(id, parameters)| (id.clone(), parameters.clone())));
+        let mut effects = from_description(&described)?;
+        inform(case, &mut effects);
+        let kernel = joined(&effects).map_err(|why| why.to_string())?;
+        let case = kernel.map_or(Cow::Borrowed(case), |kernel| Cow::Owned(with_mixed_frames(case, &trial.nominal, &kernel)));
+        Ok(Under { case, trial, effects })
+    }
+
+    /// The recording as this trial compares it.
+    pub fn case(&self) -> &Case {
+        &self.case
+    }
+
+    /// The light that the trial must have seen to record `recorded`, as far as the solver can tell.
+    pub fn estimate(&self, recorded: &Case, sample: &Sample, setting: &SceneSetting, priors: &[Prior]) -> Scene {
+        let stated = Scene::estimate_from(
+            sample,
+            priors,
+            |n| self.told(recorded, setting, sample.pixels[n] as usize),
+            |told| task(recorded, setting, &told.data, told.sensor, &told.beyond),
+            recorded.span.0,
+        );
+        let pixels = (0..stated.len()).map(|n| {
+            let (t, u) = stated.pixel(n);
+            let (factor, added) = self.seen(&Nominal::site(&self.case, sample.pixels[n] as usize, 1));
+            let own = |u: f64| {
+                let seen = libm::exp(u);
+                libm::log(f64::max(seen - added, LEAST_SHARE * seen) / factor)
+            };
+            let is_plain = factor == 1.0 && added == 0.0;
+            (t.to_vec(), if is_plain { u.to_vec() } else { u.iter().map(|u| own(*u)).collect() }, stated.is_known[n])
+        });
+        let mut scene = Scene::from_pixels(pixels);
+        scene.log_evidence.clone_from(&stated.log_evidence);
+        scene
+    }
+
+    /// Light behind the lens: what the pixel sees of a photocurrent `i` is `factor * i + added`.
+    fn seen(&self, site: &Site) -> (f64, f64) {
+        let t_ns = i64::midpoint(self.case.span.0, self.case.span.1);
+        let through = |i: f64| self.effects.iter().fold(i, |i, effect| effect.event_light(site, t_ns, i));
+        let (one, two) = (through(1.0), through(2.0));
+        let factor = two - one;
+        if factor > 1e-6 { (factor, f64::max(one - factor, 0.0)) } else { (1.0, 0.0) }
+    }
+
+    fn told(&self, recorded: &Case, setting: &SceneSetting, pixel: usize) -> Told {
+        let Trial { nominal, .. } = self.trial;
+        let site = Nominal::site(&self.case, pixel, 1);
+        let mut random = Random::new(0, &[]);
+        let t_ns = i64::midpoint(recorded.span.0, recorded.span.1);
+        let (factor, added) = self.seen(&site);
+        let (mut events, mut frames) = pixel_data(recorded, nominal, setting, pixel);
+        let (first_ns, last_ns) = recorded.span;
+        for event in &mut events {
+            let stamp = PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity };
+            let mut moved = stamp;
+            for effect in &self.effects {
+                effect.stamp(&site, &mut random, &mut moved);
+            }
+            event.t_in_ns = 2 * stamp.t_in_ns - moved.t_in_ns;
+            let hidden_ns: i64 = self.effects.iter().map(|effect| effect.latency(&site, &mut random, event.t_in_ns).hidden_ns).sum();
+            event.t_off_ns = i64::max(2 * stamp.t_off_ns - moved.t_off_ns + hidden_ns, event.t_in_ns);
+        }
+        events.retain(|event| (first_ns..last_ns).contains(&event.t_in_ns));
+        let number = nominal.number;
+        let mut previous_charge = 0.0;
+        for (frame, at) in frames.iter_mut().enumerate() {
+            let row = RowSite { y: site.y, height: site.height, frame, row_time_ns: nominal.row_time_ns };
+            let stated = Exposure { start: Timestamp(at.start_ns), end: Timestamp(at.end_ns) };
+            let exposed = self.effects.iter().fold(stated, |exposure, effect| effect.exposure(&row, exposure));
+            (at.start_ns, at.end_ns) = (exposed.start.0, exposed.end.0);
+            let reading = Reading { frame, previous_charge, gain: number.gain, black_level: number.black_level, saturation: nominal.saturation_dn };
+            let through = |charge: f64| {
+                let read = self.effects.iter().fold(charge, |charge, effect| effect.charge(&site, &reading, charge));
+                self.effects.iter().fold(number.of(read), |dn, effect| effect.dn(&site, &reading, dn))
+            };
+            let stated_charge = (at.dn - number.black_level) / number.gain;
+            let charge = inverse(through, stated_charge, at.dn);
+            previous_charge = charge;
+            let seconds = (at.end_ns - at.start_ns) as f64 * 1e-9;
+            at.dn = number.of(factor * charge + added * seconds);
+        }
+        let mut model = FrontEndModel::plain(nominal.pixel.front_end);
+        let mut thresholds = Thresholds { on: nominal.pixel.threshold_on, off: nominal.pixel.threshold_off };
+        for effect in &self.effects {
+            effect.front_end(&site, &mut model);
+            effect.thresholds(&site, &History::default(), &mut random, t_ns, &mut thresholds);
+        }
+        let (more, more_light) = model.second_pole.map_or((0.0, 0.0), |pole| (pole.tau_s, pole.tau_light_s));
+        let front_end = FrontEnd { tau_0_s: model.low_pass.tau_0_s + more, alpha_s: model.low_pass.alpha_s + more_light };
+        let mut light: Vec<f64> =
+            frames.iter().map(|frame| (frame.dn - number.black_level) / number.gain / f64::max((frame.end_ns - frame.start_ns) as f64 * 1e-9, 1e-9)).collect();
+        light.sort_by(f64::total_cmp);
+        let usual = light.get(light.len() / 2).copied().unwrap_or(1.0).max(1e-9);
+        let refractory_ns = self.effects.iter().fold(nominal.pixel.refractory_ns, |refractory_ns, effect| effect.refractory_ns(&site, usual, refractory_ns));
+        let beyond = self.beyond(&site, &events, &thresholds, refractory_ns, usual);
+        let sensor = MapSensor { front_end, threshold_on: thresholds.on, threshold_off: thresholds.off, refractory_ns, ..nominal.map_sensor() };
+        Told { data: (events, frames), sensor, beyond }
+    }
+
+    /// By how much the signed step of each event is more than its threshold: thresholds of that moment, what the reset left, and drift since then.
+    fn beyond(&self, site: &Site, events: &[MapEvent], thresholds: &Thresholds, refractory_ns: i64, light: f64) -> Vec<f64> {
+        let nominal = &self.trial.nominal;
+        let (start_ns, end_ns) = self.case.span;
+        let mut random = Random::new(0, &[]);
+        let stated = Thresholds { on: nominal.pixel.threshold_on, off: nominal.pixel.threshold_off };
+        let mut kicks: Vec<Kick> = Vec::new();
+        let mut drift_per_s = 0.0;
+        for effect in &self.effects {
+            let leak = effect.leak(site, &stated);
+            drift_per_s += leak.constant_per_s + leak.per_photocurrent_per_s * light;
+            effect.kicks(site, start_ns, end_ns, &mut kicks);
+        }
+        kicks.retain(|kick| kick.target == KickTarget::Comparator);
+        let mut history = History::default();
+        let mut reset_ns = start_ns;
+        let mut left = 0.0;
+        let mut beyond = Vec::with_capacity(events.len());
+        for event in events {
+            let mut now = stated;
+            for effect in &self.effects {
+                effect.thresholds(site, &history, &mut random, reset_ns, &mut now);
+            }
+            let (step, usual) = (signed_step(event.polarity, now.on, now.off), signed_step(event.polarity, thresholds.on, thresholds.off));
+            let drift = drift_per_s * f64::max((event.t_in_ns - reset_ns) as f64 * 1e-9, 0.0);
+            let kicked: f64 = kicks.iter().filter(|kick| kick.t_ns >= reset_ns && kick.t_ns < event.t_in_ns).map(|kick| kick.change).sum();
+            beyond.push(step - usual + left - drift - kicked);
+            let burst_index = match history.last_event {
+                Some(last) if event.t_in_ns - last.t_in_ns <= BURST_GAP_NS => history.burst_index + 1,
+                _ => 1,
+            };
+            let last_event = Some(LastEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity, overshoot: 0.0 });
+            history = History { last_event, events: history.events + 1, burst_index };
+            left = self.effects.iter().fold(step, |reference, effect| effect.reference(site, &history, &mut random, reference, 0.0)) - step;
+            reset_ns = if nominal.reset == Reset::Resample { event.t_off_ns + refractory_ns } else { event.t_in_ns };
+        }
+        if beyond.iter().all(|more| *more == 0.0) { Vec::new() } else { beyond }
+    }
+
+    /// Estimates the light and corrects it `turns` times by what the trial's own recording of it differs.
+    ///
+    /// # Errors
+    /// When effects cannot be combined.
+    pub fn corrected(&self, sample: &Sample, setting: &SceneSetting, priors: &[Prior], turns: usize) -> Result<(Scene, Case), String> {
+        let wanted = self.estimate(&self.case, sample, setting, priors);
+        let look = |scene: &Scene| {
+            let conditions = Conditions { seed: 1, is_mixed: true, ..Conditions::default() };
+            record(&self.case, &self.trial.nominal, sample, scene, &self.trial.effects, &conditions)
+        };
+        let mut scene = wanted.clone();
+        let mut recording = look(&scene)?;
+        for _turn in 0..turns {
+            let found = self.estimate(&recording, sample, setting, priors);
+            scene = moved(&scene, &wanted, &found);
+            recording = look(&scene)?;
+        }
+        Ok((scene, recording))
+    }
+}
+
+/// A recording whose frames are mixtures of neighbours, as the event path sees their light.
+fn with_mixed_frames(case: &Case, nominal: &Nominal, kernel: &Kernel) -> Case {
+    let Some(frames) = &case.frames else { return case.clone() };
+    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+    let black_level = nominal.number.black_level;
+    let dn = (0..frames.dn.len()).into_par_iter().with_min_len(1 << 12).map(|n| {
+        let (frame, pixel) = (n / (width * height), n % (width * height));
+        let (x, y) = (pixel % width, pixel / width);
+        let signal = |tap: &Tap| {
+            let (x, y) = (stand_in(x, tap.dx, width), stand_in(y, tap.dy, height));
+            f64::max(f64::from(frames.dn[frame * width * height + y * width + x]) - black_level, LEAST_SIGNAL_DN)
+        };
+        (black_level + mixed(kernel, signal)) as f32
+    });
+    Case { frames: Some(CaseFrames { times: frames.times.clone(), dn: dn.collect() }), ..case.clone() }
+}
+
+/// Light that moves by what was wanted less what was found of it.
+fn moved(light: &Scene, wanted: &Scene, found: &Scene) -> Scene {
+    let mut scene = Scene::from_pixels((0..light.len()).map(|n| {
+        let (t, u) = light.pixel(n);
+        if !wanted.is_known[n] || !found.is_known[n] {
+            return (t.to_vec(), u.to_vec(), light.is_known[n]);
+        }
+        let mut knots: Vec<i64> = t.iter().chain(wanted.pixel(n).0).copied().collect();
+        knots.sort_unstable();
+        knots.dedup_by(|a, b| *a - *b < SAME_KNOT_NS);
+        let at = |&knot: &i64| light.at(n, knot) + (wanted.at(n, knot) - found.at(n, knot)).clamp(-LARGEST_CORRECTION, LARGEST_CORRECTION);
+        let u = knots.iter().map(at).collect();
+        (knots, u, true)
+    }));
+    scene.log_evidence.clone_from(&wanted.log_evidence);
+    scene
+}
+
+/// The argument at which a rising function has a value: secant steps from a guess.
+fn inverse(of: impl Fn(f64) -> f64, guess: f64, value: f64) -> f64 {
+    const STEPS: usize = 12;
+    let mut x = (guess, guess * 1.01 + 1e-9);
+    let mut y = (of(x.0), of(x.1));
+    for _step in 0..STEPS {
+        if (y.0 - value).abs() < 1e-6 || y.1 == y.0 {
+            return x.0;
+        }
+        let next = x.0 - (y.0 - value) * (x.1 - x.0) / (y.1 - y.0);
+        (x, y) = ((next, x.0), (of(next), y.0));
+    }
+    if x.0.is_finite() { x.0 } else { guess }
+}
