@@ -23,6 +23,8 @@ pub struct Scales {
     pub exposure_s: f64,
     /// Median frame value above black, DN; 0 without frames.
     pub signal_dn: f64,
+    /// DN below which nearly all frame values lie: the range that is used.
+    pub largest_dn: f64,
     /// A fast slope of the scene, ln/s: thresholds over the 5th percentile of intervals between events of one polarity.
     pub slope_per_s: f64,
     /// Events per second of the whole array.
@@ -52,6 +54,7 @@ impl Scales {
             frame_phase_s = exposures.first().map_or(0.0, |exposure| exposure.end.0 as f64 * 1e-9).rem_euclid(frame_period_s);
         }
         signals.sort_by(f64::total_cmp);
+        let largest_dn = nominal.number.black_level + signals.get(signals.len() * 199 / 200).copied().unwrap_or(1.0).max(1.0);
         let signal_dn = signals.get(signals.len() / 2).copied().unwrap_or(0.0).max(0.0);
         let light = if exposure_s > 0.0 && signal_dn > 0.0 { signal_dn / (nominal.number.gain * exposure_s) } else { 1.0 };
         let mut intervals: Vec<i64> = Vec::new();
@@ -62,7 +65,7 @@ impl Scales {
         intervals.sort_unstable();
         let short_s = intervals.get(intervals.len() / 20).map_or(1e-2, |ns| f64::max(*ns as f64 * 1e-9, 1e-5));
         let rate_hz = f64::max(case.events.all().len() as f64 / duration_s, 1.0);
-        Scales { light, threshold, duration_s, exposure_s, signal_dn, slope_per_s: threshold / short_s, rate_hz, frame_period_s, frame_phase_s }
+        Scales { light, threshold, duration_s, exposure_s, signal_dn, largest_dn, slope_per_s: threshold / short_s, rate_hz, frame_period_s, frame_phase_s }
     }
 }
 
@@ -275,6 +278,8 @@ impl Candidate {
         match self.id {
             "hot_pixels" => put("rate", json!("200 Hz")),
             "hot_rows" => put("rate", json!("60 Hz")),
+            // Over the range that is used, as the rest of it says nothing.
+            "frame_nonlinearity" => put("full_scale_dn", json!(scales.largest_dn.ceil())),
             "frame_coupling" => {
                 put("period", ns(scales.frame_period_s));
                 put("phase", ns(scales.frame_phase_s));

@@ -56,7 +56,7 @@ impl<'a> Prepared<'a> {
         let scene = Band::scene(case, &bands);
         let conditions = Conditions { seed, ..Conditions::default() };
         let mut prepared = Prepared { case, nominal, sample, scales, scene, conditions, own, deviation: Vec::new(), context };
-        prepared.conditions.frame_share = prepared.frame_noise(&bands)?;
+        prepared.conditions.frame_share = frame_noise(case, &prepared.nominal, &prepared.sample, &prepared.scene, &bands)?;
         prepared.deviation = prepared.against_nominal(case, &prepared.scene, &prepared.own, seed)?;
         Ok(prepared)
     }
@@ -74,16 +74,6 @@ impl<'a> Prepared<'a> {
         self.against_nominal(&recorded, &scene, &own, seed)
     }
 
-    /// Noise of frame values that is not stated, as a share of the signal: roughness of closures beyond what the nominal sensor's recording of the scene has.
-    fn frame_noise(&self, bands: &[Band]) -> Result<f64, String> {
-        let own = roughness(self.case, &self.sample, bands);
-        let again = record(self.case, &self.nominal, &self.sample, &self.scene, &Default::default(), &self.conditions)?;
-        let modelled = roughness(&again, &self.sample, &Band::all(&again, &self.nominal, &self.sample));
-        let rest = own * own - modelled * modelled;
-        // Model error of half a percent is everywhere.
-        Ok(libm::sqrt(f64::max(rest - 0.005 * 0.005, 0.0)))
-    }
-
     fn against_nominal(&self, case: &Case, scene: &Scene, own: &Summaries, seed: u64) -> Result<Vec<f64>, String> {
         // Another seed: noise of the comparison must not be the noise of the recording.
         let conditions = Conditions { seed: seed ^ 0x5eed, ..self.conditions };
@@ -92,6 +82,26 @@ impl<'a> Prepared<'a> {
         let nominal = summaries(&View { case: &again, nominal: &self.nominal, sample: &self.sample, bands: &bands, scales: &self.scales });
         Ok(own.values.iter().zip(&nominal.values).map(|(own, nominal)| own - nominal).collect())
     }
+}
+
+/// Noise of frame values that is not stated, as a share of the signal.
+///
+/// # Errors
+/// When effects of the description are not understood.
+pub fn unstated_frame_noise(case: &Case, nominal: &Nominal) -> Result<f64, String> {
+    let sample = Sample::spread(case, FULL);
+    let bands = Band::all(case, nominal, &sample);
+    frame_noise(case, nominal, &sample, &Band::scene(case, &bands), &bands)
+}
+
+/// Roughness of closures beyond what the nominal sensor's recording of the scene has.
+fn frame_noise(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, bands: &[Band]) -> Result<f64, String> {
+    let own = roughness(case, sample, bands);
+    let again = record(case, nominal, sample, scene, &Default::default(), &Conditions::default())?;
+    let modelled = roughness(&again, sample, &Band::all(&again, nominal, sample));
+    let rest = own * own - modelled * modelled;
+    // Model error of half a percent is everywhere.
+    Ok(libm::sqrt(f64::max(rest - 0.005 * 0.005, 0.0)))
 }
 
 /// The part of closures that is white both from frame to frame and from pixel to pixel, as a standard deviation of frame values' logarithm.

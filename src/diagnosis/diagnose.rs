@@ -118,7 +118,7 @@ fn looked_at(case: &Case) -> Sample {
 }
 
 /// The recording with what direct tests found in its description, and without the pixels that they exclude, so that roads look for the rest.
-fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
+pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
     let mut amended = case.clone();
     if !integrity.masked.is_empty() {
         let keep = |pixel: usize| integrity.masked.binary_search(&(pixel as u32)).is_err();

@@ -8,7 +8,10 @@
 
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::Case;
+use crate::deviation::unstated_frame_noise;
+use crate::faithful::{Faithful, faithful};
 use crate::mismatch::{Mismatch, mismatch};
+use crate::nominal::Nominal;
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
 use crate::under::Under;
@@ -31,9 +34,12 @@ pub struct RefitSetting {
 
 impl Default for RefitSetting {
     fn default() -> RefitSetting {
-        RefitSetting { followed: 10, finished: 6, turns: (1, 2), largest: 6.0 }
+        RefitSetting { followed: 12, finished: 6, turns: (1, 2), largest: 6.0 }
     }
 }
+
+/// So many of the first are tried again beside the second.
+const AGAIN: usize = 4;
 
 /// A recording, the stated sensor, and what is looked at.
 #[derive(Clone, Copy)]
@@ -50,6 +56,8 @@ pub struct Refit<'a> {
     pub scene: &'a SceneSetting,
     /// The prior of each pixel.
     pub priors: &'a [Prior],
+    /// Noise of frame values that is not stated, as a share of the signal.
+    pub frame_noise: f64,
 }
 
 /// A strength that was tried.
@@ -90,11 +98,20 @@ pub struct Explained {
     pub control: f64,
     /// Share of the cost of the sensor without it that it takes away; on blocks that the strength was not fitted to.
     pub heldout: f64,
+    /// Log of how well an event is foretold, nats: without it, and with it on blocks that its strength was not fitted to.
+    pub nats_per_event: (f64, f64),
     /// Share of the blocks that it improves.
     pub blocks_better: f64,
     /// Was it followed to the end?
     pub is_finished: bool,
 }
+
+/// A cost below that of its control says no more than this.
+const FURTHEST_BELOW: f64 = 0.02;
+/// What the cost itself counts beside what it is beyond its control.
+const COST_WEIGHT: f64 = 0.1;
+/// Differences of scores count as shares of them and this: costs of simulators differ by so much.
+const OFFSET: f64 = 0.03;
 
 /// What was found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -109,6 +126,108 @@ pub struct Refitted {
     pub explained: Vec<Explained>,
 }
 
+impl Explained {
+    /// The less, the better it explains: by how much it costs more than it would if it were right, and a little of what it costs at all.
+    pub fn score(&self) -> f64 {
+        f64::max(self.cost - self.control, -FURTHEST_BELOW) + COST_WEIGHT * self.cost + OFFSET
+    }
+}
+
+impl Refitted {
+    /// Those that were followed to the end, one for each effect, best first.
+    pub fn leading(&self) -> Vec<&Explained> {
+        let mut all: Vec<&Explained> = self.explained.iter().filter(|one| one.is_finished).collect();
+        all.sort_by(|a, b| a.score().total_cmp(&b.score()).then(a.candidate.cmp(&b.candidate)));
+        let mut leading: Vec<&Explained> = Vec::new();
+        for one in all {
+            if leading.iter().all(|other| CANDIDATES[other.candidate].id != CANDIDATES[one.candidate].id) {
+                leading.push(one);
+            }
+        }
+        leading
+    }
+}
+
+/// What one effect explains, and what a second beside it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Search {
+    /// One effect.
+    pub first: Refitted,
+    /// One more beside the best of `first`; none when that does not explain enough.
+    pub second: Option<Refitted>,
+    /// The first once more, beside the best of `second`, where that is more than nothing.
+    pub again: Option<Refitted>,
+    /// Noise of frame values that is not stated, as a share of the signal.
+    pub frame_noise: f64,
+    /// How well light that was estimated with the stated sensor fires the recorded events again: 1 is perfect.
+    pub agreement: f64,
+    /// Pixels that were looked at, and their events.
+    pub pixels: usize,
+    /// See there.
+    pub events: usize,
+}
+
+/// What is looked at, and what counts.
+#[derive(Clone, Copy, Debug)]
+pub struct SearchSetting {
+    /// Zones of the array, each with one block of pixels.
+    pub zones: (u32, u32),
+    /// Side of a block, pixels.
+    pub side: u32,
+    /// Blocks have a mean number of events a pixel between these.
+    pub events: (f64, f64),
+    /// How light is estimated.
+    pub scene: SceneSetting,
+    /// How candidates are tried.
+    pub refit: RefitSetting,
+    /// Share of the cost that an effect must take away on pixels that it was not fitted to, for a second to be looked for beside it.
+    pub least_share: f64,
+}
+
+impl Default for SearchSetting {
+    fn default() -> SearchSetting {
+        SearchSetting { zones: (4, 4), side: 5, events: (3.0, 250.0), scene: SceneSetting::close(), refit: RefitSetting::default(), least_share: 0.15 }
+    }
+}
+
+/// Looks for one effect, and for a second beside the best.
+///
+/// # Errors
+/// When effects that the description states cannot be combined, or no block of pixels has enough events.
+pub fn search(case: &Case, nominal: &Nominal, scales: &Scales, setting: &SearchSetting) -> Result<Search, String> {
+    let sample = Sample::blocks(case, setting.zones, setting.side, 0, setting.events);
+    if sample.is_empty() {
+        let (SearchSetting { side, .. }, (least, most)) = (setting, setting.events);
+        return Err(format!(
+            "no block of {side} x {side} pixels has between {least} and {most} events a pixel, so nothing can be fitted; record more change, or for longer"
+        ));
+    }
+    let frame_noise = unstated_frame_noise(case, nominal)?;
+    let usual = setting.scene.frame_share;
+    let scene = SceneSetting { frame_share: libm::sqrt(usual * usual + frame_noise * frame_noise), ..setting.scene };
+    let Faithful { priors, agreement, .. } = faithful(case, nominal, &sample, &scene)?;
+    let base = Trial::stated(nominal);
+    let refit = Refit { case, base: &base, scales, sample: &sample, scene: &scene, priors: &priors, frame_noise };
+    let first = refit.run(&setting.refit, &[]);
+    let best = first.leading().first().map(|best| (best.candidate, best.strength, best.heldout));
+    let few = RefitSetting { followed: 6, finished: 3, ..setting.refit };
+    let beside = |candidate: usize, strength: f64, only: &[usize]| {
+        let mut base = base.clone();
+        CANDIDATES[candidate].put_on(&mut base, strength, scales);
+        Refit { base: &base, ..refit }.run(&few, only)
+    };
+    let second = best.filter(|best| best.2 > setting.least_share).map(|(candidate, strength, _)| beside(candidate, strength, &[]));
+    // With a second effect on the sensor, the first is looked for once more among those that were near it.
+    let beside_second = second.as_ref().and_then(|second| second.leading().first().map(|one| (one.candidate, one.strength, one.heldout)));
+    let again = beside_second.filter(|second| second.2 > setting.least_share).map(|(candidate, strength, _)| {
+        let leading = first.leading();
+        let near: Vec<usize> = leading.iter().take(AGAIN).map(|one| one.candidate).filter(|one| CANDIDATES[*one].id != CANDIDATES[candidate].id).collect();
+        beside(candidate, strength, &near)
+    });
+    let events = sample.pixels.iter().map(|pixel| case.events.of(*pixel as usize).len()).sum();
+    Ok(Search { first, second, again, frame_noise, agreement, pixels: sample.len(), events })
+}
+
 impl Refit<'_> {
     /// A strength of a candidate; none where it cannot be combined with what is stated.
     pub fn at(&self, candidate: Option<usize>, strength: f64, turns: usize) -> Option<Tried> {
@@ -116,14 +235,14 @@ impl Refit<'_> {
         if let Some(candidate) = candidate {
             CANDIDATES[candidate].put_on(&mut trial, strength, self.scales);
         }
-        let under = Under::new(self.case, &trial).ok()?;
+        let under = Under::new(self.case, &trial, self.frame_noise).ok()?;
         let (_, recording) = under.corrected(self.sample, self.scene, self.priors, turns).ok()?;
         Some(Tried { strength, blocks: self.blocks(under.case(), &recording) })
     }
 
     fn blocks(&self, case: &Case, recording: &Case) -> Vec<Mismatch> {
         let mut blocks = vec![Mismatch::default(); self.sample.block.iter().map(|block| *block as usize + 1).max().unwrap_or(0)];
-        for (of, &block) in mismatch(case, recording, self.sample, &self.base.nominal).iter().zip(&self.sample.block) {
+        for (of, &block) in mismatch(case, recording, self.sample, &self.base.nominal, self.scene.frame_share).iter().zip(&self.sample.block) {
             blocks[block as usize] = blocks[block as usize].and(of);
         }
         blocks
@@ -135,17 +254,18 @@ impl Refit<'_> {
         if let Some(candidate) = candidate {
             CANDIDATES[candidate].put_on(&mut trial, strength, self.scales);
         }
-        let under = Under::new(self.case, &trial).ok()?;
+        let under = Under::new(self.case, &trial, self.frame_noise).ok()?;
         let (_, recording) = under.corrected(self.sample, self.scene, self.priors, turns).ok()?;
         // Its light is mixed already.
         let own = Trial { effects: trial.effects.iter().filter(|(id, _)| !is_mixing(id)).map(|(id, of)| (id.clone(), of.clone())).collect(), ..trial.clone() };
-        let (_, again) = Under::new(&recording, &own).ok()?.corrected(self.sample, self.scene, self.priors, turns).ok()?;
+        let (_, again) = Under::new(&recording, &own, self.frame_noise).ok()?.corrected(self.sample, self.scene, self.priors, turns).ok()?;
         Some(Tried { strength: 0.0, blocks: self.blocks(&recording, &again) })
     }
 
-    /// Tries every candidate; `starts` are strengths that something else suggests.
-    pub fn run(&self, setting: &RefitSetting, starts: &[(usize, f64)]) -> Refitted {
-        let mut tried: Vec<(usize, Vec<Tried>)> = (0..CANDIDATES.len()).filter(|&n| !CANDIDATES[n].is_random).map(|n| (n, Vec::new())).collect();
+    /// Tries candidates: those of `only`, or all where it is empty.
+    pub fn run(&self, setting: &RefitSetting, only: &[usize]) -> Refitted {
+        let mut tried: Vec<(usize, Vec<Tried>)> =
+            (0..CANDIDATES.len()).filter(|n| !CANDIDATES[*n].is_random && (only.is_empty() || only.contains(n))).map(|n| (n, Vec::new())).collect();
         let (first, last) = setting.turns;
         let [Some(stated), Some(control)] = [self.at(None, 0.0, first), self.control(None, 0.0, first)] else { return Refitted::default() };
         let stated_last = self.at(None, 0.0, last).unwrap_or_else(|| stated.clone());
@@ -153,13 +273,11 @@ impl Refit<'_> {
         let first_strengths: Vec<(usize, f64)> = tried
             .iter()
             .flat_map(|&(candidate, _)| {
-                let mut strengths = match CANDIDATES[candidate].signs {
+                let strengths = match CANDIDATES[candidate].signs {
                     Signs::Switch => vec![1.0],
-                    Signs::Both => vec![-1.0, -0.4, 0.4, 1.0],
-                    Signs::Positive => vec![0.4, 1.2],
+                    Signs::Both => vec![-0.5, 0.5],
+                    Signs::Positive => vec![0.5, 1.2],
                 };
-                let more = starts.iter().filter(|start| start.0 == candidate && CANDIDATES[candidate].signs != Signs::Switch).map(|start| start.1);
-                strengths.extend(more.filter(|start| start.abs() > 0.05 && (CANDIDATES[candidate].signs == Signs::Both || *start > 0.0)));
                 strengths.into_iter().map(move |strength| (candidate, strength))
             })
             .collect();
@@ -167,17 +285,19 @@ impl Refit<'_> {
         // Strengths further out or in, then between, for those that do best.
         for round in 0..6 {
             order(&mut tried);
-            let count = if round < 2 { setting.followed } else { setting.finished };
-            let next: Vec<(usize, f64)> =
-                tried.iter().take(count).filter_map(|(candidate, tried)| Some((*candidate, self.next(*candidate, tried, setting)?))).collect();
+            let count = if round < 2 { setting.followed } else { setting.finished + 1 };
+            let chosen = chosen(&tried, count);
+            let followed = tried.iter().filter(|(candidate, _)| chosen.contains(candidate));
+            let next: Vec<(usize, f64)> = followed.filter_map(|(candidate, tried)| Some((*candidate, self.next(*candidate, tried, setting)?))).collect();
             self.extend(&mut tried, &next, first);
         }
         order(&mut tried);
-        let mut finished: Vec<(usize, Vec<Tried>)> = tried.iter().take(setting.finished).map(|(candidate, _)| (*candidate, Vec::new())).collect();
+        let chosen = chosen(&tried, setting.finished);
+        let mut finished: Vec<(usize, Vec<Tried>)> = chosen.iter().map(|candidate| (*candidate, Vec::new())).collect();
         if last > first {
             let again: Vec<(usize, f64)> = tried
                 .iter()
-                .take(setting.finished)
+                .filter(|(candidate, tried)| chosen.contains(candidate) && !tried.is_empty())
                 .flat_map(|(candidate, tried)| {
                     let best = best(tried).strength;
                     let is_switch = CANDIDATES[*candidate].signs == Signs::Switch;
@@ -265,12 +385,15 @@ impl Refit<'_> {
         let (low, high) = (at(strength - 1.96 * error), at(strength + 1.96 * error));
         // On each half of the blocks with the strength that is best on the other.
         let half = |block: usize| block % 2;
-        let (mut before, mut after) = (0.0, 0.0);
+        let (mut before, mut after, mut nats) = (0.0, 0.0, (0.0, 0.0));
         for side in 0..2 {
             let chosen = best_on(tried, |block| half(block) == side);
             before += stated.cost(|block| half(block) != side);
             after += chosen.cost(|block| half(block) != side);
+            let foretold = |of: &Tried| (0..blocks).filter(|&block| half(block) != side).map(|block| of.blocks[block].nats).sum::<f64>();
+            nats = (nats.0 + foretold(stated), nats.1 + foretold(chosen));
         }
+        let recorded = f64::max(stated.all().recorded, 1.0);
         let better = (0..blocks).filter(|&block| stated.blocks[block].count > 0.0 && best_one.blocks[block].cost() < stated.blocks[block].cost()).count();
         Explained {
             candidate,
@@ -280,6 +403,7 @@ impl Refit<'_> {
             cost: best_one.cost(|_| true) / f64::max(stated.all().count, 1.0),
             control: 0.0,
             heldout: 1.0 - after / f64::max(before, 1e-12),
+            nats_per_event: (nats.0 / recorded, nats.1 / recorded),
             blocks_better: better as f64 / n,
             is_finished,
         }
@@ -293,6 +417,16 @@ fn is_mixing(id: &str) -> bool {
 fn order(tried: &mut [(usize, Vec<Tried>)]) {
     let cost = |tried: &[Tried]| if tried.is_empty() { f64::INFINITY } else { best(tried).cost(|_| true) };
     tried.sort_by(|a, b| cost(&a.1).total_cmp(&cost(&b.1)).then(a.0.cmp(&b.0)));
+}
+
+/// The first `count`, and what the best is confused with by the catalogue's own word.
+fn chosen(ordered: &[(usize, Vec<Tried>)], count: usize) -> Vec<usize> {
+    let mut chosen: Vec<usize> = ordered.iter().take(count).map(|(candidate, _)| *candidate).collect();
+    if let Some((best, _)) = ordered.first() {
+        let confused_with = CANDIDATES[*best].decl().confused_with;
+        chosen.extend(ordered.iter().skip(count).map(|(candidate, _)| *candidate).filter(|candidate| confused_with.contains(&CANDIDATES[*candidate].id)));
+    }
+    chosen
 }
 
 fn place_of_best(tried: &[Tried]) -> usize {

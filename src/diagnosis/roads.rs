@@ -1,18 +1,19 @@
 //! The roads that estimate the scene, each in its own words, brought to the form that [`crate::verdict`] joins.
 
-use crate::candidates::CANDIDATES;
+use crate::candidates::{CANDIDATES, Scales};
 use crate::case::Case;
 use crate::diagnose::{RoadKind, Setting};
 use crate::knowledge::Knowledge;
 use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
 use crate::nominal::Nominal;
+use crate::refit::{Refitted, Search, SearchSetting, search};
 use crate::report::{Detectable, NotTestable};
 use crate::synthesis::{Ranked, Synthesis, SynthesisSetting, synthesis};
 use crate::verdict::{Proposal, Road};
 
 /// All roads, in the order in which they are run. Synthesis needs to know what recordings without an effect look like, and is left out without that knowledge.
 pub fn all(knowledge: Option<Knowledge>) -> Vec<RoadKind> {
-    let mut roads = vec![RoadKind::new("likelihood", run_likelihood)];
+    let mut roads = vec![RoadKind::new(REFIT, run_refit), RoadKind::new("likelihood", run_likelihood)];
     roads.extend(knowledge.map(|knowledge| RoadKind::new("synthesis", move |case, setting| run_synthesis(case, &knowledge, setting))));
     roads
 }
@@ -31,8 +32,63 @@ fn run_synthesis(case: &Case, knowledge: &Knowledge, setting: &Setting) -> Resul
 
 fn run_likelihood(case: &Case, setting: &Setting) -> Result<Road, String> {
     let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
-    let setting = LikelihoodSetting { seed: setting.seed, ..LikelihoodSetting::default() };
+    // Strengths are what refits are for.
+    let setting = LikelihoodSetting { seed: setting.seed, refined: [5, 3, 0, 0], calibrated: 0, ..LikelihoodSetting::default() };
     Ok(from_likelihood(&likelihood(case, &nominal, &setting)?, &setting))
+}
+
+fn run_refit(case: &Case, _setting: &Setting) -> Result<Road, String> {
+    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    Ok(from_refit(&search(case, &nominal, &Scales::of(case, &nominal), &SearchSetting::default())?))
+}
+
+/// The road that refits.
+pub const REFIT: &str = "refit";
+/// Share of the cost that an effect must take away on pixels that it was not fitted to; nulls of other people's simulators reach 0.1.
+const LEAST_TAKEN: f64 = 0.14;
+/// And a second effect of what the first leaves.
+const LEAST_TAKEN_SECOND: f64 = 0.2;
+/// And the share of blocks that either must improve.
+const LEAST_BETTER: f64 = 0.6;
+/// A candidate whose score is greater than the best by this share is believed a factor e less.
+const SCORE_SOFTNESS: f64 = 0.1;
+
+/// What refits say.
+pub fn from_refit(found: &Search) -> Road {
+    let second = found.second.as_ref().map_or_else(Vec::new, |second| told(second, LEAST_TAKEN_SECOND));
+    let has_second = second.iter().any(|one| one.passed);
+    let first = told(found.again.as_ref().filter(|_| has_second).unwrap_or(&found.first), LEAST_TAKEN);
+    let best = found.first.leading().first().copied().cloned();
+    let alarm = first.iter().any(|one| one.passed);
+    Road {
+        name: REFIT.into(),
+        alarm,
+        proposals: first,
+        second,
+        nats_per_event: best.as_ref().map(|best| best.nats_per_event).filter(|_| alarm),
+        residual_left: best.as_ref().map(|best| best.cost / f64::max(found.first.stated, 1e-12)).filter(|_| alarm),
+        ..Road::default()
+    }
+}
+
+fn told(found: &Refitted, least: f64) -> Vec<Proposal> {
+    let leading = found.leading();
+    let best = leading.first().map_or(1.0, |best| best.score());
+    let mut proposals: Vec<Proposal> = leading
+        .iter()
+        .map(|one| Proposal {
+            candidate: one.candidate,
+            score: f64::max(one.heldout / least, 0.0),
+            probability: libm::exp(libm::log(best / one.score()) / SCORE_SOFTNESS),
+            value: one.value,
+            ci95: Some(one.ci95),
+            passed: one.heldout > least && one.blocks_better > LEAST_BETTER,
+            heldout_nats: None,
+            heldout_nats_per_event: Some(one.nats_per_event.1 - one.nats_per_event.0),
+        })
+        .collect();
+    normalise(&mut proposals);
+    proposals
 }
 
 /// A candidate whose statistic is this much below the best, as a share of it, is believed a factor e less.

@@ -28,6 +28,14 @@ impl Default for SceneSetting {
     }
 }
 
+impl SceneSetting {
+    /// Events are believed closely and more steps are taken: more of them come again from such light.
+    pub fn close() -> SceneSetting {
+        let usual = SceneSetting::default();
+        SceneSetting { noise: Noise { event: 0.01, ..usual.noise }, options: MapOptions { max_iterations: 8, ..usual.options }, ..usual }
+    }
+}
+
 /// Knots, log light, and whether it is known.
 pub type Found = (Vec<i64>, Vec<f64>, bool);
 

@@ -28,6 +28,8 @@ use std::borrow::Cow;
 const LARGEST_CORRECTION: f64 = 0.5;
 /// Knots nearer than this are one, ns.
 const SAME_KNOT_NS: i64 = 20_000;
+/// Seed of the noise that mixing takes away.
+const MIXING: u64 = 0x0b1a;
 /// Signals that are mixed are at least this, DN.
 const LEAST_SIGNAL_DN: f64 = 0.5;
 /// Light behind the lens is at least this share of what the pixel sees.
@@ -42,17 +44,17 @@ pub struct Under<'a> {
 }
 
 impl<'a> Under<'a> {
-    /// A trial with what the description states.
+    /// A trial with what the description states. Frame values have noise of `frame_share` of the signal beyond what is stated.
     ///
     /// # Errors
     /// When an effect or its parameters are not understood.
-    pub fn new(case: &'a Case, trial: &'a Trial) -> Result<Under<'a>, String> {
+    pub fn new(case: &'a Case, trial: &'a Trial, frame_share: f64) -> Result<Under<'a>, String> {
         let mut described = case.sensor.effects.clone();
         described.extend(trial.effects.iter().map(|(id, parameters)| (id.clone(), parameters.clone())));
         let mut effects = from_description(&described)?;
         inform(case, &mut effects);
         let kernel = joined(&effects).map_err(|why| why.to_string())?;
-        let case = kernel.map_or(Cow::Borrowed(case), |kernel| Cow::Owned(with_mixed_frames(case, &trial.nominal, &kernel)));
+        let case = kernel.map_or(Cow::Borrowed(case), |kernel| Cow::Owned(with_mixed_frames(case, &trial.nominal, &kernel, frame_share)));
         Ok(Under { case, trial, effects })
     }
 
@@ -209,11 +211,13 @@ impl<'a> Under<'a> {
     }
 }
 
-/// A recording whose frames are mixtures of neighbours, as the event path sees their light.
-fn with_mixed_frames(case: &Case, nominal: &Nominal, kernel: &Kernel) -> Case {
+/// A recording whose frames are mixtures of neighbours, as the event path sees their light. A mixture has less noise than its parts: what is gone is put back, or every
+/// mixture would agree better than none.
+fn with_mixed_frames(case: &Case, nominal: &Nominal, kernel: &Kernel, frame_share: f64) -> Case {
     let Some(frames) = &case.frames else { return case.clone() };
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let black_level = nominal.number.black_level;
+    let lost = f64::max(1.0 - kernel.taps.iter().map(|tap| tap.weight * tap.weight).sum::<f64>(), 0.0);
     let dn = (0..frames.dn.len()).into_par_iter().with_min_len(1 << 12).map(|n| {
         let (frame, pixel) = (n / (width * height), n % (width * height));
         let (x, y) = (pixel % width, pixel / width);
@@ -221,7 +225,11 @@ fn with_mixed_frames(case: &Case, nominal: &Nominal, kernel: &Kernel) -> Case {
             let (x, y) = (stand_in(x, tap.dx, width), stand_in(y, tap.dy, height));
             f64::max(f64::from(frames.dn[frame * width * height + y * width + x]) - black_level, LEAST_SIGNAL_DN)
         };
-        (black_level + mixed(kernel, signal)) as f32
+        let signal = mixed(kernel, signal);
+        let (stated, share) = (nominal.stated_frame_sigma_dn(black_level + signal), frame_share * signal);
+        let gone = libm::sqrt(lost * (stated * stated + share * share));
+        let noise = if gone > 0.0 { gone * Random::new(MIXING, &[n as u64]).normal() } else { 0.0 };
+        (black_level + signal + noise) as f32
     });
     Case { frames: Some(CaseFrames { times: frames.times.clone(), dn: dn.collect() }), ..case.clone() }
 }

@@ -11,6 +11,7 @@ use crate::case::Case;
 use crate::integrity::{Finding, Integrity};
 use crate::nominal::Nominal;
 use crate::report::{Detectable, NotTestable, Verdict};
+use crate::roads::REFIT;
 use photocurrent_sensor::effects::{Unit, catalogue};
 use serde::Serialize;
 
@@ -111,6 +112,20 @@ const SECOND: f64 = 4.0;
 const IN_SET: f64 = 0.5;
 /// The least probability that counts as support.
 const LEAST: f64 = 0.02;
+/// Beside a direct finding the refit must be so far over its alarm.
+const BESIDE: f64 = 2.0;
+/// Refits below this leave half of what differs.
+const HALF: f64 = 3.2;
+/// Refits with this share of the best one's probability are listened to the others for.
+const NEAR: f64 = 0.1;
+/// What another road's logarithm of a probability counts, and the least that it says.
+const HEARING: f64 = 0.5;
+/// See there.
+const LEAST_HEARD: f64 = 0.05;
+/// Rare effects are believed a factor e to this power less.
+const RARITY: f64 = 0.7;
+/// Effects whose support, as a logarithm, is so near are told together.
+const TOGETHER: f64 = 0.7;
 /// The largest set that is told.
 const LARGEST_SET: usize = 3;
 
@@ -122,22 +137,14 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
     let mut claims: Vec<Claim> = integrity.findings.iter().filter_map(|finding| direct(case, nominal, finding)).collect();
     let known: Vec<&str> = claims.iter().map(|claim| claim.id).collect();
     let speaking: Vec<Road> = roads.iter().map(|road| without(case, nominal, road, &known)).collect();
-    let alone = if claims.is_empty() { ALONE } else { 2.0 * ALONE };
-    if let Some(first) = strongest(&speaking, |road| &road.proposals, alone) {
-        let id = first.id;
-        let is_sure = first.also_possible.is_empty() || claims.is_empty();
-        if is_sure {
-            claims.push(first);
-            let rest: Vec<Road> = speaking.iter().map(|road| second_of(road, id)).collect();
-            let two_by_two = || rest.iter().filter(|road| road.alarm && !road.proposals.is_empty()).count() > 1;
-            if let Some(second) = strongest(&rest, |road| &road.proposals, SECOND)
-                && (two_by_two() || second.score > SECOND)
-                && !claims.iter().any(|claim| claim.id == second.id || claim.also_possible.contains(&second.id))
-            {
-                claims.push(second);
-            }
+    let more = match speaking.iter().position(|road| road.name == REFIT) {
+        Some(at) => {
+            let others: Vec<Road> = speaking.iter().enumerate().filter(|(n, _)| *n != at).map(|(_, road)| road.clone()).collect();
+            led(&speaking[at], &others, &claims)
         }
-    }
+        None => side_by_side(&speaking, &claims),
+    };
+    claims.extend(more);
     claims.sort_by(|a, b| b.score.total_cmp(&a.score));
     let unexplained = speaking.iter().filter(|road| road.alarm).filter_map(|road| road.unexplained.clone()).find(|found| found.score >= 1.0);
     let verdict = match (&claims[..], &unexplained) {
@@ -149,6 +156,105 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
     };
     let unexplained = unexplained.filter(|_| claims.is_empty());
     Answer { verdict, claims, unexplained }
+}
+
+/// Claims of roads of equal standing, beside what is known.
+fn side_by_side(speaking: &[Road], known: &[Claim]) -> Vec<Claim> {
+    let alone = if known.is_empty() { ALONE } else { 2.0 * ALONE };
+    let Some(first) = strongest(speaking, |road| &road.proposals, alone) else { return Vec::new() };
+    if !first.also_possible.is_empty() && !known.is_empty() {
+        return Vec::new();
+    }
+    let rest: Vec<Road> = speaking.iter().map(|road| second_of(road, first.id)).collect();
+    let two_by_two = rest.iter().filter(|road| road.alarm && !road.proposals.is_empty()).count() > 1;
+    let is_new = |second: &Claim| second.id != first.id && !first.also_possible.contains(&second.id) && known.iter().all(|claim| claim.id != second.id);
+    let second = strongest(&rest, |road| &road.proposals, SECOND).filter(|second| (two_by_two || second.score > SECOND) && is_new(second));
+    std::iter::once(first).chain(second).collect()
+}
+
+/// Claims of the road that refits, which hears the others where it cannot tell effects apart. Where it is silent, nothing that has events of its own is missing, and the others
+/// speak of random effects alone.
+fn led(refit: &Road, others: &[Road], known: &[Claim]) -> Vec<Claim> {
+    let is_random = |proposal: &Proposal| CANDIDATES[proposal.candidate].is_random;
+    let of_chance: Vec<Road> =
+        others.iter().map(|road| Road { proposals: road.proposals.iter().filter(|one| is_random(one)).cloned().collect(), ..road.clone() }).collect();
+    let least = if known.is_empty() { 1.0 } else { BESIDE };
+    let found = if refit.alarm { refitted(&refit.proposals, others, least) } else { None };
+    let Some(first) = found else {
+        let alone = if known.is_empty() { ALONE } else { 2.0 * ALONE };
+        return strongest(&of_chance, |road| &road.proposals, alone).into_iter().collect();
+    };
+    // What leaves much unexplained may be chance that all others name.
+    let leaders: Vec<&Proposal> = others.iter().filter(|road| road.alarm).filter_map(|road| road.proposals.first()).collect();
+    let same = |a: &Proposal, b: &Proposal| CANDIDATES[a.candidate].id == CANDIDATES[b.candidate].id;
+    if first.score < HALF
+        && leaders.len() == others.len()
+        && leaders.first().is_some_and(|first| is_random(first) && leaders.iter().all(|other| same(first, other)))
+        && let Some(chance) = strongest(&of_chance, |road| &road.proposals, 1.0)
+    {
+        return vec![chance];
+    }
+    let mut claims = vec![first];
+    if let Some(second) = refitted(&refit.second, others, 1.0) {
+        let first = &mut claims[0];
+        if second.id == first.id {
+            // Another number of the same effect.
+            first.values.extend(second.values);
+        } else if !first.also_possible.contains(&second.id) && known.iter().all(|claim| claim.id != second.id) {
+            claims.push(second);
+        }
+    }
+    claims
+}
+
+/// The best of the refits, with those that are not told apart from it.
+fn refitted(proposals: &[Proposal], others: &[Road], least: f64) -> Option<Claim> {
+    let best = proposals.iter().filter(|one| one.passed && one.score >= least).map(|one| one.probability).fold(0.0, f64::max);
+    let heard = |id: &str| -> f64 {
+        let of = |road: &Road| road.proposals.iter().filter(|one| CANDIDATES[one.candidate].id == id).map(|one| one.probability).fold(LEAST_HEARD, f64::max);
+        others.iter().filter(|road| road.alarm).map(|road| HEARING * libm::log(of(road))).sum()
+    };
+    let mut set: Vec<(f64, &Proposal)> = proposals
+        .iter()
+        .filter(|one| one.passed && one.score >= least && one.probability >= NEAR * best)
+        .map(|one| {
+            let id = CANDIDATES[one.candidate].id;
+            (libm::log(one.probability) + heard(id) - if is_rare(id) { RARITY } else { 0.0 }, one)
+        })
+        .collect();
+    set.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.candidate.cmp(&b.1.candidate)));
+    let &(support, one) = set.first()?;
+    let id = CANDIDATES[one.candidate].id;
+    let also_possible =
+        set.iter().skip(1).filter(|other| other.0 > support - TOGETHER).map(|other| CANDIDATES[other.1.candidate].id).take(LARGEST_SET - 1).collect();
+    let agrees = |road: &&Road| road.alarm && road.proposals.first().is_some_and(|first| CANDIDATES[first.candidate].id == id);
+    let found_by = std::iter::once(REFIT.to_owned()).chain(others.iter().filter(agrees).map(|road| road.name.clone())).collect();
+    Some(Claim {
+        id,
+        also_possible,
+        values: vec![(one.candidate, one.value, one.ci95)],
+        score: one.score,
+        found_by,
+        heldout_nats: one.heldout_nats,
+        heldout_nats_per_event: one.heldout_nats_per_event,
+        finding: None,
+    })
+}
+
+/// Effects that are met so seldom, or seen so hardly, that another that explains as much is believed first.
+fn is_rare(id: &str) -> bool {
+    matches!(
+        id,
+        "row_skew"
+            | "exposure_time"
+            | "slew_limit"
+            | "image_lag"
+            | "frame_gain_steps"
+            | "frame_coupling"
+            | "large_signal_front_end"
+            | "readout_queue"
+            | "vignetting"
+    )
 }
 
 fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {

@@ -26,7 +26,6 @@ use crate::sample::Sample;
 use crate::scene::{Scene, SceneSetting};
 use features::{Bench, Features, Measured, Metric};
 use pairs::{Pair, Responses, best_pair};
-use photocurrent_sensor::map::{MapOptions, Noise};
 use score::pair;
 use serde::{Deserialize, Serialize};
 
@@ -59,12 +58,6 @@ pub struct LikelihoodSetting {
     pub seed: u64,
 }
 
-/// Events are believed closely and more steps are taken: more of them come again from such light.
-fn scene_setting() -> SceneSetting {
-    let usual = SceneSetting::default();
-    SceneSetting { noise: Noise { event: 0.01, ..usual.noise }, options: MapOptions { max_iterations: 8, ..usual.options }, ..usual }
-}
-
 impl Default for LikelihoodSetting {
     fn default() -> LikelihoodSetting {
         LikelihoodSetting {
@@ -72,7 +65,7 @@ impl Default for LikelihoodSetting {
             side: 5,
             margin: 1,
             events: (3.0, 250.0),
-            scene: scene_setting(),
+            scene: SceneSetting::close(),
             refined: [9, 6, 5, 4],
             calibrated: 2,
             least_statistic: 12.0,
