@@ -60,6 +60,7 @@ pub mod roads;
 pub mod sample;
 pub mod scene;
 pub mod scenes;
+pub mod search;
 pub mod summaries;
 pub mod synthesis;
 pub mod train;

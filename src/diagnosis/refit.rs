@@ -8,10 +8,7 @@
 
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::Case;
-use crate::deviation::unstated_frame_noise;
-use crate::faithful::{Faithful, faithful};
 use crate::mismatch::{Mismatch, mismatch};
-use crate::nominal::Nominal;
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
 use crate::under::Under;
@@ -37,9 +34,6 @@ impl Default for RefitSetting {
         RefitSetting { followed: 12, finished: 6, turns: (1, 2), largest: 6.0 }
     }
 }
-
-/// So many of the first are tried again beside the second.
-const AGAIN: usize = 4;
 
 /// A recording, the stated sensor, and what is looked at.
 #[derive(Clone, Copy)]
@@ -148,86 +142,6 @@ impl Refitted {
     }
 }
 
-/// What one effect explains, and what a second beside it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Search {
-    /// One effect.
-    pub first: Refitted,
-    /// One more beside the best of `first`; none when that does not explain enough.
-    pub second: Option<Refitted>,
-    /// The first once more, beside the best of `second`, where that is more than nothing.
-    pub again: Option<Refitted>,
-    /// Noise of frame values that is not stated, as a share of the signal.
-    pub frame_noise: f64,
-    /// How well light that was estimated with the stated sensor fires the recorded events again: 1 is perfect.
-    pub agreement: f64,
-    /// Pixels that were looked at, and their events.
-    pub pixels: usize,
-    /// See there.
-    pub events: usize,
-}
-
-/// What is looked at, and what counts.
-#[derive(Clone, Copy, Debug)]
-pub struct SearchSetting {
-    /// Zones of the array, each with one block of pixels.
-    pub zones: (u32, u32),
-    /// Side of a block, pixels.
-    pub side: u32,
-    /// Blocks have a mean number of events a pixel between these.
-    pub events: (f64, f64),
-    /// How light is estimated.
-    pub scene: SceneSetting,
-    /// How candidates are tried.
-    pub refit: RefitSetting,
-    /// Share of the cost that an effect must take away on pixels that it was not fitted to, for a second to be looked for beside it.
-    pub least_share: f64,
-}
-
-impl Default for SearchSetting {
-    fn default() -> SearchSetting {
-        SearchSetting { zones: (4, 4), side: 5, events: (3.0, 250.0), scene: SceneSetting::close(), refit: RefitSetting::default(), least_share: 0.15 }
-    }
-}
-
-/// Looks for one effect, and for a second beside the best.
-///
-/// # Errors
-/// When effects that the description states cannot be combined, or no block of pixels has enough events.
-pub fn search(case: &Case, nominal: &Nominal, scales: &Scales, setting: &SearchSetting) -> Result<Search, String> {
-    let sample = Sample::blocks(case, setting.zones, setting.side, 0, setting.events);
-    if sample.is_empty() {
-        let (SearchSetting { side, .. }, (least, most)) = (setting, setting.events);
-        return Err(format!(
-            "no block of {side} x {side} pixels has between {least} and {most} events a pixel, so nothing can be fitted; record more change, or for longer"
-        ));
-    }
-    let frame_noise = unstated_frame_noise(case, nominal)?;
-    let usual = setting.scene.frame_share;
-    let scene = SceneSetting { frame_share: libm::sqrt(usual * usual + frame_noise * frame_noise), ..setting.scene };
-    let Faithful { priors, agreement, .. } = faithful(case, nominal, &sample, &scene)?;
-    let base = Trial::stated(nominal);
-    let refit = Refit { case, base: &base, scales, sample: &sample, scene: &scene, priors: &priors, frame_noise };
-    let first = refit.run(&setting.refit, &[]);
-    let best = first.leading().first().map(|best| (best.candidate, best.strength, best.heldout));
-    let few = RefitSetting { followed: 6, finished: 3, ..setting.refit };
-    let beside = |candidate: usize, strength: f64, only: &[usize]| {
-        let mut base = base.clone();
-        CANDIDATES[candidate].put_on(&mut base, strength, scales);
-        Refit { base: &base, ..refit }.run(&few, only)
-    };
-    let second = best.filter(|best| best.2 > setting.least_share).map(|(candidate, strength, _)| beside(candidate, strength, &[]));
-    // With a second effect on the sensor, the first is looked for once more among those that were near it.
-    let beside_second = second.as_ref().and_then(|second| second.leading().first().map(|one| (one.candidate, one.strength, one.heldout)));
-    let again = beside_second.filter(|second| second.2 > setting.least_share).map(|(candidate, strength, _)| {
-        let leading = first.leading();
-        let near: Vec<usize> = leading.iter().take(AGAIN).map(|one| one.candidate).filter(|one| CANDIDATES[*one].id != CANDIDATES[candidate].id).collect();
-        beside(candidate, strength, &near)
-    });
-    let events = sample.pixels.iter().map(|pixel| case.events.of(*pixel as usize).len()).sum();
-    Ok(Search { first, second, again, frame_noise, agreement, pixels: sample.len(), events })
-}
-
 impl Refit<'_> {
     /// A strength of a candidate; none where it cannot be combined with what is stated.
     pub fn at(&self, candidate: Option<usize>, strength: f64, turns: usize) -> Option<Tried> {
@@ -256,10 +170,15 @@ impl Refit<'_> {
         }
         let under = Under::new(self.case, &trial, self.frame_noise).ok()?;
         let (_, recording) = under.corrected(self.sample, self.scene, self.priors, turns).ok()?;
-        // Its light is mixed already.
-        let own = Trial { effects: trial.effects.iter().filter(|(id, _)| !is_mixing(id)).map(|(id, of)| (id.clone(), of.clone())).collect(), ..trial.clone() };
+        let own = Refit { base: &trial, ..*self }.behind_mixing();
         let (_, again) = Under::new(&recording, &own, self.frame_noise).ok()?.corrected(self.sample, self.scene, self.priors, turns).ok()?;
         Some(Tried { strength: 0.0, blocks: self.blocks(&recording, &again) })
+    }
+
+    /// The sensor that looks at light which is mixed already.
+    pub fn behind_mixing(&self) -> Trial {
+        let effects = self.base.effects.iter().filter(|(id, _)| !is_mixing(id)).map(|(id, of)| (id.clone(), of.clone())).collect();
+        Trial { effects, ..self.base.clone() }
     }
 
     /// Tries candidates: those of `only`, or all where it is empty.
@@ -322,7 +241,7 @@ impl Refit<'_> {
             explained.par_iter().map(|one| if one.is_finished { self.control(Some(one.candidate), one.strength, last) } else { None }).collect();
         let an_event = |tried: &Tried| tried.cost(|_| true) / f64::max(tried.all().count, 1.0);
         for (one, control) in explained.iter_mut().zip(controls) {
-            one.control = control.as_ref().map_or(0.0, |control| an_event(control));
+            one.control = control.as_ref().map_or(0.0, &an_event);
         }
         explained.sort_by(|a, b| a.cost.total_cmp(&b.cost).then(a.candidate.cmp(&b.candidate)));
         let frames = best_stated.all();

@@ -6,8 +6,9 @@ use crate::diagnose::{RoadKind, Setting};
 use crate::knowledge::Knowledge;
 use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
 use crate::nominal::Nominal;
-use crate::refit::{Refitted, Search, SearchSetting, search};
+use crate::refit::Refitted;
 use crate::report::{Detectable, NotTestable};
+use crate::search::{Search, SearchSetting, search};
 use crate::synthesis::{Ranked, Synthesis, SynthesisSetting, synthesis};
 use crate::verdict::{Proposal, Road};
 

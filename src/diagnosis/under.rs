@@ -266,3 +266,56 @@ fn inverse(of: impl Fn(f64) -> f64, guess: f64, value: f64) -> f64 {
     }
     if x.0.is_finite() { x.0 } else { guess }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mismatch::{Mismatch, mismatch};
+    use crate::scene::SceneSetting;
+    use crate::testing;
+    use serde_json::json;
+
+    /// What a recording with effects costs when it is looked at as stated, and with the effects on the sensor.
+    fn costs(effects: serde_json::Value) -> (f64, f64) {
+        let effects: std::collections::BTreeMap<_, _> =
+            effects.as_object().unwrap().iter().map(|(id, of)| (id.clone(), of.as_object().unwrap().clone())).collect();
+        let case = testing::case_with(&effects);
+        let nominal = Nominal::new(&case).unwrap();
+        let sample = Sample::all(&case, 4);
+        let setting = SceneSetting::close();
+        let priors = vec![Prior::Glide { per_s3: 1e7, nu: 4.0 }; sample.len()];
+        let cost = |trial: &Trial| {
+            let under = Under::new(&case, trial, 0.0).unwrap();
+            let (_, recording) = under.corrected(&sample, &setting, &priors, 1).unwrap();
+            let all = mismatch(under.case(), &recording, &sample, &nominal, 0.004);
+            all.iter().fold(Mismatch::default(), |sum, of| sum.and(of)).cost()
+        };
+        let stated = Trial::stated(&nominal);
+        (cost(&stated), cost(&Trial { effects, ..stated.clone() }))
+    }
+
+    #[test]
+    fn a_recording_agrees_with_the_sensor_that_made_it() {
+        let tried = [
+            json!({"clock_offset": {"offset": "500 us"}}),
+            json!({"threshold_drift": {"rate": 6.0}}),
+            json!({"black_level": {"black_level_dn": 30.0}}),
+            json!({"leak_events": {"rate": "25 Hz"}}),
+            json!({"reset_memory": {"fraction": 0.4}}),
+            json!({"dark_current": {"current": 25.0}}),
+            json!({"time_constant": {"tau_0": "400 us"}}),
+            json!({"blur": {"sigma": 1.2}}),
+        ];
+        for effects in tried {
+            let (stated, own) = costs(effects.clone());
+            assert!(own < 0.6 * stated, "{effects}: {own} against {stated}");
+        }
+    }
+
+    #[test]
+    fn a_rising_function_is_turned_round() {
+        let square = |x: f64| 3.0 * x * x + x;
+        let found = inverse(square, 1.0, square(2.5));
+        assert!((found - 2.5).abs() < 1e-6, "{found}");
+    }
+}

@@ -181,8 +181,8 @@ fn led(refit: &Road, others: &[Road], known: &[Claim]) -> Vec<Claim> {
     let least = if known.is_empty() { 1.0 } else { BESIDE };
     let found = if refit.alarm { refitted(&refit.proposals, others, least) } else { None };
     let Some(first) = found else {
-        let alone = if known.is_empty() { ALONE } else { 2.0 * ALONE };
-        return strongest(&of_chance, |road| &road.proposals, alone).into_iter().collect();
+        // What a direct finding leaves of chance looks like chance.
+        return if known.is_empty() { strongest(&of_chance, |road| &road.proposals, ALONE).into_iter().collect() } else { Vec::new() };
     };
     // What leaves much unexplained may be chance that all others name.
     let leaders: Vec<&Proposal> = others.iter().filter(|road| road.alarm).filter_map(|road| road.proposals.first()).collect();
@@ -195,7 +195,10 @@ fn led(refit: &Road, others: &[Road], known: &[Claim]) -> Vec<Claim> {
         return vec![chance];
     }
     let mut claims = vec![first];
-    if let Some(second) = refitted(&refit.second, others, 1.0) {
+    // The others speak of the first. What they moved to the first place is no second beside what it was moved from.
+    let is_first = |one: &Proposal| claims[0].values.iter().any(|(candidate, ..)| *candidate == one.candidate);
+    let rest: Vec<Proposal> = refit.second.iter().filter(|one| !is_first(one)).cloned().collect();
+    if let Some(second) = refitted(&rest, &[], 1.0) {
         let first = &mut claims[0];
         if second.id == first.id {
             // Another number of the same effect.

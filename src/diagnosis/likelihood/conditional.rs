@@ -22,8 +22,6 @@ use photocurrent_sensor::elementary::{exp, exp_m1, ln};
 use photocurrent_sensor::exposure::log_linear_mean;
 use photocurrent_sensor::map::{MapEvent, MapFrame};
 
-/// Silence that ends a burst, ns: as in the simulator.
-
 /// An event this soon after the blind time may be one that was held back, ns: as in the solver of the most probable light.
 const LATE_NS: i64 = 1_000;
 /// Time constants below this are taken as that, seconds.

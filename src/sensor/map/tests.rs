@@ -533,3 +533,39 @@ fn lost_events_are_found_where_frames_contradict_the_silence_and_nowhere_else() 
         assert!(believed > 3.0 * before && doubted < 1.5 * before, "{reset:?}: {before} whole, {believed} believed, {doubted} doubted");
     }
 }
+
+#[test]
+fn a_step_that_is_known_to_be_more_is_a_higher_threshold() {
+    let events = [event(2_100_000, 1), event(2_900_000, 1), event(5_000_000, -1), event(7_080_500, -1), event(9_000_000, 1)];
+    let frames = [MapFrame { start_ns: 500_000, end_ns: 3_500_000, dn: 250.0, sigma_dn: 2.0, saturated: false }];
+    for reset in [Reset::Resample, Reset::Advance] {
+        let own = sensor(reset);
+        let problem = MapProblem {
+            events: &events,
+            frames: &frames,
+            hints: &[],
+            start_ns: 0,
+            end_ns: 10_000_000,
+            sensor: own,
+            // One variance for both: it goes with the threshold.
+            noise: Noise { event: 1e-3, ..Noise::default() },
+            stamp_sigma_s: 0.0,
+            silence_sigma: 0.0,
+            lost_before: &[],
+            beyond: &[],
+        };
+        let options = MapOptions { max_iterations: 30, ..MapOptions::default() };
+        let light = |problem: MapProblem<'_>| {
+            let (mut group, mut light) = (MapGroup::default(), Vec::new());
+            group.solve(&[MapTask { problem, options }], |_, solution| light = solution.log_photocurrent.to_vec());
+            light
+        };
+        let more: Vec<f64> = events.iter().map(|event| 0.05 * f64::from(event.polarity)).collect();
+        let told = light(MapProblem { beyond: &more, ..problem });
+        let raised =
+            light(MapProblem { sensor: MapSensor { threshold_on: own.threshold_on + 0.05, threshold_off: own.threshold_off + 0.05, ..own }, ..problem });
+        let plain = light(problem);
+        let off = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(off(&told, &raised) < 2e-3 && off(&told, &plain) > 0.03, "{} {}", off(&told, &raised), off(&told, &plain));
+    }
+}
