@@ -51,6 +51,7 @@ pub mod matching;
 pub mod mismatch;
 pub mod nominal;
 pub mod onnx;
+pub mod open;
 pub mod page;
 pub mod proposer;
 pub mod record;

@@ -52,6 +52,8 @@ pub struct Refit<'a> {
     pub priors: &'a [Prior],
     /// Noise of frame values that is not stated, as a share of the signal.
     pub frame_noise: f64,
+    /// Corrections of the light where it is looked at once.
+    pub turns: usize,
 }
 
 /// A strength that was tried.

@@ -5,12 +5,14 @@ use crate::case::Case;
 use crate::diagnose::{RoadKind, Setting};
 use crate::knowledge::Knowledge;
 use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
+use crate::locate::{Channel, Curve};
 use crate::nominal::Nominal;
+use crate::open::insertion;
 use crate::refit::Refitted;
-use crate::report::{Detectable, NotTestable};
+use crate::report::{Detectable, NotTestable, short};
 use crate::search::{Search, SearchSetting, search};
 use crate::synthesis::{Ranked, Synthesis, SynthesisSetting, synthesis};
-use crate::verdict::{Proposal, Road};
+use crate::verdict::{Proposal, Road, Unexplained};
 
 /// All roads, in the order in which they are run. Synthesis needs to know what recordings without an effect look like, and is left out without that knowledge.
 pub fn all(knowledge: Option<Knowledge>) -> Vec<RoadKind> {
@@ -38,9 +40,9 @@ fn run_likelihood(case: &Case, setting: &Setting) -> Result<Road, String> {
     Ok(from_likelihood(&likelihood(case, &nominal, &setting)?, &setting))
 }
 
-fn run_refit(case: &Case, _setting: &Setting) -> Result<Road, String> {
+fn run_refit(case: &Case, setting: &Setting) -> Result<Road, String> {
     let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
-    Ok(from_refit(&search(case, &nominal, &Scales::of(case, &nominal), &SearchSetting::default())?))
+    Ok(from_refit(&search(case, &nominal, &Scales::of(case, &nominal), &SearchSetting { seed: setting.seed, ..SearchSetting::default() })?))
 }
 
 /// The road that refits.
@@ -67,9 +69,35 @@ pub fn from_refit(found: &Search) -> Road {
         proposals: first,
         second,
         nats_per_event: best.as_ref().map(|best| best.nats_per_event).filter(|_| alarm),
+        unexplained: found.left.first().and_then(unexplained),
         residual_left: best.as_ref().map(|best| best.cost / f64::max(found.first.stated, 1e-12)).filter(|_| alarm),
         ..Road::default()
     }
+}
+
+/// A dependence counts from this statistic on, and this chance of one as large; without an effect the largest of all stays below 3.
+const LEAST_STATISTIC: f64 = 4.5;
+/// See there.
+const MOST_CHANCE: f64 = 0.005;
+
+/// What no effect of the catalogue explains, from its measured curve.
+fn unexplained(curve: &Curve) -> Option<Unexplained> {
+    let (what, per_cent) = match curve.channel {
+        Channel::Threshold => ("threshold * (1 + c)", true),
+        Channel::Stamps => ("stamp + c", false),
+        _ => return None,
+    };
+    let name = curve.covariate.name();
+    let point = |(at, value): (&f64, &f64)| {
+        if per_cent { format!("{:+.1} % at {}", 100.0 * value, short(*at)) } else { format!("{:+.0} us at {}", 1e6 * value, short(*at)) }
+    };
+    let points: Vec<String> = curve.at.iter().zip(&curve.value).map(point).collect();
+    (curve.statistic >= LEAST_STATISTIC && curve.p_value <= MOST_CHANCE).then(|| Unexplained {
+        covariate: name.to_owned(),
+        equation: format!("{what}, c({name}) = {}", points.join(", ")),
+        insertion: insertion(curve.channel).to_owned(),
+        score: curve.statistic / LEAST_STATISTIC,
+    })
 }
 
 fn told(found: &Refitted, least: f64) -> Vec<Proposal> {
@@ -190,6 +218,7 @@ fn normalise(proposals: &mut [Proposal]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::covariates::Covariate;
 
     fn said(id: &str, statistic: f64, heldout_nats: f64) -> likelihood::Proposal {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
@@ -240,6 +269,26 @@ mod tests {
         assert_eq!(road.proposals.iter().map(|one| one.passed).collect::<Vec<_>>(), [true, false]);
         let ratio = road.proposals[0].probability / road.proposals[1].probability;
         assert!((libm::log(ratio) - 10.0).abs() < 1e-9 && (road.proposals[0].score - 3.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_curve_far_over_chance_is_something_without_a_name() {
+        let curve = |statistic: f64, p_value: f64| Curve {
+            channel: Channel::Threshold,
+            covariate: Covariate::RowParity,
+            at: vec![0.0, 1.0],
+            value: vec![0.11, -0.11],
+            error: vec![0.01, 0.01],
+            statistic,
+            p_value,
+            explained: 0.9,
+        };
+        let found = unexplained(&curve(9.0, 0.005)).unwrap();
+        assert_eq!((found.covariate.as_str(), found.insertion.as_str(), found.score), ("row_parity", "comparator", 2.0));
+        assert_eq!(found.equation, "threshold * (1 + c), c(row_parity) = +11.0 % at 0, -11.0 % at 1");
+        assert!(unexplained(&curve(3.0, 0.005)).is_none() && unexplained(&curve(9.0, 0.02)).is_none());
+        let search = Search { left: vec![curve(9.0, 0.005)], ..Search::default() };
+        assert!(from_refit(&search).unexplained.is_some());
     }
 
     #[test]

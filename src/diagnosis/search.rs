@@ -7,7 +7,9 @@ use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::case::Case;
 use crate::deviation::unstated_frame_noise;
 use crate::faithful::{Faithful, faithful};
+use crate::locate::Curve;
 use crate::nominal::Nominal;
+use crate::open::unknown;
 use crate::refit::{Refit, RefitSetting, Refitted};
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
@@ -25,6 +27,8 @@ pub struct Search {
     pub second: Option<Refitted>,
     /// The first once more, beside the best of `second`, where that is more than nothing.
     pub again: Option<Refitted>,
+    /// How what is left depends on each covariate, most significant first.
+    pub left: Vec<Curve>,
     /// Noise of frame values that is not stated, as a share of the signal.
     pub frame_noise: f64,
     /// How well light that was estimated with the stated sensor fires the recorded events again: 1 is perfect.
@@ -50,11 +54,13 @@ pub struct SearchSetting {
     pub refit: RefitSetting,
     /// Share of the cost that an effect must take away on pixels that it was not fitted to, for a second to be looked for beside it.
     pub least_share: f64,
+    /// Seed of the draws that tell chance.
+    pub seed: u64,
 }
 
 impl Default for SearchSetting {
     fn default() -> SearchSetting {
-        SearchSetting { zones: (4, 4), side: 5, events: (3.0, 250.0), scene: SceneSetting::close(), refit: RefitSetting::default(), least_share: 0.15 }
+        SearchSetting { zones: (4, 4), side: 5, events: (3.0, 250.0), scene: SceneSetting::close(), refit: RefitSetting::default(), least_share: 0.15, seed: 1 }
     }
 }
 
@@ -75,7 +81,7 @@ pub fn search(case: &Case, nominal: &Nominal, scales: &Scales, setting: &SearchS
     let scene = SceneSetting { frame_share: libm::sqrt(usual * usual + frame_noise * frame_noise), ..setting.scene };
     let Faithful { priors, agreement, .. } = faithful(case, nominal, &sample, &scene)?;
     let base = Trial::stated(nominal);
-    let refit = Refit { case, base: &base, scales, sample: &sample, scene: &scene, priors: &priors, frame_noise };
+    let refit = Refit { case, base: &base, scales, sample: &sample, scene: &scene, priors: &priors, frame_noise, turns: setting.refit.turns.0 };
     let first = refit.run(&setting.refit, &[]);
     let best = first.leading().first().map(|best| (best.candidate, best.strength, best.heldout));
     let few = RefitSetting { followed: 6, finished: 3, ..setting.refit };
@@ -92,8 +98,13 @@ pub fn search(case: &Case, nominal: &Nominal, scales: &Scales, setting: &SearchS
         let near: Vec<usize> = leading.iter().take(AGAIN).map(|one| one.candidate).filter(|one| CANDIDATES[*one].id != CANDIDATES[candidate].id).collect();
         beside(candidate, strength, &near)
     });
+    let mut trial = base.clone();
+    for one in [best, beside_second].into_iter().flatten().filter(|one| one.2 > setting.least_share) {
+        CANDIDATES[one.0].put_on(&mut trial, one.1, scales);
+    }
+    let left = unknown(&Refit { base: &trial, ..refit }, setting.seed).unwrap_or_default();
     let events = sample.pixels.iter().map(|pixel| case.events.of(*pixel as usize).len()).sum();
-    Ok(Search { first, second, again, frame_noise, agreement, pixels: sample.len(), events })
+    Ok(Search { first, second, again, left, frame_noise, agreement, pixels: sample.len(), events })
 }
 
 #[cfg(test)]

@@ -129,9 +129,12 @@ impl<'a> Under<'a> {
             };
             let stated_charge = (at.dn - number.black_level) / number.gain;
             let charge = inverse(through, stated_charge, at.dn);
+            // What a DN of noise is in charge, as the solver is told of it.
+            let noisier = inverse(through, stated_charge + at.sigma_dn / number.gain, at.dn + at.sigma_dn);
             previous_charge = charge;
             let seconds = (at.end_ns - at.start_ns) as f64 * 1e-9;
             at.dn = number.of(factor * charge + added * seconds);
+            at.sigma_dn = f64::max(number.gain * factor * (noisier - charge), 0.1 * at.sigma_dn);
         }
         let mut model = FrontEndModel::plain(nominal.pixel.front_end);
         let mut thresholds = Thresholds { on: nominal.pixel.threshold_on, off: nominal.pixel.threshold_off };

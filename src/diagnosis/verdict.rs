@@ -146,7 +146,7 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
     };
     claims.extend(more);
     claims.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let unexplained = speaking.iter().filter(|road| road.alarm).filter_map(|road| road.unexplained.clone()).find(|found| found.score >= 1.0);
+    let unexplained = speaking.iter().filter_map(|road| road.unexplained.clone()).find(|found| found.score >= 1.0);
     let verdict = match (&claims[..], &unexplained) {
         ([], Some(_)) => Verdict::Unnamed,
         ([], None) if case.events.all().len() < crate::integrity::data::FEWEST_EVENTS => Verdict::Insufficient,

@@ -133,3 +133,22 @@ fn what_looks_like_a_direct_finding_is_its_remainder() {
     let beside = |score: f64| answer_with(&integrity, &[road("likelihood", vec![leak(score, 0.9)])]).claims.len();
     assert_eq!((beside(2.0), beside(20.0)), (1, 2));
 }
+
+#[test]
+fn the_refit_leads_and_the_others_decide_between_what_it_cannot_tell_apart() {
+    let refit = |first: f64, second: f64| road(crate::roads::REFIT, vec![leak(4.0, first), asymmetry(3.9, second)]);
+    let others = |id: fn(f64, f64) -> Proposal| [road("likelihood", vec![id(5.0, 0.9)]), road("synthesis", vec![id(5.0, 0.9)])];
+    let said = |refit: Road, others: [Road; 2]| answer(&[vec![refit], others.to_vec()].concat());
+    assert_eq!(said(refit(0.9, 0.02), others(asymmetry)).claims[0].id, "leak_events", "what is far behind is not listened for");
+    assert_eq!(said(refit(0.55, 0.45), others(asymmetry)).claims[0].id, "threshold_asymmetry");
+    let alone = answer(&[refit(0.55, 0.45)]);
+    assert_eq!((alone.verdict, alone.claims[0].also_possible.as_slice()), (Verdict::Ambiguous, &["threshold_asymmetry"][..]));
+    // Where the refit is silent, others may speak of chance only.
+    let silent = || Road { alarm: false, ..road(crate::roads::REFIT, vec![leak(0.5, 0.9)]) };
+    assert_eq!(said(silent(), others(leak)).verdict, Verdict::Consistent);
+    let noise = |score: f64, probability: f64| proposal("threshold_mismatch", "sigma", score, probability, 0.04);
+    assert_eq!(said(silent(), others(noise)).claims[0].id, "threshold_mismatch");
+    // A second effect stands beside the first.
+    let two = Road { second: vec![asymmetry(1.5, 0.9)], ..road(crate::roads::REFIT, vec![proposal("black_level", "black_level_dn", 5.0, 0.9, 30.0)]) };
+    assert_eq!(answer(&[two]).claims.iter().map(|claim| claim.id).collect::<Vec<_>>(), ["black_level", "threshold_asymmetry"]);
+}
