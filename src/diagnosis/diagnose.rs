@@ -1,4 +1,4 @@
-//! A whole diagnosis: direct tests, roads, verdict, fitted description, proof, report.
+//! A whole diagnosis: direct tests, roads, verdict, fitted description, proof, report; and its stages one by one ([`check`], [`propose`], [`confirm`]).
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::{Case, PixelEvents};
@@ -14,6 +14,7 @@ use crate::verdict::{Answer, Claim, Road, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
+use serde::Serialize;
 
 /// How a diagnosis is made.
 #[derive(Clone, Copy, Debug, Default)]
@@ -61,33 +62,86 @@ pub struct Diagnosis {
     pub sample: Option<Sample>,
 }
 
-/// Diagnoses a recording. `tell` hears the name of each stage as it begins.
+/// What the roads found.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Proposed {
+    /// What each road found that came to its end.
+    pub roads: Vec<Road>,
+    /// Their names, in the order in which they were run.
+    pub ran: Vec<String>,
+    /// Roads that did not get to an end, and why.
+    pub failed: Vec<String>,
+}
+
+/// Diagnoses a recording: [`check`], [`propose`], [`confirm`]. `tell` hears the name of each stage as it begins.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
 pub fn diagnose(case: &Case, setting: &Setting, roads: &[RoadKind], mut tell: impl FnMut(&str)) -> Result<Diagnosis, NodeError> {
-    let nominal = Nominal::new(case)?;
     tell("integrity");
+    let integrity = check(case)?;
+    let proposed = propose(case, setting, &integrity, roads, &mut tell)?;
+    confirm(case, setting, integrity, proposed, tell)
+}
+
+/// What the direct tests see, less what the description states.
+///
+/// # Errors
+/// When the description does not state what the model needs, or its effects are not understood.
+pub fn check(case: &Case) -> Result<Integrity, NodeError> {
+    let nominal = Nominal::new(case)?;
     let mut integrity = integrity(case, Some(&nominal));
     // What the description states is no departure from it.
     integrity.findings.retain(|finding| !case.sensor.effects.contains_key(finding.id));
-    let scales = Scales::of(case, &nominal);
-    let mut stages = vec!["integrity".to_owned()];
-    let can_compare = integrity.broken.is_empty() && case.events.all().len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES;
-    let (mut found, mut failed) = (Vec::new(), Vec::new());
-    if can_compare {
-        let amended = amended(case, &nominal, &scales, &integrity);
-        for road in roads {
-            tell(road.name);
-            match (road.run)(&amended, setting) {
-                Ok(result) => {
-                    stages.push(road.name.to_owned());
-                    found.push(result);
-                }
-                Err(why) => failed.push(format!("{}: {why}", road.name)),
+    Ok(integrity)
+}
+
+/// Is there enough, and is it sound enough, to estimate a scene?
+pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
+    integrity.broken.is_empty() && case.events.all().len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES
+}
+
+/// The recording with what direct tests found in its description, and without the pixels that they exclude, so that roads look for the rest.
+///
+/// # Errors
+/// When the description does not state what the model needs, or its effects are not understood.
+pub fn amend(case: &Case, integrity: &Integrity) -> Result<Case, NodeError> {
+    let nominal = Nominal::new(case)?;
+    Ok(amended(case, &nominal, &Scales::of(case, &nominal), integrity))
+}
+
+/// Runs roads on the amended recording; none where there is too little to estimate a scene. `tell` hears the name of each as it begins.
+///
+/// # Errors
+/// When the description does not state what the model needs, or its effects are not understood.
+pub fn propose(case: &Case, setting: &Setting, integrity: &Integrity, roads: &[RoadKind], mut tell: impl FnMut(&str)) -> Result<Proposed, NodeError> {
+    let mut proposed = Proposed::default();
+    if !can_compare(case, integrity) {
+        return Ok(proposed);
+    }
+    let amended = amend(case, integrity)?;
+    for road in roads {
+        tell(road.name);
+        match (road.run)(&amended, setting) {
+            Ok(result) => {
+                proposed.ran.push(road.name.to_owned());
+                proposed.roads.push(result);
             }
+            Err(why) => proposed.failed.push(format!("{}: {why}", road.name)),
         }
     }
+    Ok(proposed)
+}
+
+/// Joins what direct tests and roads found: verdict, fitted description, proof, report. `tell` hears the name of each stage as it begins.
+///
+/// # Errors
+/// When the description does not state what the model needs, or its effects are not understood.
+pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, proposed: Proposed, mut tell: impl FnMut(&str)) -> Result<Diagnosis, NodeError> {
+    let nominal = Nominal::new(case)?;
+    let scales = Scales::of(case, &nominal);
+    let Proposed { roads: found, ran, failed } = proposed;
+    let can_compare = can_compare(case, &integrity);
     tell("verdict");
     let mut answer = verdict(case, &nominal, &integrity, &found);
     // Silence of a test that could not be made says nothing.
@@ -103,6 +157,7 @@ pub fn diagnose(case: &Case, setting: &Setting, roads: &[RoadKind], mut tell: im
         Some(sample) => (predict(case, &case.sensor, sample, &setting.scene)?, after(case, &nominal, changed.as_ref(), &values, sample, setting)?),
         None => (None, None),
     };
+    let stages = std::iter::once("integrity".to_owned()).chain(ran).collect();
     let report = report(case, &nominal, setting, &integrity, &found, &answer, changed.as_ref(), &predictions, stages);
     Ok(Diagnosis { report, fitted: changed, integrity, roads: found, failed, predictions, sample })
 }
