@@ -79,6 +79,8 @@ fn artefact(value: &Value, as_json: bool) -> Done {
         rows.extend((0..table.len()).map(|row| table.columns().iter().map(|(_, column)| column.cell(row)).collect()));
         text.push_str(&crate::tables::draw(&rows));
         table.notes.iter().for_each(|(name, note)| text.push_str(&format!("{name}: {note}\n")));
+    } else if let Value::Diagnosis(document) = value {
+        text.push_str(document.text());
     } else {
         text.push_str(&serde_json::to_string_pretty(&meta).map_err(|error| Failure::other(error.to_string()))?);
     }

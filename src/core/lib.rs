@@ -4,7 +4,8 @@
 //!
 //! - [`time`], [`extent`], [`quantity`]: instants in nanoseconds, pixels and rows, values with units.
 //! - [`colour`]: grey, three channels, or a mosaic of filters.
-//! - [`events`], [`frames`], [`tracks`], [`light`], [`map`], [`table`], [`sensor`]: the data, each with one canonical order.
+//! - [`events`], [`frames`], [`tracks`], [`light`], [`map`], [`table`], [`sensor`], [`diagnosis`]: the data, each with one
+//!   canonical order.
 //! - [`value`]: the closed set of things that flow between nodes, and [`value::Meta`], what is known of them before data.
 //! - [`node`], [`ports`], [`context`]: what a node is, what its sockets are, what it may ask while it runs.
 //! - [`digest`]: the name of a content. [`random`]: numbers that depend on (seed, pixel, index) only.
@@ -13,6 +14,7 @@
 
 pub mod colour;
 pub mod context;
+pub mod diagnosis;
 pub mod digest;
 pub mod document;
 pub mod error;
@@ -37,6 +39,7 @@ pub mod value;
 
 pub use colour::Colour;
 pub use context::{Context, Notes};
+pub use diagnosis::{Diagnosis, DiagnosisKind, DiagnosisMeta};
 pub use digest::Digest;
 pub use error::{DataError, NodeError};
 pub use events::{EventBand, EventStream, EventsMeta, Polarity};

@@ -3,6 +3,7 @@
 //! A node declares its sockets as a struct with the [`ports!`](crate::ports!) macro; a field's Rust type says the data type and how many
 //! values may be plugged in: `EventStream` exactly one, `Option<FrameSequence>` none or one, `Vec<Arc<Table>>` one or more.
 
+use crate::diagnosis::{Diagnosis, DiagnosisMeta};
 use crate::error::NodeError;
 use crate::events::{EventStream, EventsMeta};
 use crate::frames::{FrameSequence, FramesMeta, Truth};
@@ -80,6 +81,7 @@ port!(Light, Light);
 port!(Arc<Sensor>, Sensor);
 port!(MapSet, Map);
 port!(Arc<Table>, Table);
+port!(Arc<Diagnosis>, Diagnosis);
 
 impl<P: Port> Port for Option<P> {
     const DATA_TYPE: DataType = P::DATA_TYPE;
@@ -213,4 +215,7 @@ impl PortMetas {
     meta_of!(
         /// The sensor description at a port.
         sensor, Sensor, Sensor);
+    meta_of!(
+        /// The document of a diagnosis at a port.
+        diagnosis, Diagnosis, DiagnosisMeta);
 }

@@ -1,5 +1,6 @@
 //! The closed set of things that flow between nodes, and what is known of them before they exist.
 
+use crate::diagnosis::{Diagnosis, DiagnosisMeta};
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
 use crate::events::{EventStream, EventsMeta};
@@ -36,6 +37,8 @@ pub enum DataType {
     Map,
     /// Named columns.
     Table,
+    /// What a stage of a diagnosis found.
+    Diagnosis,
 }
 
 impl DataType {
@@ -50,6 +53,7 @@ impl DataType {
             DataType::Sensor => "sensor",
             DataType::Map => "map",
             DataType::Table => "table",
+            DataType::Diagnosis => "diagnosis",
         }
     }
 
@@ -85,6 +89,8 @@ pub enum Meta {
     Map(Arc<MapMeta>),
     /// Of a table.
     Table(Arc<TableMeta>),
+    /// Of a stage's document.
+    Diagnosis(Arc<DiagnosisMeta>),
     /// There will be nothing at this port, and why: "the recording has no frames".
     Absent {
         /// Of which type it would have been.
@@ -106,6 +112,7 @@ impl Meta {
             Meta::Sensor(_) => DataType::Sensor,
             Meta::Map(_) => DataType::Map,
             Meta::Table(_) => DataType::Table,
+            Meta::Diagnosis(_) => DataType::Diagnosis,
             Meta::Absent { data_type, .. } => *data_type,
         }
     }
@@ -118,7 +125,7 @@ impl Meta {
             Meta::Tracks(meta) => Some(meta.extent.rows()),
             Meta::Light(meta) => Some(meta.extent.rows()),
             Meta::Map(meta) => Some(meta.extent.rows()),
-            Meta::Sensor(_) | Meta::Table(_) | Meta::Absent { .. } => None,
+            Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) | Meta::Absent { .. } => None,
         }
     }
 
@@ -132,7 +139,7 @@ impl Meta {
             Meta::Tracks(meta) => per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64,
             Meta::Light(meta) => per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64,
             Meta::Map(meta) => (meta.extent.pixels() * meta.planes.len() * 4) as u64,
-            Meta::Sensor(_) | Meta::Table(_) | Meta::Absent { .. } => 1 << 16,
+            Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) | Meta::Absent { .. } => 1 << 16,
         }
     }
 }
@@ -156,6 +163,8 @@ pub enum Value {
     Map(MapSet),
     /// Named columns.
     Table(Arc<Table>),
+    /// What a stage of a diagnosis found.
+    Diagnosis(Arc<Diagnosis>),
 }
 
 impl fmt::Debug for Value {
@@ -179,6 +188,7 @@ impl Value {
             Value::Sensor(value) => Meta::Sensor(value.clone()),
             Value::Map(value) => Meta::Map(value.meta.clone()),
             Value::Table(value) => Meta::Table(Arc::new(TableMeta { scores: value.as_scores().is_some() })),
+            Value::Diagnosis(value) => Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: value.kind() })),
         }
     }
 
@@ -195,7 +205,7 @@ impl Value {
             Value::Tracks(value) => Some(value.rows()),
             Value::Light(value) => Some(value.rows()),
             Value::Map(value) => Some(value.rows()),
-            Value::Sensor(_) | Value::Table(_) => None,
+            Value::Sensor(_) | Value::Table(_) | Value::Diagnosis(_) => None,
         }
     }
 
@@ -208,7 +218,7 @@ impl Value {
             Value::Tracks(value) => Value::Tracks(value.cut(rows)),
             Value::Light(value) => Value::Light(value.cut(rows)),
             Value::Map(value) => Value::Map(value.cut(rows)),
-            Value::Sensor(_) | Value::Table(_) => self.clone(),
+            Value::Sensor(_) | Value::Table(_) | Value::Diagnosis(_) => self.clone(),
         }
     }
 
@@ -232,7 +242,7 @@ impl Value {
             Value::Tracks(_) => Value::Tracks(TrackSet::splice(of!(Tracks).collect())),
             Value::Light(_) => Value::Light(Light::splice(of!(Light).collect())),
             Value::Map(_) => Value::Map(MapSet::splice(of!(Map).collect())),
-            Value::Sensor(_) | Value::Table(_) => parts.into_iter().next().expect("a splice has at least one part"),
+            Value::Sensor(_) | Value::Table(_) | Value::Diagnosis(_) => parts.into_iter().next().expect("a splice has at least one part"),
         }
     }
 
@@ -266,7 +276,7 @@ impl ValueDigest {
             Meta::Tracks(meta) => meta.write_digest(&mut builder),
             Meta::Light(meta) => meta.write_digest(&mut builder),
             Meta::Map(meta) => meta.write_digest(&mut builder),
-            Meta::Sensor(_) | Meta::Table(_) | Meta::Absent { .. } => {}
+            Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) | Meta::Absent { .. } => {}
         }
         ValueDigest { builder }
     }
@@ -285,7 +295,7 @@ impl ValueDigest {
                 let block = part.read_rows(part.rows())?;
                 (block.rows.start..block.rows.end).into_par_iter().map(|row| block.row_digest(row)).collect()
             }
-            Value::Sensor(_) | Value::Table(_) => Vec::new(),
+            Value::Sensor(_) | Value::Table(_) | Value::Diagnosis(_) => Vec::new(),
         };
         self.add_rows(&rows);
         Ok(())
@@ -306,6 +316,7 @@ impl ValueDigest {
         match whole {
             Value::Sensor(sensor) => self.builder.text(&sensor.canonical_json()),
             Value::Table(table) => self.builder.digest(&table.digest()),
+            Value::Diagnosis(document) => self.builder.digest(&document.digest()),
             _ => &mut self.builder,
         };
         Ok(self.builder.finish())

@@ -9,6 +9,7 @@
 //! | map | `/map/values` f32 \[h, planes, w\] |
 //! | table | `/table/c0`, `/table/c1` ...: f64, i64, or UTF-8 bytes with offsets; names and notes in `/table/form` (JSON) |
 //! | sensor | `/meta` holds it |
+//! | diagnosis | `/diagnosis`: a JSON text; its kind in `/meta` |
 //!
 //! Every file has the attributes `format`, `data_type` and `tool_version`, and `/meta`, a JSON text of what is known of the value.
 //! Filters are shuffle and deflate only, so h5py and MATLAB read it with nothing installed.
@@ -28,7 +29,7 @@ use columns::EventsBody;
 use grids::{FramesBody, MapBody};
 use photocurrent_core::map::MapBand;
 use photocurrent_core::value::ValueDigest;
-use photocurrent_core::{Digest, Extent, LightMeta, MapMeta, MapSet, Meta, Rows, TracksMeta, Truth, Value};
+use photocurrent_core::{Diagnosis, Digest, Extent, LightMeta, MapMeta, MapSet, Meta, Rows, TracksMeta, Truth, Value};
 use series::SeriesBody;
 use std::path::Path;
 use std::sync::Arc;
@@ -52,7 +53,7 @@ enum Body {
     /// Tracks or light.
     Series(Box<SeriesBody>),
     Map(MapBody),
-    /// A sensor or a table, in one piece.
+    /// A sensor, a table or a document, in one piece.
     Whole(Option<Value>),
 }
 
@@ -83,7 +84,7 @@ impl ValueWriter {
             Meta::Tracks(meta) => Body::Series(Box::new(SeriesBody::create(&opened, &**meta)?)),
             Meta::Light(meta) => Body::Series(Box::new(SeriesBody::create(&opened, &**meta)?)),
             Meta::Map(meta) => Body::Map(MapBody::create(&opened, meta)?),
-            Meta::Sensor(_) | Meta::Table(_) | Meta::Absent { .. } => Body::Whole(None),
+            Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) | Meta::Absent { .. } => Body::Whole(None),
         };
         let missing = meta.rows().unwrap_or(Rows { start: 0, end: 0 });
         Ok(ValueWriter { digest: ValueDigest::new(meta), opened, meta: without_hint(meta), missing, body })
@@ -143,8 +144,10 @@ impl ValueWriter {
             Body::Series(body) => body.finish(&opened)?,
             Body::Map(body) => body.finish(&opened, &meta)?,
             Body::Whole(Some(value)) => {
-                if let Value::Table(table) = &value {
-                    table::write(&opened, table)?;
+                match &value {
+                    Value::Table(table) => table::write(&opened, table)?,
+                    Value::Diagnosis(document) => opened.set_text("diagnosis", document.text())?,
+                    _ => {}
                 }
                 whole = value;
             }
@@ -225,6 +228,12 @@ pub fn open_value(path: &Path) -> Result<Value, StoreError> {
         Meta::Map(meta) => grids::open_map(&opened, meta).map(Value::Map),
         Meta::Table(_) => table::read(&opened).map(|table| Value::Table(Arc::new(table))),
         Meta::Sensor(sensor) => Ok(Value::Sensor(sensor)),
+        Meta::Diagnosis(meta) => {
+            let dataset = opened.dataset("diagnosis")?.ok_or_else(|| missing("/diagnosis"))?;
+            let text = opened.text("/diagnosis", &dataset)?;
+            let document = Diagnosis::from_text(meta.kind, text).map_err(|error| opened.content("/diagnosis", error.message, "a JSON text", hint))?;
+            Ok(Value::Diagnosis(Arc::new(document)))
+        }
         Meta::Absent { .. } => Err(opened.content("/meta", "nothing", "a value", hint)),
     }
 }

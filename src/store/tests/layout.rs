@@ -149,6 +149,19 @@ fn tables_and_sensors_come_back_whole() {
 }
 
 #[test]
+fn a_document_of_a_diagnosis_comes_back_byte_for_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("value.h5");
+    // Longer than an attribute can be, with every kind of letter, and a newline at its end.
+    let long = "\u{1f4f7} \\\" \n".repeat(20_000);
+    let document = Diagnosis::from_text(DiagnosisKind::Report, format!("{{\n  \"summary\": {}\n}}\n", serde_json::to_string(&long).unwrap())).unwrap();
+    let (digest, _) = write(&path, &Value::Diagnosis(Arc::new(document.clone())), 1);
+    let Value::Diagnosis(back) = open_value(&path).unwrap() else { panic!("a document stays a document") };
+    assert_eq!(*back, document);
+    assert_eq!(Value::Diagnosis(back).digest().unwrap(), digest);
+}
+
+#[test]
 fn parts_read_like_the_whole() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("value.h5");
