@@ -1,6 +1,6 @@
 //! The table of contents: every node kind, in the order in which data flows. Nothing else registers nodes.
 
-use crate::{baseline, compensate, read, refine, render, score, simulate, solve, split, write};
+use crate::{baseline, compensate, diagnose, read, refine, render, score, simulate, solve, split, write};
 use photocurrent_core::{Catalogue, Kind};
 
 /// All node kinds.
@@ -43,11 +43,16 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<score::glitch::ScoreGlitch>(),
         Kind::of::<score::coverage::ScoreCoverage>(),
         Kind::of::<score::heldout::ScoreHeldout>(),
+        // What the description leaves out.
+        Kind::of::<diagnose::integrity::DiagnoseIntegrity>(),
+        Kind::of::<diagnose::propose::DiagnosePropose>(),
+        Kind::of::<diagnose::confirm::DiagnoseConfirm>(),
         // What the user takes away.
         Kind::of::<write::recording::WriteRecording>(),
         Kind::of::<write::frames::WriteFrames>(),
         Kind::of::<write::table::WriteTable>(),
         Kind::of::<write::plot::WritePlot>(),
         Kind::of::<write::contact_sheet::WriteContactSheet>(),
+        Kind::of::<write::diagnosis::WriteDiagnosis>(),
     ])
 }

@@ -9,6 +9,7 @@ pub mod baseline;
 pub mod catalog;
 pub mod co_located;
 pub mod compensate;
+pub mod diagnose;
 pub mod held;
 pub mod onnx;
 pub mod pixel_events;

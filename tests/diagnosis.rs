@@ -1,7 +1,7 @@
 //! `photocurrent diagnose`: from a recording to its report, and every way in which it refuses.
 
 use crate::recordings;
-use crate::support::{self, Bench, Done};
+use crate::support::{self, Bench, Done, executed};
 use photocurrent_core::testing;
 use photocurrent_store::RecordingContent;
 use serde_json::Value;
@@ -56,13 +56,22 @@ fn what_cannot_be_diagnosed_says_why() {
 }
 
 #[test]
-fn threads_do_not_change_a_byte_of_the_report_nor_of_the_page() {
+fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_do() {
     let bench = Bench::new();
-    let recording = support::root().join("data/sealed/recordings/75b9f397.h5");
-    let run = |threads: &str, folder: &str| {
-        let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", folder, "--threads", threads]);
-        assert_eq!(done.code, 0, "{}", done.stderr);
-        ["diagnosis.json", "report.html"].map(|name| read(&bench, &format!("{folder}/{name}")))
-    };
-    assert_eq!(run("1", "one"), run("2", "two"));
+    let root = support::root();
+    let recording = root.join("data/sealed/recordings/75b9f397.h5");
+    let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "command", "--threads", "1"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let manifest = root.join("pipelines/diagnose/recording.toml").display().to_string();
+    let path = format!("nodes.recording.params.path={recording:?}");
+    let arguments = [manifest.as_str(), "--set", &path, "--out", "graph", "--threads", "2"];
+    assert!(executed(&bench.outcome(&arguments)).contains(&"confirm".to_string()));
+    for name in ["diagnosis.json", "report.html", "sensor.fitted.toml"] {
+        let there = bench.path(&format!("command/{name}")).exists();
+        assert_eq!(bench.path(&format!("graph/answer/{name}")).exists(), there, "{name}");
+        if there {
+            assert_eq!(read(&bench, &format!("graph/answer/{name}")), read(&bench, &format!("command/{name}")), "{name}");
+        }
+    }
+    assert_eq!(executed(&bench.outcome(&arguments)), [""; 0]);
 }

@@ -4,6 +4,7 @@
 //! was written is also an output, a small table, so that a report can list it.
 
 pub mod contact_sheet;
+pub mod diagnosis;
 pub mod figure;
 mod font;
 pub mod frames;

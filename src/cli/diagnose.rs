@@ -7,6 +7,7 @@ use photocurrent_core::Sensor;
 use photocurrent_core::document::Source;
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::diagnose::{Diagnosis, Setting, broken};
+use photocurrent_diagnosis::fitted::with_findings;
 use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::report::{Report, Verdict, short};
@@ -140,13 +141,8 @@ fn case(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> {
 
 /// The fitted description with a word on where it comes from.
 fn fitted_text(sensor: &Sensor, found: &Diagnosis) -> String {
-    let mut text = String::from("# The stated sensor with what `photocurrent diagnose` found put in.\n");
-    for effect in &found.report.effects {
-        let others: String = effect.also_possible.iter().map(|id| format!(" (or {id})")).collect();
-        let _ = writeln!(text, "# {}{others}", effect.id);
-    }
-    text.push_str(&sensor.to_toml());
-    text
+    let claims: Vec<_> = found.report.effects.iter().map(|effect| (effect.id.clone(), effect.also_possible.clone())).collect();
+    with_findings(sensor, &claims)
 }
 
 /// Refuses a folder that holds anything but an earlier report.

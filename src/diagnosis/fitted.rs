@@ -27,6 +27,17 @@ pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usi
     sensor
 }
 
+/// The text of a fitted description, with a word on where it comes from: what was found, each with what else it may be.
+pub fn with_findings(fitted: &Sensor, found: &[(String, Vec<String>)]) -> String {
+    let mut text = String::from("# The stated sensor with what `photocurrent diagnose` found put in.\n");
+    for (id, also_possible) in found {
+        let others: String = also_possible.iter().map(|id| format!(" (or {id})")).collect();
+        text.push_str(&format!("# {id}{others}\n"));
+    }
+    text.push_str(&fitted.to_toml());
+    text
+}
+
 /// Changes the field that an effect belongs to; false when it has none.
 fn put_in_field(sensor: &mut Sensor, nominal: &Nominal, candidate: &Candidate, value: f64) -> bool {
     let duration = |seconds: f64| Some(Duration::new((seconds * 1e9).round().max(0.0) as i64));

@@ -26,6 +26,7 @@
 //! - [`heldout`]: frames that were kept back, before and after.
 //! - [`advice`]: what to record next.
 //! - [`diagnose`]: all of it, in order.
+//! - [`stages`]: what passes between its stages, as documents.
 //! - [`page`]: the same as a page of HTML.
 //! - [`report`]: what a diagnosis says, as `diagnosis.json`.
 //!
@@ -62,6 +63,7 @@ pub mod sample;
 pub mod scene;
 pub mod scenes;
 pub mod search;
+pub mod stages;
 pub mod summaries;
 pub mod synthesis;
 pub mod train;

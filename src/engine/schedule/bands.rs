@@ -77,7 +77,8 @@ fn tallest(all: u32, share: u64, need: &dyn Fn(u32) -> u64) -> u32 {
     fits
 }
 
-/// Does the plan keep its promise? Counts are hints and may differ.
+/// Does the plan keep its promise? Counts are hints and may differ; a description that a node works out is planned as the one that it was given, and what is in it is
+/// known by its content.
 pub(crate) fn same_meta(planned: &Meta, actual: &Meta) -> bool {
     let events = |meta: &EventsMeta| EventsMeta { count_hint: None, ..meta.clone() };
     let tracks = |meta: &TracksMeta| TracksMeta { count_hint: None, ..meta.clone() };
@@ -86,6 +87,7 @@ pub(crate) fn same_meta(planned: &Meta, actual: &Meta) -> bool {
         (Meta::Events(planned), Meta::Events(actual)) => events(planned) == events(actual),
         (Meta::Tracks(planned), Meta::Tracks(actual)) => tracks(planned) == tracks(actual),
         (Meta::Light(planned), Meta::Light(actual)) => light(planned) == light(actual),
+        (Meta::Sensor(_), Meta::Sensor(_)) => true,
         (planned, actual) => planned == actual,
     }
 }

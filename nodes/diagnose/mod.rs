@@ -1,0 +1,79 @@
+//! The stages of a diagnosis as nodes: where a recording and its description differ, and which physics is missing.
+//!
+//! Each stage calls one function of `photocurrent_diagnosis`; what passes between them is data that other nodes take too (events, frames, tracks, tables) or a
+//! document with a kind. The wiring of a whole diagnosis is `pipelines/diagnose/recording.toml`; docs/diagnosis.md explains what the stages do.
+
+pub mod confirm;
+pub mod integrity;
+pub mod propose;
+
+use photocurrent_core::{DataType, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
+use photocurrent_diagnosis::case::{Case, CaseFrames, PixelEvents};
+use photocurrent_diagnosis::nominal::Nominal;
+use std::sync::Arc;
+
+/// The recording at the ports `events` and `frames`, in memory.
+fn case(events: Option<&EventStream>, frames: Option<&FrameSequence>, sensor: &Sensor) -> Result<Case, NodeError> {
+    Ok(Case::read(events, frames, sensor)?)
+}
+
+/// Refuses, before any data, what cannot be diagnosed: no stream, frames of another form than the events, a description that lacks what the model needs.
+fn check(inputs: &PortMetas) -> Result<&Arc<Sensor>, NodeError> {
+    let (events, frames): (Option<&Arc<EventsMeta>>, Option<&Arc<FramesMeta>>) = (inputs.events("events").ok(), inputs.frames("frames").ok());
+    let sensor = inputs.sensor("sensor")?;
+    let Some(extent) = events.map(|events| events.extent).or(frames.map(|frames| frames.extent)) else {
+        return Err(NodeError::usage("there is nothing to diagnose: neither `events` nor `frames` is there").hint("connect at least one of them"));
+    };
+    if let Some(frames) = frames
+        && (frames.extent != extent || frames.row_values() != extent.width as usize || frames.colour.is_mosaic())
+    {
+        return Err(NodeError::usage(format!(
+            "a diagnosis needs grey frames of {extent} pixels, as the events have; these have {}, {}",
+            frames.extent, frames.colour
+        ))
+        .hint("bin the frames to the pixels of the event sensor, and weigh their colours as its photodiodes do")
+        .blames(DataType::Frames));
+    }
+    let empty = Case {
+        extent,
+        span: (0, 1),
+        events: PixelEvents::default(),
+        has_t_in: false,
+        t_resolution_ns: 0,
+        frames: frames.map(|frames| CaseFrames { times: frames.times.clone(), dn: Vec::new() }),
+        sensor: (**sensor).clone(),
+    };
+    Nominal::new(&empty).map_err(|error| error.blames(DataType::Sensor))?;
+    Ok(sensor)
+}
+
+/// A description that is not known yet is planned as the stated one: who takes it needs most of its fields, and a diagnosis changes few.
+fn foretold(sensor: &Arc<Sensor>) -> Meta {
+    Meta::Sensor(sensor.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::{Colour, Extent, testing};
+
+    fn metas(sensor: Sensor, frames: Option<FramesMeta>) -> PortMetas {
+        let mut metas = vec![("sensor".to_string(), vec![Meta::Sensor(Arc::new(sensor))])];
+        metas.push(("events".to_string(), vec![Meta::Events(testing::events(6, 5).meta)]));
+        metas.extend(frames.map(|frames| ("frames".to_string(), vec![Meta::Frames(Arc::new(frames))])));
+        PortMetas::new(metas.into_iter().collect())
+    }
+
+    #[test]
+    fn what_cannot_be_diagnosed_is_refused_before_any_data() {
+        let frames = (*testing::frames(6, 5, 3).meta).clone();
+        let error = check(&metas(Sensor::unknown("blank"), Some(frames.clone()))).unwrap_err();
+        assert!(error.message.contains("`front_end.tau_0`") && error.message.contains("`frames.gain`"), "{}", error.message);
+        let larger = FramesMeta { extent: Extent { width: 12, height: 10 }, ..frames.clone() };
+        let error = check(&metas(Sensor::unknown("blank"), Some(larger))).unwrap_err();
+        assert!(error.message.contains("grey frames of 6 x 5 pixels") && error.message.contains("12 x 10"), "{}", error.message);
+        assert!(check(&metas(Sensor::unknown("blank"), Some(FramesMeta { colour: Colour::Rgb, ..frames }))).is_err());
+        let nothing = PortMetas::new([("sensor".to_string(), vec![Meta::Sensor(Arc::new(Sensor::unknown("blank")))])].into());
+        assert!(check(&nothing).unwrap_err().message.contains("nothing to diagnose"));
+    }
+}

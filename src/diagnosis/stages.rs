@@ -1,0 +1,206 @@
+//! What passes between stages as documents: findings of the direct tests and proposals of the roads, written and read again.
+//!
+//! Both are written as they are. Reading needs two things that text does not hold: the catalogue's own names for ids and parameters, and that an index into
+//! [`CANDIDATES`] still means what it meant: [`Proposals`] carries the list's labels, and refuses to be read with another list.
+
+use crate::candidates::CANDIDATES;
+use crate::diagnose::Proposed;
+use crate::integrity::{Finding, Integrity};
+use crate::report::{Detectable, NotTestable, SceneProperty};
+use crate::verdict::{Proposal, Road, Unexplained};
+use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
+use photocurrent_sensor::effects::catalogue;
+use serde::de::Error;
+use serde::{Deserialize, Deserializer, Serialize};
+
+/// What the roads propose, and the list of candidates that they chose from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Proposals {
+    candidates: Vec<String>,
+    proposed: Proposed,
+}
+
+fn labels() -> Vec<String> {
+    CANDIDATES.iter().map(crate::candidates::Candidate::label).collect()
+}
+
+/// Direct tests as a document.
+///
+/// # Errors
+/// When a number is not finite.
+pub fn write_integrity(integrity: &Integrity) -> Result<Diagnosis, DataError> {
+    Diagnosis::of(DiagnosisKind::Integrity, integrity)
+}
+
+/// Direct tests from their document.
+///
+/// # Errors
+/// When the document is not one of [`write_integrity`], or names what is not in the catalogue.
+pub fn read_integrity(document: &Diagnosis) -> Result<Integrity, DataError> {
+    document.read()
+}
+
+/// Proposals as a document.
+///
+/// # Errors
+/// When a number is not finite.
+pub fn write_proposals(proposed: &Proposed) -> Result<Diagnosis, DataError> {
+    Diagnosis::of(DiagnosisKind::Proposals, &Proposals { candidates: labels(), proposed: proposed.clone() })
+}
+
+/// Proposals from their document.
+///
+/// # Errors
+/// When the document is not one of [`write_proposals`], or was made with another list of candidates.
+pub fn read_proposals(document: &Diagnosis) -> Result<Proposed, DataError> {
+    let read: Proposals = document.read()?;
+    if read.candidates == labels() {
+        return Ok(read.proposed);
+    }
+    Err(DataError::new(format!(
+        "the proposals were made with another list of {} candidates (this program has {}); run diagnose/propose again",
+        read.candidates.len(),
+        CANDIDATES.len()
+    )))
+}
+
+#[derive(Deserialize)]
+struct FindingText {
+    id: String,
+    parameters: Vec<(String, f64)>,
+    statistic: f64,
+    threshold: f64,
+    share: f64,
+    polarity: String,
+    pixels: Vec<u32>,
+    seen: String,
+}
+
+impl<'de> Deserialize<'de> for Finding {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Finding, D::Error> {
+        let text = FindingText::deserialize(deserializer)?;
+        let unknown = |what: &str| D::Error::custom(format!("`{what}` is not in the catalogue of effects"));
+        let decl = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == text.id).ok_or_else(|| unknown(&text.id))?;
+        let name = |name: &str| decl.parameters.iter().map(|of| of.name).find(|of| *of == name);
+        let parameters = text.parameters.iter().map(|(of, value)| Ok((name(of).ok_or_else(|| unknown(&format!("{}.{of}", decl.id)))?, *value)));
+        let polarity = ["on", "off", "both"].into_iter().find(|polarity| *polarity == text.polarity);
+        Ok(Finding {
+            id: decl.id,
+            parameters: parameters.collect::<Result<_, D::Error>>()?,
+            statistic: text.statistic,
+            threshold: text.threshold,
+            share: text.share,
+            polarity: polarity.ok_or_else(|| D::Error::custom(format!("`{}` is no polarity", text.polarity)))?,
+            pixels: text.pixels,
+            seen: text.seen,
+        })
+    }
+}
+
+/// The same type again, field by field, for those that are declared without a way to read them.
+macro_rules! read_again {
+    ($type:ident { $($field:ident: $of:ty),* $(,)? }) => {
+        impl<'de> Deserialize<'de> for $type {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<$type, D::Error> {
+                #[derive(Deserialize)]
+                struct Text {
+                    $($field: $of,)*
+                }
+                let Text { $($field,)* } = Text::deserialize(deserializer)?;
+                Ok($type { $($field,)* })
+            }
+        }
+    };
+}
+
+read_again!(Integrity { broken: Vec<String>, lacking: Vec<String>, findings: Vec<Finding>, scene: Vec<SceneProperty>, masked: Vec<u32> });
+read_again!(SceneProperty { property: String, frequency_hz: f64, depth: f64 });
+read_again!(NotTestable { id: String, why: String });
+read_again!(Detectable {
+    id: String,
+    parameter: String,
+    estimate: Option<f64>,
+    standard_error: Option<f64>,
+    minimal_detectable: f64,
+    unit: String,
+});
+read_again!(Proposal {
+    candidate: usize,
+    score: f64,
+    probability: f64,
+    value: f64,
+    ci95: Option<[f64; 2]>,
+    passed: bool,
+    heldout_nats: Option<f64>,
+    heldout_nats_per_event: Option<f64>,
+});
+read_again!(Unexplained { covariate: String, equation: String, insertion: String, score: f64 });
+read_again!(Road {
+    name: String,
+    alarm: bool,
+    proposals: Vec<Proposal>,
+    second: Vec<Proposal>,
+    unexplained: Option<Unexplained>,
+    detectability: Vec<Detectable>,
+    not_testable: Vec<NotTestable>,
+    nats_per_event: Option<(f64, f64)>,
+    residual_left: Option<f64>,
+});
+read_again!(Proposed { roads: Vec<Road>, ran: Vec<String>, failed: Vec<String> });
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnose::check;
+    use crate::testing;
+
+    #[test]
+    fn what_direct_tests_saw_comes_back() {
+        let step = serde_json::json!({"step": "130 us"});
+        let effects = [("timestamp_quantization".to_owned(), step.as_object().unwrap().clone())].into_iter().collect();
+        let mut found = check(&testing::case_with(&effects)).unwrap();
+        assert_eq!(found.findings.len(), 1);
+        found.scene.push(SceneProperty { property: "flicker".into(), frequency_hz: 100.0, depth: 0.1 + 0.2 });
+        found.masked = vec![3, 7];
+        assert_eq!(read_integrity(&write_integrity(&found).unwrap()).unwrap(), found);
+    }
+
+    #[test]
+    fn an_id_that_is_in_no_catalogue_is_refused() {
+        let effects = [("timestamp_quantization".to_owned(), serde_json::json!({"step": "130 us"}).as_object().unwrap().clone())].into_iter().collect();
+        let document = write_integrity(&check(&testing::case_with(&effects)).unwrap()).unwrap();
+        for (was, is) in [("timestamp_quantization", "timestamp_quantisation"), ("\"step\"", "\"steps\""), ("\"both\"", "\"either\"")] {
+            let other = Diagnosis::from_text(document.kind(), document.text().replacen(was, is, 1)).unwrap();
+            assert!(read_integrity(&other).is_err(), "{is}");
+        }
+    }
+
+    #[test]
+    fn proposals_come_back_and_only_with_the_list_they_were_made_with() {
+        let proposal = Proposal { candidate: 3, score: 1.0 / 3.0, ci95: Some([-1e-300, 2.0]), passed: true, heldout_nats: Some(0.1), ..Proposal::default() };
+        let road = Road {
+            name: "likelihood".into(),
+            alarm: true,
+            proposals: vec![proposal.clone()],
+            second: vec![proposal],
+            unexplained: Some(Unexplained { covariate: "row".into(), ..Unexplained::default() }),
+            detectability: vec![Detectable {
+                id: "leak_events".into(),
+                parameter: "rate_hz".into(),
+                estimate: None,
+                standard_error: Some(0.1),
+                minimal_detectable: 0.3,
+                unit: "Hz".into(),
+            }],
+            not_testable: vec![NotTestable { id: "blur".into(), why: "dark".into() }],
+            nats_per_event: Some((-2.0, -1.5)),
+            residual_left: Some(0.25),
+        };
+        let proposed = Proposed { roads: vec![road], ran: vec!["likelihood".into()], failed: vec!["synthesis: no light".into()] };
+        let document = write_proposals(&proposed).unwrap();
+        assert_eq!(read_proposals(&document).unwrap(), proposed);
+        let first = CANDIDATES[0].label();
+        let other = Diagnosis::from_text(document.kind(), document.text().replacen(&first, "something_else", 1)).unwrap();
+        assert!(read_proposals(&other).unwrap_err().message.contains("another list"));
+    }
+}
