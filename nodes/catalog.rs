@@ -45,6 +45,11 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<score::heldout::ScoreHeldout>(),
         // What the description leaves out.
         Kind::of::<diagnose::integrity::DiagnoseIntegrity>(),
+        Kind::of::<diagnose::fit::DiagnoseFit>(),
+        Kind::of::<diagnose::summaries::DiagnoseSummaries>(),
+        Kind::of::<diagnose::synthesize::DiagnoseSynthesize>(),
+        Kind::of::<diagnose::residuals::DiagnoseResiduals>(),
+        Kind::of::<diagnose::locate::DiagnoseLocate>(),
         Kind::of::<diagnose::propose::DiagnosePropose>(),
         Kind::of::<diagnose::confirm::DiagnoseConfirm>(),
         // What the user takes away.

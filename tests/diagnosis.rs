@@ -2,9 +2,11 @@
 
 use crate::recordings;
 use crate::support::{self, Bench, Done, executed};
-use photocurrent_core::testing;
-use photocurrent_store::RecordingContent;
+use photocurrent_core::table::Column;
+use photocurrent_core::{Value as Artefact, testing};
+use photocurrent_store::{Cache, RecordingContent};
 use serde_json::Value;
+use std::collections::BTreeMap;
 
 fn read(bench: &Bench, name: &str) -> String {
     std::fs::read_to_string(bench.path(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
@@ -64,7 +66,7 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
     assert_eq!(done.code, 0, "{}", done.stderr);
     let manifest = root.join("pipelines/diagnose/recording.toml").display().to_string();
     let path = format!("nodes.recording.params.path={recording:?}");
-    let arguments = [manifest.as_str(), "--set", &path, "--out", "graph", "--threads", "2"];
+    let arguments = [manifest.as_str(), "--set", &path, "--out", "graph", "--threads", "2", "--to", "answer"];
     assert!(executed(&bench.outcome(&arguments)).contains(&"confirm".to_string()));
     for name in ["diagnosis.json", "report.html", "sensor.fitted.toml"] {
         let there = bench.path(&format!("command/{name}")).exists();
@@ -74,4 +76,63 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
         }
     }
     assert_eq!(executed(&bench.outcome(&arguments)), [""; 0]);
+}
+
+/// A small texture seen by a sensor that does more than its description says, and all stages that look at it.
+fn stages(effects: &str) -> String {
+    let sensor = support::root().join("data/sensors/hybrid.toml");
+    let stage = |name: &str, kind: &str, of: &str, more: &str| {
+        format!("[nodes.{name}]\nkind = \"diagnose/{kind}\"\nin = {{ events = \"{of}.events\", frames = \"{of}.frames\", sensor = \"stated\"{more} }}\n")
+    };
+    let parts = [
+        "format = 1\n[pipeline]\nseed = 1\nkeep = [\"fit.scores\", \"residuals.scores\", \"control_residuals.scores\"]\n".into(),
+        format!("[nodes.stated]\nkind = \"read/sensor\"\nparams = {{ path = {sensor:?} }}\n"),
+        format!("[nodes.actual]\nkind = \"read/sensor\"\nparams = {{ path = {sensor:?}, change = {{ effects = {{ {effects} }} }} }}\n"),
+        "[nodes.scene]\nkind = \"simulate/scene\"\nin = { sensor = \"stated\" }\n".into(),
+        "params = { scene = \"texture\", width = 48, height = 36, duration = \"60 ms\" }\n".into(),
+        "[nodes.recording]\nkind = \"simulate/sensor\"\nin = { light = \"scene.light\", sensor = \"actual\" }\n".into(),
+        stage("summaries", "summaries", "recording", ""),
+        stage("fit", "fit", "recording", ""),
+        stage("residuals", "residuals", "recording", ", tracks = \"fit.tracks\""),
+        stage("control", "synthesize", "recording", ", tracks = \"fit.tracks\""),
+        stage("control_fit", "fit", "control", ", like = \"fit.pixels\""),
+        stage("control_residuals", "residuals", "control", ", tracks = \"control_fit.tracks\""),
+        "[nodes.locate]\nkind = \"diagnose/locate\"\n[nodes.locate.in]\nevents = \"recording.events\"\nframes = \"recording.frames\"\n".into(),
+        "sensor = \"stated\"\ntracks = \"fit.tracks\"\nevent_residuals = \"residuals.events\"\nframe_residuals = \"residuals.frames\"\n".into(),
+        "control_events = \"control.events\"\ncontrol_frames = \"control.frames\"\ncontrol_tracks = \"control_fit.tracks\"\n".into(),
+        "control_event_residuals = \"control_residuals.events\"\ncontrol_frame_residuals = \"control_residuals.frames\"\n".into(),
+    ];
+    parts.concat()
+}
+
+/// The pooled scores of a run, by node and metric.
+fn scores(bench: &Bench, folder: &str) -> BTreeMap<(String, String), f64> {
+    let text = read(bench, &format!("{folder}/metrics.pooled.jsonl"));
+    let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).expect("a JSON object a line"));
+    let text = |line: &Value, key: &str| line[key].as_str().expect("a text").to_string();
+    lines.map(|line| ((text(&line, "node"), text(&line, "metric")), line["value"].as_f64().expect("a number"))).collect()
+}
+
+#[test]
+fn rows_that_are_stamped_late_leave_more_than_a_sound_sensor_does_and_their_control() {
+    let bench = Bench::new();
+    let run = |name: &str, effects: &str| {
+        let manifest = bench.write(&format!("{name}.toml"), &stages(effects)).display().to_string();
+        let outcome = bench.outcome(&[&manifest]);
+        assert_eq!(executed(&bench.outcome(&[&manifest])), [""; 0]);
+        (outcome, scores(&bench, &format!("out/{name}")))
+    };
+    let (outcome, late) = run("late", "row_skew = { per_row = \"100 us\" }");
+    let (_, sound) = run("sound", "row_skew = { per_row = \"0 us\" }");
+    for metric in ["frame_log_ratio", "extra", "missing"] {
+        let of = |scores: &BTreeMap<(String, String), f64>, node: &str| scores[&(node.to_string(), metric.to_string())];
+        assert!(of(&late, "residuals") > 1.1 * of(&sound, "residuals"), "{metric}: {late:?} {sound:?}");
+        assert!(of(&late, "residuals") > 1.1 * of(&late, "control_residuals"), "{metric}: {late:?}");
+    }
+    // Four channels over twenty covariates, less those that do not belong together or have too few values; the most significant first.
+    let digest = support::digests(&outcome)["locate.curves"].parse().expect("a digest");
+    let cache = Cache::open(&bench.path(".photocurrent")).expect("the cache");
+    let Artefact::Table(curves) = cache.load(&digest).expect("the curves") else { panic!("a table") };
+    let Some(Column::Numbers(p_values)) = curves.column("p_value") else { panic!("numbers") };
+    assert!(p_values.len() > 40 && p_values[0] <= 0.01 && p_values.is_sorted(), "{p_values:?}");
 }

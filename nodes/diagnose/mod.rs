@@ -4,8 +4,13 @@
 //! document with a kind. The wiring of a whole diagnosis is `pipelines/diagnose/recording.toml`; docs/diagnosis.md explains what the stages do.
 
 pub mod confirm;
+pub mod fit;
 pub mod integrity;
+pub mod locate;
 pub mod propose;
+pub mod residuals;
+pub mod summaries;
+pub mod synthesize;
 
 use photocurrent_core::{DataType, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
 use photocurrent_diagnosis::case::{Case, CaseFrames, PixelEvents};
@@ -19,6 +24,12 @@ fn case(events: Option<&EventStream>, frames: Option<&FrameSequence>, sensor: &S
 
 /// Refuses, before any data, what cannot be diagnosed: no stream, frames of another form than the events, a description that lacks what the model needs.
 fn check(inputs: &PortMetas) -> Result<&Arc<Sensor>, NodeError> {
+    empty(inputs)?;
+    inputs.sensor("sensor")
+}
+
+/// The recording as far as it is known before its data; refuses as [`check`] does.
+fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
     let (events, frames): (Option<&Arc<EventsMeta>>, Option<&Arc<FramesMeta>>) = (inputs.events("events").ok(), inputs.frames("frames").ok());
     let sensor = inputs.sensor("sensor")?;
     let Some(extent) = events.map(|events| events.extent).or(frames.map(|frames| frames.extent)) else {
@@ -36,18 +47,19 @@ fn check(inputs: &PortMetas) -> Result<&Arc<Sensor>, NodeError> {
     }
     let empty = Case {
         extent,
-        span: (0, 1),
+        span: Case::span_of(events.map(|events| &**events), frames.map(|frames| (&frames.times, extent.height))),
         events: PixelEvents::default(),
-        has_t_in: false,
-        t_resolution_ns: 0,
+        has_t_in: events.is_some_and(|events| events.has_t_in),
+        t_resolution_ns: events.and_then(|events| events.t_resolution_ns).unwrap_or(0),
         frames: frames.map(|frames| CaseFrames { times: frames.times.clone(), dn: Vec::new() }),
         sensor: (**sensor).clone(),
     };
     Nominal::new(&empty).map_err(|error| error.blames(DataType::Sensor))?;
-    Ok(sensor)
+    Ok(empty)
 }
 
-/// A description that is not known yet is planned as the stated one: who takes it needs most of its fields, and a diagnosis changes few.
+/// A description that is not known yet is planned as the stated one: who takes it needs most of its fields, and a diagnosis changes few. A node whose outputs look
+/// otherwise with the change (another row time, say) says so when it runs.
 fn foretold(sensor: &Arc<Sensor>) -> Meta {
     Meta::Sensor(sensor.clone())
 }

@@ -142,6 +142,11 @@ params = { frame_rate = "120 fps", exposure = "6.5 ms" }
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let (mut camera, kernel) = self.camera(&input.light.meta, &input.sensor, cx.seed())?;
         let rows = cx.rows();
+        // A description that a node worked out is planned as the one that it was given: what couples pixels may be in it only now.
+        if camera.couples().is_some() && input.light.rows() != input.light.meta.extent.rows() {
+            return Err(NodeError::failed("the description couples all pixels, and that was not known when the recording was cut into row bands")
+                .hint("write the description to a file, and read it with read/sensor"));
+        }
         let block_rows = if camera.couples().is_some() { BLOCK_ROWS } else { rows.len() as u32 };
         let seen = self.pooling(&input.sensor)?.light(&input.light)?;
         load::settle(&mut camera, kernel.as_ref(), &seen, block_rows, cx)?;

@@ -1,8 +1,12 @@
 //! What is diagnosed: the events of every pixel in order of time, the frames, and the description of the sensor.
 
+use photocurrent_core::events::Event;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{DataError, EventStream, Extent, FrameSequence, FrameTimes, Sensor};
+use photocurrent_core::{
+    Colour, DataError, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Polarity, Sensor, TimeSpan,
+};
 use std::ops::Range;
+use std::sync::Arc;
 
 /// An event as it was recorded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,7 +106,6 @@ impl Case {
         }
         let latency_ns = sensor.readout.latency_min.map_or(0, Duration::ns);
         let mut pixels = vec![Vec::new(); extent.pixels()];
-        let mut span: Option<(i64, i64)> = None;
         if let Some(events) = events {
             let band = events.read(extent.rows())?;
             for y in extent.rows().iter() {
@@ -114,18 +117,13 @@ impl Case {
                     pixels[y as usize * extent.width as usize + usize::from(row.x[k])].push(recorded);
                 }
             }
-            span = events.meta.span.map(|span| (span.start.0, span.end.0));
         }
         let frames = frames.filter(|frames| !frames.is_empty()).map(|frames| -> Result<CaseFrames, DataError> {
             let block = frames.read_rows(extent.rows())?;
             Ok(CaseFrames { times: frames.meta.times.clone(), dn: block.dn })
         });
         let frames = frames.transpose()?;
-        let covered = frames.as_ref().and_then(|frames| frames.times.span(extent.height)).map(|span| (span.start.0, span.end.0));
-        let span = match (span, covered) {
-            (Some(a), Some(b)) => (a.0.min(b.0), a.1.max(b.1)),
-            (one, other) => one.or(other).unwrap_or((0, 0)),
-        };
+        let span = Case::span_of(events.map(|events| &*events.meta), frames.as_ref().map(|frames| (&frames.times, extent.height)));
         Ok(Case {
             extent,
             span,
@@ -135,6 +133,58 @@ impl Case {
             frames,
             sensor: sensor.clone(),
         })
+    }
+
+    /// The events and the frames as data that others take; frames are grey, as captured.
+    ///
+    /// # Errors
+    /// When an event lies outside of the array.
+    pub fn streams(&self) -> Result<(EventStream, Option<FrameSequence>), DataError> {
+        let mut events = Vec::with_capacity(self.events.all().len());
+        for pixel in 0..self.events.pixels() {
+            let (x, y) = self.place(pixel);
+            events.extend(self.events.of(pixel).iter().map(|event| Event {
+                x: x as u16,
+                y: y as u16,
+                polarity: if event.polarity > 0 { Polarity::On } else { Polarity::Off },
+                t: event.t_off_ns,
+                t_in: self.has_t_in.then_some(event.t_in_ns),
+            }));
+        }
+        let mut band = EventBand::from_events(self.extent.rows(), events)?;
+        if !self.has_t_in {
+            band.t_in = None;
+        }
+        let events = EventStream::in_memory(Arc::new(self.events_meta()), band);
+        let frames = self.frames.as_ref().map(|frames| {
+            let mut block = FrameBlock::zeros(0..frames.times.len(), self.extent.rows(), self.extent.width as usize);
+            block.dn.copy_from_slice(&frames.dn);
+            let meta = FramesMeta { extent: self.extent, colour: Colour::Mono, times: frames.times.clone(), scale: FrameScale::Captured };
+            FrameSequence::in_memory(Arc::new(meta), block)
+        });
+        Ok((events, frames))
+    }
+
+    /// What is known of the stream of [`Case::streams`] without its events.
+    pub fn events_meta(&self) -> EventsMeta {
+        EventsMeta {
+            extent: self.extent,
+            span: Some(TimeSpan::new(self.span.0, self.span.1)),
+            has_t_in: self.has_t_in,
+            has_step: false,
+            t_resolution_ns: (self.t_resolution_ns > 0).then_some(self.t_resolution_ns),
+            count_hint: None,
+        }
+    }
+
+    /// First and last instant of a recording, ns, from what is known before its data; (0, 0) when nothing is.
+    pub fn span_of(events: Option<&EventsMeta>, frames: Option<(&FrameTimes, u32)>) -> (i64, i64) {
+        let span = |span: TimeSpan| (span.start.0, span.end.0);
+        let covered = frames.and_then(|(times, height)| times.span(height)).map(span);
+        match (events.and_then(|events| events.span).map(span), covered) {
+            (Some(a), Some(b)) => (a.0.min(b.0), a.1.max(b.1)),
+            (one, other) => one.or(other).unwrap_or((0, 0)),
+        }
     }
 
     /// Column and row of a pixel.
@@ -155,5 +205,24 @@ impl Case {
     pub fn dn(&self, frame: usize, pixel: usize) -> f64 {
         let frames = self.frames.as_ref().expect("frames are there");
         f64::from(frames.dn[frame * self.extent.pixels() + pixel])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+
+    #[test]
+    fn a_case_that_was_handed_on_is_read_again_as_it_was() {
+        for has_t_in in [true, false] {
+            let case = Case { has_t_in, t_resolution_ns: 20, ..testing::case() };
+            // Without in-pixel times they follow from the off-pixel ones.
+            let case = if has_t_in { case } else { Case::read(Some(&case.streams().unwrap().0), None, &case.sensor).unwrap() };
+            let (events, frames) = case.streams().unwrap();
+            let again = Case::read(Some(&events), frames.as_ref(), &case.sensor).unwrap();
+            assert_eq!((again.events, again.frames, again.span), (case.events.clone(), case.frames.clone(), case.span));
+            assert_eq!((again.has_t_in, again.t_resolution_ns), (has_t_in, 20));
+        }
     }
 }

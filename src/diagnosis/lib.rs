@@ -12,6 +12,8 @@
 //! - [`band`]: the same light quicker, by a thread through the events, anchored to the frames.
 //! - [`record`]: what a sensor with effects would have recorded of that light.
 //! - [`faithful`]: the prior that gives each pixel a light which fires its events again.
+//! - [`light`]: that light as a value by itself, to be handed on and taken back.
+//! - [`residuals`]: what the stated sensor makes of it, against the recording.
 //! - [`likelihood`]: how far effects explain, event by event, what the estimated light does not.
 //! - [`summaries`]: a recording in some three hundred numbers.
 //! - [`deviation`]: how it differs in them from the nominal sensor's recording of the same scene, and how it would with an effect.
@@ -46,6 +48,7 @@ pub mod floor;
 pub mod heldout;
 pub mod integrity;
 pub mod knowledge;
+pub mod light;
 pub mod likelihood;
 pub mod locate;
 pub mod matching;
@@ -58,6 +61,7 @@ pub mod proposer;
 pub mod record;
 pub mod refit;
 pub mod report;
+pub mod residuals;
 pub mod roads;
 pub mod sample;
 pub mod scene;

@@ -111,6 +111,16 @@ impl Sample {
         Sample::new(case, (0..width * height).map(|pixel| (pixel, true, (pixel / width) / side * across + (pixel % width) / side)).collect())
     }
 
+    /// These pixels, in blocks of `side` x `side`.
+    pub fn of_pixels(case: &Case, pixels: impl IntoIterator<Item = u32>, side: u32) -> Sample {
+        let (width, across) = (case.extent.width, case.extent.width.div_ceil(side));
+        let mut pixels: Vec<(u32, bool, u32)> =
+            pixels.into_iter().map(|pixel| (pixel, true, (pixel / width) / side * across + (pixel % width) / side)).collect();
+        pixels.sort_unstable();
+        pixels.dedup();
+        Sample::new(case, pixels)
+    }
+
     fn new(case: &Case, pixels: Vec<(u32, bool, u32)>) -> Sample {
         let mut place = vec![NOWHERE; case.extent.pixels()];
         for (n, (pixel, ..)) in (0..).zip(&pixels) {
