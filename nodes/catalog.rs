@@ -43,6 +43,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<score::glitch::ScoreGlitch>(),
         Kind::of::<score::coverage::ScoreCoverage>(),
         Kind::of::<score::heldout::ScoreHeldout>(),
+        Kind::of::<score::diagnosis::ScoreDiagnosis>(),
         // What the description leaves out.
         Kind::of::<diagnose::integrity::DiagnoseIntegrity>(),
         Kind::of::<diagnose::fit::DiagnoseFit>(),

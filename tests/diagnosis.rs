@@ -76,6 +76,13 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
         }
     }
     assert_eq!(executed(&bench.outcome(&arguments)), [""; 0]);
+    // The examination's stages have the same keys, so that only the judgement is left to do.
+    let sealed = root.join("pipelines/diagnose/sealed.toml").display().to_string();
+    let examined = bench.outcome(&[&sealed, "--variant", "recording=75b9f397", "--to", "right", "--out", "sealed"]);
+    assert_eq!(executed(&examined), ["right"]);
+    let table = bench.run(&["table", "sealed", "--rows", "card.truth", "--columns", "card.said", "--metric", "count", "--sum"]);
+    assert_eq!(table.code, 0, "{}", table.stderr);
+    assert!(table.stdout.contains("none"), "{}", table.stdout);
 }
 
 /// A small texture seen by a sensor that does more than its description says, and all stages that look at it.
@@ -135,4 +142,14 @@ fn rows_that_are_stamped_late_leave_more_than_a_sound_sensor_does_and_their_cont
     let Artefact::Table(curves) = cache.load(&digest).expect("the curves") else { panic!("a table") };
     let Some(Column::Numbers(p_values)) = curves.column("p_value") else { panic!("numbers") };
     assert!(p_values.len() > 40 && p_values[0] <= 0.01 && p_values.is_sorted(), "{p_values:?}");
+}
+
+#[test]
+fn direct_tests_alone_are_told_as_such() {
+    let bench = Bench::new();
+    let recording = support::root().join("data/sealed/recordings/75b9f397.h5");
+    let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "found", "--direct"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");
+    assert_eq!(report["provenance"]["stages"], serde_json::json!(["integrity"]));
 }

@@ -4,6 +4,7 @@ pub mod bew;
 pub mod card;
 pub mod compare;
 pub mod coverage;
+pub mod diagnosis;
 pub mod edge;
 pub mod glitch;
 pub mod heldout;

@@ -161,7 +161,7 @@ pub struct TableOptions {
     /// What was run: a manifest (its scores are in out/NAME), a folder with metrics, or a .jsonl file of scores
     #[arg(required = true, value_name = "FILE|MANIFEST")]
     pub sources: Vec<PathBuf>,
-    /// What makes the rows: axes of the ablation, or file, node, method, label, metric, frame
+    /// What makes the rows: axes of the ablation, or file, node, method, label, metric, frame, or card.FIELD of the metric card
     #[arg(long, value_name = "AXIS,...", value_delimiter = ',')]
     pub rows: Vec<String>,
     /// What makes the columns [default: what differs and is not in the rows]
@@ -173,6 +173,9 @@ pub struct TableOptions {
     /// Only these levels of an axis, in this order: scene=fan,texture
     #[arg(long = "where", value_name = "AXIS=LEVEL,...")]
     pub only: Vec<String>,
+    /// Add up what falls into one cell, such as counts
+    #[arg(long)]
+    pub sum: bool,
     /// Which of the pooled numbers
     #[arg(long, value_enum, default_value = "value")]
     pub statistic: Pooled,

@@ -57,8 +57,8 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
         Err(Unread::Other(failure)) => return Err(failure),
     };
     let setting = Setting { seed: options.seed, ..Setting::default() };
-    let found =
-        photocurrent_diagnosis::diagnose::diagnose(&case, &setting, &photocurrent_diagnosis::roads::all(knowledge), |stage| bar.set_message(stage.to_owned()));
+    let roads = if options.direct { Vec::new() } else { photocurrent_diagnosis::roads::all(knowledge) };
+    let found = photocurrent_diagnosis::diagnose::diagnose(&case, &setting, &roads, |stage| bar.set_message(stage.to_owned()));
     bar.finish_and_clear();
     let found = found.map_err(|error| Failure::Other { message: format!("{}: {error}", options.recording.display()), code: 2 })?;
     let mut files = vec![(REPORT, text(&found.report)?), (PAGE, page(&found.report, Some(&case), Some(&found)))];

@@ -2,7 +2,8 @@
 //!
 //! `run` leaves one line of JSON for every score. Each line has a place on several axes: the ablation's own, and `file`, `node`, `method` (the node's name
 //! after its first `_`: psnr_edi, lpips_edi are one method), `label`, `metric` and `frame`. The table is those numbers laid out by two lists of axes.
-//! Nothing is averaged here: where two numbers fall into one cell, the command says by what they differ.
+//! A field of the metric card is an axis too, as `card.FIELD`. Nothing is averaged here: where two numbers fall into one cell, the command says by what they differ, or
+//! adds them up with `--sum`, which makes a confusion matrix of counts.
 
 mod formats;
 mod grid;
@@ -22,11 +23,12 @@ pub fn table(options: &TableOptions) -> Done {
         metrics: options.metric.clone(),
         levels: options.only.iter().map(|text| choice(text)).collect::<Result<_, _>>()?,
         statistic: options.statistic,
+        card: card_axes(options),
         by_frame: [&options.rows, &options.columns].iter().any(|axes| axes.iter().any(|axis| axis == "frame"))
             || options.only.iter().any(|text| text.starts_with("frame=")),
     };
     let records = records::read(&options.sources, &choice)?;
-    let request = Request { rows: options.rows.clone(), columns: options.columns.clone() };
+    let request = Request { rows: options.rows.clone(), columns: options.columns.clone(), sum: options.sum };
     let grid = Grid::new(&records, &request).map_err(usage)?;
     let style = Style {
         digits: digits(&options.digits, &grid.metrics())?,
@@ -43,6 +45,12 @@ pub fn table(options: &TableOptions) -> Done {
         TableFormat::Jsonl => formats::json_lines(&grid, &style),
     })?;
     Ok(0)
+}
+
+/// The fields of cards that are asked for as axes.
+fn card_axes(options: &TableOptions) -> Vec<String> {
+    let asked = options.rows.iter().chain(&options.columns).map(String::as_str).chain(options.only.iter().filter_map(|text| Some(text.split_once('=')?.0)));
+    asked.filter_map(|axis| axis.strip_prefix("card.")).map(str::to_owned).collect()
 }
 
 /// A mistake in the arguments: exit code 2.

@@ -241,7 +241,7 @@ mod tests {
 
     fn grid(rows: &[&str], columns: &[&str]) -> Grid {
         let own = |axes: &[&str]| axes.iter().map(ToString::to_string).collect();
-        Grid::new(&records(), &Request { rows: own(rows), columns: own(columns) }).expect("a grid")
+        Grid::new(&records(), &Request { rows: own(rows), columns: own(columns), sum: false }).expect("a grid")
     }
 
     #[test]
@@ -260,7 +260,7 @@ mod tests {
     fn cells_that_print_alike_are_marked_alike() {
         let values = [30.04, 30.01, 29.0, 29.0].iter().enumerate();
         let records: Vec<_> = values.map(|(i, value)| record(&format!("method=m{i} metric=psnr_db"), *value)).collect();
-        let grid = Grid::new(&records, &Request { rows: vec!["method".into()], columns: vec![] }).expect("a grid");
+        let grid = Grid::new(&records, &Request { rows: vec!["method".into()], columns: vec![], sum: false }).expect("a grid");
         let marks: Vec<Mark> = style(Among::Column).marks(&grid).concat();
         assert_eq!(marks, [Mark::Best, Mark::Best, Mark::Second, Mark::Second]);
         assert!(style(Among::Row).marks(&grid).concat().iter().all(|mark| *mark == Mark::Plain), "one alone is the best of nothing");
@@ -306,7 +306,7 @@ ball & 20.0 & \\textbf{0.20} & \\textbf{21.0} & 0.21 & -- & -- \\\\
     #[test]
     fn what_stands_on_no_axis_is_said_below() {
         let records: Vec<_> = ["a", "b"].iter().map(|m| record(&format!("scene=fan method={m} metric=psnr_db"), 1.0)).collect();
-        let grid = Grid::new(&records, &Request { rows: vec!["scene".into()], columns: vec!["method".into()] }).expect("a grid");
+        let grid = Grid::new(&records, &Request { rows: vec!["scene".into()], columns: vec!["method".into()], sum: false }).expect("a grid");
         assert!(markdown(&grid, &style(Among::None)).ends_with("\npsnr_db [dB], higher is better.\n"));
     }
 }

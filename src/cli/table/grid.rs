@@ -8,6 +8,8 @@ pub struct Request {
     pub rows: Vec<String>,
     /// Axes of the columns.
     pub columns: Vec<String>,
+    /// Numbers of one metric that fall into one cell are added up.
+    pub sum: bool,
 }
 
 /// One number of a cell.
@@ -60,10 +62,15 @@ impl Grid {
         for (i, record) in records.iter().enumerate() {
             let at = |places: &[Vec<String>], axes: &[String]| places.iter().position(|place| *place == levels(record, axes));
             let (Some(row), Some(column)) = (at(&rows, &row_axes), at(&columns, &column_axes)) else { continue };
-            if let Some((other, _)) = &cells[row][column] {
-                return Err(two_in_one(record, &records[*other], &rows[row], &columns[column]));
-            }
             let metric = record.level("metric").unwrap_or_default().to_string();
+            match &mut cells[row][column] {
+                Some((_, cell)) if request.sum && cell.metric == metric && cell.unit == record.unit => {
+                    cell.value += record.value;
+                    continue;
+                }
+                Some((other, _)) => return Err(two_in_one(record, &records[*other], &rows[row], &columns[column])),
+                None => {}
+            }
             cells[row][column] = Some((i, Cell { value: record.value, metric, unit: record.unit.clone(), card: record.card.clone() }));
         }
         let cells = cells.into_iter().map(|row| row.into_iter().map(|cell| cell.map(|(_, cell)| cell)).collect()).collect();
@@ -181,7 +188,25 @@ pub mod tests {
 
     fn request(rows: &[&str], columns: &[&str]) -> Request {
         let own = |axes: &[&str]| axes.iter().map(ToString::to_string).collect();
-        Request { rows: own(rows), columns: own(columns) }
+        Request { rows: own(rows), columns: own(columns), sum: false }
+    }
+
+    #[test]
+    fn what_falls_into_one_cell_is_added_up_when_that_is_asked_for() {
+        let said = [("fan", 1.0), ("fan", 2.0), ("ball", 4.0)]
+            .map(|(scene, value)| record(&format!("scene={scene} recording={value} metric=count node=n method=n"), value));
+        let request = Request { rows: vec!["scene".into()], columns: vec!["metric".into()], sum: true };
+        let grid = Grid::new(&said, &request).expect("a grid");
+        let values: Vec<f64> = grid.cells.iter().map(|row| row[0].as_ref().expect("a number").value).collect();
+        assert_eq!(values, [3.0, 4.0]);
+        assert!(Grid::new(&said, &Request { sum: false, ..request }).err().expect("refused").contains("one cell"));
+    }
+
+    #[test]
+    fn numbers_of_two_metrics_are_never_added_up() {
+        let records = [record("scene=fan metric=count node=n", 1.0), record("scene=fan metric=f1 node=n", 2.0)];
+        let request = Request { rows: vec!["scene".into()], columns: vec!["node".into()], sum: true };
+        assert!(Grid::new(&records, &request).is_err());
     }
 
     #[test]

@@ -78,7 +78,7 @@ mod tests {
 
     fn drawn(records: &[(&str, f64)], rows: &str) -> Result<Figure, String> {
         let records: Vec<_> = records.iter().map(|(place, value)| record(place, *value)).collect();
-        let grid = Grid::new(&records, &Request { rows: vec![rows.into()], columns: vec![] })?;
+        let grid = Grid::new(&records, &Request { rows: vec![rows.into()], columns: vec![], sum: false })?;
         let names = [("edi".to_string(), "EDI".to_string())].into();
         figure(&grid, &Style { digits: BTreeMap::new(), among: Among::None, names })
     }

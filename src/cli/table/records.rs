@@ -36,6 +36,8 @@ pub struct Choice {
     pub statistic: Pooled,
     /// Single frames instead of pooled numbers?
     pub by_frame: bool,
+    /// Fields of the metric card that are axes.
+    pub card: Vec<String>,
 }
 
 /// Reads all sources and keeps what is wanted, in the order of the choice, else of the files.
@@ -137,7 +139,16 @@ fn record(line: &Value, file: &str, choice: &Choice) -> Result<Option<Record>, S
         put("frame", &frame.to_string());
     }
     let (unit, card) = (text("unit").unwrap_or_default().to_string(), text("card").unwrap_or_default().to_string());
+    for field in &choice.card {
+        place.extend(card_field(&card, field).map(|level| (format!("card.{field}"), level.to_string())));
+    }
     Ok(Some(Record { place, unit, value, card }))
+}
+
+/// A field of a metric card: `definition: key = text; key = text`.
+fn card_field<'a>(card: &'a str, field: &str) -> Option<&'a str> {
+    let (_, fields) = card.split_once(": ")?;
+    fields.split("; ").filter_map(|pair| pair.split_once(" = ")).find(|(key, _)| *key == field).map(|(_, text)| text)
 }
 
 /// What is wanted, in the order in which it is wanted.
@@ -190,7 +201,15 @@ mod tests {
     use serde_json::json;
 
     fn wish(by_frame: bool) -> Choice {
-        Choice { metrics: Vec::new(), levels: Vec::new(), statistic: Pooled::Value, by_frame }
+        Choice { metrics: Vec::new(), levels: Vec::new(), statistic: Pooled::Value, by_frame, card: Vec::new() }
+    }
+
+    #[test]
+    fn a_field_of_the_card_is_an_axis_when_it_is_asked_for() {
+        let line = json!({"variant": "recording=a", "node": "right", "metric": "count", "frame": -1, "value": 1.0, "unit": "", "card": "d.v1: truth = blur; said = none"});
+        let asked = Choice { card: vec!["truth".into(), "colour".into()], ..wish(false) };
+        let found = record(&line, "sealed", &asked).expect("a line").expect("pooled");
+        assert_eq!((found.level("card.truth"), found.level("card.said"), found.level("card.colour")), (Some("blur"), None, None));
     }
 
     #[test]
