@@ -126,6 +126,8 @@ const LEAST_HEARD: f64 = 0.05;
 const RARITY: f64 = 0.7;
 /// Effects whose support, as a logarithm, is so near are told together.
 const TOGETHER: f64 = 0.7;
+/// An effect with this share of the best refit's probability is told with it.
+const DOUBT: f64 = 0.6;
 /// The largest set that is told.
 const LARGEST_SET: usize = 3;
 
@@ -228,8 +230,9 @@ fn refitted(proposals: &[Proposal], others: &[Road], least: f64) -> Option<Claim
     set.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.candidate.cmp(&b.1.candidate)));
     let &(support, one) = set.first()?;
     let id = CANDIDATES[one.candidate].id;
-    let also_possible =
-        set.iter().skip(1).filter(|other| other.0 > support - TOGETHER).map(|other| CANDIDATES[other.1.candidate].id).take(LARGEST_SET - 1).collect();
+    // What others say does not end a doubt of the refit's own.
+    let is_near = |other: &&(f64, &Proposal)| other.0 > support - TOGETHER || other.1.probability > DOUBT * best;
+    let also_possible = set.iter().skip(1).filter(is_near).map(|other| CANDIDATES[other.1.candidate].id).take(LARGEST_SET - 1).collect();
     let agrees = |road: &&Road| road.alarm && road.proposals.first().is_some_and(|first| CANDIDATES[first.candidate].id == id);
     let found_by = std::iter::once(REFIT.to_owned()).chain(others.iter().filter(agrees).map(|road| road.name.clone())).collect();
     Some(Claim {
