@@ -127,7 +127,7 @@ const RARITY: f64 = 0.7;
 /// Effects whose support, as a logarithm, is so near are told together.
 const TOGETHER: f64 = 0.7;
 /// An effect with this share of the best refit's probability is told with it.
-const DOUBT: f64 = 0.6;
+const DOUBT: f64 = 0.35;
 /// The largest set that is told.
 const LARGEST_SET: usize = 3;
 
