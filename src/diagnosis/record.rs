@@ -45,11 +45,8 @@ pub type Described = BTreeMap<String, Map<String, Value>>;
 /// # Errors
 /// When an effect or its parameters are not understood, or effects cannot be combined.
 pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, more: &Described, conditions: &Conditions) -> Result<Case, String> {
-    let mut described = case.sensor.effects.clone();
-    described.extend(more.iter().map(|(id, parameters)| (id.clone(), parameters.clone())));
-    let mut effects = from_description(&described)?;
+    let effects = effects_of(case, more)?;
     let kernel = joined(&effects).map_err(|why| why.to_string())?.filter(|_| !conditions.is_mixed);
-    inform(case, &mut effects);
     let effects: &[Box<dyn Effect>] = &effects;
     let number = FrameReadout { number: nominal.number, saturation: nominal.saturation_dn, row_time_ns: nominal.row_time_ns };
     let one = |n: usize| -> (Vec<Recorded>, Vec<f32>) {
@@ -93,8 +90,20 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, mo
     Ok(Case { events: PixelEvents::new(pixels), frames, sensor: case.sensor.clone(), ..*case })
 }
 
+/// What the description states with `more` beside (or, of the same id, instead of) it, told what the recording holds.
+///
+/// # Errors
+/// When an effect or its parameters are not understood.
+pub(crate) fn effects_of(case: &Case, more: &Described) -> Result<Vec<Box<dyn Effect>>, String> {
+    let mut described = case.sensor.effects.clone();
+    described.extend(more.iter().map(|(id, parameters)| (id.clone(), parameters.clone())));
+    let mut effects = from_description(&described)?;
+    inform(case, &mut effects);
+    Ok(effects)
+}
+
 /// Tells effects that depend on the load what the recording holds.
-pub(crate) fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
+fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
     if effects.iter().all(|effect| effect.informed(&[]).is_none()) {
         return;
     }

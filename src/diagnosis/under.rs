@@ -2,13 +2,13 @@
 //!
 //! The solver knows one front end with one time constant, two thresholds, a refractory period and a gain. Everything of a trial that can be brought to that form is, through the
 //! hooks that the simulator uses: stamps and exposures are taken back to true times, digital numbers to charge, a second pole counts with the first, light that is added
-//! behind the lens is taken off again. What is left (leaks, neighbours, memories) is corrected by turns: the trial looks at the light, its recording is
+//! behind the lens is taken off again, drifts and memories are told event by event, and frames are mixed where neighbours are. What is left is corrected by turns: the trial looks at the light, its recording is
 //! estimated in the same way, and the light moves by what that differs.
 
 use crate::candidates::Trial;
 use crate::case::{Case, CaseFrames};
 use crate::nominal::Nominal;
-use crate::record::{Conditions, inform, record};
+use crate::record::{Conditions, effects_of, record};
 use crate::sample::Sample;
 use crate::scene::{Scene, SceneSetting, Told, pixel_data, task};
 use photocurrent_core::random::Random;
@@ -16,7 +16,7 @@ use photocurrent_core::sensor::Reset;
 use photocurrent_core::{Exposure, Timestamp};
 use photocurrent_sensor::comparator::signed_step;
 use photocurrent_sensor::effects::{
-    BURST_GAP_NS, Effect, FrontEndModel, History, Kernel, Kick, KickTarget, LastEvent, PixelEvent, Reading, RowSite, Site, Tap, Thresholds, from_description,
+    BURST_GAP_NS, Effect, FrontEndModel, History, Kernel, Kick, KickTarget, LastEvent, PixelEvent, Reading, RowSite, Site, Tap, Thresholds,
 };
 use photocurrent_sensor::forward::neighbours::{joined, mixed, stand_in};
 use photocurrent_sensor::front_end::FrontEnd;
@@ -49,10 +49,7 @@ impl<'a> Under<'a> {
     /// # Errors
     /// When an effect or its parameters are not understood.
     pub fn new(case: &'a Case, trial: &'a Trial, frame_share: f64) -> Result<Under<'a>, String> {
-        let mut described = case.sensor.effects.clone();
-        described.extend(trial.effects.iter().map(|(id, parameters)| (id.clone(), parameters.clone())));
-        let mut effects = from_description(&described)?;
-        inform(case, &mut effects);
+        let effects = effects_of(case, &trial.effects)?;
         let kernel = joined(&effects).map_err(|why| why.to_string())?;
         let case = kernel.map_or(Cow::Borrowed(case), |kernel| Cow::Owned(with_mixed_frames(case, &trial.nominal, &kernel, frame_share)));
         Ok(Under { case, trial, effects })

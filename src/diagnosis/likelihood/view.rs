@@ -4,10 +4,10 @@ use super::conditional::{Conditional, Look, Track, at, conditional, frame_values
 use crate::candidates::Trial;
 use crate::case::Case;
 use crate::nominal::Nominal;
-use crate::record::inform;
+use crate::record::effects_of;
 use crate::sample::Sample;
 use crate::scene::{PixelData, Scene, SceneSetting, pixel_data};
-use photocurrent_sensor::effects::{Domain, Effect, Kernel, Site, from_description};
+use photocurrent_sensor::effects::{Domain, Effect, Kernel, Site};
 use photocurrent_sensor::elementary::{exp, ln};
 use photocurrent_sensor::forward::neighbours::{joined, stand_in};
 use rayon::prelude::*;
@@ -37,11 +37,8 @@ impl Prepared {
     /// # Errors
     /// When an effect or its parameters are not understood, or effects cannot be combined.
     pub fn new(case: &Case, trial: &Trial) -> Result<Prepared, String> {
-        let mut described = case.sensor.effects.clone();
-        described.extend(trial.effects.iter().map(|(id, parameters)| (id.clone(), parameters.clone())));
-        let mut effects = from_description(&described)?;
+        let effects = effects_of(case, &trial.effects)?;
         let kernel = joined(&effects).map_err(|why| why.to_string())?;
-        inform(case, &mut effects);
         Ok(Prepared { nominal: trial.nominal.clone(), effects, kernel })
     }
 }
