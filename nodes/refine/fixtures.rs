@@ -39,7 +39,14 @@ pub(super) fn record(log: impl Fn(usize, usize, f64) -> f64) -> (EventStream, Fr
             let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(log(x as usize, y as usize, t as f64 * 1e-6))).collect();
             let light = LinearLight::new(&t_ns, &current);
             let site = Site { x, y, width: EXTENT.width, height: EXTENT.height, seed: 0 };
-            let fired = simulate(&Chain { pixel, reset: photocurrent_core::sensor::Reset::Resample, effects: &[] }, &site, &light, 0, END_NS, &mut Noiseless);
+            let fired = simulate(
+                &Chain { pixel, reset: photocurrent_core::sensor::Reset::Resample, effects: &[], tolerance: photocurrent_sensor::forward::TOLERANCE },
+                &site,
+                &light,
+                0,
+                END_NS,
+                &mut Noiseless,
+            );
             events.extend(fired.iter().map(|fired| Event {
                 x: x as u16,
                 y: y as u16,

@@ -174,7 +174,8 @@ impl Camera {
 
     /// Everything that pixel (x, y) fires in `seen`, the light of the event path: lost events, and those that leave after the end, too.
     pub fn fired(&self, x: u32, y: u32, seen: &LinearLight) -> Vec<Fired> {
-        let chain = Chain { pixel: self.pixel, reset: self.sensor.comparator.reset, effects: &self.effects };
+        let chain =
+            Chain { pixel: self.pixel, reset: self.sensor.comparator.reset, effects: &self.effects, tolerance: photocurrent_sensor::forward::TOLERANCE };
         let mut noise = Noise { random: Random::new(self.seed, &[x.into(), y.into(), 1]), sigma: self.sensor.comparator.threshold_noise.unwrap_or(0.0) };
         simulate(&chain, &self.site(self.events.extent, x, y), seen, self.span.start.0, self.span.end.0, &mut noise)
     }

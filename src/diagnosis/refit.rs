@@ -54,6 +54,10 @@ pub struct Refit<'a> {
     pub frame_noise: f64,
     /// Corrections of the light where it is looked at once.
     pub turns: usize,
+    /// Zones of the sample's blocks from left to right.
+    pub zones_across: u32,
+    /// One more than the largest number of a block.
+    pub block_count: usize,
 }
 
 /// A strength that was tried.
@@ -69,6 +73,13 @@ impl Tried {
     /// Cost of all blocks that are kept.
     pub fn cost(&self, keep: impl Fn(usize) -> bool) -> f64 {
         self.blocks.iter().enumerate().filter(|(block, _)| keep(*block)).map(|(_, of)| of.cost()).sum()
+    }
+
+    /// What a part of the blocks says.
+    fn only(&self, part: &Sample) -> Tried {
+        let keep = |block: usize| part.block.contains(&(block as u32));
+        let blocks = self.blocks.iter().enumerate().map(|(block, of)| if keep(block) { *of } else { Mismatch::default() }).collect();
+        Tried { strength: self.strength, blocks }
     }
 
     /// All blocks together.
@@ -108,6 +119,14 @@ const FURTHEST_BELOW: f64 = 0.02;
 const COST_WEIGHT: f64 = 0.1;
 /// Differences of scores count as shares of them and this: costs of simulators differ by so much.
 const OFFSET: f64 = 0.03;
+
+/// Fewer pixels than this are looked at all of them from the beginning.
+const LEAST_COARSE: usize = 150;
+
+/// Is a block looked at from the beginning? Those are as the black squares of a chessboard.
+fn is_coarse(block: u32, across: u32) -> bool {
+    (block % across + block / across).is_multiple_of(2)
+}
 
 /// What was found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -157,7 +176,7 @@ impl Refit<'_> {
     }
 
     fn blocks(&self, case: &Case, recording: &Case) -> Vec<Mismatch> {
-        let mut blocks = vec![Mismatch::default(); self.sample.block.iter().map(|block| *block as usize + 1).max().unwrap_or(0)];
+        let mut blocks = vec![Mismatch::default(); self.block_count];
         for (of, &block) in mismatch(case, recording, self.sample, &self.base.nominal, self.scene.frame_share).iter().zip(&self.sample.block) {
             blocks[block as usize] = blocks[block as usize].and(of);
         }
@@ -202,7 +221,11 @@ impl Refit<'_> {
                 strengths.into_iter().map(move |strength| (candidate, strength))
             })
             .collect();
-        self.extend(&mut tried, &first_strengths, first);
+        // Where to look is seen on half of the blocks.
+        let (half, places) = self.sample.only(|block| is_coarse(block, self.zones_across));
+        let priors: Vec<Prior> = places.iter().map(|&n| self.priors[n]).collect();
+        let quick = if half.len() < LEAST_COARSE { *self } else { Refit { sample: &half, priors: &priors, ..*self } };
+        quick.extend(&mut tried, &first_strengths, first);
         // Strengths further out or in, then between, for those that do best.
         for round in 0..6 {
             order(&mut tried);
@@ -210,7 +233,7 @@ impl Refit<'_> {
             let chosen = chosen(&tried, count);
             let followed = tried.iter().filter(|(candidate, _)| chosen.contains(candidate));
             let next: Vec<(usize, f64)> = followed.filter_map(|(candidate, tried)| Some((*candidate, self.next(*candidate, tried, setting)?))).collect();
-            self.extend(&mut tried, &next, first);
+            quick.extend(&mut tried, &next, first);
         }
         order(&mut tried);
         let chosen = chosen(&tried, setting.finished);
@@ -236,7 +259,7 @@ impl Refit<'_> {
         let mut explained: Vec<Explained> = tried
             .iter()
             .filter(|(candidate, tried)| !tried.is_empty() && !finished.iter().any(|(other, tried)| other == candidate && !tried.is_empty()))
-            .map(|(candidate, tried)| self.explain(*candidate, tried, best_stated, false))
+            .map(|(candidate, tried)| self.explain(*candidate, tried, &best_stated.only(quick.sample), false))
             .collect();
         explained.extend(finished.iter().filter(|(_, tried)| !tried.is_empty()).map(|(candidate, tried)| self.explain(*candidate, tried, best_stated, true)));
         let controls: Vec<Option<Tried>> =

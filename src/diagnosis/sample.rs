@@ -104,6 +104,22 @@ impl Sample {
         Sample::new(case, pixels)
     }
 
+    /// The blocks that `keep` says, with their numbers, and which places of this sample they have.
+    pub fn only(&self, keep: impl Fn(u32) -> bool) -> (Sample, Vec<usize>) {
+        let places: Vec<usize> = (0..self.len()).filter(|&n| keep(self.block[n])).collect();
+        let mut place = vec![NOWHERE; self.place.len()];
+        for (n, &from) in places.iter().enumerate() {
+            place[self.pixels[from] as usize] = n as u32;
+        }
+        let sample = Sample {
+            pixels: places.iter().map(|&n| self.pixels[n]).collect(),
+            is_inner: places.iter().map(|&n| self.is_inner[n]).collect(),
+            block: places.iter().map(|&n| self.block[n]).collect(),
+            place,
+        };
+        (sample, places)
+    }
+
     /// Every pixel, in blocks of `side` x `side`.
     pub fn all(case: &Case, side: u32) -> Sample {
         let (width, height) = (case.extent.width, case.extent.height);

@@ -62,7 +62,7 @@ fn effects(text: &str) -> Vec<Box<dyn Effect>> {
 }
 
 fn run(samples: &Samples, effects: &[Box<dyn Effect>]) -> usize {
-    let chain = Chain { pixel: pixel(), reset: Reset::Resample, effects };
+    let chain = Chain { pixel: pixel(), reset: Reset::Resample, effects, tolerance: photocurrent_sensor::forward::TOLERANCE };
     simulate(&chain, &SITE, &LinearLight::new(&samples.t_ns, &samples.photocurrent), 0, SPAN_NS, &mut Noiseless).len()
 }
 

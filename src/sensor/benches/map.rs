@@ -100,7 +100,14 @@ fn pixels(kind: &str) -> Vec<Recorded> {
         let light = LinearLight::new(&t_ns, &current);
         let mut noise = Random(n + 20_240_607);
         let site = Site { x: n as u32, y: 0, width: PIXELS as u32, height: 1, seed: 0 };
-        let fired = simulate(&Chain { pixel, reset: Reset::Resample, effects: &[] }, &site, &light, 0, SPAN_NS, &mut noise);
+        let fired = simulate(
+            &Chain { pixel, reset: Reset::Resample, effects: &[], tolerance: photocurrent_sensor::forward::TOLERANCE },
+            &site,
+            &light,
+            0,
+            SPAN_NS,
+            &mut noise,
+        );
         let events =
             fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity, is_lone: false }).collect();
         let frames = (0..30).map(|l| {

@@ -68,7 +68,7 @@ mod tests {
         for i in [0.03, 0.3, 30.0] {
             let fine = Pixel { threshold_on: 0.002, threshold_off: 0.002, ..ideal_pixel() };
             let ramp = Samples { t_ns: vec![0, 100 * MS], photocurrent: vec![i, 2.0 * i] };
-            let chain = Chain { pixel: fine, reset: Reset::Resample, effects: &dark };
+            let chain = Chain { pixel: fine, reset: Reset::Resample, effects: &dark, tolerance: crate::forward::TOLERANCE };
             let events = simulate(&chain, &SITE, &ramp.light(), 0, 100 * MS, &mut Noiseless);
             let expected = libm::log((2.0 * i + 0.3) / (i + 0.3)) / 0.002;
             assert_eq!(events.len(), expected as usize, "at {i}");

@@ -53,7 +53,7 @@ pub fn recorded(pixel: Pixel, effects: Vec<Box<dyn Effect>>, samples: &Samples, 
 
 /// [`recorded`] for another pixel of the array.
 pub fn recorded_at(site: &Site, pixel: Pixel, effects: Vec<Box<dyn Effect>>, samples: &Samples, end_ns: i64) -> Vec<PixelEvent> {
-    let chain = Chain { pixel, reset: Reset::Resample, effects: &effects };
+    let chain = Chain { pixel, reset: Reset::Resample, effects: &effects, tolerance: crate::forward::TOLERANCE };
     simulate(&chain, site, &samples.light(), 0, end_ns, &mut Noiseless).into_iter().filter_map(|fired| fired.recorded).collect()
 }
 

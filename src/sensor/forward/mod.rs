@@ -30,6 +30,7 @@ mod steps;
 pub use crate::effects::PixelEvent;
 pub use frames::{FrameReadout, read_frames};
 pub use light::LinearLight;
+pub use numeric::TOLERANCE;
 pub use pixel::{Chain, Fired, simulate};
 
 use crate::effects::Site;
@@ -86,7 +87,7 @@ impl PixelNoise for Noiseless {}
 ///
 /// When `log_step` is not positive.
 pub fn simulate_events(pixel: &Pixel, light: &LinearLight<'_>, start_ns: i64, end_ns: i64, noise: &mut impl PixelNoise) -> Vec<PixelEvent> {
-    let chain = Chain { pixel: *pixel, reset: Reset::Resample, effects: &[] };
+    let chain = Chain { pixel: *pixel, reset: Reset::Resample, effects: &[], tolerance: TOLERANCE };
     let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
     simulate(&chain, &site, light, start_ns, end_ns, noise).into_iter().map(|fired| fired.event).collect()
 }

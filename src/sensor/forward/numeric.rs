@@ -3,7 +3,7 @@
 //! Three states in a cascade: the low-pass `v1`, the second pole `v2`, the level `h` that a high-pass subtracts. They are stiff
 //! (microseconds beside milliseconds), so the method is implicit: Rodas3, a Rosenbrock method of order 3 that is L-stable and needs no
 //! iteration (Sandu et al., "Benchmarking stiff ODE solvers II", 1997); the Jacobian is triangular. Steps are chosen
-//! so that the estimated error stays below [`TOLERANCE`]. Inside a step the state is the same method with a shorter step, so a crossing
+//! so that the estimated error stays below a tolerance, [`TOLERANCE`] unless a caller asks for less. Inside a step the state is the same method with a shorter step, so a crossing
 //! time is as good as the integration itself, not as an interpolation.
 //!
 //! Limits: time constants below [`TAU_LEAST_S`] are taken as that; it is far below a stamp's resolution.
@@ -13,7 +13,7 @@ use crate::effects::{Drive, FrontEndModel};
 
 /// Error allowed per step, natural-log units. At a slope of 1 ln/s this moves a crossing by 0.1 us; the solution carried on
 /// is one order better than the estimate.
-pub(super) const TOLERANCE: f64 = 1e-7;
+pub const TOLERANCE: f64 = 1e-7;
 
 /// The shortest time constant, seconds.
 const TAU_LEAST_S: f64 = 1e-9;
@@ -46,6 +46,8 @@ pub(super) struct System<'a> {
     pub model: &'a FrontEndModel,
     pub first: f64,
     pub slope_per_s: f64,
+    /// Error allowed per step, natural-log units.
+    pub tolerance: f64,
 }
 
 /// Rates and the nonzero part of the Jacobian that depends on the state.
@@ -132,8 +134,8 @@ impl System<'_> {
         let mut h = f64::min(*guess_s, most_s);
         loop {
             let (end, error) = self.step(t_s, y, h);
-            let factor = if error == 0.0 { 5.0 } else { (0.9 * libm::cbrt(TOLERANCE / error)).clamp(0.2, 5.0) };
-            if error <= TOLERANCE || h <= STEP_LEAST_S {
+            let factor = if error == 0.0 { 5.0 } else { (0.9 * libm::cbrt(self.tolerance / error)).clamp(0.2, 5.0) };
+            if error <= self.tolerance || h <= STEP_LEAST_S {
                 // A step cut short by the end of the light's piece says little about the next one.
                 let was_cut_short = h < *guess_s;
                 *guess_s = f64::max(h * factor, if was_cut_short { *guess_s } else { STEP_LEAST_S });
@@ -191,7 +193,7 @@ impl Response for NumericResponse<'_> {
     fn stays_within(&self, low: f64, high: f64) -> bool {
         let [(u0, r0), (u1, r1)] = self.ends;
         let third = self.length_s / 3.0;
-        let margin = 10.0 * TOLERANCE;
+        let margin = 10.0 * self.system.tolerance;
         [u0, u0 + r0 * third, u1 - r1 * third, u1].iter().all(|u| *u > low + margin && *u < high - margin)
     }
 

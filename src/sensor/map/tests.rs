@@ -126,7 +126,7 @@ pub(super) fn recorded(reset: Reset) -> Recorded {
         log_step: LOG_STEP,
     };
     let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
-    let fired = simulate(&Pixels { pixel, reset, effects: &[] }, &site, &light, 0, END_NS, &mut Noiseless);
+    let fired = simulate(&Pixels { pixel, reset, effects: &[], tolerance: crate::forward::TOLERANCE }, &site, &light, 0, END_NS, &mut Noiseless);
     let events = fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity, is_lone: false }).collect();
     let frames = (0..5).map(|l| {
         let (start_ns, end_ns) = (l * 8_000_000, l * 8_000_000 + 6_000_000);
@@ -285,7 +285,8 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
         log_step: LOG_STEP,
     };
     let site = Site { x: 0, y: 0, width: 1, height: 1, seed: 0 };
-    let fired = simulate(&Pixels { pixel, reset: Reset::Resample, effects: &[] }, &site, &light, 0, 100_000_000, &mut Noiseless);
+    let fired =
+        simulate(&Pixels { pixel, reset: Reset::Resample, effects: &[], tolerance: crate::forward::TOLERANCE }, &site, &light, 0, 100_000_000, &mut Noiseless);
     let events: Vec<MapEvent> =
         fired.iter().map(|f| MapEvent { t_in_ns: f.event.t_in_ns, t_off_ns: f.event.t_off_ns, polarity: f.event.polarity, is_lone: false }).collect();
     let sensor = MapSensor { threshold_on: 0.3, threshold_off: 0.3, ..sensor(Reset::Resample) };

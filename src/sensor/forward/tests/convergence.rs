@@ -130,12 +130,12 @@ fn the_integrator_finds_the_times_of_the_closed_form() {
 
 #[test]
 fn a_step_of_the_integrator_has_an_error_of_fourth_order() {
-    use super::super::numeric::System;
+    use super::super::numeric::{System, TOLERANCE};
     let mut model = FrontEndModel::plain(FrontEnd { tau_0_s: 1e-4, alpha_s: 2e-4 });
     model.second_pole = Some(crate::effects::SecondPole { tau_s: 2e-4, tau_light_s: 1e-4 });
     model.high_pass_s = 1e-3;
     model.drive = crate::effects::Drive::LargeSignal;
-    let system = System { model: &model, first: 1.0, slope_per_s: 3e3 };
+    let system = System { model: &model, first: 1.0, slope_per_s: 3e3, tolerance: TOLERANCE };
     let start = [-0.8, -0.5, -0.2];
     let error = |h: f64| {
         let whole = system.step(0.0, &start, h).0;

@@ -137,7 +137,7 @@ fn agree(name: &str, case: Case) {
             log_step: LOG_STEP,
         };
         let effects: Vec<Box<dyn Effect>> = vec![Box::new(Made(case))];
-        let chain = Chain { pixel, reset: case.reset, effects: &effects };
+        let chain = Chain { pixel, reset: case.reset, effects: &effects, tolerance: crate::forward::TOLERANCE };
         let site = Site { x: 0, y: 0, width: 1, height: 1, seed };
         let ours = simulate(&chain, &site, &light.light(), 0, duration_ns, &mut Noiseless);
         let theirs = euler(&case, &light, duration_ns as f64 / 1e9);

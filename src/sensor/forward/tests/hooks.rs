@@ -110,7 +110,7 @@ fn an_effect_draws_from_streams_of_its_own() {
     let ramp = Samples::of_log(100 * MS, |t| -1.0 + 20.0 * t);
     let alone = recorded(ideal_pixel(), vec![Box::new(Draws)], &ramp, 100 * MS);
     let effects: Vec<Box<dyn Effect>> = vec![Box::new(Stamps), Box::new(Draws)];
-    let chain = Chain { pixel: ideal_pixel(), reset: Reset::Resample, effects: &effects };
+    let chain = Chain { pixel: ideal_pixel(), reset: Reset::Resample, effects: &effects, tolerance: crate::forward::TOLERANCE };
     let both = simulate(&chain, &SITE, &ramp.light(), 0, 100 * MS, &mut Noiseless);
     assert_eq!(both.iter().map(|fired| fired.event).collect::<Vec<_>>(), alone, "stamping does not disturb thresholds");
     assert!(both.iter().any(|fired| fired.recorded != Some(fired.event)));

@@ -31,7 +31,7 @@ fn ours(reset: Reset) -> Vec<Vec<(i64, bool)>> {
         refractory_ns: 0,
         log_step: LOG_STEP,
     };
-    let chain = Chain { pixel, reset, effects: &[] };
+    let chain = Chain { pixel, reset, effects: &[], tolerance: crate::forward::TOLERANCE };
     let row = |x: usize| {
         let photocurrent: Vec<f64> = light.iter().skip(x).step_by(WIDTH).copied().collect();
         let site = Site { x: x as u32, y: 36, width: WIDTH as u32, height: 72, seed: 0 };

@@ -4,7 +4,7 @@ use super::super::*;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, intervals_s};
 
 fn events(pixel: Pixel, reset: Reset, samples: &Samples, end_ns: i64) -> Vec<PixelEvent> {
-    let chain = Chain { pixel, reset, effects: &[] };
+    let chain = Chain { pixel, reset, effects: &[], tolerance: crate::forward::TOLERANCE };
     simulate(&chain, &SITE, &samples.light(), 0, end_ns, &mut Noiseless).into_iter().map(|fired| fired.event).collect()
 }
 
