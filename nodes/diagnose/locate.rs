@@ -132,8 +132,8 @@ control_frame_residuals = "control_residuals.frames"
         );
         let (here, there) = (recording.surroundings(), control.surroundings());
         let curves = scan(
-            &Side { events: &events, frames: &frames, wanted: &[], surroundings: &here },
-            &Side { events: &control_events, frames: &control_frames, wanted: &[], surroundings: &there },
+            &Side { events: &events, frames: &frames, surroundings: &here },
+            &Side { events: &control_events, frames: &control_frames, surroundings: &there },
             cx.seed(),
         );
         for curve in curves.iter().filter(|curve| curve.p_value <= self.params.significance) {
@@ -171,8 +171,6 @@ fn channel(channel: Channel) -> &'static str {
         Channel::Delay => "delay",
         Channel::Frames => "frames",
         // Told by the refit that wants them.
-        Channel::Threshold => "threshold",
-        Channel::Stamps => "stamps",
     }
 }
 

@@ -91,7 +91,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let knowledge = Knowledge::shipped().map_err(|why| NodeError::failed(format!("the knowledge that is built in cannot be read: {why}")))?;
         let found = Prepared::new(&case, Nominal::new(&case)?, self.params.across, cx.seed()).map_err(NodeError::failed)?;
         let z = if found.own.names == knowledge.names {
-            knowledge.floor.level(&found.context, "").z(&found.deviation)
+            knowledge.floor.level(&found.context).z(&found.deviation)
         } else {
             cx.note("the built-in knowledge was made for other summaries: `z` is not known");
             vec![f64::NAN; found.deviation.len()]

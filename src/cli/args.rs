@@ -30,6 +30,8 @@ pub enum Command {
     Inspect(InspectOptions),
     /// Say where a recording and the sensor description differ, and which physics is missing
     Diagnose(DiagnoseOptions),
+    /// Make what a diagnosis knows beforehand: what recordings without an effect look like, and the network that proposes causes
+    Learn(LearnOptions),
     /// List the node kinds, or print the manual of one
     Nodes(NodesOptions),
     /// List what a sensor may do beyond the paper's model, or print the page of one effect
@@ -253,6 +255,33 @@ pub struct DiagnoseOptions {
     /// Print diagnosis.json instead of a summary
     #[arg(long)]
     pub json: bool,
+    /// Say only what went wrong
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct LearnOptions {
+    /// Recordings known to have no effect that their description does not state (.h5); only their deviations are kept
+    pub nulls: Vec<PathBuf>,
+    /// Made-up scenes, each with every effect; a third of a minute each on one core at 96x72
+    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..))]
+    pub scenes: u64,
+    /// Strengths of each effect on each scene
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=100))]
+    pub strengths: u64,
+    /// Size of the made-up arrays, pixels
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "96x72")]
+    pub size: String,
+    /// Folder for knowledge.bin and proposer.onnx; scenes that are in it already are not made again
+    #[arg(short, long, value_name = "FOLDER", default_value = "out/knowledge")]
+    pub out: PathBuf,
+    /// Steps of the network's training
+    #[arg(long, value_name = "N", default_value_t = 3000)]
+    pub steps: u64,
+    /// Seed of everything random
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
     /// Say only what went wrong
     #[arg(short, long)]
     pub quiet: bool,

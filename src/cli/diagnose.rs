@@ -38,13 +38,8 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     }
     let bar = bar(options.quiet);
     bar.set_message("reading the recording");
-    // The HDF5 library's word for a missing file comes without what to do about it.
-    if let Err(error) = std::fs::metadata(&options.recording) {
-        let hint = "hint: name a recording, an HDF5 file in the form photocurrent-recording/1 (docs/formats.md)";
-        return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", options.recording.display())));
-    }
-    let recording = Recording::open(&options.recording)?;
-    let sensor = sensor(options, &recording)?;
+    let recording = open(&options.recording)?;
+    let sensor = sensor(options.sensor.as_deref(), &recording)?;
     let case = match case(&recording, &sensor) {
         Ok(case) => case,
         Err(Unread::Content(why)) => {
@@ -74,6 +69,16 @@ fn text(report: &Report) -> Result<String, Failure> {
     report.to_json().map_err(|why| Failure::other(format!("the report cannot be written as JSON: {why}")))
 }
 
+/// Opens a recording.
+pub fn open(path: &Path) -> Result<Recording, Failure> {
+    // The HDF5 library's word for a missing file comes without what to do about it.
+    if let Err(error) = std::fs::metadata(path) {
+        let hint = "hint: name a recording, an HDF5 file in the form photocurrent-recording/1 (docs/formats.md)";
+        return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", path.display())));
+    }
+    Ok(Recording::open(path)?)
+}
+
 /// What says on a terminal how far we are.
 fn bar(quiet: bool) -> ProgressBar {
     if quiet || !std::io::stderr().is_terminal() {
@@ -93,33 +98,34 @@ fn knowledge(options: &DiagnoseOptions) -> Result<Option<Knowledge>, Failure> {
 }
 
 /// The description: a file's, or the recording's own.
-fn sensor(options: &DiagnoseOptions, recording: &Recording) -> Result<Sensor, Failure> {
+pub fn sensor(file: Option<&Path>, recording: &Recording) -> Result<Sensor, Failure> {
     let parse = |source| Sensor::parse(&source).map_err(Failure::Problems);
-    if let Some(path) = &options.sensor {
+    if let Some(path) = file {
         let text = std::fs::read_to_string(path).map_err(|error| usage(format!("{}: cannot read the sensor description: {error}", path.display())))?;
         return parse(Source::new(path.display().to_string(), path.parent().unwrap_or(Path::new(".")), text));
     }
-    let name = options.recording.display();
+    let name = recording.path().display();
     let Some(text) = recording.sensor_text() else {
         let hint = "hint: say which sensor it is: --sensor sensor.toml (docs/formats.md states the form)";
         return Err(usage(format!("{name}: there is no sensor description in the recording (/sensor)\n  {hint}")));
     };
-    parse(Source::new(format!("{name}:/sensor"), options.recording.parent().unwrap_or(Path::new(".")), text))
+    parse(Source::new(format!("{name}:/sensor"), recording.path().parent().unwrap_or(Path::new(".")), text))
 }
 
-fn usage(message: String) -> Failure {
+pub fn usage(message: String) -> Failure {
     Failure::Other { message, code: 2 }
 }
 
 /// Why a recording is no case.
-enum Unread {
+pub enum Unread {
     /// Its data contradict the format or themselves: that is a verdict.
     Content(String),
     /// Anything else.
     Other(Failure),
 }
 
-fn case(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> {
+/// A recording in memory.
+pub fn case(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> {
     let name = recording.path().display();
     // Read once before, for the reader's own word on what is wrong.
     match recording.read_events(recording.extent().rows()) {

@@ -10,6 +10,7 @@ mod diagnose;
 mod effects;
 mod graph;
 mod inspect;
+mod learn;
 mod nodes;
 mod plan;
 mod problems;
@@ -34,6 +35,7 @@ fn main() -> ExitCode {
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),
         Command::Diagnose(options) => diagnose::diagnose(options),
+        Command::Learn(options) => learn::learn(options),
         Command::Nodes(options) => nodes::nodes(options),
         Command::Effects(options) => effects::effects(options),
         Command::Schema => nodes::schema(),

@@ -53,11 +53,13 @@ pub enum Covariate {
     Laplacian,
     /// Seconds since the last event of one of the eight neighbours.
     NeighbourEvent,
+    /// Phase of a rhythm, in periods from 0 to 1; see [`Surroundings::with_period`].
+    AcPhase,
 }
 
 impl Covariate {
     /// All of them.
-    pub const ALL: [Covariate; 20] = [
+    pub const ALL: [Covariate; 21] = [
         Covariate::Row,
         Covariate::RowParity,
         Covariate::Column,
@@ -78,6 +80,7 @@ impl Covariate {
         Covariate::SpatialGradient,
         Covariate::Laplacian,
         Covariate::NeighbourEvent,
+        Covariate::AcPhase,
     ];
 
     /// The name in reports.
@@ -103,6 +106,7 @@ impl Covariate {
             Covariate::SpatialGradient => "spatial_gradient",
             Covariate::Laplacian => "laplacian",
             Covariate::NeighbourEvent => "neighbour_event",
+            Covariate::AcPhase => "ac_phase",
         }
     }
 
@@ -129,6 +133,7 @@ pub struct Surroundings<'a> {
     /// Events up to the start of each millisecond: of the array, and of each row.
     array_load: Vec<u32>,
     row_load: Vec<Vec<u32>>,
+    period_ns: Option<i64>,
 }
 
 impl<'a> Surroundings<'a> {
@@ -145,7 +150,13 @@ impl<'a> Surroundings<'a> {
                 row_load[y as usize][bin] += 1;
             }
         }
-        Surroundings { case, sample, scene, tau, array_load, row_load }
+        Surroundings { case, sample, scene, tau, array_load, row_load, period_ns: None }
+    }
+
+    /// With the period of a rhythm.
+    #[must_use]
+    pub fn with_period(self, period_ns: Option<i64>) -> Self {
+        Surroundings { period_ns, ..self }
     }
 
     /// Size of the array, and number of pixels of the sample.
@@ -198,6 +209,10 @@ impl<'a> Surroundings<'a> {
             Covariate::NeighbourEvent => {
                 let latest = self.around(x, y).filter(|&neighbour| neighbour != pixel).filter_map(|neighbour| Some(self.before(neighbour, t_ns)?.0)).max()?;
                 (t_ns - latest) as f64 * 1e-9
+            }
+            Covariate::AcPhase => {
+                let period_ns = self.period_ns?;
+                (t_ns - self.case.span.0).rem_euclid(period_ns) as f64 / period_ns as f64
             }
         })
     }

@@ -240,7 +240,7 @@ fn report(
             insertion: found.insertion.clone(),
             parameters: Default::default(),
             location,
-            evidence: Evidence { statistic: found.score, ..Evidence::default() },
+            evidence: Evidence { statistic: found.score, heldout_nats: Some(found.nats), found_by: vec![crate::roads::REFIT.into()], ..Evidence::default() },
         });
     }
     let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
@@ -366,7 +366,7 @@ fn summary(integrity: &Integrity, answer: &Answer) -> String {
         Verdict::Insufficient => integrity.lacking.join("; "),
         Verdict::Consistent => "the recording agrees with the description as far as these tests see; detectability says how far that is".into(),
         Verdict::Unnamed => "the recording differs from the description, and no effect of the catalogue explains how".into(),
-        Verdict::Numerical => "what differs is not more than numerical error".into(),
+        Verdict::Numerical => "what differs is an error of our own: light at knots twice as near takes away more of it than any effect does".into(),
         Verdict::Named | Verdict::Ambiguous => answer.claims.iter().map(name).collect::<Vec<_>>().join(", and "),
     }
 }

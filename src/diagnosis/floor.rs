@@ -15,7 +15,7 @@ pub struct Floor {
 /// A recording without an effect.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Null {
-    /// Digest or name, so that a recording never is its own floor.
+    /// A name to tell it by.
     pub name: String,
     /// Kind of recording.
     pub context: Vec<f32>,
@@ -36,6 +36,8 @@ pub struct Level {
 
 /// Width of the neighbourhood in context, in mean squared standard deviations.
 const WIDTH: f64 = 0.5;
+/// Numbers of a context that differ by less than this share are equal; they are kept in 16 bits.
+const SAME: f64 = 0.004;
 /// Weight of a null however far it is.
 const FAR: f64 = 0.03;
 /// The spread over all nulls counts as much as so many of the near ones.
@@ -58,11 +60,11 @@ impl Floor {
             .collect()
     }
 
-    /// Weight of every null for a recording of a context, from [`FAR`] to 1; 0 for those of the name `without`.
-    pub fn weights(&self, context: &[f64], without: &str) -> Vec<f64> {
+    /// Weight of every null for a recording of a context, from [`FAR`] to 1; 0 for a null of the very same context, which is the recording itself.
+    pub fn weights(&self, context: &[f64]) -> Vec<f64> {
         let scale = self.context_scale();
         let weight = |null: &Null| {
-            if null.name == without {
+            if null.context.iter().zip(context).all(|(own, c)| (f64::from(*own) - c).abs() <= SAME * c.abs()) {
                 return 0.0;
             }
             let far: f64 = null.context.iter().zip(context).zip(&scale).map(|((own, c), (_, s))| (f64::from(*own) - c) * (f64::from(*own) - c) / (s * s)).sum();
@@ -71,9 +73,9 @@ impl Floor {
         self.nulls.iter().map(weight).collect()
     }
 
-    /// The floor for a recording of a context; `without` names a null that must not count, the recording itself.
-    pub fn level(&self, context: &[f64], without: &str) -> Level {
-        let weights = self.weights(context, without);
+    /// The floor for a recording of a context; the recording itself does not count.
+    pub fn level(&self, context: &[f64]) -> Level {
+        let weights = self.weights(context);
         let length = self.nulls.first().map_or(0, |null| null.deviation.len());
         let total: f64 = weights.iter().sum::<f64>() + 1e-9;
         let nulls = total * total / (weights.iter().map(|w| w * w).sum::<f64>() + 1e-9);
@@ -111,10 +113,10 @@ mod tests {
     fn near_nulls_decide_the_mean_and_the_recording_itself_does_not_count() {
         let near = (0..10).map(|n| null("near", 0.0, 1.0 + 0.01 * n as f32));
         let far = (0..10).map(|n| null("far", 4.0, -1.0 + 0.01 * n as f32));
-        let floor = Floor { nulls: near.chain(far).chain([null("self", 0.0, 100.0)]).collect() };
-        let level = floor.level(&[0.0], "self");
+        let floor = Floor { nulls: near.chain(far).chain([null("self", 0.1, 100.0)]).collect() };
+        let level = floor.level(&[0.1]);
         assert!((level.mean[0] - 1.0).abs() < 0.15, "{}", level.mean[0]);
         assert!(level.spread[0] < 1.0);
-        assert!(floor.level(&[0.0], "").mean[0] > 5.0);
+        assert!(floor.level(&[0.11]).mean[0] > 5.0);
     }
 }

@@ -25,10 +25,6 @@ pub enum Channel {
     Delay,
     /// Log of recorded over simulated frame values, less the pixel's own mean.
     Frames,
-    /// By what share both thresholds would have to be higher for events to agree better.
-    Threshold,
-    /// By how much stamps would have to be later, seconds.
-    Stamps,
 }
 
 impl Channel {
@@ -37,8 +33,7 @@ impl Channel {
         match self {
             Channel::Extra | Channel::Missing => 2e-3,
             Channel::Delay => 2e-6,
-            Channel::Frames | Channel::Threshold => 5e-3,
-            Channel::Stamps => 5e-6,
+            Channel::Frames => 5e-3,
         }
     }
 }
@@ -70,25 +65,8 @@ pub struct Side<'a> {
     pub events: &'a [EventDifference],
     /// Its frames against its simulation.
     pub frames: &'a [FrameDifference],
-    /// What would make each event agree better ([`crate::open`]).
-    pub wanted: &'a [Wanted],
     /// What covariates are computed from.
     pub surroundings: &'a Surroundings<'a>,
-}
-
-/// What would make an event agree better.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wanted {
-    /// Pixel of the array.
-    pub pixel: u32,
-    /// When it was recorded, ns.
-    pub t_ns: i64,
-    /// +1 or -1.
-    pub polarity: i8,
-    /// See [`Channel::Threshold`].
-    pub threshold: f64,
-    /// See [`Channel::Stamps`].
-    pub stamps: f64,
 }
 
 /// Squares of pixels as numbers from 0.
@@ -137,7 +115,7 @@ pub fn scan(recording: &Side<'_>, control: &Side<'_>, seed: u64) -> Vec<Curve> {
     let squares = Squares::of(recording.surroundings);
     // Of each curve, per draw, the statistic with flipped signs.
     let mut largest = vec![0.0_f64; DRAWS];
-    for channel in [Channel::Extra, Channel::Missing, Channel::Delay, Channel::Frames, Channel::Threshold, Channel::Stamps] {
+    for channel in [Channel::Extra, Channel::Missing, Channel::Delay, Channel::Frames] {
         for covariate in Covariate::ALL {
             let (here, there) = (values(recording, &squares, channel, covariate), values(control, &squares, channel, covariate));
             let Some(binned) = Binned::new(&here, &there, channel, covariate) else { continue };
@@ -174,13 +152,8 @@ fn values(side: &Side<'_>, squares: &Squares, channel: Channel, covariate: Covar
         let at = (!is_of_events).then(|| side.surroundings.value(covariate, frame.pixel as usize, frame.t_ns, 1)).flatten()?;
         Some(Value { at, square: squares.number(frame.pixel), value: frame.log_ratio })
     };
-    let of_wanted = |wanted: &Wanted| -> Option<Value> {
-        let at = side.surroundings.value(covariate, wanted.pixel as usize, wanted.t_ns, wanted.polarity)?;
-        Some(Value { at, square: squares.number(wanted.pixel), value: if channel == Channel::Threshold { wanted.threshold } else { wanted.stamps } })
-    };
     match channel {
         Channel::Frames => side.frames.iter().filter_map(of_frame).collect(),
-        Channel::Threshold | Channel::Stamps => side.wanted.iter().filter_map(of_wanted).collect(),
         Channel::Extra | Channel::Missing | Channel::Delay => side.events.iter().filter_map(of_event).collect(),
     }
 }
@@ -314,7 +287,7 @@ mod tests {
         let surroundings = Surroundings::new(&case, &sample, &scene, (30e-6, 5e-3));
         let here = events(&case, &sample, seed, extra, delay_ns);
         let there = events(&case, &sample, seed + 1000, |_, _| 0.1, |_, _| 0.0);
-        let side = |events| Side { events, frames: &[], wanted: &[], surroundings: &surroundings };
+        let side = |events| Side { events, frames: &[], surroundings: &surroundings };
         scan(&side(&here), &side(&there), seed)
     }
 

@@ -1,93 +1,388 @@
-//! What an effect that nobody has named depends on.
+//! What an effect that nobody has named depends on, and by which curve.
 //!
-//! The best sensor so far is tried with thresholds a little higher and lower, and with stamps a little earlier and later. What each event costs then ([`crate::mismatch`]) says which way
-//! it would have to be moved. Where these wishes differ from those of a simulated recording of the same sensor, bin by bin of some covariate, the sensor has
-//! a threshold or a delay that depends on it; no form is presumed ([`crate::locate`]).
+//! Changes of closures ([`crate::closures`]) are regressed on what thresholds and stamps would add that differ from bin to bin of a covariate. No form is presumed, but for
+//! a rhythm: its period is that of the strongest Fourier component. What a curve takes away is counted on pixels that it was not fitted to, beyond the simplest effects of the
+//! catalogue, and beyond what named effects explain: those are simulated on the recording's own light, and their changes of closures are regressors too.
+//!
+//! A simulated recording of the same sensor is treated alike. The curve that it asks for is an error of the light through the events, and where curves start from.
 
-use crate::candidates::{CANDIDATES, Trial};
+use crate::band::Band;
+use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::case::Case;
-use crate::covariates::Surroundings;
-use crate::locate::{Channel, Curve, Side, Wanted, scan};
-use crate::mismatch::for_each_cost;
-use crate::refit::Refit;
+use crate::closures::{Change, PLAIN, changes};
+use crate::covariates::{Covariate, Surroundings};
+use crate::nominal::Nominal;
+use crate::record::{Conditions, effects_of, record};
+use crate::regression::Products;
+use crate::rhythm::strongest_period_ns;
+use crate::sample::Sample;
 use crate::scene::Scene;
-use crate::under::Under;
+use photocurrent_core::random::Random;
+use photocurrent_sensor::effects::{FrontEndModel, History, Thresholds};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
-/// By how much thresholds and stamps are tried off, in strengths of their candidates.
-const TRIED: [(&str, f64); 2] = [("threshold_scale", 0.4), ("clock_offset", 0.16)];
-/// The least mean curvature of the cost, in units of an event: flatter ones say nothing.
-const LEAST_CURVATURE: f64 = 0.01;
+/// What is moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Moved {
+    /// Both thresholds, as a share of them.
+    Threshold,
+    /// Stamps, seconds later.
+    Stamps,
+}
 
-/// The curves of thresholds and stamps over every covariate, most significant first.
+impl Moved {
+    /// Where it enters, by the names of docs/formats.md.
+    pub fn insertion(self) -> &'static str {
+        match self {
+            Moved::Threshold => "comparator",
+            Moved::Stamps => "time",
+        }
+    }
+
+    /// As an equation.
+    pub fn equation(self) -> &'static str {
+        match self {
+            Moved::Threshold => "threshold * (1 + c)",
+            Moved::Stamps => "stamp + c",
+        }
+    }
+}
+
+/// A curve over a covariate, and what it explains.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Law {
+    /// What it moves.
+    pub moved: Moved,
+    /// What it depends on.
+    pub covariate: Covariate,
+    /// Of a rhythm, its period, seconds.
+    pub period_s: Option<f64>,
+    /// Mean of the covariate in each bin.
+    pub at: Vec<f64>,
+    /// By how much in each bin, less the mean of all: a share, or seconds.
+    pub value: Vec<f64>,
+    /// Half the difference of what two halves of the pixels say.
+    pub error: Vec<f64>,
+    /// Share of the squares that it takes away, on pixels that it was not fitted to.
+    pub taken: f64,
+    /// The same over its standard error from part to part of the array.
+    pub significance: f64,
+    /// Gain in the log of the likelihood of a change of closure, nats, on pixels that it was not fitted to.
+    pub nats_per_change: f64,
+}
+
+/// Bins of a covariate on a scale.
+const BINS: usize = 10;
+/// Fewest events of a bin.
+const LEAST_EVENTS: usize = 100;
+/// Parts of the array that tell an error: across and down.
+const PARTS: (u32, u32) = (6, 5);
+/// Of an array with more events than this only some blocks are looked at.
+const MOST_EVENTS: usize = 150_000;
+/// Side of a block, pixels.
+const BLOCK: u32 = 7;
+/// Columns are drawn to zero as by this share of their own square.
+const RIDGE: f64 = 1e-6;
+
+/// A recording or its control, ready to be regressed.
+struct Side {
+    case: Case,
+    light: Scene,
+    changes: Vec<Change>,
+    /// Pixel, stamp and polarity of the sample's events.
+    events: Vec<(u32, i64, i8)>,
+}
+
+impl Side {
+    fn new(case: &Case, nominal: &Nominal, sample: &Sample) -> Side {
+        let bands = Band::all(case, nominal, sample);
+        let events = sample.pixels.iter().flat_map(|&pixel| case.events.of(pixel as usize).iter().map(move |event| (pixel, event.t_in_ns, event.polarity)));
+        Side { changes: changes(case, nominal, sample, &bands), light: Band::scene(case, &bands), events: events.collect(), case: case.clone() }
+    }
+
+    fn lay(&self, covariate: Covariate, surroundings: &Surroundings<'_>) -> Vec<f64> {
+        let value = |&(pixel, t_ns, polarity): &(u32, i64, i8)| surroundings.value(covariate, pixel as usize, t_ns, polarity).unwrap_or(f64::NAN);
+        self.events.iter().map(value).collect()
+    }
+}
+
+/// Laws over all covariates, the one that takes away most first, beyond what the `named` candidates at their strengths explain.
 ///
 /// # Errors
 /// When effects cannot be combined.
-pub fn unknown(refit: &Refit<'_>, seed: u64) -> Result<Vec<Curve>, String> {
-    let (light, recording, here) = wishes(refit, refit.case, refit.base)?;
-    let own = refit.behind_mixing();
-    let control = Refit { case: &recording, base: &own, ..*refit };
-    let (again, _, there) = wishes(&control, &recording, &own)?;
-    let front_end = refit.base.nominal.pixel.front_end;
+pub fn laws(case: &Case, nominal: &Nominal, scales: &Scales, named: &[(usize, f64)], frame_noise: f64) -> Result<Vec<Law>, String> {
+    let thinned = case.events.all().len().div_ceil(MOST_EVENTS).max(1) as u32;
+    let (sample, _) = Sample::all(case, BLOCK).only(|block| block.is_multiple_of(thinned));
+    let mut trial = Trial::stated(nominal);
+    named.iter().for_each(|(candidate, strength)| CANDIDATES[*candidate].put_on(&mut trial, *strength, scales));
+    let known = as_nominal(case, &trial)?;
+    let nominal = known.as_ref().unwrap_or(nominal);
+    let here = Side::new(case, nominal, &sample);
+    if here.changes.is_empty() {
+        return Ok(Vec::new());
+    }
+    let again = |trial: &Trial| -> Result<Side, String> {
+        let conditions = Conditions { seed: 11, frame_share: frame_noise, ..Conditions::default() };
+        Ok(Side::new(&record(case, &trial.nominal, &sample, &here.light, &trial.effects, &conditions)?, nominal, &sample))
+    };
+    let stated = again(&Trial::stated(nominal))?;
+    let mut templates = Vec::new();
+    for &(candidate, strength) in named.iter().filter(|_| known.is_none()) {
+        let with = again(&Trial::with(nominal, &CANDIDATES[candidate], strength, scales))?;
+        templates.push(differences(&here.changes, &with.changes, &stated.changes));
+    }
+    let none: Vec<Vec<f64>> = templates.iter().map(|_| vec![0.0; stated.changes.len()]).collect();
+    let front_end = nominal.pixel.front_end;
     let tau = (front_end.tau_0_s, front_end.alpha_s);
-    let (around, around_again) = (Surroundings::new(refit.case, refit.sample, &light, tau), Surroundings::new(&recording, refit.sample, &again, tau));
-    let recorded = Side { events: &[], frames: &[], wanted: &here, surroundings: &around };
-    Ok(scan(&recorded, &Side { events: &[], frames: &[], wanted: &there, surroundings: &around_again }, seed))
+    let mut laws = Vec::new();
+    for moved in [Moved::Threshold, Moved::Stamps] {
+        let period_ns = rhythm(&here, &templates, moved);
+        let around = Surroundings::new(&here.case, &sample, &here.light, tau).with_period(period_ns);
+        let around_stated = Surroundings::new(&stated.case, &sample, &stated.light, tau).with_period(period_ns);
+        let found = Covariate::ALL.par_iter().filter_map(|&covariate| {
+            let (at, at_stated) = (here.lay(covariate, &around), stated.lay(covariate, &around_stated));
+            let bins = Bins::new(&at, covariate)?;
+            let of_recording = Part::all(&here, &sample, &templates, moved, &bins, &at);
+            let of_control = Part::all(&stated, &sample, &none, moved, &bins, &at_stated);
+            let period_s = period_ns.filter(|_| covariate == Covariate::AcPhase).map(|ns| ns as f64 * 1e-9);
+            let (value, error, weighed) = weigh(&of_recording, &of_control, templates.len(), bins.at.len());
+            Some(Law {
+                moved,
+                covariate,
+                period_s,
+                at: bins.at,
+                value,
+                error,
+                taken: weighed.0,
+                significance: weighed.1,
+                nats_per_change: -0.5 * libm::log(f64::max(1.0 - weighed.0, 1e-12)),
+            })
+        });
+        laws.extend(found.collect::<Vec<Law>>());
+    }
+    laws.sort_by(|a, b| b.taken.total_cmp(&a.taken));
+    Ok(laws)
 }
 
-/// The light, what the sensor records of it, and what each recorded event would have.
-fn wishes(refit: &Refit<'_>, case: &Case, base: &Trial) -> Result<(Scene, Case, Vec<Wanted>), String> {
-    let look = |trial: &Trial| -> Result<(Scene, Case, Vec<f64>), String> {
-        let under = Under::new(case, trial, refit.frame_noise)?;
-        let (light, recording) = under.corrected(refit.sample, refit.scene, refit.priors, refit.turns)?;
-        let mut costs = Vec::new();
-        for &pixel in &refit.sample.pixels {
-            for_each_cost(case.events.of(pixel as usize), recording.events.of(pixel as usize), |cost| costs.push(cost));
-        }
-        Ok((light, recording, costs))
+/// The sensor of a trial whose effects are nothing but other thresholds, time constants or blind times; none when there are no effects, or others.
+fn as_nominal(case: &Case, trial: &Trial) -> Result<Option<Nominal>, String> {
+    if trial.effects.is_empty()
+        || trial.effects.keys().any(|id| !matches!(id.as_str(), "threshold_scale" | "threshold_asymmetry" | "time_constant" | "refractory"))
+    {
+        return Ok(None);
+    }
+    let mut nominal = trial.nominal.clone();
+    let site = Nominal::site(case, 0, 1);
+    let mut model = FrontEndModel::plain(nominal.pixel.front_end);
+    let mut thresholds = Thresholds { on: nominal.pixel.threshold_on, off: nominal.pixel.threshold_off };
+    for effect in effects_of(case, &trial.effects)? {
+        effect.front_end(&site, &mut model);
+        effect.thresholds(&site, &History::default(), &mut Random::new(0, &[]), case.span.0, &mut thresholds);
+        nominal.pixel.refractory_ns = effect.refractory_ns(&site, 1.0, nominal.pixel.refractory_ns);
+    }
+    (nominal.pixel.threshold_on, nominal.pixel.threshold_off) = (thresholds.on, thresholds.off);
+    nominal.pixel.front_end = model.low_pass;
+    Ok(Some(nominal))
+}
+
+/// Changes with an effect less those without, in the places of the recording's own changes.
+fn differences(own: &[Change], with: &[Change], without: &[Change]) -> Vec<f64> {
+    let find =
+        |all: &[Change], one: &Change| all.binary_search_by(|other| (other.place, other.frame).cmp(&(one.place, one.frame))).ok().map(|at| all[at].value);
+    own.iter().map(|one| find(with, one).zip(find(without, one)).map_or(0.0, |(with, without)| with - without)).collect()
+}
+
+/// The period of what events ask for.
+fn rhythm(side: &Side, templates: &[Vec<f64>], moved: Moved) -> Option<i64> {
+    let mut products = Products::new(PLAIN + templates.len());
+    let row = |n: usize| -> Vec<(usize, f64)> {
+        let change = &side.changes[n];
+        change.plain.iter().copied().chain(templates.iter().map(|template| template[n])).enumerate().collect()
     };
-    let trials: Vec<Trial> = TRIED
-        .iter()
-        .flat_map(|(id, by)| [-by, *by].map(|strength| (*id, strength)))
-        .map(|(id, strength)| {
-            let mut trial = base.clone();
-            let candidate = CANDIDATES.iter().find(|candidate| candidate.id == id).ok_or_else(|| format!("{id} is no candidate"))?;
-            candidate.put_on(&mut trial, strength, refit.scales);
-            Ok(trial)
+    for (n, change) in side.changes.iter().enumerate() {
+        products.add(&row(n), change.value, change.weight);
+    }
+    let found = products.solve(|_| true, RIDGE);
+    // The gradient of the squares by what each event adds.
+    let asked = side.changes.iter().enumerate().flat_map(|(n, change)| {
+        let left = change.value - row(n).iter().map(|(k, x)| found[*k] * x).sum::<f64>();
+        change.events.iter().map(move |&(event, gain, delay)| {
+            let added = if moved == Moved::Threshold { gain } else { 1e-3 * delay };
+            (event, change.weight * added * left)
         })
-        .collect::<Result<_, String>>()?;
-    let (light, recording, plain) = look(base)?;
-    let tried = trials.par_iter().map(|trial| look(trial).map(|(_, _, costs)| costs)).collect::<Result<Vec<_>, String>>()?;
-    // The lowest point of a parabola for each event, with the mean curvature of all.
-    let wanted = |which: usize, unit: f64| -> Vec<f64> {
-        let (less, more) = (&tried[2 * which], &tried[2 * which + 1]);
-        let curvature = (0..plain.len()).map(|n| less[n] + more[n] - 2.0 * plain[n]).sum::<f64>() / f64::max(plain.len() as f64, 1.0);
-        let per = unit / f64::max(curvature, LEAST_CURVATURE);
-        (0..plain.len()).map(|n| 0.5 * (less[n] - more[n]) * per).collect()
-    };
-    let unit = |which: usize| {
-        let (id, by) = TRIED[which];
-        let candidate = CANDIDATES.iter().find(|candidate| candidate.id == id);
-        candidate.map_or(by, |candidate| candidate.value(by, refit.scales, &base.nominal) - candidate.nominal_value(&base.nominal))
-    };
-    let (thresholds, stamps) = (wanted(0, unit(0)), wanted(1, unit(1)));
-    let events = refit.sample.pixels.iter().flat_map(|&pixel| case.events.of(pixel as usize).iter().map(move |event| (pixel, event)));
-    let all = events.zip(thresholds).zip(stamps);
-    let one = |(((pixel, event), threshold), stamps): (((u32, &crate::case::Recorded), f64), f64)| Wanted {
-        pixel,
-        t_ns: event.t_in_ns,
-        polarity: event.polarity,
-        threshold,
-        stamps,
-    };
-    Ok((light, recording, all.map(one).collect()))
+    });
+    let frame_ns = side.case.frames.as_ref().filter(|frames| frames.times.len() > 1).map(|frames| {
+        let exposures = &frames.times.exposures;
+        (exposures[exposures.len() - 1].start.0 - exposures[0].start.0) / (exposures.len() as i64 - 1)
+    });
+    strongest_period_ns(asked.map(|(event, asks)| (side.events[event].1, asks)), side.case.span, frame_ns)
 }
 
-/// What a curve is of, in words.
-pub fn insertion(channel: Channel) -> &'static str {
-    match channel {
-        Channel::Threshold | Channel::Extra | Channel::Missing => "comparator",
-        Channel::Stamps | Channel::Delay => "time",
-        Channel::Frames => "exposure",
+/// Bins of a covariate: classes, or of as many events each.
+struct Bins {
+    edges: Vec<f64>,
+    /// Which bin each interval between edges is.
+    number: Vec<Option<usize>>,
+    at: Vec<f64>,
+}
+
+impl Bins {
+    fn new(values: &[f64], covariate: Covariate) -> Option<Bins> {
+        let mut all: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+        all.sort_by(f64::total_cmp);
+        let mut edges: Vec<f64> = if covariate.is_class() {
+            let mut classes = all.clone();
+            classes.dedup();
+            classes.into_iter().skip(1).collect()
+        } else {
+            (1..BINS).filter_map(|n| all.get(n * all.len() / BINS).copied()).collect()
+        };
+        edges.dedup();
+        edges.retain(|edge| all.first().is_some_and(|first| edge > first));
+        let mut sums = vec![(0_usize, 0.0); edges.len() + 1];
+        for value in &all {
+            let sum = &mut sums[edges.partition_point(|edge| edge <= value)];
+            *sum = (sum.0 + 1, sum.1 + value);
+        }
+        // Bins with too few events are none.
+        let mut number = Vec::new();
+        let mut at = Vec::new();
+        for (count, sum) in sums {
+            number.push((count >= LEAST_EVENTS).then_some(at.len()));
+            if count >= LEAST_EVENTS {
+                at.push(sum / count as f64);
+            }
+        }
+        (at.len() > 1).then_some(Bins { edges, number, at })
+    }
+
+    fn of(&self, value: f64) -> Option<usize> {
+        self.number[self.edges.partition_point(|edge| *edge <= value)].filter(|_| value.is_finite())
+    }
+}
+
+/// Sums of a part of the array, by half: pixels are of two, as squares of a chessboard.
+struct Part {
+    halves: [Products; 2],
+}
+
+impl Part {
+    fn all(side: &Side, sample: &Sample, templates: &[Vec<f64>], moved: Moved, bins: &Bins, at: &[f64]) -> Vec<Part> {
+        let columns = PLAIN + templates.len() + bins.at.len();
+        let mut parts: Vec<Part> = (0..PARTS.0 * PARTS.1).map(|_| Part { halves: [Products::new(columns), Products::new(columns)] }).collect();
+        let extent = side.case.extent;
+        let mut row = Vec::with_capacity(columns);
+        let mut own = vec![0.0; bins.at.len()];
+        for (n, change) in side.changes.iter().enumerate() {
+            let (x, y) = side.case.place(sample.pixels[change.place] as usize);
+            own.fill(0.0);
+            for &(event, gain, delay) in &change.events {
+                if let Some(bin) = bins.of(at[event]) {
+                    own[bin] += if moved == Moved::Threshold { gain } else { delay };
+                }
+            }
+            row.clear();
+            row.extend(change.plain.iter().copied().enumerate());
+            row.extend(templates.iter().enumerate().map(|(k, template)| (PLAIN + k, template[n])));
+            row.extend(own.iter().enumerate().map(|(k, value)| (PLAIN + templates.len() + k, *value)));
+            let part = y * PARTS.1 / extent.height * PARTS.0 + x * PARTS.0 / extent.width;
+            parts[part as usize].halves[(x + y) as usize % 2].add(&row, change.value, change.weight);
+        }
+        parts
+    }
+}
+
+fn sum_of(parts: &[Part], half: usize) -> Products {
+    let mut sum = parts[0].halves[half].clone();
+    parts[1..].iter().for_each(|part| sum.merge(&part.halves[half]));
+    sum
+}
+
+/// The curve, its error, and what it takes away with its significance.
+fn weigh(recording: &[Part], control: &[Part], templates: usize, bins: usize) -> (Vec<f64>, Vec<f64>, (f64, f64)) {
+    let first = PLAIN + templates;
+    let halves: [Products; 2] = std::array::from_fn(|half| sum_of(recording, half));
+    let whole = |parts: &[Part]| {
+        let mut sum = sum_of(parts, 0);
+        sum.merge(&sum_of(parts, 1));
+        sum
+    };
+    let (all, of_control) = (whole(recording), whole(control));
+    let law = |products: &Products| products.solve(|_| true, RIDGE);
+    let start = law(&of_control);
+    // Without a law: the simplest effects, beside the curve of the control or none, whichever leaves less.
+    let base = |from: &Products, on: &Products| {
+        let plain = from.solve(|n| n < first, RIDGE);
+        let offset = from.solve_beside(|n| n < first, RIDGE, |n| if n < first { 0.0 } else { start[n] });
+        if on.left(&plain) <= on.left(&offset) { plain } else { offset }
+    };
+    let fits: [(Vec<f64>, Vec<f64>); 2] = std::array::from_fn(|half| (base(&halves[1 - half], &halves[half]), law(&halves[1 - half])));
+    let (mut before, mut gains) = (0.0, Vec::new());
+    for part in recording {
+        let (mut gain, mut rows) = (0.0, 0.0);
+        for (half, (base, law)) in fits.iter().enumerate() {
+            let products = &part.halves[half];
+            before += products.left(base);
+            gain += products.left(base) - products.left(law);
+            rows += products.rows;
+        }
+        if rows > 0.0 {
+            gains.push(gain);
+        }
+    }
+    let n = gains.len() as f64;
+    let mean = gains.iter().sum::<f64>() / f64::max(n, 1.0);
+    let spread = libm::sqrt(gains.iter().map(|gain| (gain - mean) * (gain - mean)).sum::<f64>() / f64::max(n - 1.0, 1.0));
+    let both = law(&all);
+    let less = |of: &[f64]| -> Vec<f64> {
+        let curve: Vec<f64> = (0..bins).map(|bin| of[first + bin] - start[first + bin]).collect();
+        let middle = curve.iter().sum::<f64>() / bins as f64;
+        curve.iter().map(|value| value - middle).collect()
+    };
+    let (one, other) = (less(&fits[0].1), less(&fits[1].1));
+    let error = one.iter().zip(&other).map(|(a, b)| 0.5 * (a - b).abs()).collect();
+    let significance = if spread > 0.0 { mean / (spread / libm::sqrt(n)) } else { 0.0 };
+    (less(&both), error, (n * mean / f64::max(before, 1e-300), significance))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::case::PixelEvents;
+    use crate::testing;
+    use serde_json::json;
+
+    /// A recording whose even rows have thresholds a share higher, and the others as much lower.
+    fn by_rows(share: f64) -> Case {
+        let with = |fraction: f64| {
+            let effect = json!({"fraction": fraction}).as_object().unwrap().clone();
+            testing::case_with(&[("threshold_scale".to_owned(), effect)].into_iter().collect())
+        };
+        let (even, odd) = (with(share), with(-share));
+        let of = |pixel: usize| if even.place(pixel).1 % 2 == 0 { even.events.of(pixel) } else { odd.events.of(pixel) };
+        Case { events: PixelEvents::new((0..even.extent.pixels()).map(|pixel| of(pixel).to_vec())), ..even.clone() }
+    }
+
+    fn found(case: &Case) -> Vec<Law> {
+        let nominal = Nominal::new(case).unwrap();
+        laws(case, &nominal, &Scales::of(case, &nominal), &[], 0.0).unwrap()
+    }
+
+    #[test]
+    fn thresholds_by_parity_of_the_row_are_found_with_their_size() {
+        let laws = found(&by_rows(0.12));
+        let first = &laws[0];
+        assert_eq!((first.moved, first.covariate), (Moved::Threshold, Covariate::RowParity));
+        assert!(first.taken > 0.1 && first.significance > 4.0, "{first:?}");
+        assert!((first.value[0] - 0.12).abs() < 0.025 && (first.value[1] + 0.12).abs() < 0.025, "{first:?}");
+    }
+
+    #[test]
+    fn equal_thresholds_give_no_law_of_the_rows() {
+        let laws = found(&by_rows(0.0));
+        let of_rows = laws.iter().find(|law| law.moved == Moved::Threshold && law.covariate == Covariate::RowParity).unwrap();
+        assert!(of_rows.taken < 0.01 && of_rows.value.iter().all(|value| value.abs() < 0.02), "{of_rows:?}");
     }
 }

@@ -247,7 +247,7 @@ impl Nulls {
     fn of(floor: &Floor) -> Nulls {
         let wide = |values: &[f32]| -> Vec<f64> { values.iter().map(|v| f64::from(*v)).collect() };
         let contexts: Vec<Vec<f64>> = floor.nulls.iter().map(|null| wide(&null.context)).collect();
-        let levels: Vec<_> = (0..contexts.len()).into_par_iter().map(|n| floor.level(&contexts[n], &floor.nulls[n].name)).collect();
+        let levels: Vec<_> = (0..contexts.len()).into_par_iter().map(|n| floor.level(&contexts[n])).collect();
         let z = floor.nulls.iter().zip(&levels).map(|(null, level)| level.z(&wide(&null.deviation))).collect();
         Nulls { contexts, z, spread: levels.into_iter().map(|level| level.spread).collect(), scale: context_scale(floor) }
     }

@@ -12,7 +12,7 @@ use crate::mismatch::{Mismatch, mismatch};
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
 use crate::under::Under;
-use photocurrent_sensor::map::Prior;
+use photocurrent_sensor::map::{MapOptions, Prior};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -202,6 +202,14 @@ impl Refit<'_> {
         Trial { effects, ..self.base.clone() }
     }
 
+    /// Share of the cost `stated` that light at knots twice as near takes away.
+    pub fn numerical(&self, setting: &RefitSetting, stated: f64) -> f64 {
+        let options = MapOptions { spacing_ns: self.scene.options.spacing_ns / 2, ..self.scene.options };
+        let finer = SceneSetting { options, ..*self.scene };
+        let cost = Refit { scene: &finer, ..*self }.at(None, 0.0, setting.turns.1).map(|tried| an_event(&tried));
+        cost.map_or(0.0, |cost| 1.0 - cost / f64::max(stated, 1e-12))
+    }
+
     /// Tries candidates: those of `only`, or all where it is empty.
     pub fn run(&self, setting: &RefitSetting, only: &[usize]) -> Refitted {
         let mut tried: Vec<(usize, Vec<Tried>)> =
@@ -264,9 +272,8 @@ impl Refit<'_> {
         explained.extend(finished.iter().filter(|(_, tried)| !tried.is_empty()).map(|(candidate, tried)| self.explain(*candidate, tried, best_stated, true)));
         let controls: Vec<Option<Tried>> =
             explained.par_iter().map(|one| if one.is_finished { self.control(Some(one.candidate), one.strength, last) } else { None }).collect();
-        let an_event = |tried: &Tried| tried.cost(|_| true) / f64::max(tried.all().count, 1.0);
         for (one, control) in explained.iter_mut().zip(controls) {
-            one.control = control.as_ref().map_or(0.0, &an_event);
+            one.control = control.as_ref().map_or(0.0, an_event);
         }
         explained.sort_by(|a, b| a.cost.total_cmp(&b.cost).then(a.candidate.cmp(&b.candidate)));
         let frames = best_stated.all();
@@ -352,6 +359,11 @@ impl Refit<'_> {
             is_finished,
         }
     }
+}
+
+/// What a trial costs an event.
+fn an_event(tried: &Tried) -> f64 {
+    tried.cost(|_| true) / f64::max(tried.all().count, 1.0)
 }
 
 fn is_mixing(id: &str) -> bool {

@@ -2,12 +2,12 @@
 
 use crate::candidates::{CANDIDATES, Scales};
 use crate::case::Case;
+use crate::covariates::Covariate;
 use crate::diagnose::{RoadKind, Setting};
 use crate::knowledge::Knowledge;
 use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
-use crate::locate::{Channel, Curve};
 use crate::nominal::Nominal;
-use crate::open::insertion;
+use crate::open::{Law, Moved};
 use crate::refit::Refitted;
 use crate::report::{Detectable, NotTestable, short};
 use crate::search::{Search, SearchSetting, search};
@@ -40,9 +40,9 @@ fn run_likelihood(case: &Case, setting: &Setting) -> Result<Road, String> {
     Ok(from_likelihood(&likelihood(case, &nominal, &setting)?, &setting))
 }
 
-fn run_refit(case: &Case, setting: &Setting) -> Result<Road, String> {
+fn run_refit(case: &Case, _: &Setting) -> Result<Road, String> {
     let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
-    Ok(from_refit(&search(case, &nominal, &Scales::of(case, &nominal), &SearchSetting { seed: setting.seed, ..SearchSetting::default() })?))
+    Ok(from_refit(&search(case, &nominal, &Scales::of(case, &nominal), &SearchSetting::default())?))
 }
 
 /// The road that refits.
@@ -69,35 +69,42 @@ pub fn from_refit(found: &Search) -> Road {
         proposals: first,
         second,
         nats_per_event: best.as_ref().map(|best| best.nats_per_event).filter(|_| alarm),
-        unexplained: found.left.first().and_then(unexplained),
+        unexplained: found.laws.first().and_then(unexplained),
+        is_numerical: found.numerical > f64::max(LEAST_TAKEN, best.as_ref().map_or(0.0, |best| best.heldout)),
         residual_left: best.as_ref().map(|best| best.cost / f64::max(found.first.stated, 1e-12)).filter(|_| alarm),
         ..Road::default()
     }
 }
 
-/// A dependence counts from this statistic on, and this chance of one as large; without an effect the largest of all stays below 3, but flicker of the light brought one to 6.
-const LEAST_STATISTIC: f64 = 7.5;
-/// See there.
-const MOST_CHANCE: f64 = 0.005;
+/// A law must take away this share of the squares of closures' changes.
+const LEAST_LAW: f64 = 0.02;
+/// And be so many standard errors from nothing.
+const LEAST_SIGNIFICANCE: f64 = 4.0;
 
-/// What no effect of the catalogue explains, from its measured curve.
-fn unexplained(curve: &Curve) -> Option<Unexplained> {
-    let (what, per_cent) = match curve.channel {
-        Channel::Threshold => ("threshold * (1 + c)", true),
-        Channel::Stamps => ("stamp + c", false),
-        _ => return None,
+/// What no effect of the catalogue explains, from its measured curve. Light through the events errs in ways that depend on light, speed and history, and on which simulator
+/// made a recording; where such a law is the strongest, or one of stamps, none is believed.
+fn unexplained(law: &Law) -> Option<Unexplained> {
+    let name = law.covariate.name();
+    let point = |(at, value): (&f64, &f64)| match law.moved {
+        Moved::Threshold => format!("{:+.1} % at {}", 100.0 * value, short(*at)),
+        Moved::Stamps => format!("{:+.0} us at {}", 1e6 * value, short(*at)),
     };
-    let name = curve.covariate.name();
-    let point = |(at, value): (&f64, &f64)| {
-        if per_cent { format!("{:+.1} % at {}", 100.0 * value, short(*at)) } else { format!("{:+.0} us at {}", 1e6 * value, short(*at)) }
-    };
-    let points: Vec<String> = curve.at.iter().zip(&curve.value).map(point).collect();
-    (curve.statistic >= LEAST_STATISTIC && curve.p_value <= MOST_CHANCE).then(|| Unexplained {
+    let points: Vec<String> = law.at.iter().zip(&law.value).map(point).collect();
+    let rhythm = law.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
+    let is_believed = law.moved == Moved::Threshold && is_blind_to_light(law.covariate);
+    (is_believed && law.significance >= LEAST_SIGNIFICANCE && law.taken >= LEAST_LAW).then(|| Unexplained {
         covariate: name.to_owned(),
-        equation: format!("{what}, c({name}) = {}", points.join(", ")),
-        insertion: insertion(curve.channel).to_owned(),
-        score: curve.statistic / LEAST_STATISTIC,
+        equation: format!("{}, c({name}){rhythm} = {}", law.moved.equation(), points.join(", ")),
+        insertion: law.moved.insertion().to_owned(),
+        score: law.taken / LEAST_LAW,
+        nats: law.nats_per_change,
     })
+}
+
+/// Does a covariate know nothing of the pixel's own light?
+fn is_blind_to_light(covariate: Covariate) -> bool {
+    use Covariate as C;
+    matches!(covariate, C::RowParity | C::ColumnBlock | C::FramePhase | C::AcPhase | C::RowRate | C::GlobalRate | C::LocalRate)
 }
 
 fn told(found: &Refitted, least: f64) -> Vec<Proposal> {
@@ -218,7 +225,6 @@ fn normalise(proposals: &mut [Proposal]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::covariates::Covariate;
 
     fn said(id: &str, statistic: f64, heldout_nats: f64) -> likelihood::Proposal {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
@@ -272,23 +278,29 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_far_over_chance_is_something_without_a_name() {
-        let curve = |statistic: f64, p_value: f64| Curve {
-            channel: Channel::Threshold,
+    fn a_law_that_takes_more_than_any_effect_is_something_without_a_name() {
+        let law = |significance: f64, taken: f64| Law {
+            moved: Moved::Threshold,
             covariate: Covariate::RowParity,
+            period_s: None,
             at: vec![0.0, 1.0],
             value: vec![0.11, -0.11],
             error: vec![0.01, 0.01],
-            statistic,
-            p_value,
-            explained: 0.9,
+            taken,
+            significance,
+            nats_per_change: 0.2,
         };
-        let found = unexplained(&curve(9.0, 0.005)).unwrap();
-        assert_eq!((found.covariate.as_str(), found.insertion.as_str(), found.score), ("row_parity", "comparator", 1.2));
+        let found = unexplained(&law(9.0, 0.3)).unwrap();
+        assert_eq!((found.covariate.as_str(), found.insertion.as_str()), ("row_parity", "comparator"));
+        assert!((found.score - 0.3 / LEAST_LAW).abs() < 1e-12);
         assert_eq!(found.equation, "threshold * (1 + c), c(row_parity) = +11.0 % at 0, -11.0 % at 1");
-        assert!(unexplained(&curve(3.0, 0.005)).is_none() && unexplained(&curve(9.0, 0.02)).is_none());
-        let search = Search { left: vec![curve(9.0, 0.005)], ..Search::default() };
-        assert!(from_refit(&search).unexplained.is_some());
+        assert!(unexplained(&law(3.0, 0.3)).is_none() && unexplained(&law(9.0, 0.9 * LEAST_LAW)).is_none());
+        // Where light errs with history no law is believed, not even a weaker one.
+        let of_history = Law { covariate: Covariate::TimeSinceLastEvent, ..law(9.0, 0.4) };
+        assert!(from_refit(&Search { laws: vec![of_history, law(9.0, 0.3)], ..Search::default() }).unexplained.is_none());
+        let search = Search { laws: vec![law(9.0, 0.3)], ..Search::default() };
+        assert!(from_refit(&search).unexplained.is_some() && !from_refit(&search).is_numerical);
+        assert!(from_refit(&Search { numerical: 0.3, ..search }).is_numerical);
     }
 
     #[test]

@@ -7,9 +7,8 @@ use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::case::Case;
 use crate::deviation::unstated_frame_noise;
 use crate::faithful::{Faithful, faithful};
-use crate::locate::Curve;
 use crate::nominal::Nominal;
-use crate::open::unknown;
+use crate::open::{Law, laws};
 use crate::refit::{Refit, RefitSetting, Refitted};
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
@@ -27,8 +26,10 @@ pub struct Search {
     pub second: Option<Refitted>,
     /// The first once more, beside the best of `second`, where that is more than nothing.
     pub again: Option<Refitted>,
-    /// How what is left depends on each covariate, most significant first.
-    pub left: Vec<Curve>,
+    /// Curves over covariates, of what effects that were found leave, best first.
+    pub laws: Vec<Law>,
+    /// Share of the cost of the stated sensor that knots twice as near take away: error of our own.
+    pub numerical: f64,
     /// Noise of frame values that is not stated, as a share of the signal.
     pub frame_noise: f64,
     /// How well light that was estimated with the stated sensor fires the recorded events again: 1 is perfect.
@@ -54,13 +55,11 @@ pub struct SearchSetting {
     pub refit: RefitSetting,
     /// Share of the cost that an effect must take away on pixels that it was not fitted to, for a second to be looked for beside it.
     pub least_share: f64,
-    /// Seed of the draws that tell chance.
-    pub seed: u64,
 }
 
 impl Default for SearchSetting {
     fn default() -> SearchSetting {
-        SearchSetting { zones: (4, 4), side: 5, events: (3.0, 250.0), scene: SceneSetting::close(), refit: RefitSetting::default(), least_share: 0.15, seed: 1 }
+        SearchSetting { zones: (4, 4), side: 5, events: (3.0, 250.0), scene: SceneSetting::close(), refit: RefitSetting::default(), least_share: 0.15 }
     }
 }
 
@@ -109,13 +108,12 @@ pub fn search(case: &Case, nominal: &Nominal, scales: &Scales, setting: &SearchS
         let near: Vec<usize> = leading.iter().take(AGAIN).map(|one| one.candidate).filter(|one| CANDIDATES[*one].id != CANDIDATES[candidate].id).collect();
         beside(candidate, strength, &near)
     });
-    let mut trial = base.clone();
-    for one in [best, beside_second].into_iter().flatten().filter(|one| one.2 > setting.least_share) {
-        CANDIDATES[one.0].put_on(&mut trial, one.1, scales);
-    }
-    let left = unknown(&Refit { base: &trial, ..refit }, setting.seed).unwrap_or_default();
+    let found = [best, beside_second].into_iter().flatten().filter(|one| one.2 > setting.least_share);
+    let known: Vec<(usize, f64)> = found.map(|one| (one.0, one.1)).collect();
+    let numerical = refit.numerical(&setting.refit, first.stated);
+    let laws = laws(case, nominal, scales, &known, frame_noise)?;
     let events = sample.pixels.iter().map(|pixel| case.events.of(*pixel as usize).len()).sum();
-    Ok(Search { first, second, again, left, frame_noise, agreement, pixels: sample.len(), events })
+    Ok(Search { first, second, again, laws, numerical, frame_noise, agreement, pixels: sample.len(), events })
 }
 
 #[cfg(test)]

@@ -134,13 +134,14 @@ read_again!(Proposal {
     heldout_nats: Option<f64>,
     heldout_nats_per_event: Option<f64>,
 });
-read_again!(Unexplained { covariate: String, equation: String, insertion: String, score: f64 });
+read_again!(Unexplained { covariate: String, equation: String, insertion: String, score: f64, nats: f64 });
 read_again!(Road {
     name: String,
     alarm: bool,
     proposals: Vec<Proposal>,
     second: Vec<Proposal>,
     unexplained: Option<Unexplained>,
+    is_numerical: bool,
     detectability: Vec<Detectable>,
     not_testable: Vec<NotTestable>,
     nats_per_event: Option<(f64, f64)>,
@@ -184,6 +185,7 @@ mod tests {
             proposals: vec![proposal.clone()],
             second: vec![proposal],
             unexplained: Some(Unexplained { covariate: "row".into(), ..Unexplained::default() }),
+            is_numerical: true,
             detectability: vec![Detectable {
                 id: "leak_events".into(),
                 parameter: "rate_hz".into(),

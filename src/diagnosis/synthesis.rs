@@ -21,15 +21,13 @@ pub struct SynthesisSetting {
     pub seed: u64,
     /// So many candidates, the best ones, are synthesised again at the strength that fits.
     pub candidates: usize,
-    /// Name of the recording: a null of this name is no part of its own floor.
-    pub name: String,
     /// Least gain of the best template, nats, for an alarm.
     pub alarm_gain: f64,
 }
 
 impl Default for SynthesisSetting {
     fn default() -> SynthesisSetting {
-        SynthesisSetting { seed: 7, candidates: 12, name: String::new(), alarm_gain: 0.9 }
+        SynthesisSetting { seed: 7, candidates: 12, alarm_gain: 0.9 }
     }
 }
 
@@ -129,7 +127,7 @@ pub fn synthesis(case: &Case, knowledge: &Knowledge, setting: &SynthesisSetting)
     if full.own.names != knowledge.names {
         return Err("the knowledge of the diagnosis was made for other summaries; train it anew".to_owned());
     }
-    let level = knowledge.floor.level(&full.context, &setting.name);
+    let level = knowledge.floor.level(&full.context);
     let z: Vec<f64> = level.z(&full.deviation);
     let (probabilities, consistent) = proposed(knowledge, &z, &full.context);
     let lean = Prepared::new(case, nominal, LEAN, setting.seed)?;

@@ -11,8 +11,6 @@ use crate::floor::{Floor, Null};
 use crate::knowledge::Knowledge;
 use crate::nominal::Nominal;
 use crate::proposer::{Net, NetSetting};
-use crate::scenes::MadeUp;
-use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -106,20 +104,14 @@ pub fn learn(names: &[String], examples: &[Example], more: &[Null], setting: &Ne
     Knowledge { names: names.to_vec(), floor, net: Some(net) }
 }
 
-/// Knowledge from nothing but made-up scenes: `scenes` of them on arrays of `extent`, each with the templates of every candidate.
-///
-/// `said` is called after each scene with its number. A scene costs some twenty seconds of one core at 96 x 72 pixels; 150 or more are wanted.
+/// By how much a recording without an effect deviates.
 ///
 /// # Errors
-/// When no scene is asked for; else never for the sensors made here.
-pub fn train(scenes: u64, extent: Extent, setting: &TrainingSetting, net: &NetSetting, mut said: impl FnMut(u64)) -> Result<Knowledge, String> {
-    let mut examples = Vec::new();
-    for number in 0..scenes {
-        let case = MadeUp::new(setting.seed, number, extent, 0.15).recording()?;
-        examples.extend(examples_of(&case, setting, number)?);
-        said(number);
-    }
-    Ok(learn(&crate::summaries::names()?, &examples, &[], net))
+/// When its description does not state what the model needs.
+pub fn null_of(case: &Case, name: String, seed: u64) -> Result<Null, String> {
+    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let full = Prepared::new(case, nominal, FULL, seed)?;
+    Ok(Null { name, context: narrow(&full.context), deviation: narrow(&full.deviation) })
 }
 
 impl Example {
@@ -160,7 +152,9 @@ impl Example {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scenes::MadeUp;
     use crate::testing;
+    use photocurrent_core::Extent;
 
     #[test]
     fn examples_survive_being_written_and_a_cut_file_keeps_the_whole_ones() {
@@ -195,7 +189,7 @@ mod tests {
         let mut right = 0.0;
         for example in examples.iter().filter(|example| example.candidate.is_some()) {
             let context = wide(&example.context);
-            let level = knowledge.floor.level(&context, "");
+            let level = knowledge.floor.level(&context);
             let z: Vec<f64> = example.deviation.iter().zip(&level.spread).map(|(d, s)| f64::from(*d) / s).collect();
             let p = net.run(&net.input(&z, &context));
             let own = net.labels.iter().position(|label| *label == CANDIDATES[example.candidate.unwrap()].id).unwrap();

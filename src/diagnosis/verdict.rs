@@ -45,8 +45,10 @@ pub struct Unexplained {
     pub equation: String,
     /// Where in the chain.
     pub insertion: String,
-    /// Its statistic over the one from which it counts.
+    /// What it takes away over the least that counts.
     pub score: f64,
+    /// Gain in the log of the likelihood of a change of closure, on pixels that it was not fitted to, nats.
+    pub nats: f64,
 }
 
 /// What one road found.
@@ -60,8 +62,10 @@ pub struct Road {
     pub proposals: Vec<Proposal>,
     /// For a second one beside the first of `proposals`, best first.
     pub second: Vec<Proposal>,
-    /// Of what no candidate explains.
+    /// What takes away more than any candidate does, and is none.
     pub unexplained: Option<Unexplained>,
+    /// Is an error of our own larger than anything that was found?
+    pub is_numerical: bool,
     /// What could have been seen.
     pub detectability: Vec<Detectable>,
     /// What could not.
@@ -139,7 +143,11 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
     let mut claims: Vec<Claim> = integrity.findings.iter().filter_map(|finding| direct(case, nominal, finding)).collect();
     let known: Vec<&str> = claims.iter().map(|claim| claim.id).collect();
     let speaking: Vec<Road> = roads.iter().map(|road| without(case, nominal, road, &known)).collect();
+    let unexplained = speaking.iter().filter_map(|road| road.unexplained.clone()).find(|found| found.score >= 1.0);
+    let is_numerical = speaking.iter().any(|road| road.is_numerical);
     let more = match speaking.iter().position(|road| road.name == REFIT) {
+        // No name is forced on what takes away more than any effect does, nor on what is an error of our own.
+        _ if claims.is_empty() && (unexplained.is_some() || is_numerical) => Vec::new(),
         Some(at) => {
             let others: Vec<Road> = speaking.iter().enumerate().filter(|(n, _)| *n != at).map(|(_, road)| road.clone()).collect();
             led(&speaking[at], &others, &claims)
@@ -148,15 +156,15 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
     };
     claims.extend(more);
     claims.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let unexplained = speaking.iter().filter_map(|road| road.unexplained.clone()).find(|found| found.score >= 1.0);
     let verdict = match (&claims[..], &unexplained) {
+        ([], _) if is_numerical => Verdict::Numerical,
         ([], Some(_)) => Verdict::Unnamed,
         ([], None) if case.events.all().len() < crate::integrity::data::FEWEST_EVENTS => Verdict::Insufficient,
         ([], None) => Verdict::Consistent,
         (claims, _) if claims.iter().any(|claim| !claim.also_possible.is_empty()) => Verdict::Ambiguous,
         _ => Verdict::Named,
     };
-    let unexplained = unexplained.filter(|_| claims.is_empty());
+    let unexplained = unexplained.filter(|_| verdict == Verdict::Unnamed);
     Answer { verdict, claims, unexplained }
 }
 

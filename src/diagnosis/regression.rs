@@ -1,0 +1,105 @@
+//! Least squares from sums of products, so that fits on one part of the data can be judged on another without going through it again.
+
+use nalgebra::{DMatrix, DVector};
+
+/// Sums of products of some columns and what they are to explain.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Products {
+    columns: usize,
+    /// Symmetric, row by row; the last column is the one that is explained.
+    sums: Vec<f64>,
+    /// Number of rows.
+    pub rows: f64,
+}
+
+impl Products {
+    /// Of no rows yet.
+    pub fn new(columns: usize) -> Products {
+        Products { columns, sums: vec![0.0; (columns + 1) * (columns + 1)], rows: 0.0 }
+    }
+
+    /// Adds a row: what is not 0 of its columns, as (column, value), what they are to explain, and its weight.
+    pub fn add(&mut self, row: &[(usize, f64)], explained: f64, weight: f64) {
+        let size = self.columns + 1;
+        for &(a, x) in row {
+            for &(b, z) in row {
+                self.sums[a * size + b] += weight * x * z;
+            }
+            self.sums[a * size + self.columns] += weight * x * explained;
+            self.sums[self.columns * size + a] += weight * x * explained;
+        }
+        self.sums[size * size - 1] += weight * explained * explained;
+        self.rows += 1.0;
+    }
+
+    /// Adds other rows.
+    pub fn merge(&mut self, other: &Products) {
+        self.sums.iter_mut().zip(&other.sums).for_each(|(sum, more)| *sum += more);
+        self.rows += other.rows;
+    }
+
+    /// The coefficients of least squares, with columns that `keep` refuses at 0. Columns are drawn to zero as by a `ridge`'s share of their own square.
+    pub fn solve(&self, keep: impl Fn(usize) -> bool, ridge: f64) -> Vec<f64> {
+        self.solve_beside(keep, ridge, |_| 0.0)
+    }
+
+    /// The same with the columns that are not kept at given coefficients.
+    pub fn solve_beside(&self, keep: impl Fn(usize) -> bool, ridge: f64, given: impl Fn(usize) -> f64) -> Vec<f64> {
+        let size = self.columns + 1;
+        let kept: Vec<usize> = (0..self.columns).filter(|&n| keep(n) && self.sums[n * size + n] > 0.0).collect();
+        let scale: Vec<f64> = kept.iter().map(|&n| libm::sqrt(self.sums[n * size + n])).collect();
+        let matrix =
+            DMatrix::from_fn(kept.len(), kept.len(), |a, b| self.sums[kept[a] * size + kept[b]] / (scale[a] * scale[b]) + if a == b { ridge } else { 0.0 });
+        let right = DVector::from_fn(kept.len(), |a, _| {
+            let beside = (0..self.columns).filter(|&n| !keep(n)).map(|n| given(n) * self.sums[kept[a] * size + n]).sum::<f64>();
+            (self.sums[kept[a] * size + self.columns] - beside) / scale[a]
+        });
+        let mut coefficients: Vec<f64> = (0..self.columns).map(|n| if keep(n) { 0.0 } else { given(n) }).collect();
+        if let Some(found) = matrix.cholesky().map(|of| of.solve(&right)) {
+            for (at, &n) in kept.iter().enumerate() {
+                coefficients[n] = found[at] / scale[at];
+            }
+        }
+        coefficients
+    }
+
+    /// Sum of squares that coefficients leave.
+    pub fn left(&self, coefficients: &[f64]) -> f64 {
+        let size = self.columns + 1;
+        let with = |a: usize| if a == self.columns { -1.0 } else { coefficients[a] };
+        (0..size).map(|a| with(a) * (0..size).map(|b| with(b) * self.sums[a * size + b]).sum::<f64>()).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::random::Random;
+
+    #[test]
+    fn coefficients_that_made_the_data_come_back_and_leave_the_noise() {
+        let mut random = Random::new(2, &[]);
+        let truth = [1.5, -0.25, 0.0];
+        let (mut products, mut noise, mut half) = (Products::new(3), 0.0, Products::new(3));
+        for n in 0..2000 {
+            let row: Vec<(usize, f64)> = (0..3).map(|k| (k, random.normal() + if k == 2 { 0.3 } else { 0.0 })).collect();
+            let off = 0.1 * random.normal();
+            let explained = row.iter().map(|(k, x)| truth[*k] * x).sum::<f64>() + off;
+            noise += 2.0 * off * off;
+            products.add(&row, explained, 2.0);
+            if n < 1000 {
+                half.add(&row, explained, 2.0);
+            }
+        }
+        let found = products.solve(|_| true, 0.0);
+        assert!(found.iter().zip(truth).all(|(a, b)| (a - b).abs() < 0.01), "{found:?}");
+        // The residual of a fit is that of the truth but for three degrees of freedom.
+        assert!((products.left(&truth) / noise - 1.0).abs() < 1e-9 && products.left(&found) <= noise && products.left(&found) > 0.99 * noise);
+        let without = products.solve(|n| n != 0, 0.0);
+        assert!(without[0] == 0.0 && products.left(&without) > 100.0 * noise);
+        let mut twice = half.clone();
+        twice.merge(&half);
+        assert_eq!(twice.rows, 2000.0);
+        assert!(twice.solve(|_| true, 0.0).iter().zip(half.solve(|_| true, 0.0)).all(|(a, b)| (a - b).abs() < 1e-12));
+    }
+}
