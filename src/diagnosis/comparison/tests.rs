@@ -1,0 +1,93 @@
+//! Small recordings with an effect, and with the right and a wrong one put on.
+
+use super::*;
+use crate::record::Described as Effects;
+use crate::testing;
+use serde_json::json;
+
+fn recorded(effects: serde_json::Value) -> Case {
+    let effects: Effects = effects.as_object().unwrap().iter().map(|(id, of)| (id.clone(), of.as_object().unwrap().clone())).collect();
+    testing::case_with(&effects)
+}
+
+fn claim(id: &'static str, parameter: &str, value: f64) -> Claim {
+    let candidate = CANDIDATES.iter().position(|one| one.id == id && one.parameter == parameter).unwrap();
+    let values = vec![(candidate, value, None)];
+    Claim { id, also_possible: Vec::new(), values, score: 2.0, found_by: Vec::new(), heldout_nats: None, heldout_nats_per_event: None, finding: None }
+}
+
+fn compared(case: &Case, claims: &[Claim]) -> Comparison {
+    let nominal = Nominal::new(case).unwrap();
+    compare(case, &nominal, &Scales::of(case, &nominal), claims).unwrap().unwrap()
+}
+
+fn ks(step: &Step) -> f64 {
+    step.calibration.as_ref().unwrap().ks
+}
+
+#[test]
+fn the_right_effect_takes_mismatch_away_and_a_wrong_one_does_not() {
+    let case = recorded(json!({"leak_events": {"rate": "25 Hz"}}));
+    let right = compared(&case, &[claim("leak_events", "rate", 25.0)]);
+    let (before, after) = (right.before(), right.after().unwrap());
+    let gain = right.gain(0, 1);
+    assert!(gain.share > 0.4 && gain.share_ci95[0] > 0.2, "{gain:?}");
+    assert!(gain.nats_ci95[0] > 0.0 && after.nats_per_event() > before.nats_per_event(), "{gain:?}");
+    assert!(ks(after) < 0.3 * ks(before), "{} {}", ks(before), ks(after));
+    let wrong = compared(&case, &[claim("clock_offset", "offset", 400e-6)]);
+    assert!(wrong.gain(0, 1).share < 0.5 * gain.share, "{:?}", wrong.gain(0, 1));
+    assert!(ks(wrong.after().unwrap()) > 0.6 * ks(before), "{}", ks(wrong.after().unwrap()));
+    // However long the pixel waited, as fitted its events cost less.
+    let cost = &right.dependences[0];
+    assert_eq!((cost.quantity, cost.covariate.name()), (dependence::Quantity::Cost, "time_since_last_event"));
+    assert!(cost.before.len() == 10 && cost.before.iter().zip(&cost.after).all(|(before, after)| after.value < before.value), "{cost:?}");
+    // Without a claim the description as stated stands alone.
+    let alone = compared(&case, &[]);
+    assert!(alone.after().is_none() && alone.steps.len() == 1 && alone.dependences.is_empty());
+    assert_eq!(alone.before().blocks, before.blocks);
+}
+
+#[test]
+fn parts_add_up_to_the_whole() {
+    let case = recorded(json!({"leak_events": {"rate": "25 Hz"}}));
+    let found = compared(&case, &[claim("leak_events", "rate", 25.0)]);
+    for step in &found.steps {
+        let all = step.all();
+        let over_time = step.by_time.iter().fold((0.0, 0.0), |sum, bin| (sum.0 + bin.0, sum.1 + bin.1));
+        assert!((over_time.0 - all.events).abs() < 1e-9 * all.events && over_time.1 == all.count, "{over_time:?} {all:?}");
+        let by_pixel: f64 = step.by_pixel.iter().map(|of| of.events).sum();
+        assert!((by_pixel - all.events).abs() < 1e-9 * all.events);
+    }
+    let recorded: usize = (0..case.extent.pixels()).map(|pixel| case.events.of(pixel).len()).sum();
+    assert_eq!(found.before().all().recorded, recorded as f64);
+}
+
+#[test]
+fn a_random_effect_shows_in_the_calibration_alone() {
+    let case = recorded(json!({"event_loss": {"fraction": 0.35}}));
+    let found = compared(&case, &[claim("event_loss", "fraction", 0.35)]);
+    let (before, after) = (found.before(), found.after().unwrap());
+    assert!(after.is_random && after.blocks == before.blocks && found.gain(0, 1).share == 0.0);
+    assert!(ks(after) < 0.5 * ks(before), "{} {}", ks(before), ks(after));
+}
+
+#[test]
+fn a_sound_recording_is_calibrated_and_threads_change_nothing() {
+    let case = recorded(json!({}));
+    let with = |threads: usize| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(|| compared(&case, &[]));
+    let (one, two) = (with(1), with(2));
+    assert_eq!(one.before().blocks, two.before().blocks);
+    assert_eq!(one.before().calibration, two.before().calibration);
+    assert!(ks(one.before()) < 0.04, "{}", ks(one.before()));
+}
+
+#[test]
+fn blocks_stand_apart_from_those_of_the_refit() {
+    let small = testing::case();
+    let (sample, is_apart) = pixels(&small).unwrap();
+    assert!(!is_apart && sample.len() == small.extent.pixels());
+    let taken = Sample::blocks(&small, (2, 2), 2, 0, (0.0, 1e9));
+    let apart = Sample::blocks_apart(&small, (2, 2), 2, 0, (0.0, 1e9), &taken);
+    assert_eq!((taken.len(), apart.len()), (16, 16));
+    assert!(apart.pixels.iter().all(|pixel| taken.place(*pixel as usize).is_none()));
+}
