@@ -97,6 +97,7 @@ fn unexplained(curve: &Curve) -> Option<Unexplained> {
         equation: format!("{what}, c({name}) = {}", points.join(", ")),
         insertion: insertion(curve.channel).to_owned(),
         score: curve.statistic / LEAST_STATISTIC,
+        curve: Some(curve.clone()),
     })
 }
 

@@ -9,6 +9,7 @@
 use crate::candidates::{CANDIDATES, Candidate};
 use crate::case::Case;
 use crate::integrity::{Finding, Integrity};
+use crate::locate::Curve;
 use crate::nominal::Nominal;
 use crate::report::{Detectable, NotTestable, Verdict};
 use crate::roads::REFIT;
@@ -47,6 +48,8 @@ pub struct Unexplained {
     pub insertion: String,
     /// Its statistic over the one from which it counts.
     pub score: f64,
+    /// As it was measured.
+    pub curve: Option<Curve>,
 }
 
 /// What one road found.

@@ -1,8 +1,13 @@
 //! Small recordings with an effect, and with the right and a wrong one put on.
 
 use super::*;
+use crate::diagnose::{RoadKind, Setting, diagnose};
 use crate::record::Described as Effects;
+use crate::refit::RefitSetting;
+use crate::roads::from_refit;
+use crate::search::search;
 use crate::testing;
+use photocurrent_core::Sensor;
 use serde_json::json;
 
 fn recorded(effects: serde_json::Value) -> Case {
@@ -79,6 +84,35 @@ fn a_sound_recording_is_calibrated_and_threads_change_nothing() {
     assert_eq!(one.before().blocks, two.before().blocks);
     assert_eq!(one.before().calibration, two.before().calibration);
     assert!(ks(one.before()) < 0.04, "{}", ks(one.before()));
+}
+
+#[test]
+fn what_a_search_finds_gives_back_the_light() {
+    let case = recorded(json!({"time_constant": {"tau_0": "400 us"}}));
+    let run = |case: &Case, _: &Setting| {
+        let nominal = Nominal::new(case).unwrap();
+        let few = RefitSetting { followed: 4, finished: 2, ..RefitSetting::default() };
+        let setting = SearchSetting { zones: (3, 2), side: 4, refit: few, ..SearchSetting::default() };
+        Ok(from_refit(&search(case, &nominal, &Scales::of(case, &nominal), &setting)?))
+    };
+    let found = diagnose(&case, &Setting::default(), &[RoadKind::new("refit", run)], |_| ()).unwrap();
+    assert_eq!(found.report.effects[0].id, "time_constant", "{}", found.report.summary);
+    let (ks, psnr) = (found.report.fit.calibration_ks.unwrap(), found.report.fit.heldout_frame_psnr_db.unwrap());
+    assert!(ks.after < 0.5 * ks.before && psnr.after > psnr.before, "{ks:?} {psnr:?}");
+    let gain = found.comparison.unwrap().gain(0, 1);
+    assert!(gain.share_ci95[0] > 0.3, "{gain:?}");
+    // The true light is known here: root mean square error of the log light that the solver makes of the recording.
+    let truth = testing::scene(&case);
+    let error = |sensor: &Sensor| {
+        let light = Scene::estimate(&case, &Nominal::of(sensor, &case).unwrap(), &Sample::all(&case, 4), &SceneSetting::default());
+        let squares = (0..case.extent.pixels()).flat_map(|n| (4..52).map(move |ms| (n, ms * 1_000_000))).map(|(n, t)| {
+            let off = light.at(n, t) - truth.at(n, t);
+            off * off
+        });
+        libm::sqrt(squares.sum::<f64>() / (48 * case.extent.pixels()) as f64)
+    };
+    let (stated, fitted) = (error(&case.sensor), error(&found.fitted.unwrap()));
+    assert!(fitted < 0.6 * stated, "{fitted} as fitted, {stated} as stated");
 }
 
 #[test]
