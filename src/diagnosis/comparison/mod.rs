@@ -75,6 +75,12 @@ impl Step {
         all.events / f64::max(all.count, 1.0)
     }
 
+    /// Root mean square of frame residuals, in standard deviations.
+    pub fn frame_residual(&self) -> f64 {
+        let all = self.all();
+        libm::sqrt(all.frames / f64::max(all.frame_count, 1.0))
+    }
+
     /// Log of how well an event is foretold, nats.
     pub fn nats_per_event(&self) -> f64 {
         let all = self.all();
@@ -85,7 +91,7 @@ impl Step {
 /// What a step gains over another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gain {
-    /// Share of the other's mismatch (events and frames) that it takes away, and its 95 % interval from block to block.
+    /// Share of the other's mismatch an event (events and frames) that it takes away, and its 95 % interval from block to block.
     pub share: f64,
     /// See there.
     pub share_ci95: [f64; 2],
@@ -127,8 +133,13 @@ impl Comparison {
         let used: Vec<usize> = (0..before.len()).filter(|&block| before[block].count + after[block].count > 0.0).collect();
         let n = used.len() as f64;
         let share = |left_out: Option<usize>| {
-            let sum = |of: &[Mismatch]| used.iter().filter(|&&block| Some(block) != left_out).map(|&block| of[block].cost()).sum::<f64>();
-            1.0 - sum(after) / f64::max(sum(before), 1e-12)
+            // An event: a sensor that fires less has fewer events that can be wrong.
+            let an_event = |of: &[Mismatch]| {
+                let rest = used.iter().filter(|&&block| Some(block) != left_out);
+                let (cost, count) = rest.fold((0.0, 0.0), |sum, &block| (sum.0 + of[block].cost(), sum.1 + of[block].count));
+                cost / f64::max(count, 1.0)
+            };
+            1.0 - an_event(after) / f64::max(an_event(before), 1e-12)
         };
         let all = share(None);
         let left_out: Vec<f64> = used.iter().map(|&block| share(Some(block))).collect();

@@ -68,6 +68,26 @@ fn parts_add_up_to_the_whole() {
 }
 
 #[test]
+fn a_gain_is_a_share_of_the_mismatch_an_event_and_its_interval_is_from_block_to_block() {
+    let mut found = compared(&recorded(json!({})), &[claim("clock_offset", "offset", 400e-6)]);
+    let mut put = |step: usize, blocks: &[(f64, f64)]| {
+        let block = |&(events, nats): &(f64, f64)| Mismatch { events, count: 10.0, nats, recorded: 10.0, ..Mismatch::default() };
+        found.steps[step].blocks = blocks.iter().map(block).collect();
+    };
+    put(0, &[(4.0, -5.0), (4.0, -5.0), (4.0, -5.0), (4.0, -5.0)]);
+    put(1, &[(2.0, -4.0), (2.0, -4.0), (2.0, -4.0), (2.0, -4.0)]);
+    let alike = found.gain(0, 1);
+    assert_eq!((alike.share, alike.nats, alike.nats_per_event), (0.5, 4.0, 0.1));
+    // Each block says the same: no interval.
+    assert!((alike.share_ci95[1] - alike.share_ci95[0]).abs() < 1e-12 && (alike.nats_ci95[1] - alike.nats_ci95[0]).abs() < 1e-12);
+    let mut put = |blocks: &[f64]| found.steps[1].blocks.iter_mut().zip(blocks).for_each(|(block, nats)| block.nats = *nats);
+    put(&[-1.0, -5.0, -5.0, -5.0]);
+    // Gains of 4, 0, 0 and 0: their sum has the standard error of four draws, twice the standard deviation of 2.
+    let apart = found.gain(0, 1);
+    assert!((apart.nats - 4.0).abs() < 1e-12 && (apart.nats_ci95[1] - 4.0 - 1.96 * 4.0).abs() < 1e-9, "{apart:?}");
+}
+
+#[test]
 fn a_random_effect_shows_in_the_calibration_alone() {
     let case = recorded(json!({"event_loss": {"fraction": 0.35}}));
     let found = compared(&case, &[claim("event_loss", "fraction", 0.35)]);

@@ -41,6 +41,7 @@ fn table(html: &mut String, found: &Comparison) {
     };
     html.push_str("<table><tr><th></th><th>as stated</th><th>as fitted</th></tr>\n");
     row(html, "mismatch an event, 0 to 1", &|step| Some(step.cost_per_event()));
+    row(html, "frame values: residual in standard deviations, root mean square", &|step| Some(step.frame_residual()));
     row(html, "log of how well an event is foretold, nats", &|step| Some(step.nats_per_event()));
     row(html, "calibration: distance of intervals from those of the described sensor, 0 to 1", &|step| step.calibration.as_ref().map(|one| one.ks));
     html.push_str("</table>\n");
@@ -48,7 +49,8 @@ fn table(html: &mut String, found: &Comparison) {
 
 /// What each effect takes away of what those before it leave.
 fn steps(html: &mut String, found: &Comparison) {
-    html.push_str("<h3>Gain of each effect: share of the mismatch that it takes away, with the 95 % interval from block to block</h3>\n");
+    html.push_str("<h3>Gain of each effect: share of the mismatch of events and frames that it takes away</h3>\n");
+    html.push_str("<p class=\"note\">Beyond the effects above it; bars: 95 %, from block to block.</p>\n");
     let mut rows: Vec<Range> = Vec::new();
     let row = |label: String, from: usize, to: usize| {
         let gain = found.gain(from, to);

@@ -14,7 +14,7 @@ use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
 use crate::locate::Curve;
 use crate::report::{EffectReport, Parameter, Report, Verdict, short as number};
-use plot::Plot;
+use plot::{Plot, Scale};
 use std::fmt::Write;
 use svg::{Bar, COLOURS, Map, bars, maps};
 
@@ -174,7 +174,7 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
     let all: Vec<(&Prediction, &str, &str)> =
         std::iter::once((before, "as stated", COLOURS[0])).chain(after.map(|after| (after, "as fitted", COLOURS[1]))).collect();
     let curve = |of: &Prediction| -> Vec<(f64, f64)> { of.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect() };
-    let mut plot = Plot::new(all.iter().flat_map(|one| curve(one.0)).chain([(f64::NAN, 0.0)]), 700.0, 200.0);
+    let mut plot = Plot::with_rows(all.iter().flat_map(|one| curve(one.0)).chain([(f64::NAN, 0.0)]), 700.0, 200.0, Scale::Whole, &[]);
     for (of, name, colour) in all {
         plot.line(&curve(of), colour, None);
         plot.name(colour, name);

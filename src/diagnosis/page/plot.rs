@@ -17,6 +17,8 @@ const LETTER: f64 = 6.6;
 pub enum Scale {
     /// Equal steps.
     Linear,
+    /// Equal steps, marks at whole numbers alone.
+    Whole,
     /// Equal ratios; all values are positive.
     Logarithmic,
 }
@@ -54,7 +56,7 @@ impl Plot {
         };
         let height = height + ROW * rows.len() as f64;
         let x = whole(x);
-        let scale = if x.0 > 0.0 { scale } else { Scale::Linear };
+        let scale = if x.0 <= 0.0 && scale == Scale::Logarithmic { Scale::Linear } else { scale };
         let mut plot = Plot { svg: open(width, height), x, y: whole(y), scale, size: (width, height), rows: rows.len(), legend: Vec::new() };
         let (left, bottom) = (MARGIN.0, plot.bottom());
         let _ = write!(plot.svg, "<path d=\"M{left} {}V{bottom:.1}H{:.1}\" fill=\"none\" stroke=\"#787878\"/>", MARGIN.2, width - MARGIN.1);
@@ -81,7 +83,7 @@ impl Plot {
         let (width, height) = (self.size.0 - MARGIN.0 - MARGIN.1, self.bottom() - MARGIN.2);
         let share = |value: f64, range: (f64, f64)| (value - range.0) / (range.1 - range.0);
         let across = match self.scale {
-            Scale::Linear => share(point.0, self.x),
+            Scale::Linear | Scale::Whole => share(point.0, self.x),
             Scale::Logarithmic => libm::log(f64::max(point.0, self.x.0) / self.x.0) / libm::log(self.x.1 / self.x.0),
         };
         (MARGIN.0 + width * across, MARGIN.2 + height * (1.0 - share(point.1, self.y)))
@@ -147,7 +149,8 @@ impl Plot {
             let _ = write!(self.svg, "<line x1=\"{}\" x2=\"{}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"#787878\"/>", MARGIN.0 - 4.0, MARGIN.0);
             let _ = write!(self.svg, "<text x=\"{}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>", MARGIN.0 - 7.0, y + 4.0, short(at));
         }
-        let across = if self.scale == Scale::Logarithmic { ratios(self.x) } else { marks(self.x) };
+        let mut across = if self.scale == Scale::Logarithmic { ratios(self.x) } else { marks(self.x) };
+        across.retain(|at| self.scale != Scale::Whole || at.fract() == 0.0);
         for at in across {
             let x = self.place((at, self.y.0)).0;
             let _ = write!(self.svg, "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{bottom:.1}\" y2=\"{:.1}\" stroke=\"#787878\"/>", bottom + 4.0);
