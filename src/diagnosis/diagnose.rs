@@ -269,6 +269,10 @@ fn report(
     let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
     let first = roads.iter().find(|road| road.nats_per_event.is_some());
     let nats = first.and_then(|road| road.nats_per_event).filter(|_| !effects.is_empty()).map(|(before, after)| BeforeAfter { before, after });
+    // What solve/pixel cannot undo, the comparison can.
+    let kept = comparison.and_then(|comparison| Some(BeforeAfter { before: comparison.before().kept_psnr_db?, after: comparison.after()?.kept_psnr_db? }));
+    let is_undone = comparison.is_some_and(|comparison| comparison.steps.iter().any(|step| step.id.is_some() && !step.is_random));
+    let psnr = psnr.or(kept.filter(|_| is_undone));
     let nats = apart.and_then(nats_of).or(nats);
     let ks = |step: &Step| step.calibration.as_ref().map(|calibration| calibration.ks);
     let calibration_ks = comparison.and_then(|comparison| Some(BeforeAfter { before: ks(comparison.before())?, after: ks(comparison.after()?)? }));

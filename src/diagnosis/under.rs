@@ -63,6 +63,11 @@ impl<'a> Under<'a> {
         &self.case
     }
 
+    /// Are the frames that it compares mixtures of neighbours?
+    pub fn has_mixed_frames(&self) -> bool {
+        matches!(self.case, Cow::Owned(_))
+    }
+
     /// The light that the trial must have seen to record `recorded`, as far as the solver can tell.
     pub fn estimate(&self, recorded: &Case, sample: &Sample, setting: &SceneSetting, priors: &[Prior]) -> Scene {
         let stated = Scene::estimate_from(

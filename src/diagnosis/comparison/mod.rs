@@ -14,6 +14,7 @@ use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::case::{Case, PixelEvents, Recorded};
 use crate::deviation::unstated_frame_noise;
 use crate::faithful::faithful;
+use crate::heldout::kept_back;
 use crate::mismatch::{Mismatch, for_each_cost, mismatch};
 use crate::nominal::Nominal;
 use crate::record::{Conditions, record};
@@ -57,6 +58,9 @@ pub struct Step {
     pub by_time: Vec<(f64, f64)>,
     /// Rescaled intervals against those of a simulated recording that was treated alike; none with too few events.
     pub calibration: Option<Calibration>,
+    /// Frames that were kept back, predicted from the events and the other frames as this sensor must have seen them: peak signal to noise, dB. None with fewer than five
+    /// frames, and where frames are compared as mixtures of neighbours.
+    pub kept_psnr_db: Option<f64>,
     /// The light that this description must have seen.
     pub light: Scene,
     /// What it fires at that light.
@@ -281,8 +285,31 @@ fn look(refit: &Refit<'_>, described: &Described, id: Option<&'static str>, befo
         blocks[block as usize] = blocks[block as usize].and(of);
     }
     let by_time = over_time(under.case(), &recording, sample);
+    let kept_psnr_db = kept_psnr_db(refit, &under, &described.seen)?;
     let view = View { case: under.case().clone(), light: light.clone(), recording: recording.clone() };
-    Ok((Step { id, is_random: false, by_pixel, blocks, by_time, calibration, light, fired: recording.events }, Some(view)))
+    Ok((Step { id, is_random: false, by_pixel, blocks, by_time, calibration, kept_psnr_db, light, fired: recording.events }, Some(view)))
+}
+
+/// Frames that are kept back, as a trial would have read them; the noise that the description states stands in them.
+fn kept_psnr_db(refit: &Refit<'_>, under: &Under<'_>, trial: &Trial) -> Result<Option<f64>, String> {
+    let Some((rest, kept)) = kept_back(under.case()).filter(|_| !under.has_mixed_frames()) else { return Ok(None) };
+    let sample = refit.sample;
+    let light = under.estimate(&rest, sample, refit.scene, refit.priors);
+    let read = record(under.case(), &trial.nominal, sample, &light, &trial.effects, &Conditions { seed: CONTROL, is_mixed: true, ..Conditions::default() })?;
+    let saturation_dn = trial.nominal.saturation_dn;
+    let (mut squares, mut count, mut largest) = (0.0, 0.0, 0.0_f64);
+    for (&pixel, _) in sample.pixels.iter().zip(&light.is_known).filter(|(_, is_known)| **is_known) {
+        for &frame in &kept {
+            let (here, there) = (under.case().dn(frame, pixel as usize), read.dn(frame, pixel as usize));
+            if here.is_finite() && here < saturation_dn && there.is_finite() {
+                squares += (there - here) * (there - here);
+                count += 1.0;
+                largest = largest.max(here);
+            }
+        }
+    }
+    let peak_dn = if saturation_dn.is_finite() { saturation_dn } else { largest };
+    Ok((count > 0.0).then(|| 10.0 * libm::log10(peak_dn * peak_dn / f64::max(squares / count, 1e-12))))
 }
 
 /// Cost and number of the events of both recordings, halved, in equal parts of the time.

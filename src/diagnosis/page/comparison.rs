@@ -42,6 +42,7 @@ fn table(html: &mut String, found: &Comparison) {
     html.push_str("<table><tr><th></th><th>as stated</th><th>as fitted</th></tr>\n");
     row(html, "mismatch an event, 0 to 1", &|step| Some(step.cost_per_event()));
     row(html, "frame values: residual in standard deviations, root mean square", &|step| Some(step.frame_residual()));
+    row(html, "frames that were kept back: peak signal to noise, dB", &|step| step.kept_psnr_db);
     row(html, "log of how well an event is foretold, nats", &|step| Some(step.nats_per_event()));
     row(html, "calibration: distance of intervals from those of the described sensor, 0 to 1", &|step| step.calibration.as_ref().map(|one| one.ks));
     html.push_str("</table>\n");

@@ -150,14 +150,14 @@ fn scores(html: &mut String, found: &Diagnosis) {
 fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
     let Some(before) = &found.predictions.0 else { return };
     html.push_str("<h2>Frames that were kept back</h2>\n");
-    html.push_str("<p>Every third frame is kept back and predicted from the events and the other frames.</p>\n");
+    html.push_str("<p>Every third frame is kept back and predicted from the events and the other frames, as <code>solve/pixel</code> would.</p>\n");
     html.push_str("<table><tr><th></th><th>as stated</th><th>as fitted</th></tr>\n");
     let after = found.predictions.1.as_ref();
     let fitted = after.map_or_else(|| "-".to_owned(), |after| format!("{:.2} dB", after.psnr_db()));
     let _ = writeln!(html, "<tr><td>peak signal to noise</td><td class=\"n\">{:.2} dB</td><td class=\"n\">{fitted}</td></tr>", before.psnr_db());
     html.push_str("</table>\n");
     if after.is_none() && !report.effects.is_empty() {
-        html.push_str("<p class=\"note\">The solver cannot undo what was found, so the fitted description predicts the same.</p>\n");
+        html.push_str("<p class=\"note\">That solver cannot undo what was found, so the fitted description predicts the same; the table above has the light as the fitted sensor must have seen it.</p>\n");
     }
     if let Some(sample) = &found.sample {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);

@@ -102,7 +102,7 @@ pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
     let most = f64::max(crate::integrity::quantile(&known, 0.98), 1e-9);
     let size = ((700.0 - GAP) / all.len().max(2) as f64 / across as f64).min(8.0);
     let (wide, high) = (size * across as f64, size * down as f64);
-    let mut svg = open((wide + GAP) * all.len() as f64 + 60.0, TOP + high + 26.0);
+    let mut svg = open(f64::max((wide + GAP) * all.len() as f64, 460.0), TOP + high + 26.0);
     let colour = |share: f64| {
         let shade = (255.0 - 225.0 * share.clamp(0.0, 1.0)) as u8;
         format!("rgb(255,{shade},{})", shade / 2 + 60)
