@@ -144,6 +144,66 @@ fn rows_that_are_stamped_late_leave_more_than_a_sound_sensor_does_and_their_cont
     assert!(p_values.len() > 40 && p_values[0] <= 0.01 && p_values.is_sorted(), "{p_values:?}");
 }
 
+/// A fast texture, seen by a sensor that is blind for 50 us, and stated to be so for 700 us.
+fn hidden_refractory(more: &str) -> String {
+    let path = support::root().join("data/sensors/hybrid.toml");
+    let sensor = |name: &str, refractory: &str| {
+        let change = format!("comparator = {{ threshold_on = 0.1, threshold_off = 0.105 }}, readout = {{ refractory = \"{refractory}\" }}");
+        format!("[nodes.{name}]\nkind = \"read/sensor\"\nparams = {{ path = {path:?}, change = {{ {change} }} }}\n")
+    };
+    let parts = [
+        "format = 1\n[pipeline]\nseed = 1\n".into(),
+        sensor("stated", "700 us"),
+        sensor("actual", "50 us"),
+        "[nodes.scene]\nkind = \"simulate/scene\"\nin = { sensor = \"stated\" }\n".into(),
+        "params = { scene = \"texture\", width = 40, height = 30, duration = \"60 ms\", illuminance = \"800 lx\", texture = { speed = 8.0 } }\n".into(),
+        "[nodes.recording]\nkind = \"simulate/sensor\"\nin = { light = \"scene.light\", sensor = \"actual\" }\n".into(),
+        more.into(),
+    ];
+    parts.concat()
+}
+
+#[test]
+fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one() {
+    let bench = Bench::new();
+    let streams = "events = \"recording.events\", frames = \"recording.frames\"";
+    let diagnosis = format!(
+        "[nodes.integrity]\nkind = \"diagnose/integrity\"\nin = {{ {streams}, sensor = \"stated\" }}\n\
+         [nodes.confirm]\nkind = \"diagnose/confirm\"\nin = {{ {streams}, sensor = \"stated\", integrity = \"integrity.findings\" }}\n\
+         [nodes.answer]\nkind = \"write/diagnosis\"\nin = {{ report = \"confirm.report\", page = \"confirm.page\", sensor = \"confirm.sensor\" }}\n"
+    );
+    let manifest = bench.write("diagnosis.toml", &hidden_refractory(&diagnosis)).display().to_string();
+    bench.outcome(&[&manifest]);
+    let report: Value = serde_json::from_str(&read(&bench, "out/diagnosis/answer/diagnosis.json")).expect("JSON");
+    assert_eq!(report["summary"], "refractory");
+    // Events, frames that were kept back, and intervals agree better after than before.
+    let better = |key: &str| {
+        let of = |when: &str| report["fit"][key][when].as_f64().unwrap_or_else(|| panic!("{key}.{when}"));
+        (of("before"), of("after"))
+    };
+    let (nats, psnr, ks) = (better("heldout_nats_per_event"), better("heldout_frame_psnr_db"), better("calibration_ks"));
+    assert!(nats.1 > nats.0 + 0.5 && psnr.1 > psnr.0 + 3.0 && ks.1 < 0.5 * ks.0, "{nats:?} {psnr:?} {ks:?}");
+    assert!(report["effects"][0]["evidence"]["heldout_nats_ci95"][0].as_f64() > Some(0.0), "{report}");
+    // The description that was written is read, simulates, and solves.
+    let solved = |name: &str| {
+        format!(
+            "[nodes.solve_{name}]\nkind = \"solve/pixel\"\nin = {{ {streams}, sensor = \"{name}\" }}\nparams = {{ method = \"map\" }}\n\
+             [nodes.render_{name}]\nkind = \"render/rows\"\nin = {{ tracks = \"solve_{name}.tracks\", sensor = \"stated\" }}\n\
+             params = {{ rate = \"1 kHz\", exposure = \"100 us\", end = \"56 ms\" }}\n\
+             [nodes.psnr_{name}]\nkind = \"score/psnr\"\nin = {{ frames = \"render_{name}\", truth = \"scene.truth\", sensor = \"stated\" }}\n\
+             params = {{ region = \"moving\" }}\n"
+        )
+    };
+    let again = "[nodes.fitted]\nkind = \"read/sensor\"\nparams = { path = \"out/diagnosis/answer/sensor.fitted.toml\" }\n\
+                 [nodes.again]\nkind = \"simulate/sensor\"\nin = { light = \"scene.light\", sensor = \"fitted\" }\n";
+    let proof = [again, &solved("stated"), &solved("fitted")].concat();
+    let manifest = bench.write("proof.toml", &hidden_refractory(&proof)).display().to_string();
+    assert!(executed(&bench.outcome(&[&manifest])).contains(&"again".to_string()));
+    let scores = scores(&bench, "out/proof");
+    let psnr = |name: &str| scores[&(format!("psnr_{name}"), "psnr_db".to_string())];
+    assert!(psnr("fitted") > psnr("stated") + 1.0, "{} dB as fitted, {} dB as stated", psnr("fitted"), psnr("stated"));
+}
+
 #[test]
 fn direct_tests_alone_are_told_as_such() {
     let bench = Bench::new();

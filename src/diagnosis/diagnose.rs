@@ -2,6 +2,7 @@
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::{Case, PixelEvents};
+use crate::comparison::{Comparison, Step, compare};
 use crate::fitted::fitted;
 use crate::heldout::{Prediction, is_read_by_solver, predict, undone};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
@@ -60,6 +61,8 @@ pub struct Diagnosis {
     pub predictions: (Option<Prediction>, Option<Prediction>),
     /// The pixels of the predictions.
     pub sample: Option<Sample>,
+    /// Events, before and after; none where there was too little to compare.
+    pub comparison: Option<Comparison>,
 }
 
 /// What the roads found.
@@ -140,7 +143,7 @@ pub fn propose(case: &Case, setting: &Setting, integrity: &Integrity, roads: &[R
 pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, proposed: Proposed, mut tell: impl FnMut(&str)) -> Result<Diagnosis, NodeError> {
     let nominal = Nominal::new(case)?;
     let scales = Scales::of(case, &nominal);
-    let Proposed { roads: found, ran, failed } = proposed;
+    let Proposed { roads: found, ran, mut failed } = proposed;
     let can_compare = can_compare(case, &integrity);
     tell("verdict");
     let mut answer = verdict(case, &nominal, &integrity, &found);
@@ -157,9 +160,17 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
         Some(sample) => (predict(case, &case.sensor, sample, &setting.scene)?, after(case, &nominal, changed.as_ref(), &values, sample, setting)?),
         None => (None, None),
     };
+    tell("comparison");
+    let comparison = match sample.as_ref().map(|_| compare(&without_masked(case, &integrity), &nominal, &scales, &answer.claims)) {
+        Some(Err(why)) => {
+            failed.push(format!("comparison: {why}"));
+            None
+        }
+        compared => compared.and_then(Result::ok).flatten(),
+    };
     let stages = std::iter::once("integrity".to_owned()).chain(ran).collect();
-    let report = report(case, &nominal, setting, &integrity, &found, &answer, changed.as_ref(), &predictions, stages);
-    Ok(Diagnosis { report, fitted: changed, integrity, roads: found, failed, predictions, sample })
+    let report = report(case, &nominal, setting, &integrity, &found, &answer, changed.as_ref(), &predictions, comparison.as_ref(), stages);
+    Ok(Diagnosis { report, fitted: changed, integrity, roads: found, failed, predictions, sample, comparison })
 }
 
 /// The pixels in which the proof is looked for: blocks spread over the array, or all of a small one.
@@ -172,19 +183,25 @@ fn looked_at(case: &Case) -> Sample {
     Sample::blocks(case, zones, SIDE, 1, (3.0, 300.0))
 }
 
-/// The recording with what direct tests found in its description, and without the pixels that they exclude, so that roads look for the rest.
-pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
-    let mut amended = case.clone();
+/// The recording without the pixels that direct tests exclude.
+fn without_masked(case: &Case, integrity: &Integrity) -> Case {
+    let mut rest = case.clone();
     if !integrity.masked.is_empty() {
         let keep = |pixel: usize| integrity.masked.binary_search(&(pixel as u32)).is_err();
         let events = (0..case.events.pixels()).map(|pixel| if keep(pixel) { case.events.of(pixel).to_vec() } else { Vec::new() });
-        amended.events = PixelEvents::new(events);
-        if let Some(frames) = &mut amended.frames {
+        rest.events = PixelEvents::new(events);
+        if let Some(frames) = &mut rest.frames {
             let pixels = case.extent.pixels();
             let masked = integrity.masked.iter().flat_map(|&pixel| (pixel as usize..frames.dn.len()).step_by(pixels));
             masked.collect::<Vec<_>>().into_iter().for_each(|at| frames.dn[at] = f32::NAN);
         }
     }
+    rest
+}
+
+/// The recording with what direct tests found in its description, and without the pixels that they exclude, so that roads look for the rest.
+pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
+    let mut amended = without_masked(case, integrity);
     // Hot rows and pixels are out with their pixels.
     let rest = integrity.findings.iter().filter(|finding| !matches!(finding.id, "hot_rows" | "hot_pixels"));
     let values: Vec<(usize, f64)> = rest.flat_map(values_of).collect();
@@ -226,9 +243,15 @@ fn report(
     answer: &Answer,
     changed: Option<&Sensor>,
     predictions: &(Option<Prediction>, Option<Prediction>),
+    comparison: Option<&Comparison>,
     stages: Vec<String>,
 ) -> Report {
     let mut effects: Vec<EffectReport> = answer.claims.iter().map(|claim| effect(case, nominal, claim)).collect();
+    // What was measured apart from the pixels of the fit says more than what a fit says of itself.
+    let apart = comparison.filter(|comparison| comparison.is_apart && comparison.after().is_some());
+    for effect in &mut effects {
+        gained(effect, apart);
+    }
     if let Some(found) = &answer.unexplained {
         let mut location = everywhere(case, None);
         location.covariate.clone_from(&found.covariate);
@@ -246,6 +269,13 @@ fn report(
     let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
     let first = roads.iter().find(|road| road.nats_per_event.is_some());
     let nats = first.and_then(|road| road.nats_per_event).filter(|_| !effects.is_empty()).map(|(before, after)| BeforeAfter { before, after });
+    // What solve/pixel cannot undo, the comparison can.
+    let kept = comparison.and_then(|comparison| Some(BeforeAfter { before: comparison.before().kept_psnr_db?, after: comparison.after()?.kept_psnr_db? }));
+    let is_undone = comparison.is_some_and(|comparison| comparison.steps.iter().any(|step| step.id.is_some() && !step.is_random));
+    let psnr = psnr.or(kept.filter(|_| is_undone));
+    let nats = apart.and_then(nats_of).or(nats);
+    let ks = |step: &Step| step.calibration.as_ref().map(|calibration| calibration.ks);
+    let calibration_ks = comparison.and_then(|comparison| Some(BeforeAfter { before: ks(comparison.before())?, after: ks(comparison.after()?)? }));
     let mut detectability: Vec<_> = roads.iter().flat_map(|road| road.detectability.iter().cloned()).collect();
     detectability.dedup_by(|a, b| a.id == b.id && a.parameter == b.parameter);
     Report {
@@ -256,7 +286,7 @@ fn report(
         next_experiment: crate::advice::next_experiments(case, answer, integrity),
         residual_left: roads.iter().find_map(|road| road.residual_left).filter(|_| !effects.is_empty()),
         effects,
-        fit: Fit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks: None },
+        fit: Fit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks },
         detectability,
         scene: integrity.scene.clone(),
         sensor_fitted: changed.map(|_| "sensor.fitted.toml".to_owned()),
@@ -268,6 +298,22 @@ fn report(
             stages,
         },
     }
+}
+
+/// How well events of pixels to which nothing was fitted are foretold; none when no claim has events of its own.
+fn nats_of(comparison: &Comparison) -> Option<BeforeAfter> {
+    let is_told = comparison.steps.iter().any(|step| step.id.is_some() && !step.is_random);
+    is_told.then(|| BeforeAfter { before: comparison.before().nats_per_event(), after: comparison.after().map_or(f64::NAN, Step::nats_per_event) })
+}
+
+/// What an effect gains on events of pixels to which nothing was fitted.
+fn gained(effect: &mut EffectReport, comparison: Option<&Comparison>) {
+    let Some(comparison) = comparison else { return };
+    let Some(at) = comparison.steps.iter().position(|step| step.id == Some(effect.id.as_str()) && !step.is_random) else { return };
+    let gain = comparison.gain(at - 1, at);
+    effect.evidence.heldout_nats = Some(gain.nats);
+    effect.evidence.heldout_nats_ci95 = Some(gain.nats_ci95);
+    effect.evidence.heldout_nats_per_event = Some(gain.nats_per_event);
 }
 
 /// The report of a recording that could not be read as one: its data contradict the format or themselves.

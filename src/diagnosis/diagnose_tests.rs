@@ -27,6 +27,8 @@ fn a_named_effect_is_reported_fitted_and_proven() {
     assert!(found.fitted.unwrap().effects.contains_key("clock_offset"));
     let psnr = report.fit.heldout_frame_psnr_db.unwrap();
     assert!(psnr.after > psnr.before, "{psnr:?}");
+    let ks = report.fit.calibration_ks.unwrap();
+    assert!(ks.after < 0.5 * ks.before, "{ks:?}");
     assert_eq!(report.provenance.stages, ["integrity", "likelihood"]);
 }
 
@@ -35,6 +37,7 @@ fn a_sound_recording_is_consistent_and_says_what_was_not_tested() {
     let found = quiet(&testing::case(), &[]);
     assert_eq!(found.report.verdict, Verdict::Consistent);
     assert!(found.report.effects.is_empty() && found.fitted.is_none());
+    assert!(found.report.fit.calibration_ks.is_none() && found.comparison.unwrap().after().is_none());
     assert!(found.report.not_testable.iter().any(|one| one.id == "leak_events"));
     assert!(found.report.not_testable.iter().all(|one| one.id != "hot_rows"));
 }

@@ -42,16 +42,9 @@ impl Prediction {
 /// When the description does not state what the model needs.
 pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSetting) -> Result<Option<Prediction>, NodeError> {
     let nominal = Nominal::of(sensor, case)?;
-    let Some(frames) = case.frames.as_ref().filter(|frames| frames.times.len() >= 5) else { return Ok(None) };
-    let pixels = case.extent.pixels();
-    let mut rest = case.clone();
-    if let Some(frames) = &mut rest.frames {
-        for frame in (KEPT..frames.times.len()).step_by(3) {
-            frames.dn[frame * pixels..(frame + 1) * pixels].fill(f32::NAN);
-        }
-    }
+    let Some(frames) = &case.frames else { return Ok(None) };
+    let Some((rest, kept)) = kept_back(case) else { return Ok(None) };
     let scene = Scene::estimate(&rest, &nominal, sample, setting);
-    let kept: Vec<usize> = (KEPT..frames.times.len() - 1).step_by(3).collect();
     let mut by_pixel = vec![f64::NAN; sample.len()];
     let mut by_frame = vec![(0.0, 0.0); kept.len()];
     let (mut sum, mut count, mut largest) = (0.0, 0.0, 0.0_f64);
@@ -83,6 +76,22 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSet
     let peak_dn = if nominal.saturation_dn.is_finite() { nominal.saturation_dn } else { largest };
     let by_frame = kept.iter().zip(by_frame).filter(|(_, (_, count))| *count > 0.0).map(|(frame, (sum, count))| (*frame, libm::sqrt(sum / count))).collect();
     Ok(Some(Prediction { square_error: sum / count, peak_dn, by_pixel, by_frame, scene }))
+}
+
+/// A recording without every third frame, and which of them are foretold: not the last one, which has no frame after it. None with fewer than five frames.
+pub fn kept_back(case: &Case) -> Option<(Case, Vec<usize>)> {
+    let count = case.frame_count();
+    if count < 5 {
+        return None;
+    }
+    let pixels = case.extent.pixels();
+    let mut rest = case.clone();
+    if let Some(frames) = &mut rest.frames {
+        for frame in (KEPT..count).step_by(3) {
+            frames.dn[frame * pixels..(frame + 1) * pixels].fill(f32::NAN);
+        }
+    }
+    Some((rest, (KEPT..count - 1).step_by(3).collect()))
 }
 
 /// DN of an exposure: the light is log-linear between knots, and constant before the first and after the last.

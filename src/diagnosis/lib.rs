@@ -26,6 +26,7 @@
 //! - [`verdict`]: one answer from all tests.
 //! - [`fitted`]: the description with what was found put in.
 //! - [`heldout`]: frames that were kept back, before and after.
+//! - [`comparison`]: events, before and after: mismatch by place and time, gain of each effect, calibration.
 //! - [`advice`]: what to record next.
 //! - [`diagnose`]: all of it, in order.
 //! - [`stages`]: what passes between its stages, as documents.
@@ -39,6 +40,7 @@ pub mod band;
 pub mod candidates;
 pub mod case;
 pub mod closures;
+pub mod comparison;
 pub mod covariates;
 pub mod deviation;
 pub mod diagnose;

@@ -98,6 +98,7 @@ fn unexplained(law: &Law) -> Option<Unexplained> {
         insertion: law.moved.insertion().to_owned(),
         score: law.taken / LEAST_LAW,
         nats: law.nats_per_change,
+        law: Some(law.clone()),
     })
 }
 

@@ -6,6 +6,7 @@
 use crate::candidates::CANDIDATES;
 use crate::diagnose::Proposed;
 use crate::integrity::{Finding, Integrity};
+use crate::open::Law;
 use crate::report::{Detectable, NotTestable, SceneProperty};
 use crate::verdict::{Proposal, Road, Unexplained};
 use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
@@ -134,7 +135,7 @@ read_again!(Proposal {
     heldout_nats: Option<f64>,
     heldout_nats_per_event: Option<f64>,
 });
-read_again!(Unexplained { covariate: String, equation: String, insertion: String, score: f64, nats: f64 });
+read_again!(Unexplained { covariate: String, equation: String, insertion: String, score: f64, nats: f64, law: Option<Law> });
 read_again!(Road {
     name: String,
     alarm: bool,

@@ -20,6 +20,7 @@ use photocurrent_sensor::effects::{
 };
 use photocurrent_sensor::forward::neighbours::{joined, mixed, stand_in};
 use photocurrent_sensor::front_end::FrontEnd;
+use photocurrent_sensor::likelihood::{BaseNoise, Interval, Since, intervals_since};
 use photocurrent_sensor::map::{MapEvent, MapSensor, Prior};
 use rayon::prelude::*;
 use std::borrow::Cow;
@@ -30,6 +31,8 @@ const LARGEST_CORRECTION: f64 = 0.5;
 const SAME_KNOT_NS: i64 = 20_000;
 /// Seed of the noise that mixing takes away.
 const MIXING: u64 = 0x0b1a;
+/// Seed of the draws within rounded stamps.
+const RESCALING: u64 = 0x1e51;
 /// Signals that are mixed are at least this, DN.
 const LEAST_SIGNAL_DN: f64 = 0.5;
 /// Light behind the lens is at least this share of what the pixel sees.
@@ -60,12 +63,17 @@ impl<'a> Under<'a> {
         &self.case
     }
 
+    /// Are the frames that it compares mixtures of neighbours?
+    pub fn has_mixed_frames(&self) -> bool {
+        matches!(self.case, Cow::Owned(_))
+    }
+
     /// The light that the trial must have seen to record `recorded`, as far as the solver can tell.
     pub fn estimate(&self, recorded: &Case, sample: &Sample, setting: &SceneSetting, priors: &[Prior]) -> Scene {
         let stated = Scene::estimate_from(
             sample,
             priors,
-            |n| self.told(recorded, setting, sample.pixels[n] as usize),
+            |n| self.told(recorded, setting, sample.pixels[n] as usize).0,
             |told| task(recorded, setting, &told.data, told.sensor, &told.beyond),
             recorded.span.0,
         );
@@ -93,7 +101,8 @@ impl<'a> Under<'a> {
         if factor > 1e-6 { (factor, f64::max(one - factor, 0.0)) } else { (1.0, 0.0) }
     }
 
-    fn told(&self, recorded: &Case, setting: &SceneSetting, pixel: usize) -> Told {
+    /// What the solver is told of a pixel, and what its intervals have of their own.
+    fn told(&self, recorded: &Case, setting: &SceneSetting, pixel: usize) -> (Told, Vec<Since>) {
         let Trial { nominal, .. } = self.trial;
         let site = Nominal::site(&self.case, pixel, 1);
         let mut random = Random::new(0, &[]);
@@ -146,13 +155,30 @@ impl<'a> Under<'a> {
         light.sort_by(f64::total_cmp);
         let usual = light.get(light.len() / 2).copied().unwrap_or(1.0).max(1e-9);
         let refractory_ns = self.effects.iter().fold(nominal.pixel.refractory_ns, |refractory_ns, effect| effect.refractory_ns(&site, usual, refractory_ns));
-        let beyond = self.beyond(&site, &events, &thresholds, refractory_ns, usual);
+        let since = self.since(&site, &events, refractory_ns, usual);
+        let beyond = beyond(&since, &events, &thresholds);
         let sensor = MapSensor { front_end, threshold_on: thresholds.on, threshold_off: thresholds.off, refractory_ns, ..nominal.map_sensor() };
-        Told { data: (events, frames), sensor, beyond }
+        (Told { data: (events, frames), sensor, beyond }, since)
     }
 
-    /// By how much the signed step of each event is more than its threshold: thresholds of that moment, what the reset left, and drift since then.
-    fn beyond(&self, site: &Site, events: &[MapEvent], thresholds: &Thresholds, refractory_ns: i64, light: f64) -> Vec<f64> {
+    /// The intervals between the events of pixel `n` of a sample, exactly rescaled with this trial and the light that it was estimated to see; none where that is not known.
+    /// The solver's front end stands for the trial's. `sigma` is the threshold's standard deviation at each reset, natural-log units.
+    pub fn rescaled(&self, recorded: &Case, setting: &SceneSetting, sample: &Sample, scene: &Scene, n: usize, sigma: f64) -> Vec<Interval> {
+        let pixel = sample.pixels[n] as usize;
+        if !scene.is_known[n] {
+            return Vec::new();
+        }
+        let (told, since) = self.told(recorded, setting, pixel);
+        let (factor, added) = self.seen(&Nominal::site(&self.case, pixel, 1));
+        let (t_ns, own) = scene.pixel(n);
+        let log_light: Vec<f64> = own.iter().map(|u| libm::log(factor * libm::exp(*u) + added)).collect();
+        let noise = BaseNoise { sigma, shared: false, background_hz: 0.0, stamp_width_ns: recorded.t_resolution_ns };
+        let mut random = Random::new(RESCALING, &[pixel as u64]);
+        intervals_since((t_ns, &log_light), &told.sensor, &noise, &told.data.0, |k| &since[k], recorded.span, &mut random)
+    }
+
+    /// What the interval before each event has of its own, and the silent end: thresholds of that moment, what the reset left, drift and kicks since then.
+    fn since(&self, site: &Site, events: &[MapEvent], refractory_ns: i64, light: f64) -> Vec<Since> {
         let nominal = &self.trial.nominal;
         let (start_ns, end_ns) = self.case.span;
         let mut random = Random::new(0, &[]);
@@ -168,16 +194,17 @@ impl<'a> Under<'a> {
         let mut history = History::default();
         let mut reset_ns = start_ns;
         let mut left = 0.0;
-        let mut beyond = Vec::with_capacity(events.len());
-        for event in events {
+        let mut all = Vec::with_capacity(events.len() + 1);
+        for end in events.iter().map(Some).chain([None]) {
             let mut now = stated;
             for effect in &self.effects {
                 effect.thresholds(site, &history, &mut random, reset_ns, &mut now);
             }
-            let (step, usual) = (signed_step(event.polarity, now.on, now.off), signed_step(event.polarity, thresholds.on, thresholds.off));
-            let drift = drift_per_s * f64::max((event.t_in_ns - reset_ns) as f64 * 1e-9, 0.0);
-            let kicked: f64 = kicks.iter().filter(|kick| kick.t_ns >= reset_ns && kick.t_ns < event.t_in_ns).map(|kick| kick.change).sum();
-            beyond.push(step - usual + left - drift - kicked);
+            let until_ns = end.map_or(end_ns, |event| event.t_in_ns);
+            let within = kicks.iter().filter(|kick| kick.t_ns >= reset_ns && kick.t_ns < until_ns).map(|kick| (kick.t_ns, kick.change));
+            all.push(Since { thresholds: [now.on, now.off], left, drift_per_s, kicks: within.collect(), reset_ns });
+            let Some(event) = end else { break };
+            let step = signed_step(event.polarity, now.on, now.off);
             let burst_index = match history.last_event {
                 Some(last) if event.t_in_ns - last.t_in_ns <= BURST_GAP_NS => history.burst_index + 1,
                 _ => 1,
@@ -187,7 +214,7 @@ impl<'a> Under<'a> {
             left = self.effects.iter().fold(step, |reference, effect| effect.reference(site, &history, &mut random, reference, 0.0)) - step;
             reset_ns = if nominal.reset == Reset::Resample { event.t_off_ns + refractory_ns } else { event.t_in_ns };
         }
-        if beyond.iter().all(|more| *more == 0.0) { Vec::new() } else { beyond }
+        all
     }
 
     /// Estimates the light and corrects it `turns` times by what the trial's own recording of it differs.
@@ -209,6 +236,18 @@ impl<'a> Under<'a> {
         }
         Ok((scene, recording))
     }
+}
+
+/// By how much the signed step of each event is more than its usual threshold; empty where none is.
+fn beyond(since: &[Since], events: &[MapEvent], usual: &Thresholds) -> Vec<f64> {
+    let of = |(since, event): (&Since, &MapEvent)| {
+        let (step, usual) = (signed_step(event.polarity, since.thresholds[0], since.thresholds[1]), signed_step(event.polarity, usual.on, usual.off));
+        let drift = since.drift_per_s * f64::max((event.t_in_ns - since.reset_ns) as f64 * 1e-9, 0.0);
+        let kicked: f64 = since.kicks.iter().map(|(_, change)| change).sum();
+        step - usual + since.left - drift - kicked
+    };
+    let beyond: Vec<f64> = since.iter().zip(events).map(of).collect();
+    if beyond.iter().all(|more| *more == 0.0) { Vec::new() } else { beyond }
 }
 
 /// A recording whose frames are mixtures of neighbours, as the event path sees their light. A mixture has less noise than its parts: what is gone is put back, or every

@@ -10,6 +10,7 @@ use crate::candidates::{CANDIDATES, Candidate};
 use crate::case::Case;
 use crate::integrity::{Finding, Integrity};
 use crate::nominal::Nominal;
+use crate::open::Law;
 use crate::report::{Detectable, NotTestable, Verdict};
 use crate::roads::REFIT;
 use photocurrent_sensor::effects::{Unit, catalogue};
@@ -49,6 +50,8 @@ pub struct Unexplained {
     pub score: f64,
     /// Gain in the log of the likelihood of a change of closure, on pixels that it was not fitted to, nats.
     pub nats: f64,
+    /// As it was measured.
+    pub law: Option<Law>,
 }
 
 /// What one road found.

@@ -39,6 +39,30 @@ pub struct BaseNoise {
     pub stamp_width_ns: i64,
 }
 
+/// What one interval has of its own, beyond what the sensor says: the thresholds of that moment, what the reset left, and what happens to the reference since then.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Since {
+    /// ON and OFF threshold, natural-log units, both positive.
+    pub thresholds: [f64; 2],
+    /// The reference is this much higher than the voltage at the reset, natural-log units.
+    pub left: f64,
+    /// The reference falls by this much a second: a leak.
+    pub drift_per_s: f64,
+    /// The voltage steps at these instants (ns, rising) by so much.
+    pub kicks: Vec<(i64, f64)>,
+    /// From when on drift and kicks count, ns.
+    pub reset_ns: i64,
+}
+
+impl Since {
+    /// What the comparator sees beyond the voltage at an instant.
+    fn added(&self, t_ns: i64) -> f64 {
+        let drift = self.drift_per_s * f64::max((t_ns - self.reset_ns) as f64 * 1e-9, 0.0);
+        let kicked: f64 = self.kicks.iter().filter(|(kick_ns, _)| *kick_ns >= self.reset_ns && *kick_ns < t_ns).map(|(_, change)| change).sum();
+        drift + kicked - self.left
+    }
+}
+
 /// From one arming of the pixel to its next event, or to the end of the recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interval {
@@ -62,11 +86,21 @@ pub struct Interval {
 ///
 /// # Panics
 /// When there is no knot of light.
-pub fn intervals(
+pub fn intervals(light: (&[i64], &[f64]), sensor: &MapSensor, noise: &BaseNoise, events: &[MapEvent], span: (i64, i64), random: &mut Random) -> Vec<Interval> {
+    let usual = Since { thresholds: [sensor.threshold_on, sensor.threshold_off], reset_ns: i64::MAX, ..Since::default() };
+    intervals_since(light, sensor, noise, events, |_| &usual, span, random)
+}
+
+/// The same with what each interval has of its own: `since` tells it of the interval before an event (by its number), and of the silent end (by the number of events).
+///
+/// # Panics
+/// When there is no knot of light.
+pub fn intervals_since<'a>(
     (t_ns, log_light): (&[i64], &[f64]),
     sensor: &MapSensor,
     noise: &BaseNoise,
     events: &[MapEvent],
+    since: impl Fn(usize) -> &'a Since,
     (start_ns, end_ns): (i64, i64),
     random: &mut Random,
 ) -> Vec<Interval> {
@@ -76,7 +110,8 @@ pub fn intervals(
     let mut armed_ns = start_ns;
     let mut found = Vec::with_capacity(events.len() + 1);
     for (k, event) in events.iter().enumerate() {
-        let mut watch = Watch::new(noise, sensor, reference);
+        let own = since(k);
+        let mut watch = Watch::new(noise, own, reference);
         let half = noise.stamp_width_ns / 2;
         pixel.go_to(armed_ns, |_, _| {});
         let (before, after) = (i64::max(event.t_in_ns - half, armed_ns), i64::max(event.t_in_ns + half, armed_ns));
@@ -103,13 +138,13 @@ pub fn intervals(
         });
         let latch_ns = i64::max(event.t_off_ns + sensor.refractory_ns, event.t_in_ns);
         pixel.go_to(event.t_in_ns, |_, _| {});
-        let fired = if event.polarity > 0 { sensor.threshold_on } else { -sensor.threshold_off };
+        let fired = if event.polarity > 0 { own.thresholds[0] } else { -own.thresholds[1] };
         pixel.go_to(latch_ns, |_, _| {});
-        reference = if sensor.reset == Reset::Resample { pixel.voltage } else { reference + fired };
+        reference = if sensor.reset == Reset::Resample { pixel.voltage } else { reference + fired - own.added(event.t_in_ns) };
         armed_ns = latch_ns;
     }
     if armed_ns < end_ns {
-        let mut watch = Watch::new(noise, sensor, reference);
+        let mut watch = Watch::new(noise, since(events.len()), reference);
         pixel.go_to(armed_ns, |_, _| {});
         watch.see(armed_ns, pixel.voltage);
         pixel.go_to(end_ns, |t, voltage| watch.see(t, voltage));
@@ -195,9 +230,9 @@ impl Pixel<'_> {
 
 /// How near both thresholds have been since the pixel was armed.
 #[derive(Clone, Copy)]
-struct Watch {
+struct Watch<'a> {
     noise: BaseNoise,
-    thresholds: [f64; 2],
+    since: &'a Since,
     reference: f64,
     /// The largest voltage above the reference, and the largest below it.
     most: [f64; 2],
@@ -207,14 +242,14 @@ struct Watch {
     step_ns: i64,
 }
 
-impl Watch {
-    fn new(noise: &BaseNoise, sensor: &MapSensor, reference: f64) -> Watch {
+impl<'a> Watch<'a> {
+    fn new(noise: &BaseNoise, since: &'a Since, reference: f64) -> Watch<'a> {
         let none = [f64::NEG_INFINITY; 2];
-        Watch { noise: *noise, thresholds: [sensor.threshold_on, sensor.threshold_off], reference, most: none, before: none, now_ns: i64::MIN, step_ns: 0 }
+        Watch { noise: *noise, since, reference, most: none, before: none, now_ns: i64::MIN, step_ns: 0 }
     }
 
     fn see(&mut self, t_ns: i64, voltage: f64) {
-        let change = voltage - self.reference;
+        let change = voltage - self.reference + self.since.added(t_ns);
         self.before = self.most;
         self.most = [f64::max(self.most[0], change), f64::max(self.most[1], -change)];
         self.step_ns = if self.now_ns == i64::MIN { 0 } else { t_ns - self.now_ns };
@@ -222,7 +257,7 @@ impl Watch {
     }
 
     fn z(&self, most: &[f64; 2]) -> [f64; 2] {
-        std::array::from_fn(|side| (most[side] - self.thresholds[side]) / self.noise.sigma)
+        std::array::from_fn(|side| (most[side] - self.since.thresholds[side]) / self.noise.sigma)
     }
 
     fn survival(&self, waited_ns: i64) -> f64 {
@@ -330,6 +365,42 @@ mod tests {
         assert!((expected - events as f64).abs() < 3.0 * libm::sqrt(events as f64), "{expected} for {events}");
         // The side that advances is the one that fires.
         assert!(right.iter().all(|interval| interval.mark > 0.5));
+    }
+
+    #[test]
+    fn a_leak_and_thresholds_of_the_moment_are_uniform_when_they_are_told() {
+        // The light stands still: a reference that falls at a constant rate reaches a threshold drawn at each reset after (threshold / rate), in closed form.
+        let (rate, sigma) = (8.0, 0.02);
+        let threshold = |k: usize| 0.2 + 0.05 * (k % 3) as f64;
+        let mut random = Random::new(9, &[]);
+        let (mut events, mut all, mut reset_ns) = (Vec::new(), Vec::new(), 0_i64);
+        for k in 0..2000 {
+            let since = Since { thresholds: [threshold(k), 0.3], drift_per_s: rate, left: 0.03, reset_ns, ..Since::default() };
+            all.push(since);
+            let drawn = threshold(k) + sigma * random.normal();
+            let t_in_ns = reset_ns + ((drawn + 0.03) / rate * 1e9) as i64;
+            events.push(MapEvent { t_in_ns, t_off_ns: t_in_ns, polarity: 1, is_lone: false });
+            reset_ns = t_in_ns;
+        }
+        all.push(Since { thresholds: [0.2, 0.3], drift_per_s: rate, reset_ns, ..Since::default() });
+        let (t, u) = ([0_i64], [4.0]);
+        let sensor = MapSensor { refractory_ns: 0, ..SENSOR };
+        let with = |since: &[Since]| intervals_since((&t, &u), &sensor, &noise(sigma), &events, |k| &since[k], (0, reset_ns), &mut Random::new(3, &[]));
+        let limit = 1.63 / libm::sqrt(events.len() as f64);
+        assert!(ks(&with(&all)) < limit, "{} of {limit}", ks(&with(&all)));
+        let slower: Vec<Since> = all.iter().map(|since| Since { drift_per_s: 0.98 * rate, ..since.clone() }).collect();
+        assert!(ks(&with(&slower)) > 2.0 * limit);
+        // A kick stands for the drift of the whole interval.
+        let kicked: Vec<Since> = all
+            .iter()
+            .zip(&events)
+            .map(|(since, event)| Since {
+                drift_per_s: 0.0,
+                kicks: vec![(event.t_in_ns - 1, rate * (event.t_in_ns - since.reset_ns) as f64 * 1e-9)],
+                ..since.clone()
+            })
+            .collect();
+        assert!(ks(&with(&kicked)) < limit);
     }
 
     #[test]

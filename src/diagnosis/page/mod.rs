@@ -1,17 +1,22 @@
 //! The report as one page of HTML that needs nothing beside it: text first, then pictures as inline SVG.
 //!
-//! The page says what `diagnosis.json` says, and shows what that cannot hold: how strongly each candidate was supported, where and when kept frames disagree, and
-//! the light of a few pixels with the description as stated and as fitted. The same diagnosis gives the same bytes.
+//! The page says what `diagnosis.json` says, and shows what that cannot hold: events before and after (calibration, gain of each effect, where, when, and on what it depends), how strongly
+//! each candidate was supported, where and when kept frames disagree, and a few pixels with the description as stated and as fitted. The same diagnosis gives the same bytes.
 
+mod comparison;
 mod pixels;
+mod plot;
 mod svg;
 
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
 use crate::diagnose::Diagnosis;
+use crate::heldout::Prediction;
+use crate::open::Law;
 use crate::report::{EffectReport, Parameter, Report, Verdict, short as number};
+use plot::{Plot, Scale};
 use std::fmt::Write;
-use svg::{Bar, bars, heat, steps};
+use svg::{Bar, COLOURS, Map, bars, maps};
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1b1f24;background:#fff}\
 h1{font-size:1.5rem;margin:0}h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid #d0d7de;padding-bottom:.2rem}\
@@ -26,12 +31,21 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
     let _ = write!(html, "<style>{STYLE}</style>\n</head>\n<body>\n");
     head(&mut html, report);
     effects(&mut html, report);
-    if let Some(found) = found {
-        scores(&mut html, found);
+    if let Some(curve) = found.and_then(|found| unnamed(report, found)) {
+        comparison::unnamed(&mut html, curve);
+    }
+    let compared = case.zip(found.and_then(|found| found.comparison.as_ref()));
+    if let Some((case, found)) = compared {
+        comparison::before_and_after(&mut html, case, found);
     }
     if let (Some(case), Some(found)) = (case, found) {
         proof(&mut html, report, case, found);
+    }
+    if let Some((case, found)) = compared {
         pixels::examples(&mut html, case, found);
+    }
+    if let Some(found) = found {
+        scores(&mut html, found);
     }
     limits(&mut html, report);
     provenance(&mut html, report);
@@ -53,6 +67,12 @@ fn head(html: &mut String, report: &Report) {
         let text = format!("The light itself: {} at {:.0} Hz, depth {:.2}; no fault of the sensor.", property.property, property.frequency_hz, property.depth);
         let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
     }
+}
+
+/// The curve of what is reported without a name.
+fn unnamed<'a>(report: &Report, found: &'a Diagnosis) -> Option<&'a Law> {
+    let is_told = report.effects.iter().any(|effect| effect.id == "unnamed");
+    found.roads.iter().filter_map(|road| road.unexplained.as_ref()).find_map(|one| one.law.as_ref()).filter(|_| is_told)
 }
 
 fn effects(html: &mut String, report: &Report) {
@@ -92,7 +112,8 @@ fn location(html: &mut String, effect: &EffectReport) {
     );
     let _ = write!(text, "Found by: {}; {:.1} times its alarm.", evidence.found_by.join(", "), evidence.statistic);
     if let Some(nats) = evidence.heldout_nats {
-        let _ = write!(text, " On measurements kept back it gains {nats:.0} nats.");
+        let interval = evidence.heldout_nats_ci95.map_or_else(String::new, |[low, high]| format!(" ({low:.0} to {high:.0})"));
+        let _ = write!(text, " On measurements kept back it gains {nats:.0} nats{interval}.");
     }
     let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
 }
@@ -129,31 +150,36 @@ fn scores(html: &mut String, found: &Diagnosis) {
 fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
     let Some(before) = &found.predictions.0 else { return };
     html.push_str("<h2>Frames that were kept back</h2>\n");
-    html.push_str("<p>Every third frame is kept back and predicted from the events and the other frames.</p>\n");
+    html.push_str("<p>Every third frame is kept back and predicted from the events and the other frames, as <code>solve/pixel</code> would.</p>\n");
     html.push_str("<table><tr><th></th><th>as stated</th><th>as fitted</th></tr>\n");
     let after = found.predictions.1.as_ref();
     let fitted = after.map_or_else(|| "-".to_owned(), |after| format!("{:.2} dB", after.psnr_db()));
     let _ = writeln!(html, "<tr><td>peak signal to noise</td><td class=\"n\">{:.2} dB</td><td class=\"n\">{fitted}</td></tr>", before.psnr_db());
-    if let Some(nats) = report.fit.heldout_nats_per_event {
-        let _ = writeln!(html, "<tr><td>log-likelihood an event</td><td class=\"n\">{:.3}</td><td class=\"n\">{:.3}</td></tr>", nats.before, nats.after);
-    }
     html.push_str("</table>\n");
     if after.is_none() && !report.effects.is_empty() {
-        html.push_str("<p class=\"note\">The solver cannot undo what was found, so the fitted description predicts the same.</p>\n");
+        html.push_str("<p class=\"note\">That solver cannot undo what was found, so the fitted description predicts the same; the table above has the light as the fitted sensor must have seen it.</p>\n");
     }
     if let Some(sample) = &found.sample {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
-        let mut map = vec![f64::NAN; width * height];
-        for (&pixel, value) in sample.pixels.iter().zip(&before.by_pixel) {
-            map[pixel as usize] = *value;
-        }
-        html.push_str("<h3>Where: error of a kept frame as a share of the pixel's mean, as stated</h3>\n");
-        html.push_str(&heat(&map, width, height));
+        let map = |of: &Prediction| {
+            let mut map = vec![f64::NAN; width * height];
+            sample.pixels.iter().zip(&of.by_pixel).for_each(|(&pixel, value)| map[pixel as usize] = *value);
+            map
+        };
+        html.push_str("<h3>Where: error of a kept frame as a share of the pixel's mean</h3>\n");
+        let all: Vec<Map> = std::iter::once(("as stated", map(before))).chain(after.map(|after| ("as fitted", map(after)))).collect();
+        html.push_str(&maps(&all, width, height, "of the mean, and more; grey: not looked at"));
     }
-    html.push_str("<h3>When: error by frame, DN</h3>\n");
-    let mut lines = vec![("as stated".to_owned(), before.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect::<Vec<_>>())];
-    lines.extend(after.map(|after| ("as fitted".to_owned(), after.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect())));
-    html.push_str(&steps(&lines, "frame", "DN"));
+    html.push_str("<h3>When: error by frame</h3>\n");
+    let all: Vec<(&Prediction, &str, &str)> =
+        std::iter::once((before, "as stated", COLOURS[0])).chain(after.map(|after| (after, "as fitted", COLOURS[1]))).collect();
+    let curve = |of: &Prediction| -> Vec<(f64, f64)> { of.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect() };
+    let mut plot = Plot::with_rows(all.iter().flat_map(|one| curve(one.0)).chain([(f64::NAN, 0.0)]), 700.0, 200.0, Scale::Whole, &[]);
+    for (of, name, colour) in all {
+        plot.line(&curve(of), colour, None);
+        plot.name(colour, name);
+    }
+    html.push_str(&plot.close("frame", "root mean square error, DN"));
 }
 
 fn limits(html: &mut String, report: &Report) {

@@ -1,6 +1,7 @@
-//! Small charts as SVG text: bars, a map of pixels, curves.
+//! Small charts as SVG text: bars, values with intervals, maps of pixels.
 
 use super::escaped;
+use crate::report::short;
 use std::fmt::Write;
 
 /// A bar of a chart.
@@ -38,120 +39,94 @@ pub fn bars(bars: &[Bar]) -> String {
     svg
 }
 
-/// Values of an array of pixels, from white (0) to dark (the 98th percentile and more); what is not known stays grey. Pixels of a large array are put together.
-pub fn heat(values: &[f64], width: usize, height: usize) -> String {
-    const MOST: usize = 128;
-    let side = width.max(height).div_ceil(MOST).max(1);
-    let (across, down) = (width.div_ceil(side), height.div_ceil(side));
-    let mut cells = vec![(0.0, 0.0); across * down];
-    for (pixel, value) in values.iter().enumerate().filter(|(_, value)| value.is_finite()) {
-        let cell = &mut cells[pixel / width / side * across + pixel % width / side];
-        *cell = (cell.0 + value, cell.1 + 1.0);
+/// A range with an interval.
+pub struct Range {
+    /// Beside it.
+    pub label: String,
+    /// The value and its 95 % interval; none shows `note` alone.
+    pub value: Option<(f64, [f64; 2])>,
+    /// To the right of it.
+    pub note: String,
+}
+
+/// Values with intervals on one axis, in %, with a line at 0.
+pub fn ranges(rows: &[Range]) -> String {
+    const LEFT: f64 = 200.0;
+    const WIDTH: f64 = 260.0;
+    const ROW: f64 = 24.0;
+    let ends = rows.iter().filter_map(|row| row.value).flat_map(|(value, [low, high])| [value, low.max(-1.0), high.min(1.0)]);
+    let (least, most) = ends.fold((0.0_f64, 0.2_f64), |range, end| (range.0.min(end), range.1.max(end)));
+    let x = |value: f64| LEFT + WIDTH * (value.clamp(least, most) - least) / (most - least);
+    let height = ROW * rows.len() as f64 + 4.0;
+    let mut svg = open(LEFT + WIDTH + 230.0, height);
+    let _ = write!(svg, "<line x1=\"{0:.1}\" x2=\"{0:.1}\" y1=\"0\" y2=\"{height:.1}\" stroke=\"#787878\"/>", x(0.0));
+    for (row, of) in rows.iter().enumerate() {
+        let y = ROW * row as f64 + 13.0;
+        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>", LEFT - 10.0, y + 4.0, escaped(&of.label));
+        if let Some((value, [low, high])) = of.value {
+            let (from, to) = (x(low), x(high));
+            let colour = COLOURS[usize::from(low <= 0.0) * 3];
+            let _ = write!(svg, "<line x1=\"{from:.1}\" x2=\"{to:.1}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"{colour}\" stroke-width=\"2\"/>");
+            let _ = write!(svg, "<circle cx=\"{:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>", x(value));
+        }
+        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\">{}</text>", LEFT + WIDTH + 12.0, y + 4.0, escaped(&of.note));
     }
-    let mut known: Vec<f64> = cells.iter().filter(|cell| cell.1 > 0.0).map(|cell| cell.0 / cell.1).collect();
-    known.sort_by(f64::total_cmp);
-    let most = f64::max(crate::integrity::quantile(&known, 0.98), 1e-9);
-    let size = (640.0 / across as f64).min(8.0);
-    let mut svg = open(size * across as f64, size * down as f64 + 20.0);
-    let _ = write!(svg, "<rect width=\"{:.1}\" height=\"{:.1}\" fill=\"#e6e8eb\"/>", size * across as f64, size * down as f64);
-    for (k, cell) in cells.iter().enumerate().filter(|(_, cell)| cell.1 > 0.0) {
-        let shade = (255.0 - 225.0 * (cell.0 / cell.1 / most).clamp(0.0, 1.0)) as u8;
-        let (x, y) = (size * (k % across) as f64, size * (k / across) as f64);
-        let _ = write!(svg, "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{size:.1}\" height=\"{size:.1}\" fill=\"rgb(255,{shade},{})\"/>", shade / 2 + 60);
-    }
-    let _ = writeln!(svg, "<text x=\"0\" y=\"{:.1}\">white 0, red {most:.3} and more, grey not looked at</text></svg>", size * down as f64 + 15.0);
+    svg.push_str("</svg>\n");
     svg
 }
 
-/// A named curve.
-pub type Line = (String, Vec<(f64, f64)>);
+/// A map with its title: a value for each pixel of an array, NaN = not known.
+pub type Map = (&'static str, Vec<f64>);
 
-/// Curves over common axes, from zero up.
-pub fn steps(lines: &[Line], x_label: &str, y_label: &str) -> String {
-    let mut plot = Plot::new(lines.iter().flat_map(|line| line.1.iter().copied()).chain([(f64::NAN, 0.0)]), 640.0, 180.0);
-    for (k, (name, points)) in lines.iter().enumerate() {
-        plot.line(points, COLOURS[k % COLOURS.len()], name, k);
-    }
-    plot.close(x_label, y_label)
-}
-
-/// Axes over which curves are drawn.
-pub struct Plot {
-    svg: String,
-    x: (f64, f64),
-    y: (f64, f64),
-    size: (f64, f64),
-}
-
-const MARGIN: (f64, f64) = (60.0, 30.0);
-
-impl Plot {
-    /// Axes that hold some points; coordinates that are not finite are left out.
-    pub fn new(points: impl Iterator<Item = (f64, f64)>, width: f64, height: f64) -> Plot {
-        let none = (f64::INFINITY, f64::NEG_INFINITY);
-        let grow = |range: (f64, f64), value: f64| if value.is_finite() { (range.0.min(value), range.1.max(value)) } else { range };
-        let (x, y) = points.fold((none, none), |(x, y), point| (grow(x, point.0), grow(y, point.1)));
-        let whole = |range: (f64, f64)| {
-            if range.1 > range.0 {
-                range
-            } else if range.0.is_finite() {
-                (range.0 - 0.5, range.0 + 0.5)
-            } else {
-                (0.0, 1.0)
+/// Maps of one array side by side, on one scale from white (0) to dark red (the 98th percentile of all and more); what is not known stays grey. Pixels of a large array are put
+/// together. `what` names value and unit.
+pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
+    const MOST: usize = 128;
+    const GAP: f64 = 20.0;
+    const TOP: f64 = 20.0;
+    let side = width.max(height).div_ceil(MOST).max(1);
+    let (across, down) = (width.div_ceil(side), height.div_ceil(side));
+    let cells: Vec<Vec<(f64, f64)>> = all
+        .iter()
+        .map(|(_, values)| {
+            let mut cells = vec![(0.0, 0.0); across * down];
+            for (pixel, value) in values.iter().enumerate().filter(|(_, value)| value.is_finite()) {
+                let cell = &mut cells[pixel / width / side * across + pixel % width / side];
+                *cell = (cell.0 + value, cell.1 + 1.0);
             }
-        };
-        let mut plot = Plot { svg: open(width, height), x: whole(x), y: whole(y), size: (width, height) };
-        let (left, bottom) = (MARGIN.0, height - MARGIN.1);
-        let _ = write!(plot.svg, "<path d=\"M{left} 8V{bottom}H{:.1}\" fill=\"none\" stroke=\"#787878\"/>", width - 8.0);
-        plot
-    }
-
-    /// Where a point stands on the page.
-    pub fn place(&self, point: (f64, f64)) -> (f64, f64) {
-        let (width, height) = (self.size.0 - MARGIN.0 - 8.0, self.size.1 - MARGIN.1 - 8.0);
-        let share = |value: f64, range: (f64, f64)| (value - range.0) / (range.1 - range.0);
-        (MARGIN.0 + width * share(point.0, self.x), 8.0 + height * (1.0 - share(point.1, self.y)))
-    }
-
-    /// A curve with its name, the `row`th of the legend.
-    pub fn line(&mut self, points: &[(f64, f64)], colour: &str, name: &str, row: usize) {
-        let mut path = String::new();
-        for point in points.iter().filter(|point| point.0.is_finite() && point.1.is_finite()) {
-            let (x, y) = self.place(*point);
-            let _ = write!(path, "{x:.1},{y:.1} ");
+            cells
+        })
+        .collect();
+    let mut known: Vec<f64> = cells.iter().flatten().filter(|cell| cell.1 > 0.0).map(|cell| cell.0 / cell.1).collect();
+    known.sort_by(f64::total_cmp);
+    let most = f64::max(crate::integrity::quantile(&known, 0.98), 1e-9);
+    let size = ((700.0 - GAP) / all.len().max(2) as f64 / across as f64).min(8.0);
+    let (wide, high) = (size * across as f64, size * down as f64);
+    let mut svg = open(f64::max((wide + GAP) * all.len() as f64, 460.0), TOP + high + 26.0);
+    let colour = |share: f64| {
+        let shade = (255.0 - 225.0 * share.clamp(0.0, 1.0)) as u8;
+        format!("rgb(255,{shade},{})", shade / 2 + 60)
+    };
+    for (n, ((title, _), cells)) in all.iter().zip(&cells).enumerate() {
+        let left = (wide + GAP) * n as f64;
+        let _ = write!(svg, "<text x=\"{left:.1}\" y=\"13\">{}</text>", escaped(title));
+        let _ = write!(svg, "<rect x=\"{left:.1}\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" fill=\"#e6e8eb\"/>");
+        for (k, cell) in cells.iter().enumerate().filter(|(_, cell)| cell.1 > 0.0) {
+            let (x, y) = (left + size * (k % across) as f64, TOP + size * (k / across) as f64);
+            let fill = colour(cell.0 / cell.1 / most);
+            let _ = write!(svg, "<rect x=\"{x:.1}\" y=\"{y:.1}\" width=\"{size:.1}\" height=\"{size:.1}\" fill=\"{fill}\"/>");
         }
-        let _ = write!(self.svg, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"/>", path.trim_end());
-        let (x, y) = (self.size.0 - 16.0, 20.0 + 16.0 * row as f64);
-        let _ = write!(self.svg, "<text x=\"{x:.1}\" y=\"{y:.1}\" text-anchor=\"end\" fill=\"{colour}\">{}</text>", escaped(name));
     }
-
-    /// A level bar from one instant to another.
-    pub fn level(&mut self, from: f64, to: f64, value: f64, colour: &str) {
-        let ((x1, y), (x2, _)) = (self.place((from, value)), self.place((to, value)));
-        let _ = write!(self.svg, "<line x1=\"{x1:.1}\" x2=\"{x2:.1}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"{colour}\" stroke-width=\"3\"/>");
+    let y = TOP + high + 8.0;
+    for step in 0..10 {
+        let _ = write!(svg, "<rect x=\"{}\" y=\"{y:.1}\" width=\"10\" height=\"12\" fill=\"{}\"/>", 14 + 10 * step, colour((f64::from(step) + 0.5) / 10.0));
     }
-
-    /// A tick on the lower axis (`up`) or under it.
-    pub fn tick(&mut self, x: f64, up: bool, colour: &str) {
-        let (x, bottom) = (self.place((x, self.y.0)).0, self.size.1 - MARGIN.1);
-        let to = if up { bottom - 8.0 } else { bottom + 8.0 };
-        let _ = write!(self.svg, "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{bottom:.1}\" y2=\"{to:.1}\" stroke=\"{colour}\"/>");
-    }
-
-    /// The finished picture, with the ends of both axes.
-    pub fn close(mut self, x_label: &str, y_label: &str) -> String {
-        let (width, height) = self.size;
-        let bottom = height - 6.0;
-        let _ = write!(self.svg, "<text x=\"{}\" y=\"{bottom:.1}\">{:.4}</text>", MARGIN.0, self.x.0);
-        let _ = write!(self.svg, "<text x=\"{:.1}\" y=\"{bottom:.1}\" text-anchor=\"end\">{:.4} {}</text>", width - 8.0, self.x.1, escaped(x_label));
-        let _ = write!(self.svg, "<text x=\"{:.1}\" y=\"18\" text-anchor=\"end\">{:.3}</text>", MARGIN.0 - 6.0, self.y.1);
-        let _ = write!(self.svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{:.3}</text>", MARGIN.0 - 6.0, height - MARGIN.1, self.y.0);
-        let _ = writeln!(self.svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text></svg>", MARGIN.0 - 6.0, height / 2.0, escaped(y_label));
-        self.svg
-    }
+    let _ = writeln!(svg, "<text x=\"0\" y=\"{:.1}\">0</text><text x=\"120\" y=\"{0:.1}\">{} {}</text></svg>", y + 10.0, short(most), escaped(what));
+    svg
 }
 
-fn open(width: f64, height: f64) -> String {
+/// The head of a picture.
+pub fn open(width: f64, height: f64) -> String {
     format!(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.1} {height:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" font-size=\"12\" font-family=\"sans-serif\">"
     )

@@ -1,26 +1,86 @@
 //! Pages are whole, and safe to open.
 
 use super::*;
-use crate::diagnose::{Setting, broken, diagnose};
+use crate::covariates::Covariate;
+use crate::diagnose::{RoadKind, Setting, broken, diagnose};
+use crate::open::{Law, Moved};
 use crate::testing;
+use crate::verdict::{Proposal, Road, Unexplained};
+
+/// Is the page whole, with nothing loaded from elsewhere and no number that failed?
+fn is_sound(html: &str) {
+    assert!(html.starts_with("<!doctype html>") && html.ends_with("</html>\n"));
+    for part in ["src=", "<link", "<script", "NaN", "inf"] {
+        assert!(!html.contains(part), "{part}");
+    }
+    for tag in ["svg", "table", "div", "h2", "h3", "p"] {
+        let (open, close) = (html.matches(&format!("<{tag}>")).count() + html.matches(&format!("<{tag} ")).count(), html.matches(&format!("</{tag}>")).count());
+        assert_eq!(open, close, "{tag}");
+    }
+}
 
 #[test]
 fn a_page_is_whole_and_needs_nothing_beside_it() {
     let case = testing::case();
     let found = diagnose(&case, &Setting::default(), &[], |_| ()).unwrap();
     let html = page(&found.report, Some(&case), Some(&found));
-    for part in ["<!doctype html>", "consistent", "Frames that were kept back", "Three pixels", "says nothing about", "</html>"] {
+    is_sound(&html);
+    for part in ["consistent", "How the description fares", "Calibration", "Frames that were kept back", "Three pixels", "says nothing about"] {
         assert!(html.contains(part), "{part}");
     }
-    // Nothing is loaded from elsewhere, and no number failed.
-    for part in ["src=", "<link", "<script", "NaN", "inf"] {
-        assert!(!html.contains(part), "{part}");
-    }
-    for tag in ["svg", "table", "div", "h2", "p"] {
-        let (open, close) = (html.matches(&format!("<{tag}>")).count() + html.matches(&format!("<{tag} ")).count(), html.matches(&format!("</{tag}>")).count());
-        assert_eq!(open, close, "{tag}");
-    }
+    // Where nothing is claimed there is nothing to compare with.
+    assert!(!html.contains("Gain of each effect") && !html.contains("What it depends on"));
     assert_eq!(html, page(&found.report, Some(&case), Some(&found)));
+}
+
+/// A road that claims an effect, and one that saw a curve without a name.
+fn road(id: &str, value: f64, law: Option<Law>) -> RoadKind {
+    let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
+    let proposal = Proposal { candidate, score: 9.0, probability: 0.9, value, passed: true, ..Proposal::default() };
+    let unexplained = law.map(|law| Unexplained { covariate: law.covariate.name().into(), score: 2.0, law: Some(law), ..Unexplained::default() });
+    let proposals = if unexplained.is_some() { Vec::new() } else { vec![proposal] };
+    RoadKind::new("likelihood", move |_, _| {
+        Ok(Road { name: "likelihood".into(), alarm: true, proposals: proposals.clone(), unexplained: unexplained.clone(), ..Road::default() })
+    })
+}
+
+#[test]
+fn what_is_claimed_is_shown_before_and_after() {
+    let leak = serde_json::json!({"rate": "25 Hz"});
+    let case = testing::case_with(&[("leak_events".to_owned(), leak.as_object().unwrap().clone())].into_iter().collect());
+    let found = diagnose(&case, &Setting::default(), &[road("leak_events", 25.0, None)], |_| ()).unwrap();
+    let html = page(&found.report, Some(&case), Some(&found));
+    is_sound(&html);
+    for part in ["Before and after", "Gain of each effect", ">leak_events</text>", "over time_since_last_event", "mismatch of the events by pixel"] {
+        assert!(html.contains(part), "{part}");
+    }
+    // The table, the calibration, two maps, time, two dependences and three pixels speak of both.
+    assert!(html.matches("as fitted").count() > 9 && html.matches("as fitted").count() <= html.matches("as stated").count());
+    let gain = found.comparison.unwrap().gain(0, 1);
+    assert!(html.contains(&format!("{:.0} % (", 100.0 * gain.share)), "{gain:?}");
+}
+
+#[test]
+fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
+    let case = testing::case();
+    let law = Law {
+        moved: Moved::Threshold,
+        covariate: Covariate::RowParity,
+        period_s: None,
+        at: vec![0.0, 1.0],
+        value: vec![0.11, -0.11],
+        error: vec![0.01, 0.01],
+        taken: 0.2,
+        significance: 20.0,
+        nats_per_change: 0.1,
+    };
+    let found = diagnose(&case, &Setting::default(), &[road("blur", 1.0, Some(law))], |_| ()).unwrap();
+    assert_eq!(found.report.verdict, Verdict::Unnamed);
+    let html = page(&found.report, Some(&case), Some(&found));
+    is_sound(&html);
+    assert!(html.contains("The curve without a name") && html.contains("over row_parity"));
+    let points = html.split("The curve without a name").nth(1).unwrap().split("</svg>").next().unwrap().matches("<circle").count();
+    assert_eq!(points, 2);
 }
 
 #[test]
