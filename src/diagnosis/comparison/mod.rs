@@ -291,7 +291,7 @@ fn look(refit: &Refit<'_>, described: &Described, id: Option<&'static str>, befo
         return Ok((Step { id, is_random: true, calibration, ..before.clone() }, None));
     }
     let by_pixel = mismatch(under.case(), &recording, sample, nominal, scene.frame_share);
-    let mut blocks = vec![Mismatch::default(); sample.block.iter().map(|block| *block as usize + 1).max().unwrap_or(0)];
+    let mut blocks = vec![Mismatch::default(); refit.block_count];
     for (of, &block) in by_pixel.iter().zip(&sample.block) {
         blocks[block as usize] = blocks[block as usize].and(of);
     }

@@ -147,13 +147,14 @@ pub fn unnamed(html: &mut String, law: &Law) {
         Moved::Stamps => ("how much later stamps are", "us", 1e6),
         Moved::Threshold => ("how much higher thresholds are", "%", 100.0),
     };
+    let rhythm = law.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", number(1.0 / period_s)));
     let _ = writeln!(
         html,
-        "<h2>The curve without a name</h2>\n<p class=\"note\">{what} than the mean, over {}; bars: twice what two halves of the pixels differ by; dashed: the description as stated. \
-         On pixels that it was not fitted to it takes away {:.1} % of what frames and events leave of each other, {} standard errors from nothing.</p>",
+        "<h2>The curve without a name</h2>\n<p class=\"note\">{what} than described, over {}{rhythm}; bars: 95 %, from what two halves of the pixels say; dashed: the description \
+         as stated. It takes away {:.1} % of the squares of what frames and events disagree in, on pixels that it was not fitted to: {:.1} standard errors from nothing.</p>",
         escaped(law.covariate.name()),
         100.0 * law.taken,
-        number(law.significance)
+        law.significance
     );
     let points: Vec<Point> = (0..law.at.len()).map(|k| Point { at: law.at[k], value: factor * law.value[k], error: factor * law.error[k] }).collect();
     html.push_str(&over(law.covariate, &[(&points, "measured", COLOURS[0])], 0.0, unit));
@@ -185,12 +186,12 @@ fn over(covariate: Covariate, sets: &[(&[Point], &str, &str)], flat: f64, unit: 
 fn axis(covariate: Covariate) -> String {
     let unit = match covariate {
         Covariate::Time | Covariate::FramePhase | Covariate::TimeSinceLastEvent | Covariate::NeighbourEvent => ", s",
+        Covariate::AcPhase => ", periods",
         Covariate::Photocurrent => ", ln",
         Covariate::Slope => ", 1/s",
         Covariate::Lag => ", ln units",
         Covariate::SpatialGradient => ", 1/px",
         Covariate::LocalRate | Covariate::RowRate | Covariate::GlobalRate => ", events in a millisecond",
-        Covariate::AcPhase => ", periods",
         Covariate::Radius => ", 1 = corner",
         _ => "",
     };

@@ -31,8 +31,8 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
     let _ = write!(html, "<style>{STYLE}</style>\n</head>\n<body>\n");
     head(&mut html, report);
     effects(&mut html, report);
-    if let Some(curve) = found.and_then(|found| unnamed(report, found)) {
-        comparison::unnamed(&mut html, curve);
+    if let Some(law) = found.and_then(|found| unnamed(report, found)) {
+        comparison::unnamed(&mut html, law);
     }
     let compared = case.zip(found.and_then(|found| found.comparison.as_ref()));
     if let Some((case, found)) = compared {

@@ -71,7 +71,7 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
         value: vec![0.11, -0.11],
         error: vec![0.01, 0.01],
         taken: 0.2,
-        significance: 20.0,
+        significance: 9.0,
         nats_per_change: 0.1,
     };
     let found = diagnose(&case, &Setting::default(), &[road("blur", 1.0, Some(law))], |_| ()).unwrap();
