@@ -5,7 +5,7 @@
 
 use crate::candidates::CANDIDATES;
 use crate::diagnose::Proposed;
-use crate::integrity::{Finding, Integrity};
+use crate::integrity::{Finding, Heldout, Integrity};
 use crate::report::{Detectable, NotTestable, SceneProperty};
 use crate::verdict::{Proposal, Road, Unexplained};
 use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
@@ -74,6 +74,7 @@ struct FindingText {
     polarity: String,
     pixels: Vec<u32>,
     seen: String,
+    heldout: Option<Heldout>,
 }
 
 impl<'de> Deserialize<'de> for Finding {
@@ -93,6 +94,7 @@ impl<'de> Deserialize<'de> for Finding {
             polarity: polarity.ok_or_else(|| D::Error::custom(format!("`{}` is no polarity", text.polarity)))?,
             pixels: text.pixels,
             seen: text.seen,
+            heldout: text.heldout,
         })
     }
 }
