@@ -11,6 +11,7 @@ use photocurrent_diagnosis::fitted::with_findings;
 use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::report::{Report, Verdict, short};
+use photocurrent_nodes::read::{is_aedat4, whole_aedat4};
 use photocurrent_store::StoreError;
 use photocurrent_store::recording::Recording;
 use std::fmt::Write;
@@ -40,12 +41,11 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     bar.set_message("reading the recording");
     // The HDF5 library's word for a missing file comes without what to do about it.
     if let Err(error) = std::fs::metadata(&options.recording) {
-        let hint = "hint: name a recording, an HDF5 file in the form photocurrent-recording/1 (docs/formats.md)";
+        let hint = "hint: name a recording: an HDF5 file in the form photocurrent-recording/1 (docs/formats.md), or an AEDAT4 file";
         return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", options.recording.display())));
     }
-    let recording = Recording::open(&options.recording)?;
-    let sensor = sensor(options, &recording)?;
-    let case = match case(&recording, &sensor) {
+    let case = if is_aedat4(&options.recording) { davis_case(options) } else { recorded_case(options) };
+    let case = match case {
         Ok(case) => case,
         Err(Unread::Content(why)) => {
             bar.finish_and_clear();
@@ -93,14 +93,14 @@ fn knowledge(options: &DiagnoseOptions) -> Result<Option<Knowledge>, Failure> {
 }
 
 /// The description: a file's, or the recording's own.
-fn sensor(options: &DiagnoseOptions, recording: &Recording) -> Result<Sensor, Failure> {
+fn sensor(options: &DiagnoseOptions, own: Option<&str>) -> Result<Sensor, Failure> {
     let parse = |source| Sensor::parse(&source).map_err(Failure::Problems);
     if let Some(path) = &options.sensor {
         let text = std::fs::read_to_string(path).map_err(|error| usage(format!("{}: cannot read the sensor description: {error}", path.display())))?;
         return parse(Source::new(path.display().to_string(), path.parent().unwrap_or(Path::new(".")), text));
     }
     let name = options.recording.display();
-    let Some(text) = recording.sensor_text() else {
+    let Some(text) = own else {
         let hint = "hint: say which sensor it is: --sensor sensor.toml (docs/formats.md states the form)";
         return Err(usage(format!("{name}: there is no sensor description in the recording (/sensor)\n  {hint}")));
     };
@@ -117,6 +117,32 @@ enum Unread {
     Content(String),
     /// Anything else.
     Other(Failure),
+}
+
+impl From<Failure> for Unread {
+    fn from(failure: Failure) -> Unread {
+        Unread::Other(failure)
+    }
+}
+
+/// From an AEDAT4 file of a DAVIS camera.
+fn davis_case(options: &DiagnoseOptions) -> Result<Case, Unread> {
+    let name = options.recording.display();
+    let sensor = sensor(options, None)?;
+    // These cameras have a global shutter; a description may know better.
+    let row_time = sensor.frames.row_time.unwrap_or_default();
+    let (streams, notes) = whole_aedat4(&options.recording, row_time).map_err(|error| usage(error.to_string()))?;
+    if !options.quiet {
+        notes.iter().for_each(|note| eprintln!("note: {note}"));
+    }
+    Case::read(streams.events.as_ref(), streams.frames.as_ref(), &sensor).map_err(|error| Unread::Other(usage(format!("{name}: {}", error.message))))
+}
+
+/// From a recording in this project's form.
+fn recorded_case(options: &DiagnoseOptions) -> Result<Case, Unread> {
+    let recording = Recording::open(&options.recording).map_err(Failure::from)?;
+    let sensor = sensor(options, recording.sensor_text())?;
+    case(&recording, &sensor)
 }
 
 fn case(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> {
