@@ -1,7 +1,8 @@
 //! `diagnose/integrity`: what shows in a recording without an estimate of its scene.
 //!
 //! Data that contradict themselves, stamps on a coarser grid than stated, a readout queue, hot rows and pixels, noise events, lost events, events in step with the
-//! frames; and flicker of the light, which is no fault of the sensor. What is found is put into a copy of the description, so that later stages look for the rest.
+//! frames, leaks, lost light, late events; and flicker of the light, which is no fault of the sensor. What is found is put into a copy of the description, so that later
+//! stages look for the rest.
 //!
 //! Limits: every test is strict, and its silence proves nothing. Hot rows and pixels stand in the findings only: they are left out, not described.
 
@@ -63,7 +64,7 @@ impl Node for DiagnoseIntegrity {
     const DECL: Decl = Decl {
         kind: "diagnose/integrity",
         about: "Looks for what shows in a recording without its scene: broken data, stamps, hot rows and pixels, noise, loss.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,

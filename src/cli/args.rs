@@ -232,7 +232,7 @@ pub struct InspectOptions {
 
 #[derive(ClapArgs)]
 pub struct DiagnoseOptions {
-    /// The recording (.h5)
+    /// The recording: .h5, or the .aedat4 of a DAVIS camera
     pub recording: PathBuf,
     /// The sensor description, TOML [default: the one in the recording]
     #[arg(short, long, value_name = "FILE")]

@@ -1,18 +1,15 @@
 //! `photocurrent diagnose`.
 
 use crate::args::DiagnoseOptions;
+use crate::case::{self, Unread, usage};
 use crate::common::{Done, Failure, human_seconds, print};
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Sensor;
-use photocurrent_core::document::Source;
-use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::diagnose::{Diagnosis, Setting, broken};
 use photocurrent_diagnosis::fitted::with_findings;
 use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::report::{Report, Verdict, short};
-use photocurrent_store::StoreError;
-use photocurrent_store::recording::Recording;
 use std::fmt::Write;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
@@ -38,9 +35,7 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     }
     let bar = bar(options.quiet);
     bar.set_message("reading the recording");
-    let recording = open(&options.recording)?;
-    let sensor = sensor(options.sensor.as_deref(), &recording)?;
-    let case = match case(&recording, &sensor) {
+    let case = match case::read(&options.recording, options.sensor.as_deref(), options.quiet) {
         Ok(case) => case,
         Err(Unread::Content(why)) => {
             bar.finish_and_clear();
@@ -69,16 +64,6 @@ fn text(report: &Report) -> Result<String, Failure> {
     report.to_json().map_err(|why| Failure::other(format!("the report cannot be written as JSON: {why}")))
 }
 
-/// Opens a recording.
-pub fn open(path: &Path) -> Result<Recording, Failure> {
-    // The HDF5 library's word for a missing file comes without what to do about it.
-    if let Err(error) = std::fs::metadata(path) {
-        let hint = "hint: name a recording, an HDF5 file in the form photocurrent-recording/1 (docs/formats.md)";
-        return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", path.display())));
-    }
-    Ok(Recording::open(path)?)
-}
-
 /// What says on a terminal how far we are.
 fn bar(quiet: bool) -> ProgressBar {
     if quiet || !std::io::stderr().is_terminal() {
@@ -95,54 +80,6 @@ fn knowledge(options: &DiagnoseOptions) -> Result<Option<Knowledge>, Failure> {
     let Some(path) = &options.knowledge else { return Knowledge::shipped().map(Some).map_err(|why| usage(format!("the knowledge that is built in: {why}"))) };
     let bytes = std::fs::read(path).map_err(|error| usage(format!("{}: cannot read the knowledge: {error}", path.display())))?;
     Knowledge::from_bytes(&bytes).map(Some).map_err(|why| usage(format!("{}: this is no knowledge of the diagnosis: {why}", path.display())))
-}
-
-/// The description: a file's, or the recording's own.
-pub fn sensor(file: Option<&Path>, recording: &Recording) -> Result<Sensor, Failure> {
-    let parse = |source| Sensor::parse(&source).map_err(Failure::Problems);
-    if let Some(path) = file {
-        let text = std::fs::read_to_string(path).map_err(|error| usage(format!("{}: cannot read the sensor description: {error}", path.display())))?;
-        return parse(Source::new(path.display().to_string(), path.parent().unwrap_or(Path::new(".")), text));
-    }
-    let name = recording.path().display();
-    let Some(text) = recording.sensor_text() else {
-        let hint = "hint: say which sensor it is: --sensor sensor.toml (docs/formats.md states the form)";
-        return Err(usage(format!("{name}: there is no sensor description in the recording (/sensor)\n  {hint}")));
-    };
-    parse(Source::new(format!("{name}:/sensor"), recording.path().parent().unwrap_or(Path::new(".")), text))
-}
-
-pub fn usage(message: String) -> Failure {
-    Failure::Other { message, code: 2 }
-}
-
-/// Why a recording is no case.
-pub enum Unread {
-    /// Its data contradict the format or themselves: that is a verdict.
-    Content(String),
-    /// Anything else.
-    Other(Failure),
-}
-
-/// A recording in memory.
-pub fn case(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> {
-    let name = recording.path().display();
-    // Read once before, for the reader's own word on what is wrong.
-    match recording.read_events(recording.extent().rows()) {
-        Ok(_) => {}
-        Err(error @ StoreError::Content { .. }) => return Err(Unread::Content(error.to_string())),
-        Err(error) => return Err(Unread::Other(error.into())),
-    }
-    let row_time_ns = recording.row_time_ns().or(sensor.frames.row_time.map(|row_time| row_time.ns()));
-    let frames = match (recording.exposures().is_some_and(|exposures| !exposures.is_empty()), row_time_ns) {
-        (false, _) => None,
-        (true, Some(row_time_ns)) => recording.frames(row_time_ns),
-        (true, None) => {
-            let hint = "hint: set the attribute `row_time_ns` of /frames, or state `frames.row_time` in the sensor description; 0 is a global shutter";
-            return Err(Unread::Other(usage(format!("{name}: the row time of the frames is stated nowhere\n  {hint}"))));
-        }
-    };
-    Case::read(recording.events().as_ref(), frames.as_ref(), sensor).map_err(|error| Unread::Other(usage(format!("{name}: {}", error.message))))
 }
 
 /// The fitted description with a word on where it comes from.

@@ -1,8 +1,8 @@
 //! `photocurrent learn`: what a diagnosis knows beforehand, made anew.
 
 use crate::args::LearnOptions;
+use crate::case::{self, Unread, usage};
 use crate::common::{Done, Failure};
-use crate::diagnose::{Unread, case, open, sensor, usage};
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Extent;
 use photocurrent_diagnosis::floor::Null;
@@ -78,8 +78,7 @@ fn scene(folder: &Path, number: u64, extent: Extent, setting: &TrainingSetting, 
 
 /// By how much a recording without an effect deviates.
 fn null(path: &Path, seed: u64) -> Result<Null, Failure> {
-    let recording = open(path)?;
-    let case = match case(&recording, &sensor(None, &recording)?) {
+    let case = match case::read(path, None, true) {
         Ok(case) => case,
         Err(Unread::Content(why)) => return Err(usage(why)),
         Err(Unread::Other(failure)) => return Err(failure),

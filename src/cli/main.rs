@@ -5,6 +5,7 @@
 
 mod args;
 mod cache;
+mod case;
 mod common;
 mod diagnose;
 mod effects;

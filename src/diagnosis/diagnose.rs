@@ -3,7 +3,7 @@
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::{Case, PixelEvents};
 use crate::comparison::{Comparison, Step, compare};
-use crate::fitted::fitted;
+use crate::fitted::{fitted, put_beside};
 use crate::heldout::{Prediction, is_read_by_solver, predict, undone};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
 use crate::integrity::{Finding, Integrity, integrity};
@@ -153,7 +153,10 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
         integrity.lacking.extend(failed.iter().cloned());
     }
     let values: Vec<(usize, f64)> = answer.claims.iter().flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value))).collect();
-    let changed = (!values.is_empty()).then(|| fitted(&case.sensor, &nominal, &scales, &values));
+    let mut changed = (!values.is_empty()).then(|| fitted(&case.sensor, &nominal, &scales, &values));
+    if let Some(changed) = &mut changed {
+        answer.claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| put_beside(changed, finding.id, &finding.parameters));
+    }
     tell("proof");
     let sample = can_compare.then(|| looked_at(case)).filter(|sample| !sample.is_empty());
     let predictions = match &sample {
@@ -204,8 +207,9 @@ pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Inte
     let mut amended = without_masked(case, integrity);
     // Hot rows and pixels are out with their pixels.
     let rest = integrity.findings.iter().filter(|finding| !matches!(finding.id, "hot_rows" | "hot_pixels"));
-    let values: Vec<(usize, f64)> = rest.flat_map(values_of).collect();
+    let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
     amended.sensor = fitted(&case.sensor, nominal, scales, &values);
+    rest.for_each(|finding| put_beside(&mut amended.sensor, finding.id, &finding.parameters));
     if let Some(step) = values.iter().find(|(which, _)| CANDIDATES[*which].id == "timestamp_quantization").map(|(_, step)| *step) {
         amended.t_resolution_ns = (step * 1e9).round() as i64;
     }
@@ -282,7 +286,7 @@ fn report(
         schema: SCHEMA,
         verdict: answer.verdict,
         summary: summary(integrity, answer),
-        not_testable: not_testable(case, roads),
+        not_testable: not_testable(case, roads).into_iter().filter(|one| answer.claims.iter().all(|claim| claim.id != one.id)).collect(),
         next_experiment: crate::advice::next_experiments(case, answer, integrity),
         residual_left: roads.iter().find_map(|road| road.residual_left).filter(|_| !effects.is_empty()),
         effects,

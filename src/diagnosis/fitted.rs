@@ -8,6 +8,8 @@ use crate::nominal::Nominal;
 use crate::report::six_digits;
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
+use photocurrent_sensor::effects::{Unit, catalogue};
+use serde_json::json;
 
 /// A description with effects put in; each is an index into [`CANDIDATES`] with a value in the unit of its declaration.
 pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usize, f64)]) -> Sensor {
@@ -25,6 +27,23 @@ pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usi
         sensor.effects.insert(id, parameters);
     }
     sensor
+}
+
+/// Puts numbers of an effect that are no candidates of their own (the phase of a coupling, the rate of hot pixels) beside those that are; each in the unit of its
+/// declaration. Nothing where the description does not state the effect under `[effects]`.
+pub fn put_beside(sensor: &mut Sensor, id: &str, numbers: &[(&'static str, f64)]) {
+    let Some(stated) = sensor.effects.get_mut(id) else { return };
+    let Some(decl) = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == id) else { return };
+    for (name, value) in numbers.iter().filter(|(name, _)| Candidate::find(id, name).is_none()) {
+        let value = six_digits(*value);
+        let written = match decl.parameters.iter().find(|parameter| parameter.name == *name).map(|parameter| parameter.unit) {
+            Some(Unit::Time) => json!(format!("{} ns", (value * 1e9).round())),
+            Some(Unit::Rate) => json!(format!("{value} Hz")),
+            Some(_) => json!(value),
+            None => continue,
+        };
+        stated.insert((*name).to_owned(), written);
+    }
 }
 
 /// The text of a fitted description, with a word on where it comes from: what was found, each with what else it may be.
@@ -99,6 +118,20 @@ mod tests {
         assert_eq!(sensor.readout.refractory, Some(Duration::new(379_000)));
         assert!(sensor.effects.is_empty());
         assert_eq!(read_back(&sensor), sensor);
+    }
+
+    #[test]
+    fn numbers_that_are_not_sought_stand_beside_those_that_are() {
+        let mut sensor = fitted_with(&[("frame_coupling", "step", 0.03), ("hot_pixels", "fraction", 0.002)]);
+        put_beside(&mut sensor, "frame_coupling", &[("step", 0.5), ("period", 0.04), ("phase", 4.7e-4), ("row_time", 35.25e-6)]);
+        put_beside(&mut sensor, "hot_pixels", &[("rate", 900.0)]);
+        put_beside(&mut sensor, "hot_rows", &[("rate", 900.0)]);
+        let coupling = &sensor.effects["frame_coupling"];
+        assert!((coupling["step"].as_f64().unwrap() - 0.03).abs() < 1e-12);
+        assert_eq!(["period", "phase", "row_time"].map(|name| coupling[name].clone()), ["40000000 ns", "470000 ns", "35250 ns"].map(|text| json!(text)));
+        assert_eq!(sensor.effects["hot_pixels"]["rate"], "900 Hz");
+        assert!(!sensor.effects.contains_key("hot_rows"));
+        assert_eq!(from_description(&read_back(&sensor).effects).unwrap().len(), 2);
     }
 
     #[test]

@@ -119,7 +119,8 @@ fn told(found: &Refitted, least: f64) -> Vec<Proposal> {
             probability: libm::exp(libm::log(best / one.score()) / SCORE_SOFTNESS),
             value: one.value,
             ci95: Some(one.ci95),
-            passed: one.heldout > least && one.blocks_better > LEAST_BETTER,
+            // What makes events harder to foretell is no explanation, however few it matches better.
+            passed: one.heldout > least && one.blocks_better > LEAST_BETTER && one.nats_per_event.1 > one.nats_per_event.0,
             heldout_nats: None,
             heldout_nats_per_event: Some(one.nats_per_event.1 - one.nats_per_event.0),
         })

@@ -5,7 +5,7 @@
 
 use crate::candidates::CANDIDATES;
 use crate::diagnose::Proposed;
-use crate::integrity::{Finding, Integrity};
+use crate::integrity::{Finding, Heldout, Integrity};
 use crate::open::Law;
 use crate::report::{Detectable, NotTestable, SceneProperty};
 use crate::verdict::{Proposal, Road, Unexplained};
@@ -75,6 +75,7 @@ struct FindingText {
     polarity: String,
     pixels: Vec<u32>,
     seen: String,
+    heldout: Option<Heldout>,
 }
 
 impl<'de> Deserialize<'de> for Finding {
@@ -94,6 +95,7 @@ impl<'de> Deserialize<'de> for Finding {
             polarity: polarity.ok_or_else(|| D::Error::custom(format!("`{}` is no polarity", text.polarity)))?,
             pixels: text.pixels,
             seen: text.seen,
+            heldout: text.heldout,
         })
     }
 }

@@ -280,15 +280,17 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
         .iter()
         .filter_map(|(parameter, value)| Some((CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == *parameter)?, *value, None)))
         .collect();
-    let matters = values.is_empty() || values.iter().any(|(candidate, value, _)| is_material(case, nominal, &CANDIDATES[*candidate], *value));
+    // Events that are counted where nothing moves are certain however few they are; the limits are for what is fitted.
+    let is_counted = finding.id == "leak_events";
+    let matters = is_counted || values.is_empty() || values.iter().any(|(candidate, value, _)| is_material(case, nominal, &CANDIDATES[*candidate], *value));
     matters.then(|| Claim {
         id: finding.id,
         also_possible: Vec::new(),
         values,
         score: finding.statistic / finding.threshold,
         found_by: vec!["direct".into()],
-        heldout_nats: None,
-        heldout_nats_per_event: None,
+        heldout_nats: finding.heldout.map(|heldout| heldout.nats),
+        heldout_nats_per_event: finding.heldout.map(|heldout| heldout.per_event()),
         finding: Some(finding.clone()),
     })
 }

@@ -94,6 +94,7 @@ fn a_direct_finding_is_named_and_a_stronger_term_stands_before_it() {
         polarity: "on",
         pixels: vec![3],
         seen: String::new(),
+        heldout: None,
     };
     let integrity = Integrity { findings: vec![finding], ..Integrity::default() };
     let alone = answer_with(&integrity, &[]);
@@ -124,6 +125,7 @@ fn what_looks_like_a_direct_finding_is_its_remainder() {
         polarity: "both",
         pixels: Vec::new(),
         seen: String::new(),
+        heldout: None,
     };
     let integrity = Integrity { findings: vec![finding], ..Integrity::default() };
     let scale = || proposal("threshold_scale", "fraction", 60.0, 0.9, 0.2);

@@ -63,6 +63,7 @@ pub fn rows(case: &Case) -> (Option<Finding>, Vec<u32>) {
         polarity: polarity(case, &pixels),
         pixels: pixels.clone(),
         seen: format!("rows {hot:?}: every pixel fires about {rate:.0} times a second more than in the rows around, all the time"),
+        heldout: None,
     };
     (Some(finding), pixels)
 }
@@ -109,6 +110,7 @@ pub fn pixels(case: &Case, masked: &mut Vec<u32>) -> Option<Finding> {
         polarity,
         pixels: hot,
         seen,
+        heldout: None,
     })
 }
 

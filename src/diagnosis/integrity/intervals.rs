@@ -79,6 +79,7 @@ fn noise(all: &[i64], reversals: &[i64], events: usize) -> Option<Finding> {
             100.0 * share,
             limit * 1e-3
         ),
+        heldout: None,
     })
 }
 
@@ -102,6 +103,7 @@ fn jitter(case: &Case, all: &[i64], reversals: &[i64]) -> Option<Finding> {
             100.0 * share,
             limit * 1e-3
         ),
+        heldout: None,
     })
 }
 
@@ -118,6 +120,7 @@ fn blind_time(case: &Case, nominal: &Nominal, blind: &[i64]) -> Option<Finding> 
         polarity: "both",
         pixels: Vec::new(),
         seen,
+        heldout: None,
     };
     if early > BLIND {
         let shortest = quantile(blind, 0.002).max(0);

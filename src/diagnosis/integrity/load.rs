@@ -54,6 +54,7 @@ fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, 
         polarity: "both",
         pixels: Vec::new(),
         seen: format!("{} of {} windows of {} us hold exactly {cap} events: what is beyond is lost", with[cap], counts.len(), window / 1000),
+        heldout: None,
     };
     Some((with[cap] as f64 / counts.len() as f64, finding))
 }
@@ -126,6 +127,7 @@ pub fn frame_coupling(case: &Case, stream: &Stream) -> Option<Finding> {
             50.0 * (1.0 + lean.abs()),
             if lean > 0.0 { "ON" } else { "OFF" }
         ),
+        heldout: None,
     })
 }
 

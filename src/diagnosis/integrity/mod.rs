@@ -1,5 +1,5 @@
-//! What shows without knowing the scene: data that contradict themselves, stamps on a coarser grid, a readout queue, hot rows and pixels, noise events, lost events,
-//! events in step with the frames; and flicker of the light, which is a property of the scene.
+//! What shows without an estimate of the scene: data that contradict themselves, stamps on a coarser grid, a readout queue, hot rows and pixels, noise events, lost
+//! events, events in step with the frames, leaks, blind times, late events; and flicker of the light, which is a property of the scene.
 //!
 //! Each test is strict: it speaks only where a sound sensor could hardly look like this whatever it sees. Silence of a test is no proof of health; what is finer
 //! than these tests see is the business of the tests that estimate the scene.
@@ -11,19 +11,25 @@
 //! - [`hot`]: rows, then pixels, that fire far more than those around them.
 //! - [`intervals`]: intervals that are too short for any light (noise, jitter), or pile up at their shortest (blind time).
 //! - [`load`]: windows of time with one and the same count (loss), bursts in step with the frames.
+//! - [`still`]: pixels in which nothing moves, and the leak that shows there.
+//! - [`coupling`]: events there that come when their row of the frame is read.
+//! - [`changes`]: what the light did between two frames by the frames and by the events: late events, lost light.
 //! - [`flicker`]: one rhythm common to the whole array.
 
+pub mod changes;
+pub mod coupling;
 pub mod data;
 pub mod flicker;
 pub mod hot;
 pub mod intervals;
 pub mod load;
 pub mod stamps;
+pub mod still;
 
 use crate::case::Case;
 use crate::nominal::Nominal;
 use crate::report::SceneProperty;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// A departure from the description that a direct test saw.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -44,6 +50,33 @@ pub struct Finding {
     pub pixels: Vec<u32>,
     /// What was seen, in a sentence.
     pub seen: String,
+    /// What it gains on measurements that its estimate did not see; none where that was not worked out.
+    pub heldout: Option<Heldout>,
+}
+
+/// Gain in log-likelihood on one half of the blocks of pixels with what was estimated on the other, both ways.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Heldout {
+    /// Over the description as stated, nats.
+    pub nats: f64,
+    /// The events that it was measured on.
+    pub events: usize,
+}
+
+impl Heldout {
+    /// Nats an event; 0 without events.
+    pub fn per_event(&self) -> f64 {
+        self.nats / self.events.max(1) as f64
+    }
+}
+
+/// Side of the blocks of [`half`], pixels.
+const BLOCK: u32 = 8;
+
+/// Which half of the array a pixel is of: a checkerboard of blocks.
+pub(crate) fn half(case: &Case, pixel: usize) -> usize {
+    let (x, y) = case.place(pixel);
+    ((x / BLOCK + y / BLOCK) % 2) as usize
 }
 
 /// What the direct tests say.
@@ -81,6 +114,12 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         found.findings.extend(load::loss(case, &stream));
     }
     found.findings.extend(load::frame_coupling(case, &stream));
+    if let Some(nominal) = nominal {
+        let still = still::still(case, nominal, &found.masked);
+        found.findings.extend(still::leak(case, nominal, &still));
+        found.findings.extend(coupling::coupling(case, nominal, &still, &found.masked));
+        found.findings.extend(changes::findings(case, nominal, &found.masked));
+    }
     found.scene = nominal.map_or_else(Vec::new, |nominal| flicker::flicker(case, nominal, &stream));
     // The same effect by two tests is one finding, the stronger.
     found.findings.sort_by(|a, b| (b.statistic / b.threshold).total_cmp(&(a.statistic / a.threshold)).then(a.id.cmp(b.id)));
@@ -137,5 +176,9 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     quantile(values, 0.5)
 }
 
+#[cfg(test)]
+mod changes_tests;
+#[cfg(test)]
+mod still_tests;
 #[cfg(test)]
 mod tests;

@@ -1,0 +1,92 @@
+//! A recording and its description as a diagnosis takes them.
+
+use crate::common::Failure;
+use photocurrent_core::Sensor;
+use photocurrent_core::document::Source;
+use photocurrent_diagnosis::case::Case;
+use photocurrent_nodes::read::{is_aedat4, whole_aedat4};
+use photocurrent_store::StoreError;
+use photocurrent_store::recording::Recording;
+use std::path::Path;
+
+/// Why a recording is no case.
+pub enum Unread {
+    /// Its data contradict the format or themselves: that is a verdict.
+    Content(String),
+    /// Anything else.
+    Other(Failure),
+}
+
+impl From<Failure> for Unread {
+    fn from(failure: Failure) -> Unread {
+        Unread::Other(failure)
+    }
+}
+
+/// Reads a recording with the description in a file, or its own. What there is to note is told on stderr, unless `quiet`.
+pub fn read(path: &Path, sensor_file: Option<&Path>, quiet: bool) -> Result<Case, Unread> {
+    // The HDF5 library's word for a missing file comes without what to do about it.
+    if let Err(error) = std::fs::metadata(path) {
+        let hint = "hint: name a recording: an HDF5 file in the form photocurrent-recording/1 (docs/formats.md), or an AEDAT4 file";
+        return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", path.display())).into());
+    }
+    if is_aedat4(path) {
+        return of_davis(path, sensor_file, quiet);
+    }
+    let recording = Recording::open(path).map_err(Failure::from)?;
+    let sensor = sensor(path, sensor_file, recording.sensor_text())?;
+    of_recording(&recording, &sensor)
+}
+
+/// From an AEDAT4 file of a DAVIS camera.
+fn of_davis(path: &Path, sensor_file: Option<&Path>, quiet: bool) -> Result<Case, Unread> {
+    let sensor = sensor(path, sensor_file, None)?;
+    // These cameras have a global shutter; a description may know better.
+    let row_time = sensor.frames.row_time.unwrap_or_default();
+    let (streams, notes) = whole_aedat4(path, row_time).map_err(|error| usage(error.to_string()))?;
+    if !quiet {
+        notes.iter().for_each(|note| eprintln!("note: {note}"));
+    }
+    Case::read(streams.events.as_ref(), streams.frames.as_ref(), &sensor).map_err(|error| usage(format!("{}: {}", path.display(), error.message)).into())
+}
+
+/// From a recording in this project's form.
+fn of_recording(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> {
+    let name = recording.path().display();
+    // Read once before, for the reader's own word on what is wrong.
+    match recording.read_events(recording.extent().rows()) {
+        Ok(_) => {}
+        Err(error @ StoreError::Content { .. }) => return Err(Unread::Content(error.to_string())),
+        Err(error) => return Err(Unread::Other(error.into())),
+    }
+    let row_time_ns = recording.row_time_ns().or(sensor.frames.row_time.map(|row_time| row_time.ns()));
+    let frames = match (recording.exposures().is_some_and(|exposures| !exposures.is_empty()), row_time_ns) {
+        (false, _) => None,
+        (true, Some(row_time_ns)) => recording.frames(row_time_ns),
+        (true, None) => {
+            let hint = "hint: set the attribute `row_time_ns` of /frames, or state `frames.row_time` in the sensor description; 0 is a global shutter";
+            return Err(usage(format!("{name}: the row time of the frames is stated nowhere\n  {hint}")).into());
+        }
+    };
+    Case::read(recording.events().as_ref(), frames.as_ref(), sensor).map_err(|error| usage(format!("{name}: {}", error.message)).into())
+}
+
+/// The description: a file's, or the recording's own.
+fn sensor(path: &Path, file: Option<&Path>, own: Option<&str>) -> Result<Sensor, Failure> {
+    let parse = |source| Sensor::parse(&source).map_err(Failure::Problems);
+    if let Some(file) = file {
+        let text = std::fs::read_to_string(file).map_err(|error| usage(format!("{}: cannot read the sensor description: {error}", file.display())))?;
+        return parse(Source::new(file.display().to_string(), file.parent().unwrap_or(Path::new(".")), text));
+    }
+    let name = path.display();
+    let Some(text) = own else {
+        let hint = "hint: say which sensor it is: --sensor sensor.toml (docs/formats.md states the form)";
+        return Err(usage(format!("{name}: there is no sensor description in the recording (/sensor)\n  {hint}")));
+    };
+    parse(Source::new(format!("{name}:/sensor"), path.parent().unwrap_or(Path::new(".")), text))
+}
+
+/// A failure of what was asked for.
+pub fn usage(message: String) -> Failure {
+    Failure::Other { message, code: 2 }
+}

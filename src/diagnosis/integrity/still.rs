@@ -1,0 +1,145 @@
+//! Pixels that see nothing move: whatever they record is the sensor's own.
+//!
+//! A pixel is still when its frames change by no more than their noise, or by less than a quarter of a threshold, and so do all pixels around it: what is fast passes
+//! between two frames, but it comes from somewhere. Events of one sign there are a leak ([`leak`]); events that come when their row of the frame is read are coupling
+//! ([`coupling`]). A leak fills the gap to the threshold, coupling decides when it is crossed, so both are often met together.
+//!
+//! Limits: a scene in which all moves has no still pixels, and these tests are silent. A leak that fires only at readouts says nothing of how strong the coupling is;
+//! that is counted where light rises.
+
+use super::{Finding, Heldout, half, median};
+use crate::case::{Case, CaseFrames, Recorded};
+use crate::nominal::Nominal;
+
+/// Fewer frames say too little of what stands still.
+const FEWEST_FRAMES: usize = 5;
+/// As many pixels must be still.
+const FEWEST_PIXELS: usize = 200;
+/// Frames of a still pixel stay within so many standard deviations of the noise of quiet pixels; of 60 normal values the range is 4.6 on average, and bright pixels have more.
+const NOISE_RANGE: f64 = 10.0;
+/// Or within this share of the smaller threshold.
+const THRESHOLD_SHARE: f64 = 0.25;
+/// What moves must be farther away than this, pixels in rows and columns.
+const DISTANCE: usize = 4;
+/// As few events of one sign say nothing.
+const FEWEST_EVENTS: usize = 30;
+/// ON events must be so many times as many as OFF events.
+const ON_OVER_OFF: usize = 4;
+/// Their difference over the root of their sum.
+const SIGMAS: f64 = 5.0;
+/// A pixel may have this share of them, for one that is hot is no leak of all.
+const SHARE_OF_ONE: f64 = 0.1;
+/// Parts of the recording, in so many of which there must be some.
+const PARTS: usize = 12;
+const STEADY: usize = 9;
+
+/// The pixels that are still, rising; none where frames do not tell. `masked` are left out.
+pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
+    let Some(frames) = case.frames.as_ref().filter(|frames| frames.times.len() >= FEWEST_FRAMES) else { return Vec::new() };
+    let (pixels, noise) = (case.extent.pixels(), noise_dn(case, frames));
+    let threshold = f64::min(nominal.pixel.threshold_on, nominal.pixel.threshold_off);
+    let moves: Vec<bool> = (0..pixels)
+        .map(|pixel| {
+            let (mut low, mut high, mut sum, mut count) = (f64::INFINITY, f64::NEG_INFINITY, 0.0, 0.0);
+            for dn in frames.dn[pixel..].iter().step_by(pixels).filter(|dn| dn.is_finite()) {
+                let dn = f64::from(*dn);
+                (low, high, sum, count) = (low.min(dn), high.max(dn), sum + dn, count + 1.0);
+            }
+            let signal = sum / f64::max(count, 1.0) - nominal.number.black_level;
+            // A saturated pixel shows no motion, and has it nevertheless.
+            let is_told = count >= FEWEST_FRAMES as f64 && high < nominal.saturation_dn;
+            !is_told || high - low > f64::max(NOISE_RANGE * noise, THRESHOLD_SHARE * threshold * signal)
+        })
+        .collect();
+    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+    let near = |at: usize, size: usize| at.saturating_sub(DISTANCE)..(at + DISTANCE + 1).min(size);
+    let in_row: Vec<bool> = (0..pixels).map(|pixel| near(pixel % width, width).any(|x| moves[pixel / width * width + x])).collect();
+    let is_still = |pixel: usize| !near(pixel / width, height).any(|y| in_row[y * width + pixel % width]);
+    (0..pixels).filter(|&pixel| is_still(pixel) && masked.binary_search(&(pixel as u32)).is_err()).map(|pixel| pixel as u32).collect()
+}
+
+/// Standard deviation of a frame value where the light stands still, DN: from differences of frames that follow each other, of the quietest fifth of the pixels.
+pub(super) fn noise_dn(case: &Case, frames: &CaseFrames) -> f64 {
+    let pixels = case.extent.pixels();
+    let mut all: Vec<f64> = (0..pixels)
+        .step_by(pixels.div_ceil(5000))
+        .filter_map(|pixel| {
+            let values: Vec<f64> = frames.dn[pixel..].iter().step_by(pixels).map(|dn| f64::from(*dn)).collect();
+            let mut steps: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|step| step.is_finite()).collect();
+            (steps.len() >= FEWEST_FRAMES - 1).then(|| 1.4826 * median(&mut steps) / std::f64::consts::SQRT_2)
+        })
+        .collect();
+    all.sort_by(f64::total_cmp);
+    super::quantile(&all, 0.2)
+}
+
+/// Events of still pixels, by pixel.
+fn events<'a>(case: &'a Case, still: &'a [u32]) -> impl Iterator<Item = (usize, &'a Recorded)> {
+    still.iter().flat_map(|&pixel| case.events.of(pixel as usize).iter().map(move |event| (pixel as usize, event)))
+}
+
+/// ON events where nothing moves, all the time and in no pixel above all: the reference leaks.
+pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
+    if still.len() < FEWEST_PIXELS {
+        return None;
+    }
+    let length = ((case.span.1 - case.span.0) / PARTS as i64).max(1);
+    let (mut on, mut off, mut parts) = ([0_usize; 2], [0_usize; 2], [false; PARTS]);
+    for (pixel, event) in events(case, still) {
+        if event.polarity > 0 {
+            on[half(case, pixel)] += 1;
+            parts[(((event.t_in_ns - case.span.0) / length).max(0) as usize).min(PARTS - 1)] = true;
+        } else {
+            off[half(case, pixel)] += 1;
+        }
+    }
+    let (ons, offs) = (on[0] + on[1], off[0] + off[1]);
+    let sigmas = (ons as f64 - offs as f64) / libm::sqrt((ons + offs).max(1) as f64);
+    let of_one = still.iter().map(|&pixel| case.events.range(pixel as usize).len()).max().unwrap_or(0);
+    let is_steady = parts.iter().filter(|part| **part).count() >= STEADY;
+    if ons < FEWEST_EVENTS || ons < ON_OVER_OFF * offs || sigmas < SIGMAS || of_one as f64 > f64::max(3.0, SHARE_OF_ONE * ons as f64) || !is_steady {
+        return None;
+    }
+    let a_pixel = (ons - offs) as f64 / still.len() as f64;
+    if brightening(case, nominal, still) > 0.5 * nominal.pixel.threshold_on * a_pixel {
+        return None;
+    }
+    let rate = a_pixel / ((case.span.1 - case.span.0) as f64 * 1e-9);
+    // Held against noise that has no sign, of the same rate: one half tells the share of ON events, the other is foretold with it.
+    let nats: f64 = (0..2)
+        .map(|side| {
+            let share = (on[1 - side] as f64 + 1.0) / ((on[1 - side] + off[1 - side]) as f64 + 2.0);
+            on[side] as f64 * libm::log(2.0 * share) + off[side] as f64 * libm::log(2.0 * (1.0 - share))
+        })
+        .sum();
+    Some(Finding {
+        id: "leak_events",
+        parameters: vec![("rate", rate)],
+        statistic: sigmas,
+        threshold: SIGMAS,
+        share: ons as f64 / case.events.all().len() as f64,
+        polarity: "on",
+        pixels: Vec::new(),
+        seen: format!("{} pixels in which nothing moves have {ons} ON and {offs} OFF events: {:.2} mHz a pixel more ON than OFF", still.len(), 1e3 * rate),
+        heldout: Some(Heldout { nats, events: ons + offs }),
+    })
+}
+
+/// By how much still pixels grow brighter over the recording, natural-log units: the least that a straight line through the means of the frames allows (two standard
+/// errors less), 0 when that is nothing. A slow dawn fires ON events too.
+fn brightening(case: &Case, nominal: &Nominal, still: &[u32]) -> f64 {
+    let frames = case.frame_count();
+    let level: Vec<f64> = (0..frames)
+        .map(|frame| {
+            let sum: f64 = still.iter().map(|&pixel| case.dn(frame, pixel as usize) - nominal.number.black_level).filter(|dn| dn.is_finite()).sum();
+            libm::log(f64::max(sum, 1e-9))
+        })
+        .collect();
+    let n = frames as f64;
+    let (middle, mean) = (0.5 * (n - 1.0), level.iter().sum::<f64>() / n);
+    let spread: f64 = (0..frames).map(|frame| (frame as f64 - middle) * (frame as f64 - middle)).sum();
+    let slope = level.iter().enumerate().map(|(frame, level)| (frame as f64 - middle) * (level - mean)).sum::<f64>() / f64::max(spread, 1.0);
+    let left: f64 = level.iter().enumerate().map(|(frame, level)| level - mean - slope * (frame as f64 - middle)).map(|rest| rest * rest).sum();
+    let error = libm::sqrt(left / f64::max(n - 2.0, 1.0) / f64::max(spread, 1.0));
+    f64::max((slope - 2.0 * error) * (n - 1.0), 0.0)
+}

@@ -1,0 +1,142 @@
+//! A static scene in front of a camera whose pixels fire now and then, at instants that are made up here.
+
+use super::coupling::coupling;
+use super::still::{leak, still};
+use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
+use crate::nominal::Nominal;
+use photocurrent_core::random::Random;
+use photocurrent_core::{Exposure, Extent, FrameTimes};
+
+const WIDTH: usize = 48;
+const HEIGHT: usize = 40;
+const FRAMES: usize = 50;
+const PERIOD_NS: i64 = 20_000_000;
+
+/// 50 frames of 48 x 40 pixels at 50 Hz with noise of 1 DN; a strip of columns at the right moves. `event` says when, in which pixel and with which sign the n-th of 150
+/// events comes.
+fn camera(mut event: impl FnMut(usize, &mut Random) -> (i64, usize, i8)) -> Case {
+    let mut random = Random::new(3, &[]);
+    let dn = (0..FRAMES * WIDTH * HEIGHT).map(|k| {
+        let moves = if k % WIDTH >= WIDTH - 6 { 40.0 * ((k / (WIDTH * HEIGHT)) % 2) as f64 } else { 0.0 };
+        (80.0 + moves + random.normal()) as f32
+    });
+    let dn = dn.collect();
+    let exposures = (0..FRAMES as i64).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + 500_000)).collect();
+    let mut pixels = vec![Vec::new(); WIDTH * HEIGHT];
+    let mut random = Random::new(4, &[]);
+    for n in 0..150 {
+        let (t, pixel, polarity) = event(n, &mut random);
+        pixels[pixel].push(Recorded { t_in_ns: t, t_off_ns: t, polarity });
+    }
+    Case {
+        extent: Extent { width: WIDTH as u32, height: HEIGHT as u32 },
+        span: (0, FRAMES as i64 * PERIOD_NS),
+        events: PixelEvents::new(pixels),
+        has_t_in: false,
+        t_resolution_ns: 1000,
+        frames: Some(CaseFrames { times: FrameTimes::new(exposures, 0).unwrap(), dn }),
+        sensor: crate::testing::sensor(),
+    }
+}
+
+/// A pixel among those that nothing near moves in.
+fn pixel(random: &mut Random) -> usize {
+    let (x, y) = ((random.uniform() * 38.0) as usize, (random.uniform() * HEIGHT as f64) as usize);
+    y * WIDTH + x
+}
+
+fn any_time(random: &mut Random) -> i64 {
+    (random.uniform() * FRAMES as f64 * PERIOD_NS as f64) as i64
+}
+
+fn found(case: &Case) -> (usize, Option<super::Finding>, Option<super::Finding>) {
+    let nominal = Nominal::new(case).unwrap();
+    let still = still(case, &nominal, &[]);
+    (still.len(), leak(case, &nominal, &still), coupling(case, &nominal, &still, &[]))
+}
+
+fn value(finding: &super::Finding, parameter: &str) -> f64 {
+    finding.parameters.iter().find(|(name, _)| *name == parameter).unwrap().1
+}
+
+#[test]
+fn still_pixels_keep_their_distance_from_what_moves() {
+    let (still, leak, coupling) = found(&camera(|_, random| (any_time(random), pixel(random), if random.uniform() < 0.5 { 1 } else { -1 })));
+    // 42 columns stand still, and the four beside the strip are too near.
+    assert!((still as f64 / (38.0 * HEIGHT as f64) - 1.0).abs() < 0.05, "{still}");
+    // As many OFF as ON, at any time: noise, of which these tests do not speak.
+    assert!(leak.is_none() && coupling.is_none(), "{leak:?} {coupling:?}");
+}
+
+#[test]
+fn on_events_at_any_time_where_nothing_moves_are_a_leak_with_their_rate() {
+    let (still, leak, coupling) = found(&camera(|_, random| (any_time(random), pixel(random), 1)));
+    let leak = leak.unwrap();
+    assert!((value(&leak, "rate") / (150.0 / still as f64 / 1.0) - 1.0).abs() < 0.05, "{leak:?}");
+    assert!(leak.heldout.unwrap().nats > 90.0, "{leak:?}"); // 150 ln 2 = 104
+    assert!(coupling.is_none(), "{coupling:?}");
+}
+
+#[test]
+fn on_events_of_one_pixel_or_of_one_moment_are_no_leak() {
+    assert!(found(&camera(|_, random| (any_time(random), 5 * WIDTH + 5, 1))).1.is_none());
+    assert!(found(&camera(|_, random| (300_000_000 + any_time(random) / 20, pixel(random), 1))).1.is_none());
+}
+
+#[test]
+fn events_when_their_row_is_read_are_coupling_with_its_delay() {
+    // Rows 120 us apart from 2.3 ms after the start of the exposure on; one event in five at any time.
+    let (_, leak, coupling) = found(&camera(|n, random| {
+        let pixel = pixel(random);
+        let read = (random.uniform() * FRAMES as f64) as i64 * PERIOD_NS + 2_300_000 + (pixel / WIDTH) as i64 * 120_000 + (50_000.0 * random.uniform()) as i64;
+        (if n % 5 == 0 { any_time(random) } else { read }, pixel, 1)
+    }));
+    let coupling = coupling.unwrap();
+    assert!((value(&coupling, "row_time") - 120e-6).abs() < 2e-6, "{coupling:?}");
+    assert!((value(&coupling, "phase") - 2.3e-3).abs() < 0.1e-3, "{coupling:?}");
+    assert!((value(&coupling, "period") - 20e-3).abs() < 1e-9, "{coupling:?}");
+    assert_eq!(coupling.polarity, "on");
+    // Four of five in a fiftieth of the time, less what 50 counted parts cost: each gains no more than ln(0.8 * 50).
+    let nats = coupling.heldout.unwrap();
+    assert!(nats.per_event() > 1.0 && nats.per_event() < 3.7, "{nats:?}");
+    assert!(leak.is_some(), "coupling brings events forward; that there are any is the leak's doing");
+}
+
+#[test]
+fn the_strength_of_a_kick_is_counted_where_light_rises() {
+    // Log light of the strip rises by 40 to 80 ln/s all the time; thresholds are 0.2. At each readout pixels with less than 0.05 to go fire at once.
+    let mut case = camera(|_, random| {
+        let pixel = pixel(random);
+        let read = (random.uniform() * FRAMES as f64) as i64 * PERIOD_NS + 2_300_000 + (pixel / WIDTH) as i64 * 120_000;
+        (read, pixel, 1)
+    });
+    let mut random = Random::new(8, &[]);
+    let pixels: Vec<Vec<Recorded>> = (0..WIDTH * HEIGHT)
+        .map(|pixel| {
+            if pixel % WIDTH < WIDTH - 6 {
+                return case.events.of(pixel).to_vec();
+            }
+            let readout = |n: i64| n * PERIOD_NS + 2_300_000 + (pixel / WIDTH) as i64 * 120_000;
+            let slope = 40.0 + 40.0 * random.uniform();
+            let (mut events, mut t, mut left) = (Vec::new(), readout(0), 0.2 * random.uniform());
+            for n in 1..FRAMES as i64 {
+                let mut fire = |t: i64| events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity: 1 });
+                while t + (left / slope * 1e9) as i64 <= readout(n) {
+                    t += (left / slope * 1e9) as i64;
+                    left = 0.2;
+                    fire(t);
+                }
+                left -= slope * (readout(n) - t) as f64 * 1e-9;
+                t = readout(n);
+                if left < 0.05 {
+                    fire(t + 10_000);
+                    left = 0.2;
+                }
+            }
+            events
+        })
+        .collect();
+    case.events = PixelEvents::new(pixels);
+    let step = value(&found(&case).2.unwrap(), "step");
+    assert!((step / 0.05 - 1.0).abs() < 0.25, "{step}");
+}
