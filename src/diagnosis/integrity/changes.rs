@@ -33,6 +33,8 @@ const DELAY_EXPOSURES: f64 = 0.3;
 const DELAY_PERIODS: f64 = 0.04;
 /// Nats that half of the array must gain from what the other half says.
 const NATS: f64 = 30.0;
+/// Events that are early by less than this multiple of the shortest interval may be late enough, and their pixels blind.
+const SHORTEST: f64 = 1.2;
 /// A blind time must be longer than stated by this share of the shortest intervals,
 const BLIND_INTERVALS: f64 = 0.25;
 /// and by this share of the exposure.
@@ -268,7 +270,10 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
     };
     let nats = gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b);
     let least = DELAY_NS.max(DELAY_EXPOSURES * changes.exposure_ns).max(DELAY_PERIODS * changes.period_ns);
-    if late_ns.abs() < least || nats < NATS {
+    // Light that is lost after events makes them look early by the blind time, which is at most the shortest interval.
+    let shortest = quantile(&intervals(case), 0.001);
+    let is_loss = -late_ns > 0.0 && -late_ns < SHORTEST * (shortest - blind_ns) as f64;
+    if late_ns.abs() < least || nats < NATS || is_loss {
         return (late_ns, None);
     }
     let within = |change: &Change| {
