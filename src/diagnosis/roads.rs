@@ -53,6 +53,8 @@ const LEAST_TAKEN: f64 = 0.14;
 const LEAST_TAKEN_SECOND: f64 = 0.2;
 /// And the share of blocks that either must improve.
 const LEAST_BETTER: f64 = 0.6;
+/// And how much better either must foretell an event of pixels that it was not fitted to, nats: what makes that harder is no explanation, however much else it matches.
+const LEAST_NATS: f64 = 0.01;
 /// A candidate whose score is greater than the best by this share is believed a factor e less.
 const SCORE_SOFTNESS: f64 = 0.1;
 
@@ -77,7 +79,7 @@ pub fn from_refit(found: &Search) -> Road {
 }
 
 /// A law must take away this share of the squares of closures' changes.
-const LEAST_LAW: f64 = 0.02;
+const LEAST_LAW: f64 = 0.03;
 /// And be so many standard errors from nothing.
 const LEAST_SIGNIFICANCE: f64 = 4.0;
 
@@ -119,8 +121,7 @@ fn told(found: &Refitted, least: f64) -> Vec<Proposal> {
             probability: libm::exp(libm::log(best / one.score()) / SCORE_SOFTNESS),
             value: one.value,
             ci95: Some(one.ci95),
-            // What makes events harder to foretell is no explanation, however few it matches better.
-            passed: one.heldout > least && one.blocks_better > LEAST_BETTER && one.nats_per_event.1 > one.nats_per_event.0,
+            passed: one.heldout > least && one.blocks_better > LEAST_BETTER && one.nats_per_event.1 - one.nats_per_event.0 > LEAST_NATS,
             heldout_nats: None,
             heldout_nats_per_event: Some(one.nats_per_event.1 - one.nats_per_event.0),
         })

@@ -111,7 +111,7 @@ fn a_sound_recording_is_calibrated_and_threads_change_nothing() {
 
 #[test]
 fn what_a_search_finds_gives_back_the_light() {
-    let case = recorded(json!({"time_constant": {"tau_0": "400 us"}}));
+    let case = recorded(json!({"threshold_scale": {"fraction": 0.3}}));
     let run = |case: &Case, _: &Setting| {
         let nominal = Nominal::new(case).unwrap();
         let few = RefitSetting { followed: 4, finished: 2, ..RefitSetting::default() };
@@ -119,7 +119,7 @@ fn what_a_search_finds_gives_back_the_light() {
         Ok(from_refit(&search(case, &nominal, &Scales::of(case, &nominal), &setting)?))
     };
     let found = diagnose(&case, &Setting::default(), &[RoadKind::new("refit", run)], |_| ()).unwrap();
-    assert_eq!(found.report.effects[0].id, "time_constant", "{}", found.report.summary);
+    assert_eq!(found.report.effects[0].id, "threshold_scale", "{}", found.report.summary);
     let (ks, psnr) = (found.report.fit.calibration_ks.unwrap(), found.report.fit.heldout_frame_psnr_db.unwrap());
     assert!(ks.after < 0.5 * ks.before && psnr.after > psnr.before, "{ks:?} {psnr:?}");
     let gain = found.comparison.unwrap().gain(0, 1);
