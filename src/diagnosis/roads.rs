@@ -79,7 +79,7 @@ pub fn from_refit(found: &Search) -> Road {
 }
 
 /// A law must take away this share of the squares of closures' changes.
-const LEAST_LAW: f64 = 0.03;
+const LEAST_LAW: f64 = 0.02;
 /// And be so many standard errors from nothing.
 const LEAST_SIGNIFICANCE: f64 = 4.0;
 
@@ -107,7 +107,7 @@ fn unexplained(law: &Law) -> Option<Unexplained> {
 /// Does a covariate know nothing of the pixel's own light?
 fn is_blind_to_light(covariate: Covariate) -> bool {
     use Covariate as C;
-    matches!(covariate, C::RowParity | C::ColumnBlock | C::FramePhase | C::AcPhase | C::RowRate | C::GlobalRate | C::LocalRate)
+    matches!(covariate, C::RowParity | C::ColumnBlock | C::FramePhase | C::AcPhase | C::RowRate | C::GlobalRate)
 }
 
 fn told(found: &Refitted, least: f64) -> Vec<Proposal> {
