@@ -30,7 +30,7 @@ pub enum Command {
     Inspect(InspectOptions),
     /// Say where a recording and the sensor description differ, and which physics is missing
     Diagnose(DiagnoseOptions),
-    /// Make what a diagnosis knows beforehand: what recordings without an effect look like, and the network that proposes causes
+    /// Make what a diagnosis knows beforehand, from recordings without an effect and made-up scenes
     Learn(LearnOptions),
     /// List the node kinds, or print the manual of one
     Nodes(NodesOptions),

@@ -312,7 +312,9 @@ fn nats_of(comparison: &Comparison) -> Option<BeforeAfter> {
 
 /// What an effect gains on events of pixels to which nothing was fitted.
 fn gained(effect: &mut EffectReport, comparison: Option<&Comparison>) {
-    let Some(comparison) = comparison else { return };
+    // A direct test that has a gain of its own speaks of all pixels.
+    let has_own = effect.evidence.heldout_nats.is_some() && effect.evidence.found_by.iter().any(|by| by == "direct");
+    let Some(comparison) = comparison.filter(|_| !has_own) else { return };
     let Some(at) = comparison.steps.iter().position(|step| step.id == Some(effect.id.as_str()) && !step.is_random) else { return };
     let gain = comparison.gain(at - 1, at);
     effect.evidence.heldout_nats = Some(gain.nats);
