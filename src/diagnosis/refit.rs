@@ -54,10 +54,6 @@ pub struct Refit<'a> {
     pub frame_noise: f64,
     /// Corrections of the light where it is looked at once.
     pub turns: usize,
-    /// Zones of the sample's blocks from left to right.
-    pub zones_across: u32,
-    /// One more than the largest number of a block.
-    pub block_count: usize,
 }
 
 /// A strength that was tried.
@@ -176,7 +172,7 @@ impl Refit<'_> {
     }
 
     fn blocks(&self, case: &Case, recording: &Case) -> Vec<Mismatch> {
-        let mut blocks = vec![Mismatch::default(); self.block_count];
+        let mut blocks = vec![Mismatch::default(); self.sample.block_count];
         for (of, &block) in mismatch(case, recording, self.sample, &self.base.nominal, self.scene.frame_share).iter().zip(&self.sample.block) {
             blocks[block as usize] = blocks[block as usize].and(of);
         }
@@ -230,7 +226,7 @@ impl Refit<'_> {
             })
             .collect();
         // Where to look is seen on half of the blocks.
-        let (half, places) = self.sample.only(|block| is_coarse(block, self.zones_across));
+        let (half, places) = self.sample.only(|block| is_coarse(block, self.sample.across));
         let priors: Vec<Prior> = places.iter().map(|&n| self.priors[n]).collect();
         let quick = if half.len() < LEAST_COARSE { *self } else { Refit { sample: &half, priors: &priors, ..*self } };
         quick.extend(&mut tried, &first_strengths, first);

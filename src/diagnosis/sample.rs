@@ -11,6 +11,10 @@ pub struct Sample {
     pub is_inner: Vec<bool>,
     /// Number of the block of each.
     pub block: Vec<u32>,
+    /// Blocks are numbered row by row, so many in a row.
+    pub across: u32,
+    /// One more than the largest number of a block; of a part of a sample that of the whole.
+    pub block_count: usize,
     place: Vec<u32>,
 }
 
@@ -59,7 +63,7 @@ impl Sample {
             }
         }
         pixels.sort_unstable();
-        Sample::new(case, pixels)
+        Sample::new(case, zones.0, pixels)
     }
 
     /// Blocks of 6 x 6 pixels that together touch many rows and columns: in every band of six rows, those with the most events in each of `across` parts of the
@@ -111,12 +115,7 @@ impl Sample {
             }
         }
         pixels.sort_unstable();
-        Sample::new(case, pixels)
-    }
-
-    /// One more than the largest number of a block; 0 without pixels.
-    pub fn block_count(&self) -> usize {
-        self.block.iter().map(|block| *block as usize + 1).max().unwrap_or(0)
+        Sample::new(case, columns, pixels)
     }
 
     /// The blocks that `keep` says, with their numbers, and which places of this sample they have.
@@ -131,6 +130,7 @@ impl Sample {
             is_inner: places.iter().map(|&n| self.is_inner[n]).collect(),
             block: places.iter().map(|&n| self.block[n]).collect(),
             place,
+            ..*self
         };
         (sample, places)
     }
@@ -139,7 +139,7 @@ impl Sample {
     pub fn all(case: &Case, side: u32) -> Sample {
         let (width, height) = (case.extent.width, case.extent.height);
         let across = width.div_ceil(side);
-        Sample::new(case, (0..width * height).map(|pixel| (pixel, true, (pixel / width) / side * across + (pixel % width) / side)).collect())
+        Sample::new(case, across, (0..width * height).map(|pixel| (pixel, true, (pixel / width) / side * across + (pixel % width) / side)).collect())
     }
 
     /// These pixels, in blocks of `side` x `side`.
@@ -149,10 +149,10 @@ impl Sample {
             pixels.into_iter().map(|pixel| (pixel, true, (pixel / width) / side * across + (pixel % width) / side)).collect();
         pixels.sort_unstable();
         pixels.dedup();
-        Sample::new(case, pixels)
+        Sample::new(case, across, pixels)
     }
 
-    fn new(case: &Case, pixels: Vec<(u32, bool, u32)>) -> Sample {
+    fn new(case: &Case, across: u32, pixels: Vec<(u32, bool, u32)>) -> Sample {
         let mut place = vec![NOWHERE; case.extent.pixels()];
         for (n, (pixel, ..)) in (0..).zip(&pixels) {
             place[*pixel as usize] = n;
@@ -161,6 +161,8 @@ impl Sample {
             pixels: pixels.iter().map(|(pixel, ..)| *pixel).collect(),
             is_inner: pixels.iter().map(|(_, inner, _)| *inner).collect(),
             block: pixels.iter().map(|(.., block)| *block).collect(),
+            across,
+            block_count: pixels.iter().map(|(.., block)| *block as usize + 1).max().unwrap_or(0),
             place,
         }
     }

@@ -80,18 +80,7 @@ pub fn search(case: &Case, nominal: &Nominal, scales: &Scales, setting: &SearchS
     let scene = SceneSetting { frame_share: libm::sqrt(usual * usual + frame_noise * frame_noise), ..setting.scene };
     let Faithful { priors, agreement, .. } = faithful(case, nominal, &sample, &scene)?;
     let base = Trial::stated(nominal);
-    let refit = Refit {
-        case,
-        base: &base,
-        scales,
-        sample: &sample,
-        scene: &scene,
-        priors: &priors,
-        frame_noise,
-        turns: setting.refit.turns.0,
-        zones_across: setting.zones.0,
-        block_count: (setting.zones.0 * setting.zones.1) as usize,
-    };
+    let refit = Refit { case, base: &base, scales, sample: &sample, scene: &scene, priors: &priors, frame_noise, turns: setting.refit.turns.0 };
     let first = refit.run(&setting.refit, &[]);
     let best = first.leading().first().map(|best| (best.candidate, best.strength, best.heldout));
     let few = RefitSetting { followed: 6, finished: 3, ..setting.refit };

@@ -175,18 +175,7 @@ pub fn compare(case: &Case, nominal: &Nominal, scales: &Scales, claims: &[Claim]
     let scene = SceneSetting { frame_share: libm::sqrt(usual.frame_share * usual.frame_share + frame_noise * frame_noise), ..usual };
     let priors = faithful(case, nominal, &sample, &scene)?.priors;
     let stated = Trial::stated(nominal);
-    let refit = Refit {
-        case,
-        base: &stated,
-        scales,
-        sample: &sample,
-        scene: &scene,
-        priors: &priors,
-        frame_noise,
-        turns: TURNS,
-        zones_across: SearchSetting::default().zones.0,
-        block_count: sample.block_count(),
-    };
+    let refit = Refit { case, base: &stated, scales, sample: &sample, scene: &scene, priors: &priors, frame_noise, turns: TURNS };
     let mut described = Described { seen: stated.clone(), whole: stated.clone(), t_resolution_ns: case.t_resolution_ns };
     let mut steps: Vec<(Step, Option<View>)> = Vec::new();
     let (first, view) = look(&refit, &described, None, None)?;
@@ -291,7 +280,7 @@ fn look(refit: &Refit<'_>, described: &Described, id: Option<&'static str>, befo
         return Ok((Step { id, is_random: true, calibration, ..before.clone() }, None));
     }
     let by_pixel = mismatch(under.case(), &recording, sample, nominal, scene.frame_share);
-    let mut blocks = vec![Mismatch::default(); refit.block_count];
+    let mut blocks = vec![Mismatch::default(); sample.block_count];
     for (of, &block) in by_pixel.iter().zip(&sample.block) {
         blocks[block as usize] = blocks[block as usize].and(of);
     }
