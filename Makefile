@@ -1,7 +1,8 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
 # Both install what is missing first: Debian's libhdf5 (through apt) and nothing else. Rust itself must be there: https://rustup.rs
 
-BIN := target/release/photocurrent
+# Where cargo builds, unless it is told otherwise.
+BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
 .PHONY: demo test lint setup clean
 
