@@ -4,6 +4,7 @@ use crate::recordings;
 use crate::support::{self, Bench, Done, executed};
 use photocurrent_core::table::Column;
 use photocurrent_core::{Value as Artefact, testing};
+use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_store::{Cache, RecordingContent};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -242,4 +243,24 @@ fn direct_tests_alone_are_told_as_such() {
     assert_eq!(done.code, 0, "{}", done.stderr);
     let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");
     assert_eq!(report["provenance"]["stages"], serde_json::json!(["integrity"]));
+}
+
+#[test]
+fn knowledge_is_made_from_nothing_and_a_stopped_run_goes_on_where_it_was() {
+    let bench = Bench::new();
+    let learn = |scenes: &str| bench.run(&["learn", "--scenes", scenes, "--size", "24x18", "--strengths", "1", "--steps", "30", "-o", "made"]);
+    let done = learn("1");
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let folder = bench.path("made/scenes-24x18-1-1");
+    let first = std::fs::metadata(folder.join("00000.bin")).and_then(|of| of.modified()).expect("the first scene");
+    let done = learn("2");
+    says(&done, 0, &["2 scenes", "2 recordings without an effect"]);
+    assert_eq!(std::fs::metadata(folder.join("00000.bin")).and_then(|of| of.modified()).expect("the first scene"), first);
+    let bytes = std::fs::read(bench.path("made/knowledge.bin")).expect("knowledge");
+    let knowledge = Knowledge::from_bytes(&bytes).expect("knowledge of this catalogue");
+    assert_eq!((knowledge.floor.nulls.len(), knowledge.biases.nulls.len()), (2, 1));
+    assert!(knowledge.net.is_some() && bench.path("made/proposer.onnx").exists());
+    // Made again from the same scenes, it is the same.
+    assert_eq!(learn("2").code, 0);
+    assert_eq!(std::fs::read(bench.path("made/knowledge.bin")).expect("knowledge"), bytes);
 }

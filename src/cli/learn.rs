@@ -5,11 +5,12 @@ use crate::case::{self, Unread, usage};
 use crate::common::{Done, Failure};
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Extent;
+use photocurrent_diagnosis::candidates::CANDIDATES;
 use photocurrent_diagnosis::floor::Null;
 use photocurrent_diagnosis::proposer::NetSetting;
 use photocurrent_diagnosis::scenes::MadeUp;
 use photocurrent_diagnosis::summaries;
-use photocurrent_diagnosis::train::{Example, TrainingSetting, examples_of, learn as knowledge_of, null_of};
+use photocurrent_diagnosis::train::{Example, TrainingSetting, bias_of, examples_of, learn as knowledge_of, null_of};
 use std::io::IsTerminal;
 use std::path::Path;
 
@@ -23,16 +24,21 @@ pub fn learn(options: &LearnOptions) -> Done {
     let made = options.out.join(format!("scenes-{}-{}-{}", options.size, options.seed, options.strengths));
     std::fs::create_dir_all(&made).map_err(|error| Failure::other(format!("{}: cannot make the folder: {error}", made.display())))?;
     let bar = bar(options);
-    let nulls = options.nulls.iter().map(|path| null(path, options.seed)).collect::<Result<Vec<Null>, Failure>>()?;
+    let known = options.nulls.iter().map(|path| null(path, options.seed)).collect::<Result<Vec<(Null, Null)>, Failure>>()?;
+    let (nulls, mut biases): (Vec<Null>, Vec<Null>) = known.into_iter().unzip();
     let setting = TrainingSetting { seed: options.seed, strengths: options.strengths as usize };
     let mut examples = Vec::new();
     for number in 0..options.scenes {
-        examples.extend(scene(&made, number, extent, &setting, names.len())?);
+        let case = || MadeUp::new(setting.seed, number, extent, DURATION_S).recording();
+        examples.extend(made_before(&made.join(format!("{number:05}.bin")), names.len(), || examples_of(&case()?, &setting, number))?);
+        if number.is_multiple_of(BIASES) {
+            biases.extend(bias(&made.join(format!("{number:05}.bias")), number, || bias_of(&case()?, format!("made up {number}")))?);
+        }
         bar.inc(1);
     }
     bar.finish_and_clear();
     let net = NetSetting { seed: options.seed, steps: options.steps as usize, ..NetSetting::default() };
-    let knowledge = knowledge_of(&names, &examples, &nulls, &net);
+    let knowledge = knowledge_of(&names, &examples, &nulls, &biases, &net);
     write(&options.out.join("knowledge.bin"), &knowledge.to_bytes())?;
     if let Some(net) = &knowledge.net {
         write(&options.out.join("proposer.onnx"), &net.to_onnx())?;
@@ -61,30 +67,38 @@ fn bar(options: &LearnOptions) -> ProgressBar {
 }
 
 /// The examples of a made-up scene: those that were made before, or new ones, which are kept.
-fn scene(folder: &Path, number: u64, extent: Extent, setting: &TrainingSetting, summaries: usize) -> Result<Vec<Example>, Failure> {
-    let path = folder.join(format!("{number:05}.bin"));
-    if let Ok(bytes) = std::fs::read(&path) {
+fn made_before(path: &Path, length: usize, make: impl FnOnce() -> Result<Vec<Example>, String>) -> Result<Vec<Example>, Failure> {
+    if let Ok(bytes) = std::fs::read(path) {
         let found = Example::all_from_bytes(&bytes);
-        if !found.is_empty() && found.iter().all(|example| example.deviation.len() == summaries) {
+        if !found.is_empty() && found.iter().all(|example| example.deviation.len() == length) {
             return Ok(found);
         }
     }
-    let failed = |why: String| Failure::other(format!("scene {number}: {why}"));
-    let case = MadeUp::new(setting.seed, number, extent, DURATION_S).recording().map_err(failed)?;
-    let found = examples_of(&case, setting, number).map_err(failed)?;
-    write(&path, &found.iter().flat_map(Example::to_bytes).collect::<Vec<u8>>())?;
-    Ok(found)
+    let made = make().map_err(|why| Failure::other(format!("{}: {why}", path.display())))?;
+    write(path, &made.iter().flat_map(Example::to_bytes).collect::<Vec<u8>>())?;
+    Ok(made)
 }
 
-/// By how much a recording without an effect deviates.
-fn null(path: &Path, seed: u64) -> Result<Null, Failure> {
+/// Of every so many made-up scenes the biases are worked out, which takes as long as its examples.
+const BIASES: u64 = 8;
+
+/// The biases of a made-up scene, kept as an example without a candidate.
+fn bias(path: &Path, number: u64, make: impl FnOnce() -> Result<Null, String>) -> Result<Option<Null>, Failure> {
+    let as_example = |null: Null| vec![Example { candidate: None, strength: 0.0, context: null.context, deviation: null.deviation }];
+    let found = made_before(path, CANDIDATES.len(), || make().map(as_example))?;
+    Ok(found.into_iter().next().map(|one| Null { name: format!("made up {number}"), context: one.context, deviation: one.deviation }))
+}
+
+/// By how much a recording without an effect deviates, and its biases.
+fn null(path: &Path, seed: u64) -> Result<(Null, Null), Failure> {
     let case = match case::read(path, None, true) {
         Ok(case) => case,
         Err(Unread::Content(why)) => return Err(usage(why)),
         Err(Unread::Other(failure)) => return Err(failure),
     };
     let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    null_of(&case, name, seed).map_err(|why| usage(format!("{}: {why}", path.display())))
+    let wrong = |why: String| usage(format!("{}: {why}", path.display()));
+    Ok((null_of(&case, name.clone(), seed).map_err(wrong)?, bias_of(&case, name).map_err(wrong)?))
 }
 
 /// Writes a file whole or not at all.

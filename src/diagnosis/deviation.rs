@@ -84,6 +84,14 @@ impl<'a> Prepared<'a> {
     }
 }
 
+/// What kind of recording it is ([`crate::summaries::context`]).
+pub fn context_of(case: &Case, nominal: &Nominal) -> Vec<f64> {
+    let sample = Sample::spread(case, FULL);
+    let bands = Band::all(case, nominal, &sample);
+    let view = View { case, nominal, sample: &sample, bands: &bands, scales: &Scales::of(case, nominal) };
+    context(&view, &summaries(&view))
+}
+
 /// Noise of frame values that is not stated, as a share of the signal.
 ///
 /// # Errors

@@ -281,7 +281,14 @@ fn report(
     let ks = |step: &Step| step.calibration.as_ref().map(|calibration| calibration.ks);
     let calibration_ks = comparison.and_then(|comparison| Some(BeforeAfter { before: ks(comparison.before())?, after: ks(comparison.after()?)? }));
     let mut detectability: Vec<_> = roads.iter().flat_map(|road| road.detectability.iter().cloned()).collect();
-    detectability.dedup_by(|a, b| a.id == b.id && a.parameter == b.parameter);
+    // The road that was asked first knows best.
+    let mut seen: Vec<(String, String)> = Vec::new();
+    detectability.retain(|one| {
+        let key = (one.id.clone(), one.parameter.clone());
+        let is_new = !seen.contains(&key);
+        seen.push(key);
+        is_new
+    });
     Report {
         schema: SCHEMA,
         verdict: answer.verdict,
@@ -347,6 +354,7 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
         p_value: None,
         heldout_nats: claim.heldout_nats,
         heldout_nats_ci95: None,
+        belief: claim.belief,
         heldout_nats_per_event: claim.heldout_nats_per_event,
         found_by: claim.found_by.clone(),
     };

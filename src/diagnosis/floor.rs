@@ -94,6 +94,17 @@ impl Floor {
     }
 }
 
+impl Floor {
+    /// What recordings without an effect, those like it above all, have as a root mean square of every number; for a recording of a context.
+    pub fn root_mean_square(&self, context: &[f64]) -> Vec<f64> {
+        let weights = self.weights(context);
+        let total: f64 = weights.iter().sum::<f64>() + 1e-9;
+        let length = self.nulls.first().map_or(0, |null| null.deviation.len());
+        let mean = |k: usize| self.nulls.iter().zip(&weights).map(|(null, w)| w * f64::from(null.deviation[k]) * f64::from(null.deviation[k])).sum::<f64>();
+        (0..length).map(|k| libm::sqrt(mean(k) / total)).collect()
+    }
+}
+
 impl Level {
     /// A deviation in spreads from the mean.
     pub fn z(&self, deviation: &[f64]) -> Vec<f64> {
@@ -118,5 +129,14 @@ mod tests {
         assert!((level.mean[0] - 1.0).abs() < 0.15, "{}", level.mean[0]);
         assert!(level.spread[0] < 1.0);
         assert!(floor.level(&[0.11]).mean[0] > 5.0);
+    }
+
+    #[test]
+    fn biases_are_those_of_recordings_like_it() {
+        let floor = Floor { nulls: vec![null("near", 0.0, 0.1), null("near", 0.05, -0.1), null("far", 4.0, 3.0), null("far", 4.1, 3.0)] };
+        assert!((floor.root_mean_square(&[0.02])[0] - 0.1).abs() < 0.65 && floor.root_mean_square(&[4.05])[0] > 2.5);
+        let alone = Floor { nulls: vec![null("a", 0.0, 0.3), null("b", 0.001, 0.4)] };
+        assert!((alone.root_mean_square(&[0.5])[0] - libm::sqrt(0.125)).abs() < 0.01);
+        assert!(Floor::default().root_mean_square(&[1.0]).is_empty());
     }
 }

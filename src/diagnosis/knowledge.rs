@@ -1,23 +1,26 @@
-//! What the recogniser knows beforehand: the floor of nulls and the net, in one file.
+//! What a diagnosis knows beforehand: the floor of nulls, their biases, and the net, in one file.
 //!
 //! The file is written with its lengths first and little-endian numbers, the same bytes for the same content. Deviations and weights are rounded to 16 bits (a third
 //! of a per cent): far below what they mean.
 
+use crate::candidates::CANDIDATES;
 use crate::floor::{Floor, Null};
 use crate::proposer::{Layer, Net, labels};
 
-/// Floor and net.
+/// Floor, biases and net.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Knowledge {
     /// Names of the summaries that it was made for.
     pub names: Vec<String>,
     /// Deviations that mean nothing.
     pub floor: Floor,
+    /// Strengths of all candidates that recordings without an effect seem to have ([`crate::linear`]), as deviations of nulls.
+    pub biases: Floor,
     /// Proposes causes; without it every cause is as likely.
     pub net: Option<Net>,
 }
 
-const MAGIC: &[u8] = b"photocurrent-knowledge/1\n";
+const MAGIC: &[u8] = b"photocurrent-knowledge/2\n";
 
 struct Reader<'a> {
     bytes: &'a [u8],
@@ -79,12 +82,8 @@ impl Knowledge {
         let mut bytes = MAGIC.to_vec();
         put_number(&mut bytes, self.names.len());
         self.names.iter().for_each(|name| put_text(&mut bytes, name));
-        put_number(&mut bytes, self.floor.nulls.len());
-        for null in &self.floor.nulls {
-            put_text(&mut bytes, &null.name);
-            put_values(&mut bytes, &null.context);
-            put_values(&mut bytes, &null.deviation);
-        }
+        put_nulls(&mut bytes, &self.floor);
+        put_nulls(&mut bytes, &self.biases);
         put_number(&mut bytes, self.net.as_ref().map_or(0, |net| net.layers.len()));
         if let Some(net) = &self.net {
             put_values(&mut bytes, &net.context.iter().map(|(mean, _)| *mean).collect::<Vec<f32>>());
@@ -108,18 +107,34 @@ impl Knowledge {
         let mut reader = Reader { bytes: bytes.strip_prefix(MAGIC).ok_or("it does not begin as knowledge of a diagnosis does")? };
         let count = reader.number()?;
         let names = (0..count).map(|_| reader.text()).collect::<Result<Vec<String>, String>>()?;
-        let count = reader.number()?;
-        let null =
-            |reader: &mut Reader<'_>| -> Result<Null, String> { Ok(Null { name: reader.text()?, context: reader.values()?, deviation: reader.values()? }) };
-        let nulls = (0..count).map(|_| null(&mut reader)).collect::<Result<Vec<Null>, String>>()?;
-        let contexts = nulls.first().map_or(0, |null| null.context.len());
-        if nulls.iter().any(|null| null.deviation.len() != names.len() || null.context.len() != contexts) {
+        let floor = read_nulls(&mut reader)?;
+        let contexts = floor.nulls.first().map_or(0, |null| null.context.len());
+        if floor.nulls.iter().any(|null| null.deviation.len() != names.len() || null.context.len() != contexts) {
             return Err("a null has another number of summaries than there are names".to_owned());
+        }
+        let biases = read_nulls(&mut reader)?;
+        if biases.nulls.iter().any(|null| null.deviation.len() != CANDIDATES.len() || null.context.len() != contexts) {
+            return Err("a null has another number of strengths than there are candidates in this catalogue; make it anew".to_owned());
         }
         let count = reader.number()?;
         let net = if count == 0 { None } else { Some(read_net(&mut reader, count, names.len() + contexts)?) };
-        Ok(Knowledge { names, floor: Floor { nulls }, net })
+        Ok(Knowledge { names, floor, biases, net })
     }
+}
+
+fn put_nulls(bytes: &mut Vec<u8>, floor: &Floor) {
+    put_number(bytes, floor.nulls.len());
+    for null in &floor.nulls {
+        put_text(bytes, &null.name);
+        put_values(bytes, &null.context);
+        put_values(bytes, &null.deviation);
+    }
+}
+
+fn read_nulls(reader: &mut Reader<'_>) -> Result<Floor, String> {
+    let count = reader.number()?;
+    let null = |reader: &mut Reader<'_>| -> Result<Null, String> { Ok(Null { name: reader.text()?, context: reader.values()?, deviation: reader.values()? }) };
+    Ok(Floor { nulls: (0..count).map(|_| null(reader)).collect::<Result<Vec<Null>, String>>()? })
 }
 
 fn read_net(reader: &mut Reader<'_>, count: usize, inputs: usize) -> Result<Net, String> {
@@ -152,7 +167,7 @@ mod tests {
     fn what_comes_with_the_program_fits_its_summaries_and_has_nulls() {
         let shipped = Knowledge::shipped().unwrap();
         assert_eq!(shipped.names, crate::summaries::names().unwrap());
-        assert!(shipped.floor.nulls.len() >= 30 && shipped.net.is_some());
+        assert!(shipped.floor.nulls.len() >= 30 && shipped.biases.nulls.len() >= 30 && shipped.net.is_some());
         assert_eq!(shipped.to_bytes(), SHIPPED);
     }
 
@@ -162,10 +177,11 @@ mod tests {
         let layer = |inputs: usize, outputs: usize| Layer { inputs, outputs, weights: vec![0.5; inputs * outputs], bias: vec![-1.0; outputs] };
         let net = Net { labels: labels(), context: vec![(0.0, 1.0); 2], layers: vec![layer(5, 4), layer(4, labels().len())] };
         let names = ["x", "y", "z"].map(str::to_owned).to_vec();
-        let knowledge = Knowledge { names, floor: Floor { nulls: vec![null] }, net: Some(net) };
+        let bias = Null { deviation: vec![0.5; CANDIDATES.len()], ..null.clone() };
+        let knowledge = Knowledge { names, floor: Floor { nulls: vec![null] }, biases: Floor { nulls: vec![bias] }, net: Some(net) };
         let bytes = knowledge.to_bytes();
         let back = Knowledge::from_bytes(&bytes).unwrap();
-        assert_eq!((&back.names, &back.floor, &back.net), (&knowledge.names, &knowledge.floor, &knowledge.net));
+        assert_eq!(back, knowledge);
         for cut in [0, 10, 40, bytes.len() / 2, bytes.len() - 1] {
             assert!(Knowledge::from_bytes(&bytes[..cut]).is_err(), "{cut}");
         }

@@ -17,6 +17,7 @@ use crate::regression::Products;
 use crate::rhythm::strongest_period_ns;
 use crate::sample::Sample;
 use crate::scene::Scene;
+use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
 use photocurrent_sensor::effects::{FrontEndModel, History, Thresholds};
 use rayon::prelude::*;
@@ -87,16 +88,19 @@ const BLOCK: u32 = 7;
 const RIDGE: f64 = 1e-6;
 
 /// A recording or its control, ready to be regressed.
-struct Side {
+pub(crate) struct Side {
     case: Case,
-    light: Scene,
-    changes: Vec<Change>,
+    /// The light through its events.
+    pub light: Scene,
+    /// Its changes of closures.
+    pub changes: Vec<Change>,
     /// Pixel, stamp and polarity of the sample's events.
     events: Vec<(u32, i64, i8)>,
 }
 
 impl Side {
-    fn new(case: &Case, nominal: &Nominal, sample: &Sample) -> Side {
+    /// Of the pixels of a sample.
+    pub fn new(case: &Case, nominal: &Nominal, sample: &Sample) -> Side {
         let bands = Band::all(case, nominal, sample);
         let events = sample.pixels.iter().flat_map(|&pixel| case.events.of(pixel as usize).iter().map(move |event| (pixel, event.t_in_ns, event.polarity)));
         Side { changes: changes(case, nominal, sample, &bands), light: Band::scene(case, &bands), events: events.collect(), case: case.clone() }
@@ -108,13 +112,26 @@ impl Side {
     }
 }
 
+/// Number of parts.
+pub(crate) const PART_COUNT: usize = (PARTS.0 * PARTS.1) as usize;
+
+/// The part of the array in which a pixel is.
+pub(crate) fn part_of(extent: Extent, x: u32, y: u32) -> usize {
+    (y * PARTS.1 / extent.height * PARTS.0 + x * PARTS.0 / extent.width) as usize
+}
+
+/// All pixels, or some of the blocks where there are more events than `most`.
+pub(crate) fn sampled(case: &Case, most: usize) -> Sample {
+    let thinned = case.events.all().len().div_ceil(most).max(1) as u32;
+    Sample::all(case, BLOCK).only(|block| block.is_multiple_of(thinned)).0
+}
+
 /// Laws over all covariates, the one that takes away most first, beyond what the `named` candidates at their strengths explain.
 ///
 /// # Errors
 /// When effects cannot be combined.
 pub fn laws(case: &Case, nominal: &Nominal, scales: &Scales, named: &[(usize, f64)], frame_noise: f64) -> Result<Vec<Law>, String> {
-    let thinned = case.events.all().len().div_ceil(MOST_EVENTS).max(1) as u32;
-    let (sample, _) = Sample::all(case, BLOCK).only(|block| block.is_multiple_of(thinned));
+    let sample = sampled(case, MOST_EVENTS);
     let mut trial = Trial::stated(nominal);
     named.iter().for_each(|(candidate, strength)| CANDIDATES[*candidate].put_on(&mut trial, *strength, scales));
     let known = as_nominal(case, &trial)?;
@@ -187,11 +204,19 @@ fn as_nominal(case: &Case, trial: &Trial) -> Result<Option<Nominal>, String> {
     Ok(Some(nominal))
 }
 
-/// Changes with an effect less those without, in the places of the recording's own changes.
-fn differences(own: &[Change], with: &[Change], without: &[Change]) -> Vec<f64> {
-    let find =
-        |all: &[Change], one: &Change| all.binary_search_by(|other| (other.place, other.frame).cmp(&(one.place, one.frame))).ok().map(|at| all[at].value);
-    own.iter().map(|one| find(with, one).zip(find(without, one)).map_or(0.0, |(with, without)| with - without)).collect()
+/// Changes with an effect less those without, in the places of the recording's own changes; 0 where either has none.
+pub(crate) fn differences(own: &[Change], with: &[Change], without: &[Change]) -> Vec<f64> {
+    at_changes(own, with)
+        .into_iter()
+        .zip(at_changes(own, without))
+        .map(|(with, without)| with.zip(without).map_or(0.0, |(with, without)| with - without))
+        .collect()
+}
+
+/// Changes in the places of others.
+pub(crate) fn at_changes(own: &[Change], others: &[Change]) -> Vec<Option<f64>> {
+    let find = |one: &Change| others.binary_search_by(|other| (other.place, other.frame).cmp(&(one.place, one.frame))).ok().map(|at| others[at].value);
+    own.iter().map(find).collect()
 }
 
 /// The period of what events ask for.
@@ -271,7 +296,7 @@ struct Part {
 impl Part {
     fn all(side: &Side, sample: &Sample, templates: &[Vec<f64>], moved: Moved, bins: &Bins, at: &[f64]) -> Vec<Part> {
         let columns = PLAIN + templates.len() + bins.at.len();
-        let mut parts: Vec<Part> = (0..PARTS.0 * PARTS.1).map(|_| Part { halves: [Products::new(columns), Products::new(columns)] }).collect();
+        let mut parts: Vec<Part> = (0..PART_COUNT).map(|_| Part { halves: [Products::new(columns), Products::new(columns)] }).collect();
         let extent = side.case.extent;
         let mut row = Vec::with_capacity(columns);
         let mut own = vec![0.0; bins.at.len()];
@@ -287,8 +312,7 @@ impl Part {
             row.extend(change.plain.iter().copied().enumerate());
             row.extend(templates.iter().enumerate().map(|(k, template)| (PLAIN + k, template[n])));
             row.extend(own.iter().enumerate().map(|(k, value)| (PLAIN + templates.len() + k, *value)));
-            let part = y * PARTS.1 / extent.height * PARTS.0 + x * PARTS.0 / extent.width;
-            parts[part as usize].halves[(x + y) as usize % 2].add(&row, change.value, change.weight);
+            parts[part_of(extent, x, y)].halves[(x + y) as usize % 2].add(&row, change.value, change.weight);
         }
         parts
     }

@@ -206,8 +206,8 @@ impl Refit<'_> {
         cost.map_or(0.0, |cost| 1.0 - cost / f64::max(stated, 1e-12))
     }
 
-    /// Tries candidates: those of `only`, or all where it is empty.
-    pub fn run(&self, setting: &RefitSetting, only: &[usize]) -> Refitted {
+    /// Tries candidates: those of `only`, or all where it is empty; those of `seen` are followed to the end.
+    pub fn run(&self, setting: &RefitSetting, only: &[usize], seen: &[usize]) -> Refitted {
         let mut tried: Vec<(usize, Vec<Tried>)> =
             (0..CANDIDATES.len()).filter(|n| !CANDIDATES[*n].is_random && (only.is_empty() || only.contains(n))).map(|n| (n, Vec::new())).collect();
         let (first, last) = setting.turns;
@@ -234,13 +234,13 @@ impl Refit<'_> {
         for round in 0..6 {
             order(&mut tried);
             let count = if round < 2 { setting.followed } else { setting.finished + 1 };
-            let chosen = chosen(&tried, count);
+            let chosen = chosen(&tried, count, seen);
             let followed = tried.iter().filter(|(candidate, _)| chosen.contains(candidate));
             let next: Vec<(usize, f64)> = followed.filter_map(|(candidate, tried)| Some((*candidate, self.next(*candidate, tried, setting)?))).collect();
             quick.extend(&mut tried, &next, first);
         }
         order(&mut tried);
-        let chosen = chosen(&tried, setting.finished);
+        let chosen = chosen(&tried, setting.finished, seen);
         let mut finished: Vec<(usize, Vec<Tried>)> = chosen.iter().map(|candidate| (*candidate, Vec::new())).collect();
         if last > first {
             let again: Vec<(usize, f64)> = tried
@@ -371,12 +371,13 @@ fn order(tried: &mut [(usize, Vec<Tried>)]) {
     tried.sort_by(|a, b| cost(&a.1).total_cmp(&cost(&b.1)).then(a.0.cmp(&b.0)));
 }
 
-/// The first `count`, and what the best is confused with by the catalogue's own word.
-fn chosen(ordered: &[(usize, Vec<Tried>)], count: usize) -> Vec<usize> {
+/// The first `count`, what the best is confused with by the catalogue's own word, and those that were `seen` elsewhere.
+fn chosen(ordered: &[(usize, Vec<Tried>)], count: usize, seen: &[usize]) -> Vec<usize> {
     let mut chosen: Vec<usize> = ordered.iter().take(count).map(|(candidate, _)| *candidate).collect();
     if let Some((best, _)) = ordered.first() {
         let confused_with = CANDIDATES[*best].decl().confused_with;
-        chosen.extend(ordered.iter().skip(count).map(|(candidate, _)| *candidate).filter(|candidate| confused_with.contains(&CANDIDATES[*candidate].id)));
+        let is_also = |candidate: &usize| confused_with.contains(&CANDIDATES[*candidate].id) || seen.contains(candidate);
+        chosen.extend(ordered.iter().skip(count).map(|(candidate, _)| *candidate).filter(is_also));
     }
     chosen
 }

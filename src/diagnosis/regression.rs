@@ -63,6 +63,23 @@ impl Products {
         coefficients
     }
 
+    /// Products of columns that are known twice, `n` and `n + columns / 2`, each time with errors of its own: products of one with the other have no share of those.
+    pub fn of_twins(&self) -> Products {
+        let (half, size) = (self.columns / 2, self.columns + 1);
+        let at = |a: usize, b: usize| self.sums[a * size + b];
+        let mut twins = Products { rows: self.rows, ..Products::new(half) };
+        for a in 0..half {
+            for b in 0..half {
+                twins.sums[a * (half + 1) + b] = 0.5 * (at(a, b + half) + at(a + half, b));
+            }
+            let explained = 0.5 * (at(a, self.columns) + at(a + half, self.columns));
+            twins.sums[a * (half + 1) + half] = explained;
+            twins.sums[half * (half + 1) + a] = explained;
+        }
+        twins.sums[(half + 1) * (half + 1) - 1] = at(self.columns, self.columns);
+        twins
+    }
+
     /// Sum of squares that coefficients leave.
     pub fn left(&self, coefficients: &[f64]) -> f64 {
         let size = self.columns + 1;
@@ -101,5 +118,24 @@ mod tests {
         twice.merge(&half);
         assert_eq!(twice.rows, 2000.0);
         assert!(twice.solve(|_| true, 0.0).iter().zip(half.solve(|_| true, 0.0)).all(|(a, b)| (a - b).abs() < 1e-12));
+    }
+
+    #[test]
+    fn what_is_known_twice_is_not_made_smaller_by_its_errors() {
+        let mut random = Random::new(4, &[]);
+        let truth = [0.8, -1.2];
+        let (mut once, mut twice) = (Products::new(2), Products::new(4));
+        for _ in 0..40_000 {
+            let clean: [f64; 2] = std::array::from_fn(|_| random.normal());
+            let explained = truth[0] * clean[0] + truth[1] * clean[1] + 0.5 * random.normal();
+            let seen: [f64; 4] = std::array::from_fn(|n| clean[n % 2] + random.normal());
+            once.add(&[(0, seen[0]), (1, seen[1])], explained, 1.0);
+            twice.add(&seen.into_iter().enumerate().collect::<Vec<_>>(), explained, 1.0);
+        }
+        let (small, right) = (once.solve(|_| true, 0.0), twice.of_twins().solve(|_| true, 0.0));
+        for k in 0..2 {
+            assert!((small[k] / truth[k] - 0.5).abs() < 0.03 && (right[k] / truth[k] - 1.0).abs() < 0.04, "{small:?} {right:?}");
+        }
+        assert!((twice.of_twins().left(&right) / (0.25 * 40_000.0) - 1.0).abs() < 0.1);
     }
 }

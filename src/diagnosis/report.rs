@@ -108,7 +108,10 @@ pub struct Evidence {
     /// The same per event.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heldout_nats_per_event: Option<f64>,
-    /// Which of the tests found it: `direct`, `likelihood`, `synthesis`.
+    /// Share of the belief of the test that found it, among the effects that it found enough for, 0 to 1.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub belief: Option<f64>,
+    /// Which of the tests found it: `direct`, `refit`, `closures`, `likelihood`, `synthesis`.
     pub found_by: Vec<String>,
 }
 

@@ -5,8 +5,10 @@
 
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::case::Case;
+use crate::components::Component;
 use crate::deviation::unstated_frame_noise;
 use crate::faithful::{Faithful, faithful};
+use crate::linear::{Linear, Templates};
 use crate::nominal::Nominal;
 use crate::open::{Law, laws};
 use crate::refit::{Refit, RefitSetting, Refitted};
@@ -14,6 +16,10 @@ use crate::sample::Sample;
 use crate::scene::SceneSetting;
 use serde::{Deserialize, Serialize};
 
+/// So many that are seen to first order are followed to the end.
+const SEEN: usize = 3;
+/// When they are so many standard errors from nothing.
+const LEAST_SIGNIFICANCE: f64 = 3.0;
 /// So many of the first are tried again beside the second.
 const AGAIN: usize = 4;
 
@@ -26,6 +32,12 @@ pub struct Search {
     pub second: Option<Refitted>,
     /// The first once more, beside the best of `second`, where that is more than nothing.
     pub again: Option<Refitted>,
+    /// What each effect explains to first order, most first.
+    pub linear: Vec<Linear>,
+    /// The same beside the best of `first`; nothing where that does not explain enough.
+    pub second_linear: Vec<Linear>,
+    /// Variances of what is drawn at random.
+    pub components: Vec<Component>,
     /// Curves over covariates, of what effects that were found leave, best first.
     pub laws: Vec<Law>,
     /// Share of the cost of the stated sensor that knots twice as near take away: error of our own.
@@ -80,14 +92,17 @@ pub fn search(case: &Case, nominal: &Nominal, scales: &Scales, setting: &SearchS
     let scene = SceneSetting { frame_share: libm::sqrt(usual * usual + frame_noise * frame_noise), ..setting.scene };
     let Faithful { priors, agreement, .. } = faithful(case, nominal, &sample, &scene)?;
     let base = Trial::stated(nominal);
+    let templates = Templates::new(case, nominal, scales, frame_noise)?;
+    let linear = templates.beside(&[]);
+    let seen: Vec<usize> = linear.iter().filter(|one| one.significance > LEAST_SIGNIFICANCE).take(SEEN).map(|one| one.candidate).collect();
     let refit = Refit { case, base: &base, scales, sample: &sample, scene: &scene, priors: &priors, frame_noise, turns: setting.refit.turns.0 };
-    let first = refit.run(&setting.refit, &[]);
+    let first = refit.run(&setting.refit, &[], &seen);
     let best = first.leading().first().map(|best| (best.candidate, best.strength, best.heldout));
     let few = RefitSetting { followed: 6, finished: 3, ..setting.refit };
     let beside = |candidate: usize, strength: f64, only: &[usize]| {
         let mut base = base.clone();
         CANDIDATES[candidate].put_on(&mut base, strength, scales);
-        Refit { base: &base, ..refit }.run(&few, only)
+        Refit { base: &base, ..refit }.run(&few, only, &[])
     };
     let second = best.filter(|best| best.2 > setting.least_share).map(|(candidate, strength, _)| beside(candidate, strength, &[]));
     // With a second effect on the sensor, the first is looked for once more among those that were near it.
@@ -102,7 +117,21 @@ pub fn search(case: &Case, nominal: &Nominal, scales: &Scales, setting: &SearchS
     let numerical = refit.numerical(&setting.refit, first.stated);
     let laws = laws(case, nominal, scales, &known, frame_noise)?;
     let events = sample.pixels.iter().map(|pixel| case.events.of(*pixel as usize).len()).sum();
-    Ok(Search { first, second, again, laws, numerical, frame_noise, agreement, pixels: sample.len(), events })
+    let second_linear = best.filter(|best| best.2 > setting.least_share).map_or_else(Vec::new, |best| templates.beside(&[best.0]));
+    Ok(Search {
+        first,
+        second,
+        again,
+        linear,
+        second_linear,
+        components: templates.components,
+        laws,
+        numerical,
+        frame_noise,
+        agreement,
+        pixels: sample.len(),
+        events,
+    })
 }
 
 #[cfg(test)]

@@ -267,7 +267,7 @@ mod tests {
             let context = (0..13).map(|_| random.normal() as f32).collect();
             Null { name: n.to_string(), context, deviation: names.iter().map(|_| 0.2 * random.normal() as f32).collect() }
         };
-        Knowledge { floor: Floor { nulls: (0..12).map(null).collect() }, names, net: None }
+        Knowledge { floor: Floor { nulls: (0..12).map(null).collect() }, names, ..Knowledge::default() }
     }
 
     #[test]

@@ -4,11 +4,12 @@
 //! needed, because the effect is put on here. Deviations of nulls are added to templates later ([`crate::proposer`]), so that the net learns what matters beside
 //! the errors of other simulators and real sensors.
 
-use crate::candidates::{CANDIDATES, Signs, Trial};
+use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::Case;
-use crate::deviation::{FULL, LEAN, Prepared};
+use crate::deviation::{FULL, LEAN, Prepared, context_of, unstated_frame_noise};
 use crate::floor::{Floor, Null};
 use crate::knowledge::Knowledge;
+use crate::linear::Templates;
 use crate::nominal::Nominal;
 use crate::proposer::{Net, NetSetting};
 use photocurrent_core::random::Random;
@@ -95,13 +96,13 @@ fn vary(trial: &mut Trial, id: &str, nominal: &Nominal, random: &mut Random) {
     }
 }
 
-/// Knowledge from examples, own nulls among them, and from further nulls, such as real recordings known to have no effect.
-pub fn learn(names: &[String], examples: &[Example], more: &[Null], setting: &NetSetting) -> Knowledge {
+/// Knowledge from examples, own nulls among them, from further nulls, such as real recordings known to have no effect, and from the biases of some of both.
+pub fn learn(names: &[String], examples: &[Example], more: &[Null], biases: &[Null], setting: &NetSetting) -> Knowledge {
     let own = examples.iter().filter(|example| example.candidate.is_none()).enumerate();
     let own = own.map(|(n, example)| Null { name: format!("made up {n}"), context: example.context.clone(), deviation: example.deviation.clone() });
     let floor = Floor { nulls: more.iter().cloned().chain(own).collect() };
     let net = Net::train(examples, &floor, setting);
-    Knowledge { names: names.to_vec(), floor, net: Some(net) }
+    Knowledge { names: names.to_vec(), floor, biases: Floor { nulls: biases.to_vec() }, net: Some(net) }
 }
 
 /// By how much a recording without an effect deviates.
@@ -112,6 +113,19 @@ pub fn null_of(case: &Case, name: String, seed: u64) -> Result<Null, String> {
     let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
     let full = Prepared::new(case, nominal, FULL, seed)?;
     Ok(Null { name, context: narrow(&full.context), deviation: narrow(&full.deviation) })
+}
+
+/// The strength of every candidate that a recording without an effect seems to have, as a deviation; 0 for those that are random.
+///
+/// # Errors
+/// When its description does not state what the model needs.
+pub fn bias_of(case: &Case, name: String) -> Result<Null, String> {
+    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let frame_noise = unstated_frame_noise(case, &nominal)?;
+    let found = Templates::new(case, &nominal, &Scales::of(case, &nominal), frame_noise)?.beside(&[]);
+    let mut strengths = vec![0.0; CANDIDATES.len()];
+    found.iter().for_each(|one| strengths[one.candidate] = one.strength as f32);
+    Ok(Null { name, context: narrow(&context_of(case, &nominal)), deviation: strengths })
 }
 
 impl Example {
@@ -182,8 +196,8 @@ mod tests {
             Null { name: format!("{n}"), context, deviation: names.iter().map(|_| 0.05 * random.normal() as f32).collect() }
         };
         let more: Vec<Null> = (0..10).map(other).collect();
-        let knowledge = learn(&names, &examples, &more, &net);
-        assert_eq!(knowledge, learn(&names, &examples, &more, &net));
+        let knowledge = learn(&names, &examples, &more, &[], &net);
+        assert_eq!(knowledge, learn(&names, &examples, &more, &[], &net));
         let net = knowledge.net.as_ref().unwrap();
         let wide = |values: &[f32]| -> Vec<f64> { values.iter().map(|v| f64::from(*v)).collect() };
         let mut right = 0.0;

@@ -65,6 +65,10 @@ pub struct Road {
     pub proposals: Vec<Proposal>,
     /// For a second one beside the first of `proposals`, best first.
     pub second: Vec<Proposal>,
+    /// What all pixels together say to first order, where no proposal passes.
+    pub to_first_order: Vec<Proposal>,
+    /// The same beside the first of `proposals`.
+    pub second_to_first_order: Vec<Proposal>,
     /// What takes away more than any candidate does, and is none.
     pub unexplained: Option<Unexplained>,
     /// Is an error of our own larger than anything that was found?
@@ -90,6 +94,8 @@ pub struct Claim {
     pub values: Vec<(usize, f64, Option<[f64; 2]>)>,
     /// Over the alarm of what found it.
     pub score: f64,
+    /// Share of the belief of what found it, among the effects that it found enough for, 0 to 1; none for direct tests.
+    pub belief: Option<f64>,
     /// Who found it.
     pub found_by: Vec<String>,
     /// Gain on held-out measurements.
@@ -195,7 +201,12 @@ fn led(refit: &Road, others: &[Road], known: &[Claim]) -> Vec<Claim> {
     let found = if refit.alarm { refitted(&refit.proposals, others, least) } else { None };
     let Some(first) = found else {
         // What a direct finding leaves of chance looks like chance.
-        return if known.is_empty() { strongest(&of_chance, |road| &road.proposals, ALONE).into_iter().collect() } else { Vec::new() };
+        let alone = || first_order(&refit.to_first_order).or_else(|| strongest(&of_chance, |road| &road.proposals, ALONE));
+        if known.is_empty() {
+            return alone().into_iter().collect();
+        }
+        let rest: Vec<Proposal> = refit.to_first_order.iter().filter(|one| !CANDIDATES[one.candidate].is_random).cloned().collect();
+        return first_order(&rest).filter(|first| first.score >= least).into_iter().collect();
     };
     // What leaves much unexplained may be chance that all others name.
     let leaders: Vec<&Proposal> = others.iter().filter(|road| road.alarm).filter_map(|road| road.proposals.first()).collect();
@@ -220,7 +231,42 @@ fn led(refit: &Road, others: &[Road], known: &[Claim]) -> Vec<Claim> {
             claims.push(second);
         }
     }
+    let is_apart = |one: &&Proposal| {
+        claims.iter().all(|claim| !looks_like(claim.id, &CANDIDATES[one.candidate]) && !claim.also_possible.contains(&CANDIDATES[one.candidate].id))
+    };
+    if claims.len() == 1 && known.is_empty() {
+        let rest: Vec<Proposal> = refit.second_to_first_order.iter().filter(is_apart).cloned().collect();
+        claims.extend(first_order(&rest));
+    }
     claims
+}
+
+/// What all pixels say to first order: the best, with what explains as much.
+fn first_order(proposals: &[Proposal]) -> Option<Claim> {
+    let best = proposals.iter().filter(|one| one.passed).max_by(|a, b| a.probability.total_cmp(&b.probability).then(b.candidate.cmp(&a.candidate)))?;
+    let id = CANDIDATES[best.candidate].id;
+    let mut near: Vec<&Proposal> =
+        proposals.iter().filter(|one| one.passed && CANDIDATES[one.candidate].id != id && one.probability > DOUBT * best.probability).collect();
+    near.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.candidate.cmp(&b.candidate)));
+    let mut also_possible: Vec<&'static str> = Vec::new();
+    near.iter().map(|one| CANDIDATES[one.candidate].id).for_each(|id| {
+        if !also_possible.contains(&id) {
+            also_possible.push(id)
+        }
+    });
+    also_possible.truncate(LARGEST_SET - 1);
+    let values = vec![(best.candidate, best.value, best.ci95)];
+    Some(Claim {
+        id,
+        also_possible,
+        values,
+        score: best.score,
+        belief: Some(belief(proposals.iter(), id)),
+        found_by: vec!["closures".into()],
+        heldout_nats: None,
+        heldout_nats_per_event: None,
+        finding: None,
+    })
 }
 
 /// The best of the refits, with those that are not told apart from it.
@@ -251,11 +297,26 @@ fn refitted(proposals: &[Proposal], others: &[Road], least: f64) -> Option<Claim
         also_possible,
         values: vec![(one.candidate, one.value, one.ci95)],
         score: one.score,
+        belief: Some(belief(proposals.iter().filter(|one| one.passed && one.score >= least), id)),
         found_by,
         heldout_nats: one.heldout_nats,
         heldout_nats_per_event: one.heldout_nats_per_event,
         finding: None,
     })
+}
+
+/// Share of the belief in an effect among those of some proposals; each effect counts by its best parameter.
+fn belief<'a>(proposals: impl Iterator<Item = &'a Proposal>, id: &str) -> f64 {
+    let mut of: Vec<(&'static str, f64)> = Vec::new();
+    for one in proposals {
+        let id = CANDIDATES[one.candidate].id;
+        match of.iter_mut().find(|(other, _)| *other == id) {
+            Some((_, most)) => *most = f64::max(*most, one.probability),
+            None => of.push((id, one.probability)),
+        }
+    }
+    let own = of.iter().find(|(other, _)| *other == id).map_or(0.0, |(_, most)| *most);
+    own / f64::max(of.iter().map(|(_, most)| most).sum(), 1e-300)
 }
 
 /// Effects that are met so seldom, or seen so hardly, that another that explains as much is believed first.
@@ -288,6 +349,7 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
         also_possible: Vec::new(),
         values,
         score: finding.statistic / finding.threshold,
+        belief: None,
         found_by: vec!["direct".into()],
         heldout_nats: finding.heldout.map(|heldout| heldout.nats),
         heldout_nats_per_event: finding.heldout.map(|heldout| heldout.per_event()),
@@ -301,7 +363,13 @@ fn without(case: &Case, nominal: &Nominal, road: &Road, known: &[&str]) -> Road 
         let matters = |proposal: &&Proposal| is_material(case, nominal, &CANDIDATES[proposal.candidate], proposal.value);
         proposals.iter().filter(|proposal| !known.iter().any(|known| looks_like(known, &CANDIDATES[proposal.candidate]))).filter(matters).cloned().collect()
     };
-    Road { proposals: keep(&road.proposals), second: keep(&road.second), ..road.clone() }
+    Road {
+        proposals: keep(&road.proposals),
+        second: keep(&road.second),
+        to_first_order: keep(&road.to_first_order),
+        second_to_first_order: keep(&road.second_to_first_order),
+        ..road.clone()
+    }
 }
 
 /// Is a candidate an effect, or taken for it (or it for the candidate) by the catalogue's own word? What a direct estimate leaves of its effect looks like that.
@@ -366,7 +434,7 @@ fn strongest(roads: &[Road], of: fn(&Road) -> &Vec<Proposal>, alone: f64) -> Opt
             }
         }
     }
-    Some(Claim { id, also_possible, values, score, found_by, heldout_nats: nats, heldout_nats_per_event: per_event, finding: None })
+    Some(Claim { id, also_possible, values, score, belief: Some(best), found_by, heldout_nats: nats, heldout_nats_per_event: per_event, finding: None })
 }
 
 /// Does a value of a candidate differ from nothing by more than anybody would care about? Times: the larger of 2 us and a tenth of the stamp's width; thresholds,

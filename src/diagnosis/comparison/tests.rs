@@ -4,7 +4,7 @@ use super::*;
 use crate::diagnose::{RoadKind, Setting, diagnose};
 use crate::record::Described as Effects;
 use crate::refit::RefitSetting;
-use crate::roads::from_refit;
+use crate::roads::{Biases, from_refit};
 use crate::search::search;
 use crate::testing;
 use photocurrent_core::Sensor;
@@ -18,7 +18,17 @@ fn recorded(effects: serde_json::Value) -> Case {
 fn claim(id: &'static str, parameter: &str, value: f64) -> Claim {
     let candidate = CANDIDATES.iter().position(|one| one.id == id && one.parameter == parameter).unwrap();
     let values = vec![(candidate, value, None)];
-    Claim { id, also_possible: Vec::new(), values, score: 2.0, found_by: Vec::new(), heldout_nats: None, heldout_nats_per_event: None, finding: None }
+    Claim {
+        id,
+        also_possible: Vec::new(),
+        values,
+        score: 2.0,
+        belief: None,
+        found_by: Vec::new(),
+        heldout_nats: None,
+        heldout_nats_per_event: None,
+        finding: None,
+    }
 }
 
 fn compared(case: &Case, claims: &[Claim]) -> Comparison {
@@ -116,7 +126,9 @@ fn what_a_search_finds_gives_back_the_light() {
         let nominal = Nominal::new(case).unwrap();
         let few = RefitSetting { followed: 4, finished: 2, ..RefitSetting::default() };
         let setting = SearchSetting { zones: (3, 2), side: 4, refit: few, ..SearchSetting::default() };
-        Ok(from_refit(&search(case, &nominal, &Scales::of(case, &nominal), &setting)?))
+        let scales = Scales::of(case, &nominal);
+        let value = |candidate: usize, strength: f64| CANDIDATES[candidate].value(strength, &scales, &nominal);
+        Ok(from_refit(&search(case, &nominal, &scales, &setting)?, &Biases(Vec::new()), &value))
     };
     let found = diagnose(&case, &Setting::default(), &[RoadKind::new("refit", run)], |_| ()).unwrap();
     assert_eq!(found.report.effects[0].id, "threshold_scale", "{}", found.report.summary);

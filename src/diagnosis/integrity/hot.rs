@@ -5,6 +5,7 @@
 
 use super::{Finding, median};
 use crate::case::Case;
+use crate::nominal::Nominal;
 
 /// A row must have this many standard deviations of counting more events in its median pixel than the rows around it.
 const ROW_SIGMAS: f64 = 1.6;
@@ -12,12 +13,16 @@ const ROW_SIGMAS: f64 = 1.6;
 const ROW_SHARE: f64 = 0.75;
 /// A pixel must have this many times the spread of the comparison.
 const PIXEL_SIGMAS: f64 = 8.0;
+/// And so many events more than half as many again.
+const LEAST_EXCESS: f64 = 20.0;
 /// The excess must be there in this many of [`PARTS`] parts of the recording.
 const STEADY: usize = 10;
 const PARTS: usize = 12;
+/// Its events and its frames must disagree by so many times as much as those around.
+const DISAGREES: f64 = 2.0;
 
 /// Hot rows, and the pixels in them.
-pub fn rows(case: &Case) -> (Option<Finding>, Vec<u32>) {
+pub fn rows(case: &Case, nominal: Option<&Nominal>) -> (Option<Finding>, Vec<u32>) {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     if height < 8 || width < 8 {
         return (None, Vec::new());
@@ -25,7 +30,8 @@ pub fn rows(case: &Case) -> (Option<Finding>, Vec<u32>) {
     let count = |x: usize, y: usize| case.events.range(y * width + x).len() as f64;
     let (mut hot, mut excess, mut strongest) = (Vec::new(), 0.0, 0.0_f64);
     let medians: Vec<f64> = (0..height).map(|y| median(&mut (0..width).map(|x| count(x, y)).collect::<Vec<_>>())).collect();
-    for y in 0..height {
+    // What stands at the rim has nothing on its other side to be held against.
+    for y in 1..height - 1 {
         // Two rows may stand beside each other: of the four around, the quieter two pairs decide.
         let around: Vec<usize> = [y.checked_sub(2), y.checked_sub(1), Some(y + 1), Some(y + 2)].into_iter().flatten().filter(|row| *row < height).collect();
         let mut levels: Vec<f64> = around.iter().map(|&row| medians[row]).collect();
@@ -38,7 +44,9 @@ pub fn rows(case: &Case) -> (Option<Finding>, Vec<u32>) {
         let more = (0..width).filter(|&x| quiet.iter().all(|&row| count(x, y) > count(x, row) + 1.0)).count();
         let steady =
             steady(case, &(0..width).map(|x| y * width + x).collect::<Vec<_>>(), |pixel| quiet.iter().map(|&row| row * width + pixel % width).collect());
-        if more as f64 > ROW_SHARE * width as f64 && steady >= STEADY {
+        let of = |row: usize| median(&mut (0..width).map(|x| disagreement(case, nominal, row * width + x)).collect::<Vec<_>>());
+        let elsewhere = quiet.iter().map(|&row| of(row)).fold(0.0, f64::max);
+        if more as f64 > ROW_SHARE * width as f64 && steady >= STEADY && (elsewhere == 0.0 || of(y) > DISAGREES * elsewhere) {
             hot.push(y as u32);
             let here: f64 = (0..width).map(|x| count(x, y)).sum();
             let there: f64 = quiet.iter().flat_map(|&row| (0..width).map(move |x| count(x, row))).sum();
@@ -69,7 +77,7 @@ pub fn rows(case: &Case) -> (Option<Finding>, Vec<u32>) {
 }
 
 /// Hot pixels outside the masked ones; adds them to the mask.
-pub fn pixels(case: &Case, masked: &mut Vec<u32>) -> Option<Finding> {
+pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> Option<Finding> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let in_hot_row = masked.clone();
     let is_masked = |pixel: usize| in_hot_row.binary_search(&(pixel as u32)).is_ok();
@@ -86,7 +94,18 @@ pub fn pixels(case: &Case, masked: &mut Vec<u32>) -> Option<Finding> {
     let spread = f64::max(1.0, 1.4826 * median(&mut sigmas.iter().map(|sigma| sigma.abs()).collect::<Vec<_>>()));
     let (mut hot, mut strongest, mut excess) = (Vec::new(), 0.0_f64, 0.0);
     for (&pixel, sigma) in sound.iter().zip(&sigmas) {
-        if *sigma > PIXEL_SIGMAS * spread && count(pixel) > 1.5 * level(pixel) + 10.0 && steady(case, &[pixel], around) >= STEADY {
+        let is_unlike = || {
+            let elsewhere = median(&mut around(pixel).into_iter().map(|other| disagreement(case, nominal, other)).collect::<Vec<_>>());
+            elsewhere == 0.0 || disagreement(case, nominal, pixel) > DISAGREES * elsewhere
+        };
+        let (x, y) = (pixel % width, pixel / width);
+        let is_inside = x > 0 && y > 0 && x + 1 < width && y + 1 < height;
+        if is_inside
+            && *sigma > PIXEL_SIGMAS * spread
+            && count(pixel) > 1.5 * level(pixel) + LEAST_EXCESS
+            && steady(case, &[pixel], around) >= STEADY
+            && is_unlike()
+        {
             hot.push(pixel as u32);
             strongest = strongest.max(sigma / spread);
             excess += count(pixel) - level(pixel);
@@ -112,6 +131,28 @@ pub fn pixels(case: &Case, masked: &mut Vec<u32>) -> Option<Finding> {
         seen,
         heldout: None,
     })
+}
+
+/// By how much the events of a pixel disagree with its frames: root mean square, over pairs of frames, of what events add up to less what the frames changed, natural-log
+/// units. A pixel that sees much fires much, and agrees with its frames; 0 where there are no frames.
+fn disagreement(case: &Case, nominal: Option<&Nominal>, pixel: usize) -> f64 {
+    let (Some(nominal), Some(frames)) = (nominal, &case.frames) else { return 0.0 };
+    let (_, row) = case.place(pixel);
+    let events = case.events.of(pixel);
+    let signal = |frame: usize| f64::max(case.dn(frame, pixel) - nominal.number.black_level, 1.0);
+    let middle = |frame: usize| {
+        let exposure = frames.times.exposure(frame, row);
+        i64::midpoint(exposure.start.0, exposure.end.0)
+    };
+    let before = |t_ns: i64| events.partition_point(|event| event.t_in_ns < t_ns);
+    let squares = (1..frames.times.len()).filter_map(|frame| {
+        let step = |polarity: i8| if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
+        let sum: f64 = events[before(middle(frame - 1))..before(middle(frame))].iter().map(|event| step(event.polarity)).sum();
+        let off = sum - libm::log(signal(frame) / signal(frame - 1));
+        off.is_finite().then_some(off * off)
+    });
+    let (count, sum) = squares.fold((0.0, 0.0), |(count, sum), square| (count + 1.0, sum + square));
+    libm::sqrt(sum / f64::max(count, 1.0))
 }
 
 /// In how many of [`PARTS`] equal parts of the recording some pixels have more events than their reference pixels have on average.

@@ -101,15 +101,17 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         return found;
     }
     let stream = Stream::of(case);
-    let (rows, mut masked) = hot::rows(case);
-    let pixels = hot::pixels(case, &mut masked);
+    let (rows, mut masked) = hot::rows(case, nominal);
+    let pixels = hot::pixels(case, nominal, &mut masked);
     found.findings.extend(rows);
     found.findings.extend(pixels);
     found.masked = masked;
     let tight = stamps::findings(case, &stream);
     let on_grid = tight.iter().any(|finding| finding.id == "timestamp_quantization");
     found.findings.extend(tight);
-    found.findings.extend(intervals::findings(case, nominal, &found.masked));
+    // Stamps on a coarse grid have no interval below its step.
+    let says_more = |finding: &Finding| !(on_grid && finding.id == "refractory");
+    found.findings.extend(intervals::findings(case, nominal, &found.masked).into_iter().filter(says_more));
     if !on_grid {
         found.findings.extend(load::loss(case, &stream));
     }

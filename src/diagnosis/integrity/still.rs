@@ -26,7 +26,7 @@ const FEWEST_EVENTS: usize = 30;
 /// ON events must be so many times as many as OFF events.
 const ON_OVER_OFF: usize = 4;
 /// Their difference over the root of their sum.
-const SIGMAS: f64 = 5.0;
+const SIGMAS: f64 = 7.0;
 /// A pixel may have this share of them, for one that is hot is no leak of all.
 const SHARE_OF_ONE: f64 = 0.1;
 /// Parts of the recording, in so many of which there must be some.

@@ -129,6 +129,17 @@ fn hot_pixels_are_found_with_their_rate() {
 }
 
 #[test]
+fn a_row_at_the_rim_is_held_against_nothing() {
+    let mut random = Random::new(7, &[]);
+    let case = with(bursts(1000), |pixel, events| {
+        if pixel / 24 == 0 {
+            add(events, &mut random, 40, 1);
+        }
+    });
+    assert!(of(&case).findings.iter().all(|finding| finding.id != "hot_rows"));
+}
+
+#[test]
 fn a_light_that_blinks_once_is_no_hot_pixel() {
     let case = with(bursts(1000), |pixel, events| {
         if pixel == 100 {

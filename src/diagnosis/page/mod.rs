@@ -14,6 +14,7 @@ use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
 use crate::open::Law;
 use crate::report::{EffectReport, Parameter, Report, Verdict, short as number};
+use crate::verdict::Proposal;
 use plot::{Plot, Scale};
 use std::fmt::Write;
 use svg::{Bar, COLOURS, Map, bars, maps};
@@ -129,9 +130,13 @@ fn scores(html: &mut String, found: &Diagnosis) {
         .collect();
     let mut groups = vec![("direct tests".to_owned(), direct)];
     for road in &found.roads {
-        let of_road = road.proposals.iter().take(10);
-        let bars = of_road.map(|one| Bar { label: CANDIDATES[one.candidate].label(), value: one.score, is_marked: one.passed }).collect();
-        groups.push((road.name.clone(), bars));
+        let bars = |all: &[Proposal]| {
+            all.iter().take(10).map(|one| Bar { label: CANDIDATES[one.candidate].label(), value: one.score, is_marked: one.passed }).collect()
+        };
+        groups.push((road.name.clone(), bars(&road.proposals)));
+        if !road.to_first_order.is_empty() {
+            groups.push(("closures of all pixels, to first order".to_owned(), bars(&road.to_first_order)));
+        }
     }
     for (name, group) in groups {
         let _ = writeln!(html, "<h3>{}</h3>", escaped(&name));

@@ -30,26 +30,29 @@ use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-/// Part of every seed: another one gives other recordings.
+/// Part of every seed where none is named: another one gives other recordings.
 const SEED: &str = "sealed physics, first edition";
 
-const USAGE: &str = "usage: sealed-generator --out FOLDER [--threads N] [--only FIRST..LAST]
-  writes FOLDER/*.h5 and FOLDER/README.md, and answers.json beside FOLDER; --only makes some of the recordings and no lists";
+const USAGE: &str = "usage: sealed-generator --out FOLDER [--seed TEXT] [--threads N] [--only FIRST..LAST]
+  writes FOLDER/*.h5 and FOLDER/README.md, and answers.json beside FOLDER; --seed makes other recordings of the same plan;
+  --only makes some of the recordings and no lists";
 
 struct Options {
     out: PathBuf,
+    seed: String,
     threads: usize,
     only: Option<std::ops::Range<usize>>,
 }
 
 fn options() -> Result<Options, String> {
-    let mut options = Options { out: PathBuf::new(), threads: 2, only: None };
+    let mut options = Options { out: PathBuf::new(), seed: SEED.to_owned(), threads: 2, only: None };
     let mut words = std::env::args().skip(1);
     while let Some(word) = words.next() {
         let value = words.next().ok_or_else(|| format!("{word}: no value\n{USAGE}"))?;
         let number = |text: &str| text.parse::<usize>().map_err(|_| format!("{word} {value}: `{text}` is not a whole number\n{USAGE}"));
         match word.as_str() {
             "--out" => options.out = PathBuf::from(&value),
+            "--seed" => options.seed = value,
             "--threads" => options.threads = number(&value)?.max(1),
             "--only" => {
                 let (first, last) = value.split_once("..").ok_or_else(|| format!("{word} {value}: not of the form 3..7\n{USAGE}"))?;
@@ -65,12 +68,12 @@ fn options() -> Result<Options, String> {
 }
 
 /// Makes one recording; gives its entry in the list of answers.
-fn make(index: usize, out: &Path) -> Result<Value, String> {
-    let mut draft = draw(index, &PLAN[index], SEED)?;
+fn make(index: usize, seed: &str, out: &Path) -> Result<Value, String> {
+    let mut draft = draw(index, &PLAN[index], seed)?;
     let (events, charge) = array::run(&draft.scene, &draft.physics, WIDTH, HEIGHT, &draft.timing, &mut draft.random);
     let frames = frames::digitise(&charge, &draft.physics, WIDTH, draft.numbers, &mut draft.random);
     let stamped = stamps::stamp(&events, &draft.physics, WIDTH, HEIGHT, draft.resolution, &mut draft.random);
-    let name = format!("{}.h5", &sha256_hex(format!("{SEED}/{index}/name").as_bytes())[..8]);
+    let name = format!("{}.h5", &sha256_hex(format!("{seed}/{index}/name").as_bytes())[..8]);
     let path = out.join(&name);
     write::write(&path, &draft, &stamped, &frames)?;
     let bytes = std::fs::read(&path).map_err(|error| format!("{}: cannot be read back: {error}", path.display()))?;
@@ -110,7 +113,7 @@ fn all(options: &Options) -> Result<(), String> {
                     if index >= range.end {
                         break;
                     }
-                    let answer = make(index, &options.out);
+                    let answer = make(index, &options.seed, &options.out);
                     if let Ok(answer) = &answer {
                         eprintln!("{index:3} {} {} events, {} bytes", answer["file"], answer["events"], answer["bytes"]);
                     }
@@ -125,7 +128,7 @@ fn all(options: &Options) -> Result<(), String> {
     if options.only.is_some() {
         return Ok(());
     }
-    let document = json!({ "schema": "photocurrent-sealed-answers/1", "seed": SEED, "width": WIDTH, "height": HEIGHT, "recordings": answers });
+    let document = json!({ "schema": "photocurrent-sealed-answers/1", "seed": options.seed, "width": WIDTH, "height": HEIGHT, "recordings": answers });
     let text = serde_json::to_string_pretty(&document).map_err(|error| format!("answers: {error}"))?;
     let beside = options.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")).join("answers.json");
     std::fs::write(&beside, text + "\n").map_err(|error| format!("{}: cannot be written: {error}", beside.display()))?;
