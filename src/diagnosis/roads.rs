@@ -97,7 +97,7 @@ const SHARE_WEIGHT: f64 = 5.0;
 /// A smaller share says no more than this: some effects are such that a light can be found for them.
 const LEAST_SHARE: f64 = 0.22;
 /// Where nothing is known of it.
-const USUAL_SHARE: f64 = 0.35;
+const USUAL_SHARE: f64 = 0.85;
 /// Less than this, as a share of all squares, is nothing.
 const LEAST_VISIBLE: f64 = 0.001;
 /// What a refit names is believed before a law when it is so many standard errors to first order.
@@ -209,7 +209,7 @@ struct Gate {
 }
 
 /// Where no refit passes.
-const ALONE: Gate = Gate { taken: 0.03, sigmas: 3.5, significance: 3.0, better: 0.6 };
+const ALONE: Gate = Gate { taken: 0.05, sigmas: 3.5, significance: 3.0, better: 0.6 };
 /// Beside one that does.
 const BESIDE: Gate = Gate { taken: 0.02, sigmas: 3.5, significance: 3.5, better: 0.65 };
 /// What an effect takes away more than another, as a logarithm, counts so much as a logarithm of belief.

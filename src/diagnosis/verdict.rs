@@ -132,7 +132,7 @@ const HALF: f64 = 3.2;
 /// Refits with this share of the best one's probability are listened to the others for.
 const NEAR: f64 = 0.1;
 /// What another road's logarithm of a probability counts, and the least that it says.
-const HEARING: f64 = 0.5;
+const HEARING: f64 = 0.1;
 /// See there.
 const LEAST_HEARD: f64 = 0.05;
 /// Rare effects are believed a factor e to this power less.
