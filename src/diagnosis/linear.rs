@@ -42,13 +42,6 @@ const MOST_EVENTS: usize = 24_000;
 const TWINS: [u64; 2] = [1, 3];
 /// How long a pixel's light begins elsewhere, ns.
 const INSTANT_NS: i64 = 1_000;
-impl Linear {
-    /// Its strength in standard errors, those of recordings without an effect (`bias`) among them.
-    pub fn sigmas(&self, bias: f64) -> f64 {
-        self.strength / f64::max(libm::hypot(self.error, bias), 1e-12)
-    }
-}
-
 /// What moves closures by chance alone, or not to first order.
 const HARDLY_SEEN: [&str; 4] = ["large_signal_front_end", "slew_limit", "readout_queue", "timestamp_quantization"];
 /// Both templates of a candidate must agree by this, as a correlation, or neither says what it does.
@@ -58,11 +51,22 @@ const STRENGTH: f64 = 0.5;
 /// Columns are drawn to zero as by this share of their own square.
 const RIDGE: f64 = 1e-6;
 
+impl Linear {
+    /// Its strength in standard errors, those of recordings without an effect (`bias`) among them.
+    pub fn sigmas(&self, bias: f64) -> f64 {
+        self.strength / f64::max(libm::hypot(self.error, bias), 1e-12)
+    }
+}
+
+/// The strength at which a candidate's template is made.
+fn made_at(candidate: usize) -> f64 {
+    if CANDIDATES[candidate].signs == Signs::Switch { 1.0 } else { STRENGTH }
+}
+
 /// Templates of all candidates with events of their own, ready for any regression.
 pub struct Templates {
-    /// The candidate of each column but the first, which is the stated sensor's own.
+    /// The candidate of each column.
     pub candidates: Vec<usize>,
-    strengths: Vec<f64>,
     /// Variances of what is drawn at random.
     pub components: Vec<Component>,
     /// By part of the array and half of its pixels.
@@ -86,18 +90,18 @@ impl Templates {
         };
         let stated = TWINS.map(|seed| again(&base, seed));
         let [Ok(first), Ok(second)] = &stated else { return Err("the stated sensor cannot be simulated".into()) };
-        let mut columns: Vec<(usize, f64, [Vec<f64>; 2])> = (0..CANDIDATES.len())
+        let mut columns: Vec<(usize, [Vec<f64>; 2])> = (0..CANDIDATES.len())
             .into_par_iter()
             .filter(|n| !CANDIDATES[*n].is_random && !HARDLY_SEEN.contains(&CANDIDATES[*n].id))
             .filter_map(|candidate| {
                 let mut trial = base.clone();
-                CANDIDATES[candidate].put_on(&mut trial, STRENGTH, scales);
+                CANDIDATES[candidate].put_on(&mut trial, made_at(candidate), scales);
                 let template = |seed: u64, stated: &Side| Some(differences(&here.changes, &again(&trial, seed).ok()?.changes, &stated.changes));
-                Some((candidate, STRENGTH, [template(TWINS[0], first)?, template(TWINS[1], second)?]))
+                Some((candidate, [template(TWINS[0], first)?, template(TWINS[1], second)?]))
             })
             .collect();
         let product = |a: &[f64], b: &[f64]| a.iter().zip(b).zip(&here.changes).map(|((a, b), change)| change.weight * a * b).sum::<f64>();
-        columns.retain(|(_, _, [a, b])| product(a, b) > LEAST_AGREEMENT * libm::sqrt(product(a, a) * product(b, b)));
+        columns.retain(|(_, [a, b])| product(a, b) > LEAST_AGREEMENT * libm::sqrt(product(a, a) * product(b, b)));
         columns.sort_by_key(|column| column.0);
         let control = again(&base, 2)?;
         let components = components(case, nominal, &sample, &here.changes, &control.changes);
@@ -109,12 +113,11 @@ impl Templates {
             let (x, y) = case.place(pixel);
             let Some(own) = own[n] else { continue };
             row.clear();
-            row.extend((0..2).flat_map(|twin| columns.iter().map(move |column| column.2[twin][n])).enumerate());
+            row.extend((0..2).flat_map(|twin| columns.iter().map(move |column| column.1[twin][n])).enumerate());
             parts[part_of(case.extent, x, y)][(x + y) as usize % 2].add(&row, change.value - own, change.weight);
         }
         Ok(Templates {
             candidates: columns.iter().map(|column| column.0).collect(),
-            strengths: columns.iter().map(|column| column.1).collect(),
             components,
             parts: parts.iter().map(|part| part.each_ref().map(Products::of_twins)).collect(),
         })
@@ -159,9 +162,9 @@ impl Templates {
             return None;
         }
         let (mean, spread) = mean_and_spread(&gains);
-        let strength = self.strengths[n] * sum(self.parts.iter().flatten()).solve(with, RIDGE)[n];
+        let strength = made_at(self.candidates[n]) * sum(self.parts.iter().flatten()).solve(with, RIDGE)[n];
         // Jackknife.
-        let error = self.strengths[n] * mean_and_spread(&coefficients).1 * (count - 1.0) / libm::sqrt(count);
+        let error = made_at(self.candidates[n]) * mean_and_spread(&coefficients).1 * (count - 1.0) / libm::sqrt(count);
         Some(Linear {
             candidate: self.candidates[n],
             strength,
