@@ -7,7 +7,7 @@ use crate::case::Case;
 use crate::closures::{Change, PLAIN};
 use crate::nominal::Nominal;
 use crate::open::{PART_COUNT, part_of};
-use crate::regression::Products;
+use crate::regression::{Products, RIDGE, jackknife};
 use crate::sample::Sample;
 use serde::{Deserialize, Serialize};
 
@@ -46,9 +46,7 @@ impl Component {
 
 /// All variances of a recording's changes beyond those of its control's.
 pub fn components(case: &Case, nominal: &Nominal, sample: &Sample, changes: &[Change], control: &[Change]) -> Vec<Component> {
-    let thresholds = [nominal.pixel.threshold_on, nominal.pixel.threshold_off];
-    let residuals = |changes| Residuals { thresholds, ..Residuals::new(case, sample, changes) };
-    let (own, of_control) = (residuals(changes), residuals(control));
+    let (own, of_control) = (Residuals::new(case, nominal, sample, changes), Residuals::new(case, nominal, sample, control));
     Spread::ALL
         .iter()
         .map(|&spread| {
@@ -68,11 +66,8 @@ struct Residuals<'a> {
     at: Vec<(u32, u32, usize)>,
 }
 
-/// Columns are drawn to zero as by this share of their own square.
-const RIDGE: f64 = 1e-6;
-
 impl<'a> Residuals<'a> {
-    fn new(case: &Case, sample: &Sample, changes: &'a [Change]) -> Residuals<'a> {
+    fn new(case: &Case, nominal: &Nominal, sample: &Sample, changes: &'a [Change]) -> Residuals<'a> {
         let mut products = Products::new(PLAIN);
         let row = |change: &Change| -> Vec<(usize, f64)> { change.plain.iter().copied().enumerate().collect() };
         changes.iter().for_each(|change| products.add(&row(change), change.value, change.weight));
@@ -82,7 +77,7 @@ impl<'a> Residuals<'a> {
             let (x, y) = case.place(sample.pixels[change.place] as usize);
             (x, y, part_of(case.extent, x, y))
         };
-        Residuals { changes, left, thresholds: [1.0; 2], at: changes.iter().map(place).collect() }
+        Residuals { changes, left, thresholds: [nominal.pixel.threshold_on, nominal.pixel.threshold_off], at: changes.iter().map(place).collect() }
     }
 
     /// A variance and its standard error.
@@ -172,12 +167,6 @@ fn shared(halves: &[[(f64, f64); 2]]) -> (f64, f64) {
 
 /// Fewer rows than this tell no correlation.
 const LEAST_ROWS: usize = 6;
-
-fn jackknife(left_out: &[f64]) -> f64 {
-    let n = left_out.len() as f64;
-    let mean = left_out.iter().sum::<f64>() / n;
-    libm::sqrt((n - 1.0) / n * left_out.iter().map(|one| (one - mean) * (one - mean)).sum::<f64>())
-}
 
 #[cfg(test)]
 mod tests {

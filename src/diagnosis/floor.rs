@@ -134,7 +134,10 @@ mod tests {
     #[test]
     fn biases_are_those_of_recordings_like_it() {
         let floor = Floor { nulls: vec![null("near", 0.0, 0.1), null("near", 0.05, -0.1), null("far", 4.0, 3.0), null("far", 4.1, 3.0)] };
-        assert!((floor.root_mean_square(&[0.02])[0] - 0.1).abs() < 0.65 && floor.root_mean_square(&[4.05])[0] > 2.5);
+        // Those near by have a weight of 1.03, the others one of 0.03.
+        let mean = |near: f64, far: f64| libm::sqrt((1.03 * near + 0.03 * far) / 1.06);
+        assert!((floor.root_mean_square(&[0.02])[0] - mean(0.01, 9.0)).abs() < 0.01);
+        assert!((floor.root_mean_square(&[4.05])[0] - mean(9.0, 0.01)).abs() < 0.01);
         let alone = Floor { nulls: vec![null("a", 0.0, 0.3), null("b", 0.001, 0.4)] };
         assert!((alone.root_mean_square(&[0.5])[0] - libm::sqrt(0.125)).abs() < 0.01);
         assert!(Floor::default().root_mean_square(&[1.0]).is_empty());

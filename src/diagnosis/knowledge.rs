@@ -104,7 +104,16 @@ impl Knowledge {
     /// # Errors
     /// When it is no such file, is cut off, its lengths do not fit each other, or its labels are not those of this catalogue.
     pub fn from_bytes(bytes: &[u8]) -> Result<Knowledge, String> {
-        let mut reader = Reader { bytes: bytes.strip_prefix(MAGIC).ok_or("it does not begin as knowledge of a diagnosis does")? };
+        let Some(content) = bytes.strip_prefix(MAGIC) else {
+            let is_other = bytes.starts_with(b"photocurrent-knowledge/");
+            let why = if is_other {
+                "it is knowledge of another version of this program; make it anew with `photocurrent learn`"
+            } else {
+                "it does not begin as knowledge of a diagnosis does"
+            };
+            return Err(why.to_owned());
+        };
+        let mut reader = Reader { bytes: content };
         let count = reader.number()?;
         let names = (0..count).map(|_| reader.text()).collect::<Result<Vec<String>, String>>()?;
         let floor = read_nulls(&mut reader)?;
@@ -185,5 +194,6 @@ mod tests {
         for cut in [0, 10, 40, bytes.len() / 2, bytes.len() - 1] {
             assert!(Knowledge::from_bytes(&bytes[..cut]).is_err(), "{cut}");
         }
+        assert!(Knowledge::from_bytes(b"photocurrent-knowledge/1\n").unwrap_err().contains("photocurrent learn"));
     }
 }

@@ -47,6 +47,7 @@ pub mod deviation;
 pub mod diagnose;
 pub mod differences;
 pub mod faithful;
+pub mod first_order;
 pub mod fitted;
 pub mod floor;
 pub mod heldout;

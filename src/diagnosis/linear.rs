@@ -13,7 +13,7 @@ use crate::components::{Component, components};
 use crate::nominal::Nominal;
 use crate::open::{PART_COUNT, Side, at_changes, differences, part_of, sampled};
 use crate::record::{Conditions, record};
-use crate::regression::Products;
+use crate::regression::{Products, RIDGE, jackknife};
 use crate::scene::Scene;
 use photocurrent_core::random::Random;
 use rayon::prelude::*;
@@ -48,8 +48,6 @@ const HARDLY_SEEN: [&str; 4] = ["large_signal_front_end", "slew_limit", "readout
 const LEAST_AGREEMENT: f64 = 0.15;
 /// Strength at which templates are made.
 const STRENGTH: f64 = 0.5;
-/// Columns are drawn to zero as by this share of their own square.
-const RIDGE: f64 = 1e-6;
 
 impl Linear {
     /// Its strength in standard errors, those of recordings without an effect (`bias`) among them.
@@ -163,8 +161,7 @@ impl Templates {
         }
         let (mean, spread) = mean_and_spread(&gains);
         let strength = made_at(self.candidates[n]) * sum(self.parts.iter().flatten()).solve(with, RIDGE)[n];
-        // Jackknife.
-        let error = made_at(self.candidates[n]) * mean_and_spread(&coefficients).1 * (count - 1.0) / libm::sqrt(count);
+        let error = made_at(self.candidates[n]) * jackknife(&coefficients);
         Some(Linear {
             candidate: self.candidates[n],
             strength,
@@ -222,23 +219,25 @@ mod tests {
         let case = MadeUp::new(1, 0, Extent { width: 48, height: 36 }, 0.15).recording().unwrap();
         let (nominal, sample) = (Nominal::new(&case).unwrap(), Sample::all(&case, 4));
         let (scales, light) = (Scales::of(&case, &nominal), Band::scene(&case, &Band::all(&case, &nominal, &sample)));
-        for (id, parameter) in [("black_level", "black_level_dn"), ("threshold_gradient", "fraction")] {
+        for (id, parameter) in [("black_level", "black_level_dn"), ("threshold_scale", "fraction"), ("threshold_gradient", "fraction"), ("clock_drift", "rate")]
+        {
             let trial = Trial::with(&nominal, Candidate::find(id, parameter).unwrap(), HIDDEN, &scales);
             let conditions = Conditions { seed: 9, ..Conditions::default() };
             let found = explained(&record(&case, &trial.nominal, &sample, &light, &trial.effects, &conditions).unwrap());
             let own = found.iter().find(|one| CANDIDATES[one.candidate].id == id).unwrap_or_else(|| panic!("{id}"));
-            assert!((own.strength / HIDDEN - 1.0).abs() < 0.4, "{id}: {own:?}");
+            // To first order, and the light is of the stated sensor: a tenth is left of 0.6.
+            assert!((own.strength / HIDDEN - 1.0).abs() < 0.2, "{id}: {own:?}");
             assert!(own.taken > 0.5 * found[0].taken && own.significance > 2.0, "{id}: {own:?} beside {:?}", found[0]);
         }
     }
 
     #[test]
     fn a_sound_recording_has_strengths_near_nothing() {
-        let found = explained(&MadeUp::new(5, 1, Extent { width: 32, height: 24 }, 0.1).recording().unwrap());
+        let found = explained(&MadeUp::new(1, 0, Extent { width: 48, height: 36 }, 0.15).recording().unwrap());
         assert!(found.len() > 10, "{}", found.len());
-        let of = |id: &str| found.iter().filter(|one| CANDIDATES[one.candidate].id == id).map(|one| one.strength.abs()).fold(0.0, f64::max);
-        for id in ["threshold_scale", "threshold_asymmetry", "threshold_gradient", "misalignment", "leak_events"] {
-            assert!(of(id) < 0.3, "{id}: {}", of(id));
-        }
+        // Of a strength of 1 an engineer would care; the tests above hide 0.6.
+        let small = ["threshold_scale", "threshold_asymmetry", "threshold_gradient", "misalignment", "leak_events"];
+        let seen: Vec<&Linear> = found.iter().filter(|one| small.contains(&CANDIDATES[one.candidate].id)).collect();
+        assert!(seen.len() > 2 && seen.iter().all(|one| one.strength.abs() < 0.2), "{seen:?}");
     }
 }

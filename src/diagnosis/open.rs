@@ -13,7 +13,7 @@ use crate::closures::{Change, PLAIN, changes};
 use crate::covariates::{Covariate, Surroundings};
 use crate::nominal::Nominal;
 use crate::record::{Conditions, effects_of, record};
-use crate::regression::Products;
+use crate::regression::{Products, RIDGE};
 use crate::rhythm::strongest_period_ns;
 use crate::sample::Sample;
 use crate::scene::Scene;
@@ -84,8 +84,6 @@ const PARTS: (u32, u32) = (6, 5);
 const MOST_EVENTS: usize = 150_000;
 /// Side of a block, pixels.
 const BLOCK: u32 = 7;
-/// Columns are drawn to zero as by this share of their own square.
-const RIDGE: f64 = 1e-6;
 
 /// A recording or its control, ready to be regressed.
 pub(crate) struct Side {

@@ -9,6 +9,7 @@
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::Case;
 use crate::mismatch::{Mismatch, mismatch};
+use crate::regression::jackknife;
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
 use crate::under::Under;
@@ -325,9 +326,7 @@ impl Refit<'_> {
         let strength = fit(&|_| true);
         // What leaving one block away does to the strength.
         let left_out: Vec<f64> = (0..blocks).filter(|&block| stated.blocks[block].count > 0.0).map(|block| fit(&|other| other != block)).collect();
-        let n = f64::max(left_out.len() as f64, 1.0);
-        let mean = left_out.iter().sum::<f64>() / n;
-        let error = libm::sqrt((n - 1.0) / n * left_out.iter().map(|one| (one - mean) * (one - mean)).sum::<f64>());
+        let error = jackknife(&left_out);
         let at = |strength: f64| if kind.signs == Signs::Switch { 1.0 } else { kind.value(strength, self.scales, &self.base.nominal) };
         let (low, high) = (at(strength - 1.96 * error), at(strength + 1.96 * error));
         // On each half of the blocks with the strength that is best on the other.
@@ -351,7 +350,7 @@ impl Refit<'_> {
             control: 0.0,
             heldout: 1.0 - after / f64::max(before, 1e-12),
             nats_per_event: (nats.0 / recorded, nats.1 / recorded),
-            blocks_better: better as f64 / n,
+            blocks_better: better as f64 / f64::max(left_out.len() as f64, 1.0),
             is_finished,
         }
     }

@@ -2,6 +2,16 @@
 
 use nalgebra::{DMatrix, DVector};
 
+/// Columns are drawn to zero as by this share of their own square: so little that only columns of others' sums feel it.
+pub const RIDGE: f64 = 1e-6;
+
+/// Standard error of an estimate, from what it is with each part of the data left out.
+pub fn jackknife(left_out: &[f64]) -> f64 {
+    let n = f64::max(left_out.len() as f64, 1.0);
+    let mean = left_out.iter().sum::<f64>() / n;
+    libm::sqrt((n - 1.0) / n * left_out.iter().map(|one| (one - mean) * (one - mean)).sum::<f64>())
+}
+
 /// Sums of products of some columns and what they are to explain.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Products {
@@ -118,6 +128,16 @@ mod tests {
         twice.merge(&half);
         assert_eq!(twice.rows, 2000.0);
         assert!(twice.solve(|_| true, 0.0).iter().zip(half.solve(|_| true, 0.0)).all(|(a, b)| (a - b).abs() < 1e-12));
+    }
+
+    #[test]
+    fn leaving_values_out_of_a_mean_gives_its_standard_error() {
+        let mut random = Random::new(6, &[]);
+        let values: Vec<f64> = (0..50).map(|_| random.normal()).collect();
+        let sum: f64 = values.iter().sum();
+        let spread = values.iter().map(|value| (value - sum / 50.0) * (value - sum / 50.0)).sum::<f64>() / 49.0;
+        let left_out: Vec<f64> = values.iter().map(|value| (sum - value) / 49.0).collect();
+        assert!((jackknife(&left_out) - libm::sqrt(spread / 50.0)).abs() < 1e-12 && jackknife(&[]) == 0.0);
     }
 
     #[test]

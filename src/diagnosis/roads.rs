@@ -2,14 +2,13 @@
 
 use crate::candidates::{CANDIDATES, Scales};
 use crate::case::Case;
-use crate::components::{Component, Spread};
 use crate::covariates::Covariate;
 use crate::deviation::context_of;
 use crate::diagnose::{RoadKind, Setting};
+use crate::first_order::{self, ALONE, BESIDE, Biases, LARGEST};
 use crate::floor::Floor;
 use crate::knowledge::Knowledge;
 use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
-use crate::linear::Linear;
 use crate::nominal::Nominal;
 use crate::open::{Law, Moved};
 use crate::refit::{Explained, Refitted};
@@ -55,34 +54,20 @@ fn run_refit(case: &Case, biases: Option<&Floor>) -> Result<Road, String> {
     }))
 }
 
-/// Strengths that recordings without an effect seem to have, by candidate, as root mean squares; without knowledge all have the same.
-pub struct Biases(pub Vec<f64>);
-
-impl Biases {
-    /// Where nothing is known: twice what is usual.
-    const UNKNOWN: f64 = 0.1;
-
-    fn of(&self, candidate: usize) -> f64 {
-        self.0.get(candidate).copied().filter(|bias| *bias > 0.0).unwrap_or(Biases::UNKNOWN)
-    }
-}
-
 /// The road that refits.
 pub const REFIT: &str = "refit";
 /// Share of the cost that an effect must take away on pixels that it was not fitted to; nulls of other people's simulators reach 0.1.
 const LEAST_TAKEN: f64 = 0.14;
-/// Knots twice as near must take away this share to be told; nulls reach 0.23.
-const LEAST_NUMERICAL: f64 = 0.25;
 /// And a second effect of what the first leaves.
 const LEAST_TAKEN_SECOND: f64 = 0.2;
 /// And the share of blocks that either must improve.
 const LEAST_BETTER: f64 = 0.6;
 /// And how much better either must foretell an event of pixels that it was not fitted to, nats: what makes that harder is no explanation, however much else it matches.
 const LEAST_NATS: f64 = 0.01;
+/// Knots twice as near must take away this share to be told; nulls reach 0.23.
+const LEAST_NUMERICAL: f64 = 0.25;
 /// A candidate whose score is greater than the best by this share is believed a factor e less.
 const SCORE_SOFTNESS: f64 = 0.35;
-/// Strengths from here on are at the end of what is tried: nothing agreed best there.
-const LARGEST: f64 = 5.9;
 
 /// What all pixels say to first order of a refit's candidate must be so many standard errors in its direction.
 const LEAST_SUPPORT: f64 = 1.2;
@@ -102,10 +87,10 @@ const USUAL_SHARE: f64 = 0.85;
 const LEAST_VISIBLE: f64 = 0.001;
 /// What a refit names is believed before a law when it is so many standard errors to first order.
 const FIRM: f64 = 3.0;
-/// All pixels are heard only where the light of the stated sensor fires so many of the events again.
+/// And what all pixels name alone when it takes away so many times as much as a law.
+const SHADOW: f64 = 2.0;
+/// All pixels name an effect where no refit does only where the light of the stated sensor fires so many of the events again.
 const LEAST_AGREEMENT: f64 = 0.4;
-/// And thresholds from pixel to pixel only where light errs with history by less than this share of the squares.
-const MOST_HISTORY: f64 = 0.1;
 
 /// What all pixels say to first order of a candidate.
 struct Support {
@@ -136,20 +121,13 @@ pub fn from_refit(found: &Search, biases: &Biases, value: &dyn Fn(usize, f64) ->
     let has_second = second.iter().any(|one| one.passed);
     let first = told(found.again.as_ref().filter(|_| has_second).unwrap_or(&found.first), LEAST_TAKEN, &support);
     let is_heard = found.agreement >= LEAST_AGREEMENT;
-    let errs = found.laws.iter().filter(|law| law.covariate == Covariate::TimeSinceLastEvent).any(|law| law.taken > MOST_HISTORY);
-    let is_firm = found
-        .first
-        .leading()
-        .iter()
-        .any(|one| first.iter().any(|told| told.passed && told.candidate == one.candidate) && support(one).is_some_and(|of| of.sigmas > FIRM));
-    let all = if is_heard { to_first_order(&found.linear, biases, value, ALONE) } else { Vec::new() };
-    // A law of a few bins may be a name's shadow.
-    let shadow = found.laws.first().map_or(0.0, |law| 2.0 * law.taken);
-    let is_firm = is_firm || found.linear.iter().zip(&all).any(|(linear, told)| told.passed && linear.taken > shadow);
-    // Blocks of columns are the shadow of a gradient.
+    let all = if is_heard { first_order::told(&found.linear, biases, value, ALONE) } else { Vec::new() };
+    let alone = found.linear.iter().zip(&all).filter(|(_, told)| told.passed).map(|(linear, _)| linear.taken).fold(0.0, f64::max);
+    let passed = |one: &&&Explained| first.iter().any(|told| told.passed && told.candidate == one.candidate);
+    let is_firm = found.first.leading().iter().filter(passed).any(|one| support(one).is_some_and(|of| of.sigmas > FIRM));
     let has_gradient = first.iter().any(|one| one.passed && CANDIDATES[one.candidate].id.ends_with("_gradient"));
-    let is_firm =
-        is_firm || has_gradient && found.laws.first().is_some_and(|law| matches!(law.covariate, Covariate::ColumnBlock | Covariate::Column | Covariate::Row));
+    // A law of a few bins may be a name's shadow, and blocks of columns are that of a gradient.
+    let is_shadow = |law: &Law| is_firm || alone > SHADOW * law.taken || has_gradient && law.covariate == Covariate::ColumnBlock;
     let best = found.first.leading().first().copied().cloned();
     let alarm = first.iter().any(|one| one.passed);
     Road {
@@ -158,12 +136,12 @@ pub fn from_refit(found: &Search, biases: &Biases, value: &dyn Fn(usize, f64) ->
         proposals: first,
         second,
         nats_per_event: best.as_ref().map(|best| best.nats_per_event).filter(|_| alarm),
-        unexplained: found.laws.first().filter(|_| !is_firm).and_then(unexplained),
+        unexplained: found.laws.first().filter(|law| !is_shadow(law)).and_then(unexplained),
         is_numerical: found.numerical > f64::max(LEAST_NUMERICAL, best.as_ref().map_or(0.0, |best| best.heldout)),
         residual_left: best.as_ref().map(|best| best.cost / f64::max(found.first.stated, 1e-12)).filter(|_| alarm),
-        to_first_order: all.into_iter().chain(of_chance(&found.components, errs).into_iter().filter(|_| is_heard)).collect(),
-        second_to_first_order: to_first_order(&found.second_linear, biases, value, BESIDE),
-        detectability: found.linear.iter().map(|linear| measured(linear, biases, value)).collect(),
+        to_first_order: if is_heard { all.into_iter().chain(first_order::of_chance(&found.components, &found.laws)).collect() } else { Vec::new() },
+        second_to_first_order: first_order::told(&found.second_linear, biases, value, BESIDE),
+        detectability: found.linear.iter().map(|linear| first_order::measured(linear, biases, value)).collect(),
         ..Road::default()
     }
 }
@@ -198,107 +176,6 @@ fn unexplained(law: &Law) -> Option<Unexplained> {
 fn is_blind_to_light(covariate: Covariate) -> bool {
     use Covariate as C;
     matches!(covariate, C::RowParity | C::ColumnBlock | C::FramePhase | C::AcPhase | C::RowRate | C::GlobalRate)
-}
-
-/// What an effect must take away to first order, and be in standard errors, significance, and share of the parts of the array that it improves.
-struct Gate {
-    taken: f64,
-    sigmas: f64,
-    significance: f64,
-    better: f64,
-}
-
-/// Where no refit passes.
-const ALONE: Gate = Gate { taken: 0.05, sigmas: 3.5, significance: 3.0, better: 0.6 };
-/// Beside one that does.
-const BESIDE: Gate = Gate { taken: 0.02, sigmas: 3.5, significance: 3.5, better: 0.65 };
-/// What an effect takes away more than another, as a logarithm, counts so much as a logarithm of belief.
-const TAKEN_WEIGHT: f64 = 3.0;
-
-/// Effects that noise of frames, the roughness of the light, or any loss of events look like: these need more than closures to be believed.
-fn is_like_noise(id: &str) -> bool {
-    matches!(
-        id,
-        "black_level"
-            | "frame_nonlinearity"
-            | "image_lag"
-            | "exposure_time"
-            | "reset_memory"
-            | "vignetting"
-            | "timestamp_quantization"
-            | "frame_coupling"
-            | "lateral_inhibition"
-    )
-}
-
-fn to_first_order(all: &[Linear], biases: &Biases, value: &dyn Fn(usize, f64) -> f64, gate: Gate) -> Vec<Proposal> {
-    let passes = |one: &Linear| {
-        one.taken > gate.taken
-            && one.sigmas(biases.of(one.candidate)).abs() > gate.sigmas
-            && one.significance > gate.significance
-            && one.better > gate.better
-            && one.strength.abs() < LARGEST
-            && !is_like_noise(CANDIDATES[one.candidate].id)
-    };
-    let most = all.iter().filter(|one| passes(one)).map(|one| one.taken).fold(0.0, f64::max);
-    let at = |one: &Linear, strength: f64| value(one.candidate, strength);
-    let proposal = |one: &Linear| {
-        let (a, b) = (at(one, one.strength - 1.96 * one.error), at(one, one.strength + 1.96 * one.error));
-        Proposal {
-            candidate: one.candidate,
-            score: f64::max(one.taken / gate.taken, 0.0),
-            probability: if passes(one) { libm::exp(TAKEN_WEIGHT * libm::log(one.taken / most)) } else { 0.0 },
-            value: at(one, one.strength),
-            ci95: Some([f64::min(a, b), f64::max(a, b)]),
-            passed: passes(one),
-            ..Proposal::default()
-        }
-    };
-    all.iter().map(proposal).collect()
-}
-
-/// A variance of thresholds from pixel to pixel must be so many standard errors; simulated recordings without it reach 3.5.
-const LEAST_SPREAD: f64 = 4.5;
-/// And one of delays from row to row, which come to 5 where the light is faster than its estimate.
-const LEAST_SPREAD_OF_ROWS: f64 = 6.0;
-
-/// What is drawn at random, from its variances.
-fn of_chance(components: &[Component], errs: bool) -> Vec<Proposal> {
-    let told = |one: &Component| {
-        let (candidate, least) = match one.spread {
-            Spread::ThresholdsOfPixels => (("threshold_mismatch", "sigma"), LEAST_SPREAD),
-            Spread::DelaysOfRows => (("row_skew", "sigma"), LEAST_SPREAD_OF_ROWS),
-        };
-        let candidate = CANDIDATES.iter().position(|one| (one.id, one.parameter) == candidate)?;
-        let root = |variance: f64| libm::sqrt(f64::max(variance, 0.0));
-        (one.significance() > least && !errs).then(|| Proposal {
-            candidate,
-            score: one.significance() / least,
-            probability: 0.5,
-            value: root(one.variance),
-            ci95: Some([root(one.variance - 1.96 * one.error), root(one.variance + 1.96 * one.error)]),
-            passed: true,
-            ..Proposal::default()
-        })
-    };
-    components.iter().filter_map(told).collect()
-}
-
-/// What all pixels could have seen of an effect, to first order.
-fn measured(one: &Linear, biases: &Biases, value: &dyn Fn(usize, f64) -> f64) -> Detectable {
-    let candidate = &CANDIDATES[one.candidate];
-    let (parameter, unit) = candidate.json_key();
-    let error = libm::hypot(one.error, biases.of(one.candidate));
-    let size =
-        |strength: f64| if candidate.is_limit() { value(one.candidate, strength) } else { (value(one.candidate, strength) - value(one.candidate, 0.0)).abs() };
-    Detectable {
-        id: candidate.id.to_owned(),
-        parameter,
-        estimate: Some(value(one.candidate, one.strength)).filter(|_| !candidate.is_limit() && !unit.is_empty()),
-        standard_error: Some(size(error)),
-        minimal_detectable: size(ALONE.sigmas * error),
-        unit: unit.to_owned(),
-    }
 }
 
 fn told(found: &Refitted, least: f64, support: &dyn Fn(&Explained) -> Option<Support>) -> Vec<Proposal> {
@@ -425,6 +302,7 @@ fn normalise(proposals: &mut [Proposal]) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::linear::Linear;
 
     fn said(id: &str, statistic: f64, heldout_nats: f64) -> likelihood::Proposal {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
@@ -502,6 +380,31 @@ mod tests {
         let search = Search { laws: vec![law(9.0, 0.3)], ..Search::default() };
         assert!(says(&search).unexplained.is_some() && !says(&search).is_numerical);
         assert!(says(&Search { numerical: 0.3, ..search }).is_numerical);
+    }
+
+    #[test]
+    fn a_refit_that_all_pixels_contradict_or_that_ran_to_the_end_is_not_believed() {
+        let candidate = CANDIDATES.iter().position(|one| one.id == "clock_offset").unwrap();
+        let explained = |strength: f64| Explained {
+            candidate,
+            strength,
+            heldout: 0.25,
+            nats_per_event: (-0.6, -0.5),
+            blocks_better: 0.9,
+            is_finished: true,
+            cost: 0.1,
+            ..Explained::default()
+        };
+        let linear = |strength: f64| Linear { candidate, strength, error: 0.1, taken: 0.05, significance: 5.0, better: 0.9 };
+        let passes = |strength: f64, seen: Option<f64>| {
+            let first = Refitted { explained: vec![explained(strength)], stated: 0.2, ..Refitted::default() };
+            let search = Search { first, linear: seen.map(linear).into_iter().collect(), agreement: 0.9, ..Search::default() };
+            from_refit(&search, &Biases(Vec::new()), &|_, strength| strength).alarm
+        };
+        assert!(passes(0.8, Some(0.7)) && passes(-0.8, Some(-0.7)));
+        assert!(!passes(0.8, Some(-0.7)) && !passes(0.8, Some(0.05)) && !passes(6.0, Some(0.7)));
+        // Where all pixels can say nothing of it, it must take away twice as much.
+        assert!(!passes(0.8, None));
     }
 
     #[test]

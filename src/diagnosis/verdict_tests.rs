@@ -154,3 +154,17 @@ fn the_refit_leads_and_the_others_decide_between_what_it_cannot_tell_apart() {
     let two = Road { second: vec![asymmetry(1.5, 0.9)], ..road(crate::roads::REFIT, vec![proposal("black_level", "black_level_dn", 5.0, 0.9, 30.0)]) };
     assert_eq!(answer(&[two]).claims.iter().map(|claim| claim.id).collect::<Vec<_>>(), ["black_level", "threshold_asymmetry"]);
 }
+
+#[test]
+fn all_pixels_name_where_no_refit_does_and_a_second_beside_one_that_does() {
+    let gradient = || proposal("threshold_gradient", "fraction", 2.0, 0.9, 0.1);
+    let silent = Road { alarm: false, to_first_order: vec![gradient()], ..road(crate::roads::REFIT, Vec::new()) };
+    let alone = answer(&[silent]);
+    assert_eq!(alone.claims.iter().map(|claim| (claim.id, claim.found_by.clone())).collect::<Vec<_>>(), [("threshold_gradient", vec!["closures".to_owned()])]);
+    let refit =
+        |second: Proposal| Road { second_to_first_order: vec![second], ..road(crate::roads::REFIT, vec![proposal("clock_drift", "rate", 4.0, 0.9, 0.01)]) };
+    let said = |road: Road| answer(&[road]).claims.iter().map(|claim| claim.id).collect::<Vec<_>>();
+    assert_eq!(said(refit(gradient())), ["clock_drift", "threshold_gradient"]);
+    // What the first is taken for is its remainder.
+    assert_eq!(said(refit(proposal("clock_offset", "offset", 2.0, 0.9, 1e-3))), ["clock_drift"]);
+}

@@ -2,9 +2,10 @@
 
 use super::*;
 use crate::diagnose::{RoadKind, Setting, diagnose};
+use crate::first_order::Biases;
 use crate::record::Described as Effects;
 use crate::refit::RefitSetting;
-use crate::roads::{Biases, from_refit};
+use crate::roads::from_refit;
 use crate::search::search;
 use crate::testing;
 use photocurrent_core::Sensor;

@@ -139,6 +139,41 @@ fn a_row_at_the_rim_is_held_against_nothing() {
     assert!(of(&case).findings.iter().all(|finding| finding.id != "hot_rows"));
 }
 
+/// Frames every 10 ms that see what the events add up to, as a light would have it.
+fn with_its_frames(mut case: Case) -> Case {
+    let nominal = Nominal::new(&case).unwrap();
+    let times: Vec<i64> = (1..28).map(|l| l * 10_000_000).collect();
+    let exposures = times.iter().map(|t| photocurrent_core::Exposure::new(*t, *t + 1_000)).collect();
+    let step = |polarity: i8| if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
+    let sum = |pixel: usize, t_ns: i64| case.events.of(pixel).iter().filter(|event| event.t_in_ns < t_ns).map(|event| step(event.polarity)).sum::<f64>();
+    let dn = times.iter().flat_map(|t| (0..case.extent.pixels()).map(|pixel| (200.0 * libm::exp(sum(pixel, *t))) as f32)).collect();
+    case.frames = Some(crate::case::CaseFrames { times: photocurrent_core::FrameTimes::new(exposures, 0).unwrap(), dn });
+    case
+}
+
+#[test]
+fn a_pixel_that_sees_more_than_its_neighbours_is_not_hot() {
+    let mut random = Random::new(8, &[]);
+    let mut busy = |share: f64| {
+        with(bursts(1000), |pixel, events| {
+            if pixel == 100 {
+                // Pairs of both signs, so that its light stays where it is on average.
+                for n in 0..(200.0 * share) as i64 {
+                    let t = (random.uniform() * 2.9e5) as i64 * 1000;
+                    let polarity = if n % 2 == 0 { 1 } else { -1 };
+                    events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity });
+                }
+            }
+        })
+    };
+    let is_hot = |case: &Case| of(case).findings.iter().any(|finding| finding.id == "hot_pixels");
+    let case = busy(1.0);
+    let seen = with_its_frames(case.clone());
+    assert!(!is_hot(&seen));
+    // The same events over frames that know nothing of them.
+    assert!(is_hot(&Case { frames: with_its_frames(bursts(1000)).frames, ..case }));
+}
+
 #[test]
 fn a_light_that_blinks_once_is_no_hot_pixel() {
     let case = with(bursts(1000), |pixel, events| {
