@@ -93,7 +93,7 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
     let bench = Bench::new();
     let root = support::root();
     let recording = root.join("data/sealed/recordings/75b9f397.h5");
-    let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "command", "--threads", "1"]);
+    let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "command", "--threads", "1", "--cache", "of the command"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let manifest = root.join("pipelines/diagnose/recording.toml").display().to_string();
     let path = format!("nodes.recording.params.path={recording:?}");
@@ -114,6 +114,30 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
     let table = bench.run(&["table", "sealed", "--rows", "card.truth", "--columns", "card.said", "--metric", "count", "--sum"]);
     assert_eq!(table.code, 0, "{}", table.stderr);
     assert!(table.stdout.contains("none"), "{}", table.stdout);
+}
+
+/// Another description than the recording's own, which also states the row time that the frames do not; the stages of an earlier run come from the cache.
+#[test]
+fn a_description_beside_the_recording_counts_and_a_second_run_is_read_from_the_cache() {
+    let bench = Bench::new();
+    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
+    bench.write("mine.toml", &text);
+    let frames = recordings::frames(4);
+    let content = RecordingContent { events: Some(&recordings::events()), frames: Some(&frames), ..RecordingContent::empty(recordings::EXTENT) };
+    recordings::write_content(&bench.path("plain.h5"), &content);
+    let run = |out: &str| {
+        let done = bench.run(&["diagnose", "plain.h5", "--sensor", "mine.toml", "-o", out]);
+        assert_eq!(done.code, 0, "{}", done.stderr);
+        let count = |end: &str| done.stderr.lines().filter(|line| line.contains(&format!("\"end\":\"{end}\""))).count();
+        (count("done"), count("reused"), read(&bench, &format!("{out}/diagnosis.json")))
+    };
+    let (first, second) = (run("first"), run("second"));
+    assert!(first.0 >= 5 && first.1 == 0, "{first:?}");
+    // Files are written anew, and nothing else is done.
+    assert!(second.0 <= 1 && second.0 + second.1 == first.0, "{second:?}");
+    assert_eq!(first.2, second.2);
+    let names: Vec<_> = std::fs::read_dir(bench.path("second")).expect("the folder").flatten().map(|entry| entry.file_name()).collect();
+    assert!(names.iter().any(|name| name == "report.html") && names.len() <= 3, "{names:?}");
 }
 
 /// A small texture seen by a sensor that does more than its description says, and all stages that look at it.

@@ -100,6 +100,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let setting = Setting { seed: cx.seed(), ..Setting::default() };
         let found = confirm(&case, &setting, read_integrity(&input.integrity)?, proposed, |_| ())?;
         let text = found.report.to_json().map_err(|why| NodeError::failed(format!("the report cannot be written as JSON: {why}")))?;
+        found.failed.iter().for_each(|why| cx.note(format!("not finished: {why}")));
         cx.note(format!("{}: {}", found.report.verdict.name(), found.report.summary));
         let page = cx.wants("page").then(|| Diagnosis::of(DiagnosisKind::Page, &page(&found.report, Some(&case), Some(&found)))).transpose()?;
         Ok(Out {

@@ -20,17 +20,16 @@ pub fn is_aedat4(path: &Path) -> bool {
     std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok() && start.starts_with(b"#!AER-DAT4")
 }
 
-/// Both streams of an AEDAT4 file, for those who run no graph, and what there is to note; `row_time` as in [`aedat4::Params`].
+/// Both streams of an AEDAT4 file, for those who look at it before a graph does; `row_time` as in [`aedat4::Params`].
 ///
 /// # Errors
 /// As `read/aedat4`: when the file cannot be read, is cut off, or holds what cannot be.
-pub fn whole_aedat4(path: &Path, row_time: Duration) -> Result<(aedat4::Out, Vec<String>), NodeError> {
+pub fn whole_aedat4(path: &Path, row_time: Duration) -> Result<aedat4::Out, NodeError> {
     let params = aedat4::Params { path: InputPath::new(path), row_time, ..aedat4::Params::default() };
     let wanted = ["events", "frames"].map(String::from).into_iter().collect();
     let (cancel, notes) = (AtomicBool::new(false), Notes::default());
     let everything = Rows { start: 0, end: 0 };
-    let out = aedat4::ReadAedat4::build(params)?.run(aedat4::In {}, &Context::new(everything, 0, &wanted, &Silent, &cancel, None, &notes))?;
-    Ok((out, notes.lines()))
+    aedat4::ReadAedat4::build(params)?.run(aedat4::In {}, &Context::new(everything, 0, &wanted, &Silent, &cancel, None, &notes))
 }
 
 /// Refuses a reader without a path.

@@ -5,7 +5,7 @@
 //! recording may be larger than memory.
 //!
 //! The row time is the recorder's word (`row_time_ns` of `/frames`), also when the sensor description says otherwise; then a note tells both. A
-//! recording that states it nowhere is refused rather than taken for a global shutter.
+//! recording that states it nowhere is refused rather than taken for a global shutter, unless the parameter `row_time` does.
 //!
 //! Frames may have a whole number of pixels along the side of each event pixel, three channels, or a mosaic of filters, which is passed on as stored: one value a
 //! pixel. Those of more pixels than the events are not cut into row bands.
@@ -25,6 +25,9 @@ use std::sync::{Arc, OnceLock};
 pub struct Params {
     /// The recording, an HDF5 file in the form `photocurrent-recording/1`; relative to the manifest that names it.
     pub path: InputPath,
+    /// Delay from one row's exposure to the next, for a file that does not state it with its frames; goes before what the file's sensor description says.
+    #[schemars(extend("x-min" = "0 ns"))]
+    pub row_time: Option<Duration>,
 }
 
 photocurrent_core::ports! {
@@ -73,6 +76,11 @@ impl ReadRecording {
         super::short_name(self.params.path.path())
     }
 
+    /// The row time where the frames do not state it.
+    fn row_time(&self, sensor: Option<&Sensor>) -> Option<Duration> {
+        self.params.row_time.or(sensor.and_then(|sensor| sensor.frames.row_time))
+    }
+
     fn sensor(&self, recording: &Recording) -> Result<Option<Arc<Sensor>>, NodeError> {
         let Some(text) = recording.sensor_text() else { return Ok(None) };
         let path = self.params.path.path();
@@ -85,12 +93,12 @@ impl ReadRecording {
     }
 }
 
-/// The row time that counts: the recorder's word, or else the sensor description's.
+/// The row time that counts: the recorder's word, or else what the manifest or the sensor description says.
 fn row_time_ns(name: &str, recorded: Option<i64>, described: Option<Duration>) -> Result<i64, NodeError> {
     recorded.or(described.map(Duration::ns)).ok_or_else(|| {
         NodeError::input(format!("{name} does not state the row time of its frames"))
             .note("/frames has no attribute `row_time_ns`, and no sensor description in the file states `frames.row_time`")
-            .hint("set the attribute `row_time_ns` of /frames to the delay from one row to the next in ns; 0 is a global shutter")
+            .hint("set the attribute `row_time_ns` of /frames to the delay from one row to the next in ns, or `row_time` here; 0 is a global shutter")
             .param("path")
     })
 }
@@ -138,7 +146,7 @@ params = { path = "scene.h5" }
             None => absent(DataType::Frames, format!("{name} has no /frames")),
             Some([]) => absent(DataType::Frames, format!("/frames of {name} holds no frame")),
             Some(_) => {
-                let row_time_ns = row_time_ns(&name, recording.row_time_ns(), sensor.as_ref().and_then(|sensor| sensor.frames.row_time))?;
+                let row_time_ns = row_time_ns(&name, recording.row_time_ns(), self.row_time(sensor.as_deref()))?;
                 let none = || absent(DataType::Frames, format!("{name} has no /frames"));
                 recording.frames_meta(row_time_ns).map_or_else(none, |meta| Meta::Frames(Arc::new(meta)))
             }
@@ -159,7 +167,7 @@ params = { path = "scene.h5" }
             let (recorded, described) = (recording.row_time_ns(), sensor.as_ref().and_then(|sensor| sensor.frames.row_time));
             disagreement(&name, recorded, described).into_iter().for_each(|note| cx.note(note));
             recording
-                .frames(row_time_ns(&name, recorded, described)?)
+                .frames(row_time_ns(&name, recorded, self.row_time(sensor.as_deref()))?)
                 .map(|frames| if frames.rows() == recording.extent().rows() { frames.cut(rows) } else { frames })
         } else {
             None
@@ -196,7 +204,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("rec.h5");
         write_recording(&path, content).unwrap();
-        (folder, ReadRecording::build(Params { path: InputPath::new(path) }).unwrap())
+        (folder, ReadRecording::build(Params { path: InputPath::new(path), row_time: None }).unwrap())
     }
 
     fn plan(node: &ReadRecording) -> Result<Vec<Meta>, NodeError> {
@@ -282,6 +290,16 @@ mod tests {
     }
 
     #[test]
+    fn a_row_time_in_the_manifest_stands_in_for_the_descriptions() {
+        let (_folder, mut node) = node(&RecordingContent { sensor: Some(SENSOR), ..RecordingContent::empty(EXTENT) });
+        let sensor =
+            Sensor { frames: photocurrent_core::sensor::Frames { row_time: Some(Duration::new(9)), ..Default::default() }, ..Sensor::unknown("other") };
+        assert_eq!(node.row_time(Some(&sensor)), Some(Duration::new(9)));
+        node.params.row_time = Some(Duration::new(7));
+        assert_eq!((node.row_time(Some(&sensor)), node.row_time(None)), (Some(Duration::new(7)), Some(Duration::new(7))));
+    }
+
+    #[test]
     fn mistakes_in_the_embedded_description_are_shown_at_their_line() {
         let (_folder, node) =
             node(&RecordingContent { sensor: Some("format = \"photocurrent-sensor/1\"\n[frames]\nrow_tme = 3\n"), ..RecordingContent::empty(EXTENT) });
@@ -295,7 +313,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("notes.txt");
         std::fs::write(&path, "not HDF5").unwrap();
-        let refused = |path: std::path::PathBuf| plan(&ReadRecording::build(Params { path: InputPath::new(path) }).unwrap()).unwrap_err();
+        let refused = |path: std::path::PathBuf| plan(&ReadRecording::build(Params { path: InputPath::new(path), row_time: None }).unwrap()).unwrap_err();
         let error = refused(path);
         assert!(error.message.contains("notes.txt") && error.hint.is_some(), "{error}");
         let error = refused("no/such.h5".into());

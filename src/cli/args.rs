@@ -247,8 +247,11 @@ pub struct DiagnoseOptions {
     #[arg(long, value_name = "FILE")]
     pub knowledge: Option<PathBuf>,
     /// Seed of everything random
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     pub seed: u64,
+    /// Where results of the stages are kept for later runs
+    #[arg(long, value_name = "FOLDER", default_value = ".photocurrent")]
+    pub cache: PathBuf,
     /// Threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub threads: Option<u32>,

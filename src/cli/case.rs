@@ -23,15 +23,15 @@ impl From<Failure> for Unread {
     }
 }
 
-/// Reads a recording with the description in a file, or its own. What there is to note is told on stderr, unless `quiet`.
-pub fn read(path: &Path, sensor_file: Option<&Path>, quiet: bool) -> Result<Case, Unread> {
+/// Reads a recording with the description in a file, or its own.
+pub fn read(path: &Path, sensor_file: Option<&Path>) -> Result<Case, Unread> {
     // The HDF5 library's word for a missing file comes without what to do about it.
     if let Err(error) = std::fs::metadata(path) {
         let hint = "hint: name a recording: an HDF5 file in the form photocurrent-recording/1 (docs/formats.md), or an AEDAT4 file";
         return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", path.display())).into());
     }
     if is_aedat4(path) {
-        return of_davis(path, sensor_file, quiet);
+        return of_davis(path, sensor_file);
     }
     let recording = Recording::open(path).map_err(Failure::from)?;
     let sensor = sensor(path, sensor_file, recording.sensor_text())?;
@@ -39,14 +39,11 @@ pub fn read(path: &Path, sensor_file: Option<&Path>, quiet: bool) -> Result<Case
 }
 
 /// From an AEDAT4 file of a DAVIS camera.
-fn of_davis(path: &Path, sensor_file: Option<&Path>, quiet: bool) -> Result<Case, Unread> {
+fn of_davis(path: &Path, sensor_file: Option<&Path>) -> Result<Case, Unread> {
     let sensor = sensor(path, sensor_file, None)?;
     // These cameras have a global shutter; a description may know better.
     let row_time = sensor.frames.row_time.unwrap_or_default();
-    let (streams, notes) = whole_aedat4(path, row_time).map_err(|error| usage(error.to_string()))?;
-    if !quiet {
-        notes.iter().for_each(|note| eprintln!("note: {note}"));
-    }
+    let streams = whole_aedat4(path, row_time).map_err(|error| usage(error.to_string()))?;
     Case::read(streams.events.as_ref(), streams.frames.as_ref(), &sensor).map_err(|error| usage(format!("{}: {}", path.display(), error.message)).into())
 }
 

@@ -2,7 +2,7 @@
 
 use crate::args::Target;
 use photocurrent_core::document::Problem;
-use photocurrent_engine::{Plan, Project, Selection};
+use photocurrent_engine::{End, Outcome, Plan, Project, Selection};
 use photocurrent_store::StoreError;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -76,6 +76,20 @@ impl Target {
     /// Where files for the user go.
     pub fn out_dir(&self) -> PathBuf {
         self.out.clone().unwrap_or_else(|| Path::new("out").join(self.manifest.file_stem().unwrap_or_default()))
+    }
+}
+
+/// Tells on stderr which nodes failed and why, and which were left out for it.
+pub fn failed_nodes(outcome: &Outcome) {
+    for (_, task) in outcome.failures() {
+        let error = task.error.as_ref().map(ToString::to_string).unwrap_or_default();
+        eprintln!("\nerror: node {} ({}) failed: {error}", task.label, task.kind);
+        if let Some(error) = task.error.as_ref().filter(|error| !error.problems.is_empty()) {
+            crate::problems::show(&error.problems);
+        }
+    }
+    for task in outcome.tasks.iter().filter(|task| task.end == End::Skipped) {
+        eprintln!("skipped: {} needs {}", task.label, task.because.join(", "));
     }
 }
 

@@ -91,7 +91,7 @@ fn bias(path: &Path, number: u64, make: impl FnOnce() -> Result<Null, String>) -
 
 /// By how much a recording without an effect deviates, and its biases.
 fn null(path: &Path, seed: u64) -> Result<(Null, Null), Failure> {
-    let case = match case::read(path, None, true) {
+    let case = match case::read(path, None) {
         Ok(case) => case,
         Err(Unread::Content(why)) => return Err(usage(why)),
         Err(Unread::Other(failure)) => return Err(failure),

@@ -1,7 +1,7 @@
 //! `photocurrent run`.
 
 use crate::args::RunOptions;
-use crate::common::{Done, Failure, human_bytes, human_seconds, print, print_json};
+use crate::common::{Done, Failure, failed_nodes, human_bytes, human_seconds, print, print_json};
 use crate::progress::Watcher;
 use crate::tables::draw;
 use photocurrent_core::document::Problem;
@@ -53,7 +53,7 @@ fn check_forced(options: &RunOptions, plan: &Plan) -> Result<(), Failure> {
 }
 
 /// The first Ctrl-C lets running nodes stop at their next step; the second one ends the process, which the cache survives too.
-fn stop_on_signal(cancel: &Arc<AtomicBool>) -> Result<(), Failure> {
+pub fn stop_on_signal(cancel: &Arc<AtomicBool>) -> Result<(), Failure> {
     let cancel = cancel.clone();
     ctrlc::set_handler(move || {
         if cancel.swap(true, Ordering::Relaxed) {
@@ -167,16 +167,7 @@ fn ablation_table(ablation: &photocurrent_engine::Ablation, outcome: &Outcome, p
 
 /// What happened, on stderr.
 fn talk(options: &RunOptions, outcome: &Outcome, out_dir: &Path, seconds: f64) {
-    for (_, task) in outcome.failures() {
-        let error = task.error.as_ref().map(ToString::to_string).unwrap_or_default();
-        eprintln!("\nerror: node {} ({}) failed: {error}", task.label, task.kind);
-        if let Some(error) = task.error.as_ref().filter(|error| !error.problems.is_empty()) {
-            crate::problems::show(&error.problems);
-        }
-    }
-    for task in outcome.tasks.iter().filter(|task| task.end == End::Skipped) {
-        eprintln!("skipped: {} needs {}", task.label, task.because.join(", "));
-    }
+    failed_nodes(outcome);
     if options.quiet {
         return;
     }

@@ -6,9 +6,9 @@
 use crate::case::Case;
 use crate::closures::{Change, PLAIN};
 use crate::nominal::Nominal;
-use crate::open::{PART_COUNT, part_of};
 use crate::regression::{Products, RIDGE, jackknife};
 use crate::sample::Sample;
+use crate::side::{PART_COUNT, part_of};
 use serde::{Deserialize, Serialize};
 
 /// What has a variance of its own.

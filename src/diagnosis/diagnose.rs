@@ -15,7 +15,7 @@ use crate::verdict::{Answer, Claim, Road, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// How a diagnosis is made.
 #[derive(Clone, Copy, Debug, Default)]
@@ -66,7 +66,7 @@ pub struct Diagnosis {
 }
 
 /// What the roads found.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Proposed {
     /// What each road found that came to its end.
     pub roads: Vec<Road>,
@@ -290,7 +290,7 @@ fn report(
         is_new
     });
     Report {
-        schema: SCHEMA,
+        schema: SCHEMA.to_owned(),
         verdict: answer.verdict,
         summary: summary(integrity, answer),
         not_testable: not_testable(case, roads).into_iter().filter(|one| answer.claims.iter().all(|claim| claim.id != one.id)).collect(),
@@ -332,7 +332,7 @@ fn gained(effect: &mut EffectReport, comparison: Option<&Comparison>) {
 /// The report of a recording that could not be read as one: its data contradict the format or themselves.
 pub fn broken(why: &str, seed: u64) -> Report {
     Report {
-        schema: SCHEMA,
+        schema: SCHEMA.to_owned(),
         verdict: Verdict::BrokenData,
         summary: why.to_owned(),
         effects: Vec::new(),
@@ -389,8 +389,9 @@ fn everywhere(case: &Case, decl: Option<&EffectDecl>) -> Location {
             Some(Stage::Exposure) => "frames",
             None => "both",
             Some(_) => "events",
-        },
-        polarity: "both",
+        }
+        .to_owned(),
+        polarity: "both".to_owned(),
         rows: [0, case.extent.height.saturating_sub(1)],
         columns: [0, case.extent.width.saturating_sub(1)],
         time_ns: [case.span.0, case.span.1],
@@ -404,7 +405,7 @@ fn everywhere(case: &Case, decl: Option<&EffectDecl>) -> Location {
 fn location(case: &Case, decl: &EffectDecl, finding: Option<&Finding>) -> Location {
     let mut location = everywhere(case, Some(decl));
     let Some(finding) = finding else { return location };
-    location.polarity = finding.polarity;
+    location.polarity = finding.polarity.to_owned();
     if !finding.pixels.is_empty() {
         let places: Vec<(u32, u32)> = finding.pixels.iter().map(|&pixel| case.place(pixel as usize)).collect();
         let ends = |values: Vec<u32>| [values.iter().copied().min().unwrap_or(0), values.iter().copied().max().unwrap_or(0)];

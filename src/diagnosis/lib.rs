@@ -82,5 +82,7 @@ pub mod train;
 pub mod under;
 pub mod verdict;
 
+mod side;
+
 #[cfg(test)]
 mod testing;

@@ -120,6 +120,9 @@ const OFFSET: f64 = 0.03;
 /// Fewer pixels than this are looked at all of them from the beginning.
 const LEAST_COARSE: usize = 150;
 
+/// Strengths around one that is nearly right, as shares of it.
+const NEAR: [f64; 3] = [0.8, 1.0, 1.25];
+
 /// Is a block looked at from the beginning? Those are as the black squares of a chessboard.
 fn is_coarse(block: u32, across: u32) -> bool {
     (block % across + block / across).is_multiple_of(2)
@@ -161,12 +164,18 @@ impl Refitted {
 }
 
 impl Refit<'_> {
-    /// A strength of a candidate; none where it cannot be combined with what is stated.
-    pub fn at(&self, candidate: Option<usize>, strength: f64, turns: usize) -> Option<Tried> {
+    /// The sensor with a candidate.
+    fn with(&self, candidate: Option<usize>, strength: f64) -> Trial {
         let mut trial = self.base.clone();
         if let Some(candidate) = candidate {
             CANDIDATES[candidate].put_on(&mut trial, strength, self.scales);
         }
+        trial
+    }
+
+    /// A strength of a candidate; none where it cannot be combined with what is stated.
+    pub fn at(&self, candidate: Option<usize>, strength: f64, turns: usize) -> Option<Tried> {
+        let trial = self.with(candidate, strength);
         let under = Under::new(self.case, &trial, self.frame_noise).ok()?;
         let (_, recording) = under.corrected(self.sample, self.scene, self.priors, turns).ok()?;
         Some(Tried { strength, blocks: self.blocks(under.case(), &recording) })
@@ -182,10 +191,7 @@ impl Refit<'_> {
 
     /// What a recording of a trial would cost: its own light, recorded and estimated again.
     fn control(&self, candidate: Option<usize>, strength: f64, turns: usize) -> Option<Tried> {
-        let mut trial = self.base.clone();
-        if let Some(candidate) = candidate {
-            CANDIDATES[candidate].put_on(&mut trial, strength, self.scales);
-        }
+        let trial = self.with(candidate, strength);
         let under = Under::new(self.case, &trial, self.frame_noise).ok()?;
         let (_, recording) = under.corrected(self.sample, self.scene, self.priors, turns).ok()?;
         let own = Refit { base: &trial, ..*self }.behind_mixing();
@@ -250,7 +256,7 @@ impl Refit<'_> {
                 .flat_map(|(candidate, tried)| {
                     let best = best(tried).strength;
                     let is_switch = CANDIDATES[*candidate].signs == Signs::Switch;
-                    let shares: &[f64] = if is_switch { &[1.0] } else { &[0.8, 1.0, 1.25] };
+                    let shares: &[f64] = if is_switch { &[1.0] } else { &NEAR };
                     shares.iter().map(|share| (*candidate, (best * share).clamp(-setting.largest, setting.largest))).collect::<Vec<_>>()
                 })
                 .collect();

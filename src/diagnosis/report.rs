@@ -6,7 +6,7 @@
 use crate::candidates::Candidate;
 use crate::nominal::Nominal;
 use photocurrent_sensor::effects::EffectDecl;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::{Number, Value};
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 pub const SCHEMA: &str = "photocurrent-diagnosis/1";
 
 /// What a diagnosis comes to.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// Nothing that the recording shows speaks against the description.
@@ -49,7 +49,7 @@ impl Verdict {
 }
 
 /// One number of an effect.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Parameter {
     /// In `unit`.
     pub estimate: f64,
@@ -64,12 +64,12 @@ pub struct Parameter {
 }
 
 /// Where, when and on what an effect shows.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Location {
     /// `events`, `frames` or `both`.
-    pub stream: &'static str,
+    pub stream: String,
     /// `on`, `off` or `both`.
-    pub polarity: &'static str,
+    pub polarity: String,
     /// First and last row.
     pub rows: [u32; 2],
     /// First and last column.
@@ -84,7 +84,7 @@ pub struct Location {
     /// How many pixels.
     pub pixels: u64,
     /// Which pixels, when not all (`y * width + x`, rising; at most [`MASK_LIMIT`]).
-    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pixel_list: Vec<u32>,
 }
 
@@ -92,7 +92,7 @@ pub struct Location {
 pub const MASK_LIMIT: usize = 4096;
 
 /// How strongly the recording speaks for an effect. What was not measured is absent.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
     /// The statistic that the effect was found by, over the value from which it counts (1 = just).
     pub statistic: f64,
@@ -116,7 +116,7 @@ pub struct Evidence {
 }
 
 /// An effect that the description does not state.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct EffectReport {
     /// Catalogue id, or `unnamed`.
     pub id: String,
@@ -137,7 +137,7 @@ pub struct EffectReport {
 }
 
 /// A number with the description as stated, and with the fitted one.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BeforeAfter {
     /// As stated.
     pub before: f64,
@@ -146,7 +146,7 @@ pub struct BeforeAfter {
 }
 
 /// How well both descriptions predict measurements that no earlier step saw. What was not measured is absent.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fit {
     /// Log-likelihood of held-out measurements, nats per event.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -160,7 +160,7 @@ pub struct Fit {
 }
 
 /// What could have been seen of an effect that is not claimed.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Detectable {
     /// Catalogue id.
     pub id: String,
@@ -179,7 +179,7 @@ pub struct Detectable {
 }
 
 /// A property of the scene that looks like one of the sensor, and is none.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SceneProperty {
     /// `flicker`.
     pub property: String,
@@ -190,7 +190,7 @@ pub struct SceneProperty {
 }
 
 /// An effect that this recording can say nothing about.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NotTestable {
     /// Catalogue id.
     pub id: String,
@@ -199,7 +199,7 @@ pub struct NotTestable {
 }
 
 /// Where a report comes from.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Digest of events, frames and their times.
     pub recording_digest: String,
@@ -214,10 +214,10 @@ pub struct Provenance {
 }
 
 /// The whole report.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Report {
     /// [`SCHEMA`].
-    pub schema: &'static str,
+    pub schema: String,
     /// In a word.
     pub verdict: Verdict,
     /// In a sentence.
@@ -316,8 +316,8 @@ mod tests {
 
     fn location() -> Location {
         Location {
-            stream: "events",
-            polarity: "both",
+            stream: "events".into(),
+            polarity: "both".into(),
             rows: [0, 9],
             columns: [0, 11],
             time_ns: [0, 60_000_000],
@@ -336,7 +336,7 @@ mod tests {
         let mut effect = EffectReport::of(&leak.decl(), location(), Evidence { statistic: 183.000_000_4, ..Evidence::default() });
         effect.put(leak, 1.0 / 3.0, Some([0.3, 0.4]), &nominal);
         let report = Report {
-            schema: SCHEMA,
+            schema: SCHEMA.to_owned(),
             verdict: Verdict::Named,
             summary: String::new(),
             effects: vec![effect],
@@ -363,6 +363,9 @@ mod tests {
         assert_eq!(value["fit"]["heldout_frame_psnr_db"]["after"], 31.0);
         assert!(value["fit"].get("calibration_ks").is_none(), "what was not measured is absent, not null: {text}");
         assert_eq!(value["provenance"]["seed"], 7);
+        // What was written is read again as it was.
+        let again: Report = serde_json::from_str(&text).unwrap();
+        assert_eq!(again.to_json().unwrap(), text);
     }
 
     #[test]

@@ -9,6 +9,7 @@ use crate::first_order::{self, ALONE, BESIDE, Biases, LARGEST};
 use crate::floor::Floor;
 use crate::knowledge::Knowledge;
 use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
+use crate::linear::Linear;
 use crate::nominal::Nominal;
 use crate::open::{Law, Moved};
 use crate::refit::{Explained, Refitted};
@@ -92,6 +93,9 @@ const SHADOW: f64 = 2.0;
 /// All pixels name an effect where no refit does only where the light of the stated sensor fires so many of the events again.
 const LEAST_AGREEMENT: f64 = 0.4;
 
+/// A number of a refit errs by this share of its departure from nothing, beside what differs from block to block: what all blocks share.
+const SHARED_ERROR: f64 = 0.05;
+
 /// What all pixels say to first order of a candidate.
 struct Support {
     /// Its strength in the direction of the refit, standard errors.
@@ -116,10 +120,12 @@ pub fn from_refit(found: &Search, biases: &Biases, value: &dyn Fn(usize, f64) ->
         let sigmas = libm::copysign(1.0, one.strength) * linear.sigmas(biases.of(one.candidate));
         Some(Support { sigmas, share: f64::max(linear.taken, LEAST_VISIBLE) / most })
     };
-    let second =
+    let mut second =
         found.second.as_ref().map_or_else(Vec::new, |second| told(second, LEAST_TAKEN_SECOND, &|_| Some(Support { sigmas: f64::INFINITY, share: 1.0 })));
     let has_second = second.iter().any(|one| one.passed);
-    let first = told(found.again.as_ref().filter(|_| has_second).unwrap_or(&found.first), LEAST_TAKEN, &support);
+    let mut first = told(found.again.as_ref().filter(|_| has_second).unwrap_or(&found.first), LEAST_TAKEN, &support);
+    first.iter_mut().for_each(|one| widen(one, &found.linear, value));
+    second.iter_mut().for_each(|one| widen(one, &found.second_linear, value));
     let is_heard = found.agreement >= LEAST_AGREEMENT;
     let all = if is_heard { first_order::told(&found.linear, biases, value, ALONE) } else { Vec::new() };
     let alone = found.linear.iter().zip(&all).filter(|(_, told)| told.passed).map(|(linear, _)| linear.taken).fold(0.0, f64::max);
@@ -202,6 +208,18 @@ fn told(found: &Refitted, least: f64, support: &dyn Fn(&Explained) -> Option<Sup
         .collect();
     normalise(&mut proposals);
     proposals
+}
+
+/// Gives the interval of a refit what blocks do not know of: what they all share, and half of what all pixels say otherwise to first order.
+fn widen(one: &mut Proposal, linear: &[Linear], value: &dyn Fn(usize, f64) -> f64) {
+    let Some([low, high]) = one.ci95 else { return };
+    let nothing = if CANDIDATES[one.candidate].is_limit() { 0.0 } else { value(one.candidate, 0.0) };
+    let shared = SHARED_ERROR * (one.value - nothing);
+    let other = linear.iter().find(|other| other.candidate == one.candidate).map_or(0.0, |other| 0.5 * (value(one.candidate, other.strength) - one.value));
+    let more = 1.96 * libm::hypot(shared, other);
+    if more.is_finite() {
+        one.ci95 = Some([one.value - libm::hypot(one.value - low, more), one.value + libm::hypot(high - one.value, more)]);
+    }
 }
 
 /// A candidate whose statistic is this much below the best, as a share of it, is believed a factor e less.
@@ -302,7 +320,6 @@ fn normalise(proposals: &mut [Proposal]) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::linear::Linear;
 
     fn said(id: &str, statistic: f64, heldout_nats: f64) -> likelihood::Proposal {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
@@ -405,6 +422,25 @@ mod tests {
         assert!(!passes(0.8, Some(-0.7)) && !passes(0.8, Some(0.05)) && !passes(6.0, Some(0.7)));
         // Where all pixels can say nothing of it, it must take away twice as much.
         assert!(!passes(0.8, None));
+    }
+
+    #[test]
+    fn an_interval_holds_what_blocks_share_and_what_all_pixels_say_otherwise() {
+        let candidate = CANDIDATES.iter().position(|one| one.id == "clock_offset").unwrap();
+        let interval = |linear: &[Linear]| {
+            let mut one = Proposal { candidate, value: -0.8, ci95: Some([-0.83, -0.77]), ..Proposal::default() };
+            widen(&mut one, linear, &|_, strength| strength);
+            one.ci95.unwrap()
+        };
+        let half = |[low, high]: [f64; 2]| {
+            assert!((low + high + 1.6).abs() < 1e-12, "{low} to {high}");
+            0.5 * (high - low)
+        };
+        assert!((half(interval(&[])) - libm::hypot(0.03, 1.96 * 0.04)).abs() < 1e-12);
+        let linear = |candidate: usize| Linear { candidate, strength: -0.5, error: 0.1, taken: 0.05, significance: 5.0, better: 0.9 };
+        let wide = half(interval(&[linear(candidate)]));
+        assert!((wide - libm::hypot(0.03, 1.96 * libm::hypot(0.04, 0.15))).abs() < 1e-12, "{wide}");
+        assert_eq!(interval(&[linear(candidate + 1)]), interval(&[]));
     }
 
     #[test]

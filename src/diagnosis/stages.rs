@@ -6,9 +6,6 @@
 use crate::candidates::CANDIDATES;
 use crate::diagnose::Proposed;
 use crate::integrity::{Finding, Heldout, Integrity};
-use crate::open::Law;
-use crate::report::{Detectable, NotTestable, SceneProperty};
-use crate::verdict::{Proposal, Road, Unexplained};
 use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
 use photocurrent_sensor::effects::catalogue;
 use serde::de::Error;
@@ -100,65 +97,13 @@ impl<'de> Deserialize<'de> for Finding {
     }
 }
 
-/// The same type again, field by field, for those that are declared without a way to read them.
-macro_rules! read_again {
-    ($type:ident { $($field:ident: $of:ty),* $(,)? }) => {
-        impl<'de> Deserialize<'de> for $type {
-            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<$type, D::Error> {
-                #[derive(Deserialize)]
-                struct Text {
-                    $($field: $of,)*
-                }
-                let Text { $($field,)* } = Text::deserialize(deserializer)?;
-                Ok($type { $($field,)* })
-            }
-        }
-    };
-}
-
-read_again!(Integrity { broken: Vec<String>, lacking: Vec<String>, findings: Vec<Finding>, scene: Vec<SceneProperty>, masked: Vec<u32> });
-read_again!(SceneProperty { property: String, frequency_hz: f64, depth: f64 });
-read_again!(NotTestable { id: String, why: String });
-read_again!(Detectable {
-    id: String,
-    parameter: String,
-    estimate: Option<f64>,
-    standard_error: Option<f64>,
-    minimal_detectable: f64,
-    unit: String,
-});
-read_again!(Proposal {
-    candidate: usize,
-    score: f64,
-    probability: f64,
-    value: f64,
-    ci95: Option<[f64; 2]>,
-    passed: bool,
-    heldout_nats: Option<f64>,
-    heldout_nats_per_event: Option<f64>,
-});
-read_again!(Unexplained { covariate: String, equation: String, insertion: String, score: f64, nats: f64, law: Option<Law> });
-read_again!(Road {
-    name: String,
-    alarm: bool,
-    proposals: Vec<Proposal>,
-    second: Vec<Proposal>,
-    to_first_order: Vec<Proposal>,
-    second_to_first_order: Vec<Proposal>,
-    unexplained: Option<Unexplained>,
-    is_numerical: bool,
-    detectability: Vec<Detectable>,
-    not_testable: Vec<NotTestable>,
-    nats_per_event: Option<(f64, f64)>,
-    residual_left: Option<f64>,
-});
-read_again!(Proposed { roads: Vec<Road>, ran: Vec<String>, failed: Vec<String> });
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::diagnose::check;
+    use crate::report::{Detectable, NotTestable, SceneProperty};
     use crate::testing;
+    use crate::verdict::{Proposal, Road, Unexplained};
 
     #[test]
     fn what_direct_tests_saw_comes_back() {

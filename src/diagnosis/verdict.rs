@@ -14,10 +14,10 @@ use crate::open::Law;
 use crate::report::{Detectable, NotTestable, Verdict};
 use crate::roads::REFIT;
 use photocurrent_sensor::effects::{Unit, catalogue};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// What a road thinks of one candidate.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Proposal {
     /// Index into [`CANDIDATES`].
     pub candidate: usize,
@@ -38,7 +38,7 @@ pub struct Proposal {
 }
 
 /// Something that no effect of the catalogue explains.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Unexplained {
     /// What it depends on, by the names of docs/formats.md.
     pub covariate: String,
@@ -55,7 +55,7 @@ pub struct Unexplained {
 }
 
 /// What one road found.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Road {
     /// `likelihood`, `synthesis`.
     pub name: String,

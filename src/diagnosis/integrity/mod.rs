@@ -80,7 +80,7 @@ pub(crate) fn half(case: &Case, pixel: usize) -> usize {
 }
 
 /// What the direct tests say.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Integrity {
     /// What makes the data useless, a sentence each.
     pub broken: Vec<String>,

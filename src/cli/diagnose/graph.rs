@@ -1,0 +1,105 @@
+//! The stages of `photocurrent diagnose` as the graph that they are: `pipelines/diagnose/recording.toml` with this recording, this description and this seed in it.
+
+use crate::args::DiagnoseOptions;
+use crate::common::{Failure, failed_nodes};
+use crate::progress::Watcher;
+use crate::run::stop_on_signal;
+use photocurrent_core::Digest;
+use photocurrent_diagnosis::case::Case;
+use photocurrent_engine::{End, Options, Outcome, Plan, Selection};
+use photocurrent_nodes::read::is_aedat4;
+use photocurrent_store::Cache;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// How the stages are wired; there is no other place.
+const WIRING: &str = include_str!("../../../pipelines/diagnose/recording.toml");
+
+/// The node that writes the files.
+const ANSWER: &str = "answer";
+
+/// The nodes that hold the recording against its description.
+const STAGES: [&str; 3] = ["integrity", "propose", "confirm"];
+
+/// What came of it.
+pub struct Answered {
+    /// Where the files of the report are.
+    pub files: PathBuf,
+    /// What nodes had to say, with who said it.
+    pub notes: Vec<(String, String)>,
+    /// What has not gone well, though not so badly that there is no answer.
+    pub warnings: Vec<String>,
+}
+
+/// Runs the stages in `folder`, which is empty and goes away afterwards; the exit code when they did not come to an end, which was told.
+pub fn run(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Result<Answered, u8>, Failure> {
+    let plan = plan(options, case, folder)?;
+    let cancel = Arc::new(AtomicBool::new(false));
+    stop_on_signal(&cancel)?;
+    let cache = Cache::open(&options.cache)?;
+    let defaults = Options::default();
+    let threads = options.threads.map_or(defaults.threads, |threads| threads as usize);
+    // The pool inside nodes; it can only fail when something made it before us, and then it works as well.
+    let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
+    let out_dir = folder.join("out");
+    let how = Options { threads, out_dir: out_dir.clone(), ..defaults };
+    let outcome = photocurrent_engine::run(&plan, &cache, &how, &Watcher::new(&plan, options.quiet), &cancel);
+    if outcome.exit_code() != 0 {
+        failed_nodes(&outcome);
+        return Ok(Err(outcome.exit_code()));
+    }
+    let notes = notes(&outcome);
+    Ok(Ok(Answered { files: out_dir.join(ANSWER), notes, warnings: outcome.warnings }))
+}
+
+fn notes(outcome: &Outcome) -> Vec<(String, String)> {
+    let ended = outcome.tasks.iter().filter(|task| matches!(task.end, End::Executed | End::Reused));
+    ended.flat_map(|task| task.notes.iter().map(|note| (task.label.clone(), note.clone()))).collect()
+}
+
+/// The wiring, and what is laid over it, as files in `folder`; planned.
+fn plan(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Plan, Failure> {
+    let write = |name: &str, text: &str| {
+        let path = folder.join(name);
+        std::fs::write(&path, text).map_err(|error| Failure::other(format!("{}: cannot write: {error}", path.display()))).map(|()| path)
+    };
+    write("wiring.toml", WIRING)?;
+    let manifest = write("diagnosis.toml", &manifest(options, case)?)?;
+    let selection = Selection { variants: Vec::new(), to: vec![ANSWER.into()] };
+    let (_, mut plan) = Plan::load(&manifest, &[], &photocurrent_nodes::catalogue(), &selection)?;
+    // The folder is another one each time, and the cache's history goes by what is diagnosed.
+    plan.manifest_id = Digest::of_bytes(format!("diagnosis of {}", whole(&options.recording)?.display()).as_bytes());
+    Ok(plan)
+}
+
+/// What is laid over the wiring.
+fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
+    let kind = if is_aedat4(&options.recording) { "read/aedat4" } else { "read/recording" };
+    // A description knows the row time of frames that do not state it; DAVIS cameras have a global shutter without one.
+    let row_time = case.sensor.frames.row_time.map(|row_time| format!(", row_time = \"{row_time}\"")).unwrap_or_default();
+    let mut text = format!("format = 1\nextends = \"wiring.toml\"\n[pipeline]\nseed = {}\n", options.seed);
+    text += &format!("[nodes.recording]\nkind = \"{kind}\"\nparams = {{ path = {}{row_time} }}\n", quoted(&options.recording)?);
+    if let Some(sensor) = &options.sensor {
+        text += &format!("[nodes.sensor]\nkind = \"read/sensor\"\nparams = {{ path = {} }}\n", quoted(sensor)?);
+        STAGES.iter().for_each(|stage| text += &format!("[nodes.{stage}.in]\nsensor = \"sensor\"\n"));
+    }
+    if options.direct {
+        text += "[nodes.propose.params]\nroads = []\n";
+    }
+    if let Some(knowledge) = &options.knowledge {
+        text += &format!("[nodes.propose.params]\nknowledge = {}\n", quoted(knowledge)?);
+    }
+    Ok(text)
+}
+
+/// A path as a manifest takes it, from the root: paths in it start from where it lies.
+fn quoted(path: &Path) -> Result<String, Failure> {
+    let path = whole(path)?;
+    let text = path.to_str().ok_or_else(|| Failure::other(format!("{}: the path is not UTF-8, as a manifest is", path.display())))?;
+    Ok(toml::Value::from(text).to_string())
+}
+
+fn whole(path: &Path) -> Result<PathBuf, Failure> {
+    std::path::absolute(path).map_err(|error| Failure::other(format!("{}: {error}", path.display())))
+}

@@ -1,0 +1,149 @@
+//! `photocurrent diagnose`: looks at what it is given, runs the stages as a graph ([`graph`]), puts the report in place and tells it.
+
+mod graph;
+
+use crate::args::DiagnoseOptions;
+use crate::case::{self, Unread, usage};
+use crate::common::{Done, Failure, human_seconds, print};
+use photocurrent_diagnosis::diagnose::broken;
+use photocurrent_diagnosis::knowledge::Knowledge;
+use photocurrent_diagnosis::nominal::Nominal;
+use photocurrent_diagnosis::page::page;
+use photocurrent_diagnosis::report::{Report, Verdict, short};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use tempfile::TempDir;
+
+/// The files of a report, by which a folder of an earlier one is known.
+const REPORT: &str = "diagnosis.json";
+const SENSOR: &str = "sensor.fitted.toml";
+const PAGE: &str = "report.html";
+
+/// The exit code of data that failed a check.
+const BROKEN: u8 = 3;
+
+/// Diagnoses a recording and writes the report.
+pub fn diagnose(options: &DiagnoseOptions) -> Done {
+    let started = Instant::now();
+    let folder = options.out.clone().unwrap_or_else(|| Path::new("out").join(options.recording.file_stem().unwrap_or_default()));
+    check_free(&folder)?;
+    check_knowledge(options)?;
+    // What is wrong with the input is told in the words of this command, before the graph begins.
+    let case = match case::read(&options.recording, options.sensor.as_deref()) {
+        Ok(case) => case,
+        Err(Unread::Content(why)) => {
+            let report = broken(&why, options.seed);
+            let beside = beside(&folder)?;
+            let files = beside.path().join("files");
+            std::fs::create_dir(&files)?;
+            std::fs::write(files.join(REPORT), text(&report)?)?;
+            std::fs::write(files.join(PAGE), page(&report, None, None))?;
+            put(&files, &folder, &beside)?;
+            show(options, &report, &folder, started)?;
+            return Ok(BROKEN);
+        }
+        Err(Unread::Other(failure)) => return Err(failure),
+    };
+    Nominal::new(&case).map_err(|error| usage(format!("{}: {error}", options.recording.display())))?;
+    let beside = beside(&folder)?;
+    let answered = match graph::run(options, &case, beside.path())? {
+        Ok(answered) => answered,
+        Err(code) => return Ok(code),
+    };
+    let report = std::fs::read_to_string(answered.files.join(REPORT))?;
+    let report: Report = serde_json::from_str(&report).map_err(|error| Failure::other(format!("the report cannot be read again: {error}")))?;
+    put(&answered.files, &folder, &beside)?;
+    answered.warnings.iter().for_each(|why| eprintln!("warning: {why}"));
+    let told = first_line(&report);
+    if !options.quiet {
+        answered.notes.iter().filter(|(_, note)| *note != told).for_each(|(node, note)| eprintln!("note: {node}: {note}"));
+    }
+    show(options, &report, &folder, started)?;
+    Ok(if report.verdict == Verdict::BrokenData { BROKEN } else { 0 })
+}
+
+fn text(report: &Report) -> Result<String, Failure> {
+    report.to_json().map_err(|why| Failure::other(format!("the report cannot be written as JSON: {why}")))
+}
+
+/// Refuses a file of knowledge that is none.
+fn check_knowledge(options: &DiagnoseOptions) -> Result<(), Failure> {
+    let Some(path) = &options.knowledge else { return Ok(()) };
+    let bytes = std::fs::read(path).map_err(|error| usage(format!("{}: cannot read the knowledge: {error}", path.display())))?;
+    Knowledge::from_bytes(&bytes).map(drop).map_err(|why| usage(format!("{}: this is no knowledge of the diagnosis: {why}", path.display())))
+}
+
+/// Refuses a folder that holds anything but an earlier report.
+fn check_free(folder: &Path) -> Result<(), Failure> {
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return if folder.exists() { Err(usage(format!("{}: this is a file; -o takes a folder", folder.display()))) } else { Ok(()) };
+    };
+    let foreign = entries.flatten().map(|entry| entry.file_name()).find(|name| ![REPORT, SENSOR, PAGE].iter().any(|own| name == *own));
+    match foreign {
+        Some(name) => {
+            let name = name.to_string_lossy();
+            Err(usage(format!("{}: the folder holds something else than a report (`{name}`)\n  hint: give a new folder: -o FOLDER", folder.display())))
+        }
+        None => Ok(()),
+    }
+}
+
+/// A folder beside the report's, on the same disk, that goes away with what is left in it.
+fn beside(folder: &Path) -> Result<TempDir, Failure> {
+    let parent: PathBuf = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")).into();
+    let failed = |error: std::io::Error| Failure::other(format!("{}: cannot make a folder beside it: {error}", folder.display()));
+    std::fs::create_dir_all(&parent).map_err(failed)?;
+    tempfile::Builder::new().prefix(".diagnosis-").tempdir_in(&parent).map_err(failed)
+}
+
+/// Puts a folder of whole files in place of the earlier report.
+fn put(files: &Path, folder: &Path, beside: &TempDir) -> Result<(), Failure> {
+    let failed = |doing: &'static str| move |error: std::io::Error| Failure::other(format!("{}: cannot {doing}: {error}", folder.display()));
+    if folder.exists() {
+        std::fs::rename(folder, beside.path().join("old")).map_err(failed("replace the earlier report"))?;
+    }
+    std::fs::rename(files, folder).map_err(failed("put the report in place"))
+}
+
+/// The answer on stdout, the talk on stderr.
+fn show(options: &DiagnoseOptions, report: &Report, folder: &Path, started: Instant) -> Result<(), Failure> {
+    if options.json {
+        print(&text(report)?)?;
+    } else if !options.quiet {
+        print(&summary(report))?;
+    }
+    if !options.quiet {
+        eprintln!("the report is in {} ({})", folder.display(), human_seconds(started.elapsed().as_secs_f64()));
+    }
+    Ok(())
+}
+
+fn first_line(report: &Report) -> String {
+    format!("{}: {}", report.verdict.name(), report.summary)
+}
+
+fn summary(report: &Report) -> String {
+    let mut text = first_line(report) + "\n";
+    for effect in &report.effects {
+        let _ = writeln!(text, "\n{}\n  {}\n  {}", effect.id, effect.plain, effect.equation);
+        for (key, parameter) in &effect.parameters {
+            let interval = parameter.ci95.map(|[low, high]| format!(" ({} to {})", short(low), short(high))).unwrap_or_default();
+            let nominal = parameter.nominal.map(|nominal| format!(", stated {}", short(nominal))).unwrap_or_default();
+            let _ = writeln!(text, "  {key} = {}{interval}{nominal} [{}]", short(parameter.estimate), parameter.unit);
+        }
+        if !effect.also_possible.is_empty() {
+            let _ = writeln!(text, "  also possible: {}", effect.also_possible.join(", "));
+        }
+    }
+    for property in &report.scene {
+        let _ = writeln!(text, "\nthe scene: {} at {:.0} Hz, depth {:.2}", property.property, property.frequency_hz, property.depth);
+    }
+    if let Some(psnr) = report.fit.heldout_frame_psnr_db {
+        let _ = writeln!(text, "\nframes kept back: {:.1} dB as stated, {:.1} dB as fitted", psnr.before, psnr.after);
+    }
+    for advice in &report.next_experiment {
+        let _ = writeln!(text, "next: {advice}");
+    }
+    text
+}
