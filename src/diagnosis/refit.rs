@@ -13,9 +13,11 @@ use crate::regression::jackknife;
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
 use crate::under::Under;
+use photocurrent_sensor::effects::from_description;
 use photocurrent_sensor::map::{MapOptions, Prior};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value};
 
 /// How much is tried.
 #[derive(Clone, Copy, Debug)]
@@ -201,7 +203,11 @@ impl Refit<'_> {
 
     /// The sensor that looks at light which is mixed already.
     pub fn behind_mixing(&self) -> Trial {
-        let effects = self.base.effects.iter().filter(|(id, _)| !is_mixing(id)).map(|(id, of)| (id.clone(), of.clone())).collect();
+        let mixes = |id: &str, of: &Map<String, Value>| {
+            let alone = [(id.to_owned(), of.clone())].into_iter().collect();
+            from_description(&alone).is_ok_and(|effects| effects.iter().any(|effect| effect.kernel().is_some()))
+        };
+        let effects = self.base.effects.iter().filter(|(id, of)| !mixes(id, of)).map(|(id, of)| (id.clone(), of.clone())).collect();
         Trial { effects, ..self.base.clone() }
     }
 
@@ -365,10 +371,6 @@ impl Refit<'_> {
 /// What a trial costs an event.
 fn an_event(tried: &Tried) -> f64 {
     tried.cost(|_| true) / f64::max(tried.all().count, 1.0)
-}
-
-fn is_mixing(id: &str) -> bool {
-    matches!(id, "blur" | "crosstalk" | "misalignment" | "lateral_inhibition")
 }
 
 fn order(tried: &mut [(usize, Vec<Tried>)]) {

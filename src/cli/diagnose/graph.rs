@@ -103,3 +103,31 @@ fn quoted(path: &Path) -> Result<String, Failure> {
 fn whole(path: &Path) -> Result<PathBuf, Failure> {
     std::path::absolute(path).map_err(|error| Failure::other(format!("{}: {error}", path.display())))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_with_anything_in_it_is_read_back_as_it_is() {
+        let path = Path::new("/some where/\"quoted\" \\ and\tmore/scene.h5");
+        let text = format!("path = {}", quoted(path).ok().unwrap());
+        let table: toml::Table = text.parse().unwrap();
+        assert_eq!(table["path"].as_str(), path.to_str());
+        // From wherever the manifest lies it is the same file.
+        let relative: toml::Table = format!("path = {}", quoted(Path::new("scene.h5")).ok().unwrap()).parse().unwrap();
+        assert_eq!(Path::new(relative["path"].as_str().unwrap()), std::env::current_dir().unwrap().join("scene.h5"));
+    }
+
+    #[test]
+    fn the_wiring_has_the_nodes_that_are_laid_over() {
+        let wiring: toml::Table = WIRING.parse().unwrap();
+        let nodes = wiring["nodes"].as_table().unwrap();
+        for name in STAGES.into_iter().chain(["recording", ANSWER]) {
+            assert!(nodes.contains_key(name), "{name}");
+        }
+        for stage in STAGES {
+            assert_eq!(nodes[stage]["in"]["sensor"].as_str(), Some("recording.sensor"), "{stage}");
+        }
+    }
+}

@@ -31,7 +31,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Part of every seed where none is named: another one gives other recordings.
-const SEED: &str = "sealed physics, first edition";
+const SEED: &str = "sealed physics, second edition";
 
 const USAGE: &str = "usage: sealed-generator --out FOLDER [--seed TEXT] [--threads N] [--only FIRST..LAST]
   writes FOLDER/*.h5 and FOLDER/README.md, and answers.json beside FOLDER; --seed makes other recordings of the same plan;
