@@ -131,13 +131,27 @@ fn a_description_beside_the_recording_counts_and_a_second_run_is_read_from_the_c
         let count = |end: &str| done.stderr.lines().filter(|line| line.contains(&format!("\"end\":\"{end}\""))).count();
         (count("done"), count("reused"), read(&bench, &format!("{out}/diagnosis.json")))
     };
-    let (first, second) = (run("first"), run("second"));
+    // In the same folder: the second report takes the place of the first.
+    let (first, second) = (run("found"), run("found"));
     assert!(first.0 >= 5 && first.1 == 0, "{first:?}");
     // Files are written anew, and nothing else is done.
     assert!(second.0 <= 1 && second.0 + second.1 == first.0, "{second:?}");
     assert_eq!(first.2, second.2);
-    let names: Vec<_> = std::fs::read_dir(bench.path("second")).expect("the folder").flatten().map(|entry| entry.file_name()).collect();
-    assert!(names.iter().any(|name| name == "report.html") && names.len() <= 3, "{names:?}");
+    let names: Vec<_> = std::fs::read_dir(bench.path("found")).expect("the folder").flatten().map(|entry| entry.file_name()).collect();
+    assert!(names.iter().all(|name| ["diagnosis.json", "report.html", "sensor.fitted.toml"].iter().any(|own| name == own)), "{names:?}");
+}
+
+#[test]
+fn a_cache_that_cannot_be_opened_is_told_and_the_answer_comes_all_the_same() {
+    let bench = Bench::new();
+    let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
+    let frames = recordings::frames(4);
+    let content = RecordingContent { frames: Some(&frames), sensor: Some(&text), ..RecordingContent::empty(recordings::EXTENT) };
+    recordings::write_content(&bench.path("frames.h5"), &content);
+    bench.write("occupied", "a file where a folder should be");
+    let done = bench.run(&["diagnose", "frames.h5", "-o", "found", "--cache", "occupied"]);
+    says(&done, 0, &["nothing is kept for later runs", "occupied"]);
+    assert!(done.stdout.starts_with("insufficient"), "{}", done.stdout);
 }
 
 /// A small texture seen by a sensor that does more than its description says, and all stages that look at it.

@@ -37,7 +37,12 @@ pub fn run(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Resu
     let plan = plan(options, case, folder)?;
     let cancel = Arc::new(AtomicBool::new(false));
     stop_on_signal(&cancel)?;
-    let cache = Cache::open(&options.cache)?;
+    // An answer does not hang on what is kept of it.
+    let mut warnings = Vec::new();
+    let cache = Cache::open(&options.cache).or_else(|error| {
+        warnings.push(format!("nothing is kept for later runs: {error}"));
+        Cache::open(&folder.join("cache"))
+    })?;
     let defaults = Options::default();
     let threads = options.threads.map_or(defaults.threads, |threads| threads as usize);
     // The pool inside nodes; it can only fail when something made it before us, and then it works as well.
@@ -50,7 +55,8 @@ pub fn run(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Resu
         return Ok(Err(outcome.exit_code()));
     }
     let notes = notes(&outcome);
-    Ok(Ok(Answered { files: out_dir.join(ANSWER), notes, warnings: outcome.warnings }))
+    warnings.extend(outcome.warnings);
+    Ok(Ok(Answered { files: out_dir.join(ANSWER), notes, warnings }))
 }
 
 fn notes(outcome: &Outcome) -> Vec<(String, String)> {

@@ -35,11 +35,9 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
         Err(Unread::Content(why)) => {
             let report = broken(&why, options.seed);
             let beside = beside(&folder)?;
-            let files = beside.path().join("files");
-            std::fs::create_dir(&files)?;
-            std::fs::write(files.join(REPORT), text(&report)?)?;
-            std::fs::write(files.join(PAGE), page(&report, None, None))?;
-            put(&files, &folder, &beside)?;
+            std::fs::write(beside.path().join(REPORT), text(&report)?)?;
+            std::fs::write(beside.path().join(PAGE), page(&report, None, None))?;
+            put(beside.path(), &folder, &beside)?;
             show(options, &report, &folder, started)?;
             return Ok(BROKEN);
         }
@@ -97,13 +95,18 @@ fn beside(folder: &Path) -> Result<TempDir, Failure> {
     tempfile::Builder::new().prefix(".diagnosis-").tempdir_in(&parent).map_err(failed)
 }
 
-/// Puts a folder of whole files in place of the earlier report.
+/// Puts the files of a report that lie in `files` in place of the earlier one, all or none.
 fn put(files: &Path, folder: &Path, beside: &TempDir) -> Result<(), Failure> {
     let failed = |doing: &'static str| move |error: std::io::Error| Failure::other(format!("{}: cannot {doing}: {error}", folder.display()));
+    let new = beside.path().join("new");
+    std::fs::create_dir(&new).map_err(failed("make a folder beside it"))?;
+    for name in [REPORT, PAGE, SENSOR].into_iter().filter(|name| files.join(name).exists()) {
+        std::fs::rename(files.join(name), new.join(name)).map_err(failed("gather the report"))?;
+    }
     if folder.exists() {
         std::fs::rename(folder, beside.path().join("old")).map_err(failed("replace the earlier report"))?;
     }
-    std::fs::rename(files, folder).map_err(failed("put the report in place"))
+    std::fs::rename(&new, folder).map_err(failed("put the report in place"))
 }
 
 /// The answer on stdout, the talk on stderr.
