@@ -409,6 +409,9 @@ fn strongest(roads: &[Road], of: fn(&Road) -> &Vec<Proposal>, alone: f64) -> Opt
     let support = |id: &str| libm::exp(sure.iter().map(|road| libm::log(probability(road, id))).sum::<f64>() / sure.len() as f64);
     let mut ranked: Vec<(&'static str, f64)> = ids.into_iter().map(|id| (id, support(id))).collect();
     ranked.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(b.0)));
+    // What no road found enough for, or none believes in, is no name, however little the rest is believed.
+    let is_found = |id: &str| sure.iter().flat_map(|road| of(road)).any(|proposal| proposal.passed && CANDIDATES[proposal.candidate].id == id);
+    ranked.retain(|(id, support)| is_found(id) && *support > LEAST);
     let (id, best) = *ranked.first()?;
     let firsts: Vec<&str> =
         sure.iter().filter_map(|road| of(road).iter().find(|proposal| proposal.passed)).map(|proposal| CANDIDATES[proposal.candidate].id).collect();

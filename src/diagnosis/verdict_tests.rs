@@ -56,6 +56,17 @@ fn two_sure_roads_that_differ_give_a_set_with_both() {
 }
 
 #[test]
+fn what_no_road_found_enough_for_or_none_believes_in_is_no_name() {
+    let clock = |score: f64, probability: f64| proposal("clock_offset", "offset", score, probability, 1e-3);
+    // Both believe in the asymmetry most, and neither found enough for it.
+    let both = answer(&[road("likelihood", vec![asymmetry(0.9, 0.5), leak(5.0, 0.3)]), road("synthesis", vec![asymmetry(0.9, 0.5), clock(5.0, 0.3)])]);
+    assert!(both.claims.iter().all(|claim| claim.id != "threshold_asymmetry" && !claim.also_possible.contains(&"threshold_asymmetry")), "{both:?}");
+    assert_eq!(both.verdict, Verdict::Ambiguous);
+    let nobody = answer(&[road("likelihood", vec![leak(5.0, 0.01)]), road("synthesis", vec![clock(5.0, 0.01)])]);
+    assert_eq!(nobody.verdict, Verdict::Consistent);
+}
+
+#[test]
 fn a_road_alone_needs_more_when_the_other_is_silent() {
     let silent = || Road { alarm: false, ..road("synthesis", vec![asymmetry(0.3, 0.5)]) };
     assert_eq!(answer(&[road("likelihood", vec![leak(8.0, 0.9)]), silent()]).verdict, Verdict::Consistent);
