@@ -125,6 +125,8 @@ const SECOND: f64 = 4.0;
 const IN_SET: f64 = 0.5;
 /// The least probability that counts as support.
 const LEAST: f64 = 0.02;
+/// Support of so many times the least is more than rounding makes of it.
+const BELIEVED: f64 = 1.001;
 /// Beside a direct finding the refit must be so far over its alarm.
 const BESIDE: f64 = 2.0;
 /// Refits below this leave half of what differs.
@@ -411,7 +413,7 @@ fn strongest(roads: &[Road], of: fn(&Road) -> &Vec<Proposal>, alone: f64) -> Opt
     ranked.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(b.0)));
     // What no road found enough for, or none believes in, is no name, however little the rest is believed.
     let is_found = |id: &str| sure.iter().flat_map(|road| of(road)).any(|proposal| proposal.passed && CANDIDATES[proposal.candidate].id == id);
-    ranked.retain(|(id, support)| is_found(id) && *support > LEAST);
+    ranked.retain(|(id, support)| is_found(id) && *support > BELIEVED * LEAST);
     let (id, best) = *ranked.first()?;
     let firsts: Vec<&str> =
         sure.iter().filter_map(|road| of(road).iter().find(|proposal| proposal.passed)).map(|proposal| CANDIDATES[proposal.candidate].id).collect();
