@@ -125,8 +125,8 @@ const SECOND: f64 = 4.0;
 const IN_SET: f64 = 0.5;
 /// The least probability that counts as support.
 const LEAST: f64 = 0.02;
-/// Support of so many times the least is more than rounding makes of it.
-const BELIEVED: f64 = 1.001;
+/// A name needs so many times the least support: then one of two roads gives it a twelfth of its belief where the other gives nothing.
+const BELIEVED: f64 = 2.0;
 /// Beside a direct finding the refit must be so far over its alarm.
 const BESIDE: f64 = 2.0;
 /// Refits below this leave half of what differs.
