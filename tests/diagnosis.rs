@@ -297,7 +297,8 @@ fn knowledge_is_made_from_nothing_and_a_stopped_run_goes_on_where_it_was() {
     let bytes = std::fs::read(bench.path("made/knowledge.bin")).expect("knowledge");
     let knowledge = Knowledge::from_bytes(&bytes).expect("knowledge of this catalogue");
     assert_eq!((knowledge.floor.nulls.len(), knowledge.biases.nulls.len()), (2, 1));
-    assert!(knowledge.net.is_some() && bench.path("made/proposer.onnx").exists());
+    let net = knowledge.net.as_ref().expect("a network");
+    assert_eq!(std::fs::read(bench.path("made/proposer.onnx")).expect("the network as a file"), net.to_onnx(), "the same network, rounded alike");
     // Made again from the same scenes, it is the same.
     assert_eq!(learn("2").code, 0);
     assert_eq!(std::fs::read(bench.path("made/knowledge.bin")).expect("knowledge"), bytes);

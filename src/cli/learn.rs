@@ -7,6 +7,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Extent;
 use photocurrent_diagnosis::candidates::CANDIDATES;
 use photocurrent_diagnosis::floor::Null;
+use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::proposer::NetSetting;
 use photocurrent_diagnosis::scenes::MadeUp;
 use photocurrent_diagnosis::summaries;
@@ -39,8 +40,11 @@ pub fn learn(options: &LearnOptions) -> Done {
     bar.finish_and_clear();
     let net = NetSetting { seed: options.seed, steps: options.steps as usize, ..NetSetting::default() };
     let knowledge = knowledge_of(&names, &examples, &nulls, &biases, &net);
-    write(&options.out.join("knowledge.bin"), &knowledge.to_bytes())?;
-    if let Some(net) = &knowledge.net {
+    let bytes = knowledge.to_bytes();
+    write(&options.out.join("knowledge.bin"), &bytes)?;
+    // The network as a diagnosis has it: its numbers are rounded in the file.
+    let kept = Knowledge::from_bytes(&bytes).map_err(|why| Failure::other(format!("the knowledge cannot be read again: {why}")))?;
+    if let Some(net) = &kept.net {
         write(&options.out.join("proposer.onnx"), &net.to_onnx())?;
     }
     if !options.quiet {
