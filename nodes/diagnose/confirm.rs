@@ -46,6 +46,9 @@ photocurrent_core::ports! {
     }
 }
 
+/// How a note begins that tells of a part which did not come to its end.
+pub const UNFINISHED: &str = "not finished: ";
+
 /// The node.
 pub struct DiagnoseConfirm;
 
@@ -100,7 +103,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let setting = Setting { seed: cx.seed(), ..Setting::default() };
         let found = confirm(&case, &setting, read_integrity(&input.integrity)?, proposed, |_| ())?;
         let text = found.report.to_json().map_err(|why| NodeError::failed(format!("the report cannot be written as JSON: {why}")))?;
-        found.failed.iter().for_each(|why| cx.note(format!("not finished: {why}")));
+        found.failed.iter().for_each(|why| cx.note(format!("{UNFINISHED}{why}")));
         cx.note(format!("{}: {}", found.report.verdict.name(), found.report.summary));
         let page = cx.wants("page").then(|| Diagnosis::of(DiagnosisKind::Page, &page(&found.report, Some(&case), Some(&found)))).transpose()?;
         Ok(Out {

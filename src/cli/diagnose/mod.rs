@@ -10,6 +10,7 @@ use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::nominal::Nominal;
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::report::{Report, Verdict, short};
+use photocurrent_nodes::diagnose::confirm::UNFINISHED;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -54,8 +55,13 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     put(&answered.files, &folder, &beside)?;
     answered.warnings.iter().for_each(|why| eprintln!("warning: {why}"));
     let told = first_line(&report);
-    if !options.quiet {
-        answered.notes.iter().filter(|(_, note)| *note != told).for_each(|(node, note)| eprintln!("note: {node}: {note}"));
+    for (node, note) in answered.notes.iter().filter(|(_, note)| *note != told) {
+        // What did not come to its end has gone wrong, and is told to those who asked for quiet as well.
+        match note.strip_prefix(UNFINISHED) {
+            Some(what) => eprintln!("warning: {what}"),
+            None if options.quiet => {}
+            None => eprintln!("note: {node}: {note}"),
+        }
     }
     show(options, &report, &folder, started)?;
     Ok(if report.verdict == Verdict::BrokenData { BROKEN } else { 0 })
