@@ -2,7 +2,8 @@
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::{Case, PixelEvents};
-use crate::comparison::{Comparison, Step, compare};
+use crate::comparison::{Comparison, Ground, Step};
+use crate::contest;
 use crate::fitted::{fitted, put_beside};
 use crate::heldout::{Prediction, is_read_by_solver, predict, undone};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
@@ -143,8 +144,20 @@ pub fn propose(case: &Case, setting: &Setting, integrity: &Integrity, roads: &[R
 pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, proposed: Proposed, mut tell: impl FnMut(&str)) -> Result<Diagnosis, NodeError> {
     let nominal = Nominal::new(case)?;
     let scales = Scales::of(case, &nominal);
-    let Proposed { roads: found, ran, mut failed } = proposed;
+    let Proposed { roads: mut found, ran, mut failed } = proposed;
     let can_compare = can_compare(case, &integrity);
+    let sample = can_compare.then(|| looked_at(case)).filter(|sample| !sample.is_empty());
+    tell("contest");
+    let amended = amended(case, &nominal, &scales, &integrity);
+    let amended_nominal = Nominal::new(&amended)?;
+    let amended_scales = Scales::of(&amended, &amended_nominal);
+    let mut told = |part: &str, why: String| failed.push(format!("{part}: {why}"));
+    let ground = sample.as_ref().map_or(Ok(None), |_| Ground::new(&amended, &amended_nominal, &amended_scales));
+    let ground = ground.unwrap_or_else(|why| {
+        told("comparison", why);
+        None
+    });
+    contest::judge(ground.as_ref(), &mut found).unwrap_or_else(|why| told("contest", why));
     tell("verdict");
     let mut answer = verdict(case, &nominal, &integrity, &found);
     // Silence of a test that could not be made says nothing.
@@ -158,19 +171,19 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
         answer.claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| put_beside(changed, finding.id, &finding.parameters));
     }
     tell("proof");
-    let sample = can_compare.then(|| looked_at(case)).filter(|sample| !sample.is_empty());
     let predictions = match &sample {
         Some(sample) => (predict(case, &case.sensor, sample, &setting.scene)?, after(case, &nominal, changed.as_ref(), &values, sample, setting)?),
         None => (None, None),
     };
     tell("comparison");
-    let comparison = match sample.as_ref().map(|_| compare(&without_masked(case, &integrity), &nominal, &scales, &answer.claims)) {
-        Some(Err(why)) => {
-            failed.push(format!("comparison: {why}"));
-            None
-        }
-        compared => compared.and_then(Result::ok).flatten(),
-    };
+    // Roads look for the rest beside what direct tests found; the comparison is with the description as stated.
+    let as_stated = without_masked(case, &integrity);
+    let ground = if integrity.findings.is_empty() { Ok(ground) } else { ground.map_or(Ok(None), |_| Ground::new(&as_stated, &nominal, &scales)) };
+    let compared = ground.and_then(|ground| ground.map(|ground| ground.compare(&answer.claims)).transpose());
+    let comparison = compared.unwrap_or_else(|why| {
+        failed.push(format!("comparison: {why}"));
+        None
+    });
     let stages = std::iter::once("integrity".to_owned()).chain(ran).collect();
     let report = report(case, &nominal, setting, &integrity, &found, &answer, changed.as_ref(), &predictions, comparison.as_ref(), stages);
     Ok(Diagnosis { report, fitted: changed, integrity, roads: found, failed, predictions, sample, comparison })

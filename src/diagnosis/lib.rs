@@ -23,6 +23,7 @@
 //! - [`scenes`], [`train`]: made-up recordings, and what the recogniser learns from.
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
 //! - [`roads`]: the tests that estimate the scene, in one form.
+//! - [`contest`]: what refits propose, on pixels at which none of them looked.
 //! - [`verdict`]: one answer from all tests.
 //! - [`fitted`]: the description with what was found put in.
 //! - [`heldout`]: frames that were kept back, before and after.
@@ -42,6 +43,7 @@ pub mod case;
 pub mod closures;
 pub mod comparison;
 pub mod components;
+pub mod contest;
 pub mod covariates;
 pub mod deviation;
 pub mod diagnose;

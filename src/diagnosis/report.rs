@@ -108,7 +108,7 @@ pub struct Evidence {
     /// The same per event.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heldout_nats_per_event: Option<f64>,
-    /// Share of the belief of the test that found it, among the effects that it found enough for, 0 to 1.
+    /// How far to believe that the effect is this one, 0 to 1: by the contest, or the share of the belief of the tests that found it, among the effects that they found enough for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub belief: Option<f64>,
     /// Which of the tests found it: `direct`, `refit`, `closures`, `likelihood`, `synthesis`.

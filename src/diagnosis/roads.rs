@@ -23,7 +23,7 @@ pub fn all(knowledge: Option<Knowledge>) -> Vec<RoadKind> {
     let biases = knowledge.as_ref().map(|knowledge| knowledge.biases.clone());
     let refit = RoadKind::new(REFIT, move |case, _| run_refit(case, biases.as_ref()));
     let mut roads = vec![refit, RoadKind::new("likelihood", run_likelihood)];
-    roads.extend(knowledge.map(|knowledge| RoadKind::new("synthesis", move |case, setting| run_synthesis(case, &knowledge, setting))));
+    roads.extend(knowledge.map(|knowledge| RoadKind::new(SYNTHESIS, move |case, setting| run_synthesis(case, &knowledge, setting))));
     roads
 }
 
@@ -57,6 +57,8 @@ fn run_refit(case: &Case, biases: Option<&Floor>) -> Result<Road, String> {
 
 /// The road that refits.
 pub const REFIT: &str = "refit";
+/// The road that compares summaries with those of every effect on the recording's own scene.
+pub const SYNTHESIS: &str = "synthesis";
 /// Share of the cost that an effect must take away on pixels that it was not fitted to; nulls of other people's simulators reach 0.1.
 const LEAST_TAKEN: f64 = 0.14;
 /// And a second effect of what the first leaves.
@@ -64,7 +66,7 @@ const LEAST_TAKEN_SECOND: f64 = 0.2;
 /// And the share of blocks that either must improve.
 const LEAST_BETTER: f64 = 0.6;
 /// And how much better either must foretell an event of pixels that it was not fitted to, nats: what makes that harder is no explanation, however much else it matches.
-const LEAST_NATS: f64 = 0.01;
+pub(crate) const LEAST_NATS: f64 = 0.01;
 /// Knots twice as near must take away this share to be told; nulls reach 0.23.
 const LEAST_NUMERICAL: f64 = 0.25;
 /// A candidate whose score is greater than the best by this share is believed a factor e less.

@@ -30,7 +30,7 @@ pub struct Search {
     pub first: Refitted,
     /// One more beside the best of `first`; none when that does not explain enough.
     pub second: Option<Refitted>,
-    /// The first once more, beside the best of `second`, where that is more than nothing.
+    /// The first once more, beside the best of `second`, where that is more than nothing and another effect.
     pub again: Option<Refitted>,
     /// What each effect explains to first order, most first.
     pub linear: Vec<Linear>,
@@ -107,7 +107,9 @@ pub fn search(case: &Case, nominal: &Nominal, scales: &Scales, setting: &SearchS
     let second = best.filter(|best| best.2 > setting.least_share).map(|(candidate, strength, _)| beside(candidate, strength, &[]));
     // With a second effect on the sensor, the first is looked for once more among those that were near it.
     let beside_second = second.as_ref().and_then(|second| second.leading().first().map(|one| (one.candidate, one.strength, one.heldout)));
-    let again = beside_second.filter(|second| second.2 > setting.least_share).map(|(candidate, strength, _)| {
+    // Two numbers of one effect are one effect, and the first of them stays.
+    let is_another = |candidate: usize| best.is_none_or(|best| CANDIDATES[best.0].id != CANDIDATES[candidate].id);
+    let again = beside_second.filter(|second| second.2 > setting.least_share && is_another(second.0)).map(|(candidate, strength, _)| {
         let leading = first.leading();
         let near: Vec<usize> = leading.iter().take(AGAIN).map(|one| one.candidate).filter(|one| CANDIDATES[*one].id != CANDIDATES[candidate].id).collect();
         beside(candidate, strength, &near)

@@ -1,7 +1,7 @@
 //! The light of the sampled pixels as a sensor with effects would have had to see it, to record what was recorded.
 //!
 //! The solver knows one front end with one time constant, two thresholds, a refractory period and a gain. Everything of a trial that can be brought to that form is, through the
-//! hooks that the simulator uses: stamps and exposures are taken back to true times, digital numbers to charge, a second pole counts with the first, light that is added
+//! hooks that the simulator uses: stamps and exposures are taken back to true times, digital numbers to charge, the faster of two poles counts as a delay, light that is added
 //! behind the lens is taken off again, drifts and memories are told event by event, and frames are mixed where neighbours are. What is left is corrected by turns: the trial looks at the light, its recording is
 //! estimated in the same way, and the light moves by what that differs.
 
@@ -148,12 +148,15 @@ impl<'a> Under<'a> {
             effect.front_end(&site, &mut model);
             effect.thresholds(&site, &History::default(), &mut random, t_ns, &mut thresholds);
         }
-        let (more, more_light) = model.second_pole.map_or((0.0, 0.0), |pole| (pole.tau_s, pole.tau_light_s));
-        let front_end = FrontEnd { tau_0_s: model.low_pass.tau_0_s + more, alpha_s: model.low_pass.alpha_s + more_light };
         let mut light: Vec<f64> =
             frames.iter().map(|frame| (frame.dn - number.black_level) / number.gain / f64::max((frame.end_ns - frame.start_ns) as f64 * 1e-9, 1e-9)).collect();
         light.sort_by(f64::total_cmp);
         let usual = light.get(light.len() / 2).copied().unwrap_or(1.0).max(1e-9);
+        let (front_end, delay_ns) = slower_and_delay(&model, usual);
+        if delay_ns > 0 {
+            events.iter_mut().for_each(|event| (event.t_in_ns, event.t_off_ns) = (event.t_in_ns - delay_ns, event.t_off_ns - delay_ns));
+            events.retain(|event| event.t_in_ns >= first_ns);
+        }
         let refractory_ns = self.effects.iter().fold(nominal.pixel.refractory_ns, |refractory_ns, effect| effect.refractory_ns(&site, usual, refractory_ns));
         let since = self.since(&site, &events, refractory_ns, usual);
         let beyond = beyond(&since, &events, &thresholds);
@@ -236,6 +239,16 @@ impl<'a> Under<'a> {
         }
         Ok((scene, recording))
     }
+}
+
+/// The slower of two poles, and the faster as a delay, ns, at some light: their squares add up, and one pole of their sum would be softer by twice their product.
+fn slower_and_delay(model: &FrontEndModel, light: f64) -> (FrontEnd, i64) {
+    let first = model.low_pass;
+    let Some(pole) = model.second_pole else { return (first, 0) };
+    let second = FrontEnd { tau_0_s: pole.tau_s, alpha_s: pole.tau_light_s };
+    let at = |pole: &FrontEnd| pole.tau_0_s + pole.alpha_s / light;
+    let (slower, faster) = if at(&second) > at(&first) { (second, first) } else { (first, second) };
+    (slower, (at(&faster) * 1e9).round() as i64)
 }
 
 /// By how much the signed step of each event is more than its usual threshold; empty where none is.
@@ -343,6 +356,7 @@ mod tests {
             json!({"reset_memory": {"fraction": 0.4}}),
             json!({"dark_current": {"current": 25.0}}),
             json!({"time_constant": {"tau_0": "400 us"}}),
+            json!({"second_pole": {"tau": "300 us"}}),
             json!({"blur": {"sigma": 1.2}}),
         ];
         for effects in tried {

@@ -83,6 +83,9 @@ pub struct Road {
     pub residual_left: Option<f64>,
 }
 
+/// A number of an effect with its interval: index into [`CANDIDATES`], value in the unit of the declaration.
+pub type Valued = (usize, f64, Option<[f64; 2]>);
+
 /// One effect that is claimed.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Claim {
@@ -90,11 +93,12 @@ pub struct Claim {
     pub id: &'static str,
     /// Others that would do about as well.
     pub also_possible: Vec<&'static str>,
-    /// Its numbers, with their intervals: index into [`CANDIDATES`], value in the unit of the declaration.
-    pub values: Vec<(usize, f64, Option<[f64; 2]>)>,
+    /// Its numbers.
+    pub values: Vec<Valued>,
     /// Over the alarm of what found it.
     pub score: f64,
-    /// Share of the belief of what found it, among the effects that it found enough for, 0 to 1; none for direct tests.
+    /// How far to believe that it is this one, 0 to 1: by the contest ([`crate::contest`]), or the share of the belief of the roads that found it, among the effects that they found
+    /// enough for; none for direct tests.
     pub belief: Option<f64>,
     /// Who found it.
     pub found_by: Vec<String>,
@@ -125,24 +129,14 @@ const SECOND: f64 = 4.0;
 const IN_SET: f64 = 0.5;
 /// The least probability that counts as support.
 const LEAST: f64 = 0.02;
-/// A name needs so many times the least support: then one of two roads gives it a twelfth of its belief where the other gives nothing.
-const BELIEVED: f64 = 2.0;
+/// A name needs so many times the least support: then one of two roads gives it a third of its belief where the other gives nothing.
+const BELIEVED: f64 = 4.0;
 /// Beside a direct finding the refit must be so far over its alarm.
 const BESIDE: f64 = 2.0;
 /// Refits below this leave half of what differs.
 const HALF: f64 = 3.2;
-/// Refits with this share of the best one's probability are listened to the others for.
-const NEAR: f64 = 0.1;
-/// What another road's logarithm of a probability counts, and the least that it says.
-const HEARING: f64 = 0.1;
-/// See there.
-const LEAST_HEARD: f64 = 0.05;
-/// Rare effects are believed a factor e to this power less.
-const RARITY: f64 = 0.7;
-/// Effects whose support, as a logarithm, is so near are told together.
-const TOGETHER: f64 = 0.7;
 /// An effect with this share of the best refit's probability is told with it.
-const DOUBT: f64 = 0.35;
+const DOUBT: f64 = 0.25;
 /// The largest set that is told.
 const LARGEST_SET: usize = 3;
 
@@ -207,6 +201,10 @@ fn led(refit: &Road, others: &[Road], known: &[Claim]) -> Vec<Claim> {
         if known.is_empty() {
             return alone().into_iter().collect();
         }
+        // Closures count events: where some are lost, thresholds seem higher.
+        if known.iter().any(|claim| claim.id == "event_loss") {
+            return Vec::new();
+        }
         let rest: Vec<Proposal> = refit.to_first_order.iter().filter(|one| !CANDIDATES[one.candidate].is_random).cloned().collect();
         return first_order(&rest).filter(|first| first.score >= least).into_iter().collect();
     };
@@ -243,27 +241,33 @@ fn led(refit: &Road, others: &[Road], known: &[Claim]) -> Vec<Claim> {
     claims
 }
 
-/// What all pixels say to first order: the best, with what explains as much.
-fn first_order(proposals: &[Proposal]) -> Option<Claim> {
-    let best = proposals.iter().filter(|one| one.passed).max_by(|a, b| a.probability.total_cmp(&b.probability).then(b.candidate.cmp(&a.candidate)))?;
-    let id = CANDIDATES[best.candidate].id;
-    let mut near: Vec<&Proposal> =
-        proposals.iter().filter(|one| one.passed && CANDIDATES[one.candidate].id != id && one.probability > DOUBT * best.probability).collect();
+fn believed_most<'a>(proposals: impl Iterator<Item = &'a Proposal>) -> Option<&'a Proposal> {
+    proposals.max_by(|a, b| a.probability.total_cmp(&b.probability).then(b.candidate.cmp(&a.candidate)))
+}
+
+/// Effects that are believed nearly as much as one, most first, whether they passed or not.
+fn beside(one: &Proposal, proposals: &[Proposal]) -> Vec<&'static str> {
+    let mut near: Vec<&Proposal> = proposals.iter().filter(|other| other.probability > DOUBT * one.probability).collect();
     near.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.candidate.cmp(&b.candidate)));
-    let mut also_possible: Vec<&'static str> = Vec::new();
-    near.iter().map(|one| CANDIDATES[one.candidate].id).for_each(|id| {
-        if !also_possible.contains(&id) {
-            also_possible.push(id)
+    let mut ids = vec![CANDIDATES[one.candidate].id];
+    near.iter().map(|other| CANDIDATES[other.candidate].id).for_each(|id| {
+        if !ids.contains(&id) {
+            ids.push(id);
         }
     });
-    also_possible.truncate(LARGEST_SET - 1);
-    let values = vec![(best.candidate, best.value, best.ci95)];
+    ids.truncate(LARGEST_SET);
+    ids.split_off(1)
+}
+
+/// What all pixels say to first order: the best, with what explains as much.
+fn first_order(proposals: &[Proposal]) -> Option<Claim> {
+    let best = believed_most(proposals.iter().filter(|one| one.passed))?;
     Some(Claim {
-        id,
-        also_possible,
-        values,
+        id: CANDIDATES[best.candidate].id,
+        also_possible: beside(best, proposals),
+        values: vec![(best.candidate, best.value, best.ci95)],
         score: best.score,
-        belief: Some(belief(proposals.iter(), id)),
+        belief: Some(best.probability),
         found_by: vec!["closures".into()],
         heldout_nats: None,
         heldout_nats_per_event: None,
@@ -273,33 +277,16 @@ fn first_order(proposals: &[Proposal]) -> Option<Claim> {
 
 /// The best of the refits, with those that are not told apart from it.
 fn refitted(proposals: &[Proposal], others: &[Road], least: f64) -> Option<Claim> {
-    let best = proposals.iter().filter(|one| one.passed && one.score >= least).map(|one| one.probability).fold(0.0, f64::max);
-    let heard = |id: &str| -> f64 {
-        let of = |road: &Road| road.proposals.iter().filter(|one| CANDIDATES[one.candidate].id == id).map(|one| one.probability).fold(LEAST_HEARD, f64::max);
-        others.iter().filter(|road| road.alarm).map(|road| HEARING * libm::log(of(road))).sum()
-    };
-    let mut set: Vec<(f64, &Proposal)> = proposals
-        .iter()
-        .filter(|one| one.passed && one.score >= least && one.probability >= NEAR * best)
-        .map(|one| {
-            let id = CANDIDATES[one.candidate].id;
-            (libm::log(one.probability) + heard(id) - if is_rare(id) { RARITY } else { 0.0 }, one)
-        })
-        .collect();
-    set.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.candidate.cmp(&b.1.candidate)));
-    let &(support, one) = set.first()?;
+    let one = believed_most(proposals.iter().filter(|one| one.passed && one.score >= least))?;
     let id = CANDIDATES[one.candidate].id;
-    // What others say does not end a doubt of the refit's own.
-    let is_near = |other: &&(f64, &Proposal)| other.0 > support - TOGETHER || other.1.probability > DOUBT * best;
-    let also_possible = set.iter().skip(1).filter(is_near).map(|other| CANDIDATES[other.1.candidate].id).take(LARGEST_SET - 1).collect();
     let agrees = |road: &&Road| road.alarm && road.proposals.first().is_some_and(|first| CANDIDATES[first.candidate].id == id);
     let found_by = std::iter::once(REFIT.to_owned()).chain(others.iter().filter(agrees).map(|road| road.name.clone())).collect();
     Some(Claim {
         id,
-        also_possible,
+        also_possible: beside(one, proposals),
         values: vec![(one.candidate, one.value, one.ci95)],
         score: one.score,
-        belief: Some(belief(proposals.iter().filter(|one| one.passed && one.score >= least), id)),
+        belief: Some(one.probability),
         found_by,
         heldout_nats: one.heldout_nats,
         heldout_nats_per_event: one.heldout_nats_per_event,
@@ -307,38 +294,8 @@ fn refitted(proposals: &[Proposal], others: &[Road], least: f64) -> Option<Claim
     })
 }
 
-/// Share of the belief in an effect among those of some proposals; each effect counts by its best parameter.
-fn belief<'a>(proposals: impl Iterator<Item = &'a Proposal>, id: &str) -> f64 {
-    let mut of: Vec<(&'static str, f64)> = Vec::new();
-    for one in proposals {
-        let id = CANDIDATES[one.candidate].id;
-        match of.iter_mut().find(|(other, _)| *other == id) {
-            Some((_, most)) => *most = f64::max(*most, one.probability),
-            None => of.push((id, one.probability)),
-        }
-    }
-    let own = of.iter().find(|(other, _)| *other == id).map_or(0.0, |(_, most)| *most);
-    own / f64::max(of.iter().map(|(_, most)| most).sum(), 1e-300)
-}
-
-/// Effects that are met so seldom, or seen so hardly, that another that explains as much is believed first.
-fn is_rare(id: &str) -> bool {
-    matches!(
-        id,
-        "row_skew"
-            | "exposure_time"
-            | "slew_limit"
-            | "image_lag"
-            | "frame_gain_steps"
-            | "frame_coupling"
-            | "large_signal_front_end"
-            | "readout_queue"
-            | "vignetting"
-    )
-}
-
 fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
-    let values: Vec<(usize, f64, Option<[f64; 2]>)> = finding
+    let values: Vec<Valued> = finding
         .parameters
         .iter()
         .filter_map(|(parameter, value)| Some((CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == *parameter)?, *value, None)))
@@ -424,7 +381,7 @@ fn strongest(roads: &[Road], of: fn(&Road) -> &Vec<Proposal>, alone: f64) -> Opt
         let named = ranked.iter().skip(1).filter(|(other, support)| (firsts.len() > 1 && firsts.contains(other)) || *support > IN_SET * best);
         also_possible = named.map(|(other, _)| *other).take(LARGEST_SET - 1).collect();
     }
-    let mut values: Vec<(usize, f64, Option<[f64; 2]>)> = Vec::new();
+    let mut values: Vec<Valued> = Vec::new();
     let mut found_by = Vec::new();
     let (mut nats, mut per_event, mut score) = (None, None, 0.0_f64);
     for road in &sure {

@@ -24,10 +24,11 @@ use crate::sample::Sample;
 use crate::scene::{Scene, SceneSetting};
 use crate::search::SearchSetting;
 use crate::under::Under;
-use crate::verdict::Claim;
+use crate::verdict::{Claim, Valued};
 use calibration::Calibration;
 use dependence::{Dependence, Looked};
 use photocurrent_sensor::likelihood::Interval;
+use photocurrent_sensor::map::Prior;
 use rayon::prelude::*;
 
 /// Parts of the recording in which mismatch over time is told.
@@ -90,6 +91,38 @@ impl Step {
         let all = self.all();
         all.nats / f64::max(all.recorded, 1.0)
     }
+
+    /// What this gains over another description.
+    pub fn gain_over(&self, before: &Step) -> Gain {
+        let (old, new) = (&before.blocks, &self.blocks);
+        let used: Vec<usize> = (0..old.len()).filter(|&block| old[block].count + new[block].count > 0.0).collect();
+        let n = used.len() as f64;
+        let share = |left_out: Option<usize>| {
+            // An event: a sensor that fires less has fewer events that can be wrong.
+            let an_event = |of: &[Mismatch]| {
+                let rest = used.iter().filter(|&&block| Some(block) != left_out);
+                let (cost, count) = rest.fold((0.0, 0.0), |sum, &block| (sum.0 + of[block].cost(), sum.1 + of[block].count));
+                cost / f64::max(count, 1.0)
+            };
+            1.0 - an_event(new) / f64::max(an_event(old), 1e-12)
+        };
+        let all = share(None);
+        let left_out: Vec<f64> = used.iter().map(|&block| share(Some(block))).collect();
+        let mean = left_out.iter().sum::<f64>() / f64::max(n, 1.0);
+        let error = libm::sqrt((n - 1.0) / f64::max(n, 1.0) * left_out.iter().map(|one| (one - mean) * (one - mean)).sum::<f64>());
+        let nats: Vec<f64> = used.iter().map(|&block| new[block].nats - old[block].nats).collect();
+        let sum: f64 = nats.iter().sum();
+        let spread: f64 = nats.iter().map(|one| (one - sum / n) * (one - sum / n)).sum();
+        let nats_error = libm::sqrt(n / f64::max(n - 1.0, 1.0) * spread);
+        let around = |value: f64, error: f64| [value - 1.96 * error, value + 1.96 * error];
+        Gain {
+            share: all,
+            share_ci95: around(all, error),
+            nats: sum,
+            nats_ci95: around(sum, nats_error),
+            nats_per_event: sum / f64::max(before.all().recorded, 1.0),
+        }
+    }
 }
 
 /// What a step gains over another.
@@ -133,68 +166,86 @@ impl Comparison {
 
     /// What a step gains over an earlier one.
     pub fn gain(&self, from: usize, to: usize) -> Gain {
-        let (before, after) = (&self.steps[from].blocks, &self.steps[to].blocks);
-        let used: Vec<usize> = (0..before.len()).filter(|&block| before[block].count + after[block].count > 0.0).collect();
-        let n = used.len() as f64;
-        let share = |left_out: Option<usize>| {
-            // An event: a sensor that fires less has fewer events that can be wrong.
-            let an_event = |of: &[Mismatch]| {
-                let rest = used.iter().filter(|&&block| Some(block) != left_out);
-                let (cost, count) = rest.fold((0.0, 0.0), |sum, &block| (sum.0 + of[block].cost(), sum.1 + of[block].count));
-                cost / f64::max(count, 1.0)
-            };
-            1.0 - an_event(after) / f64::max(an_event(before), 1e-12)
-        };
-        let all = share(None);
-        let left_out: Vec<f64> = used.iter().map(|&block| share(Some(block))).collect();
-        let mean = left_out.iter().sum::<f64>() / f64::max(n, 1.0);
-        let error = libm::sqrt((n - 1.0) / f64::max(n, 1.0) * left_out.iter().map(|one| (one - mean) * (one - mean)).sum::<f64>());
-        let nats: Vec<f64> = used.iter().map(|&block| after[block].nats - before[block].nats).collect();
-        let sum: f64 = nats.iter().sum();
-        let spread: f64 = nats.iter().map(|one| (one - sum / n) * (one - sum / n)).sum();
-        let nats_error = libm::sqrt(n / f64::max(n - 1.0, 1.0) * spread);
-        let around = |value: f64, error: f64| [value - 1.96 * error, value + 1.96 * error];
-        Gain {
-            share: all,
-            share_ci95: around(all, error),
-            nats: sum,
-            nats_ci95: around(sum, nats_error),
-            nats_per_event: sum / f64::max(self.steps[from].all().recorded, 1.0),
-        }
+        self.steps[to].gain_over(&self.steps[from])
     }
 }
 
-/// Compares a recording (without pixels that direct tests exclude) with its description as stated and with each claim put on. None where no pixels can be compared.
-///
-/// # Errors
-/// When effects cannot be combined.
-pub fn compare(case: &Case, nominal: &Nominal, scales: &Scales, claims: &[Claim]) -> Result<Option<Comparison>, String> {
-    let Some((sample, is_apart)) = pixels(case) else { return Ok(None) };
-    let frame_noise = unstated_frame_noise(case, nominal)?;
-    let usual = SceneSetting::close();
-    let scene = SceneSetting { frame_share: libm::sqrt(usual.frame_share * usual.frame_share + frame_noise * frame_noise), ..usual };
-    let priors = faithful(case, nominal, &sample, &scene)?.priors;
-    let stated = Trial::stated(nominal);
-    let refit = Refit { case, base: &stated, scales, sample: &sample, scene: &scene, priors: &priors, frame_noise, turns: TURNS };
-    let mut described = Described { seen: stated.clone(), whole: stated.clone(), t_resolution_ns: case.t_resolution_ns };
-    let mut steps: Vec<(Step, Option<View>)> = Vec::new();
-    let (first, view) = look(&refit, &described, None, None)?;
-    steps.push((first, view));
-    for claim in claims.iter().filter(|claim| !claim.values.is_empty() && !matches!(claim.id, "hot_pixels" | "hot_rows")) {
-        let is_random = described.put(claim, nominal, scales);
-        let before = steps.last().filter(|_| is_random).map(|(step, _)| step);
-        let (step, view) = look(&refit, &described, Some(claim.id), before)?;
-        steps.push((step, view));
+/// A recording (without pixels that direct tests exclude) and its pixels that are compared, as stated.
+pub struct Ground<'a> {
+    case: &'a Case,
+    nominal: &'a Nominal,
+    scales: &'a Scales,
+    /// The pixels.
+    sample: Sample,
+    /// Did refits not look at any of them?
+    pub is_apart: bool,
+    scene: SceneSetting,
+    priors: Vec<Prior>,
+    frame_noise: f64,
+    stated: Trial,
+    before: (Step, Option<View>),
+}
+
+impl<'a> Ground<'a> {
+    /// Looks at the recording as stated. None where no pixels can be compared.
+    ///
+    /// # Errors
+    /// When effects cannot be combined.
+    pub fn new(case: &'a Case, nominal: &'a Nominal, scales: &'a Scales) -> Result<Option<Ground<'a>>, String> {
+        let Some((sample, is_apart)) = pixels(case) else { return Ok(None) };
+        let frame_noise = unstated_frame_noise(case, nominal)?;
+        let usual = SceneSetting::close();
+        let scene = SceneSetting { frame_share: libm::sqrt(usual.frame_share * usual.frame_share + frame_noise * frame_noise), ..usual };
+        let priors = faithful(case, nominal, &sample, &scene)?.priors;
+        let stated = Trial::stated(nominal);
+        let refit = Refit { case, base: &stated, scales, sample: &sample, scene: &scene, priors: &priors, frame_noise, turns: TURNS };
+        let before = look(&refit, &Described::stated(case, &stated), None, None)?;
+        Ok(Some(Ground { case, nominal, scales, sample, is_apart, scene, priors, frame_noise, stated, before }))
     }
-    let views: Vec<&View> = steps.iter().filter_map(|(_, view)| view.as_ref()).collect();
-    let dependences = match (claims.iter().find_map(|claim| dependence::covariate(claim.id)), views.first(), views.last()) {
-        (Some(of), Some(before), Some(after)) if views.len() > 1 => {
-            let [before, after] = [before, after].map(|view| Looked::new(&view.case, &sample, &view.light, &view.recording, nominal));
-            dependence::dependences(of, &before, &after)
+
+    fn refit(&self) -> Refit<'_> {
+        let Ground { case, scales, sample, scene, priors, frame_noise, stated, .. } = self;
+        Refit { case, base: stated, scales, sample, scene, priors, frame_noise: *frame_noise, turns: TURNS }
+    }
+
+    /// As stated.
+    pub fn before(&self) -> &Step {
+        &self.before.0
+    }
+
+    /// With values of effects put on that are not random.
+    ///
+    /// # Errors
+    /// When effects cannot be combined.
+    pub fn with(&self, values: &[Valued]) -> Result<Step, String> {
+        let mut described = Described::stated(self.case, &self.stated);
+        described.put(values, self.nominal, self.scales);
+        Ok(look(&self.refit(), &described, None, None)?.0)
+    }
+
+    /// Compares the recording with its description as stated and with each claim put on.
+    ///
+    /// # Errors
+    /// When effects cannot be combined.
+    pub fn compare(self, claims: &[Claim]) -> Result<Comparison, String> {
+        let mut described = Described::stated(self.case, &self.stated);
+        let mut steps = vec![];
+        for claim in claims.iter().filter(|claim| !claim.values.is_empty() && !matches!(claim.id, "hot_pixels" | "hot_rows")) {
+            let is_random = described.put(&claim.values, self.nominal, self.scales);
+            let before = steps.last().map_or(&self.before.0, |(step, _): &(Step, Option<View>)| step).clone();
+            steps.push(look(&self.refit(), &described, Some(claim.id), Some(&before).filter(|_| is_random))?);
         }
-        _ => Vec::new(),
-    };
-    Ok(Some(Comparison { steps: steps.into_iter().map(|(step, _)| step).collect(), sample, is_apart, dependences }))
+        steps.insert(0, self.before);
+        let views: Vec<&View> = steps.iter().filter_map(|(_, view)| view.as_ref()).collect();
+        let dependences = match (claims.iter().find_map(|claim| dependence::covariate(claim.id)), views.first(), views.last()) {
+            (Some(of), Some(before), Some(after)) if views.len() > 1 => {
+                let [before, after] = [before, after].map(|view| Looked::new(&view.case, &self.sample, &view.light, &view.recording, self.nominal));
+                dependence::dependences(of, &before, &after)
+            }
+            _ => Vec::new(),
+        };
+        Ok(Comparison { steps: steps.into_iter().map(|(step, _)| step).collect(), sample: self.sample, is_apart: self.is_apart, dependences })
+    }
 }
 
 /// Blocks like those of the refit, and apart from them where the array has room; a small array as a whole.
@@ -222,10 +273,14 @@ struct Described {
 }
 
 impl Described {
-    /// Puts a claim on; is it all random?
-    fn put(&mut self, claim: &Claim, nominal: &Nominal, scales: &Scales) -> bool {
+    fn stated(case: &Case, stated: &Trial) -> Described {
+        Described { seen: stated.clone(), whole: stated.clone(), t_resolution_ns: case.t_resolution_ns }
+    }
+
+    /// Puts values of an effect on; is it all random?
+    fn put(&mut self, values: &[Valued], nominal: &Nominal, scales: &Scales) -> bool {
         let mut is_random = true;
-        for &(which, value, _) in &claim.values {
+        for &(which, value, _) in values {
             let candidate = &CANDIDATES[which];
             let value = six_digits(value);
             let strength = candidate.strength(value, scales, nominal);

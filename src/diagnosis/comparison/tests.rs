@@ -34,7 +34,7 @@ fn claim(id: &'static str, parameter: &str, value: f64) -> Claim {
 
 fn compared(case: &Case, claims: &[Claim]) -> Comparison {
     let nominal = Nominal::new(case).unwrap();
-    compare(case, &nominal, &Scales::of(case, &nominal), claims).unwrap().unwrap()
+    Ground::new(case, &nominal, &Scales::of(case, &nominal)).unwrap().unwrap().compare(claims).unwrap()
 }
 
 fn ks(step: &Step) -> f64 {
