@@ -20,6 +20,9 @@ const LEAST_SCORE: f64 = 0.5;
 /// So often one of those that take part is the effect, where a refit speaks; else it is something that none of them is.
 const AMONG: f64 = 0.85;
 
+/// A proposal that takes part, and what it shows.
+type Entered<'a> = (&'a Proposal, Option<Shown>);
+
 /// What a proposal shows on the pixels of the contest.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Shown {
@@ -197,17 +200,17 @@ fn show(
 }
 
 /// Shares of belief among those that take part.
-fn believed(entered: &[(&Proposal, Option<Shown>)], heard: &[Proposal]) -> Vec<f64> {
-    let best = |of: &dyn Fn(&(&Proposal, Option<Shown>)) -> f64| entered.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
-    let score = |one: &(&Proposal, Option<Shown>)| one.0.score;
-    let nats = |one: &(&Proposal, Option<Shown>)| one.1.map_or(f64::NEG_INFINITY, |shown| shown.nats_per_event);
+fn believed(entered: &[Entered<'_>], heard: &[Proposal]) -> Vec<f64> {
+    let best = |of: &dyn Fn(&Entered<'_>) -> f64| entered.iter().map(of).fold(f64::NEG_INFINITY, f64::max);
+    let score = |one: &Entered<'_>| one.0.score;
+    let nats = |one: &Entered<'_>| one.1.map_or(f64::NEG_INFINITY, |shown| shown.nats_per_event);
     let (best_score, best_nats) = (best(&score), best(&nats));
     let missing = |best: f64, own: f64, error: (f64, f64)| f64::min((best - own) / (error.0 + error.1 * best.max(0.0)), MOST_MISSING);
     let said_by_synthesis = |id: &str| {
         let own = heard.iter().filter(|one| CANDIDATES[one.candidate].id == id).map(|one| one.probability).fold(LEAST_SYNTHESIS, f64::max);
         if heard.is_empty() { 0.0 } else { libm::log(own) }
     };
-    let logit = |one: &(&Proposal, Option<Shown>)| {
+    let logit = |one: &Entered<'_>| {
         let of_refit = WEIGHTS.belief * libm::log(one.0.probability.max(LEAST_BELIEF)) - WEIGHTS.score * missing(best_score, score(one), SCORE_ERROR);
         let of_ground = one.1.map_or(0.0, |shown| {
             let ks = shown.ks.map_or(0.0, |(_, after)| WEIGHTS.ks * libm::log(after + KS_ERROR));
