@@ -117,8 +117,10 @@ impl Shown {
 pub fn judge(ground: Option<&Ground<'_>>, roads: &mut [Road]) -> Result<(), String> {
     let heard: Vec<Proposal> = roads.iter().filter(|road| road.name == SYNTHESIS && road.alarm).flat_map(|road| road.proposals.clone()).collect();
     let Some(refit) = roads.iter_mut().find(|road| road.name == REFIT) else { return Ok(()) };
-    // Where a second effect was found, the first was looked for beside it.
-    let second: Vec<Proposal> = best_of(&refit.second).cloned().into_iter().collect();
+    // Where a second effect was found, the first was looked for beside it; so it is here, if there is one.
+    let [first, mut second] = [&refit.proposals, &refit.second].map(|proposals| best_of(proposals).cloned().into_iter().collect::<Vec<_>>());
+    let is_shown = show(ground, &second, &|_| true, &first)?.into_iter().all(|shown| shown.is_none_or(|shown| shown.is_proof(LEAST_NATS)));
+    second.retain(|_| is_shown);
     let shown = believe(ground, &mut refit.proposals, (LEAST_SCORE, WORTH), AMONG, &second, &heard)?;
     let explains = |one: &Proposal| one.passed || one.score > 1.0 && one.heldout_nats_per_event.is_some_and(|nats| nats > LEAST_NATS);
     for (one, shown) in refit.proposals.iter_mut().zip(&shown) {

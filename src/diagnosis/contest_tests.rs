@@ -56,8 +56,8 @@ fn what_all_pixels_name_and_a_second_effect_need_a_proof_as_well() {
     let alone = judged(&case, vec![Road { to_first_order: both(), ..refit(Vec::new()) }]);
     assert_eq!(alone.to_first_order.iter().map(|one| one.passed).collect::<Vec<_>>(), [false, true]);
     assert!(alone.to_first_order[1].probability > 0.5 * AMONG_TO_FIRST_ORDER);
-    // Beside the leak that it is, a second leak shows nothing, nor does a clock.
-    let second = vec![proposal("clock_offset", 2e-3, 2.0, 0.9), proposal("parasitic_leak", 0.04, 2.0, 0.1)];
+    // Beside the leak that it is, no fault of the clock shows anything.
+    let second = vec![proposal("clock_offset", 2e-3, 2.0, 0.9), proposal("clock_drift", 0.05, 2.0, 0.1)];
     let beside = judged(&case, vec![Road { second, ..refit(vec![proposal("leak_events", 25.0, 4.0, 1.0)]) }]);
     assert!(beside.alarm && beside.second.iter().all(|one| !one.passed && one.probability == 0.0), "{:?}", beside.second);
 }
