@@ -1,6 +1,6 @@
 //! Events that come when the frame's row is read: the readout shakes the pixels of its row, and what is nearly due fires.
 //!
-//! Where nothing moves ([`super::still`]) nearly all events are of that kind. Their time since the start of the frame, less a delay for every row, is tried for all delays
+//! Where nothing moves ([`super::still`]) nearly all events are of that kind; where all moves, those of a strong kick stand out of the others. Their time since the start of the frame, less a delay for every row, is tried for all delays
 //! at which the readout is over within a period; the delay that piles them up is the readout's, and the pile is the instant. One half of the array chooses, the other is
 //! foretold. Source: Brandli et al. (2014), the shared readout of DAVIS pixels.
 //!
@@ -27,6 +27,8 @@ const PEAK: f64 = 5.0;
 const FRAMES: f64 = 0.4;
 /// Without a delay of rows, light that flickers in step with the frames would do: events of one sign must be so many times those of the other.
 const LEAN: usize = 4;
+/// Of pixels that move, so many events are enough to look at.
+const ENOUGH_EVENTS: usize = 40_000;
 /// A delay of rows counts when the readout takes at least so many parts of a period.
 const SOME_ROWS: i64 = 3;
 
@@ -109,8 +111,28 @@ impl Phases {
     }
 }
 
-/// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those that are left out.
+/// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those that are left out. Where still pixels say nothing, all are asked.
 pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Finding> {
+    let count = |pixels: &[u32], polarity: i8| -> usize {
+        let events = pixels.iter().map(|&pixel| case.events.of(pixel as usize));
+        events.map(|events| events.iter().filter(|event| event.polarity == polarity).count()).sum()
+    };
+    let (on, off) = (count(still, 1), count(still, -1));
+    let prevails = if on >= off { 1 } else { -1 };
+    let found = in_step(case, nominal, (still, prevails), on.min(off), masked, "where nothing moves");
+    found.or_else(|| {
+        let all: Vec<u32> = (0..case.extent.pixels() as u32).filter(|pixel| masked.binary_search(pixel).is_err()).collect();
+        // A share of the pixels without a pattern, for rows and columns alike.
+        let share = ENOUGH_EVENTS as f64 / case.events.all().len().max(1) as f64;
+        let is_drawn = |pixel: u32| f64::from(pixel.wrapping_mul(2_654_435_761)) < share * f64::from(u32::MAX);
+        let some: Vec<u32> = all.into_iter().filter(|&pixel| is_drawn(pixel)).collect();
+        let strongest = [1, -1].into_iter().filter_map(|polarity| in_step(case, nominal, (&some, polarity), count(&some, -polarity), masked, "of all pixels"));
+        strongest.max_by(|a, b| a.statistic.total_cmp(&b.statistic))
+    })
+}
+
+/// The test on events of one sign of some pixels, which have `other` events of the other sign; `where_from` is the word for them.
+fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), other: usize, masked: &[u32], where_from: &str) -> Option<Finding> {
     let starts: Vec<i64> = case.frames.as_ref()?.times.exposures.iter().map(|exposure| exposure.start.0).collect();
     let frames = starts.len();
     if frames < 5 {
@@ -121,12 +143,9 @@ pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -
     if !is_regular {
         return None;
     }
-    let of = |polarity: i8| still.iter().map(|&pixel| case.events.of(pixel as usize).iter().filter(|event| event.polarity == polarity).count()).sum::<usize>();
-    let (on, off) = (of(1), of(-1));
-    let (polarity, count, other) = if on >= off { (1, on, off) } else { (-1, off, on) };
     let width = case.extent.width as usize;
     let mut phases = Phases { events: Vec::new(), period, height: f64::from(case.extent.height) };
-    for &pixel in still {
+    for &pixel in pixels {
         for event in case.events.of(pixel as usize).iter().filter(|event| event.polarity == polarity) {
             let frame = starts.partition_point(|start| *start <= event.t_off_ns);
             if (1..frames).contains(&frame) {
@@ -151,7 +170,7 @@ pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -
     if nats < f64::max(NATS, NATS_AN_EVENT * phases.events.len() as f64)
         || ratio < PEAK
         || (in_step.len() as f64) < FRAMES * f64::min(counts[peak], frames as f64)
-        || !(is_row_wise || count >= LEAN * other)
+        || !(is_row_wise || phases.events.len() >= LEAN * other)
     {
         return None;
     }
@@ -171,7 +190,7 @@ pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -
         polarity: if polarity > 0 { "on" } else { "off" },
         pixels: Vec::new(),
         seen: format!(
-            "of {} {sign} events where nothing moves, {:.0} come in one fiftieth of the frame period, {:.2} ms after the start of the exposure and {:.2} us later from row to row: {ratio:.0} times their share",
+            "of {} {sign} events {where_from}, {:.0} come in one fiftieth of the frame period, {:.2} ms after the start of the exposure and {:.2} us later from row to row: {ratio:.0} times their share",
             phases.events.len(),
             counts[peak],
             since_start * 1e-6,

@@ -11,6 +11,8 @@ use crate::nominal::Nominal;
 const ROW_SIGMAS: f64 = 1.6;
 /// In this share of its pixels it must be more than both.
 const ROW_SHARE: f64 = 0.75;
+/// Its events and its frames must disagree by so many times as much as those around: a median of many pixels, which is the sharper.
+const ROW_DISAGREES: f64 = 1.2;
 /// A pixel must have this many times the spread of the comparison.
 const PIXEL_SIGMAS: f64 = 8.0;
 /// And so many events more than half as many again.
@@ -18,7 +20,7 @@ const LEAST_EXCESS: f64 = 20.0;
 /// The excess must be there in this many of [`PARTS`] parts of the recording.
 const STEADY: usize = 10;
 const PARTS: usize = 12;
-/// Its events and its frames must disagree by so many times as much as those around.
+/// And its events and its frames must disagree by so many times as much as those around.
 const DISAGREES: f64 = 2.0;
 
 /// Hot rows, and the pixels in them.
@@ -46,7 +48,7 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>) -> (Option<Finding>, Vec<u32
             steady(case, &(0..width).map(|x| y * width + x).collect::<Vec<_>>(), |pixel| quiet.iter().map(|&row| row * width + pixel % width).collect());
         let of = |row: usize| median(&mut (0..width).map(|x| disagreement(case, nominal, row * width + x)).collect::<Vec<_>>());
         let elsewhere = quiet.iter().map(|&row| of(row)).fold(0.0, f64::max);
-        if more as f64 > ROW_SHARE * width as f64 && steady >= STEADY && (elsewhere == 0.0 || of(y) > DISAGREES * elsewhere) {
+        if more as f64 > ROW_SHARE * width as f64 && steady >= STEADY && (elsewhere == 0.0 || of(y) > ROW_DISAGREES * elsewhere) {
             hot.push(y as u32);
             let here: f64 = (0..width).map(|x| count(x, y)).sum();
             let there: f64 = quiet.iter().flat_map(|&row| (0..width).map(move |x| count(x, row))).sum();

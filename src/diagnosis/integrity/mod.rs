@@ -10,13 +10,15 @@
 //! - [`stamps`]: grids and regular gaps of time stamps.
 //! - [`hot`]: rows, then pixels, that fire far more than those around them.
 //! - [`intervals`]: intervals that are too short for any light (noise, jitter), or pile up at their shortest (blind time).
+//! - [`contrary`]: events against the light, where all around goes one way (noise).
 //! - [`load`]: windows of time with one and the same count (loss), bursts in step with the frames.
 //! - [`still`]: pixels in which nothing moves, and the leak that shows there.
-//! - [`coupling`]: events there that come when their row of the frame is read.
+//! - [`coupling`]: events there, or anywhere, that come when their row of the frame is read.
 //! - [`changes`]: what the light did between two frames by the frames and by the events: late events, lost light.
 //! - [`flicker`]: one rhythm common to the whole array.
 
 pub mod changes;
+pub mod contrary;
 pub mod coupling;
 pub mod data;
 pub mod flicker;
@@ -112,6 +114,11 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     // Stamps on a coarse grid have no interval below its step.
     let says_more = |finding: &Finding| !(on_grid && finding.id == "refractory");
     found.findings.extend(intervals::findings(case, nominal, &found.masked).into_iter().filter(says_more));
+    if let Some(noise) = contrary::noise(case, &found.masked) {
+        // Its rate is counted over a longer time than that of too short reversals.
+        found.findings.retain(|finding| finding.id != noise.id);
+        found.findings.push(noise);
+    }
     if !on_grid {
         found.findings.extend(load::loss(case, &stream));
     }

@@ -32,6 +32,8 @@ const SHARE_OF_ONE: f64 = 0.1;
 /// Parts of the recording, in so many of which there must be some.
 const PARTS: usize = 12;
 const STEADY: usize = 9;
+/// Nats that a rate in proportion to the light must be better than one rate of all pixels.
+const BY_LIGHT: f64 = 10.0;
 
 /// The pixels that are still, rising; none where frames do not tell. `masked` are left out.
 pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
@@ -78,7 +80,7 @@ fn events<'a>(case: &'a Case, still: &'a [u32]) -> impl Iterator<Item = (usize, 
     still.iter().flat_map(|&pixel| case.events.of(pixel as usize).iter().map(move |event| (pixel as usize, event)))
 }
 
-/// ON events where nothing moves, all the time and in no pixel above all: the reference leaks.
+/// ON events where nothing moves, all the time and in no pixel above all: the reference leaks, by itself or by the light that falls on it.
 pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
     if still.len() < FEWEST_PIXELS {
         return None;
@@ -112,17 +114,38 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
             on[side] as f64 * libm::log(2.0 * share) + off[side] as f64 * libm::log(2.0 * (1.0 - share))
         })
         .sum();
+    let (by_light, coefficient) = by_light(case, nominal, still, rate);
+    let (id, parameter) = if by_light > BY_LIGHT { ("parasitic_leak", ("coefficient", coefficient)) } else { ("leak_events", ("rate", rate)) };
     Some(Finding {
-        id: "leak_events",
-        parameters: vec![("rate", rate)],
+        id,
+        parameters: vec![parameter],
         statistic: sigmas,
         threshold: SIGMAS,
         share: ons as f64 / case.events.all().len() as f64,
         polarity: "on",
         pixels: Vec::new(),
-        seen: format!("{} pixels in which nothing moves have {ons} ON and {offs} OFF events: {:.2} mHz a pixel more ON than OFF", still.len(), 1e3 * rate),
+        seen: format!("{} pixels in which nothing moves have {ons} ON and {offs} OFF events: {:.2} mHz a pixel more ON than OFF{}", still.len(), 1e3 * rate, if by_light > BY_LIGHT { ", the more the brighter" } else { "" }),
         heldout: Some(Heldout { nats, events: ons + offs }),
     })
+}
+
+/// Nats by which ON events of still pixels are likelier where their rate is in proportion to the light than where all have one rate, for the same number of events, less the
+/// same of OFF events, for what yet moves fires both; and the leak for a photocurrent, 1/s, that makes `rate` (Hz) of the mean light.
+fn by_light(case: &Case, nominal: &Nominal, still: &[u32], rate: f64) -> (f64, f64) {
+    let frames = case.frame_count();
+    let exposure_s = case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).unwrap_or(1) as f64 * 1e-9;
+    let light = |pixel: usize| -> f64 {
+        let sum: f64 = (0..frames).map(|frame| case.dn(frame, pixel) - nominal.number.black_level).filter(|dn| dn.is_finite()).sum();
+        sum / frames as f64 / (nominal.number.gain * exposure_s)
+    };
+    let lights: Vec<f64> = still.iter().map(|&pixel| light(pixel as usize)).collect();
+    let mean = lights.iter().sum::<f64>() / lights.len() as f64;
+    // Where the light is next to nothing, its noise would decide.
+    let nats = still.iter().zip(&lights).map(|(&pixel, &light)| {
+        let excess: f64 = case.events.of(pixel as usize).iter().map(|event| f64::from(event.polarity)).sum();
+        excess * libm::log(f64::max(light / mean, 0.01))
+    });
+    (nats.sum(), rate * nominal.pixel.threshold_on / mean)
 }
 
 /// By how much still pixels grow brighter over the recording, natural-log units: the least that a straight line through the means of the frames allows (two standard
