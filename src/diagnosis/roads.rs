@@ -57,6 +57,8 @@ fn run_refit(case: &Case, biases: Option<&Floor>) -> Result<Road, String> {
 
 /// The road that refits.
 pub const REFIT: &str = "refit";
+/// What all pixels say to first order, which is part of that road.
+pub const CLOSURES: &str = "closures";
 /// The road that compares summaries with those of every effect on the recording's own scene.
 pub const SYNTHESIS: &str = "synthesis";
 /// Share of the cost that an effect must take away on pixels that it was not fitted to; nulls of other people's simulators reach 0.1.
@@ -177,6 +179,7 @@ fn unexplained(law: &Law) -> Option<Unexplained> {
         score: law.taken / LEAST_LAW,
         nats: law.nats_per_change,
         law: Some(law.clone()),
+        hardly: Vec::new(),
     })
 }
 

@@ -12,7 +12,7 @@ use crate::integrity::{Finding, Integrity};
 use crate::nominal::Nominal;
 use crate::open::Law;
 use crate::report::{Detectable, NotTestable, Verdict};
-use crate::roads::REFIT;
+use crate::roads::{CLOSURES, REFIT};
 use photocurrent_sensor::effects::{Unit, catalogue};
 use serde::{Deserialize, Serialize};
 
@@ -52,6 +52,9 @@ pub struct Unexplained {
     pub nats: f64,
     /// As it was measured.
     pub law: Option<Law>,
+    /// Effects that were tried for it and are believed too little to be its name.
+    #[serde(default)]
+    pub hardly: Vec<String>,
 }
 
 /// What one road found.
@@ -137,6 +140,8 @@ const BESIDE: f64 = 2.0;
 const HALF: f64 = 3.2;
 /// An effect with this share of the best refit's probability is told with it.
 const DOUBT: f64 = 0.25;
+/// What refits or all pixels name and other pixels believe less than this in is no name: a quarter of what a contest gives away.
+const NO_NAME: f64 = 0.2;
 /// The largest set that is told.
 const LARGEST_SET: usize = 3;
 
@@ -159,7 +164,11 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
         }
         None => side_by_side(&speaking, &claims),
     };
-    claims.extend(more);
+    let is_hardly_believed = |claim: &Claim| claim.found_by.first().is_some_and(|by| by == REFIT || by == CLOSURES) && claim.belief.is_some_and(|belief| belief < NO_NAME);
+    // Something is there, and it has no name; a second was looked for beside the first, and goes with it.
+    let hardly = more.first().filter(|first| claims.is_empty() && is_hardly_believed(first)).map(nameless);
+    claims.extend(more.into_iter().take_while(|claim| !is_hardly_believed(claim)));
+    let unexplained = unexplained.or(hardly);
     claims.sort_by(|a, b| b.score.total_cmp(&a.score));
     let verdict = match (&claims[..], &unexplained) {
         ([], _) if is_numerical => Verdict::Numerical,
@@ -171,6 +180,21 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
     };
     let unexplained = unexplained.filter(|_| verdict == Verdict::Unnamed);
     Answer { verdict, claims, unexplained }
+}
+
+/// What differs where a claim is hardly believed: where and over what the nearest effect would have it.
+fn nameless(claim: &Claim) -> Unexplained {
+    let ids = std::iter::once(claim.id).chain(claim.also_possible.iter().copied());
+    let nearest = catalogue().into_iter().find(|kind| kind.decl.id == claim.id).map(|kind| kind.decl);
+    Unexplained {
+        covariate: nearest.map_or_else(String::new, |decl| decl.covariate.to_owned()),
+        equation: nearest.map_or_else(String::new, |decl| format!("not known; nearest is {}", decl.equation)),
+        insertion: nearest.map_or_else(String::new, |decl| decl.stage.name().to_owned()),
+        score: claim.score,
+        nats: claim.heldout_nats.unwrap_or(0.0),
+        law: None,
+        hardly: ids.map(str::to_owned).collect(),
+    }
 }
 
 /// Claims of roads of equal standing, beside what is known.
@@ -268,7 +292,7 @@ fn first_order(proposals: &[Proposal]) -> Option<Claim> {
         values: vec![(best.candidate, best.value, best.ci95)],
         score: best.score,
         belief: Some(best.probability),
-        found_by: vec!["closures".into()],
+        found_by: vec![CLOSURES.into()],
         heldout_nats: None,
         heldout_nats_per_event: None,
         finding: None,
