@@ -78,6 +78,29 @@ fn on_events_at_any_time_where_nothing_moves_are_a_leak_with_their_rate() {
 }
 
 #[test]
+fn a_leak_that_grows_with_the_light_is_the_lights() {
+    // Brighter from row to row, up to thirty-nine times; events in proportion.
+    let bright = |pixel: usize| 1.0 + (pixel / WIDTH) as f64;
+    let mut case = camera(|_, random| loop {
+        let pixel = pixel(random);
+        if random.uniform() * HEIGHT as f64 <= bright(pixel) {
+            break (any_time(random), pixel, 1);
+        }
+    });
+    let frames = case.frames.as_mut().unwrap();
+    frames.dn.iter_mut().enumerate().for_each(|(k, dn)| *dn = (f64::from(*dn) + 40.0 * bright(k % (WIDTH * HEIGHT))) as f32);
+    let (still, leak, _) = found(&case);
+    let leak = leak.unwrap();
+    assert_eq!(leak.id, "parasitic_leak");
+    // 0.2 a threshold, one event in so many pixels and seconds for the mean light.
+    let nominal = Nominal::new(&case).unwrap();
+    let light = |row: f64| (80.0 + 40.0 * (1.0 + row) - nominal.number.black_level) / (nominal.number.gain * 500e-6);
+    let mean = (0..HEIGHT).map(|row| light(row as f64)).sum::<f64>() / HEIGHT as f64;
+    let rate = 150.0 / still as f64;
+    assert!((value(&leak, "coefficient") / (rate * nominal.pixel.threshold_on / mean) - 1.0).abs() < 0.1, "{leak:?}");
+}
+
+#[test]
 fn on_events_of_one_pixel_or_of_one_moment_are_no_leak() {
     assert!(found(&camera(|_, random| (any_time(random), 5 * WIDTH + 5, 1))).1.is_none());
     assert!(found(&camera(|_, random| (300_000_000 + any_time(random) / 20, pixel(random), 1))).1.is_none());

@@ -197,6 +197,75 @@ fn random_events_of_both_signs_are_background_activity() {
     assert!(rate > 5.0 && rate < 30.0, "{rate}");
 }
 
+/// 24 x 20 pixels over which a wide wave moves: bursts of ten events of a sign, at nearly the same times in neighbours.
+fn wide_wave() -> Case {
+    let mut random = Random::new(15, &[1]);
+    with(bursts(1000), |pixel, events| {
+        events.clear();
+        let (mut t, mut polarity) = (1_000_000 + (pixel % 24) as i64 * 400_000, 1);
+        while t < 290_000_000 {
+            for _ in 0..10 {
+                let stamp = (t + (random.uniform() * 3e5) as i64) / 1000 * 1000;
+                events.push(Recorded { t_in_ns: stamp, t_off_ns: stamp, polarity });
+                t += 2_500_000;
+            }
+            t += 6_000_000;
+            polarity = -polarity;
+        }
+    })
+}
+
+#[test]
+fn events_against_the_light_are_noise_with_its_rate() {
+    assert_eq!(of(&wide_wave()).findings, []);
+    let mut random = Random::new(16, &[]);
+    let noisy = |on: usize, off: usize, random: &mut Random| {
+        with(wide_wave(), |_, events| {
+            add(events, random, on, 1);
+            add(events, random, off, -1);
+        })
+    };
+    // Three of each sign in 0.3 s: 20 a second and pixel.
+    let found = contrary::noise(&noisy(3, 3, &mut random), &[]).unwrap();
+    assert!((value(&found, "rate") / 20.0 - 1.0).abs() < 0.3, "{found:?}");
+    assert_eq!(found.polarity, "both");
+    let found = contrary::noise(&noisy(5, 0, &mut random), &[]).unwrap();
+    assert!((value(&found, "rate") / 16.7 - 1.0).abs() < 0.3, "{found:?}");
+    assert_eq!(found.polarity, "on");
+    // All from one corner: something there, but not noise of all pixels.
+    let corner = with(wide_wave(), |pixel, events| {
+        if pixel == 26 || pixel == 52 {
+            add(events, &mut random, 60, 1);
+            add(events, &mut random, 60, -1);
+        }
+    });
+    assert!(contrary::noise(&corner, &[]).is_none());
+}
+
+#[test]
+fn a_strong_kick_at_the_readout_shows_where_all_moves() {
+    let exposures = (0..15).map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000)).collect();
+    let frames = crate::case::CaseFrames {
+        times: photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
+        // No pixel stands still.
+        dn: (0..15 * 480).map(|k| 100.0 + 40.0 * ((k / 480) % 2) as f32 + (k % 7) as f32).collect(),
+    };
+    let quiet = Case { frames: Some(frames), ..bursts(1000) };
+    assert!(of(&quiet).findings.is_empty());
+    // ON events 9.1 ms after the start of the frame, 100 us later from row to row; the others are of the scene, OFF more often than ON.
+    let coupled = with(quiet, |pixel, events| {
+        events.retain(|event| event.polarity < 0 || event.t_in_ns % 3_000 == 0);
+        events.extend((0..15).map(|l| {
+            let t = l * 20_000_000 + 9_100_000 + (pixel / 24) as i64 * 100_000;
+            Recorded { t_in_ns: t, t_off_ns: t, polarity: 1 }
+        }));
+    });
+    let found = of(&coupled);
+    let coupling = found.findings.iter().find(|finding| finding.id == "frame_coupling").unwrap_or_else(|| panic!("{found:?}"));
+    assert_eq!(coupling.polarity, "on");
+    assert!((value(coupling, "row_time") - 100e-6).abs() < 2e-6 && (value(coupling, "phase") - 9.1e-3).abs() < 0.3e-3, "{coupling:?}");
+}
+
 #[test]
 fn windows_that_are_full_have_lost_events() {
     let case = bursts(1000);
