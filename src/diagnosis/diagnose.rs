@@ -168,7 +168,7 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     let values: Vec<(usize, f64)> = answer.claims.iter().flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value))).collect();
     let mut changed = (!values.is_empty()).then(|| fitted(&case.sensor, &nominal, &scales, &values));
     if let Some(changed) = &mut changed {
-        answer.claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| put_beside(changed, finding.id, &finding.parameters));
+        answer.claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| put_beside(&mut changed.effects, finding.id, &finding.parameters));
     }
     tell("proof");
     let predictions = match &sample {
@@ -222,7 +222,7 @@ pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Inte
     let rest = integrity.findings.iter().filter(|finding| !matches!(finding.id, "hot_rows" | "hot_pixels"));
     let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
     amended.sensor = fitted(&case.sensor, nominal, scales, &values);
-    rest.for_each(|finding| put_beside(&mut amended.sensor, finding.id, &finding.parameters));
+    rest.for_each(|finding| put_beside(&mut amended.sensor.effects, finding.id, &finding.parameters));
     if let Some(step) = values.iter().find(|(which, _)| CANDIDATES[*which].id == "timestamp_quantization").map(|(_, step)| *step) {
         amended.t_resolution_ns = (step * 1e9).round() as i64;
     }
@@ -285,7 +285,7 @@ fn report(
     }
     let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
     let first = roads.iter().find(|road| road.nats_per_event.is_some());
-    let nats = first.and_then(|road| road.nats_per_event).filter(|_| !effects.is_empty()).map(|(before, after)| BeforeAfter { before, after });
+    let nats = first.and_then(|road| road.nats_per_event).filter(|_| !answer.claims.is_empty()).map(|(before, after)| BeforeAfter { before, after });
     // What solve/pixel cannot undo, the comparison can.
     let kept = comparison.and_then(|comparison| Some(BeforeAfter { before: comparison.before().kept_psnr_db?, after: comparison.after()?.kept_psnr_db? }));
     let is_undone = comparison.is_some_and(|comparison| comparison.steps.iter().any(|step| step.id.is_some() && !step.is_random));
@@ -308,7 +308,7 @@ fn report(
         summary: summary(integrity, answer),
         not_testable: not_testable(case, roads).into_iter().filter(|one| answer.claims.iter().all(|claim| claim.id != one.id)).collect(),
         next_experiment: crate::advice::next_experiments(case, answer, integrity),
-        residual_left: roads.iter().find_map(|road| road.residual_left).filter(|_| !effects.is_empty()),
+        residual_left: roads.iter().find_map(|road| road.residual_left).filter(|_| !answer.claims.is_empty()),
         effects,
         fit: Fit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks },
         detectability,

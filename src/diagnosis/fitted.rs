@@ -5,6 +5,7 @@
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::nominal::Nominal;
+use crate::record::Described;
 use crate::report::six_digits;
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
@@ -31,8 +32,8 @@ pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usi
 
 /// Puts numbers of an effect that are no candidates of their own (the phase of a coupling, the rate of hot pixels) beside those that are; each in the unit of its
 /// declaration. Nothing where the description does not state the effect under `[effects]`.
-pub fn put_beside(sensor: &mut Sensor, id: &str, numbers: &[(&'static str, f64)]) {
-    let Some(stated) = sensor.effects.get_mut(id) else { return };
+pub fn put_beside(effects: &mut Described, id: &str, numbers: &[(&'static str, f64)]) {
+    let Some(stated) = effects.get_mut(id) else { return };
     let Some(decl) = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == id) else { return };
     for (name, value) in numbers.iter().filter(|(name, _)| Candidate::find(id, name).is_none()) {
         let value = six_digits(*value);
@@ -123,9 +124,9 @@ mod tests {
     #[test]
     fn numbers_that_are_not_sought_stand_beside_those_that_are() {
         let mut sensor = fitted_with(&[("frame_coupling", "step", 0.03), ("hot_pixels", "fraction", 0.002)]);
-        put_beside(&mut sensor, "frame_coupling", &[("step", 0.5), ("period", 0.04), ("phase", 4.7e-4), ("row_time", 35.25e-6)]);
-        put_beside(&mut sensor, "hot_pixels", &[("rate", 900.0)]);
-        put_beside(&mut sensor, "hot_rows", &[("rate", 900.0)]);
+        put_beside(&mut sensor.effects, "frame_coupling", &[("step", 0.5), ("period", 0.04), ("phase", 4.7e-4), ("row_time", 35.25e-6)]);
+        put_beside(&mut sensor.effects, "hot_pixels", &[("rate", 900.0)]);
+        put_beside(&mut sensor.effects, "hot_rows", &[("rate", 900.0)]);
         let coupling = &sensor.effects["frame_coupling"];
         assert!((coupling["step"].as_f64().unwrap() - 0.03).abs() < 1e-12);
         assert_eq!(["period", "phase", "row_time"].map(|name| coupling[name].clone()), ["40000000 ns", "470000 ns", "35250 ns"].map(|text| json!(text)));

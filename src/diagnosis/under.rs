@@ -35,6 +35,10 @@ const MIXING: u64 = 0x0b1a;
 const RESCALING: u64 = 0x1e51;
 /// Signals that are mixed are at least this, DN.
 const LEAST_SIGNAL_DN: f64 = 0.5;
+/// What a kick fires is stamped no more than this, and a step of the stamps, before it, ns.
+const KICKED_NS: i64 = 2_000;
+/// A kick of the front end fades in so many steps.
+const FADING: i32 = 12;
 /// Light behind the lens is at least this share of what the pixel sees.
 const LEAST_SHARE: f64 = 0.02;
 
@@ -158,7 +162,7 @@ impl<'a> Under<'a> {
             events.retain(|event| event.t_in_ns >= first_ns);
         }
         let refractory_ns = self.effects.iter().fold(nominal.pixel.refractory_ns, |refractory_ns, effect| effect.refractory_ns(&site, usual, refractory_ns));
-        let since = self.since(&site, &events, refractory_ns, usual);
+        let since = self.since(&site, &events, &front_end, refractory_ns, usual);
         let beyond = beyond(&since, &events, &thresholds);
         let sensor = MapSensor { front_end, threshold_on: thresholds.on, threshold_off: thresholds.off, refractory_ns, ..nominal.map_sensor() };
         (Told { data: (events, frames), sensor, beyond }, since)
@@ -181,7 +185,7 @@ impl<'a> Under<'a> {
     }
 
     /// What the interval before each event has of its own, and the silent end: thresholds of that moment, what the reset left, drift and kicks since then.
-    fn since(&self, site: &Site, events: &[MapEvent], refractory_ns: i64, light: f64) -> Vec<Since> {
+    fn since(&self, site: &Site, events: &[MapEvent], front_end: &FrontEnd, refractory_ns: i64, light: f64) -> Vec<Since> {
         let nominal = &self.trial.nominal;
         let (start_ns, end_ns) = self.case.span;
         let mut random = Random::new(0, &[]);
@@ -193,7 +197,9 @@ impl<'a> Under<'a> {
             drift_per_s += leak.constant_per_s + leak.per_photocurrent_per_s * light;
             effect.kicks(site, start_ns, end_ns, &mut kicks);
         }
-        kicks.retain(|kick| kick.target == KickTarget::Comparator);
+        let kicks = standing(&kicks, (front_end.tau_0_s + front_end.alpha_s / light) * 1e9);
+        let late_ns = self.case.t_resolution_ns + KICKED_NS;
+        let mut told = 0;
         let mut history = History::default();
         let mut reset_ns = start_ns;
         let mut left = 0.0;
@@ -204,8 +210,19 @@ impl<'a> Under<'a> {
                 effect.thresholds(site, &history, &mut random, reset_ns, &mut now);
             }
             let until_ns = end.map_or(end_ns, |event| event.t_in_ns);
-            let within = kicks.iter().filter(|kick| kick.t_ns >= reset_ns && kick.t_ns < until_ns).map(|kick| (kick.t_ns, kick.change));
-            all.push(Since { thresholds: [now.on, now.off], left, drift_per_s, kicks: within.collect(), reset_ns });
+            // What a kick fires comes with it, and the stamps of both are rounded.
+            let next = kicks.partition_point(|kick| kick.0 < until_ns + late_ns).max(told);
+            let mut within: Vec<(i64, f64)> = kicks[told..next].iter().filter(|kick| kick.0 >= reset_ns).copied().collect();
+            told = next;
+            // Of a kick that fires, half was still missing on average.
+            let mut unused = 0.0;
+            if let Some(event) = end
+                && let Some(kick) = within.last_mut().filter(|kick| (kick.0 - until_ns).abs() <= late_ns && kick.1 * f64::from(event.polarity) > 0.0)
+            {
+                unused = 0.5 * kick.1;
+                kick.1 -= unused;
+            }
+            all.push(Since { thresholds: [now.on, now.off], left, drift_per_s, kicks: within, reset_ns });
             let Some(event) = end else { break };
             let step = signed_step(event.polarity, now.on, now.off);
             let burst_index = match history.last_event {
@@ -215,6 +232,9 @@ impl<'a> Under<'a> {
             let last_event = Some(LastEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity, overshoot: 0.0 });
             history = History { last_event, events: history.events + 1, burst_index };
             left = self.effects.iter().fold(step, |reference, effect| effect.reference(site, &history, &mut random, reference, 0.0)) - step;
+            if nominal.reset != Reset::Resample {
+                left -= unused;
+            }
             reset_ns = if nominal.reset == Reset::Resample { event.t_off_ns + refractory_ns } else { event.t_in_ns };
         }
         all
@@ -239,6 +259,19 @@ impl<'a> Under<'a> {
         }
         Ok((scene, recording))
     }
+}
+
+/// Kicks in order of time (ns, change of what is compared). One of the front end fades with its time constant, here in equal steps down at the middles of equal parts.
+fn standing(kicks: &[Kick], tau_ns: f64) -> Vec<(i64, f64)> {
+    let steps = |kick: &Kick| {
+        let fades = if kick.target == KickTarget::FrontEnd { FADING } else { 0 };
+        let (t_ns, step) = (kick.t_ns, kick.change / f64::from(FADING));
+        let down = (0..fades).map(move |n| (t_ns - (tau_ns * libm::log(1.0 - (f64::from(n) + 0.5) / f64::from(FADING))).round() as i64, -step));
+        std::iter::once((t_ns, kick.change)).chain(down)
+    };
+    let mut all: Vec<(i64, f64)> = kicks.iter().flat_map(steps).collect();
+    all.sort_by_key(|kick| kick.0);
+    all
 }
 
 /// The slower of two poles, and the faster as a delay, ns, at some light: their squares add up, and one pole of their sum would be softer by twice their product.
@@ -363,6 +396,25 @@ mod tests {
             let (stated, own) = costs(effects.clone());
             assert!(own < 0.6 * stated, "{effects}: {own} against {stated}");
         }
+    }
+
+    #[test]
+    fn a_strong_kick_at_the_readout_is_undone() {
+        // A weak one fires what a small error of the light decides, and agrees no better than none.
+        let (stated, own) = costs(json!({"frame_coupling": {"step": 0.15, "period": "8 ms", "phase": "3 ms", "row_time": "20 us"}}));
+        assert!(own < 0.8 * stated, "{own} against {stated}");
+    }
+
+    #[test]
+    fn a_kick_of_the_front_end_fades() {
+        let kick = |t_ns: i64, target| Kick { t_ns, change: 0.2, target };
+        let all = standing(&[kick(5_000, KickTarget::FrontEnd), kick(1_000, KickTarget::Comparator)], 1e6);
+        assert_eq!(all[..2], [(1_000, 0.2), (5_000, 0.2)]);
+        // After one time constant 0.37 of it stands, and in the end nothing; the area is that of the exponential.
+        let at = |t_ns: i64| all.iter().skip(1).filter(|step| step.0 <= t_ns).map(|step| step.1).sum::<f64>();
+        assert!((at(1_005_000) - 0.2 * libm::exp(-1.0)).abs() < 0.2 / 8.0 && at(9_000_000).abs() < 1e-12);
+        let area: f64 = all.iter().skip(1).map(|step| -step.1 * (step.0 - 5_000) as f64).sum();
+        assert!((area / 0.2e6 - 1.0).abs() < 0.1, "{area}");
     }
 
     #[test]

@@ -14,6 +14,7 @@ use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::case::{Case, PixelEvents, Recorded};
 use crate::deviation::unstated_frame_noise;
 use crate::faithful::faithful;
+use crate::fitted::put_beside;
 use crate::heldout::kept_back;
 use crate::mismatch::{Mismatch, for_each_cost, mismatch};
 use crate::nominal::Nominal;
@@ -232,6 +233,10 @@ impl<'a> Ground<'a> {
         let mut steps = vec![];
         for claim in claims.iter().filter(|claim| !claim.values.is_empty() && !matches!(claim.id, "hot_pixels" | "hot_rows")) {
             let is_random = described.put(&claim.values, self.nominal, self.scales);
+            if let Some(finding) = &claim.finding {
+                let Described { seen, whole, .. } = &mut described;
+                [seen, whole].into_iter().for_each(|trial| put_beside(&mut trial.effects, finding.id, &finding.parameters));
+            }
             let before = steps.last().map_or(&self.before.0, |(step, _): &(Step, Option<View>)| step).clone();
             steps.push(look(&self.refit(), &described, Some(claim.id), Some(&before).filter(|_| is_random))?);
         }
