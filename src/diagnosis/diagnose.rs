@@ -275,7 +275,12 @@ fn report(
         effects.push(EffectReport {
             id: "unnamed".into(),
             also_possible: found.hardly.clone(),
-            plain: if found.hardly.is_empty() { "something that no effect of the catalogue explains" } else { "something that differs, and for which no effect is believed enough to be its name" }.into(),
+            plain: if found.hardly.is_empty() {
+                "something that no effect of the catalogue explains"
+            } else {
+                "something that differs, and for which no effect is believed enough to be its name"
+            }
+            .into(),
             equation: found.equation.clone(),
             insertion: found.insertion.clone(),
             parameters: Default::default(),

@@ -164,7 +164,8 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
         }
         None => side_by_side(&speaking, &claims),
     };
-    let is_hardly_believed = |claim: &Claim| claim.found_by.first().is_some_and(|by| by == REFIT || by == CLOSURES) && claim.belief.is_some_and(|belief| belief < NO_NAME);
+    let is_hardly_believed =
+        |claim: &Claim| claim.found_by.first().is_some_and(|by| by == REFIT || by == CLOSURES) && claim.belief.is_some_and(|belief| belief < NO_NAME);
     // Something is there, and it has no name; a second was looked for beside the first, and goes with it.
     let hardly = more.first().filter(|first| claims.is_empty() && is_hardly_believed(first)).map(nameless);
     claims.extend(more.into_iter().take_while(|claim| !is_hardly_believed(claim)));

@@ -127,7 +127,8 @@ fn nothing_over_its_alarm_is_consistent_and_something_unexplained_has_no_name() 
 
 #[test]
 fn what_is_hardly_believed_is_no_name() {
-    let refit = |belief: f64, second: f64| Road { second: vec![proposal("black_level", "black_level_dn", 2.0, second, 9.0)], ..road("refit", vec![leak(3.0, belief)]) };
+    let refit =
+        |belief: f64, second: f64| Road { second: vec![proposal("black_level", "black_level_dn", 2.0, second, 9.0)], ..road("refit", vec![leak(3.0, belief)]) };
     let ids = |answer: &Answer| answer.claims.iter().map(|claim| claim.id).collect::<Vec<_>>();
     let hardly = answer(&[refit(0.15, 0.8)]);
     assert_eq!((hardly.verdict, ids(&hardly)), (Verdict::Unnamed, vec![]));

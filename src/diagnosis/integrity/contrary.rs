@@ -73,18 +73,16 @@ pub fn noise(case: &Case, masked: &[u32]) -> Option<Finding> {
         let (x, y) = (pixel % width, pixel / width);
         let rows = y.saturating_sub(1)..(y + 2).min(height);
         let columns = x.saturating_sub(1)..(x + 2).min(width);
-        let around: Vec<usize> = rows
-            .flat_map(|row| columns.clone().map(move |column| row * width + column))
-            .filter(|&other| other != pixel && !is_masked(other))
-            .collect();
+        let around: Vec<usize> =
+            rows.flat_map(|row| columns.clone().map(move |column| row * width + column)).filter(|&other| other != pixel && !is_masked(other)).collect();
         let events = case.events.of(pixel);
         for (at, start) in events.iter().enumerate() {
             // The next of the same sign, with one of the other sign between them at most.
             let Some(ahead) = (1..=2).find(|ahead| events.get(at + ahead).is_some_and(|event| event.polarity == start.polarity)) else { continue };
             let span = (start.t_in_ns, events[at + ahead].t_in_ns);
             let (with, other) = if start.polarity > 0 { (&signs[1], &signs[0]) } else { (&signs[0], &signs[1]) };
-            let goes_one_way = around.iter().map(|&near| with.between(near, span)).sum::<usize>() >= NEIGHBOURS
-                && around.iter().all(|&near| other.between(near, span) == 0);
+            let goes_one_way =
+                around.iter().map(|&near| with.between(near, span)).sum::<usize>() >= NEIGHBOURS && around.iter().all(|&near| other.between(near, span) == 0);
             if goes_one_way {
                 let against = if start.polarity > 0 { &mut off } else { &mut on };
                 against.seconds += (span.1 - span.0) as f64 * 1e-9;

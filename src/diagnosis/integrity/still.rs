@@ -124,7 +124,12 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
         share: ons as f64 / case.events.all().len() as f64,
         polarity: "on",
         pixels: Vec::new(),
-        seen: format!("{} pixels in which nothing moves have {ons} ON and {offs} OFF events: {:.2} mHz a pixel more ON than OFF{}", still.len(), 1e3 * rate, if by_light > BY_LIGHT { ", the more the brighter" } else { "" }),
+        seen: format!(
+            "{} pixels in which nothing moves have {ons} ON and {offs} OFF events: {:.2} mHz a pixel more ON than OFF{}",
+            still.len(),
+            1e3 * rate,
+            if by_light > BY_LIGHT { ", the more the brighter" } else { "" }
+        ),
         heldout: Some(Heldout { nats, events: ons + offs }),
     })
 }

@@ -81,10 +81,12 @@ fn on_events_at_any_time_where_nothing_moves_are_a_leak_with_their_rate() {
 fn a_leak_that_grows_with_the_light_is_the_lights() {
     // Brighter from row to row, up to thirty-nine times; events in proportion.
     let bright = |pixel: usize| 1.0 + (pixel / WIDTH) as f64;
-    let mut case = camera(|_, random| loop {
-        let pixel = pixel(random);
-        if random.uniform() * HEIGHT as f64 <= bright(pixel) {
-            break (any_time(random), pixel, 1);
+    let mut case = camera(|_, random| {
+        loop {
+            let pixel = pixel(random);
+            if random.uniform() * HEIGHT as f64 <= bright(pixel) {
+                break (any_time(random), pixel, 1);
+            }
         }
     });
     let frames = case.frames.as_mut().unwrap();
