@@ -221,8 +221,15 @@ fn led(refit: &Road, others: &[Road], known: &[Claim]) -> Vec<Claim> {
     let least = if known.is_empty() { 1.0 } else { BESIDE };
     let found = if refit.alarm { refitted(&refit.proposals, others, least) } else { None };
     let Some(first) = found else {
+        // Variances that all pixels share are of chance or of light that errs: another road has to put such a name first as well.
+        let is_seconded = |one: &&Proposal| {
+            let puts_first =
+                |road: &Road| road.alarm && road.proposals.first().is_some_and(|first| CANDIDATES[first.candidate].id == CANDIDATES[one.candidate].id);
+            !is_random(one) || others.iter().any(puts_first)
+        };
+        let seconded: Vec<Proposal> = refit.to_first_order.iter().filter(is_seconded).cloned().collect();
         // What a direct finding leaves of chance looks like chance.
-        let alone = || first_order(&refit.to_first_order).or_else(|| strongest(&of_chance, |road| &road.proposals, ALONE));
+        let alone = || first_order(&seconded).or_else(|| strongest(&of_chance, |road| &road.proposals, ALONE));
         if known.is_empty() {
             return alone().into_iter().collect();
         }
@@ -230,7 +237,7 @@ fn led(refit: &Road, others: &[Road], known: &[Claim]) -> Vec<Claim> {
         if known.iter().any(|claim| claim.id == "event_loss") {
             return Vec::new();
         }
-        let rest: Vec<Proposal> = refit.to_first_order.iter().filter(|one| !CANDIDATES[one.candidate].is_random).cloned().collect();
+        let rest: Vec<Proposal> = seconded.into_iter().filter(|one| !is_random(one)).collect();
         return first_order(&rest).filter(|first| first.score >= least).into_iter().collect();
     };
     // What leaves much unexplained may be chance that all others name.

@@ -188,6 +188,11 @@ fn all_pixels_name_where_no_refit_does_and_a_second_beside_one_that_does() {
     let silent = Road { alarm: false, to_first_order: vec![gradient()], ..road(crate::roads::REFIT, Vec::new()) };
     let alone = answer(&[silent]);
     assert_eq!(alone.claims.iter().map(|claim| (claim.id, claim.found_by.clone())).collect::<Vec<_>>(), [("threshold_gradient", vec!["closures".to_owned()])]);
+    // A variance needs another road that puts its name first.
+    let mismatch = |score: f64| proposal("threshold_mismatch", "sigma", score, 0.5, 0.04);
+    let spread = || Road { alarm: false, to_first_order: vec![mismatch(2.0)], ..road(crate::roads::REFIT, Vec::new()) };
+    assert_eq!(answer(&[spread()]).verdict, Verdict::Consistent);
+    assert_eq!(answer(&[spread(), road("synthesis", vec![mismatch(1.5)])]).claims[0].id, "threshold_mismatch");
     let refit =
         |second: Proposal| Road { second_to_first_order: vec![second], ..road(crate::roads::REFIT, vec![proposal("clock_drift", "rate", 4.0, 0.9, 0.01)]) };
     let said = |road: Road| answer(&[road]).claims.iter().map(|claim| claim.id).collect::<Vec<_>>();

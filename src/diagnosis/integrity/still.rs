@@ -32,8 +32,10 @@ const SHARE_OF_ONE: f64 = 0.1;
 /// Parts of the recording, in so many of which there must be some.
 const PARTS: usize = 12;
 const STEADY: usize = 9;
-/// Nats that a rate in proportion to the light must be better than one rate of all pixels.
+/// Nats that a rate which grows with the light must be better than one rate of all pixels.
 const BY_LIGHT: f64 = 10.0;
+/// And nats that a rate in proportion to the light may be worse than one that has a part without light.
+const ALL_BY_LIGHT: f64 = 3.0;
 
 /// The pixels that are still, rising; none where frames do not tell. `masked` are left out.
 pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
@@ -114,8 +116,13 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
             on[side] as f64 * libm::log(2.0 * share) + off[side] as f64 * libm::log(2.0 * (1.0 - share))
         })
         .sum();
-    let (by_light, coefficient) = by_light(case, nominal, still, rate);
-    let (id, parameter) = if by_light > BY_LIGHT { ("parasitic_leak", ("coefficient", coefficient)) } else { ("leak_events", ("rate", rate)) };
+    let light = ByLight::of(case, nominal, still);
+    let (id, parameter) = if light.grows > BY_LIGHT && light.in_proportion > light.grows - ALL_BY_LIGHT {
+        ("parasitic_leak", ("coefficient", rate * nominal.pixel.threshold_on / light.mean))
+    } else {
+        ("leak_events", ("rate", rate))
+    };
+    let the_brighter = if light.grows > BY_LIGHT { ", the more the brighter" } else { "" };
     Some(Finding {
         id,
         parameters: vec![parameter],
@@ -125,32 +132,42 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
         polarity: "on",
         pixels: Vec::new(),
         seen: format!(
-            "{} pixels in which nothing moves have {ons} ON and {offs} OFF events: {:.2} mHz a pixel more ON than OFF{}",
+            "{} pixels in which nothing moves have {ons} ON and {offs} OFF events: {:.2} mHz a pixel more ON than OFF{the_brighter}",
             still.len(),
-            1e3 * rate,
-            if by_light > BY_LIGHT { ", the more the brighter" } else { "" }
+            1e3 * rate
         ),
         heldout: Some(Heldout { nats, events: ons + offs }),
     })
 }
 
-/// Nats by which ON events of still pixels are likelier where their rate is in proportion to the light than where all have one rate, for the same number of events, less the
-/// same of OFF events, for what yet moves fires both; and the leak for a photocurrent, 1/s, that makes `rate` (Hz) of the mean light.
-fn by_light(case: &Case, nominal: &Nominal, still: &[u32], rate: f64) -> (f64, f64) {
-    let frames = case.frame_count();
-    let exposure_s = case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).unwrap_or(1) as f64 * 1e-9;
-    let light = |pixel: usize| -> f64 {
-        let sum: f64 = (0..frames).map(|frame| case.dn(frame, pixel) - nominal.number.black_level).filter(|dn| dn.is_finite()).sum();
-        sum / frames as f64 / (nominal.number.gain * exposure_s)
-    };
-    let lights: Vec<f64> = still.iter().map(|&pixel| light(pixel as usize)).collect();
-    let mean = lights.iter().sum::<f64>() / lights.len() as f64;
-    // Where the light is next to nothing, its noise would decide.
-    let nats = still.iter().zip(&lights).map(|(&pixel, &light)| {
-        let excess: f64 = case.events.of(pixel as usize).iter().map(|event| f64::from(event.polarity)).sum();
-        excess * libm::log(f64::max(light / mean, 0.01))
-    });
-    (nats.sum(), rate * nominal.pixel.threshold_on / mean)
+/// How ON events of still pixels, less OFF events (for what yet moves fires both), go with the light: nats over one rate of all pixels.
+struct ByLight {
+    /// Of a rate in proportion to the light.
+    in_proportion: f64,
+    /// Of the best mixture of both.
+    grows: f64,
+    /// Mean light, photocurrent.
+    mean: f64,
+}
+
+impl ByLight {
+    fn of(case: &Case, nominal: &Nominal, still: &[u32]) -> ByLight {
+        let frames = case.frame_count();
+        let exposure_s = case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).unwrap_or(1) as f64 * 1e-9;
+        let light = |pixel: usize| -> f64 {
+            let sum: f64 = (0..frames).map(|frame| case.dn(frame, pixel) - nominal.number.black_level).filter(|dn| dn.is_finite()).sum();
+            sum / frames as f64 / (nominal.number.gain * exposure_s)
+        };
+        let lights: Vec<f64> = still.iter().map(|&pixel| light(pixel as usize)).collect();
+        let mean = lights.iter().sum::<f64>() / lights.len() as f64;
+        let excess = |pixel: u32| case.events.of(pixel as usize).iter().map(|event| f64::from(event.polarity)).sum::<f64>();
+        let net: Vec<(f64, f64)> =
+            still.iter().zip(&lights).map(|(&pixel, light)| (excess(pixel), light / mean)).filter(|(excess, _)| *excess != 0.0).collect();
+        // Where the light is next to nothing, its noise would decide.
+        let nats = |share: f64| net.iter().map(|(excess, light)| excess * libm::log(f64::max(1.0 - share + share * light, 0.01))).sum::<f64>();
+        let grows = (0..=20).map(|k| nats(f64::from(k) / 20.0)).fold(f64::NEG_INFINITY, f64::max);
+        ByLight { in_proportion: nats(1.0), grows, mean }
+    }
 }
 
 /// By how much still pixels grow brighter over the recording, natural-log units: the least that a straight line through the means of the frames allows (two standard

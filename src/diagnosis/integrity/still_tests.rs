@@ -103,6 +103,22 @@ fn a_leak_that_grows_with_the_light_is_the_lights() {
 }
 
 #[test]
+fn a_leak_of_which_a_part_grows_with_the_light_is_a_leak() {
+    let bright = |pixel: usize| 1.0 + (pixel / WIDTH) as f64;
+    let mut case = camera(|n, random| {
+        loop {
+            let pixel = pixel(random);
+            if n % 3 != 0 || random.uniform() * HEIGHT as f64 <= bright(pixel) {
+                break (any_time(random), pixel, 1);
+            }
+        }
+    });
+    let frames = case.frames.as_mut().unwrap();
+    frames.dn.iter_mut().enumerate().for_each(|(k, dn)| *dn = (f64::from(*dn) + 40.0 * bright(k % (WIDTH * HEIGHT))) as f32);
+    assert_eq!(found(&case).1.unwrap().id, "leak_events");
+}
+
+#[test]
 fn on_events_of_one_pixel_or_of_one_moment_are_no_leak() {
     assert!(found(&camera(|_, random| (any_time(random), 5 * WIDTH + 5, 1))).1.is_none());
     assert!(found(&camera(|_, random| (300_000_000 + any_time(random) / 20, pixel(random), 1))).1.is_none());
