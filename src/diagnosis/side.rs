@@ -13,6 +13,8 @@ use photocurrent_core::Extent;
 const PARTS: (u32, u32) = (6, 5);
 /// Side of a block, pixels.
 const BLOCK: u32 = 7;
+/// Changes from frame to frame of a large array or a long recording are thinned to so many: templates of every effect are kept of each.
+const MOST_CHANGES: usize = 250_000;
 
 /// A recording or its control, ready to be regressed.
 pub struct Side {
@@ -49,9 +51,10 @@ pub fn part_of(extent: Extent, x: u32, y: u32) -> usize {
     (y * PARTS.1 / extent.height * PARTS.0 + x * PARTS.0 / extent.width) as usize
 }
 
-/// All pixels, or some of the blocks where there are more events than `most`.
+/// All pixels, or some of the blocks where there are more events than `most`, or more changes than [`MOST_CHANGES`].
 pub fn sampled(case: &Case, most: usize) -> Sample {
-    let thinned = case.events.all().len().div_ceil(most).max(1) as u32;
+    let changes = case.extent.pixels() * case.frame_count();
+    let thinned = case.events.all().len().div_ceil(most).max(changes.div_ceil(MOST_CHANGES)).max(1) as u32;
     Sample::all(case, BLOCK).only(|block| block.is_multiple_of(thinned)).0
 }
 
