@@ -82,7 +82,7 @@ impl Band {
             let dn = case.dn(l, pixel);
             let exposure = frames.times.exposure(l, row);
             let (start_s, stop_s) = ((exposure.start.0 - zero) as f64 * 1e-9, (exposure.end.0 - zero) as f64 * 1e-9);
-            let charge = (dn - nominal.number.black_level) / nominal.number.gain;
+            let charge = nominal.number.integral(dn);
             if dn.is_finite() && dn < nominal.saturation_dn && charge > 0.0 && stop_s > start_s && start_s >= 0.0 && stop_s <= end_s {
                 let log_measured = ln(f64::max(charge, 1e-12) / (stop_s - start_s));
                 let doubt = path.doubt(start_s, stop_s);

@@ -117,7 +117,7 @@ fn expected_dn(number: &DigitalNumber, scene: &Scene, n: usize, exposure: Exposu
         add(a, b, at(start.max(a)), at(end.min(b)));
     }
     add(t[last] as f64, f64::INFINITY, u[last], u[last]);
-    number.black_level + number.gain * charge
+    number.of(charge)
 }
 
 /// The recording as a sensor without an effect of clocks or exposures would have recorded it: what is found is undone. None when nothing found is of that kind.

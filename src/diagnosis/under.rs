@@ -137,7 +137,7 @@ impl<'a> Under<'a> {
                 let read = self.effects.iter().fold(charge, |charge, effect| effect.charge(&site, &reading, charge));
                 self.effects.iter().fold(number.of(read), |dn, effect| effect.dn(&site, &reading, dn))
             };
-            let stated_charge = (at.dn - number.black_level) / number.gain;
+            let stated_charge = number.integral(at.dn);
             let charge = inverse(through, stated_charge, at.dn);
             // What a DN of noise is in charge, as the solver is told of it.
             let noisier = inverse(through, stated_charge + at.sigma_dn / number.gain, at.dn + at.sigma_dn);
@@ -153,7 +153,7 @@ impl<'a> Under<'a> {
             effect.thresholds(&site, &History::default(), &mut random, t_ns, &mut thresholds);
         }
         let mut light: Vec<f64> =
-            frames.iter().map(|frame| (frame.dn - number.black_level) / number.gain / f64::max((frame.end_ns - frame.start_ns) as f64 * 1e-9, 1e-9)).collect();
+            frames.iter().map(|frame| number.integral(frame.dn) / f64::max((frame.end_ns - frame.start_ns) as f64 * 1e-9, 1e-9)).collect();
         light.sort_by(f64::total_cmp);
         let usual = light.get(light.len() / 2).copied().unwrap_or(1.0).max(1e-9);
         let (front_end, delay_ns) = slower_and_delay(&model, usual);

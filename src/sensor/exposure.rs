@@ -31,6 +31,11 @@ impl DigitalNumber {
     pub fn of(&self, integral: f64) -> f64 {
         self.black_level + self.gain * integral
     }
+
+    /// The integral, photocurrent times seconds, whose DN is `dn`: the inverse of [`DigitalNumber::of`], negative below the black level.
+    pub fn integral(&self, dn: f64) -> f64 {
+        (dn - self.black_level) / self.gain
+    }
 }
 
 /// A pixel's photocurrent over time as a zero-order hold. Photocurrents may be `f32` or `f64`; sums are taken in `f64`.

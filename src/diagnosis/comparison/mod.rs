@@ -230,15 +230,16 @@ impl<'a> Ground<'a> {
     /// When effects cannot be combined.
     pub fn compare(self, claims: &[Claim]) -> Result<Comparison, String> {
         let mut described = Described::stated(self.case, &self.stated);
-        let mut steps = vec![];
+        let mut steps: Vec<(Step, Option<View>)> = Vec::new();
         for claim in claims.iter().filter(|claim| !claim.values.is_empty() && !matches!(claim.id, "hot_pixels" | "hot_rows")) {
             let is_random = described.put(&claim.values, self.nominal, self.scales);
             if let Some(finding) = &claim.finding {
                 let Described { seen, whole, .. } = &mut described;
                 [seen, whole].into_iter().for_each(|trial| put_beside(&mut trial.effects, finding.id, &finding.parameters));
             }
-            let before = steps.last().map_or(&self.before.0, |(step, _): &(Step, Option<View>)| step).clone();
-            steps.push(look(&self.refit(), &described, Some(claim.id), Some(&before).filter(|_| is_random))?);
+            let (before, _) = steps.last().unwrap_or(&self.before);
+            let step = look(&self.refit(), &described, Some(claim.id), Some(before).filter(|_| is_random))?;
+            steps.push(step);
         }
         steps.insert(0, self.before);
         let views: Vec<&View> = steps.iter().filter_map(|(_, view)| view.as_ref()).collect();

@@ -155,8 +155,8 @@ impl ByLight {
         let frames = case.frame_count();
         let exposure_s = case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).unwrap_or(1) as f64 * 1e-9;
         let light = |pixel: usize| -> f64 {
-            let sum: f64 = (0..frames).map(|frame| case.dn(frame, pixel) - nominal.number.black_level).filter(|dn| dn.is_finite()).sum();
-            sum / frames as f64 / (nominal.number.gain * exposure_s)
+            let sum: f64 = (0..frames).map(|frame| nominal.number.integral(case.dn(frame, pixel))).filter(|charge| charge.is_finite()).sum();
+            sum / frames as f64 / exposure_s
         };
         let lights: Vec<f64> = still.iter().map(|&pixel| light(pixel as usize)).collect();
         let mean = lights.iter().sum::<f64>() / lights.len() as f64;

@@ -67,6 +67,6 @@ fn one(case: &Case, nominal: &Nominal, found: &Comparison, n: usize) -> String {
 fn level(case: &Case, nominal: &Nominal, frame: usize, pixel: usize) -> Option<(f64, f64, f64)> {
     let exposure = case.frames.as_ref()?.times.exposure(frame, case.place(pixel).1);
     let seconds = (exposure.end.0 - exposure.start.0) as f64 * 1e-9;
-    let signal = case.dn(frame, pixel) - nominal.number.black_level;
-    (signal > 0.0 && seconds > 0.0).then(|| (exposure.start.0 as f64 * 1e-6, exposure.end.0 as f64 * 1e-6, libm::log(signal / (nominal.number.gain * seconds))))
+    let charge = nominal.number.integral(case.dn(frame, pixel));
+    (charge > 0.0 && seconds > 0.0).then(|| (exposure.start.0 as f64 * 1e-6, exposure.end.0 as f64 * 1e-6, libm::log(charge / seconds)))
 }
