@@ -126,7 +126,7 @@ impl Node for DiagnosePropose {
     const DECL: Decl = Decl {
         kind: "diagnose/propose",
         about: "Asks every effect of the catalogue how much it explains of what the stated sensor leaves of a recording.",
-        revision: 7,
+        revision: 8,
         grain: Grain::Whole,
         draws: true,
         exports: false,

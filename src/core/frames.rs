@@ -60,6 +60,12 @@ impl FrameTimes {
         self.exposures[frame].delayed(self.row_time_ns * i64::from(row))
     }
 
+    /// Mean time from the start of one exposure to that of the next, ns; none of fewer than two.
+    pub fn mean_period_ns(&self) -> Option<f64> {
+        let (first, last) = (self.exposures.first()?, self.exposures.last()?);
+        (self.exposures.len() > 1).then(|| (last.start.0 - first.start.0) as f64 / (self.exposures.len() - 1) as f64)
+    }
+
     /// From the first exposure's start to the last one's end, all rows of a sensor of `height` rows counted.
     pub fn span(&self, height: u32) -> Option<TimeSpan> {
         let shift = self.row_time_ns * i64::from(height.saturating_sub(1));

@@ -46,12 +46,8 @@ impl Scales {
             exposure_s = frames.times.nominal_exposure_ns().unwrap_or(0) as f64 * 1e-9;
             // Every 7th value: enough for a median.
             signals = frames.dn.iter().step_by(7).filter(|dn| dn.is_finite()).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
-            let exposures = &frames.times.exposures;
-            if exposures.len() > 1 {
-                let all = exposures[exposures.len() - 1].start.0 - exposures[0].start.0;
-                frame_period_s = all as f64 * 1e-9 / (exposures.len() - 1) as f64;
-            }
-            frame_phase_s = exposures.first().map_or(0.0, |exposure| exposure.end.0 as f64 * 1e-9).rem_euclid(frame_period_s);
+            frame_period_s = frames.times.mean_period_ns().map_or(duration_s, |period_ns| period_ns * 1e-9);
+            frame_phase_s = frames.times.exposures.first().map_or(0.0, |exposure| exposure.end.0 as f64 * 1e-9).rem_euclid(frame_period_s);
         }
         signals.sort_by(f64::total_cmp);
         let largest_dn = nominal.number.black_level + signals.get(signals.len() * 199 / 200).copied().unwrap_or(1.0).max(1.0);

@@ -33,10 +33,24 @@ pub struct Change {
     pub value: f64,
     /// Inverse of its variance, up to a factor.
     pub weight: f64,
+    /// Start and end of the two exposures on the clock of stamps, seconds since the start: what the light does then is stamped then, but for the wait for a threshold.
+    pub exposures: [(f64, f64); 2],
     /// See [`PLAIN`].
     pub plain: [f64; PLAIN],
     /// Events with what they add: number among the sample's events, for a threshold and for a stamp (a second).
     pub events: Vec<(usize, f64, f64)>,
+}
+
+impl Change {
+    /// How much a step of light that is stamped at `t` raises the second frame and not the first: `K(t)`.
+    pub fn rise(&self, t: f64) -> f64 {
+        rise(&self.exposures, t)
+    }
+}
+
+fn rise(exposures: &[(f64, f64); 2], t: f64) -> f64 {
+    let share = |(start, end): (f64, f64)| ((end - t) / (end - start)).clamp(0.0, 1.0);
+    share(exposures[1]) - share(exposures[0])
 }
 
 /// All changes of the pixels of a sample, in its order.
@@ -67,20 +81,20 @@ fn of_pixel(case: &Case, nominal: &Nominal, pixel: usize, place: usize, first: u
     let usual = libm::exp(crate::summaries::quantile(&lights, 0.5));
     let of_pair = |pair: &[crate::band::BandFrame]| {
         let (a, b) = (&pair[0], &pair[1]);
-        let share = |frame: &crate::band::BandFrame, t: f64| ((frame.end_s - t) / (frame.end_s - frame.start_s)).clamp(0.0, 1.0);
-        let rise = |t: f64| share(b, t) - share(a, t);
         let (light_a, light_b) = (libm::exp(a.log_measured), libm::exp(b.log_measured));
         let lag_s = front_end.tau_0_s + front_end.alpha_s / libm::sqrt(light_a * light_b);
-        let from = events.partition_point(|event| (event.t_in_ns - zero) as f64 * 1e-9 - lag_s < a.start_s);
+        let exposures = [a, b].map(|frame| (frame.start_s + lag_s, frame.end_s + lag_s));
+        let rise = |t: f64| rise(&exposures, t);
+        let stamp = |n: usize| (events[n].t_in_ns - zero) as f64 * 1e-9;
+        let from = events.partition_point(|event| ((event.t_in_ns - zero) as f64 * 1e-9) < exposures[0].0);
         let middle = |frame: &crate::band::BandFrame| 0.5 * (frame.start_s + frame.end_s);
         let seconds = middle(b) - middle(a);
         let mut plain = [0.0; PLAIN];
         let mut told = Vec::new();
         for (n, event) in events.iter().enumerate().skip(from) {
-            let t = (event.t_in_ns - zero) as f64 * 1e-9 - lag_s;
-            let before = if n == 0 { t - LONGEST_S } else { (events[n - 1].t_in_ns - zero) as f64 * 1e-9 - lag_s };
-            let before = f64::max(before, t - LONGEST_S);
-            if before > b.end_s {
+            let t = stamp(n);
+            let before = if n == 0 { t - LONGEST_S } else { f64::max(stamp(n - 1), t - LONGEST_S) };
+            if before > exposures[1].1 {
                 break;
             }
             let step = if event.polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
@@ -102,7 +116,7 @@ fn of_pixel(case: &Case, nominal: &Nominal, pixel: usize, place: usize, first: u
         let value = (b.closure - a.closure).clamp(-LARGEST, LARGEST);
         let of_events = REFERENCE * 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
         let variance = 1.0 / a.weight + 1.0 / b.weight + told.len() as f64 * of_events * of_events;
-        (told.len() <= MOST_EVENTS).then(|| Change { place, frame: b.frame, value, weight: 1.0 / variance, plain, events: told })
+        (told.len() <= MOST_EVENTS).then(|| Change { place, frame: b.frame, value, weight: 1.0 / variance, exposures, plain, events: told })
     };
     let next = |pair: &&[crate::band::BandFrame]| pair[1].frame == pair[0].frame + 1;
     band.frames.windows(2).filter(next).filter_map(of_pair).collect()

@@ -6,7 +6,7 @@ use crate::candidates::CANDIDATES;
 use crate::components::{Component, Spread};
 use crate::covariates::Covariate;
 use crate::linear::Linear;
-use crate::open::Law;
+use crate::open::{Law, Moved};
 use crate::report::Detectable;
 use crate::verdict::Proposal;
 
@@ -83,7 +83,7 @@ const MOST_HISTORY: f64 = 0.1;
 
 /// What is drawn at random, from its variances, where `laws` do not say that light errs.
 pub fn of_chance(components: &[Component], laws: &[Law]) -> Vec<Proposal> {
-    let errs = laws.iter().any(|law| law.covariate == Covariate::TimeSinceLastEvent && law.taken > MOST_HISTORY);
+    let errs = laws.iter().any(|law| law.moved != Moved::Rate && law.covariate == Covariate::TimeSinceLastEvent && law.taken > MOST_HISTORY);
     let told = |one: &Component| {
         let (candidate, least) = match one.spread {
             Spread::ThresholdsOfPixels => (("threshold_mismatch", "sigma"), LEAST_SPREAD),
@@ -124,7 +124,6 @@ pub fn measured(one: &Linear, biases: &Biases, value: &dyn Fn(usize, f64) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::open::Moved;
 
     fn linear(id: &str, strength: f64, taken: f64) -> Linear {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();

@@ -84,6 +84,7 @@ pub mod train;
 pub mod under;
 pub mod verdict;
 
+mod instants;
 mod side;
 
 #[cfg(test)]

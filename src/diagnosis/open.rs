@@ -1,6 +1,6 @@
 //! What an effect that nobody has named depends on, and by which curve.
 //!
-//! Changes of closures ([`crate::closures`]) are regressed on what thresholds and stamps would add that differ from bin to bin of a covariate. No form is presumed, but for
+//! Changes of closures ([`crate::closures`]) are regressed on what thresholds, stamps, and events without light would add that differ from bin to bin of a covariate. No form is presumed, but for
 //! a rhythm: its period is that of the strongest Fourier component. What a curve takes away is counted on pixels that it was not fitted to, beyond the simplest effects of the
 //! catalogue, and beyond what named effects explain: those are simulated on the recording's own light, and their changes of closures are regressors too.
 //!
@@ -8,8 +8,9 @@
 
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::case::Case;
-use crate::closures::PLAIN;
+use crate::closures::{Change, PLAIN};
 use crate::covariates::{Covariate, Surroundings};
+use crate::instants::Instants;
 use crate::nominal::Nominal;
 use crate::record::{Conditions, effects_of, record};
 use crate::regression::{Products, RIDGE};
@@ -29,6 +30,8 @@ pub enum Moved {
     Threshold,
     /// Stamps, seconds later.
     Stamps,
+    /// Events that no light makes: ON less OFF, a second and a pixel.
+    Rate,
 }
 
 impl Moved {
@@ -37,6 +40,7 @@ impl Moved {
         match self {
             Moved::Threshold => "comparator",
             Moved::Stamps => "time",
+            Moved::Rate => "reset",
         }
     }
 
@@ -45,6 +49,7 @@ impl Moved {
         match self {
             Moved::Threshold => "threshold * (1 + c)",
             Moved::Stamps => "stamp + c",
+            Moved::Rate => "rate of ON less OFF events + c",
         }
     }
 }
@@ -60,7 +65,7 @@ pub struct Law {
     pub period_s: Option<f64>,
     /// Mean of the covariate in each bin.
     pub at: Vec<f64>,
-    /// By how much in each bin, less the mean of all: a share, or seconds.
+    /// By how much in each bin, less the mean of all: a share, seconds, or events a second.
     pub value: Vec<f64>,
     /// Half the difference of what two halves of the pixels say.
     pub error: Vec<f64>,
@@ -107,15 +112,18 @@ pub fn laws(case: &Case, nominal: &Nominal, scales: &Scales, named: &[(usize, f6
     let front_end = nominal.pixel.front_end;
     let tau = (front_end.tau_0_s, front_end.alpha_s);
     let mut laws = Vec::new();
-    for moved in [Moved::Threshold, Moved::Stamps] {
-        let period_ns = rhythm(&here, &templates, moved);
+    let instants = Instants::new(case);
+    let step = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
+    for moved in [Moved::Threshold, Moved::Stamps, Moved::Rate] {
+        let Some(asked) = Asked::new(moved, instants.as_ref(), step) else { continue };
+        let period_ns = rhythm(&here, &templates, &asked);
         let around = Surroundings::new(&here.case, &sample, &here.light, tau).with_period(period_ns);
         let around_stated = Surroundings::new(&stated.case, &sample, &stated.light, tau).with_period(period_ns);
         let found = Covariate::ALL.par_iter().filter_map(|&covariate| {
-            let (at, at_stated) = (here.lay(covariate, &around), stated.lay(covariate, &around_stated));
+            let (at, at_stated) = (asked.lay(&here, covariate, &sample, &around), asked.lay(&stated, covariate, &sample, &around_stated));
             let bins = Bins::new(&at, covariate)?;
-            let of_recording = Part::all(&here, &sample, &templates, moved, &bins, &at);
-            let of_control = Part::all(&stated, &sample, &none, moved, &bins, &at_stated);
+            let of_recording = Part::all(&here, &sample, &templates, &asked, &bins, &at);
+            let of_control = Part::all(&stated, &sample, &none, &asked, &bins, &at_stated);
             let period_s = period_ns.filter(|_| covariate == Covariate::AcPhase).map(|ns| ns as f64 * 1e-9);
             let (value, error, weighed) = weigh(&of_recording, &of_control, templates.len(), bins.at.len());
             Some(Law {
@@ -157,8 +165,40 @@ fn as_nominal(case: &Case, trial: &Trial) -> Result<Option<Nominal>, String> {
     Ok(Some(nominal))
 }
 
+/// What is moved, and where a covariate is asked for: at events, or at instants.
+struct Asked<'a> {
+    moved: Moved,
+    instants: &'a Instants,
+    /// Of an event, natural-log units.
+    step: f64,
+}
+
+impl<'a> Asked<'a> {
+    /// None without frames.
+    fn new(moved: Moved, instants: Option<&'a Instants>, step: f64) -> Option<Asked<'a>> {
+        Some(Asked { moved, instants: instants?, step })
+    }
+
+    fn lay(&self, side: &Side, covariate: Covariate, sample: &Sample, surroundings: &Surroundings<'_>) -> Vec<f64> {
+        if self.moved == Moved::Rate { self.instants.lay(covariate, sample, surroundings) } else { side.lay(covariate, surroundings) }
+    }
+
+    /// What a unit of it adds to a change: (number among those of `lay`, natural-log units).
+    fn each_added(&self, change: &Change, mut tell: impl FnMut(usize, f64)) {
+        match self.moved {
+            Moved::Threshold => change.events.iter().for_each(|&(event, gain, _)| tell(event, gain)),
+            Moved::Stamps => change.events.iter().for_each(|&(event, _, delay)| tell(event, delay)),
+            Moved::Rate => self.instants.added(change, self.step).for_each(|(instant, added)| tell(instant, added)),
+        }
+    }
+
+    fn time(&self, side: &Side, number: usize) -> i64 {
+        if self.moved == Moved::Rate { self.instants.time(number) } else { side.events[number].1 }
+    }
+}
+
 /// The period of what events ask for.
-fn rhythm(side: &Side, templates: &[Vec<f64>], moved: Moved) -> Option<i64> {
+fn rhythm(side: &Side, templates: &[Vec<f64>], asked: &Asked<'_>) -> Option<i64> {
     let mut products = Products::new(PLAIN + templates.len());
     let row = |n: usize| -> Vec<(usize, f64)> {
         let change = &side.changes[n];
@@ -168,19 +208,14 @@ fn rhythm(side: &Side, templates: &[Vec<f64>], moved: Moved) -> Option<i64> {
         products.add(&row(n), change.value, change.weight);
     }
     let found = products.solve(|_| true, RIDGE);
-    // The gradient of the squares by what each event adds.
-    let asked = side.changes.iter().enumerate().flat_map(|(n, change)| {
+    // The gradient of the squares by what each event, or instant, adds.
+    let mut gradient = Vec::new();
+    for (n, change) in side.changes.iter().enumerate() {
         let left = change.value - row(n).iter().map(|(k, x)| found[*k] * x).sum::<f64>();
-        change.events.iter().map(move |&(event, gain, delay)| {
-            let added = if moved == Moved::Threshold { gain } else { 1e-3 * delay };
-            (event, change.weight * added * left)
-        })
-    });
-    let frame_ns = side.case.frames.as_ref().filter(|frames| frames.times.len() > 1).map(|frames| {
-        let exposures = &frames.times.exposures;
-        (exposures[exposures.len() - 1].start.0 - exposures[0].start.0) / (exposures.len() as i64 - 1)
-    });
-    strongest_period_ns(asked.map(|(event, asks)| (side.events[event].1, asks)), side.case.span, frame_ns)
+        asked.each_added(change, |number, added| gradient.push((asked.time(side, number), change.weight * added * left)));
+    }
+    let frame_ns = side.case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period_ns| period_ns as i64);
+    strongest_period_ns(gradient.into_iter(), side.case.span, frame_ns)
 }
 
 /// Bins of a covariate: classes, or of as many events each.
@@ -232,7 +267,7 @@ struct Part {
 }
 
 impl Part {
-    fn all(side: &Side, sample: &Sample, templates: &[Vec<f64>], moved: Moved, bins: &Bins, at: &[f64]) -> Vec<Part> {
+    fn all(side: &Side, sample: &Sample, templates: &[Vec<f64>], asked: &Asked<'_>, bins: &Bins, at: &[f64]) -> Vec<Part> {
         let columns = PLAIN + templates.len() + bins.at.len();
         let mut parts: Vec<Part> = (0..PART_COUNT).map(|_| Part { halves: [Products::new(columns), Products::new(columns)] }).collect();
         let extent = side.case.extent;
@@ -241,11 +276,11 @@ impl Part {
         for (n, change) in side.changes.iter().enumerate() {
             let (x, y) = side.case.place(sample.pixels[change.place] as usize);
             own.fill(0.0);
-            for &(event, gain, delay) in &change.events {
-                if let Some(bin) = bins.of(at[event]) {
-                    own[bin] += if moved == Moved::Threshold { gain } else { delay };
+            asked.each_added(change, |number, added| {
+                if let Some(bin) = bins.of(at[number]) {
+                    own[bin] += added;
                 }
-            }
+            });
             row.clear();
             row.extend(change.plain.iter().copied().enumerate());
             row.extend(templates.iter().enumerate().map(|(k, template)| (PLAIN + k, template[n])));
@@ -318,11 +353,13 @@ mod tests {
 
     /// A recording whose even rows have thresholds a share higher, and the others as much lower.
     fn by_rows(share: f64) -> Case {
-        let with = |fraction: f64| {
-            let effect = json!({"fraction": fraction}).as_object().unwrap().clone();
-            testing::case_with(&[("threshold_scale".to_owned(), effect)].into_iter().collect())
-        };
-        let (even, odd) = (with(share), with(-share));
+        rows_of(&[share, -share].map(|fraction| ("threshold_scale", json!({"fraction": fraction}))))
+    }
+
+    /// A recording whose even rows have the first effect, and the others the second.
+    fn rows_of(effects: &[(&str, serde_json::Value); 2]) -> Case {
+        let [even, odd] =
+            effects.each_ref().map(|(id, effect)| testing::case_with(&[((*id).to_owned(), effect.as_object().unwrap().clone())].into_iter().collect()));
         let of = |pixel: usize| if even.place(pixel).1 % 2 == 0 { even.events.of(pixel) } else { odd.events.of(pixel) };
         Case { events: PixelEvents::new((0..even.extent.pixels()).map(|pixel| of(pixel).to_vec())), ..even.clone() }
     }
@@ -339,6 +376,14 @@ mod tests {
         assert_eq!((most.moved, most.covariate), (Moved::Threshold, Covariate::RowParity));
         assert!(most.taken > 0.1 && most.significance > 4.0, "{most:?}");
         assert!((most.value[0] - 0.12).abs() < 0.03 && (most.value[1] + 0.12).abs() < 0.03, "{most:?}");
+    }
+
+    #[test]
+    fn events_without_light_by_parity_of_the_row_are_found_with_their_rate() {
+        let laws = found(&rows_of(&["60 Hz", "0.001 Hz"].map(|rate| ("leak_events", json!({"rate": rate})))));
+        let most = laws.iter().max_by(|a, b| a.significance.total_cmp(&b.significance)).unwrap();
+        assert_eq!((most.moved, most.covariate), (Moved::Rate, Covariate::RowParity));
+        assert!((most.value[0] - 30.0).abs() < 8.0 && (most.value[1] + 30.0).abs() < 8.0, "{most:?}");
     }
 
     #[test]

@@ -136,8 +136,8 @@ pub fn from_refit(found: &Search, biases: &Biases, value: &dyn Fn(usize, f64) ->
     let passed = |one: &&&Explained| first.iter().any(|told| told.passed && told.candidate == one.candidate);
     let is_firm = found.first.leading().iter().filter(passed).any(|one| support(one).is_some_and(|of| of.sigmas > FIRM));
     let has_gradient = first.iter().any(|one| one.passed && CANDIDATES[one.candidate].id.ends_with("_gradient"));
-    // A law of a few bins may be a name's shadow, and blocks of columns are that of a gradient.
-    let is_shadow = |law: &Law| is_firm || alone > SHADOW * law.taken || has_gradient && law.covariate == Covariate::ColumnBlock;
+    // A law of a few bins may be a name's shadow, and one of places is that of a gradient.
+    let is_shadow = |law: &Law| is_firm || alone > SHADOW * law.taken || has_gradient && is_place(law.covariate);
     let best = found.first.leading().first().copied().cloned();
     let alarm = first.iter().any(|one| one.passed);
     Road {
@@ -158,35 +158,48 @@ pub fn from_refit(found: &Search, biases: &Biases, value: &dyn Fn(usize, f64) ->
 
 /// A law must take away this share of the squares of closures' changes.
 const LEAST_LAW: f64 = 0.02;
+/// One of thresholds over the load of the array, which knows of the light where all of it changes together, takes away more.
+const LEAST_LAW_OF_LOAD: f64 = 0.04;
 /// And be so many standard errors from nothing.
 const LEAST_SIGNIFICANCE: f64 = 4.0;
 
 /// What no effect of the catalogue explains, from its measured curve. Light through the events errs in ways that depend on light, speed and history, and on which simulator
-/// made a recording; where such a law is the strongest, or one of stamps, none is believed.
+/// made a recording; where such a law is the strongest, none is believed.
 fn unexplained(law: &Law) -> Option<Unexplained> {
     let name = law.covariate.name();
     let point = |(at, value): (&f64, &f64)| match law.moved {
         Moved::Threshold => format!("{:+.1} % at {}", 100.0 * value, short(*at)),
         Moved::Stamps => format!("{:+.0} us at {}", 1e6 * value, short(*at)),
+        Moved::Rate => format!("{value:+.2} Hz at {}", short(*at)),
     };
     let points: Vec<String> = law.at.iter().zip(&law.value).map(point).collect();
     let rhythm = law.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
-    let is_believed = law.moved == Moved::Threshold && is_blind_to_light(law.covariate);
-    (is_believed && law.significance >= LEAST_SIGNIFICANCE && law.taken >= LEAST_LAW).then(|| Unexplained {
+    let least = least_taken(law)?;
+    (law.significance >= LEAST_SIGNIFICANCE && law.taken >= least).then(|| Unexplained {
         covariate: name.to_owned(),
         equation: format!("{}, c({name}){rhythm} = {}", law.moved.equation(), points.join(", ")),
         insertion: law.moved.insertion().to_owned(),
-        score: law.taken / LEAST_LAW,
+        score: law.taken / least,
         nats: law.nats_per_change,
         law: Some(law.clone()),
         hardly: Vec::new(),
     })
 }
 
-/// Does a covariate know nothing of the pixel's own light?
-fn is_blind_to_light(covariate: Covariate) -> bool {
+/// The share that a law must take away; none for those over what knows of the pixel's own light. How late stamps are over the phase of frames is such, as exposures are.
+fn least_taken(law: &Law) -> Option<f64> {
     use Covariate as C;
-    matches!(covariate, C::RowParity | C::ColumnBlock | C::FramePhase | C::AcPhase | C::RowRate | C::GlobalRate)
+    match (law.moved, law.covariate) {
+        (_, covariate) if is_place(covariate) => Some(LEAST_LAW),
+        (_, C::RowParity | C::RowRate) | (Moved::Threshold, C::AcPhase) | (Moved::Threshold | Moved::Rate, C::FramePhase) => Some(LEAST_LAW),
+        (Moved::Threshold, C::GlobalRate) => Some(LEAST_LAW_OF_LOAD),
+        _ => None,
+    }
+}
+
+/// Is it where a pixel is, on a scale on which effects of the catalogue change from end to end?
+fn is_place(covariate: Covariate) -> bool {
+    matches!(covariate, Covariate::Row | Covariate::Column | Covariate::ColumnBlock | Covariate::Radius)
 }
 
 fn told(found: &Refitted, least: f64, support: &dyn Fn(&Explained) -> Option<Support>) -> Vec<Proposal> {
@@ -395,6 +408,12 @@ mod tests {
         assert!((found.score - 0.3 / LEAST_LAW).abs() < 1e-12);
         assert_eq!(found.equation, "threshold * (1 + c), c(row_parity) = +11.0 % at 0, -11.0 % at 1");
         assert!(unexplained(&law(3.0, 0.3)).is_none() && unexplained(&law(9.0, 0.9 * LEAST_LAW)).is_none());
+        let over = |moved: Moved, covariate: Covariate, taken: f64| unexplained(&Law { moved, covariate, ..law(9.0, taken) });
+        let rate = over(Moved::Rate, Covariate::Radius, 0.3).unwrap();
+        assert_eq!((rate.equation.as_str(), rate.insertion.as_str()), ("rate of ON less OFF events + c, c(radius) = +0.11 Hz at 0, -0.11 Hz at 1", "reset"));
+        // The load of the array knows of the light where all of it flickers, and the phase of a frame of its exposure.
+        assert!(over(Moved::Threshold, Covariate::GlobalRate, 0.03).is_none() && over(Moved::Threshold, Covariate::GlobalRate, 0.05).is_some());
+        assert!(over(Moved::Threshold, Covariate::FramePhase, 0.03).is_some() && over(Moved::Stamps, Covariate::FramePhase, 0.3).is_none());
         let says = |search: &Search| from_refit(search, &Biases(Vec::new()), &|_, strength| strength);
         // Where light errs with history no law is believed, not even a weaker one.
         let of_history = Law { covariate: Covariate::TimeSinceLastEvent, ..law(9.0, 0.4) };

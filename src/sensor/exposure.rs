@@ -247,6 +247,13 @@ mod tests {
     }
 
     #[test]
+    fn a_digital_number_tells_its_integral() {
+        let number = DigitalNumber { black_level: 20.0, gain: 800.0 };
+        assert!((number.integral(140.0) - 0.15).abs() < 1e-15 && (number.integral(12.0) + 0.01).abs() < 1e-15);
+        assert!((number.of(number.integral(731.5)) - 731.5).abs() < 1e-12);
+    }
+
+    #[test]
     fn each_hold_counts_for_its_overlap() {
         assert_eq!(integral(150, 450), (50.0 + 2000.0 + 5000.0) / 1e9);
     }

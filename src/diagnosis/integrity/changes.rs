@@ -63,7 +63,7 @@ impl Changes {
         let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 5)?;
         let exposures = &frames.times.exposures;
         let count = exposures.len();
-        let period_ns = (exposures[count - 1].start.0 - exposures[0].start.0) as f64 / (count - 1) as f64;
+        let period_ns = frames.times.mean_period_ns()?;
         let exposure_ns = frames.times.nominal_exposure_ns()? as f64;
         if exposure_ns > LONGEST_EXPOSURE * period_ns {
             return None;

@@ -146,6 +146,7 @@ pub fn unnamed(html: &mut String, law: &Law) {
     let (what, unit, factor) = match law.moved {
         Moved::Stamps => ("how much later stamps are", "us", 1e6),
         Moved::Threshold => ("how much higher thresholds are", "%", 100.0),
+        Moved::Rate => ("how many more ON than OFF events without light a pixel fires", "Hz", 1.0),
     };
     let rhythm = law.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", number(1.0 / period_s)));
     let _ = writeln!(
