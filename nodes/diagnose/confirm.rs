@@ -56,7 +56,7 @@ impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
         about: "Joins what direct tests and roads found: verdict, fitted description, proof on frames that were kept back, report.",
-        revision: 13,
+        revision: 14,
         grain: Grain::Whole,
         draws: true,
         exports: false,

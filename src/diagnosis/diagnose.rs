@@ -272,6 +272,8 @@ fn report(
     if let Some(found) = &answer.unexplained {
         let mut location = everywhere(case, None);
         location.covariate.clone_from(&found.covariate);
+        let is_direct = found.law.as_ref().is_some_and(|law| law.moved == crate::law::Moved::EventRate);
+        let by = if is_direct { crate::verdict::DIRECT } else { crate::roads::REFIT };
         effects.push(EffectReport {
             id: "unnamed".into(),
             also_possible: found.hardly.clone(),
@@ -285,7 +287,7 @@ fn report(
             insertion: found.insertion.clone(),
             parameters: Default::default(),
             location,
-            evidence: Evidence { statistic: found.score, heldout_nats: Some(found.nats), found_by: vec![crate::roads::REFIT.into()], ..Evidence::default() },
+            evidence: Evidence { statistic: found.score, heldout_nats: Some(found.nats), found_by: vec![by.into()], ..Evidence::default() },
         });
     }
     let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });

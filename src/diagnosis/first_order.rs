@@ -5,8 +5,8 @@
 use crate::candidates::CANDIDATES;
 use crate::components::{Component, Spread};
 use crate::covariates::Covariate;
+use crate::law::{Law, Moved};
 use crate::linear::Linear;
-use crate::open::{Law, Moved};
 use crate::report::Detectable;
 use crate::verdict::Proposal;
 

@@ -55,6 +55,7 @@ pub mod floor;
 pub mod heldout;
 pub mod integrity;
 pub mod knowledge;
+pub mod law;
 pub mod light;
 pub mod likelihood;
 pub mod linear;

@@ -11,6 +11,7 @@ use crate::case::Case;
 use crate::closures::{Change, PLAIN};
 use crate::covariates::{Covariate, Surroundings};
 use crate::instants::Instants;
+use crate::law::{Law, Moved};
 use crate::nominal::Nominal;
 use crate::record::{Conditions, effects_of, record};
 use crate::regression::{Products, RIDGE};
@@ -20,62 +21,6 @@ use crate::side::{PART_COUNT, Side, differences, part_of, sampled};
 use photocurrent_core::random::Random;
 use photocurrent_sensor::effects::{FrontEndModel, History, Thresholds};
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
-
-/// What is moved.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Moved {
-    /// Both thresholds, as a share of them.
-    Threshold,
-    /// Stamps, seconds later.
-    Stamps,
-    /// Events that no light makes: ON less OFF, a second and a pixel.
-    Rate,
-}
-
-impl Moved {
-    /// Where it enters, by the names of docs/formats.md.
-    pub fn insertion(self) -> &'static str {
-        match self {
-            Moved::Threshold => "comparator",
-            Moved::Stamps => "time",
-            Moved::Rate => "reset",
-        }
-    }
-
-    /// As an equation.
-    pub fn equation(self) -> &'static str {
-        match self {
-            Moved::Threshold => "threshold * (1 + c)",
-            Moved::Stamps => "stamp + c",
-            Moved::Rate => "rate of ON less OFF events + c",
-        }
-    }
-}
-
-/// A curve over a covariate, and what it explains.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Law {
-    /// What it moves.
-    pub moved: Moved,
-    /// What it depends on.
-    pub covariate: Covariate,
-    /// Of a rhythm, its period, seconds.
-    pub period_s: Option<f64>,
-    /// Mean of the covariate in each bin.
-    pub at: Vec<f64>,
-    /// By how much in each bin, less the mean of all: a share, seconds, or events a second.
-    pub value: Vec<f64>,
-    /// Half the difference of what two halves of the pixels say.
-    pub error: Vec<f64>,
-    /// Share of the squares that it takes away, on pixels that it was not fitted to.
-    pub taken: f64,
-    /// The same over its standard error from part to part of the array.
-    pub significance: f64,
-    /// Gain in the log of the likelihood of a change of closure, nats, on pixels that it was not fitted to.
-    pub nats_per_change: f64,
-}
 
 /// Bins of a covariate on a scale.
 const BINS: usize = 10;
@@ -189,6 +134,8 @@ impl<'a> Asked<'a> {
             Moved::Threshold => change.events.iter().for_each(|&(event, gain, _)| tell(event, gain)),
             Moved::Stamps => change.events.iter().for_each(|&(event, _, delay)| tell(event, delay)),
             Moved::Rate => self.instants.added(change, self.step).for_each(|(instant, added)| tell(instant, added)),
+            // How often events come is the light's, too: see `integrity::regular`.
+            Moved::EventRate => {}
         }
     }
 

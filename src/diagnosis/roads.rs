@@ -8,12 +8,12 @@ use crate::diagnose::{RoadKind, Setting};
 use crate::first_order::{self, ALONE, BESIDE, Biases, LARGEST};
 use crate::floor::Floor;
 use crate::knowledge::Knowledge;
+use crate::law::{Law, Moved};
 use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
 use crate::linear::Linear;
 use crate::nominal::Nominal;
-use crate::open::{Law, Moved};
 use crate::refit::{Explained, Refitted};
-use crate::report::{Detectable, NotTestable, short};
+use crate::report::{Detectable, NotTestable};
 use crate::search::{Search, SearchSetting, search};
 use crate::synthesis::{Ranked, Synthesis, SynthesisSetting, synthesis};
 use crate::verdict::{Proposal, Road, Unexplained};
@@ -166,24 +166,8 @@ const LEAST_SIGNIFICANCE: f64 = 4.0;
 /// What no effect of the catalogue explains, from its measured curve. Light through the events errs in ways that depend on light, speed and history, and on which simulator
 /// made a recording; where such a law is the strongest, none is believed.
 fn unexplained(law: &Law) -> Option<Unexplained> {
-    let name = law.covariate.name();
-    let point = |(at, value): (&f64, &f64)| match law.moved {
-        Moved::Threshold => format!("{:+.1} % at {}", 100.0 * value, short(*at)),
-        Moved::Stamps => format!("{:+.0} us at {}", 1e6 * value, short(*at)),
-        Moved::Rate => format!("{value:+.2} Hz at {}", short(*at)),
-    };
-    let points: Vec<String> = law.at.iter().zip(&law.value).map(point).collect();
-    let rhythm = law.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", short(1.0 / period_s)));
     let least = least_taken(law)?;
-    (law.significance >= LEAST_SIGNIFICANCE && law.taken >= least).then(|| Unexplained {
-        covariate: name.to_owned(),
-        equation: format!("{}, c({name}){rhythm} = {}", law.moved.equation(), points.join(", ")),
-        insertion: law.moved.insertion().to_owned(),
-        score: law.taken / least,
-        nats: law.nats_per_change,
-        law: Some(law.clone()),
-        hardly: Vec::new(),
-    })
+    (law.significance >= LEAST_SIGNIFICANCE && law.taken >= least).then(|| Unexplained::by(law, law.taken / least))
 }
 
 /// The share that a law must take away; none for those over what knows of the pixel's own light. How late stamps are over the phase of frames is such, as exposures are.

@@ -8,9 +8,10 @@
 
 use crate::candidates::{CANDIDATES, Candidate};
 use crate::case::Case;
+use crate::integrity::regular;
 use crate::integrity::{Finding, Integrity};
+use crate::law::Law;
 use crate::nominal::Nominal;
-use crate::open::Law;
 use crate::report::{Detectable, NotTestable, Verdict};
 use crate::roads::{CLOSURES, REFIT};
 use photocurrent_sensor::effects::{Unit, catalogue};
@@ -48,13 +49,28 @@ pub struct Unexplained {
     pub insertion: String,
     /// What it takes away over the least that counts.
     pub score: f64,
-    /// Gain in the log of the likelihood of a change of closure, on pixels that it was not fitted to, nats.
+    /// Gain in the log of the likelihood, nats, of a change of closure or of an event: see [`Law::nats_per_change`].
     pub nats: f64,
     /// As it was measured.
     pub law: Option<Law>,
     /// Effects that were tried for it and are believed too little to be its name.
     #[serde(default)]
     pub hardly: Vec<String>,
+}
+
+impl Unexplained {
+    /// By a curve, `score` over the least that counts.
+    pub fn by(law: &Law, score: f64) -> Unexplained {
+        Unexplained {
+            covariate: law.covariate.name().to_owned(),
+            equation: law.equation(),
+            insertion: law.moved.insertion().to_owned(),
+            score,
+            nats: law.nats_per_change,
+            law: Some(law.clone()),
+            hardly: Vec::new(),
+        }
+    }
 }
 
 /// What one road found.
@@ -124,6 +140,8 @@ pub struct Answer {
     pub unexplained: Option<Unexplained>,
 }
 
+/// Direct tests, as one that found something.
+pub const DIRECT: &str = "direct";
 /// A road that stands alone while the other is silent must be so far over its alarm: noise of the frames that nobody stated brings one to seven and eight.
 const ALONE: f64 = 10.0;
 /// A second effect must be so far over it.
@@ -140,7 +158,7 @@ const BESIDE: f64 = 2.0;
 const HALF: f64 = 3.2;
 /// An effect with this share of the best refit's probability is told with it.
 const DOUBT: f64 = 0.25;
-/// What refits or all pixels name and other pixels believe less than this in is no name: a quarter of what a contest gives away.
+/// What is believed less than this is no name: a quarter of what a contest gives away.
 const NO_NAME: f64 = 0.2;
 /// The largest set that is told.
 const LARGEST_SET: usize = 3;
@@ -153,7 +171,9 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
     let mut claims: Vec<Claim> = integrity.findings.iter().filter_map(|finding| direct(case, nominal, finding)).collect();
     let known: Vec<&str> = claims.iter().map(|claim| claim.id).collect();
     let speaking: Vec<Road> = roads.iter().map(|road| without(case, nominal, road, &known)).collect();
-    let unexplained = speaking.iter().filter_map(|road| road.unexplained.clone()).find(|found| found.score >= 1.0);
+    // What shows without an estimate of the scene comes first.
+    let shown = integrity.laws.first().map(|law| Unexplained::by(law, regular::score(law)));
+    let unexplained = shown.or_else(|| speaking.iter().filter_map(|road| road.unexplained.clone()).find(|found| found.score >= 1.0));
     let is_numerical = speaking.iter().any(|road| road.is_numerical);
     let more = match speaking.iter().position(|road| road.name == REFIT) {
         // No name is forced on what takes away more than any effect does, nor on what is an error of our own.
@@ -164,8 +184,9 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
         }
         None => side_by_side(&speaking, &claims),
     };
-    let is_hardly_believed =
-        |claim: &Claim| claim.found_by.first().is_some_and(|by| by == REFIT || by == CLOSURES) && claim.belief.is_some_and(|belief| belief < NO_NAME);
+    // Roads of equal standing that differ share their belief among what they tell.
+    let is_led = speaking.iter().any(|road| road.name == REFIT);
+    let is_hardly_believed = |claim: &Claim| is_led && claim.belief.is_some_and(|belief| belief < NO_NAME);
     // Something is there, and it has no name; a second was looked for beside the first, and goes with it.
     let hardly = more.first().filter(|first| claims.is_empty() && is_hardly_believed(first)).map(nameless);
     claims.extend(more.into_iter().take_while(|claim| !is_hardly_believed(claim)));
@@ -341,7 +362,7 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
         values,
         score: finding.statistic / finding.threshold,
         belief: None,
-        found_by: vec!["direct".into()],
+        found_by: vec![DIRECT.into()],
         heldout_nats: finding.heldout.map(|heldout| heldout.nats),
         heldout_nats_per_event: finding.heldout.map(|heldout| heldout.per_event()),
         finding: Some(finding.clone()),

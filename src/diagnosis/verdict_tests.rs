@@ -126,6 +126,40 @@ fn nothing_over_its_alarm_is_consistent_and_something_unexplained_has_no_name() 
 }
 
 #[test]
+fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
+    let law = Law {
+        moved: crate::law::Moved::EventRate,
+        covariate: crate::covariates::Covariate::RowParity,
+        period_s: None,
+        at: vec![0.0, 1.0],
+        value: vec![0.1, -0.1],
+        error: vec![0.01, 0.01],
+        taken: 0.4,
+        significance: 16.0,
+        nats_per_change: 0.01,
+    };
+    let integrity = Integrity { laws: vec![law], ..Integrity::default() };
+    let alone = answer_with(&integrity, &[road("likelihood", vec![leak(40.0, 0.9)])]);
+    assert_eq!((alone.verdict, alone.claims.len()), (Verdict::Unnamed, 0));
+    let told = alone.unexplained.unwrap();
+    assert_eq!((told.covariate.as_str(), told.equation.as_str()), ("row_parity", "rate of events * (1 + c), c(row_parity) = +10.0 % at 0, -10.0 % at 1"));
+    assert!(told.score >= 1.0);
+    let hot = Finding {
+        id: "hot_pixels",
+        parameters: vec![],
+        statistic: 9.0,
+        threshold: 1.0,
+        share: 0.1,
+        polarity: "both",
+        pixels: vec![3],
+        seen: String::new(),
+        heldout: None,
+    };
+    let beside = answer_with(&Integrity { findings: vec![hot], ..integrity }, &[]);
+    assert_eq!((beside.verdict, beside.claims[0].id), (Verdict::Named, "hot_pixels"));
+}
+
+#[test]
 fn what_is_hardly_believed_is_no_name() {
     let refit =
         |belief: f64, second: f64| Road { second: vec![proposal("black_level", "black_level_dn", 2.0, second, 9.0)], ..road("refit", vec![leak(3.0, belief)]) };
@@ -133,6 +167,8 @@ fn what_is_hardly_believed_is_no_name() {
     let hardly = answer(&[refit(0.15, 0.8)]);
     assert_eq!((hardly.verdict, ids(&hardly)), (Verdict::Unnamed, vec![]));
     assert_eq!(hardly.unexplained.map(|found| (found.covariate, found.hardly)), Some(("time_since_last_event".to_owned(), vec!["leak_events".to_owned()])));
+    let random = answer(&[road("refit", Vec::new()), road("synthesis", vec![proposal("threshold_mismatch", "sigma", 40.0, 0.15, 0.02)])]);
+    assert_eq!((random.verdict, random.unexplained.map(|found| found.hardly)), (Verdict::Unnamed, Some(vec!["threshold_mismatch".to_owned()])));
     assert_eq!(ids(&answer(&[refit(0.5, 0.1)])), ["leak_events"]);
     assert_eq!(ids(&answer(&[refit(0.5, 0.3)])), ["leak_events", "black_level"]);
 }

@@ -15,6 +15,7 @@
 //! - [`still`]: pixels in which nothing moves, and the leak that shows there.
 //! - [`coupling`]: events there, or anywhere, that come when their row of the frame is read.
 //! - [`changes`]: what the light did between two frames by the frames and by the events: late events, lost light.
+//! - [`regular`]: rates of events that repeat with the frames row by row, or from row to row: what no scene does and no effect of the catalogue.
 //! - [`flicker`]: one rhythm common to the whole array.
 
 pub mod changes;
@@ -25,10 +26,13 @@ pub mod flicker;
 pub mod hot;
 pub mod intervals;
 pub mod load;
+pub mod regular;
 pub mod stamps;
 pub mod still;
 
 use crate::case::Case;
+use crate::covariates::Covariate;
+use crate::law::Law;
 use crate::nominal::Nominal;
 use crate::report::SceneProperty;
 use serde::{Deserialize, Serialize};
@@ -90,6 +94,9 @@ pub struct Integrity {
     pub lacking: Vec<String>,
     /// Departures, strongest (statistic over threshold) first.
     pub findings: Vec<Finding>,
+    /// Rates of events that depend on what no scene knows of, and that no effect of the catalogue makes, strongest first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub laws: Vec<Law>,
     /// Not mismatches.
     pub scene: Vec<SceneProperty>,
     /// Pixels that later stages should leave out, rising.
@@ -128,6 +135,10 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         found.findings.extend(still::leak(case, nominal, &still));
         found.findings.extend(coupling::coupling(case, nominal, &still, &found.masked));
         found.findings.extend(changes::findings(case, nominal, &found.masked));
+    }
+    found.laws = regular::laws(case, &found.masked);
+    if found.findings.iter().any(|finding| finding.id == "frame_coupling") {
+        found.laws.retain(|law| law.covariate != Covariate::FramePhase);
     }
     found.scene = nominal.map_or_else(Vec::new, |nominal| flicker::flicker(case, nominal, &stream));
     // The same effect by two tests is one finding, the stronger.
@@ -187,6 +198,8 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
 
 #[cfg(test)]
 mod changes_tests;
+#[cfg(test)]
+mod regular_tests;
 #[cfg(test)]
 mod still_tests;
 #[cfg(test)]

@@ -7,7 +7,7 @@ use crate::case::Case;
 use crate::comparison::dependence::{Dependence, Point, Quantity};
 use crate::comparison::{Comparison, Step, TIME_BINS};
 use crate::covariates::Covariate;
-use crate::open::{Law, Moved};
+use crate::law::{Law, Moved};
 use std::fmt::Write;
 
 const GREY: &str = "#787878";
@@ -147,16 +147,24 @@ pub fn unnamed(html: &mut String, law: &Law) {
         Moved::Stamps => ("how much later stamps are", "us", 1e6),
         Moved::Threshold => ("how much higher thresholds are", "%", 100.0),
         Moved::Rate => ("how many more ON than OFF events without light a pixel fires", "Hz", 1.0),
+        Moved::EventRate => ("how many more events come", "%", 100.0),
     };
     let rhythm = law.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", number(1.0 / period_s)));
-    let _ = writeln!(
-        html,
-        "<h2>The curve without a name</h2>\n<p class=\"note\">{what} than described, over {}{rhythm}; bars: 95 %, from what two halves of the pixels say; dashed: the description \
-         as stated. It takes away {:.1} % of the squares of what frames and events disagree in, on pixels that it was not fitted to: {:.1} standard errors from nothing.</p>",
-        escaped(law.covariate.name()),
-        100.0 * law.taken,
-        law.significance
-    );
+    let (name, measured) = (escaped(law.covariate.name()), number(law.significance));
+    let note = if law.moved == Moved::EventRate {
+        format!(
+            "{what} than around, over {name}; bars: 95 %. No scene knows of this: it repeats with {measured} times the strength of chance, and foretells what it was not \
+             measured on by {} nats an event.",
+            number(law.nats_per_change)
+        )
+    } else {
+        format!(
+            "{what} than described, over {name}{rhythm}; bars: 95 %, from what two halves of the pixels say; dashed: the description as stated. It takes away {:.1} % of the \
+             squares of what frames and events disagree in, on pixels that it was not fitted to: {measured} standard errors from nothing.",
+            100.0 * law.taken
+        )
+    };
+    let _ = writeln!(html, "<h2>The curve without a name</h2>\n<p class=\"note\">{note}</p>");
     let points: Vec<Point> = (0..law.at.len()).map(|k| Point { at: law.at[k], value: factor * law.value[k], error: factor * law.error[k] }).collect();
     html.push_str(&over(law.covariate, &[(&points, "measured", COLOURS[0])], 0.0, unit));
 }

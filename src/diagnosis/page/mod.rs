@@ -12,7 +12,7 @@ use crate::candidates::CANDIDATES;
 use crate::case::Case;
 use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
-use crate::open::Law;
+use crate::law::Law;
 use crate::report::{EffectReport, Parameter, Report, Verdict, short as number};
 use crate::verdict::Proposal;
 use plot::{Plot, Scale};
@@ -73,7 +73,8 @@ fn head(html: &mut String, report: &Report) {
 /// The curve of what is reported without a name.
 fn unnamed<'a>(report: &Report, found: &'a Diagnosis) -> Option<&'a Law> {
     let is_told = report.effects.iter().any(|effect| effect.id == "unnamed");
-    found.roads.iter().filter_map(|road| road.unexplained.as_ref()).find_map(|one| one.law.as_ref()).filter(|_| is_told)
+    let of_roads = || found.roads.iter().filter_map(|road| road.unexplained.as_ref()).find_map(|one| one.law.as_ref());
+    found.integrity.laws.first().or_else(of_roads).filter(|_| is_told)
 }
 
 fn effects(html: &mut String, report: &Report) {

@@ -3,7 +3,7 @@
 use super::*;
 use crate::covariates::Covariate;
 use crate::diagnose::{RoadKind, Setting, broken, diagnose};
-use crate::open::{Law, Moved};
+use crate::law::{Law, Moved};
 use crate::testing;
 use crate::verdict::{Proposal, Road, Unexplained};
 
