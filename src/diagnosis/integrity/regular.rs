@@ -8,7 +8,8 @@
 //! Textures do not know odd rows from even ones. A row is held against the mean of the two beside it, in parts of the array and of the recording: what has one sign in nearly
 //! all of these parts, and in most rows, is the sensor's.
 //!
-//! `frame_coupling` of the catalogue makes events at one phase, and is the business of its own tests, which come first.
+//! `frame_coupling` of the catalogue makes events of one sign at one phase, and keeps those of the other away: it is the business of its own tests, which come first. Here both signs have to
+//! differ alike.
 
 use crate::case::Case;
 use crate::covariates::Covariate;
@@ -27,6 +28,8 @@ const LEAST_REGULARITY: f64 = 12.0;
 const BY_ROWS: f64 = 1.2;
 /// At some phase the rate differs by this share.
 const LEAST_SHARE: f64 = 0.15;
+/// And there the sign that differs less does so by this share of what the other does.
+const OF_OTHER_SIGN: f64 = 0.3;
 /// Parts of the array, and of the recording, in which rows are compared.
 const PARTS: (usize, usize) = (6, 10);
 /// Rows differ by parity by so many standard errors; recordings without such a law come to 4.3.
@@ -60,8 +63,8 @@ struct Folded {
 }
 
 impl Folded {
-    /// On the clock of each row, or that of the first row for all.
-    fn new(case: &Case, masked: &[u32], by_rows: bool) -> Option<Folded> {
+    /// Of the events of some signs, on the clock of each row, or that of the first row for all.
+    fn new(case: &Case, masked: &[u32], by_rows: bool, signs: &[i8]) -> Option<Folded> {
         let times = &case.frames.as_ref()?.times;
         let period_ns = times.mean_period_ns()?;
         let (frames, bins) = (times.len() - 1, (period_ns / BIN_NS).round() as usize);
@@ -71,7 +74,7 @@ impl Folded {
         let mut counts = vec![0.0; frames * bins];
         for pixel in (0..case.events.pixels()).filter(|pixel| masked.binary_search(&(*pixel as u32)).is_err()) {
             let row = if by_rows { case.place(pixel).1 } else { 0 };
-            for event in case.events.of(pixel) {
+            for event in case.events.of(pixel).iter().filter(|event| signs.contains(&event.polarity)) {
                 let later = times.exposures.partition_point(|exposure| exposure.start.0 + times.row_time_ns * i64::from(row) <= event.t_in_ns);
                 let Some(frame) = later.checked_sub(1).filter(|frame| *frame < frames) else { continue };
                 let phase_ns = (event.t_in_ns - times.exposure(frame, row).start.0) as f64;
@@ -79,7 +82,7 @@ impl Folded {
                 counts[frame * bins + bin.min(bins - 1)] += 1.0;
             }
         }
-        if counts.iter().sum::<f64>() < FEWEST_EVENTS * counts.len() as f64 {
+        if counts.iter().sum::<f64>() < 0.5 * FEWEST_EVENTS * (counts.len() * signs.len()) as f64 {
             return None;
         }
         let mut sums = vec![0.0];
@@ -131,10 +134,16 @@ impl Folded {
 }
 
 fn by_phase(case: &Case, masked: &[u32]) -> Option<Law> {
-    let folded = Folded::new(case, masked, true)?;
-    let (regularity, of_all) = (folded.regularity(), Folded::new(case, masked, false)?.regularity());
+    let folded = Folded::new(case, masked, true, &[-1, 1])?;
+    let regularity = folded.regularity();
     let value: Vec<f64> = (0..folded.bins).map(|bin| folded.share(bin, |_| true)).collect();
-    if regularity < LEAST_REGULARITY || regularity < BY_ROWS * of_all || value.iter().all(|share| share.abs() < LEAST_SHARE) {
+    let most = (0..folded.bins).max_by(|a, b| value[*a].abs().total_cmp(&value[*b].abs()))?;
+    if regularity < LEAST_REGULARITY || value[most].abs() < LEAST_SHARE || regularity < BY_ROWS * Folded::new(case, masked, false, &[-1, 1])?.regularity() {
+        return None;
+    }
+    let of_sign = |sign: i8| Some(Folded::new(case, masked, true, &[sign])?.share(most, |_| true));
+    let (off, on) = (of_sign(-1)?, of_sign(1)?);
+    if f64::min(off / on, on / off) < OF_OTHER_SIGN {
         return None;
     }
     let n = folded.frames as f64;

@@ -9,8 +9,8 @@ use photocurrent_core::{Exposure, Extent, FrameTimes};
 const PERIOD_NS: i64 = 8_000_000;
 const ROW_NS: i64 = 40_000;
 
-/// 48 x 36 pixels that see waves for 20 frames; an event of a row at an instant stays with the chance that `keep` gives it.
-fn waves(keep: impl Fn(u32, i64) -> f64) -> Case {
+/// 48 x 36 pixels that see waves for 20 frames; an event of a row, at an instant, of a sign stays with the chance that `keep` gives it.
+fn waves(keep: impl Fn(u32, i64, i8) -> f64) -> Case {
     let extent = Extent { width: 48, height: 36 };
     let mut random = Random::new(8, &[2]);
     let pixels = (0..extent.pixels()).map(|pixel| {
@@ -21,7 +21,7 @@ fn waves(keep: impl Fn(u32, i64) -> f64) -> Case {
             t += (-3e6 * libm::log(1.0 - random.uniform())) as i64;
             let wave = 0.6 + 0.4 * libm::sin(0.4 * f64::from(x) + 0.3 * f64::from(y) - t as f64 * 2e-7);
             let sign = if random.uniform() < 0.5 { 1 } else { -1 };
-            if random.uniform() < wave * keep(y, t) {
+            if random.uniform() < wave * keep(y, t, sign) {
                 events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity: sign });
             }
         }
@@ -40,12 +40,12 @@ fn is_blind(row: u32, t: i64) -> bool {
 
 #[test]
 fn a_scene_alone_has_no_such_law() {
-    assert_eq!(laws(&waves(|_, _| 1.0), &[]), []);
+    assert_eq!(laws(&waves(|_, _, _| 1.0), &[]), []);
 }
 
 #[test]
 fn events_that_stay_away_at_one_phase_of_every_row_are_told_with_that_phase() {
-    let found = laws(&waves(|row, t| if is_blind(row, t) { 0.3 } else { 1.0 }), &[]);
+    let found = laws(&waves(|row, t, _| if is_blind(row, t) { 0.3 } else { 1.0 }), &[]);
     let [law] = &found[..] else { panic!("{found:?}") };
     assert_eq!(law.covariate, Covariate::FramePhase);
     for (at, value) in law.at.iter().zip(&law.value) {
@@ -56,10 +56,17 @@ fn events_that_stay_away_at_one_phase_of_every_row_are_told_with_that_phase() {
 }
 
 #[test]
+fn events_of_one_sign_at_one_phase_are_the_coupling_s() {
+    let more = |signs: &'static [i8]| waves(move |row, t, sign| if is_blind(row, t) && signs.contains(&sign) { 1.0 } else { 0.5 });
+    assert_eq!(laws(&more(&[1]), &[]), []);
+    assert_eq!(laws(&more(&[1, -1]), &[]).len(), 1);
+}
+
+#[test]
 fn light_that_flickers_with_the_frames_is_the_scene_s() {
-    assert_eq!(laws(&waves(|_, t| if is_blind(0, t) { 0.3 } else { 1.0 }), &[]), []);
+    assert_eq!(laws(&waves(|_, t, _| if is_blind(0, t) { 0.3 } else { 1.0 }), &[]), []);
     // Nor can it be told apart where all rows have one clock.
-    let mut global = waves(|_, t| if is_blind(0, t) { 0.3 } else { 1.0 });
+    let mut global = waves(|_, t, _| if is_blind(0, t) { 0.3 } else { 1.0 });
     let frames = global.frames.as_mut().unwrap();
     frames.times = FrameTimes::new(frames.times.exposures.to_vec(), 0).unwrap();
     assert_eq!(laws(&global, &[]), []);
@@ -67,13 +74,13 @@ fn light_that_flickers_with_the_frames_is_the_scene_s() {
 
 #[test]
 fn rows_that_differ_by_parity_are_told_with_their_share() {
-    let found = laws(&waves(|row, _| if row % 2 == 1 { 0.8 } else { 1.0 }), &[]);
+    let found = laws(&waves(|row, _, _| if row % 2 == 1 { 0.8 } else { 1.0 }), &[]);
     let [law] = &found[..] else { panic!("{found:?}") };
     assert_eq!(law.covariate, Covariate::RowParity);
     // (1 - 0.8) / (1 + 0.8)
     assert!((law.value[0] - 0.111).abs() < 0.02 && (law.value[1] + law.value[0]).abs() < 1e-12, "{law:?}");
     assert!(law.nats_per_change > 0.003 && law.error[0] < 0.02, "{law:?}");
     // Some busy rows are no parity.
-    let busy = waves(|row, _| if [6, 14, 22, 30].contains(&row) { 1.0 } else { 0.6 });
+    let busy = waves(|row, _, _| if [6, 14, 22, 30].contains(&row) { 1.0 } else { 0.6 });
     assert_eq!(laws(&busy, &[]), []);
 }

@@ -147,7 +147,7 @@ pub fn unnamed(html: &mut String, law: &Law) {
         Moved::Stamps => ("how much later stamps are", "us", 1e6),
         Moved::Threshold => ("how much higher thresholds are", "%", 100.0),
         Moved::Rate => ("how many more ON than OFF events without light a pixel fires", "Hz", 1.0),
-        Moved::EventRate => ("how many more events come", "%", 100.0),
+        Moved::EventRate => ("how much more often events come", "%", 100.0),
     };
     let rhythm = law.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", number(1.0 / period_s)));
     let (name, measured) = (escaped(law.covariate.name()), number(law.significance));
@@ -173,8 +173,9 @@ pub fn unnamed(html: &mut String, law: &Law) {
 fn over(covariate: Covariate, sets: &[(&[Point], &str, &str)], flat: f64, unit: &str) -> String {
     let all = || sets.iter().flat_map(|set| set.0.iter());
     let ends = all().fold((f64::INFINITY, f64::NEG_INFINITY), |ends, point| (ends.0.min(point.at), ends.1.max(point.at)));
-    // Times and loads lie over decades.
-    let scale = if ends.0 > 0.0 && ends.1 > 8.0 * ends.0 { Scale::Logarithmic } else { Scale::Linear };
+    // Intervals and loads lie over decades.
+    let is_of_a_clock = matches!(covariate, Covariate::Time | Covariate::FramePhase);
+    let scale = if !is_of_a_clock && ends.0 > 0.0 && ends.1 > 8.0 * ends.0 { Scale::Logarithmic } else { Scale::Linear };
     // Room on both sides, so that points of a class do not stand on the axis.
     let room = if scale == Scale::Linear { 0.06 * (ends.1 - ends.0) } else { 0.0 };
     let rims = [(ends.0 - room, flat), (ends.1 + room, flat)];
