@@ -272,8 +272,20 @@ fn report(
     if let Some(found) = &answer.unexplained {
         let mut location = everywhere(case, None);
         location.covariate.clone_from(&found.covariate);
+        // Of closures the gain is that of a change; of a rate of events that of an event.
         let is_direct = found.law.as_ref().is_some_and(|law| law.moved == crate::law::Moved::EventRate);
-        let by = if is_direct { crate::verdict::DIRECT } else { crate::roads::REFIT };
+        let (by, heldout_nats, per_event) = if is_direct {
+            (crate::verdict::DIRECT, found.nats * case.events.all().len() as f64, Some(found.nats))
+        } else {
+            (crate::roads::REFIT, found.nats, None)
+        };
+        let evidence = Evidence {
+            statistic: found.score,
+            heldout_nats: Some(heldout_nats),
+            heldout_nats_per_event: per_event,
+            found_by: vec![by.into()],
+            ..Evidence::default()
+        };
         effects.push(EffectReport {
             id: "unnamed".into(),
             also_possible: found.hardly.clone(),
@@ -287,7 +299,7 @@ fn report(
             insertion: found.insertion.clone(),
             parameters: Default::default(),
             location,
-            evidence: Evidence { statistic: found.score, heldout_nats: Some(found.nats), found_by: vec![by.into()], ..Evidence::default() },
+            evidence,
         });
     }
     let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
