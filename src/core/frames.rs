@@ -60,6 +60,12 @@ impl FrameTimes {
         self.exposures[frame].delayed(self.row_time_ns * i64::from(row))
     }
 
+    /// The last frame whose exposure of `row` has begun at `t_ns`; none before the first.
+    pub fn last_begun(&self, row: u32, t_ns: i64) -> Option<usize> {
+        let shift = self.row_time_ns * i64::from(row);
+        self.exposures.partition_point(|exposure| exposure.start.0 + shift <= t_ns).checked_sub(1)
+    }
+
     /// Mean time from the start of one exposure to that of the next, ns; none of fewer than two.
     pub fn mean_period_ns(&self) -> Option<f64> {
         let (first, last) = (self.exposures.first()?, self.exposures.last()?);

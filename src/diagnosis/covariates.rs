@@ -181,8 +181,7 @@ impl<'a> Surroundings<'a> {
             Covariate::Time => (t_ns - self.case.span.0) as f64 * 1e-9,
             Covariate::FramePhase => {
                 let times = &self.case.frames.as_ref()?.times;
-                let later = times.exposures.partition_point(|exposure| exposure.start.0 + times.row_time_ns * i64::from(y) <= t_ns);
-                (t_ns - times.exposure(later.checked_sub(1)?, y).start.0) as f64 * 1e-9
+                (t_ns - times.exposure(times.last_begun(y, t_ns)?, y).start.0) as f64 * 1e-9
             }
             Covariate::Photocurrent => self.log_light(pixel, t_ns)?,
             Covariate::Slope => self.slope(pixel, t_ns)?.abs(),

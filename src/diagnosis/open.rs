@@ -57,10 +57,10 @@ pub fn laws(case: &Case, nominal: &Nominal, scales: &Scales, named: &[(usize, f6
     let front_end = nominal.pixel.front_end;
     let tau = (front_end.tau_0_s, front_end.alpha_s);
     let mut laws = Vec::new();
-    let instants = Instants::new(case);
+    let Some(instants) = Instants::new(case) else { return Ok(Vec::new()) };
     let step = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
     for moved in [Moved::Threshold, Moved::Stamps, Moved::Rate] {
-        let Some(asked) = Asked::new(moved, instants.as_ref(), step) else { continue };
+        let asked = Asked { moved, instants: &instants, step };
         let period_ns = rhythm(&here, &templates, &asked);
         let around = Surroundings::new(&here.case, &sample, &here.light, tau).with_period(period_ns);
         let around_stated = Surroundings::new(&stated.case, &sample, &stated.light, tau).with_period(period_ns);
@@ -118,12 +118,7 @@ struct Asked<'a> {
     step: f64,
 }
 
-impl<'a> Asked<'a> {
-    /// None without frames.
-    fn new(moved: Moved, instants: Option<&'a Instants>, step: f64) -> Option<Asked<'a>> {
-        Some(Asked { moved, instants: instants?, step })
-    }
-
+impl Asked<'_> {
     fn lay(&self, side: &Side, covariate: Covariate, sample: &Sample, surroundings: &Surroundings<'_>) -> Vec<f64> {
         if self.moved == Moved::Rate { self.instants.lay(covariate, sample, surroundings) } else { side.lay(covariate, surroundings) }
     }
@@ -330,7 +325,7 @@ mod tests {
         let laws = found(&rows_of(&["60 Hz", "0.001 Hz"].map(|rate| ("leak_events", json!({"rate": rate})))));
         let most = laws.iter().max_by(|a, b| a.significance.total_cmp(&b.significance)).unwrap();
         assert_eq!((most.moved, most.covariate), (Moved::Rate, Covariate::RowParity));
-        assert!((most.value[0] - 30.0).abs() < 8.0 && (most.value[1] + 30.0).abs() < 8.0, "{most:?}");
+        assert!((most.value[0] - 30.0).abs() < 2.0 && (most.value[1] + 30.0).abs() < 2.0, "{most:?}");
     }
 
     #[test]

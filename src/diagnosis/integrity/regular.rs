@@ -75,8 +75,7 @@ impl Folded {
         for pixel in (0..case.events.pixels()).filter(|pixel| masked.binary_search(&(*pixel as u32)).is_err()) {
             let row = if by_rows { case.place(pixel).1 } else { 0 };
             for event in case.events.of(pixel).iter().filter(|event| signs.contains(&event.polarity)) {
-                let later = times.exposures.partition_point(|exposure| exposure.start.0 + times.row_time_ns * i64::from(row) <= event.t_in_ns);
-                let Some(frame) = later.checked_sub(1).filter(|frame| *frame < frames) else { continue };
+                let Some(frame) = times.last_begun(row, event.t_in_ns).filter(|frame| *frame < frames) else { continue };
                 let phase_ns = (event.t_in_ns - times.exposure(frame, row).start.0) as f64;
                 let bin = (phase_ns / period_ns * bins as f64) as usize;
                 counts[frame * bins + bin.min(bins - 1)] += 1.0;
@@ -118,7 +117,7 @@ impl Folded {
         (sum(&self.counts) + 1.0) / (sum(&self.around) + 1.0) - 1.0
     }
 
-    /// Gain in log-likelihood of the counts of every other frame by the curve of the others, both ways, nats an event.
+    /// Gain in log-likelihood of the counts of every other frame by the curve of the others, both ways.
     fn nats(&self) -> f64 {
         let mut gain = 0.0;
         for half in 0..2 {
@@ -129,7 +128,7 @@ impl Folded {
                 }
             }
         }
-        gain / f64::max(self.counts.iter().sum(), 1.0)
+        gain
     }
 }
 
@@ -167,7 +166,7 @@ fn by_phase(case: &Case, masked: &[u32]) -> Option<Law> {
         value,
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: regularity,
-        nats_per_change: folded.nats(),
+        nats_per_change: folded.nats() / case.events.all().len() as f64,
     })
 }
 
@@ -240,6 +239,6 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Law> {
         error: vec![error, error],
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: sigmas,
-        nats_per_change: gain / f64::max(events, 1.0),
+        nats_per_change: gain / case.events.all().len() as f64,
     })
 }

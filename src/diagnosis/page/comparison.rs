@@ -153,8 +153,10 @@ pub fn unnamed(html: &mut String, law: &Law) {
     let (name, measured) = (escaped(law.covariate.name()), number(law.significance));
     let note = if law.moved == Moved::EventRate {
         format!(
-            "{what} than around, over {name}; bars: 95 %. No scene knows of this: it repeats with {measured} times the strength of chance, and foretells what it was not \
-             measured on by {} nats an event.",
+            "{what} than around, over {name}; bars: 95 %. No scene knows of this. It takes away {:.1} % of the squares of what counts differ in, is {measured} {}, and foretells \
+             what it was not measured on by {} nats an event.",
+            100.0 * law.taken,
+            if law.covariate == Covariate::FramePhase { "times the strength of chance" } else { "standard errors from nothing" },
             number(law.nats_per_change)
         )
     } else {
