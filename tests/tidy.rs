@@ -14,13 +14,14 @@ use std::process::Command;
 const MOST_LINES: usize = 700;
 
 /// The names of our crates' folders, and which of ours each may depend on, directly or for its tests.
-const DIRECTION: [(&str, &str, &[&str]); 6] = [
+const DIRECTION: [(&str, &str, &[&str]); 7] = [
     ("src/core", "photocurrent-core", &[]),
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
     ("src/diagnosis", "photocurrent-diagnosis", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/store", "photocurrent-store", &["photocurrent-core"]),
+    ("src/formats", "photocurrent-formats", &["photocurrent-core", "photocurrent-store"]),
     ("src/engine", "photocurrent-engine", &["photocurrent-core", "photocurrent-store"]),
-    ("nodes", "photocurrent-nodes", &["photocurrent-core", "photocurrent-sensor", "photocurrent-diagnosis", "photocurrent-store"]),
+    ("nodes", "photocurrent-nodes", &["photocurrent-core", "photocurrent-sensor", "photocurrent-diagnosis", "photocurrent-store", "photocurrent-formats"]),
 ];
 
 /// A package that stands outside the workspace: it shares nothing with the others, so that its recordings can examine them.

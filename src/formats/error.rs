@@ -1,0 +1,93 @@
+//! Why a file is refused, and what was lost of one that is damaged.
+
+use photocurrent_core::{DataError, NodeError};
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// A file cannot be read as what it is said to be.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FormatError {
+    /// The file or folder.
+    pub path: PathBuf,
+    /// Where in it: "line 17", "byte 4096", "/events/t".
+    pub at: Option<String>,
+    /// What is there.
+    pub found: String,
+    /// What should be there.
+    pub expected: Option<String>,
+    /// What to do next.
+    pub hint: String,
+    /// Does the file lack a fact that its format does not record, so that the user must state it? Names the field of [`crate::Declared`].
+    pub undeclared: Option<&'static str>,
+}
+
+impl FormatError {
+    /// From what was found and what to do about it.
+    pub fn new(path: &Path, found: impl Into<String>, hint: impl Into<String>) -> FormatError {
+        FormatError { path: path.into(), at: None, found: found.into(), expected: None, hint: hint.into(), undeclared: None }
+    }
+
+    /// The system could not open or read a file.
+    pub fn io(path: &Path, error: &std::io::Error) -> FormatError {
+        FormatError::new(path, photocurrent_core::error::cannot_read(path, error), "check the path, and that the file may be read")
+    }
+
+    /// Says where in the file.
+    #[must_use]
+    pub fn at(mut self, at: impl Into<String>) -> FormatError {
+        self.at = Some(at.into());
+        self
+    }
+
+    /// Says what should be there.
+    #[must_use]
+    pub fn expected(mut self, expected: impl Into<String>) -> FormatError {
+        self.expected = Some(expected.into());
+        self
+    }
+
+    /// Says that the user must state `field` of [`crate::Declared`].
+    #[must_use]
+    pub fn undeclared(mut self, field: &'static str) -> FormatError {
+        self.undeclared = Some(field);
+        self
+    }
+}
+
+impl FormatError {
+    /// Where, what was found, what was expected: the first line.
+    fn first_line(&self) -> String {
+        let at = self.at.as_ref().map(|at| format!(": {at}")).unwrap_or_default();
+        let expected = self.expected.as_ref().map(|expected| format!(", expected {expected}")).unwrap_or_default();
+        format!("{}{at}: {}{expected}", self.path.display(), self.found)
+    }
+}
+
+impl fmt::Display for FormatError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}\n  hint: {}", self.first_line(), self.hint)
+    }
+}
+
+impl std::error::Error for FormatError {}
+
+impl From<FormatError> for DataError {
+    fn from(error: FormatError) -> DataError {
+        DataError::new(error.to_string())
+    }
+}
+
+impl From<FormatError> for NodeError {
+    fn from(error: FormatError) -> NodeError {
+        NodeError::input(error.first_line()).hint(error.hint).param(error.undeclared.unwrap_or("path"))
+    }
+}
+
+/// A part of a file that could not be read; what stands around it was.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Loss {
+    /// Where: "bytes 4096 to 5120", "line 17", "packet 12".
+    pub at: String,
+    /// What is wrong there and what was left out: "the packet is cut off; its events are lost".
+    pub what: String,
+}

@@ -1,0 +1,25 @@
+//! Files of event cameras and of their frames: recognised by content, read in pieces, never trusted.
+//!
+//! - [`catalog`]: the one explicit list of all formats, in the order in which a file is held against them.
+//! - [`format`]: what a format is, and how a file is recognised ([`format::recognise`]).
+//! - [`recording`]: what an opened file gives: a cursor over its events, pictures by index, triggers, facts, losses.
+//! - [`declared`]: what a user states because the file cannot: a unit, columns, an exposure.
+//! - [`chunk`]: events as columns, a piece at a time.
+//! - [`error`]: why a file is refused, and what was lost of a damaged one.
+//!
+//! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
+//! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
+
+pub mod catalog;
+pub mod chunk;
+pub mod declared;
+pub mod error;
+pub mod format;
+pub mod recording;
+
+pub use catalog::FORMATS;
+pub use chunk::{Edge, EventChunk, Trigger};
+pub use declared::{Column, Declared, StampRole, TimeUnit, Transfer};
+pub use error::{FormatError, Loss};
+pub use format::{Format, Probe, recognise};
+pub use recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};
