@@ -5,6 +5,7 @@
 //! - [`recording`]: what an opened file gives: a cursor over its events, pictures by index, triggers, facts, losses.
 //! - [`declared`]: what a user states because the file cannot: a unit, columns, an exposure.
 //! - [`chunk`]: events as columns, a piece at a time.
+//! - [`gather`]: events sorted by row in bounded memory, as nodes take them.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
@@ -15,6 +16,7 @@ pub mod chunk;
 pub mod declared;
 pub mod error;
 pub mod format;
+pub mod gather;
 pub mod recording;
 
 pub use catalog::FORMATS;
