@@ -5,4 +5,11 @@
 use crate::format::Format;
 
 /// Every format, in the order in which a file is held against them.
-pub static FORMATS: &[&Format] = &[];
+pub static FORMATS: &[&Format] = &[
+    &crate::npz::FORMAT,
+    &crate::event_camera_dataset::FORMAT,
+    &crate::hs_ergb::FORMAT,
+    &crate::event_utils_memmap::FORMAT,
+    &crate::pictures::FORMAT,
+    &crate::csv::FORMAT,
+];
