@@ -7,3 +7,11 @@ use crate::format::Format;
 
 /// Every format, in the order in which a file is held against them.
 pub static FORMATS: &[&Format] = &[&evt::EVT2, &evt::EVT21, &evt::EVT3, &evt::DAT];
+pub static FORMATS: &[&Format] = &[
+    &crate::npz::FORMAT,
+    &crate::event_camera_dataset::FORMAT,
+    &crate::hs_ergb::FORMAT,
+    &crate::event_utils_memmap::FORMAT,
+    &crate::pictures::FORMAT,
+    &crate::csv::FORMAT,
+];

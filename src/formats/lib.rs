@@ -8,19 +8,35 @@
 //! - [`gather`]: events sorted by row in bounded memory, as nodes take them.
 //! - [`evt`]: Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT; [`bias`]: settings of these sensors.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
+//! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
 
 pub mod bias;
+pub mod calibration;
 pub mod catalog;
 pub mod chunk;
+pub mod csv;
+mod decimal;
 pub mod declared;
 pub mod error;
 pub mod evt;
 pub mod format;
 pub mod gather;
+pub mod event_camera_dataset;
+pub mod event_utils_memmap;
+mod evidence;
+pub mod format;
+pub mod hs_ergb;
+pub mod joined;
+mod npy;
+pub mod npz;
+pub mod pictures;
 pub mod recording;
+mod tally;
+mod text;
+pub mod transfer;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};
