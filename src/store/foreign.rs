@@ -4,7 +4,8 @@
 //! group at a time and never into a cycle; a shape is compared with the stored bytes before memory is taken, and so is every chunk. Filters
 //! are undone by us (`hdf::pipeline`): none, deflate, shuffle, fletcher32, LZF, Blosc, Zstandard, LZ4, bitshuffle, Prophesee's ECF.
 //!
-//! A file that is cut short is opened for what is whole in it; a damaged chunk is a [`Gap`], and reading goes on behind it.
+//! A damaged chunk is a [`Gap`], and reading goes on behind it. A file that is cut short is refused: the library has its directory where it likes,
+//! and crashes on parts of it that are not there.
 
 use crate::error::StoreError;
 use crate::hdf::chunks::{Chunks, Hole};
@@ -38,7 +39,7 @@ impl ForeignFile {
     /// # Errors
     /// When it cannot be read or is no HDF5 file.
     pub fn open(path: &Path) -> Result<ForeignFile, StoreError> {
-        Ok(ForeignFile { opened: Opened::read_foreign(path)? })
+        Ok(ForeignFile { opened: Opened::read(path)? })
     }
 
     /// Where it is.
@@ -49,11 +50,6 @@ impl ForeignFile {
     /// Its size in bytes.
     pub fn bytes(&self) -> u64 {
         self.opened.bytes
-    }
-
-    /// Does it end before the end that it states? Then some of it is lost.
-    pub fn is_cut(&self) -> bool {
-        self.opened.is_cut
     }
 
     /// Is there something of this name, `group/group/name`?
@@ -106,23 +102,7 @@ impl ForeignFile {
             }
         }
         let chunks = Chunks::new(&self.opened, &at, dataset, memory, true).keeping(KEPT_BYTES);
-        if self.is_cut() && !chunks.is_packed() {
-            self.refuse_behind_the_end(&chunks)?;
-        }
         Ok(Some(ForeignDataset { inner: Arc::new(Inner { chunks, form, row }) }))
-    }
-
-    /// In a file that is cut short, numbers in one piece must end before it does.
-    fn refuse_behind_the_end(&self, chunks: &Chunks) -> Result<(), StoreError> {
-        // SAFETY: plain queries of a live dataset.
-        let (start, length) =
-            locked(|| unsafe { (hdf5_sys::h5d::H5Dget_offset(chunks.dataset.id()), hdf5_sys::h5d::H5Dget_storage_size(chunks.dataset.id())) });
-        // An undefined address (all ones) means: in the header, or not written at all.
-        if start != u64::MAX && start.saturating_add(length) > self.bytes() {
-            let found = format!("numbers up to byte {}, but the file ends at byte {}", start.saturating_add(length), self.bytes());
-            return Err(self.opened.content(&chunks.at, found, "all numbers inside the file", "the file is cut short: copy or record it again"));
-        }
-        Ok(())
     }
 
     /// A text, stored as a dataset; `None` when there is nothing of this name.

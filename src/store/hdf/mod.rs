@@ -58,8 +58,6 @@ pub(crate) struct Opened {
     pub file: File,
     /// Size of the file when it was opened: no chunk can be larger.
     pub bytes: u64,
-    /// Does the file end before the end that it states?
-    pub is_cut: bool,
 }
 
 impl Opened {
@@ -71,31 +69,7 @@ impl Opened {
             found: format!("the HDF5 library cannot open the file: {}", short(&error)),
             hint: hint_for(&short(&error)).into(),
         })?;
-        Ok(Opened { path: path.into(), file, bytes, is_cut: false })
-    }
-
-    /// Opens a file of another program for reading; one that is cut short too, for what is whole in it.
-    pub fn read_foreign(path: &Path) -> Result<Opened, StoreError> {
-        let error = match Opened::read(path) {
-            Err(error @ StoreError::NotReadable { .. }) if error.to_string().contains("truncated file") => error,
-            other => return other,
-        };
-        let Ok(name) = std::ffi::CString::new(path.as_os_str().as_encoded_bytes()) else { return Err(error) };
-        let file = locked(|| {
-            let mut skip_eof_check: bool = true;
-            // SAFETY: a property list of our own, closed at the end; the library's own tool h5clear sets this property in this way. The property has
-            // the size of one `bool`. Whoever gets the identifier of the file closes it.
-            unsafe {
-                use hdf5_sys::{h5f, h5p};
-                let access = h5p::H5Pcreate(*hdf5::globals::H5P_FILE_ACCESS);
-                let set = h5p::H5Pset(access, c"skip_eof_check".as_ptr(), (&raw mut skip_eof_check).cast());
-                let id = if set < 0 { -1 } else { h5f::H5Fopen(name.as_ptr(), h5f::H5F_ACC_RDONLY, access) };
-                h5p::H5Pclose(access);
-                if id < 0 { None } else { hdf5::from_id::<File>(id).ok() }
-            }
-        });
-        let bytes = std::fs::metadata(path).map_err(|error| StoreError::io(path, "read the file's size", error))?.len();
-        file.map(|file| Opened { path: path.into(), file, bytes, is_cut: true }).ok_or(error)
+        Ok(Opened { path: path.into(), file, bytes })
     }
 
     /// Creates, replacing what is there.
@@ -106,7 +80,7 @@ impl Opened {
             doing: "create the file",
             detail: short(&error),
         })?;
-        Ok(Opened { path: path.into(), file, bytes: 0, is_cut: false })
+        Ok(Opened { path: path.into(), file, bytes: 0 })
     }
 
     /// Turns a library error into ours.

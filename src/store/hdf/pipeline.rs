@@ -121,12 +121,6 @@ impl Pipeline {
         self.steps.iter().map(|step| step.largest_ratio()).max().unwrap_or(1)
     }
 
-    /// Would bytes that were never written (zeros) be noticed in every chunk?
-    pub fn notices_zeros(&self, mask: u32) -> bool {
-        let notices = |step: &Step| matches!(step, Step::Deflate | Step::Blosc | Step::Zstd | Step::Ecf);
-        self.steps.iter().enumerate().any(|(at, step)| is_applied(at, mask) && notices(step))
-    }
-
     /// Undoes the filters of a chunk, but for those that its mask leaves out, and fills `out`; the reason in words when the bytes are not what they should be.
     pub fn undo(&self, bytes: Vec<u8>, mask: u32, out: &mut [u8]) -> Filled {
         let applied: Vec<Step> = self.steps.iter().enumerate().filter(|(at, _)| is_applied(*at, mask)).map(|(_, step)| *step).collect();
