@@ -56,6 +56,7 @@ pub fn catalogue() -> Catalogue {
         // What the user takes away.
         Kind::of::<write::recording::WriteRecording>(),
         Kind::of::<write::frames::WriteFrames>(),
+        Kind::of::<write::video::WriteVideo>(),
         Kind::of::<write::table::WriteTable>(),
         Kind::of::<write::plot::WritePlot>(),
         Kind::of::<write::contact_sheet::WriteContactSheet>(),
