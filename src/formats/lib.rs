@@ -5,6 +5,8 @@
 //! - [`recording`]: what an opened file gives: a cursor over its events, pictures by index, triggers, facts, losses.
 //! - [`declared`]: what a user states because the file cannot: a unit, columns, an exposure.
 //! - [`chunk`]: events as columns, a piece at a time.
+//! - [`survey`]: one pass over a recording: everything that a person, or the judge of hazards, wants to know.
+//! - [`hazard`]: what is wrong or unknown, with evidence and what to do.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
@@ -15,7 +17,9 @@ pub mod chunk;
 pub mod declared;
 pub mod error;
 pub mod format;
+pub mod hazard;
 pub mod recording;
+pub mod survey;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};
