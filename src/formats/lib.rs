@@ -7,6 +7,8 @@
 //! - [`chunk`]: events as columns, a piece at a time.
 //! - [`gather`]: events sorted by row in bounded memory, as nodes take them.
 //! - [`evt`]: Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT; [`bias`]: settings of these sensors.
+//! - [`survey`]: one pass over a recording: everything that a person, or the judge of hazards, wants to know.
+//! - [`hazard`]: what is wrong or unknown, with evidence and what to do.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //!
@@ -37,6 +39,9 @@ pub mod recording;
 mod tally;
 mod text;
 pub mod transfer;
+pub mod hazard;
+pub mod recording;
+pub mod survey;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};

@@ -21,6 +21,7 @@
 //! - [`inverse`]: events and frames in, photocurrent out: the least-squares problem of Eq. (13).
 //! - [`map`]: the same with knots that are fine, the exact reset and a prior: the most probable light.
 //! - [`likelihood`]: how probable events are given light: residuals with an exact distribution.
+//! - [`estimate`]: what a file does not say and its own events and frames do: offset, exposure, row time, thresholds.
 //! - [`effects`]: non-idealities beyond the model above, one file each.
 //!
 //! Results are the same bits on every machine: no fused multiply-add and no platform `exp` or `ln`
@@ -29,6 +30,7 @@
 pub mod comparator;
 pub mod effects;
 pub mod elementary;
+pub mod estimate;
 pub mod exposure;
 pub mod forward;
 pub mod front_end;

@@ -1,0 +1,135 @@
+//! What is wrong with a recording, or not known of it: with evidence, and what to do.
+//!
+//! Every hazard here has cost somebody days: a wrong unit, a clock that wrapped, an offset forgotten or added twice, frames of NaN. A [`Survey`] counts; this judges.
+//! Nothing is guessed and nothing is put right silently: a finding says what was seen, and the user decides.
+//!
+//! - [`limits`]: from where on something is a finding, each with its reason.
+//! - [`events`], [`frames`], [`together`]: the detectors.
+//!
+//! Severities: an [`Severity::Error`] makes results meaningless, so nothing should run on such data; a [`Severity::Hazard`] may, and should be looked at;
+//! a [`Severity::Question`] is a fact that a method needs and the file does not hold; a [`Severity::Fact`] is worth knowing and no fault.
+
+pub mod events;
+pub mod frames;
+pub mod limits;
+pub mod together;
+
+#[cfg(test)]
+mod tests;
+
+pub use limits::Limits;
+
+use crate::survey::Survey;
+use serde::Serialize;
+use std::fmt;
+
+/// How bad it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Severity {
+    /// Results would be meaningless: put it right first.
+    Error,
+    /// Results may be wrong: look at it.
+    Hazard,
+    /// The file does not say, and methods need to know.
+    Question,
+    /// Worth knowing, no fault.
+    Fact,
+}
+
+impl Severity {
+    /// In a word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Severity::Error => "error",
+            Severity::Hazard => "hazard",
+            Severity::Question => "question",
+            Severity::Fact => "fact",
+        }
+    }
+}
+
+impl fmt::Display for Severity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// Something about a recording that a person should know.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    /// Short and stable: `unit_too_small`.
+    pub id: &'static str,
+    /// How bad.
+    pub severity: Severity,
+    /// What, in a sentence.
+    pub message: String,
+    /// The numbers behind it.
+    pub evidence: String,
+    /// What to do about it.
+    pub what_to_do: String,
+}
+
+impl Finding {
+    /// One.
+    pub fn new(id: &'static str, severity: Severity, message: impl Into<String>, evidence: impl Into<String>, what_to_do: impl Into<String>) -> Finding {
+        Finding { id, severity, message: message.into(), evidence: evidence.into(), what_to_do: what_to_do.into() }
+    }
+}
+
+/// Everything that is to be said of a recording, worst first.
+pub fn findings(survey: &Survey, limits: &Limits) -> Vec<Finding> {
+    let mut found = Vec::new();
+    damage(survey, &mut found);
+    if let Some(events) = &survey.events {
+        events::judge(events, &survey.format, limits, &mut found);
+    }
+    if let Some(frames) = &survey.frames {
+        frames::judge(frames, limits, &mut found);
+    }
+    for line in &survey.triggers {
+        together::line(line, survey.frames.as_ref(), &mut found);
+    }
+    together::judge(survey, limits, &mut found);
+    found.sort_by_key(|finding| finding.severity);
+    found
+}
+
+fn damage(survey: &Survey, found: &mut Vec<Finding>) {
+    if let Some(first) = survey.losses.first() {
+        found.push(Finding::new(
+            "damaged",
+            Severity::Hazard,
+            "parts of the file are damaged and were left out",
+            format!("{} in all; first {}: {}", count(survey.losses.len() as u64, "loss", "losses"), first.at, first.what),
+            "copy the file again from where it came; what is whole can be used",
+        ));
+    }
+}
+
+/// `1 event`, `17 events`.
+pub(crate) fn count(n: u64, one: &str, many: &str) -> String {
+    format!("{n} {}", if n == 1 { one } else { many })
+}
+
+/// A time for people: `1.25 ms`.
+pub fn time(ns: f64) -> String {
+    let size = ns.abs();
+    let (value, unit) = match size {
+        s if s < 1e3 => (ns, "ns"),
+        s if s < 1e6 => (ns * 1e-3, "us"),
+        s if s < 1e9 => (ns * 1e-6, "ms"),
+        _ => (ns * 1e-9, "s"),
+    };
+    // Four digits say enough, and a long time keeps its microseconds.
+    let digits = if unit == "s" && size >= 1e11 { 6 } else { [3, 2, 1, 0][(value.abs() >= 10.0) as usize + (value.abs() >= 100.0) as usize + (value.abs() >= 1000.0) as usize] };
+    let text = format!("{value:.digits$}");
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    format!("{text} {unit}")
+}
+
+/// A share for people: `31 %`.
+pub fn percent(share: f64) -> String {
+    let value = share * 100.0;
+    if value == 0.0 || value >= 10.0 { format!("{value:.0} %") } else { format!("{value:.2} %") }
+}

@@ -1,0 +1,179 @@
+//! Hazards of events and frames together: clocks that do not meet, events in step with frames, late events, mirrored pictures, trigger edges.
+
+use super::{Finding, Limits, Severity, count, percent, time};
+use crate::survey::lines::LineSurvey;
+use crate::survey::pictures::FramesSurvey;
+use crate::survey::{EventsSurvey, Survey};
+
+/// Adds what there is to say.
+pub fn judge(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
+    match (&survey.events, &survey.frames) {
+        (Some(events), Some(frames)) if events.count > 0 && frames.count > 0 => {
+            if overlap(events, frames, limits, found) {
+                step(survey, limits, found);
+                late(survey, frames, limits, found);
+            }
+            sizes(events, frames, limits, found);
+        }
+        (None, Some(_)) => found.push(Finding::new("frames_only", Severity::Fact, "there are frames and no events", "no event stream in this file", "name the file of the events too")),
+        (Some(_), None) => found.push(Finding::new("events_only", Severity::Fact, "there are events and no frames", "no frames in this file", "name the frames too, if there are any")),
+        _ => {}
+    }
+}
+
+fn span(span: (i64, i64)) -> String {
+    format!("{} to {}", time(span.0 as f64), time(span.1 as f64))
+}
+
+/// Do the spans meet?
+fn overlap(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) -> bool {
+    let (Some(of_events), Some(of_frames)) = (events.span_ns, frames.span_ns) else { return false };
+    let shared = of_events.1.min(of_frames.1).saturating_sub(of_events.0.max(of_frames.0));
+    let (long_events, long_frames) = (of_events.1.saturating_sub(of_events.0), of_frames.1.saturating_sub(of_frames.0));
+    let spans = format!("events from {}, frames from {}", span(of_events), span(of_frames));
+    if shared < 0 {
+        // Clocks that began together are off by the difference of their starts.
+        let offset = of_frames.0.saturating_sub(of_events.0);
+        let ratio = (of_frames.0 as f64 / of_events.0.max(1) as f64).abs();
+        let is_unit = [1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9].into_iter().find(|unit| (ratio / unit - 1.0).abs() < 0.05 && of_events.0 > 0);
+        let advice = match is_unit {
+            Some(_) => "the two are of one clock in different units: state the unit of the one that is wrong".to_owned(),
+            None if offset.unsigned_abs() > 1_000_000_000_000_000_000 => format!("one clock is that of the day: an offset was not added, or added twice; add {} ns to the events' stamps", offset),
+            None => format!("an offset was not added, or added twice; {offset} ns added to the events' stamps makes both begin together"),
+        };
+        found.push(Finding::new("no_overlap", Severity::Error, "events and frames do not overlap in time", spans, advice));
+        return false;
+    }
+    if (shared as f64) < limits.overlap_share * long_events.min(long_frames) as f64 {
+        found.push(Finding::new(
+            "little_overlap",
+            Severity::Hazard,
+            "events and frames overlap little in time",
+            format!("{spans}: {} are common", time(shared as f64)),
+            "check the offset between the two clocks",
+        ));
+    }
+    true
+}
+
+fn step(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
+    let Some(phase) = survey.phase.as_ref().filter(|phase| phase.frames >= limits.phase_fewest) else { return };
+    let peak = phase.profile[phase.peak];
+    if peak > limits.phase_peak && phase.peak_frames as f64 > limits.phase_frames * phase.frames as f64 {
+        let mean_on = phase.on_share.iter().sum::<f64>() / phase.on_share.len() as f64;
+        found.push(Finding::new(
+            "frame_coupled_events",
+            Severity::Hazard,
+            "events come in bursts in step with the frames",
+            format!(
+                "{} after a frame begins, {peak:.1} times the mean rate, in {} of {} frames; {} ON there, {} otherwise",
+                time((phase.peak as f64 + 0.5) * phase.bin_ns as f64),
+                phase.peak_frames,
+                phase.frames,
+                percent(phase.on_share[phase.peak]),
+                percent(mean_on)
+            ),
+            "the switching of the frame path fires pixels: state `frame_coupling` in the description, or cut that phase out; a lamp in step with the frames does this too",
+        ));
+    }
+}
+
+fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
+    let (Some(lag), Some(period)) = (&survey.lag, frames.period) else { return };
+    let period = period.median_ns as f64;
+    let [as_is, left_right, top_bottom, both] = lag.mirrored;
+    let mirrored = [("left to right", left_right), ("top to bottom", top_bottom), ("both ways", both)];
+    if let Some((how, r)) = mirrored.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, r)| *r > as_is + limits.mirrored && *r > limits.correlation) {
+        found.push(Finding::new(
+            "mirrored",
+            Severity::Hazard,
+            format!("events and frames may be mirrored, {how}"),
+            format!("where events are correlates {r:.2} with where frames change when mirrored, {as_is:.2} as it is"),
+            "look at a picture of both; flip one of them",
+        ));
+    }
+    let Some(late) = lag.late_ns.filter(|_| lag.correlation.0 >= limits.correlation) else { return };
+    let interval = format!("{} (95 % {} to {})", time(late.value), time(late.ci95.0), time(late.ci95.1));
+    let evidence = format!("{interval}; correlation {:.2} there, {:.2} without a shift, over {}", lag.correlation.0, lag.correlation.1, count(lag.pairs as u64, "pair of frames", "pairs of frames"));
+    let beyond = (limits.late_share * period).max(limits.late_ns);
+    if late.ci95.0 > 0.5 * beyond && late.value > beyond || late.ci95.1 < -0.5 * beyond && late.value < -beyond {
+        let way = if late.value > 0.0 { "late" } else { "early" };
+        found.push(Finding::new(
+            "events_late",
+            Severity::Hazard,
+            format!("events are {way} against the frames"),
+            evidence,
+            "a latency, an offset of the clocks, or a stamp that means another part of the exposure: estimate/offset measures it; state the offset, or the latency in the description",
+        ));
+    } else {
+        found.push(Finding::new("in_time", Severity::Fact, "events and frames show the same changes", format!("events later by {evidence}"), "nothing"));
+    }
+    if let Some(drift) = lag.drift_ns_per_s {
+        let change = drift.value.abs() * lag.drift_over_s;
+        let is_sure = drift.ci95.0 > 0.0 || drift.ci95.1 < 0.0;
+        if is_sure && change > limits.drift_share * period {
+            found.push(Finding::new(
+                "clock_drift",
+                Severity::Hazard,
+                "the clocks of events and frames drift apart",
+                format!("{:.0} us a second (95 % {:.0} to {:.0})", drift.value * 1e-3, drift.ci95.0 * 1e-3, drift.ci95.1 * 1e-3),
+                "state `clock_drift` in the description, or record with a common trigger",
+            ));
+        }
+    }
+}
+
+fn sizes(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
+    if events.count < limits.fewest_events {
+        return;
+    }
+    let used = (events.places.largest.0 + 1, events.places.largest.1 + 1);
+    let whole = |n: u32, of: u32| n > 0 && of.is_multiple_of(n);
+    let stated = events.extent.unwrap_or(used);
+    let evidence = format!("events reach column {} and row {}, frames have {} x {} pixels", used.0 - 1, used.1 - 1, frames.width, frames.height);
+    let fits = |used: (u32, u32)| used.0 <= frames.width && used.1 <= frames.height;
+    if !fits(used) && fits((used.1, used.0)) && events.extent.is_none() {
+        found.push(Finding::new("swapped", Severity::Hazard, "columns and rows of the events may be swapped", evidence, "look at a picture of both; state the columns in the order in which they are stored"));
+    } else if let Some(scale) = [16, 32, 64, 128].into_iter().find(|scale| used.0.div_ceil(*scale) <= frames.width && used.0 > frames.width * (scale / 2) && used.1 > frames.height * (scale / 2)) {
+        found.push(Finding::new("scaled", Severity::Error, format!("coordinates of the events count {scale} to a pixel"), evidence, format!("state `coordinate_scale = {scale}`")));
+    } else if !(whole(stated.0, frames.width) && whole(stated.1, frames.height)) && events.extent.is_some() {
+        found.push(Finding::new(
+            "sizes_differ",
+            Severity::Question,
+            "frames are no whole multiple of the events' pixels: they are not aligned as they are",
+            format!("events {} x {}, frames {} x {}", stated.0, stated.1, frames.width, frames.height),
+            "align them first (a homography or a crop); both cameras must see one picture",
+        ));
+    }
+}
+
+/// A trigger line, against the frames.
+pub fn line(line: &LineSurvey, frames: Option<&FramesSurvey>, found: &mut Vec<Finding>) {
+    let name = format!("trigger line {}", line.line);
+    let edges = format!("{} rising, {} falling", line.rising, line.falling);
+    // A line with one kind of edge has none to miss.
+    if line.unpaired > 0 {
+        found.push(Finding::new(
+            "trigger_unpaired",
+            Severity::Hazard,
+            format!("edges of {name} do not come in pairs"),
+            format!("{edges}; {} one of their own kind", count(line.unpaired, "edge follows", "edges follow")),
+            "an edge was missed: frames after it may be shifted by one; count both against the frames",
+        ));
+    }
+    if line.gaps > 0 {
+        let usual = line.period.map_or_else(String::new, |period| format!(", usual {}, longest {}", time(period.median_ns as f64), time(period.max_ns as f64)));
+        found.push(Finding::new("trigger_gaps", Severity::Hazard, format!("pulses of {name} are missing"), format!("{}{usual}", count(line.gaps, "gap", "gaps")), "a pulse was missed: match edges and frames by time, not by number"));
+    }
+    let (beats, Some(frames)) = (line.rising.max(line.falling), frames) else { return };
+    let is_near = beats.abs_diff(frames.count) * 5 < frames.count;
+    if is_near && beats != frames.count {
+        found.push(Finding::new(
+            "trigger_count",
+            Severity::Hazard,
+            format!("{name} has another number of pulses than there are frames"),
+            format!("{beats} pulses, {} frames", frames.count),
+            "a frame or a pulse was lost, at an end or between: match them by time",
+        ));
+    }
+}

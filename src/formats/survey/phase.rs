@@ -1,0 +1,143 @@
+//! Events in step with the frames.
+//!
+//! In a camera that takes frames and events with one photodiode, the switching of the frame path can fire pixels: bursts of one sign, at the same time in
+//! every frame. So the time from each frame's stamp to the next is cut into bins, and events are counted by bin, frame by frame. What a scene does is
+//! at another place in the next frame; what is at one place in nearly all is the sensor's, or a simulator's that works frame by frame.
+
+use serde::Serialize;
+
+/// Bins from one frame to the next.
+pub const PHASES: usize = 64;
+/// A frame with fewer events says nothing.
+const FEWEST: u32 = 2 * PHASES as u32;
+
+/// Events by the time since the frame before them.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct PhaseSurvey {
+    /// Frames with enough events to be counted.
+    pub frames: u64,
+    /// Length of a bin, ns, at the middle period.
+    pub bin_ns: i64,
+    /// Share of a frame's events in each bin, mean over the frames, times the number of bins: 1 everywhere where nothing is in step.
+    pub profile: Vec<f64>,
+    /// Share of ON events in each bin.
+    pub on_share: Vec<f64>,
+    /// The bin with most.
+    pub peak: usize,
+    /// In how many of the frames it has over 1.5 times the frame's mean.
+    pub peak_frames: u64,
+}
+
+/// Counts events by phase.
+pub(super) struct Phase {
+    /// Where frames begin, ns, rising.
+    starts: Vec<i64>,
+    now: usize,
+    counts: [(u32, u32); PHASES],
+    frames: u64,
+    sums: [f64; PHASES],
+    over: [u64; PHASES],
+    on: [u64; PHASES],
+    all: [u64; PHASES],
+}
+
+impl Phase {
+    /// With the instants at which frames begin; none when there are too few to be in step with.
+    pub fn new(mut starts: Vec<i64>) -> Option<Phase> {
+        starts.sort_unstable();
+        starts.dedup();
+        let zero = Phase {
+            starts,
+            now: usize::MAX,
+            counts: [(0, 0); PHASES],
+            frames: 0,
+            sums: [0.0; PHASES],
+            over: [0; PHASES],
+            on: [0; PHASES],
+            all: [0; PHASES],
+        };
+        (zero.starts.len() > 2).then_some(zero)
+    }
+
+    /// Takes an event.
+    #[inline]
+    pub fn add(&mut self, t: i64, on: u8) {
+        let is_here = self.now != usize::MAX && self.starts[self.now] <= t && t < self.starts[self.now + 1];
+        if !is_here {
+            let next = self.starts.partition_point(|start| *start <= t);
+            if next == 0 || next == self.starts.len() {
+                return;
+            }
+            self.close();
+            self.now = next - 1;
+        }
+        let (from, to) = (self.starts[self.now], self.starts[self.now + 1]);
+        let bin = ((t.abs_diff(from) as f64 / to.abs_diff(from) as f64) * PHASES as f64) as usize;
+        let count = &mut self.counts[bin.min(PHASES - 1)];
+        count.0 += 1;
+        count.1 += u32::from(on & 1);
+    }
+
+    fn close(&mut self) {
+        let all: u32 = self.counts.iter().map(|count| count.0).sum();
+        if all >= FEWEST {
+            self.frames += 1;
+            for (bin, (count, on)) in self.counts.iter().enumerate() {
+                let over_mean = f64::from(*count) * PHASES as f64 / f64::from(all);
+                self.sums[bin] += over_mean;
+                self.over[bin] += u64::from(over_mean > 1.5);
+                self.on[bin] += u64::from(*on);
+                self.all[bin] += u64::from(*count);
+            }
+        }
+        self.counts = [(0, 0); PHASES];
+    }
+
+    pub fn survey(mut self) -> Option<PhaseSurvey> {
+        self.close();
+        if self.frames < 2 {
+            return None;
+        }
+        let mut periods: Vec<i64> = self.starts.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
+        periods.sort_unstable();
+        let profile: Vec<f64> = self.sums.iter().map(|sum| sum / self.frames as f64).collect();
+        let peak = (0..PHASES).max_by(|a, b| profile[*a].total_cmp(&profile[*b])).unwrap_or(0);
+        Some(PhaseSurvey {
+            frames: self.frames,
+            bin_ns: periods[periods.len() / 2] / PHASES as i64,
+            on_share: self.on.iter().zip(&self.all).map(|(on, all)| *on as f64 / (*all).max(1) as f64).collect(),
+            peak_frames: self.over[peak],
+            profile,
+            peak,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_burst_in_every_frame_stands_at_its_place() {
+        let mut phase = Phase::new((0..20).map(|k| k * 6_400).collect()).unwrap();
+        for t in 0..20 * 6_400 {
+            let is_burst = (3_000..3_100).contains(&(t % 6_400));
+            if is_burst || t % 20 == 0 {
+                phase.add(t, u8::from(is_burst));
+            }
+        }
+        let found = phase.survey().unwrap();
+        assert_eq!((found.frames, found.bin_ns, found.peak, found.peak_frames), (19, 100, 30, 19));
+        assert!(found.profile[30] > 10.0 && found.on_share[30] > 0.9 && found.on_share[3] == 0.0);
+    }
+
+    #[test]
+    fn what_wanders_is_not_in_step() {
+        let mut phase = Phase::new((0..65).map(|k| k * 6_400).collect()).unwrap();
+        for frame in 0..64 {
+            (0..600).for_each(|k| phase.add(frame * 6_400 + frame * 100 + k % 100, 1));
+        }
+        let found = phase.survey().unwrap();
+        assert!(found.peak_frames <= 1 && found.profile.iter().all(|over| (over - 1.0).abs() < 1e-9), "{found:?}");
+    }
+}

@@ -1,0 +1,44 @@
+//! What a file does not say and its own events and frames do: how late events are, the exposure, the row time, the thresholds.
+//!
+//! A frame's logarithm changes from one frame to the next; the events between the two say the same change once more. Held against each other at many places,
+//! the two give the shift in time at which they agree best ([`offset()`]), that shift row by row ([`row_time()`]), the log change of one event
+//! ([`thresholds()`]), and the length of the exposure that blurs as the frames are blurred ([`exposure()`]). Each comes with a 95 % interval, by drawing
+//! parts of the picture and pairs of frames again and again.
+//!
+//! These are proposals for a description that lacks a value: good to the size of the interval in scenes that move, none where nothing does.
+//!
+//! - [`Panel`]: events and frames of some places, side by side.
+//!
+//! Source: the residual of Eq. (13) without its front end; the double integral of Pan et al., CVPR 2019, for the blur.
+//! Limits: the latency of the front end and the readout is part of the offset, and differs with light; frames with a curve that is not linear give
+//! thresholds of that curve. Light that changes between two places of a panel as a whole (an exposure that adapts) is taken out.
+
+mod blur;
+mod draw;
+mod panel;
+mod shift;
+mod step;
+
+pub use blur::exposure;
+pub use panel::{NOWHERE, Panel, Stretch};
+pub use shift::{Drift, Shift, drift, offset, row_time};
+pub use step::{Steps, thresholds};
+
+/// A value with its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimate {
+    /// The value.
+    pub value: f64,
+    /// Its 95 % interval.
+    pub ci95: (f64, f64),
+}
+
+impl Estimate {
+    /// Does the interval hold a value?
+    pub fn holds(&self, value: f64) -> bool {
+        self.ci95.0 <= value && value <= self.ci95.1
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,152 @@
+//! Events and frames of some places, side by side.
+//!
+//! A place is a pixel or a few neighbouring ones. Frames give the mean logarithm of each place, events the numbers of ON and OFF events in even steps of time.
+//! Long recordings are given in stretches of neighbouring frames; between them nothing is kept.
+
+/// A pixel that belongs to no place.
+pub const NOWHERE: u32 = u32::MAX;
+
+/// Neighbouring frames, and the events around them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stretch {
+    /// Middle of each frame's exposure of row 0 as far as it is known, ns, rising.
+    pub mids_ns: Vec<i64>,
+    /// Mean logarithm of each place in each frame, [frame][place]; NaN = not known.
+    pub log: Vec<f32>,
+    /// Start of the first step, ns.
+    pub start_ns: i64,
+    /// Length of a step, ns, positive.
+    pub step_ns: i64,
+    /// How many.
+    pub steps: usize,
+    /// ON events of each step and place, [step][place], per pixel of the place.
+    pub on: Vec<u16>,
+    /// OFF ones.
+    pub off: Vec<u16>,
+    places: usize,
+}
+
+impl Stretch {
+    /// Without events and with unknown frames: `mids_ns` rising, steps of `step_ns` from `margin_ns` before the first frame to as long after the last.
+    pub fn new(mids_ns: Vec<i64>, margin_ns: i64, step_ns: i64, places: usize) -> Stretch {
+        let step_ns = step_ns.max(1);
+        let (first, last) = (mids_ns.first().copied().unwrap_or(0), mids_ns.last().copied().unwrap_or(0));
+        let start_ns = first.saturating_sub(margin_ns);
+        let length = last.saturating_sub(start_ns).saturating_add(margin_ns);
+        let steps = (length / step_ns + 1).max(1) as usize;
+        let log = vec![f32::NAN; mids_ns.len() * places];
+        Stretch { mids_ns, log, start_ns, step_ns, steps, on: vec![0; steps * places], off: vec![0; steps * places], places }
+    }
+
+    /// Takes an event of a place; what lies outside of the stretch is let go.
+    #[inline]
+    pub fn event(&mut self, t_ns: i64, place: usize, is_on: bool) {
+        let at = t_ns.wrapping_sub(self.start_ns);
+        if at < 0 || t_ns < self.start_ns {
+            return;
+        }
+        let step = (at / self.step_ns) as usize;
+        if step < self.steps {
+            let counts = if is_on { &mut self.on } else { &mut self.off };
+            let count = &mut counts[step * self.places + place];
+            *count = count.saturating_add(1);
+        }
+    }
+
+    /// The logarithms of a frame, to write.
+    pub fn frame_mut(&mut self, frame: usize) -> &mut [f32] {
+        &mut self.log[frame * self.places..(frame + 1) * self.places]
+    }
+
+    /// Sums over time: element [step][place] is the sum of `on` times ON events less `off` times OFF events of the steps before.
+    pub(super) fn summed(&self, on: f32, off: f32) -> Vec<f32> {
+        let mut sums = vec![0.0; (self.steps + 1) * self.places];
+        for step in 0..self.steps {
+            let (before, after) = sums.split_at_mut((step + 1) * self.places);
+            let before = &before[step * self.places..];
+            let counts = step * self.places..(step + 1) * self.places;
+            for (((sum, before), n_on), n_off) in after.iter_mut().zip(before).zip(&self.on[counts.clone()]).zip(&self.off[counts]) {
+                *sum = before + on * f32::from(*n_on) - off * f32::from(*n_off);
+            }
+        }
+        sums
+    }
+
+    /// Which step an instant is in, and how far; none outside.
+    pub(super) fn at(&self, t_ns: f64) -> Option<(usize, f32)> {
+        let at = (t_ns - self.start_ns as f64) / self.step_ns as f64;
+        (at >= 0.0 && at < self.steps as f64).then(|| (at as usize, (at - libm::floor(at)) as f32))
+    }
+
+    /// Adds `sign` times the sums at an instant to `out`; false, and nothing added, outside of the stretch.
+    pub(super) fn add_at(&self, sums: &[f32], t_ns: f64, sign: f32, out: &mut [f32]) -> bool {
+        let Some((step, part)) = self.at(t_ns) else { return false };
+        let (before, after) = (&sums[step * self.places..(step + 1) * self.places], &sums[(step + 1) * self.places..(step + 2) * self.places]);
+        for ((out, before), after) in out.iter_mut().zip(before).zip(after) {
+            *out += sign * (before + part * (after - before));
+        }
+        true
+    }
+
+    pub(super) fn logs(&self, frame: usize) -> &[f32] {
+        &self.log[frame * self.places..(frame + 1) * self.places]
+    }
+}
+
+/// Events and frames of some places.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Panel {
+    /// Mean row of each place.
+    pub rows: Vec<f32>,
+    /// Pixels of each place.
+    pub pixels: Vec<u32>,
+    /// The part of the picture that each place belongs to, from 0: what is drawn anew as a whole for intervals.
+    pub parts: Vec<u16>,
+    /// Stretches of neighbouring frames, in order of time.
+    pub stretches: Vec<Stretch>,
+}
+
+/// Parts of a picture across, and down. Rows are cut finer: the row time shows from one band of rows to another.
+pub(super) const ACROSS: usize = 4;
+/// See [`ACROSS`].
+const DOWN: usize = 16;
+
+impl Panel {
+    /// Places of an array from the place of each pixel (`y * width + x`), [`NOWHERE`] for none; numbered from 0 without gap.
+    pub fn new(place_of: &[u32], width: u32, height: u32) -> Panel {
+        let places = place_of.iter().filter(|place| **place != NOWHERE).map(|place| *place as usize + 1).max().unwrap_or(0);
+        let (mut pixels, mut x_sums, mut y_sums) = (vec![0u32; places], vec![0.0; places], vec![0.0; places]);
+        for (pixel, place) in place_of.iter().enumerate().filter(|(_, place)| **place != NOWHERE) {
+            let place = *place as usize;
+            pixels[place] += 1;
+            x_sums[place] += (pixel % width.max(1) as usize) as f64;
+            y_sums[place] += (pixel / width.max(1) as usize) as f64;
+        }
+        let mean = |sum: f64, n: u32| sum / f64::from(n.max(1));
+        let rows: Vec<f32> = y_sums.iter().zip(&pixels).map(|(sum, n)| mean(*sum, *n) as f32).collect();
+        let part = |at: f64, of: u32, parts: usize| ((at / f64::from(of.max(1)) * parts as f64) as usize).min(parts - 1);
+        let parts = (0..places).map(|n| part(mean(y_sums[n], pixels[n]), height, DOWN) * ACROSS + part(mean(x_sums[n], pixels[n]), width, ACROSS));
+        Panel { rows, parts: parts.map(|part| part as u16).collect(), pixels, stretches: Vec::new() }
+    }
+
+    /// Number of places.
+    pub fn places(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Pairs of neighbouring frames.
+    pub fn pairs(&self) -> usize {
+        self.stretches.iter().map(|stretch| stretch.mids_ns.len().saturating_sub(1)).sum()
+    }
+
+    pub(super) fn part_count(&self) -> usize {
+        ACROSS * DOWN
+    }
+
+    /// Middle time from frame to frame, ns; none without a pair.
+    pub fn period_ns(&self) -> Option<i64> {
+        let mut periods: Vec<i64> = self.stretches.iter().flat_map(|one| one.mids_ns.windows(2).map(|pair| pair[1] - pair[0])).collect();
+        periods.sort_unstable();
+        periods.get(periods.len() / 2).copied().filter(|period| *period > 0)
+    }
+}
