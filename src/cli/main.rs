@@ -7,9 +7,11 @@ mod args;
 mod cache;
 mod case;
 mod common;
+mod convert;
 mod diagnose;
 mod effects;
 mod graph;
+mod init;
 mod inspect;
 mod learn;
 mod nodes;
@@ -28,6 +30,8 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let args = Args::parse();
     let done = match &args.command {
+        Command::Init(options) => init::init(options),
+        Command::Convert(options) => convert::convert(options),
         Command::Run(options) => run::run(options),
         Command::Plan(options) => plan::plan(options),
         Command::Explain(options) => plan::explain(options),

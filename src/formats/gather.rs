@@ -10,6 +10,7 @@
 use crate::chunk::EventChunk;
 use crate::error::{FormatError, Loss};
 use crate::recording::EventCursor;
+use crate::trim::Crop;
 use photocurrent_core::handle::BandSource;
 use photocurrent_core::{DataError, EventBand, Extent, Rows};
 use std::fs::File;
@@ -59,8 +60,10 @@ pub fn scan<E: From<FormatError>>(cursor: &mut dyn EventCursor, mut advance: imp
 /// What to gather.
 #[derive(Clone, Copy, Debug)]
 pub struct Wanted {
-    /// Size of the pixel array; events outside are left out and counted.
+    /// Size of the pixel array, or of the part of it that is wanted; events outside the array are left out and counted.
     pub extent: Extent,
+    /// The wanted part; `None` is the whole array. Its pixels are numbered from 0.
+    pub crop: Option<Crop>,
     /// The file's time that becomes 0, ns.
     pub zero_ns: i64,
     /// Only events at or after this, ns from `zero_ns`.
@@ -186,7 +189,13 @@ pub fn gather<E: From<FormatError> + From<DataError>>(
                 }
                 continue;
             }
-            let (x, y) = (chunk.x[i], chunk.y[i]);
+            let (x, y) = match wanted.crop {
+                None => (chunk.x[i], chunk.y[i]),
+                Some(crop) => match crop.inside(chunk.x[i], chunk.y[i]) {
+                    Some(place) => place,
+                    None => continue,
+                },
+            };
             if u32::from(x) >= wanted.extent.width || u32::from(y) >= wanted.extent.height {
                 all.outside += 1;
                 continue;
@@ -221,7 +230,13 @@ impl Gathered {
         };
         for group in self.groups.iter_mut().filter(|group| !group.held.t.is_empty()) {
             let held = &mut group.held;
-            for bytes in [bytemuck::cast_slice(&held.y), bytemuck::cast_slice(&held.x), held.on.as_slice(), bytemuck::cast_slice(&held.t), bytemuck::cast_slice(&held.t_in)] {
+            for bytes in [
+                bytemuck::cast_slice(&held.y),
+                bytemuck::cast_slice(&held.x),
+                held.on.as_slice(),
+                bytemuck::cast_slice(&held.t),
+                bytemuck::cast_slice(&held.t_in),
+            ] {
                 file.write_all(bytes)?;
             }
             group.spilled.push(Piece { at: *written, events: held.t.len() });
@@ -278,10 +293,10 @@ impl BandSource<EventBand> for Gathered {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_core::random::Random;
     use photocurrent_core::Polarity;
     use photocurrent_core::events::Event;
     use photocurrent_core::handle::Band;
+    use photocurrent_core::random::Random;
 
     /// Chunks that are already there.
     struct Made {
@@ -332,7 +347,7 @@ mod tests {
     }
 
     fn go(budget: usize, start_ns: i64, end_ns: i64) -> Gathered {
-        let wanted = Wanted { extent: EXTENT, zero_ns: 1000, start_ns, end_ns, ordered: false, t_in: true, budget };
+        let wanted = Wanted { extent: EXTENT, crop: None, zero_ns: 1000, start_ns, end_ns, ordered: false, t_in: true, budget };
         gather::<DataError>(&mut made(), wanted, |_| Ok(())).unwrap()
     }
 

@@ -6,6 +6,7 @@
 use crate::chunk::{Edge, Trigger};
 use crate::declared::Declared;
 use crate::error::{FormatError, Loss};
+use crate::format::Format;
 use crate::pictures::{PictureFiles, exposures_from_triggers};
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use std::path::{Path, PathBuf};
@@ -26,6 +27,14 @@ pub fn with_declared_frames(events: Box<dyn Recording>, declared: &Declared) -> 
         Some(path) => Ok(Box::new(Joined::new(events, path, declared)?)),
         None => Ok(events),
     }
+}
+
+/// Opens a file of a known format, with the frames that are declared for it.
+///
+/// # Errors
+/// When the file cannot be read, or its frames cannot.
+pub fn open(format: &Format, path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
+    with_declared_frames((format.open)(path, declared)?, declared)
 }
 
 impl Joined {

@@ -15,6 +15,7 @@
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
 
+pub mod arrange;
 pub mod bias;
 pub mod calibration;
 pub mod catalog;
@@ -40,6 +41,7 @@ pub mod survey;
 mod tally;
 mod text;
 pub mod transfer;
+pub mod trim;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};
