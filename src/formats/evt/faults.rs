@@ -72,6 +72,11 @@ impl Buffer {
         self.n += usize::from(keep);
     }
 
+    /// How many events it holds.
+    pub fn len(&self) -> usize {
+        self.n
+    }
+
     /// Makes room for [`BURST`] events.
     #[inline]
     pub fn pass(&mut self, out: &mut EventChunk) {
