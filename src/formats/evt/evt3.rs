@@ -139,7 +139,7 @@ impl Evt3Decoder {
             let word = u16::from_le_bytes(*word);
             match word >> 12 {
                 8 => return &words[at..],
-                2 => self.faults.early += 1,
+                2 | 10 => self.faults.early += 1,
                 4 | 5 => {
                     let (set, columns) = vector(word);
                     self.faults.early += u64::from(set.count_ones());

@@ -6,7 +6,7 @@ use photocurrent_core::Extent;
 /// Words and events that a decoder left out, counted since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
-    /// Events that stand before the first time word (of EVT2, EVT2.1 and EVT3): they have no time.
+    /// Events and trigger edges that stand before the first time word (of EVT2, EVT2.1 and EVT3): they have no time.
     pub early: u64,
     /// Events outside the extent, and events of EVT3 before any row was named.
     pub outside: u64,
