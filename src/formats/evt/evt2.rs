@@ -47,8 +47,9 @@ impl Core {
                 self.high_ns = self.clock.ns();
             }
             10 if self.clock.is_set() => triggers.push(trigger(self.t(word), word as u16, ((word >> 8) & 0x1F) as u16)),
-            // Inertial sensors, counters, continuations; and a trigger before any time.
-            10 | 13 | 14 | 15 => {}
+            10 => self.faults.early += 1,
+            // Inertial sensors, counters, continuations.
+            13..=15 => {}
             _ => self.faults.unknown += 1,
         }
     }

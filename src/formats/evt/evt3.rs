@@ -17,12 +17,68 @@ use photocurrent_core::Extent;
 const HIGH_NS: i64 = 4_096_000;
 /// Steps of the upper time word up to 0.26 s may go either way.
 const SLACK: i64 = 64;
-/// No row was named yet, or the row is not one of events.
-const NO_ROW: u16 = u16::MAX;
 /// Words between two looks at the buffer: each may be a vector of 12 events.
 const STRIDE: usize = BURST / 12;
-/// Beyond every column; vectors do not run further.
-const FAR: u32 = 1 << 15;
+
+/// What words have said, in one number of four lanes of 16 bits, so that a word changes it without a branch: the row; column and polarity of a vector's
+/// begin; the lower bits of the time; columns that vectors have gone on since.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Said(u64);
+
+impl Said {
+    /// Nothing yet: the row is beyond every extent.
+    const NOTHING: Said = Said(Said::NO_ROW);
+    const NO_ROW: u64 = 0x8000;
+    const LOW: u32 = 32;
+    const RUN: u32 = 48;
+    /// Which lanes a word of each kind sets: a row its own, a vector's begin two, a lower time word its own.
+    const SETS: [u64; 16] = [0xFFFF, 0, 0, 0xFFFF_0000_FFFF_0000, 0, 0, 0xFFFF_0000_0000, 0, 0, 0, 0, 0, 0, 0, 0, 0];
+
+    /// After a word.
+    #[inline(always)]
+    fn after(self, word: u16) -> Said {
+        let sets = Said::SETS[usize::from(word >> 12)];
+        // The value in the three lower lanes at once.
+        let value = u64::from(word & 0xFFF) * 0x0001_0001_0001;
+        Said(self.0 & !sets | value & sets)
+    }
+
+    /// After a vector; far beyond the last column it goes no further.
+    #[inline(always)]
+    fn after_columns(self, columns: u64) -> Said {
+        Said(self.0 + if self.0 >> Said::RUN < 4096 { columns << Said::RUN } else { 0 })
+    }
+
+    #[inline(always)]
+    fn row(self) -> u16 {
+        self.0 as u16 & 0x87FF
+    }
+
+    #[inline(always)]
+    fn low_ns(self) -> i64 {
+        ((self.0 >> Said::LOW) & 0xFFF) as i64 * 1000
+    }
+
+    /// Column where the next vector begins.
+    #[inline(always)]
+    fn column(self) -> u32 {
+        ((self.0 >> 16) & 0x7FF) as u32 + (self.0 >> Said::RUN) as u32
+    }
+
+    /// Polarity of vectors.
+    #[inline(always)]
+    fn on(self) -> u8 {
+        (self.0 >> 27) as u8 & 1
+    }
+
+    fn without_row(self) -> Said {
+        Said(self.0 & !0xFFFF | Said::NO_ROW)
+    }
+
+    fn without_low(self) -> Said {
+        Said(self.0 & !(0xFFFF << Said::LOW))
+    }
+}
 
 /// Decodes EVT3 words; its state lasts from call to call.
 #[derive(Clone, Debug)]
@@ -30,10 +86,7 @@ pub struct Evt3Decoder {
     clock: Clock,
     high: u16,
     high_ns: i64,
-    t: i64,
-    y: u16,
-    base: u32,
-    base_on: u8,
+    said: Said,
     bounds: Bounds,
     faults: Faults,
 }
@@ -49,7 +102,7 @@ impl Evt3Decoder {
     pub fn new() -> Evt3Decoder {
         let bounds = Bounds::new(None, 2048);
         let clock = Clock::new(12, SLACK, HIGH_NS);
-        Evt3Decoder { clock, high: 0, high_ns: 0, t: 0, y: NO_ROW, base: 0, base_on: 0, bounds, faults: Faults::default() }
+        Evt3Decoder { clock, high: 0, high_ns: 0, said: Said::NOTHING, bounds, faults: Faults::default() }
     }
 
     /// Leaves out events outside this extent.
@@ -86,100 +139,98 @@ impl Evt3Decoder {
             let word = u16::from_le_bytes(*word);
             match word >> 12 {
                 8 => return &words[at..],
-                0 => self.y = word & 0x7FF,
-                1 => self.y = NO_ROW,
-                2 => self.faults.early += 1,
-                3 => self.set_base(word),
-                4 => self.skip_vector(word & 0xFFF, 12),
-                5 => self.skip_vector(word & 0xFF, 8),
-                _ => {}
+                2 | 10 => self.faults.early += 1,
+                4 | 5 => {
+                    let (set, columns) = vector(word);
+                    self.faults.early += u64::from(set.count_ones());
+                    self.said = self.said.after_columns(columns);
+                }
+                // A lower time word has no meaning without an upper one.
+                6 => {}
+                1 => self.said = self.said.without_row(),
+                _ => self.said = self.said.after(word),
             }
         }
         &[]
     }
 
-    fn skip_vector(&mut self, set: u16, columns: u32) {
-        self.faults.early += u64::from(set.count_ones());
-        self.base = (self.base + columns).min(FAR);
-    }
-
-    fn set_base(&mut self, word: u16) {
-        self.base = u32::from(word & 0x7FF);
-        self.base_on = ((word >> 11) & 1) as u8;
-    }
-
-    /// The inner loop: what events are made of without a branch on the kind, all else apart.
+    /// The inner loop: what events are made of without a branch on the kind, vectors with one, all else apart.
     #[inline]
     fn decode_some(&mut self, words: &[[u8; 2]], buffer: &mut Buffer, triggers: &mut Vec<Trigger>) {
         const PLAIN: u32 = 1 << 0 | 1 << 2 | 1 << 3 | 1 << 6;
         let Bounds { width, height } = self.bounds;
-        let (mut t, mut y, mut base, mut base_on) = (self.t, self.y, self.base, self.base_on);
-        let mut outside = 0;
+        let (mut said, mut high_ns) = (self.said, self.high_ns);
+        let (mut found, before) = (0, buffer.len());
         for word in words {
             let word = u16::from_le_bytes(*word);
             let kind = word >> 12;
             if (PLAIN >> kind) & 1 == 1 {
-                let x = word & 0x7FF;
-                let on = ((word >> 11) & 1) as u8;
-                let is_event = kind == 2;
+                let (x, y, is_event) = (word & 0x7FF, said.row(), kind == 2);
                 let keep = is_event & (x < width) & (y < height);
-                buffer.put(keep, t, x, y, on);
-                outside += u64::from(is_event & !keep);
-                y = if kind == 0 { x } else { y };
-                base = if kind == 3 { u32::from(x) } else { base };
-                base_on = if kind == 3 { on } else { base_on };
-                t = if kind == 6 { self.high_ns + i64::from(word & 0xFFF) * 1000 } else { t };
+                buffer.put(keep, high_ns + said.low_ns(), x, y, (word >> 11) as u8 & 1);
+                found += usize::from(is_event);
+                said = said.after(word);
             } else if kind == 4 || kind == 5 {
-                let (mask, columns) = if kind == 4 { (0xFFF, 12) } else { (0xFF, 8) };
-                let mut set = u32::from(word & mask);
-                let row = y < height;
-                let width = u32::from(width);
+                let (mut set, columns) = vector(word);
+                let (t, first, y, on) = (high_ns + said.low_ns(), said.column(), said.row(), said.on());
+                let (row, width) = (y < height, u32::from(width));
                 // Most vectors hold one event or two; the first two are put without a branch.
                 for _ in 0..2 {
-                    let x = base + set.trailing_zeros();
-                    let keep = (set != 0) & row & (x < width);
-                    buffer.put(keep, t, x as u16, y, base_on);
-                    outside += u64::from((set != 0) & !keep);
+                    let x = first + set.trailing_zeros();
+                    buffer.put((set != 0) & row & (x < width), t, x as u16, y, on);
+                    found += usize::from(set != 0);
                     set &= set.wrapping_sub(1);
                 }
                 while set != 0 {
-                    let x = base + set.trailing_zeros();
-                    let keep = row & (x < width);
-                    buffer.put(keep, t, x as u16, y, base_on);
-                    outside += u64::from(!keep);
+                    let x = first + set.trailing_zeros();
+                    buffer.put(row & (x < width), t, x as u16, y, on);
+                    found += 1;
                     set &= set - 1;
                 }
-                base = (base + columns).min(FAR);
+                said = said.after_columns(columns);
             } else {
-                match kind {
-                    8 => t = self.time_high(word & 0xFFF, t),
-                    10 => triggers.push(trigger(t, word, (word >> 8) & 0xF)),
-                    // More data of a kind that carries no events: counters, inertial sensors, continuations.
-                    7 | 13 | 14 | 15 => {}
-                    // A row of intensity measurements, of old cameras: what follows are no events.
-                    1 => {
-                        y = NO_ROW;
-                        self.faults.unknown += 1;
-                    }
-                    _ => self.faults.unknown += 1,
-                }
+                said = self.decode_rare(word, said, triggers);
+                high_ns = self.high_ns;
             }
         }
-        (self.t, self.y, self.base, self.base_on) = (t, y, base, base_on);
-        self.faults.outside += outside;
+        self.said = said;
+        self.faults.outside += (found - (buffer.len() - before)) as u64;
     }
 
-    /// Takes an upper time word; gives the time that holds until the next lower one.
-    fn time_high(&mut self, raw: u16, t: i64) -> i64 {
-        let known = self.clock.is_set();
-        if known && raw == self.high {
-            return t;
+    /// Words that are no part of an event: upper time words, triggers, others.
+    #[inline(never)]
+    fn decode_rare(&mut self, word: u16, said: Said, triggers: &mut Vec<Trigger>) -> Said {
+        match word >> 12 {
+            8 => return self.time_high(word & 0xFFF, said),
+            10 => triggers.push(trigger(self.high_ns + said.low_ns(), word, (word >> 8) & 0xF)),
+            // More data of a kind that carries no events: counters, inertial sensors, continuations.
+            7 | 13 | 14 | 15 => {}
+            // A row of intensity measurements, of old cameras: what follows are no events.
+            1 => {
+                self.faults.unknown += 1;
+                return said.without_row();
+            }
+            _ => self.faults.unknown += 1,
+        }
+        said
+    }
+
+    /// Takes an upper time word. A new one holds with lower bits of zero until the next lower time word.
+    fn time_high(&mut self, raw: u16, said: Said) -> Said {
+        if self.clock.is_set() && raw == self.high {
+            return said;
         }
         self.faults.strays += u64::from(self.clock.set(i64::from(raw)));
         self.high = raw;
         self.high_ns = self.clock.ns();
-        self.high_ns
+        said.without_low()
     }
+}
+
+/// The columns that a vector word has set, and how many it covers.
+#[inline(always)]
+fn vector(word: u16) -> (u32, u64) {
+    if word >> 12 == 4 { (u32::from(word & 0xFFF), 12) } else { (u32::from(word & 0xFF), 8) }
 }
 
 impl Decoder for Evt3Decoder {

@@ -6,7 +6,7 @@ use photocurrent_core::Extent;
 /// Words and events that a decoder left out, counted since it was made.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
-    /// Events that stand before the first time word (of EVT2, EVT2.1 and EVT3): they have no time.
+    /// Events and trigger edges that stand before the first time word (of EVT2, EVT2.1 and EVT3): they have no time.
     pub early: u64,
     /// Events outside the extent, and events of EVT3 before any row was named.
     pub outside: u64,
@@ -70,6 +70,11 @@ impl Buffer {
         self.y[at] = y;
         self.on[at] = on;
         self.n += usize::from(keep);
+    }
+
+    /// How many events it holds.
+    pub fn len(&self) -> usize {
+        self.n
     }
 
     /// Makes room for [`BURST`] events.

@@ -94,9 +94,11 @@ impl Header {
         names.iter().filter_map(|name| self.get(name)).all(|name| name.eq_ignore_ascii_case("Prophesee"))
     }
 
-    /// Size of the pixel array: stated, or that of the sensor which the file names.
-    pub fn extent(&self) -> Option<Extent> {
-        self.stated_extent().or_else(|| self.extent_of_sensor())
+    /// Size of the pixel array: stated, or that of the sensor which the file names; and in the latter case from what it was taken.
+    pub fn extent(&self) -> Option<(Extent, Option<String>)> {
+        let stated = self.stated_extent().map(|extent| (extent, None));
+        stated
+            .or_else(|| self.extent_of_sensor().map(|(extent, key, value)| (extent, Some(format!("size of the sensor that the header names: {key} {value}")))))
     }
 
     fn stated_extent(&self) -> Option<Extent> {
@@ -111,7 +113,8 @@ impl Header {
         geometry.or_else(options).or_else(fields)
     }
 
-    fn extent_of_sensor(&self) -> Option<Extent> {
+    /// Size, and the key and value that it follows from.
+    fn extent_of_sensor(&self) -> Option<(Extent, &'static str, &str)> {
         const VGA: Option<Extent> = Some(Extent { width: 640, height: 480 });
         const HD: Option<Extent> = Some(Extent { width: 1280, height: 720 });
         const SMALL: Option<Extent> = Some(Extent { width: 320, height: 320 });
@@ -127,18 +130,20 @@ impl Header {
                 None => None,
             }
         };
-        let by_generation = || match self.get("sensor_generation").or(self.get("generation"))? {
+        let of_generation = |generation: &str| match generation {
             "3.0" | "3.1" => VGA,
             "4.0" | "4.1" | "4.2" => HD,
             _ => None,
         };
-        let by_system = || match self.number("system_ID").filter(|_| self.is_by_maker())? {
+        let of_system = |id: &str| match id.parse::<u32>().ok().filter(|_| self.is_by_maker())? {
             0x1C | 0x1D | 0x21 | 0x22 | 0x23 | 0x28 | 0x29 => VGA,
             0x1E | 0x1F | 0x20 | 0x27 | 0x2E | 0x30 | 0x31 | 0x32 | 0x3A | 0x42 => HD,
             0x3B | 0x40 => SMALL,
             _ => None,
         };
-        self.get("sensor_name").and_then(named).or_else(by_generation).or_else(|| self.get("plugin_name").and_then(named)).or_else(by_system)
+        let from = |key: &'static str, size: &dyn Fn(&str) -> Option<Extent>| self.get(key).and_then(|value| Some((size(value)?, key, value)));
+        let generation = || from("sensor_generation", &of_generation).or_else(|| from("generation", &of_generation));
+        from("sensor_name", &named).or_else(generation).or_else(|| from("plugin_name", &named)).or_else(|| from("system_ID", &of_system))
     }
 
     /// What the header says, for people.
@@ -183,7 +188,7 @@ mod tests {
         let text = "% evt 3.0\n% format EVT3;height=720;width=1280\n% geometry 1280x720\n% end\n% not of the header\n";
         let header = parse(text);
         assert_eq!(header.encoding(), Some(Encoding::Evt3));
-        assert_eq!(header.extent(), Some(Extent { width: 1280, height: 720 }));
+        assert_eq!(header.extent(), Some((Extent { width: 1280, height: 720 }, None)));
         assert_eq!(Some(header.data_at), text.find("% not"));
     }
 
@@ -195,13 +200,17 @@ mod tests {
         bytes.extend(b"% \x01\x80\n\x00\x00\x00");
         let header = Header::parse(&bytes).expect("a header");
         assert_eq!((header.encoding(), header.data_at), (Some(Encoding::Evt2), data_at));
-        assert_eq!(header.extent(), Some(Extent { width: 640, height: 480 }), "gen3 has 640 x 480 pixels");
+        let (extent, from) = header.extent().expect("gen3 has 640 x 480 pixels");
+        assert_eq!(
+            (extent, from.as_deref()),
+            (Extent { width: 640, height: 480 }, Some("size of the sensor that the header names: plugin_name hal_plugin_gen3_fx3"))
+        );
         assert_eq!(header.get("DATE"), Some("2020-09-25 07:48:31"));
     }
 
     #[test]
     fn the_size_is_that_of_a_sensor_only_where_it_is_certain() {
-        let of = |text: &str| parse(text).extent().map(|extent| (extent.width, extent.height));
+        let of = |text: &str| parse(text).extent().map(|(extent, _)| (extent.width, extent.height));
         assert_eq!(of("% plugin_name hal_plugin_gen41_evk3\n"), Some((1280, 720)));
         assert_eq!(of("% sensor_name GenX320\n"), Some((320, 320)));
         assert_eq!(of("% generation 4.2\n"), Some((1280, 720)));

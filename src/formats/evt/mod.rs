@@ -33,6 +33,7 @@ use crate::error::FormatError;
 use crate::format::{Format, Probe};
 use crate::recording::Recording;
 use header::{Encoding, Header};
+use photocurrent_core::Extent;
 use std::path::Path;
 
 /// RAW with words of 32 bits.
@@ -77,26 +78,43 @@ fn is_dat(probe: &Probe) -> bool {
     known && record && header.get("evt").is_none() && header.get("format").is_none()
 }
 
+/// What is known of a file beside its words: the extent, stated by the user or the file, and how it was found.
+fn size(header: &Header, declared: &Declared) -> (Option<Extent>, Vec<String>) {
+    match (declared.extent, header.extent()) {
+        (Some(extent), _) => (Some(extent), Vec::new()),
+        (None, Some((extent, note))) => (Some(extent), note.into_iter().collect()),
+        (None, None) => (None, Vec::new()),
+    }
+}
+
 fn open_raw(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let (header, bytes) = raw::read_header(path)?;
-    let extent = declared.extent.or(header.extent());
-    let of = |encoding: &str, period: &str| (encoding.to_owned(), format!("microseconds, {encoding} words, continued over wraps every {period}"));
-    Ok(match header.encoding() {
-        Some(Encoding::Evt2) => raw::open(path, &header, bytes, extent, Evt2Decoder::new().with_extent(extent), of("EVT2", "4.77 h")),
+    let (extent, mut notes) = size(&header, declared);
+    let about = |encoding: &str, period: &str, notes: Vec<String>| raw::About {
+        encoding: encoding.into(),
+        stamps: format!("microseconds, {encoding} words, continued over wraps every {period}"),
+        extent,
+        notes,
+        is_counted: false,
+    };
+    match header.encoding() {
+        Some(Encoding::Evt2) => Ok(raw::open(path, &header, bytes, about("EVT2", "4.77 h", notes), Evt2Decoder::new().with_extent(extent))),
         Some(Encoding::Evt21) => {
-            let decoder = Evt21Decoder::new().with_extent(extent).with_legacy(header.is_legacy());
-            let name = if header.is_legacy() { "EVT2.1 (legacy order of halves)" } else { "EVT2.1" };
-            raw::open(path, &header, bytes, extent, decoder, of(name, "4.77 h"))
+            let legacy = header.is_legacy();
+            if legacy {
+                notes.push("words of EVT2.1 in the legacy order of halves, as the header states or the camera that it names writes".into());
+            }
+            let decoder = Evt21Decoder::new().with_extent(extent).with_legacy(legacy);
+            Ok(raw::open(path, &header, bytes, about("EVT2.1", "4.77 h", notes), decoder))
         }
-        Some(Encoding::Evt3) => raw::open(path, &header, bytes, extent, Evt3Decoder::new().with_extent(extent), of("EVT3", "16.777216 s")),
+        Some(Encoding::Evt3) => Ok(raw::open(path, &header, bytes, about("EVT3", "16.777216 s", notes), Evt3Decoder::new().with_extent(extent))),
         None => {
             let found =
                 header.get("format").or(header.get("evt")).map_or("a header without `evt` and `format`".into(), |format| format!("encoding `{format}`"));
-            return Err(FormatError::new(path, found, "record with EVT2, EVT2.1 or EVT3, or convert the file with the maker's tools")
-                .at("header")
-                .expected("EVT2, EVT2.1 or EVT3"));
+            let hint = "record with EVT2, EVT2.1 or EVT3, or convert the file with the maker's tools";
+            Err(FormatError::new(path, found, hint).at("header").expected("EVT2, EVT2.1 or EVT3"))
         }
-    })
+    }
 }
 
 fn open_dat(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
@@ -114,11 +132,18 @@ fn open_dat(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, Form
     }
     header.data_at += 2;
     let layout = dat_layout(&header, &record[2..]);
-    let extent = declared.extent.or(header.extent());
-    let stamps = "u32 microseconds, continued over wraps every 71.6 min".to_owned();
-    let name = if layout == DatLayout::V1 { "DAT version 1" } else { "DAT version 2" };
-    let decoder = DatDecoder::new(layout).with_extent(extent);
-    Ok(raw::open(path, &header, bytes, extent, decoder, (name.into(), stamps)))
+    let (extent, mut notes) = size(&header, declared);
+    if header.get("Version").is_none() {
+        notes.push(format!("the header states no version: layout {layout:?} follows from the bits that are used"));
+    }
+    let about = raw::About {
+        encoding: if layout == DatLayout::V1 { "DAT version 1" } else { "DAT version 2" }.into(),
+        stamps: "u32 microseconds, continued over wraps every 71.6 min".into(),
+        extent,
+        notes,
+        is_counted: true,
+    };
+    Ok(raw::open(path, &header, bytes, about, DatDecoder::new(layout).with_extent(extent)))
 }
 
 /// The layout that the header states; without a statement, that of version 2 if any of the first records uses bits that version 1 leaves zero.

@@ -64,13 +64,23 @@ struct Raw<D> {
     index: Arc<Mutex<Vec<Mark<D>>>>,
 }
 
-/// Opens a file whose header is read. `named` is the encoding and how stamps are stored, for people.
-pub(super) fn open<D: Decoder>(path: &Path, header: &Header, bytes: u64, extent: Option<Extent>, decoder: D, named: (String, String)) -> Box<dyn Recording> {
+/// What is known of the events beside the decoder.
+pub(super) struct About {
+    pub encoding: String,
+    pub stamps: String,
+    pub extent: Option<Extent>,
+    pub notes: Vec<String>,
+    /// Is every word an event, so that the size of the file tells their number?
+    pub is_counted: bool,
+}
+
+/// Opens a file whose header is read.
+pub(super) fn open<D: Decoder>(path: &Path, header: &Header, bytes: u64, known: About, decoder: D) -> Box<dyn Recording> {
     let data_at = header.data_at as u64;
-    let is_dat = named.0.starts_with("DAT");
-    let count = is_dat.then(|| bytes.saturating_sub(data_at) / D::WORD as u64);
-    let about = EventsAbout { extent, tick_ns: 1000, count, has_t_in: false, stamps: named.1, notes: Vec::new() };
-    let mut facts = vec![("encoding".to_owned(), named.0)];
+    let count = known.is_counted.then(|| bytes.saturating_sub(data_at) / D::WORD as u64);
+    let extent = known.extent;
+    let about = EventsAbout { extent, tick_ns: 1000, count, has_t_in: false, stamps: known.stamps, notes: known.notes };
+    let mut facts = vec![("encoding".to_owned(), known.encoding)];
     facts.extend(header.facts());
     facts.extend(bias::beside(path));
     let start = Mark { at: data_at, decoder, latest: i64::MIN };
@@ -260,7 +270,7 @@ impl Losses {
 
     fn what(&self, kind: usize, n: u64) -> String {
         match kind {
-            0 => format!("{n} events stand before the first time word and have no time; they are left out"),
+            0 => format!("{n} events or trigger edges stand before the first time word and have no time; they are left out"),
             1 => match self.extent {
                 Some(extent) => format!("{n} events lie outside {extent} pixels or have no row; they are left out"),
                 None => format!("{n} events lie outside what the format can have, or have no row; they are left out"),

@@ -96,10 +96,10 @@ fn evt3_undoes_the_leap_of_one_damaged_time_word() {
 
 #[test]
 fn evt3_leaves_out_what_comes_before_time_or_row_and_unknown_words() {
-    // Before a time: one event, three of vectors. The row and the base that were named count.
-    let (events, _, faults) = decode3(&[9, 0x2001, 0x3010, 0x4003, 0x5080, 0x8000, 0x2805, 0x4001]);
+    // Before a time: one event, three of vectors, one edge. The row and the base that were named count.
+    let (events, _, faults) = decode3(&[9, 0x2001, 0x3010, 0x4003, 0xA101, 0x5080, 0x8000, 0x2805, 0x4001]);
     assert_eq!(events, [(0, 5, 9, 1), (0, 16 + 12 + 8, 9, 0)]);
-    assert_eq!(faults, Faults { early: 4, ..Faults::default() });
+    assert_eq!(faults, Faults { early: 5, ..Faults::default() });
     // Without a row; kinds 9, 11 and 12, which do not exist; others, continued and inertial words, which carry no events.
     let (events, _, faults) = decode3(&[0x8000, 0x2005, 0x9000, 0xB000, 0xC000, 0xE014, 0xF123, 0x7001, 0xD000, 0, 0x2006]);
     assert_eq!(events, [(0, 6, 0, 0)]);
@@ -241,6 +241,18 @@ proptest! {
     }
 
     #[test]
+    fn any_bytes_are_a_header_or_none(bytes in proptest::collection::vec(any::<u8>(), 0..300), text in "(% (evt|format|geometry|system_ID|Version|endianness) [0-9a-zEVT.=;x -]{0,30}\n){0,4}") {
+        let Some(header) = Header::parse(&[text.as_bytes(), &bytes].concat()) else {
+            prop_assert!(text.is_empty());
+            return Ok(());
+        };
+        prop_assert!(header.data_at >= text.len() && header.data_at <= text.len() + bytes.len());
+        let extent = header.extent().map_or(1, |(extent, _)| extent.width.max(extent.height));
+        prop_assert!((1..=1 << 14).contains(&extent));
+        let _ = (header.encoding(), header.is_legacy(), header.facts(), dat_layout(&header, &bytes));
+    }
+
+    #[test]
     fn what_the_writer_writes_is_read_back(steps in tuples(), begin in 0..100_000_000_i64) {
         let (mut chunk, mut us) = (EventChunk::default(), begin);
         for (step, x, y, on) in steps {
@@ -252,7 +264,7 @@ proptest! {
         let shift = writer.shift_ns();
         let file = writer.finish().expect("a file");
         let header = Header::parse(&file).expect("a header");
-        prop_assert_eq!((header.encoding(), header.extent(), header.get("serial_number")), (Some(Encoding::Evt3), Some(Extent { width: 40, height: 4 }), Some("12")));
+        prop_assert_eq!((header.encoding(), header.extent(), header.get("serial_number")), (Some(Encoding::Evt3), Some((Extent { width: 40, height: 4 }, None)), Some("12")));
         let (mut read, mut decoder) = (EventChunk::default(), Evt3Decoder::new());
         decoder.decode(&file[header.data_at..], &mut read, &mut Vec::new());
         chunk.t.iter_mut().for_each(|t| *t = *t - 999 - shift);

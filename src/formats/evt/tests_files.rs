@@ -59,6 +59,8 @@ fn each_encoding_is_recognised_and_read() {
         let recording = open(&file, id);
         let about = recording.events_about().expect("events");
         assert_eq!((about.extent, about.tick_ns), (Some(Extent { width: 1280, height: 720 }), 1000), "{header}");
+        let says = header.contains("width=") || header.contains("geometry");
+        assert_eq!(about.notes.iter().any(|note| note.starts_with("size of the sensor that the header names")), !says, "{header}");
         let mut cursor = recording.events().expect("a cursor");
         let events = read(&mut *cursor);
         assert_eq!((&events.t[..], events.x[0], events.y[0], events.on[0]), (&[4_098_000_i64][..], 5, 4, 1), "{header}");
