@@ -20,3 +20,4 @@ pub static FORMATS: &[&Format] = &[
     // By what it looks like.
     &crate::csv::FORMAT,
 ];
+pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT];

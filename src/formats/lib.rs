@@ -11,6 +11,8 @@
 //! - [`hazard`]: what is wrong or unknown, with evidence and what to do.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
+//! - [`error`]: why a file is refused, and what was lost of a damaged one. [`losses`]: a list of such that stays short.
+//! - [`aedat4`]: one module a format.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
@@ -18,6 +20,7 @@
 pub mod arrange;
 pub mod bias;
 pub mod calibration;
+pub mod aedat4;
 pub mod catalog;
 pub mod chunk;
 pub mod csv;
@@ -36,6 +39,7 @@ pub mod joined;
 mod npy;
 pub mod npz;
 pub mod pictures;
+pub mod losses;
 pub mod recording;
 pub mod survey;
 mod tally;
