@@ -15,6 +15,7 @@ pub mod chunk;
 pub mod declared;
 pub mod error;
 pub mod format;
+pub mod hdf;
 pub mod recording;
 
 pub use catalog::FORMATS;
