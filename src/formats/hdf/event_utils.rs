@@ -88,4 +88,3 @@ fn pictures(file: &ForeignFile, unit_ns: i64) -> Result<(Option<Stack>, Vec<Loss
     let names = kept.into_iter().map(|(name, _)| name).collect();
     Ok((Some(Stack::of_each(file, names, order, about)), losses))
 }
-

@@ -51,7 +51,8 @@ impl EventTable {
         let mut sources = Vec::new();
         let mut column = |name: &str| {
             let dataset = dataset(file, name)?;
-            let wrong = || FormatError::new(path, format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected("a column");
+            let wrong =
+                || FormatError::new(path, format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected("a column");
             // A column may also be written as [N, 1].
             let field = dataset.column(0).filter(|_| matches!(dataset.shape(), [_] | [_, 1])).ok_or_else(wrong)?;
             sources.push(dataset);
@@ -76,7 +77,9 @@ impl EventTable {
     /// Of a table [N, 4]; at which of its columns x, y, t, p stand.
     pub fn of_rows(file: &ForeignFile, name: &str, order: [usize; 4]) -> Result<EventTable, FormatError> {
         let dataset = dataset(file, name)?;
-        let wrong = || FormatError::new(file.path(), format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected("[N, 4]");
+        let wrong = || {
+            FormatError::new(file.path(), format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected("[N, 4]")
+        };
         let column = |at: usize| dataset.column(at).filter(|_| matches!(dataset.shape(), [_, 4])).map(|field| Column { source: 0, field }).ok_or_else(wrong);
         let columns = [column(order[0])?, column(order[1])?, column(order[2])?, column(order[3])?];
         EventTable::new(file.path(), vec![dataset], columns, None)
@@ -102,7 +105,11 @@ impl EventTable {
         let float = self.t.field.number().is_float();
         let mut notes = notes;
         if float {
-            let bits = if self.t.field.name() == "f32" { "f32 has 24 bits: 16 s are counted in steps of 1.9 us" } else { "f64 has 53 bits: a Unix time is counted in steps of 238 ns" };
+            let bits = if self.t.field.name() == "f32" {
+                "f32 has 24 bits: 16 s are counted in steps of 1.9 us"
+            } else {
+                "f64 has 53 bits: a Unix time is counted in steps of 238 ns"
+            };
             notes.push(format!("stamps are floating-point {unit}, rounded to nanoseconds ({bits})"));
         }
         for (column, name) in [(self.x, "columns"), (self.y, "rows")] {

@@ -18,9 +18,8 @@ pub static FORMAT: Format = Format { id: "v2e_hdf5", name: "v2e HDF5", recognise
 
 fn recognises(probe: &Probe) -> bool {
     probe.is_hdf5()
-        && ForeignFile::open(&probe.path).is_ok_and(|file| {
-            file.has("events") && file.dataset("events").is_ok_and(|events| events.is_some_and(|events| matches!(events.shape(), [_, 4])))
-        })
+        && ForeignFile::open(&probe.path)
+            .is_ok_and(|file| file.has("events") && file.dataset("events").is_ok_and(|events| events.is_some_and(|events| matches!(events.shape(), [_, 4]))))
 }
 
 fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {

@@ -76,7 +76,10 @@ fn lines(path: &Path) -> Result<Vec<Vec<i64>>, FormatError> {
             continue;
         }
         let numbers = line.split(',').map(|number| number.trim().parse::<i64>().ok().and_then(|us| us.checked_mul(1000)));
-        let wrong = || FormatError::new(path, format!("`{}`", line.chars().take(40).collect::<String>()), "write times as whole microseconds").at(format!("line {}", at + 1));
+        let wrong = || {
+            FormatError::new(path, format!("`{}`", line.chars().take(40).collect::<String>()), "write times as whole microseconds")
+                .at(format!("line {}", at + 1))
+        };
         rows.push(numbers.collect::<Option<Vec<i64>>>().ok_or_else(wrong)?);
     }
     Ok(rows)
@@ -98,7 +101,9 @@ impl Pictures for Pngs {
         let ((width, height, channels, _), found) = decode(file)?;
         if (width, height, channels) != (self.about.extent.width, self.about.extent.height, self.about.colour.channels()) {
             let expected = format!("{} pixels with {} channels, as the first picture has", self.about.extent, self.about.colour.channels());
-            return Err(FormatError::new(file, format!("{width} x {height} pixels with {channels} channels"), "the pictures must be of one kind").expected(expected));
+            return Err(
+                FormatError::new(file, format!("{width} x {height} pixels with {channels} channels"), "the pictures must be of one kind").expected(expected)
+            );
         }
         *values = found;
         Ok(())
