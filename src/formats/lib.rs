@@ -40,6 +40,7 @@ mod npy;
 pub mod npz;
 pub mod pictures;
 pub mod losses;
+pub mod hdf;
 pub mod recording;
 pub mod survey;
 mod tally;
