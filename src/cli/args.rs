@@ -20,7 +20,7 @@ pub enum Command {
     Plan(PlanOptions),
     /// Say why a node would run again, one reason a line
     Explain(ExplainOptions),
-    /// Check a manifest, or a recording, without running anything
+    /// Look for mistakes in a manifest, a recording or a sensor description, without running anything
     Check(CheckOptions),
     /// Print the scores of finished runs as a table: Markdown, CSV, LaTeX or JSON Lines
     Table(TableOptions),
@@ -66,6 +66,19 @@ pub struct Target {
     pub out: Option<PathBuf>,
 }
 
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ProgressStyle {
+    /// Bars on a terminal, plain lines elsewhere
+    Auto,
+    /// A line when a node begins and when it ends
+    Plain,
+    /// One JSON object a line, for programs
+    Json,
+    /// Nothing
+    None,
+}
+
 #[derive(ClapArgs)]
 pub struct RunOptions {
     #[command(flatten)]
@@ -85,6 +98,9 @@ pub struct RunOptions {
     /// Print the outcome as JSON
     #[arg(long)]
     pub json: bool,
+    /// How progress is shown, on stderr
+    #[arg(long, value_enum, default_value = "auto")]
+    pub progress: ProgressStyle,
     /// Say only what went wrong
     #[arg(short, long)]
     pub quiet: bool,
@@ -112,7 +128,7 @@ pub struct ExplainOptions {
 
 #[derive(ClapArgs)]
 pub struct CheckOptions {
-    /// A manifest (.toml) or a recording (.h5)
+    /// A manifest, a recording, a sensor description, or the output folder of a run
     pub file: PathBuf,
     /// Lay a value over the manifest
     #[arg(long = "set", value_name = "PATH=VALUE")]
@@ -258,6 +274,9 @@ pub struct DiagnoseOptions {
     /// Print diagnosis.json instead of a summary
     #[arg(long)]
     pub json: bool,
+    /// How progress is shown, on stderr
+    #[arg(long, value_enum, default_value = "auto")]
+    pub progress: ProgressStyle,
     /// Say only what went wrong
     #[arg(short, long)]
     pub quiet: bool,

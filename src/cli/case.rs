@@ -1,10 +1,12 @@
 //! A recording and its description as a diagnosis takes them.
 
 use crate::common::Failure;
-use photocurrent_core::Sensor;
 use photocurrent_core::document::Source;
+use photocurrent_core::error::Trouble;
+use photocurrent_core::{EventsMeta, FramesMeta, Sensor};
 use photocurrent_diagnosis::case::Case;
 use photocurrent_nodes::read::{is_aedat4, whole_aedat4};
+use photocurrent_nodes::spans::check_one_clock;
 use photocurrent_store::StoreError;
 use photocurrent_store::recording::Recording;
 use std::path::Path;
@@ -44,19 +46,22 @@ fn of_davis(path: &Path, sensor_file: Option<&Path>) -> Result<Case, Unread> {
     // These cameras have a global shutter; a description may know better.
     let row_time = sensor.frames.row_time.unwrap_or_default();
     let streams = whole_aedat4(path, row_time).map_err(|error| usage(error.to_string()))?;
+    one_clock(path, streams.events.as_ref().map(|events| &*events.meta), streams.frames.as_ref().map(|frames| &*frames.meta), &sensor)?;
     Case::read(streams.events.as_ref(), streams.frames.as_ref(), &sensor).map_err(|error| usage(format!("{}: {}", path.display(), error.message)).into())
 }
 
 /// From a recording in this project's form.
 fn of_recording(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> {
     let name = recording.path().display();
+    let row_time_ns = recording.row_time_ns().or(sensor.frames.row_time.map(|row_time| row_time.ns()));
+    let frames_meta = recording.frames_meta(row_time_ns.unwrap_or(0));
+    one_clock(recording.path(), recording.events_meta().map(|events| &**events), frames_meta.as_ref(), sensor)?;
     // Read once before, for the reader's own word on what is wrong.
     match recording.read_events(recording.extent().rows()) {
         Ok(_) => {}
-        Err(error @ StoreError::Content { .. }) => return Err(Unread::Content(error.to_string())),
+        Err(error @ (StoreError::Content { .. } | StoreError::Several { .. })) => return Err(Unread::Content(error.to_string())),
         Err(error) => return Err(Unread::Other(error.into())),
     }
-    let row_time_ns = recording.row_time_ns().or(sensor.frames.row_time.map(|row_time| row_time.ns()));
     let frames = match (recording.exposures().is_some_and(|exposures| !exposures.is_empty()), row_time_ns) {
         (false, _) => None,
         (true, Some(row_time_ns)) => recording.frames(row_time_ns),
@@ -66,6 +71,15 @@ fn of_recording(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> 
         }
     };
     Case::read(recording.events().as_ref(), frames.as_ref(), sensor).map_err(|error| usage(format!("{name}: {}", error.message)).into())
+}
+
+/// Nothing can be said of a sensor whose two streams never saw the same moment, and looking would take for ever.
+fn one_clock(path: &Path, events: Option<&EventsMeta>, frames: Option<&FramesMeta>, sensor: &Sensor) -> Result<(), Unread> {
+    let (Some(events), Some(frames)) = (events, frames) else { return Ok(()) };
+    check_one_clock(events, frames, Some(sensor)).map_err(|error| match error.trouble {
+        Trouble::Input => Unread::Content(format!("{}: {error}", path.display())),
+        _ => usage(format!("{}: {error}", path.display())).into(),
+    })
 }
 
 /// The description: a file's, or the recording's own.

@@ -6,9 +6,11 @@
 mod args;
 mod cache;
 mod case;
+mod check;
 mod common;
 mod diagnose;
 mod effects;
+mod file_kind;
 mod graph;
 mod inspect;
 mod learn;
@@ -31,7 +33,7 @@ fn main() -> ExitCode {
         Command::Run(options) => run::run(options),
         Command::Plan(options) => plan::plan(options),
         Command::Explain(options) => plan::explain(options),
-        Command::Check(options) => plan::check(options),
+        Command::Check(options) => check::check(options),
         Command::Table(options) => table::table(options),
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),

@@ -49,7 +49,7 @@ pub fn run(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Resu
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let out_dir = folder.join("out");
     let how = Options { threads, out_dir: out_dir.clone(), ..defaults };
-    let outcome = photocurrent_engine::run(&plan, &cache, &how, &Watcher::new(&plan, options.quiet), &cancel);
+    let outcome = photocurrent_engine::run(&plan, &cache, &how, &Watcher::new(&plan, options.progress, options.quiet), &cancel);
     if outcome.exit_code() != 0 {
         failed_nodes(&outcome);
         return Ok(Err(outcome.exit_code()));
