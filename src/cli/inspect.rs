@@ -1,16 +1,17 @@
-//! `photocurrent inspect` and the recording half of `check`.
+//! `photocurrent inspect`.
 
 use crate::args::InspectOptions;
 use crate::common::{Done, Failure, human_bytes, print, print_json};
+use crate::file_kind::need_data;
 use photocurrent_core::{TimeSpan, Value};
 use photocurrent_store::open_value;
 use photocurrent_store::recording::Recording;
 use serde_json::json;
 use std::fmt::Write;
-use std::path::Path;
 
 /// Shows what a file holds.
 pub fn inspect(options: &InspectOptions) -> Done {
+    need_data(&options.file, "inspect")?;
     let recording = match Recording::open(&options.file) {
         Ok(recording) => recording,
         Err(not_a_recording) => {
@@ -86,21 +87,4 @@ fn artefact(value: &Value, as_json: bool) -> Done {
     }
     print(&text)?;
     Ok(0)
-}
-
-/// Reads a whole recording and says whether it keeps to its format; exit code 3 when it does not.
-pub fn check_recording(path: &Path) -> Done {
-    let checked = Recording::open(path).and_then(|recording| {
-        for rows in recording.extent().rows().bands(64) {
-            recording.read_events(rows)?;
-        }
-        Ok(recording)
-    });
-    match checked {
-        Ok(recording) => {
-            eprintln!("{}: {} events, {} frames, no mistake found", path.display(), recording.event_count(), recording.exposures().map_or(0, <[_]>::len));
-            Ok(0)
-        }
-        Err(error) => Err(Failure::Other { message: error.to_string(), code: 3 }),
-    }
 }

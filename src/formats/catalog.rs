@@ -8,20 +8,13 @@ use crate::hdf;
 /// Every format, in the order in which a file is held against them.
 pub static FORMATS: &[&Format] = &[
     // By a signature.
+    &crate::aedat4::FORMAT,
     &crate::evt::EVT2,
     &crate::evt::EVT21,
     &crate::evt::EVT3,
     &crate::evt::DAT,
     &crate::npz::FORMAT,
-    // By what stands in a folder.
-    &crate::event_camera_dataset::FORMAT,
-    &crate::hs_ergb::FORMAT,
-    &crate::event_utils_memmap::FORMAT,
-    &crate::pictures::FORMAT,
-    // By what it looks like.
-    &crate::csv::FORMAT,
-];
-pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT];
+    // By what an HDF5 file holds.
     &hdf::recording::FORMAT,
     &hdf::prophesee::FORMAT,
     &hdf::m3ed::FORMAT,
@@ -29,4 +22,11 @@ pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT];
     &hdf::event_utils::FORMAT,
     &hdf::dsec::FORMAT,
     &hdf::v2e::FORMAT,
+    // By what stands in a folder.
+    &crate::event_camera_dataset::FORMAT,
+    &crate::hs_ergb::FORMAT,
+    &crate::event_utils_memmap::FORMAT,
+    &crate::pictures::FORMAT,
+    // By what it looks like.
+    &crate::csv::FORMAT,
 ];

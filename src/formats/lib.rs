@@ -17,10 +17,10 @@
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
 
+pub mod aedat4;
 pub mod arrange;
 pub mod bias;
 pub mod calibration;
-pub mod aedat4;
 pub mod catalog;
 pub mod chunk;
 pub mod csv;
@@ -34,13 +34,13 @@ pub mod evt;
 pub mod format;
 pub mod gather;
 pub mod hazard;
+pub mod hdf;
 pub mod hs_ergb;
 pub mod joined;
+pub mod losses;
 mod npy;
 pub mod npz;
 pub mod pictures;
-pub mod losses;
-pub mod hdf;
 pub mod recording;
 pub mod survey;
 mod tally;
