@@ -15,12 +15,12 @@ mod evt2;
 mod evt3;
 pub mod evt3_writer;
 mod faults;
+#[cfg(test)]
+mod file_tests;
 mod header;
 mod raw;
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod tests_files;
 
 pub use dat::{DatDecoder, DatLayout};
 pub use evt2::{Evt2Decoder, Evt21Decoder};
