@@ -5,4 +5,4 @@
 use crate::format::Format;
 
 /// Every format, in the order in which a file is held against them.
-pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT];
+pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT, &crate::aedat2::FORMAT, &crate::event_stream::FORMAT];

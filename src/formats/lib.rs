@@ -6,16 +6,18 @@
 //! - [`declared`]: what a user states because the file cannot: a unit, columns, an exposure.
 //! - [`chunk`]: events as columns, a piece at a time.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one. [`losses`]: a list of such that stays short.
-//! - [`aedat4`]: one module a format.
+//! - [`aedat4`], [`aedat2`], [`event_stream`]: one module a format.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
 
+pub mod aedat2;
 pub mod aedat4;
 pub mod catalog;
 pub mod chunk;
 pub mod declared;
 pub mod error;
+pub mod event_stream;
 pub mod format;
 pub mod losses;
 pub mod recording;
