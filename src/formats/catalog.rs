@@ -30,3 +30,4 @@ pub static FORMATS: &[&Format] = &[
     // By what it looks like.
     &crate::csv::FORMAT,
 ];
+pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT, &crate::aedat2::FORMAT, &crate::event_stream::FORMAT];
