@@ -11,7 +11,7 @@ mod events;
 mod frames;
 mod inspect;
 mod rendered;
-mod write;
+pub(crate) mod write;
 
 pub use inspect::{EventsSummary, FramesSummary, Inspection, Spread, TruthSummary};
 pub use rendered::{DnCode, write_rendered};
