@@ -6,15 +6,18 @@
 //! - [`declared`]: what a user states because the file cannot: a unit, columns, an exposure.
 //! - [`chunk`]: events as columns, a piece at a time.
 //! - [`gather`]: events sorted by row in bounded memory, as nodes take them.
+//! - [`evt`]: Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT; [`bias`]: settings of these sensors.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
 
+pub mod bias;
 pub mod catalog;
 pub mod chunk;
 pub mod declared;
 pub mod error;
+pub mod evt;
 pub mod format;
 pub mod gather;
 pub mod recording;
