@@ -7,6 +7,7 @@
 //! - [`chunk`]: events as columns, a piece at a time.
 //! - [`gather`]: events sorted by row in bounded memory, as nodes take them.
 //! - [`evt`]: Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT; [`bias`]: settings of these sensors.
+//! - [`rosbag`], [`mcap`]: bags of ROS 1 and MCAP files, whose messages and chunks [`ros`] reads.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
@@ -20,7 +21,10 @@ pub mod error;
 pub mod evt;
 pub mod format;
 pub mod gather;
+pub mod mcap;
 pub mod recording;
+pub mod ros;
+pub mod rosbag;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};
