@@ -31,3 +31,7 @@ pub static FORMATS: &[&Format] = &[
     &crate::csv::FORMAT,
 ];
 pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT, &crate::aedat2::FORMAT, &crate::event_stream::FORMAT];
+use crate::{evt, mcap, rosbag};
+
+/// Every format, in the order in which a file is held against them.
+pub static FORMATS: &[&Format] = &[&evt::EVT2, &evt::EVT21, &evt::EVT3, &evt::DAT, &rosbag::FORMAT, &mcap::FORMAT];
