@@ -8,6 +8,7 @@
 //! - `determinism`: the same bits for any number of threads, any band height, any machine.
 //! - `diagnosis`: `photocurrent diagnose`, from a recording to its report.
 //! - `colour`: colour frames and mosaics, from a scene to pictures by way of a recording.
+//! - `figures`: the tables of README.md and docs/ are what their commands print.
 //! - `films`: pictures as light, from files to events.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
@@ -19,6 +20,7 @@ mod conformance;
 mod crash;
 mod determinism;
 mod diagnosis;
+mod figures;
 mod films;
 mod manifests;
 mod pipelines;
