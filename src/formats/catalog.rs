@@ -9,10 +9,14 @@ use crate::hdf;
 pub static FORMATS: &[&Format] = &[
     // By a signature.
     &crate::aedat4::FORMAT,
+    &crate::aedat2::FORMAT,
+    &crate::event_stream::FORMAT,
     &crate::evt::EVT2,
     &crate::evt::EVT21,
     &crate::evt::EVT3,
     &crate::evt::DAT,
+    &crate::rosbag::FORMAT,
+    &crate::mcap::FORMAT,
     &crate::npz::FORMAT,
     // By what an HDF5 file holds.
     &hdf::recording::FORMAT,
@@ -30,8 +34,3 @@ pub static FORMATS: &[&Format] = &[
     // By what it looks like.
     &crate::csv::FORMAT,
 ];
-pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT, &crate::aedat2::FORMAT, &crate::event_stream::FORMAT];
-use crate::{evt, mcap, rosbag};
-
-/// Every format, in the order in which a file is held against them.
-pub static FORMATS: &[&Format] = &[&evt::EVT2, &evt::EVT21, &evt::EVT3, &evt::DAT, &rosbag::FORMAT, &mcap::FORMAT];
