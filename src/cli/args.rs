@@ -26,7 +26,7 @@ pub enum Command {
     Table(TableOptions),
     /// Draw the graph of a pipeline
     Graph(GraphOptions),
-    /// Show what is in a recording or a cached artefact
+    /// Show what recordings of any format hold, and what is wrong with them or unknown
     Inspect(InspectOptions),
     /// Say where a recording and the sensor description differ, and which physics is missing
     Diagnose(DiagnoseOptions),
@@ -223,9 +223,13 @@ pub struct GraphOptions {
 
 #[derive(ClapArgs)]
 pub struct InspectOptions {
-    /// A recording or a cached artefact (.h5)
-    pub file: PathBuf,
-    /// Print as JSON
+    /// Recordings of any format, folders of a recording, or cached artefacts (.h5)
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+    /// What the files do not say
+    #[command(flatten)]
+    pub declared: crate::declared::DeclaredOptions,
+    /// Print as JSON (docs/inspect.md)
     #[arg(long)]
     pub json: bool,
 }

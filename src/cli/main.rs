@@ -7,6 +7,7 @@ mod args;
 mod cache;
 mod case;
 mod common;
+mod declared;
 mod diagnose;
 mod effects;
 mod graph;
