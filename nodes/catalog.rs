@@ -5,10 +5,9 @@ use photocurrent_core::{Catalogue, Kind};
 
 /// All node kinds.
 pub fn catalogue() -> Catalogue {
-    Catalogue::new(vec![
+    let mut kinds = vec![
         // Data come in, or are made.
         Kind::of::<read::recording::ReadRecording>(),
-        Kind::of::<read::aedat4::ReadAedat4>(),
         Kind::of::<read::sensor::ReadSensor>(),
         Kind::of::<simulate::scene::SimulateScene>(),
         Kind::of::<simulate::video::SimulateVideo>(),
@@ -56,9 +55,13 @@ pub fn catalogue() -> Catalogue {
         // What the user takes away.
         Kind::of::<write::recording::WriteRecording>(),
         Kind::of::<write::frames::WriteFrames>(),
+        Kind::of::<write::video::WriteVideo>(),
         Kind::of::<write::table::WriteTable>(),
         Kind::of::<write::plot::WritePlot>(),
         Kind::of::<write::contact_sheet::WriteContactSheet>(),
         Kind::of::<write::diagnosis::WriteDiagnosis>(),
-    ])
+    ];
+    // Other people's files come in behind our own recording.
+    kinds.splice(1..1, read::formats::kinds());
+    Catalogue::new(kinds)
 }

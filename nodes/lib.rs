@@ -8,6 +8,7 @@
 pub mod baseline;
 pub mod catalog;
 pub mod co_located;
+mod command;
 pub mod compensate;
 pub mod diagnose;
 pub mod held;

@@ -9,6 +9,7 @@
 //! needs a seed of its own.
 
 use super::external::pictures::{Levels, pictures};
+use crate::command;
 use crate::reconstruct::Request;
 use crate::sampling::Sampling;
 use crate::simulate::stored::Transfer;
@@ -17,11 +18,8 @@ use photocurrent_core::quantity::InputPath;
 use photocurrent_core::{Context, Decl, EventStream, FileRef, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::fs::File;
 use std::path::Path;
-use std::process::{Command, ExitStatus, Stdio};
 use std::sync::Arc;
-use std::time::Duration as Pause;
 
 /// Parameters of `baseline/exec`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
@@ -74,9 +72,6 @@ pub struct BaselineExec {
     params: Params,
 }
 
-/// Lines of what a failing command said that are shown.
-const LAST_LINES: usize = 20;
-
 impl BaselineExec {
     fn prepare(&self, request: &Request) -> Result<(FramesMeta, Levels), NodeError> {
         let params = &self.params;
@@ -99,54 +94,11 @@ impl BaselineExec {
     /// Runs the command in `folder` to its end.
     fn run_command(&self, folder: &Path, cx: &Context) -> Result<(), NodeError> {
         let arguments = self.arguments()?;
-        let said = |name: &str| File::create(folder.join(name)).map_err(|error| NodeError::files(format!("cannot write {name}: {error}")));
-        let mut child = Command::new(&arguments[0])
-            .args(&arguments[1..])
-            .current_dir(folder)
-            .stdin(Stdio::null())
-            .stdout(said("stdout.txt")?)
-            .stderr(said("stderr.txt")?)
-            .spawn()
-            .map_err(|error| {
-                NodeError::failed(format!("cannot start \"{}\": {error}", arguments[0]))
-                    .hint("name a program on the path or by its whole path; a script stands in `files`, as `{file0}` in `command`")
-                    .param("command")
-            })?;
-        let status = loop {
-            match child.try_wait() {
-                Ok(Some(status)) => break status,
-                Ok(None) => {}
-                Err(error) => return Err(NodeError::failed(format!("lost \"{}\": {error}", arguments[0]))),
-            }
-            if let Err(interrupted) = cx.advance(0) {
-                // It may have ended by itself in between: then there is nothing to end.
-                child.kill().ok();
-                child.wait().ok();
-                return Err(interrupted);
-            }
-            std::thread::sleep(Pause::from_millis(20));
-        };
-        if status.success() { Ok(()) } else { Err(failed(folder, &arguments[0], status)) }
+        command::run(folder, &arguments[0], &arguments[1..], "command", cx).map_err(|error| match error.message.starts_with("cannot start") {
+            true => error.hint("name a program on the path or by its whole path; a script stands in `files`, as `{file0}` in `command`"),
+            false => error,
+        })
     }
-}
-
-/// A command that did not end well, with the last of what it said.
-fn failed(folder: &Path, program: &str, status: ExitStatus) -> NodeError {
-    let how = match status.code() {
-        Some(code) => format!("exit code {code}"),
-        None => format!("{status}"),
-    };
-    let mut error = NodeError::failed(format!("\"{program}\" ended with {how}")).param("command");
-    for name in ["stderr.txt", "stdout.txt"] {
-        let text = std::fs::read(folder.join(name)).map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default();
-        let lines: Vec<&str> = text.lines().collect();
-        let last = &lines[lines.len().saturating_sub(LAST_LINES)..];
-        if !last.is_empty() {
-            error = error.note(format!("the last of {name}:"));
-            error = last.iter().fold(error, |error, line| error.note(format!("| {line}")));
-        }
-    }
-    error
 }
 
 impl Node for BaselineExec {

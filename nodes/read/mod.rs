@@ -3,33 +3,42 @@
 //! A reader has no inputs. It looks at its file while planning, so that the rest of the pipeline knows extent, time span and which streams
 //! there are before any data are read; what a file does not have becomes an absent output with the reason.
 
-pub mod aedat4;
+pub mod foreign;
+pub mod formats;
 pub mod recording;
 pub mod sensor;
 
-use photocurrent_core::context::{Notes, Silent};
-use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_core::{Context, Node, NodeError, Rows};
-use std::io::Read;
+use photocurrent_core::quantity::InputPath;
+use photocurrent_core::{EventStream, FrameSequence, NodeError};
+use photocurrent_formats::arrange::{EVENTS_BUDGET, arrange};
+use photocurrent_formats::{format, joined};
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
 
-/// Does a file begin as AEDAT4 files do?
-pub fn is_aedat4(path: &Path) -> bool {
-    let mut start = [0; 10];
-    std::fs::File::open(path).and_then(|mut file| file.read_exact(&mut start)).is_ok() && start.starts_with(b"#!AER-DAT4")
+/// Both streams of a file of any format, for those who look at it before a graph does.
+pub struct Whole {
+    /// The events.
+    pub events: Option<EventStream>,
+    /// The frames, linear digital numbers.
+    pub frames: Option<FrameSequence>,
+    /// The sensor description that travels with the file, TOML text.
+    pub sensor_text: Option<String>,
+    /// What was done, and what was damaged.
+    pub notes: Vec<String>,
 }
 
-/// Both streams of an AEDAT4 file, for those who look at it before a graph does; `row_time` as in [`aedat4::Params`].
+/// Reads both streams of a file of any format; `all` states what the file does not.
 ///
 /// # Errors
-/// As `read/aedat4`: when the file cannot be read, is cut off, or holds what cannot be.
-pub fn whole_aedat4(path: &Path, row_time: Duration) -> Result<aedat4::Out, NodeError> {
-    let params = aedat4::Params { path: InputPath::new(path), row_time, ..aedat4::Params::default() };
-    let wanted = ["events", "frames"].map(String::from).into_iter().collect();
-    let (cancel, notes) = (AtomicBool::new(false), Notes::default());
-    let everything = Rows { start: 0, end: 0 };
-    aedat4::ReadAedat4::build(params)?.run(aedat4::In {}, &Context::new(everything, 0, &wanted, &Silent, &cancel, None, &notes))
+/// When the file is of no known format, cannot be read, or something must be stated that is not.
+pub fn whole(all: &foreign::All) -> Result<Whole, NodeError> {
+    let (path, settings) = (all.path.path(), all.settings());
+    let format = format::recognise(path)?.ok_or_else(|| NodeError::input(format!("{} is a recording of no known format", path.display())).param("path"))?;
+    let recording = joined::open(format, path, &settings.declared)?;
+    let arranged = arrange(path, recording.as_ref(), &settings, |_| Ok::<(), NodeError>(()))?;
+    let events = arranged.gather(recording.as_ref(), EVENTS_BUDGET, |_| Ok::<(), NodeError>(()))?.map(|(events, _)| events);
+    let losses = arranged.losses.iter().map(|loss| format!("{}{}: {}", photocurrent_core::context::LOSS, loss.at, loss.what));
+    let notes = arranged.notes.iter().cloned().chain(losses).collect();
+    Ok(Whole { events, frames: arranged.frame_sequence(), sensor_text: recording.sensor_text().map(String::from), notes })
 }
 
 /// Refuses a reader without a path.

@@ -16,7 +16,8 @@
 //! the event pixel that it lies on, posed in that pixel's light ([`shares`]).
 //!
 //! Limits: colours that change are followed from problem to problem ([`photocurrent_sensor::pooling`] says where that fails). A saturated value counts as the light of saturation, which is a lower bound. A pixel whose
-//! problem does not converge gets the safe estimate (a double integral) and is counted; the `map` output shows where.
+//! problem does not converge gets the safe estimate (a double integral) and is counted; the `map` output shows where. Light that no frame of its pixel
+//! comes near is held, counted and shown there too ([`plausible`]).
 
 pub(crate) mod choice;
 #[cfg(test)]
@@ -24,6 +25,7 @@ mod colour_tests;
 pub(crate) mod map;
 mod paper;
 mod params;
+mod plausible;
 pub(crate) mod row;
 pub(crate) mod shares;
 #[cfg(test)]
@@ -68,7 +70,7 @@ photocurrent_core::ports! {
     pub struct Out {
         /// Photocurrent of every value of the frames over time.
         tracks: TrackSet,
-        /// How the solution went: planes `status` (0 converged, 1 safe estimate, 2 saturated, 3 no usable frame), `iterations` (largest), `cost` (sum), `event_residual` and `frame_residual` (root mean squares in standard deviations, NaN for none).
+        /// How the solution went: planes `status` (0 converged, 1 safe estimate, 2 saturated, 3 no usable frame), `iterations` (largest), `cost` (sum), `event_residual` and `frame_residual` (root mean squares in standard deviations, NaN for none), `implausible` (0, or natural logarithm of the brightest light over that of the brightest frame where it was held: see `plausible_range`).
         map: MapSet,
     }
 }
@@ -90,15 +92,18 @@ enum Status {
 /// More steps than this do not improve a pixel of `method = "map"`.
 const MAP_STEPS: usize = 5;
 
-const PLANES: [&str; 5] = ["status", "iterations", "cost", "event_residual", "frame_residual"];
+const PLANES: [&str; 6] = ["status", "iterations", "cost", "event_residual", "frame_residual", "implausible"];
+
+/// Where `implausible` stands among them.
+const IMPLAUSIBLE: usize = 5;
 
 /// What stands in [`PLANES`] for a pixel.
 ///
 /// Residuals are measured less predicted, over the standard deviations of `method = "map"` or times the roots of the weights of `method = "paper"`: of all
 /// windows, frames in two of them counting twice. Events in blind times and saturated values that are met say nothing to `map` and are left out; a safe
-/// estimate of `paper` meets its events.
-fn planes(status: Status, iterations: usize, cost: f64, misfit: &Misfit) -> [f32; PLANES.len()] {
-    [status as u8 as f32, iterations as f32, cost as f32, misfit.event_rms() as f32, misfit.frame_rms() as f32]
+/// estimate of `paper` meets its events. `excess` is [`plausible::Plausible::excess`].
+fn planes(status: Status, iterations: usize, cost: f64, misfit: &Misfit, excess: f64) -> [f32; PLANES.len()] {
+    [status as u8 as f32, iterations as f32, cost as f32, misfit.event_rms() as f32, misfit.frame_rms() as f32, excess as f32]
 }
 
 /// Everything about the sensor that one pixel's problem needs, checked once.
@@ -115,6 +120,7 @@ pub(crate) struct Model {
     gain: f64,
     black_level: f64,
     saturation_dn: f64,
+    plausible_range: f64,
 }
 
 impl Model {
@@ -184,6 +190,7 @@ impl SolvePixel {
             gain: sensor.need(sensor.frames.gain, "frames.gain", WHO)?,
             black_level: sensor.frames.black_level_dn.unwrap_or(0.0),
             saturation_dn: sensor.frames.saturation_dn.unwrap_or(f64::INFINITY),
+            plausible_range: self.params.plausible_range,
         })
     }
 
@@ -222,7 +229,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 11,
+        revision: 12,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -304,7 +311,7 @@ params = { method = "map" }
         let solved: Result<Vec<_>, NodeError> = rows.iter().into_par_iter().map_init(Default::default, solve_row).collect();
         let (tracks, maps): (Vec<TrackBand>, Vec<MapBand>) = solved?.into_iter().unzip();
         let map = MapBand::concat(maps);
-        report(&map, cx);
+        report(&map, self.params.plausible_range, cx);
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(meta.clone()), TrackBand::concat(tracks)), map: MapSet::in_memory(Arc::new(map_meta(meta.extent)), map) })
     }
 }
@@ -337,9 +344,15 @@ fn of_pixels(values: MapBand, meta: &TracksMeta) -> MapBand {
     map
 }
 
-fn report(map: &MapBand, cx: &Context) {
+fn report(map: &MapBand, plausible_range: f64, cx: &Context) {
     let pixels = |status: Status| map.rows().iter().flat_map(|row| map.row(0, row)).filter(|value| **value == status as u8 as f32).count() as u64;
     cx.count(pixels(Status::SafeEstimate), "pixels did not converge in some window and carry the safe estimate there");
     cx.count(pixels(Status::Saturated), "pixels were saturated in every frame of some window: their light is a lower bound there");
     cx.count(pixels(Status::NoFrame), "pixels had no usable frame value in some window (NaN): they hold their last known light there");
+    cx.count(implausible(map), &plausible::note(plausible_range));
+}
+
+/// Number of pixels whose light was held somewhere.
+fn implausible(map: &MapBand) -> u64 {
+    map.rows().iter().flat_map(|row| map.row(IMPLAUSIBLE, row)).filter(|excess| **excess > 0.0).count() as u64
 }

@@ -4,18 +4,24 @@
 //! (`dn = offset + scale * code`, in the first line). Values are linear DN; there is no gamma, in the pixels or in the headers. DN stand for a
 //! frame of the exposure that the first line names, so that rendered and recorded frames compare directly.
 //!
-//! The code spans the data: offset is the lowest value (or 0, when nothing is negative), and code 65535 is the highest value, over all frames and
-//! pixels. So a first pass looks for both ends, and a second one writes; a few frames are in memory at a time. `offset` and `scale`
-//! can be stated instead, when several folders must share one code.
+//! With the sensor description connected, code 65535 is its `saturation_dn`: folders of one camera share a code, and an outlier changes nothing. There is no headroom above
+//! it: a camera could not have said more, and a linear picture is dark enough on a screen. What lies above is clipped and counted; who wants it states a larger `scale`
+//! or takes `format = "hdf5_f32"`. Without a saturation the code spans the data, and code 65535 is the highest value over all frames and pixels.
+//! Offset is the lowest value, or 0 when nothing is negative. So a first pass looks for both ends, and a second one writes; a few frames are in memory at a time.
+//! `offset` and `scale` can be stated instead.
+//!
+//! `preview = true` adds a folder of pictures that a person can look at: 8 bits, sRGB, white by a robust percentile ([`super::display`]). The pictures of the folder itself
+//! are for programs; scores take neither.
 //!
 //! With `format = "hdf5_u16"` the same codes go into one file, `frames.h5`, and with `"hdf5_f32"` the values themselves: \[frame, row, column\] in chunks, with
 //! exposures and code beside them (docs/formats.md), for those who want thousands of frames in one piece.
 //!
 //! Limits: 16 bits are 1/65535 of the span between darkest and brightest pixel. A value that is not known (NaN) becomes code 0 and is counted.
 
+use super::display::Look;
 use super::picture::Picture;
 use photocurrent_core::table::{Column, TableMeta};
-use photocurrent_core::{Context, Decl, FrameScale, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Table};
+use photocurrent_core::{Context, Decl, FrameScale, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use photocurrent_store::{DnCode, write_rendered};
 use png::BitDepth;
 use rayon::prelude::*;
@@ -24,7 +30,6 @@ use serde::{Deserialize, Serialize};
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What is written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -45,12 +50,13 @@ pub enum Format {
 pub struct Params {
     /// Pictures, or one HDF5 file of 16-bit codes or of 32-bit floating point.
     pub format: Format,
-    /// DN per code, positive. Default: such that the highest value of all frames is code 65535.
+    /// DN per code, positive. Default: such that code 65535 is the saturation of the sensor description, or without one the highest value of all frames.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub scale: Option<f64>,
-    /// DN of code 0. Default: the lowest value of all frames, or 0 when none is negative.
+    /// DN of code 0. Default: the lowest value of all frames, or 0 when none is negative; with a saturation, no further below 0 than that is above.
     pub offset: Option<f64>,
-    /// Also write 8-bit copies into the folder `preview`, beside PNGs. They are for looking only: linear, and coarser by a factor of 257.
+    /// Also write pictures for looking into the folder `preview`, beside PNGs: 8 bits, sRGB, with white where 99.8 percent of the values lie below it (at most
+    /// saturation). A note and a comment in each file say what black and white are. Never measure with them.
     pub preview: bool,
 }
 
@@ -59,6 +65,8 @@ photocurrent_core::ports! {
     pub struct In {
         /// Frames, captured or rendered, grey or RGB.
         frames: FrameSequence,
+        /// The sensor description: its saturation is the highest code, its black level the preview's black.
+        sensor: Option<Arc<Sensor>>,
     }
 }
 
@@ -101,16 +109,68 @@ fn range(frames: &FrameSequence, cx: &Context) -> Result<Option<(f32, f32)>, Nod
     Ok(range)
 }
 
+/// Light this many times as bright as saturation is never plausible: the solver holds it at e^3 of the brightest frame.
+const NEVER_PLAUSIBLE: f64 = 20.5;
+/// Where the code spans the data and this share of them lies below a sixteenth of it, an outlier sets the code.
+const DARK_SHARE: f64 = 0.999;
+
+/// What sets the code, and with it what is counted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Scale {
+    Stated,
+    /// Code 65535 is this many DN.
+    Saturation(f64),
+    /// The highest value of all.
+    Data,
+}
+
 impl WriteFrames {
-    fn code(&self, frames: &FrameSequence, cx: &Context) -> Result<DnCode, NodeError> {
+    fn scale(&self, sensor: Option<&Sensor>) -> Scale {
+        let saturation = sensor.and_then(|sensor| sensor.frames.saturation_dn).filter(|saturation| *saturation > 0.0);
+        match (self.params.scale, saturation) {
+            (Some(_), _) => Scale::Stated,
+            (None, Some(saturation)) => Scale::Saturation(saturation),
+            (None, None) => Scale::Data,
+        }
+    }
+
+    fn code(&self, frames: &FrameSequence, sensor: Option<&Sensor>, cx: &Context) -> Result<DnCode, NodeError> {
         if let (Some(offset), Some(scale)) = (self.params.offset, self.params.scale) {
             return Ok(DnCode { offset, scale });
         }
         let (lowest, highest) = range(frames, cx)?.unwrap_or((0.0, 0.0));
-        let offset = self.params.offset.unwrap_or(f64::from(lowest).min(0.0));
-        let span = f64::from(highest) - offset;
+        let lowest = f64::from(lowest).min(0.0);
+        let (lowest, highest) = match self.scale(sensor) {
+            Scale::Saturation(saturation) => (lowest.max(-saturation), saturation),
+            Scale::Stated | Scale::Data => (lowest, f64::from(highest)),
+        };
+        let offset = self.params.offset.unwrap_or(lowest);
+        let span = highest - offset;
         let scale = self.params.scale.unwrap_or(if span > 0.0 { span / DnCode::WHITE } else { 1.0 });
         Ok(DnCode { offset, scale })
+    }
+
+    /// Notes on what codes could not say.
+    fn report(&self, found: &Found, frames: &FrameSequence, sensor: Option<&Sensor>, cx: &Context) {
+        cx.count(found.unknown, "values are not known (NaN) and were written as code 0");
+        match self.scale(sensor) {
+            Scale::Saturation(saturation) => {
+                cx.count(
+                    found.clipped,
+                    &format!("values lie outside of what the code can say, up to saturation ({saturation} DN), and were clipped: `scale` makes room"),
+                );
+            }
+            Scale::Stated | Scale::Data => cx.count(found.clipped, "values lie outside of what the stated code can say and were clipped"),
+        }
+        cx.count(found.implausible, "values are more than 20 times saturation, which no frame can vouch for: look at the node that made them");
+        let known = (frames.len() * frames.rows().len() * frames.meta.row_values()) as u64 - found.unknown;
+        if self.scale(sensor) == Scale::Data
+            && self.params.format != Format::Hdf5F32
+            && (found.dark as f64) < known as f64
+            && found.dark as f64 >= DARK_SHARE * known as f64
+        {
+            cx.note("few bright values set the code, 99.9 percent lie below a sixteenth of it and look black: connect `sensor`, whose saturation sets it, or state `scale`");
+        }
     }
 }
 
@@ -154,7 +214,7 @@ impl Node for WriteFrames {
     const DECL: Decl = Decl {
         kind: "write/frames",
         about: "Writes frames of linear DN with their exposures, as 16-bit PNGs or as one HDF5 file.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: true,
@@ -166,7 +226,7 @@ params = { path = "scene.h5" }
 
 [nodes.pictures]
 kind   = "write/frames"
-in     = { frames = "recording.frames" }
+in     = { frames = "recording.frames", sensor = "recording.sensor" }
 params = { preview = true }
 "#,
     };
@@ -205,18 +265,17 @@ params = { preview = true }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let (frames, meta) = (&input.frames, &input.frames.meta);
+        let (frames, meta, sensor) = (&input.frames, &input.frames.meta, input.sensor.as_deref());
         let folder = cx.export_dir()?;
         let found = match self.params.format {
-            Format::Png => self.pictures(frames, folder, cx)?,
-            Format::Hdf5U16 => self.codes(frames, folder, cx)?,
+            Format::Png => self.pictures(frames, sensor, folder, cx)?,
+            Format::Hdf5U16 => self.codes(frames, sensor, folder, cx)?,
             Format::Hdf5F32 => {
                 write_rendered(&folder.join(HDF5), frames, nominal_exposure_ns(meta).unwrap_or(0), None)?;
                 Found::default()
             }
         };
-        cx.count(found.unknown, "values are not known (NaN) and were written as code 0");
-        cx.count(found.clipped, "values lie outside of what the stated code can say and were clipped");
+        self.report(&found, frames, sensor, cx);
         let times = if self.params.format == Format::Png { "frames.csv" } else { HDF5 };
         if meta.times.row_time_ns != 0 {
             cx.note(format!("rolling shutter: the times in {times} are those of row 0, each further row is {} ns later", meta.times.row_time_ns));
@@ -226,9 +285,6 @@ params = { preview = true }
             && shortest != longest
         {
             cx.note(format!("captured frames of {shortest} to {longest} ns: each keeps the DN of its own exposure; {times} names their median"));
-        }
-        if self.params.preview {
-            cx.note("preview/ is for looking only: 8 bits, linear");
         }
         let file = |l: usize| if self.params.format == Format::Png { file_name(l) } else { HDF5.into() };
         Ok(Out { listing: Arc::new(listing(meta, file)) })
@@ -240,63 +296,85 @@ params = { preview = true }
 struct Found {
     unknown: u64,
     clipped: u64,
+    /// Far beyond saturation.
+    implausible: u64,
+    /// Below a sixteenth of the code's span.
+    dark: u64,
 }
 
 impl Found {
-    fn in_frame(values: &[f32], code: DnCode) -> Found {
+    fn in_frame(values: &[f32], code: DnCode, most_plausible: f32) -> Found {
         let mut found = Found::default();
         for &dn in values {
+            let (value, is_clipped) = code.of(dn);
             found.unknown += u64::from(dn.is_nan());
-            found.clipped += u64::from(code.of(dn).1 && !dn.is_nan());
+            found.clipped += u64::from(is_clipped && !dn.is_nan());
+            found.implausible += u64::from(dn > most_plausible);
+            found.dark += u64::from(value < 4096 && !dn.is_nan());
         }
         found
     }
+
+    fn and(self, other: Found) -> Found {
+        Found {
+            unknown: self.unknown + other.unknown,
+            clipped: self.clipped + other.clipped,
+            implausible: self.implausible + other.implausible,
+            dark: self.dark + other.dark,
+        }
+    }
+}
+
+/// What more DN than these are never plausible.
+fn most_plausible(sensor: Option<&Sensor>) -> f32 {
+    let Some(saturation) = sensor.and_then(|sensor| sensor.frames.saturation_dn) else { return f32::INFINITY };
+    let black = sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0);
+    (black + NEVER_PLAUSIBLE * (saturation - black)) as f32
 }
 
 impl WriteFrames {
     /// PNGs, previews and `frames.csv`.
-    fn pictures(&self, frames: &FrameSequence, folder: &Path, cx: &Context) -> Result<Found, NodeError> {
+    fn pictures(&self, frames: &FrameSequence, sensor: Option<&Sensor>, folder: &Path, cx: &Context) -> Result<Found, NodeError> {
         let meta = &frames.meta;
         let preview = folder.join("preview");
-        if self.params.preview {
+        let look = if self.params.preview { Some(Look::of(frames, sensor, None)?) } else { None };
+        if let Some(look) = look {
             std::fs::create_dir_all(&preview).map_err(|error| super::cannot_write(&preview, &error))?;
+            cx.note(format!("preview/ is {}", look.about()));
         }
+        let shown = look.map(|look| (look.curve(), look.about()));
         let passes = if self.params.offset.is_some() && self.params.scale.is_some() { 1 } else { 2 };
         cx.begin(passes * frames.len() as u64, "frames");
-        let code = self.code(frames, cx)?;
-        let (unknown, clipped) = (AtomicU64::new(0), AtomicU64::new(0));
-        for batch in batches(frames) {
-            let block = frames.read(batch.clone(), frames.rows())?;
-            batch.into_par_iter().try_for_each(|l| {
-                let codes: Vec<u16> = block.frame(l).iter().map(|&dn| code.of(dn).0).collect();
-                let found = Found::in_frame(block.frame(l), code);
-                unknown.fetch_add(found.unknown, Ordering::Relaxed);
-                clipped.fetch_add(found.clipped, Ordering::Relaxed);
-                let (width, height) = (meta.extent.width, frames.rows().len() as u32);
-                let bytes: Vec<u8> = codes.iter().flat_map(|code| code.to_be_bytes()).collect();
-                Picture { width, height, channels: meta.channels(), depth: BitDepth::Sixteen, bytes: &bytes, comment: None }
-                    .save(&folder.join(file_name(l)))?;
-                if self.params.preview {
-                    let bytes: Vec<u8> = codes.iter().map(|code| (code >> 8) as u8).collect();
-                    let comment = Some("For looking only: linear, 8 bits.");
-                    Picture { width, height, channels: meta.channels(), depth: BitDepth::Eight, bytes: &bytes, comment }.save(&preview.join(file_name(l)))?;
-                }
-                cx.advance(1)
-            })?;
-        }
-        super::save(&folder.join("frames.csv"), csv(meta, code).as_bytes())?;
-        Ok(Found { unknown: unknown.into_inner(), clipped: clipped.into_inner() })
-    }
-
-    /// One file of codes.
-    fn codes(&self, frames: &FrameSequence, folder: &Path, cx: &Context) -> Result<Found, NodeError> {
-        cx.begin(2 * frames.len() as u64, "frames");
-        let code = self.code(frames, cx)?;
+        let (code, most) = (self.code(frames, sensor, cx)?, most_plausible(sensor));
         let mut found = Found::default();
         for batch in batches(frames) {
             let block = frames.read(batch.clone(), frames.rows())?;
-            let more = Found::in_frame(&block.dn, code);
-            found = Found { unknown: found.unknown + more.unknown, clipped: found.clipped + more.clipped };
+            let write = |l: usize| -> Result<Found, NodeError> {
+                let (width, height, channels) = (meta.extent.width, frames.rows().len() as u32, meta.channels());
+                let bytes: Vec<u8> = block.frame(l).iter().flat_map(|&dn| code.of(dn).0.to_be_bytes()).collect();
+                Picture { width, height, channels, depth: BitDepth::Sixteen, bytes: &bytes, comment: None }.save(&folder.join(file_name(l)))?;
+                if let Some((curve, about)) = &shown {
+                    let bytes: Vec<u8> = block.frame(l).iter().map(|&dn| curve.of(dn)).collect();
+                    Picture { width, height, channels, depth: BitDepth::Eight, bytes: &bytes, comment: Some(about) }.save(&preview.join(file_name(l)))?;
+                }
+                cx.advance(1)?;
+                Ok(Found::in_frame(block.frame(l), code, most))
+            };
+            let here: Result<Vec<Found>, NodeError> = batch.into_par_iter().map(write).collect();
+            found = here?.into_iter().fold(found, Found::and);
+        }
+        super::save(&folder.join("frames.csv"), csv(meta, code).as_bytes())?;
+        Ok(found)
+    }
+
+    /// One file of codes.
+    fn codes(&self, frames: &FrameSequence, sensor: Option<&Sensor>, folder: &Path, cx: &Context) -> Result<Found, NodeError> {
+        cx.begin(2 * frames.len() as u64, "frames");
+        let (code, most) = (self.code(frames, sensor, cx)?, most_plausible(sensor));
+        let mut found = Found::default();
+        for batch in batches(frames) {
+            let block = frames.read(batch.clone(), frames.rows())?;
+            found = found.and(Found::in_frame(&block.dn, code, most));
             cx.advance(batch.len() as u64)?;
         }
         write_rendered(&folder.join(HDF5), frames, nominal_exposure_ns(&frames.meta).unwrap_or(0), Some(code))?;
@@ -319,8 +397,12 @@ mod tests {
     }
 
     fn write(frames: &FrameSequence, params: Params, look: impl FnOnce(Table, Vec<String>, &Path)) {
+        write_with(None, frames, params, look);
+    }
+
+    fn write_with(sensor: Option<Arc<Sensor>>, frames: &FrameSequence, params: Params, look: impl FnOnce(Table, Vec<String>, &Path)) {
         let node = WriteFrames::build(params).unwrap();
-        exporting(|cx| node.run(In { frames: frames.clone() }, cx).unwrap(), |out, notes, folder| look((*out.listing).clone(), notes, folder));
+        exporting(|cx| node.run(In { frames: frames.clone(), sensor }, cx).unwrap(), |out, notes, folder| look((*out.listing).clone(), notes, folder));
     }
 
     /// What a stranger's program reads from the folder: the numbers of the first line, and the lines of the table.
@@ -413,9 +495,46 @@ mod tests {
             let (codes, info) = load(&folder.join("000000.png"));
             assert_eq!((codes, info.color_type), (vec![65535, 256, 0], png::ColorType::Rgb));
             let (codes, info) = load(&folder.join("preview/000000.png"));
-            assert_eq!((codes, info.bit_depth), (vec![255, 1, 0], BitDepth::Eight));
-            assert!(notes[0].contains("for looking only"));
+            // White is the brightest of these three values; sRGB stores 256 / 65535 of light as 12.7 / 255 (1.055 x^(1/2.4) - 0.055).
+            assert_eq!((codes, info.bit_depth), (vec![255, 13, 0], BitDepth::Eight));
+            assert!(notes[0].contains("for looking only: 8 bits, sRGB, black is 0 DN, white is 65535"), "{notes:?}");
         });
+    }
+
+    #[test]
+    fn saturation_sets_the_code_and_outliers_are_clipped_and_counted() {
+        let mut sensor = Sensor::unknown("test");
+        sensor.frames.saturation_dn = Some(255.0);
+        let sensor = Some(Arc::new(sensor));
+        let frames = testing::captured(EXTENT, exposures(2), 0, |l, x, y| match (l, x, y) {
+            (0, 0, 0) => 74_000.0,
+            (1, 1, 0) => 300.0,
+            _ => 51.0,
+        });
+        write_with(sensor.clone(), &frames, Params::default(), |_, notes, folder| {
+            let (offset, scale, ..) = read_csv(folder);
+            assert_eq!((offset, scale), (0.0, 255.0 / 65535.0));
+            // 51 DN of 255 is a fifth of 65535.
+            assert_eq!(load(&folder.join("000000.png")).0[..2], [65535, 13107]);
+            assert!(notes[0].starts_with("1 values are more than 20 times saturation"), "{notes:?}");
+            assert!(notes[1].starts_with("2 values lie outside of what the code can say, up to saturation (255 DN)"), "{notes:?}");
+        });
+        // A stated scale wins; a negative value lowers the offset, but no further than saturation is high.
+        write_with(sensor.clone(), &frames, Params { scale: Some(2.0), ..Params::default() }, |_, _, folder| assert_eq!(read_csv(folder).1, 2.0));
+        let negative = testing::captured(EXTENT, exposures(1), 0, |_, x, _| if x == 0 { -1e6 } else { 10.0 });
+        write_with(sensor, &negative, Params::default(), |_, notes, folder| {
+            assert_eq!(read_csv(folder).0, -255.0);
+            assert!(notes[0].starts_with("4 values lie outside"), "{notes:?}");
+        });
+    }
+
+    #[test]
+    fn without_a_saturation_an_outlier_that_sets_the_code_is_named() {
+        let large = Extent { width: 50, height: 50 };
+        let frames = testing::captured(large, exposures(1), 0, |_, x, y| if (x, y) == (7, 7) { 74_000.0 } else { 51.0 });
+        write(&frames, Params::default(), |_, notes, _| assert!(notes.iter().any(|note| note.contains("connect `sensor`")), "{notes:?}"));
+        let dark = testing::captured(large, exposures(1), 0, |_, _, _| 0.0);
+        write(&dark, Params::default(), |_, notes, _| assert_eq!(notes, [""; 0]));
     }
 
     #[test]

@@ -5,6 +5,7 @@
 
 pub mod contact_sheet;
 pub mod diagnosis;
+mod display;
 pub mod figure;
 mod font;
 pub mod frames;
@@ -12,6 +13,7 @@ mod picture;
 pub mod plot;
 pub mod recording;
 pub mod table;
+pub mod video;
 
 use photocurrent_core::NodeError;
 use std::path::Path;

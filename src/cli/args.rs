@@ -14,6 +14,10 @@ pub struct Args {
 
 #[derive(Subcommand)]
 pub enum Command {
+    /// Write a manifest and a sensor description for your files; what they do not state is proposed and marked
+    Init(InitOptions),
+    /// Write a recording in another format, whole or a part of it
+    Convert(ConvertOptions),
     /// Run a pipeline or an ablation; what the cache has is not run again
     Run(RunOptions),
     /// Show what a run would do, in order, and why; writes nothing
@@ -64,6 +68,67 @@ pub struct Target {
     /// Where files for you are written [default: out/NAME of the manifest]
     #[arg(long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
+}
+
+#[derive(ClapArgs)]
+pub struct InitOptions {
+    /// The recording, and where its frames and their stamps lie when they lie elsewhere
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+    /// The manifest to write; the sensor description is written beside it
+    #[arg(short, long, value_name = "FILE", default_value = "photocurrent.toml")]
+    pub output: PathBuf,
+    /// State what the files do not, by the names of the reader's parameters: exposure="5 ms", time_unit=us
+    #[arg(long, value_name = "NAME=VALUE")]
+    pub state: Vec<String>,
+    /// Replace a manifest that is there
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// What a recording is written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Written {
+    /// This project's HDF5 recording: events, frames, sensor description
+    Recording,
+    /// DSEC HDF5: events
+    Dsec,
+    /// Text with a header: events
+    Csv,
+    /// Prophesee RAW, EVT3: events
+    Evt3,
+}
+
+#[derive(ClapArgs)]
+pub struct ConvertOptions {
+    /// The recording
+    pub input: PathBuf,
+    /// The file to write: .h5, .csv, .txt or .raw
+    pub output: PathBuf,
+    /// What to write [default: by the ending of the name]
+    #[arg(long, value_enum, value_name = "FORMAT")]
+    pub to: Option<Written>,
+    /// Only these pixels, numbered from 0 afterwards
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_delimiter = ',', num_args = 4)]
+    pub crop: Vec<u16>,
+    /// Leave out what was stamped before this time, from the earliest stamp: 250ms
+    #[arg(long, value_name = "TIME")]
+    pub start: Option<String>,
+    /// Leave out what was stamped at or after this time
+    #[arg(long, value_name = "TIME")]
+    pub end: Option<String>,
+    /// Unit of the stamps in a text file: s, ms, us or ns
+    #[arg(long, value_name = "UNIT")]
+    pub unit: Option<String>,
+    /// Count time from the earliest stamp [default: the file's clock; a recording always begins at zero]
+    #[arg(long)]
+    pub from_zero: bool,
+    /// State what the file does not, by the names of the reader's parameters: exposure="5 ms", time_unit=us
+    #[arg(long, value_name = "NAME=VALUE")]
+    pub state: Vec<String>,
+    /// Replace a file that is there
+    #[arg(long)]
+    pub force: bool,
 }
 
 #[derive(ClapArgs)]

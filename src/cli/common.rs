@@ -65,6 +65,26 @@ pub fn print_json(value: &serde_json::Value) -> Result<(), Failure> {
     print(&serde_json::to_string_pretty(value).map_err(|error| Failure::other(error.to_string()))?)
 }
 
+/// Refuses a path that a manifest cannot name.
+pub fn must_be_utf8(path: &Path) -> Result<(), Failure> {
+    if path.to_str().is_some() {
+        return Ok(());
+    }
+    Err(Failure::Other { message: format!("{}: a manifest names files in UTF-8, and this name is not\n  hint: rename the file", path.display()), code: 2 })
+}
+
+/// Writes a file whole or not at all.
+pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write: {error}", path.display()));
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    std::fs::create_dir_all(folder).map_err(failed)?;
+    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(failed)?;
+    file.write_all(bytes).map_err(failed)?;
+    file.as_file().sync_all().map_err(failed)?;
+    file.persist(path).map_err(|error| failed(error.error))?;
+    Ok(())
+}
+
 impl Target {
     /// Loads and plans.
     pub fn plan(&self) -> Result<(Project, Plan), Failure> {

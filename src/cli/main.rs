@@ -7,10 +7,15 @@ mod args;
 mod cache;
 mod case;
 mod common;
+<<<<<<< HEAD
 mod declared;
+=======
+mod convert;
+>>>>>>> main
 mod diagnose;
 mod effects;
 mod graph;
+mod init;
 mod inspect;
 mod learn;
 mod nodes;
@@ -29,6 +34,8 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     let args = Args::parse();
     let done = match &args.command {
+        Command::Init(options) => init::init(options),
+        Command::Convert(options) => convert::convert(options),
         Command::Run(options) => run::run(options),
         Command::Plan(options) => plan::plan(options),
         Command::Explain(options) => plan::explain(options),

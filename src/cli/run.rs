@@ -195,14 +195,6 @@ fn talk(options: &RunOptions, outcome: &Outcome, out_dir: &Path, seconds: f64) {
 
 /// Writes JSON Lines whole or not at all.
 fn write_lines(path: &Path, lines: &[serde_json::Value]) -> Result<(), Failure> {
-    let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write: {error}", path.display()));
-    let folder = path.parent().unwrap_or(Path::new("."));
-    std::fs::create_dir_all(folder).map_err(failed)?;
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(failed)?;
-    for line in lines {
-        std::io::Write::write_all(&mut file, format!("{line}\n").as_bytes()).map_err(failed)?;
-    }
-    file.as_file().sync_all().map_err(failed)?;
-    file.persist(path).map_err(|error| failed(error.error))?;
-    Ok(())
+    let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
+    crate::common::write_whole(path, text.as_bytes())
 }

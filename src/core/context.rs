@@ -26,6 +26,9 @@ impl Progress for Silent {
     fn advance(&self, _: u64) {}
 }
 
+/// How a note begins that says that data were damaged and left out: a run that has one ends with exit code 3.
+pub const LOSS: &str = "data lost: ";
+
 /// What a node told the user while it ran, whatever the number of row bands and threads.
 #[derive(Default)]
 pub struct Notes(Mutex<NoteBook>);
@@ -123,6 +126,11 @@ impl<'a> Context<'a> {
     /// again on a cache hit. The same text said for several row bands counts once.
     pub fn note(&self, text: impl Into<String>) {
         self.notes.say(text.into());
+    }
+
+    /// Reports a damaged part of the input that was left out; what stands around it was taken. The run goes on and ends with exit code 3.
+    pub fn loss(&self, text: impl AsRef<str>) {
+        self.notes.say(format!("{LOSS}{}", text.as_ref()));
     }
 
     /// Tells the user how many of something there were: `count(31, "pixels did not converge")`. Counts of one text add up over threads and row

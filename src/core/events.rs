@@ -130,6 +130,46 @@ impl EventBand {
         })
     }
 
+    /// Puts columns in file order (usually by time) into canonical order: one counting sort by row, then only rows that are out of time order and
+    /// equal stamps are sorted; ties keep file order.
+    ///
+    /// # Errors
+    /// When columns differ in length or an event lies outside `rows`.
+    pub fn from_file_order(rows: Rows, y: &[u16], x: &[u16], on: &[u8], t: &[i64], t_in: Option<&[i64]>) -> Result<EventBand, DataError> {
+        let n = y.len();
+        if x.len() != n || on.len() != n || t.len() != n || t_in.is_some_and(|column| column.len() != n) {
+            return Err(DataError::new("the columns of an event band do not fit each other"));
+        }
+        if let Some(outside) = y.iter().find(|&&y| !(rows.start..rows.end).contains(&u32::from(y))) {
+            return Err(DataError::new(format!("an event at row {outside} does not belong to {rows}")));
+        }
+        let row_of = |i: usize| (u32::from(y[i]) - rows.start) as usize;
+        let mut offsets = vec![0; rows.len() + 1];
+        (0..n).for_each(|i| offsets[row_of(i) + 1] += 1);
+        for row in 1..offsets.len() {
+            offsets[row] += offsets[row - 1];
+        }
+        let mut next = offsets.clone();
+        let mut order = vec![0; n];
+        for i in 0..n {
+            let row = row_of(i);
+            order[next[row]] = i;
+            next[row] += 1;
+        }
+        for row in 0..rows.len() {
+            let row = &mut order[offsets[row]..offsets[row + 1]];
+            if !row.is_sorted_by_key(|&i| t[i]) {
+                row.sort_by_key(|&i| t[i]);
+            }
+            row.chunk_by_mut(|&a, &b| t[a] == t[b]).for_each(|ties| ties.sort_by_key(|&i| x[i]));
+        }
+        fn gather<T: Copy>(order: &[usize], column: &[T]) -> Vec<T> {
+            order.iter().map(|&i| column[i]).collect()
+        }
+        let t_in = t_in.map(|column| gather(&order, column));
+        EventBand::from_columns(rows.start, offsets, gather(&order, x), gather(&order, on), gather(&order, t), t_in, None)
+    }
+
     /// From columns that are in canonical order already; `offsets` has one entry per row and a last one.
     ///
     /// # Errors
@@ -362,6 +402,18 @@ mod tests {
             assert!(index.pixel(x).iter().all(|&k| row.x[k] as usize == x));
             assert!(index.pixel(x).iter().is_sorted_by_key(|&k| row.t[k]));
         }
+    }
+
+    #[test]
+    fn columns_in_any_order_become_the_same_band_as_events() {
+        let events = some_events(500);
+        let column = |of: fn(&Event) -> u16| events.iter().map(of).collect::<Vec<u16>>();
+        let on: Vec<u8> = events.iter().map(|e| u8::from(e.polarity == Polarity::On)).collect();
+        let t: Vec<i64> = events.iter().map(|e| e.t).collect();
+        let t_in: Vec<i64> = events.iter().map(|e| e.t_in.unwrap()).collect();
+        let band = EventBand::from_file_order(ROWS, &column(|e| e.y), &column(|e| e.x), &on, &t, Some(&t_in)).unwrap();
+        assert_eq!(band, EventBand::from_events(ROWS, events).unwrap());
+        assert!(EventBand::from_file_order(Rows { start: 0, end: 1 }, &[1], &[0], &[0], &[0], None).is_err());
     }
 
     #[test]

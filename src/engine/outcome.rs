@@ -135,12 +135,18 @@ impl Outcome {
         self.tasks.iter().enumerate().filter(|(_, task)| task.end == End::Failed)
     }
 
-    /// What the command gives back to the shell: 0 done, 1 a node failed, 3 input data failed a check, 4 an ablation finished with failed
+    /// Did a node leave out damaged input?
+    fn lost_data(&self) -> bool {
+        self.tasks.iter().any(|task| task.notes.iter().any(|note| note.starts_with(photocurrent_core::context::LOSS)))
+    }
+
+    /// What the command gives back to the shell: 0 done, 1 a node failed, 3 input data failed a check or were damaged in part, 4 an ablation finished with failed
     /// variants, 130 interrupted.
     pub fn exit_code(&self) -> u8 {
         let only_input = || self.failures().all(|(_, task)| task.error.as_ref().is_some_and(|error| error.trouble == Trouble::Input));
         match () {
             () if self.count(End::Interrupted) > 0 => 130,
+            () if self.count(End::Failed) == 0 && self.lost_data() => 3,
             () if self.count(End::Failed) == 0 => 0,
             () if self.is_ablation => 4,
             () if only_input() => 3,

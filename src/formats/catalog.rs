@@ -3,6 +3,30 @@
 //! A file is held against them from the top: those that are recognised by a signature stand before those that are recognised by what they look like.
 
 use crate::format::Format;
+use crate::hdf;
 
 /// Every format, in the order in which a file is held against them.
-pub static FORMATS: &[&Format] = &[];
+pub static FORMATS: &[&Format] = &[
+    // By a signature.
+    &crate::evt::EVT2,
+    &crate::evt::EVT21,
+    &crate::evt::EVT3,
+    &crate::evt::DAT,
+    &crate::npz::FORMAT,
+    // By what stands in a folder.
+    &crate::event_camera_dataset::FORMAT,
+    &crate::hs_ergb::FORMAT,
+    &crate::event_utils_memmap::FORMAT,
+    &crate::pictures::FORMAT,
+    // By what it looks like.
+    &crate::csv::FORMAT,
+];
+pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT];
+    &hdf::recording::FORMAT,
+    &hdf::prophesee::FORMAT,
+    &hdf::m3ed::FORMAT,
+    &hdf::mvsec::FORMAT,
+    &hdf::event_utils::FORMAT,
+    &hdf::dsec::FORMAT,
+    &hdf::v2e::FORMAT,
+];

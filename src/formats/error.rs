@@ -59,7 +59,8 @@ impl FormatError {
     fn first_line(&self) -> String {
         let at = self.at.as_ref().map(|at| format!(": {at}")).unwrap_or_default();
         let expected = self.expected.as_ref().map(|expected| format!(", expected {expected}")).unwrap_or_default();
-        format!("{}{at}: {}{expected}", self.path.display(), self.found)
+        let path = self.path.display().to_string() + &at;
+        if path.is_empty() { format!("{}{expected}", self.found) } else { format!("{path}: {}{expected}", self.found) }
     }
 }
 
@@ -70,6 +71,13 @@ impl fmt::Display for FormatError {
 }
 
 impl std::error::Error for FormatError {}
+
+/// Data that could not be brought into order: the file is named by who reports it.
+impl From<DataError> for FormatError {
+    fn from(error: DataError) -> FormatError {
+        FormatError::new(Path::new(""), error.message, "free some memory or room for temporary files, or read a shorter window")
+    }
+}
 
 impl From<FormatError> for DataError {
     fn from(error: FormatError) -> DataError {

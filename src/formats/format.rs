@@ -8,6 +8,9 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+/// Opens a file of a format.
+pub type Open = fn(&Path, &Declared) -> Result<Box<dyn Recording>, FormatError>;
+
 /// A format.
 pub struct Format {
     /// Short and stable: the node is `read/<id>`.
@@ -17,7 +20,7 @@ pub struct Format {
     /// Is this file or folder one? Cheap: headers only.
     pub recognises: fn(&Probe) -> bool,
     /// Opens a file that is one.
-    pub open: fn(&Path, &Declared) -> Result<Box<dyn Recording>, FormatError>,
+    pub open: Open,
 }
 
 /// Names in a folder that are looked at; more are not needed to know what it is.

@@ -5,21 +5,48 @@
 //! - [`recording`]: what an opened file gives: a cursor over its events, pictures by index, triggers, facts, losses.
 //! - [`declared`]: what a user states because the file cannot: a unit, columns, an exposure.
 //! - [`chunk`]: events as columns, a piece at a time.
+//! - [`gather`]: events sorted by row in bounded memory, as nodes take them.
+//! - [`evt`]: Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT; [`bias`]: settings of these sensors.
 //! - [`survey`]: one pass over a recording: everything that a person, or the judge of hazards, wants to know.
 //! - [`hazard`]: what is wrong or unknown, with evidence and what to do.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
+//! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
+//! - [`error`]: why a file is refused, and what was lost of a damaged one. [`losses`]: a list of such that stays short.
+//! - [`aedat4`]: one module a format.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
 
+pub mod arrange;
+pub mod bias;
+pub mod calibration;
+pub mod aedat4;
 pub mod catalog;
 pub mod chunk;
+pub mod csv;
+mod decimal;
 pub mod declared;
 pub mod error;
+pub mod event_camera_dataset;
+pub mod event_utils_memmap;
+mod evidence;
+pub mod evt;
 pub mod format;
+pub mod gather;
 pub mod hazard;
+pub mod hs_ergb;
+pub mod joined;
+mod npy;
+pub mod npz;
+pub mod pictures;
+pub mod losses;
+pub mod hdf;
 pub mod recording;
 pub mod survey;
+mod tally;
+mod text;
+pub mod transfer;
+pub mod trim;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};

@@ -3,6 +3,7 @@
 //! - [`recording`]: the documented HDF5 recording, `photocurrent-recording/1`; read by row band, checked while reading.
 //! - [`layout`]: one HDF5 layout per type of value, `photocurrent-artefact/1`; written band by band, read lazily.
 //! - [`cache`]: key -> record -> content, safe for several processes and for a kill at any moment.
+//! - [`foreign`]: HDF5 files of other programs, looked at and read with care.
 //! - [`error`]: the one error type of this crate.
 //!
 //! This is the only crate that names HDF5. Files from outside are not trusted: links to other files, external and virtual storage and
@@ -11,6 +12,7 @@
 
 pub mod cache;
 pub mod error;
+pub mod foreign;
 mod hdf;
 pub mod layout;
 pub mod recording;

@@ -1,5 +1,6 @@
 //! `method = "map"`: a row of pixels cut out of the recording, and their most probable light put together.
 
+use super::plausible::Plausible;
 use super::row::{Recorded, RowData};
 use super::{Model, Status, map_meta, planes};
 use photocurrent_core::{MapBand, NodeError, Rows, Sensor, TrackBand, TracksMeta};
@@ -9,7 +10,7 @@ use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, M
 use photocurrent_sensor::residuals::Misfit;
 
 /// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
-const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
+pub(super) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
 /// So many pixels of a row are looked at to estimate the noise of its events.
 const SAMPLED_PIXELS: usize = 16;
 /// How far voltage and reference may be apart beyond a threshold without an event, natural-log units.
@@ -93,7 +94,7 @@ impl RowSolver {
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
         let RowSolver { group, data, knots, knots_of } = self;
         // As it stays where a pixel has no frame.
-        for (plane, value) in planes(Status::NoFrame, 0, 0.0, &Misfit::default()).into_iter().enumerate() {
+        for (plane, value) in planes(Status::NoFrame, 0, 0.0, &Misfit::default(), 0.0).into_iter().enumerate() {
             map.row_mut(plane, row).fill(value);
         }
         knots.clear();
@@ -112,14 +113,16 @@ impl RowSolver {
         let mut plain = vec![Plain::default(); tasks.len()];
         let mut put = |n: usize, solution: &MapSolution<'_>| {
             let begin = knots.len();
-            thin(solution, data.light_ratio(lit[n]), sigma_factor, knots);
+            let (ratio, plausible) = (data.light_ratio(lit[n]), data.plausible(lit[n]));
+            thin(solution, ratio, sigma_factor, plausible, knots);
+            let most = libm::exp(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max)) * ratio;
             knots_of[lit[n]] = begin..knots.len();
             let status = match solution.status {
                 MapStatus::Failed => Status::SafeEstimate,
                 _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
                 MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
             };
-            let values = planes(status, solution.iterations, -solution.log_evidence, &solution.misfit);
+            let values = planes(status, solution.iterations, -solution.log_evidence, &solution.misfit, plausible.excess(most));
             for (plane, value) in values.into_iter().enumerate() {
                 map.row_mut(plane, row)[lit[n]] = value;
             }
@@ -193,10 +196,17 @@ pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
 
 /// Keeps as few knots as join up to the same light, times `light_ratio`, within [`THINNED_TO`], and to the same standard deviation, where there is one, times
 /// `sigma_factor`, within [`SIGMA_THINNED_TO`].
-fn thin(solution: &MapSolution<'_>, light_ratio: f64, sigma_factor: f64, knots: &mut Vec<(i64, f32, f32)>) {
+///
+/// Light is held at what is plausible; its standard deviation is then at least as large as what was taken away.
+fn thin(solution: &MapSolution<'_>, light_ratio: f64, sigma_factor: f64, plausible: Plausible, knots: &mut Vec<(i64, f32, f32)>) {
     let (t, u, variance) = (solution.t_ns, solution.log_photocurrent, solution.variance);
     let log_sigma = |k: usize| variance.get(k).map_or(0.0, |&variance| estimate::log_sigma(variance));
-    let mut keep = |k: usize| knots.push((t[k], (libm::exp(u[k]) * light_ratio) as f32, (libm::exp(log_sigma(k)) * sigma_factor) as f32));
+    let mut keep = |k: usize| {
+        let (photocurrent, sigma) = (libm::exp(u[k]) * light_ratio, libm::exp(log_sigma(k)) * sigma_factor);
+        let held = plausible.held(photocurrent);
+        let sigma = if held < photocurrent { f64::max(sigma, libm::log(photocurrent / held)) } else { sigma };
+        knots.push((t[k], held as f32, sigma as f32));
+    };
     keep(0);
     let (mut anchor, mut light, mut sigma) = (0, Corridor::OPEN, Corridor::OPEN);
     for k in 1..t.len() {

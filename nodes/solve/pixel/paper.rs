@@ -3,6 +3,7 @@
 //! All problems of a row are gathered first. In single precision those with equally many frames are then solved sixteen at a time, shortest first, so that the
 //! pixels of a group need about the same time; what the group hands back, and what has no steps at all, is solved one by one in double precision.
 
+use super::plausible::Plausible;
 use super::shares::{RowShares, Share};
 use super::{FirstKnot, Joint, Model, Params, Precision, ReadoutModel, Status, TauChoice, map_meta, planes};
 use photocurrent_core::events::{EventRow, PixelIndex};
@@ -75,6 +76,9 @@ impl RowSolver {
         for (x, problems) in self.problems.chunks_exact(windows.len()).enumerate() {
             let (mut worst, mut iterations, mut cost, mut misfit) = (Status::Converged, 0, 0.0, Misfit::default());
             self.knots.clear();
+            let of_frames = exposures.iter().enumerate().map(|(l, exposure)| (f64::from(frames.row(l, row)[x]), exposure.length_ns() as f64 * 1e-9));
+            let plausible = Plausible::new(model, shares.of(x, 0..exposures.len()), of_frames);
+            let mut most = 0.0;
             for (window, problem) in windows.iter().zip(problems) {
                 worst = worst.max(problem.status);
                 iterations = iterations.max(problem.iterations);
@@ -83,12 +87,14 @@ impl RowSolver {
                 for (k, at) in problem.knots.clone().enumerate() {
                     let t = window.start + (self.t_s[at] * 1e9).round() as i64;
                     if problem.status != Status::NoFrame && (k == 0 || t < window.counts_until) {
-                        self.knots.push((t, (libm::exp(self.log_photocurrent[at]) * problem.light_ratio) as f32));
+                        let photocurrent = libm::exp(self.log_photocurrent[at]) * problem.light_ratio;
+                        most = f64::max(most, photocurrent);
+                        self.knots.push((t, plausible.held(photocurrent) as f32));
                     }
                 }
             }
             tracks.push(self.knots.iter().copied());
-            for (plane, value) in planes(worst, iterations, cost, &misfit).into_iter().enumerate() {
+            for (plane, value) in planes(worst, iterations, cost, &misfit, plausible.excess(most)).into_iter().enumerate() {
                 map.row_mut(plane, row)[x] = value;
             }
         }

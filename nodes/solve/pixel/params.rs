@@ -89,7 +89,7 @@ pub enum FirstKnot {
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// What is solved for. `front_end` and `max_iterations` count for both methods; every other parameter names the one that reads it, and is refused with
+    /// What is solved for. `front_end`, `plausible_range` and `max_iterations` count for both methods; every other parameter names the one that reads it, and is refused with
     /// the other.
     pub method: Method,
     /// For `map`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows so that frames
@@ -124,6 +124,10 @@ pub struct Params {
     /// For `paper`: weight of a squared event residual, per natural-log unit squared; absent = 1, as the paper has it.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub evs_weight: Option<f64>,
+    /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
+    /// plane `implausible` of `map` says how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub plausible_range: f64,
     /// Most steps tried for one problem; `map` never takes more than 5: more make it follow its own estimate.
     #[schemars(range(min = 1, max = 10000))]
     pub max_iterations: u32,
@@ -145,6 +149,7 @@ impl Default for Params {
             first_knot: None,
             cis_weight: None,
             evs_weight: None,
+            plausible_range: PLAUSIBLE_RANGE,
             max_iterations: 100,
         }
     }
@@ -154,6 +159,9 @@ impl Default for Params {
 pub(crate) const FRAME_NOISE: f64 = 0.02;
 /// What `knot_spacing` is when nobody says.
 pub(crate) const KNOT_SPACING: Duration = Duration::new(250_000);
+
+/// What `plausible_range` is when nobody says.
+const PLAUSIBLE_RANGE: f64 = 3.0;
 
 impl Params {
     pub(super) fn sigma(&self) -> bool {
@@ -175,6 +183,9 @@ impl Params {
 
     /// Refuses what was stated and would do nothing: a reader of the manifest would believe it.
     pub(super) fn check(&self) -> Result<(), NodeError> {
+        if self.plausible_range.is_nan() || self.plausible_range <= 0.0 {
+            return Err(NodeError::usage(format!("`plausible_range` is {}, and must be above 0", self.plausible_range)).param("plausible_range"));
+        }
         let of_map = [
             ("event_noise", self.event_noise.is_some()),
             ("frame_noise", self.frame_noise.is_some()),
@@ -241,7 +252,7 @@ mod tests {
             ("cis_weight", json!(1.0)),
             ("evs_weight", json!(1.0)),
         ];
-        let shared = [("front_end", json!("ideal")), ("max_iterations", json!(7))];
+        let shared = [("front_end", json!("ideal")), ("plausible_range", json!(2.0)), ("max_iterations", json!(7))];
         let all = serde_json::to_value(Params::default()).unwrap();
         assert_eq!(all.as_object().unwrap().len(), 1 + of_map.len() + of_paper.len() + shared.len(), "a parameter is missing here");
         let is_refused = |method: &str, (name, value): &(&str, serde_json::Value)| refusal(json!({ "method": method, (*name): value })).is_some();

@@ -1,6 +1,7 @@
 //! What the pixels of a row measured, as the most probable light wants it: events in order of time, frame values with their noise.
 
 use super::Model;
+use super::plausible::Plausible;
 use super::shares::{Colours, RowShares};
 use crate::co_located::CoLocatedEvents;
 use photocurrent_core::{Exposure, FrameBlock, FrameTimes, NodeError, Rows, TracksMeta};
@@ -32,6 +33,8 @@ pub(crate) struct RowData {
     first_frame: Vec<usize>,
     /// Light of a frame's value over that of its event pixel, in which its problem is posed.
     light_ratio: Vec<f64>,
+    /// How bright its light may get.
+    plausible: Vec<Plausible>,
     /// How much that changes, all in all: natural-log units squared.
     unrest: Vec<f64>,
 }
@@ -61,6 +64,11 @@ impl RowData {
     /// Light of value x over that of its event pixel.
     pub fn light_ratio(&self, x: usize) -> f64 {
         self.light_ratio[x]
+    }
+
+    /// How bright value x may get.
+    pub fn plausible(&self, x: usize) -> Plausible {
+        self.plausible[x]
     }
 
     /// How far an event of pixel x may be off because its colour changes, natural-log units squared: what colours change between frames is spread
@@ -103,12 +111,15 @@ impl RowData {
     fn take_frames(&mut self, model: &Model, frames: &FrameBlock, row: u32, exposures: &[Exposure], shares: &RowShares, frame_dn: f64) {
         self.frames.clear();
         self.light_ratio.clear();
+        self.plausible.clear();
         self.unrest.clear();
         self.first_frame.clear();
         for x in 0..frames.row_values {
             self.first_frame.push(self.frames.len());
             let share = shares.of(x, 0..exposures.len());
             self.light_ratio.push(share.ratio);
+            let of_frames = exposures.iter().enumerate().map(|(l, exposure)| (f64::from(frames.row(l, row)[x]), exposure.length_ns() as f64 * 1e-9));
+            self.plausible.push(Plausible::new(model, share, of_frames));
             self.unrest.push(shares.unrest(x, |above| {
                 let relative = model.frame_noise.sigma_dn(above, frame_dn) / above;
                 relative * relative

@@ -127,6 +127,11 @@ impl Share {
         if self.scale == 1.0 { dn } else { black_level + (dn - black_level) / self.scale }
     }
 
+    /// Light of the value, in units of 1 / gain, of digital numbers above black.
+    pub fn light(&self, above: f64) -> f64 {
+        if self.scale == 1.0 { above * self.ratio } else { above * self.ratio / self.scale }
+    }
+
     /// The standard deviation of that.
     pub fn sigma(&self, sigma_dn: f64) -> f64 {
         sigma_dn / self.scale

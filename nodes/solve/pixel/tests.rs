@@ -207,7 +207,7 @@ fn residuals_of_events_and_frames_are_mapped_apart() {
     for params in [paper(), Params { precision: Some(Precision::Double), ..paper() }, most_probable()] {
         let (solved, _) = solve(params, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
         let map = solved.map.read(EXTENT.rows()).unwrap();
-        assert_eq!(solved.map.meta.planes[3..], ["event_residual", "frame_residual"]);
+        assert_eq!(solved.map.meta.planes[3..5], ["event_residual", "frame_residual"]);
         for y in EXTENT.rows().iter() {
             let (event, frame) = (map.row(3, y), map.row(4, y));
             assert!(event[0].is_nan() && (1..4).all(|x| event[x] >= 0.0), "{event:?}");
@@ -250,4 +250,39 @@ fn no_frame_at_all_is_refused_with_the_reason() {
     let none = FramesMeta { times: photocurrent_core::FrameTimes::new(vec![], 0).unwrap(), ..(*frames(1).meta).clone() };
     let error = SolvePixel { params: paper() }.tracks_meta(&walk(EXTENT, 1_000_000).meta, &none).unwrap_err();
     assert_eq!(error.message, "there is no frame, and events alone leave the photocurrent's level open");
+}
+
+#[test]
+fn light_that_no_frame_comes_near_is_held_and_marked() {
+    // 25 ON events of 0.2 and 20 OFF events of 0.25 between two frames of 100 DN: up by e^5 = 148 and back. Row 1 rises by e^2.4 only, which is plausible.
+    let burst = |y: u16, on: i64, off: i64| {
+        let times = (0..on).map(move |k| (Polarity::On, 5_000_000 + k * 500_000));
+        let times = times.chain((0..off).map(move |k| (Polarity::Off, 20_000_000 + k * 500_000)));
+        times.map(move |(polarity, t)| Event { x: 2, y, polarity, t: t + 20_000, t_in: Some(t) })
+    };
+    let exposures = vec![Exposure::new(0, 1_000_000), Exposure::new(40_000_000, 41_000_000)];
+    let frames = testing::captured(EXTENT, exposures, 0, |_, _, _| 100.0);
+    let events: Vec<Event> = burst(0, 25, 20).chain(burst(1, 12, 10)).chain(burst(2, 25, 20)).collect();
+    // 100 DN in 1 ms, at 1000 DN per photocurrent and second.
+    let (brightest, most) = (100.0, 100.0 * libm::exp(3.0));
+    for params in [Params { evs_weight: Some(1e6), ..ideal() }, Params { front_end: FrontEndModel::Ideal, ..most_probable() }] {
+        let (solved, notes) = solve(params.clone(), testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
+        let (tracks, map) = (solved.tracks.read(EXTENT.rows()).unwrap(), solved.map.read(EXTENT.rows()).unwrap());
+        let top = |y: u32| tracks.pixel(2, y).photocurrent.iter().fold(0.0, |most, i| f64::max(most, (*i).into()));
+        assert_eq!(solved.map.meta.planes[IMPLAUSIBLE], "implausible");
+        for y in [0, 2] {
+            assert!((top(y) / most - 1.0).abs() < 1e-6, "{} is held at {most}", top(y));
+            assert!((map.row(IMPLAUSIBLE, y)[2] - 5.0).abs() < 0.1, "{:?}", map.row(IMPLAUSIBLE, y));
+        }
+        assert!((libm::log(top(1) / brightest) - 2.4).abs() < 0.2, "{}", top(1));
+        let marked = map.rows().iter().flat_map(|row| map.row(IMPLAUSIBLE, row)).filter(|excess| **excess != 0.0).count();
+        assert_eq!(marked, 2);
+        let note = notes.iter().find(|note| note.contains("`plausible_range` = 3")).unwrap_or_else(|| panic!("{notes:?}"));
+        assert!(note.starts_with("2 pixels get brighter than their brightest frame by more than a factor of 20 "), "{note}");
+        // With a wider range they are left alone.
+        let wider = Params { plausible_range: 6.0, ..params };
+        let (solved, notes) = solve(wider, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
+        let top = solved.tracks.read(EXTENT.rows()).unwrap().pixel(2, 0).photocurrent.iter().fold(0.0, |most, i| f64::max(most, (*i).into()));
+        assert!((libm::log(top / brightest) - 5.0).abs() < 0.1 && !notes.iter().any(|note| note.contains("plausible")), "{top} {notes:?}");
+    }
 }

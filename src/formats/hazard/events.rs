@@ -100,7 +100,8 @@ fn unit(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "state the unit of the stamps",
         ));
     }
-    if let Some(short) = events.places.interval_quantile_ns(0.01).filter(|short| *short < limits.shortest_interval_ns && rate > 0.02 * limits.fastest_pixel_hz) {
+    if let Some(short) = events.places.interval_quantile_ns(0.01).filter(|short| *short < limits.shortest_interval_ns && rate > 0.02 * limits.fastest_pixel_hz)
+    {
         found.push(Finding::new(
             "intervals_too_short",
             Severity::Hazard,
@@ -142,13 +143,22 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "equal_stamps",
             Severity::Fact,
             "many events share their stamp with the one before",
-            format!("{} of them, up to {} in a row; stamps of different neighbours differ by {} most often", percent(stamps.equal_share), stamps.longest_equal, time(stamps.common_step_ns as f64)),
+            format!(
+                "{} of them, up to {} in a row; stamps of different neighbours differ by {} most often",
+                percent(stamps.equal_share),
+                stamps.longest_equal,
+                time(stamps.common_step_ns as f64)
+            ),
             "nothing, if the read-out gives a row one stamp; order within a stamp says nothing",
         ));
     }
     if stamps.step_ns >= limits.coarse_times * stamps.tick_ns {
         let bits = stamps.step_ns / stamps.tick_ns;
-        let frozen = if stamps.step_ns % stamps.tick_ns == 0 && bits.count_ones() == 1 { format!("; the lowest {} bits never change", bits.trailing_zeros()) } else { String::new() };
+        let frozen = if stamps.step_ns % stamps.tick_ns == 0 && bits.count_ones() == 1 {
+            format!("; the lowest {} bits never change", bits.trailing_zeros())
+        } else {
+            String::new()
+        };
         let is_bad = stamps.step_ns >= limits.clump_step_ns;
         found.push(Finding::new(
             "coarse_stamps",
@@ -182,7 +192,13 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
                 "stray_stamps",
                 Severity::Hazard,
                 "a few events lie far from all others in time",
-                format!("{} of {} events lie in {} of a span of {}", inside, events.count, percent(kept as f64 / rate.counts.len() as f64), time(events.seconds() * 1e9)),
+                format!(
+                    "{} of {} events lie in {} of a span of {}",
+                    inside,
+                    events.count,
+                    percent(kept as f64 / rate.counts.len() as f64),
+                    time(events.seconds() * 1e9)
+                ),
                 "cut the recording to the span that is full, and look for damaged packets",
             ));
         }
@@ -193,7 +209,8 @@ fn clock(events: &EventsSurvey, format: &str, limits: &Limits, found: &mut Vec<F
     let stamps = &events.stamps;
     if stamps.furthest_back_ns > limits.back_ns {
         let furthest = stamps.back_examples.iter().max_by_key(|step| step.from_ns.saturating_sub(step.to_ns));
-        let place = furthest.map_or_else(String::new, |step| format!(", at event {}: from {} to {}", step.event, time(step.from_ns as f64), time(step.to_ns as f64)));
+        let place =
+            furthest.map_or_else(String::new, |step| format!(", at event {}: from {} to {}", step.event, time(step.from_ns as f64), time(step.to_ns as f64)));
         let evidence = format!("time goes back {}, {} at most{place}", count(stamps.backward, "time", "times"), time(stamps.furthest_back_ns as f64));
         let size = stamps.furthest_back_ns as f64;
         match COUNTERS.iter().find(|(_, range)| (size - range).abs() < limits.wrap_share * range) {

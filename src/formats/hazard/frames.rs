@@ -37,12 +37,30 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let all = values.values as f64;
     let of = |n: u64| format!("{n} of {} values of {}", values.values, count(values.read.len() as u64, "frame", "frames"));
     if values.infinite > 0 {
-        found.push(Finding::new("infinite_frames", Severity::Error, "frames hold infinite values", of(values.infinite), "look for a division by zero where the frames were made"));
+        found.push(Finding::new(
+            "infinite_frames",
+            Severity::Error,
+            "frames hold infinite values",
+            of(values.infinite),
+            "look for a division by zero where the frames were made",
+        ));
     }
     if values.nan as f64 > limits.nan_share * all {
-        found.push(Finding::new("nan_frames", Severity::Error, "most values of the frames are not numbers", of(values.nan), "look where the frames were made; NaN marks single values that are not known"));
+        found.push(Finding::new(
+            "nan_frames",
+            Severity::Error,
+            "most values of the frames are not numbers",
+            of(values.nan),
+            "look where the frames were made; NaN marks single values that are not known",
+        ));
     } else if values.nan > 0 {
-        found.push(Finding::new("some_nan", Severity::Fact, "some values of the frames are not known (NaN)", of(values.nan), "nothing, if they are meant: they are left out"));
+        found.push(Finding::new(
+            "some_nan",
+            Severity::Fact,
+            "some values of the frames are not known (NaN)",
+            of(values.nan),
+            "nothing, if they are meant: they are left out",
+        ));
     }
     if values.negative as f64 > limits.negative_share * all {
         found.push(Finding::new(
@@ -64,13 +82,31 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let (constant, read) = (values.constant.len(), values.read.len());
     if constant == read && values.nan + values.infinite < values.values {
         let what = if values.max == 0.0 { "every frame is black" } else { "every frame is one even grey" };
-        found.push(Finding::new("no_picture", Severity::Error, what, format!("all values of {} are the same; from {} to {}", count(read as u64, "frame", "frames"), values.min, values.max), "check lens, exposure and which stream holds the frames"));
+        found.push(Finding::new(
+            "no_picture",
+            Severity::Error,
+            what,
+            format!("all values of {} are the same; from {} to {}", count(read as u64, "frame", "frames"), values.min, values.max),
+            "check lens, exposure and which stream holds the frames",
+        ));
     } else if constant > 0 {
-        found.push(Finding::new("empty_frames", Severity::Hazard, "some frames hold one and the same value everywhere", format!("{} of {read}; first frame {}", constant, values.constant[0]), "leave them out; a camera that starts gives such"));
+        found.push(Finding::new(
+            "empty_frames",
+            Severity::Hazard,
+            "some frames hold one and the same value everywhere",
+            format!("{} of {read}; first frame {}", constant, values.constant[0]),
+            "leave them out; a camera that starts gives such",
+        ));
     }
     // Black that is clipped at zero counts from the other side; the largest value is the full well.
     if values.clipped_share > limits.clipped_most {
-        found.push(Finding::new("all_saturated", Severity::Error, "nearly all of the frames is saturated", format!("{} of the values are {}", percent(values.clipped_share), values.max), "shorten the exposure and record again"));
+        found.push(Finding::new(
+            "all_saturated",
+            Severity::Error,
+            "nearly all of the frames is saturated",
+            format!("{} of the values are {}", percent(values.clipped_share), values.max),
+            "shorten the exposure and record again",
+        ));
     } else if values.clipped_share > limits.clipped_share {
         found.push(Finding::new(
             "saturated",
@@ -87,7 +123,11 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         found.push(Finding::new(
             "repeated_frames",
             Severity::Hazard,
-            if is_film && frames.is_constant_rate { "frames are repeated in a constant rate: the film was of variable rate once" } else { "frames are, value for value, the one before" },
+            if is_film && frames.is_constant_rate {
+                "frames are repeated in a constant rate: the film was of variable rate once"
+            } else {
+                "frames are, value for value, the one before"
+            },
             format!("{repeated} of {pairs} pairs of neighbours; first frame {}", values.repeated[0]),
             "leave the repeated ones out: their stamps are not when they were taken",
         ));
@@ -98,10 +138,22 @@ fn times(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let usual = frames.period.map_or(0, |period| period.median_ns);
     let every = time(usual as f64);
     if frames.backward > 0 {
-        found.push(Finding::new("frames_go_back", Severity::Error, "frames are not in order of time", format!("{} of {} begin before the one before", frames.backward, frames.count), "check the stamps, and that they belong to these frames"));
+        found.push(Finding::new(
+            "frames_go_back",
+            Severity::Error,
+            "frames are not in order of time",
+            format!("{} of {} begin before the one before", frames.backward, frames.count),
+            "check the stamps, and that they belong to these frames",
+        ));
     }
     if frames.equal_stamps > 0 {
-        found.push(Finding::new("equal_frame_stamps", Severity::Hazard, "frames have the stamp of the one before", format!("{} of {}", frames.equal_stamps, frames.count), "leave the repeated ones out, or put the stamps right"));
+        found.push(Finding::new(
+            "equal_frame_stamps",
+            Severity::Hazard,
+            "frames have the stamp of the one before",
+            format!("{} of {}", frames.equal_stamps, frames.count),
+            "leave the repeated ones out, or put the stamps right",
+        ));
     }
     if frames.gap_count > 0 {
         let gap = &frames.gaps[0];
@@ -110,12 +162,23 @@ fn times(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "missing_frames",
             Severity::Hazard,
             "frames are missing",
-            format!("{}, about {missing} missing; frame {} is {} after the one before, usual are {every}", count(frames.gap_count, "gap", "gaps"), gap.frame, time(gap.length_ns as f64)),
+            format!(
+                "{}, about {missing} missing; frame {} is {} after the one before, usual are {every}",
+                count(frames.gap_count, "gap", "gaps"),
+                gap.frame,
+                time(gap.length_ns as f64)
+            ),
             "nothing, if stamps are right: pictures between are made of events alone. If files were numbered, look for lost ones",
         ));
     }
     if frames.empty_exposures > 0 {
-        found.push(Finding::new("empty_exposures", Severity::Error, "exposures end before they begin, or at once", format!("{} of {}", frames.empty_exposures, frames.count), "check which stamp is the start and which the end"));
+        found.push(Finding::new(
+            "empty_exposures",
+            Severity::Error,
+            "exposures end before they begin, or at once",
+            format!("{} of {}", frames.empty_exposures, frames.count),
+            "check which stamp is the start and which the end",
+        ));
     }
     if frames.overlapping > 0 {
         let longest = frames.exposure.map_or_else(String::new, |exposure| format!("exposures of up to {}, ", time(exposure.max_ns as f64)));
@@ -137,7 +200,13 @@ fn times(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         ));
     }
     if frames.is_constant_rate {
-        found.push(Finding::new("constant_rate", Severity::Fact, "frames have one and the same distance", format!("{} every {every}", frames.count), "if the stamps were made from a rate, check it against another clock: real cameras wander"));
+        found.push(Finding::new(
+            "constant_rate",
+            Severity::Fact,
+            "frames have one and the same distance",
+            format!("{} every {every}", frames.count),
+            "if the stamps were made from a rate, check it against another clock: real cameras wander",
+        ));
     }
 }
 
@@ -162,8 +231,15 @@ fn questions(frames: &FramesSurvey, found: &mut Vec<Finding>) {
         }
     } else {
         let exposure = frames.exposure.unwrap_or_default();
-        let share = frames.period.map_or_else(String::new, |period| format!(", {} of the period", percent(exposure.median_ns as f64 / period.median_ns.max(1) as f64)));
-        found.push(Finding::new("exposure_stamps", Severity::Fact, "start and end of every exposure are recorded", format!("{}{share}", time(exposure.median_ns as f64)), "nothing: they are used"));
+        let share =
+            frames.period.map_or_else(String::new, |period| format!(", {} of the period", percent(exposure.median_ns as f64 / period.median_ns.max(1) as f64)));
+        found.push(Finding::new(
+            "exposure_stamps",
+            Severity::Fact,
+            "start and end of every exposure are recorded",
+            format!("{}{share}", time(exposure.median_ns as f64)),
+            "nothing: they are used",
+        ));
     }
     if frames.row_time_ns.is_none() {
         found.push(Finding::new(

@@ -122,7 +122,11 @@ pub fn time(ns: f64) -> String {
         _ => (ns * 1e-9, "s"),
     };
     // Four digits say enough, and a long time keeps its microseconds.
-    let digits = if unit == "s" && size >= 1e11 { 6 } else { [3, 2, 1, 0][(value.abs() >= 10.0) as usize + (value.abs() >= 100.0) as usize + (value.abs() >= 1000.0) as usize] };
+    let digits = if unit == "s" && size >= 1e11 {
+        6
+    } else {
+        [3, 2, 1, 0][(value.abs() >= 10.0) as usize + (value.abs() >= 100.0) as usize + (value.abs() >= 1000.0) as usize]
+    };
     let text = format!("{value:.digits$}");
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     format!("{text} {unit}")

@@ -15,8 +15,20 @@ pub fn judge(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
             }
             sizes(events, frames, limits, found);
         }
-        (None, Some(_)) => found.push(Finding::new("frames_only", Severity::Fact, "there are frames and no events", "no event stream in this file", "name the file of the events too")),
-        (Some(_), None) => found.push(Finding::new("events_only", Severity::Fact, "there are events and no frames", "no frames in this file", "name the frames too, if there are any")),
+        (None, Some(_)) => found.push(Finding::new(
+            "frames_only",
+            Severity::Fact,
+            "there are frames and no events",
+            "no event stream in this file",
+            "name the file of the events too",
+        )),
+        (Some(_), None) => found.push(Finding::new(
+            "events_only",
+            Severity::Fact,
+            "there are events and no frames",
+            "no frames in this file",
+            "name the frames too, if there are any",
+        )),
         _ => {}
     }
 }
@@ -38,7 +50,9 @@ fn overlap(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found:
         let is_unit = [1e-9, 1e-6, 1e-3, 1e3, 1e6, 1e9].into_iter().find(|unit| (ratio / unit - 1.0).abs() < 0.05 && of_events.0 > 0);
         let advice = match is_unit {
             Some(_) => "the two are of one clock in different units: state the unit of the one that is wrong".to_owned(),
-            None if offset.unsigned_abs() > 1_000_000_000_000_000_000 => format!("one clock is that of the day: an offset was not added, or added twice; add {} ns to the events' stamps", offset),
+            None if offset.unsigned_abs() > 1_000_000_000_000_000_000 => {
+                format!("one clock is that of the day: an offset was not added, or added twice; add {} ns to the events' stamps", offset)
+            }
             None => format!("an offset was not added, or added twice; {offset} ns added to the events' stamps makes both begin together"),
         };
         found.push(Finding::new("no_overlap", Severity::Error, "events and frames do not overlap in time", spans, advice));
@@ -94,7 +108,12 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
     }
     let Some(late) = lag.late_ns.filter(|_| lag.correlation.0 >= limits.correlation) else { return };
     let interval = format!("{} (95 % {} to {})", time(late.value), time(late.ci95.0), time(late.ci95.1));
-    let evidence = format!("{interval}; correlation {:.2} there, {:.2} without a shift, over {}", lag.correlation.0, lag.correlation.1, count(lag.pairs as u64, "pair of frames", "pairs of frames"));
+    let evidence = format!(
+        "{interval}; correlation {:.2} there, {:.2} without a shift, over {}",
+        lag.correlation.0,
+        lag.correlation.1,
+        count(lag.pairs as u64, "pair of frames", "pairs of frames")
+    );
     let beyond = (limits.late_share * period).max(limits.late_ns);
     if late.ci95.0 > 0.5 * beyond && late.value > beyond || late.ci95.1 < -0.5 * beyond && late.value < -beyond {
         let way = if late.value > 0.0 { "late" } else { "early" };
@@ -133,9 +152,24 @@ fn sizes(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found: &
     let evidence = format!("events reach column {} and row {}, frames have {} x {} pixels", used.0 - 1, used.1 - 1, frames.width, frames.height);
     let fits = |used: (u32, u32)| used.0 <= frames.width && used.1 <= frames.height;
     if !fits(used) && fits((used.1, used.0)) && events.extent.is_none() {
-        found.push(Finding::new("swapped", Severity::Hazard, "columns and rows of the events may be swapped", evidence, "look at a picture of both; state the columns in the order in which they are stored"));
-    } else if let Some(scale) = [16, 32, 64, 128].into_iter().find(|scale| used.0.div_ceil(*scale) <= frames.width && used.0 > frames.width * (scale / 2) && used.1 > frames.height * (scale / 2)) {
-        found.push(Finding::new("scaled", Severity::Error, format!("coordinates of the events count {scale} to a pixel"), evidence, format!("state `coordinate_scale = {scale}`")));
+        found.push(Finding::new(
+            "swapped",
+            Severity::Hazard,
+            "columns and rows of the events may be swapped",
+            evidence,
+            "look at a picture of both; state the columns in the order in which they are stored",
+        ));
+    } else if let Some(scale) = [16, 32, 64, 128]
+        .into_iter()
+        .find(|scale| used.0.div_ceil(*scale) <= frames.width && used.0 > frames.width * (scale / 2) && used.1 > frames.height * (scale / 2))
+    {
+        found.push(Finding::new(
+            "scaled",
+            Severity::Error,
+            format!("coordinates of the events count {scale} to a pixel"),
+            evidence,
+            format!("state `coordinate_scale = {scale}`"),
+        ));
     } else if !(whole(stated.0, frames.width) && whole(stated.1, frames.height)) && events.extent.is_some() {
         found.push(Finding::new(
             "sizes_differ",
@@ -163,7 +197,13 @@ pub fn line(line: &LineSurvey, frames: Option<&FramesSurvey>, found: &mut Vec<Fi
     }
     if line.gaps > 0 {
         let usual = line.period.map_or_else(String::new, |period| format!(", usual {}, longest {}", time(period.median_ns as f64), time(period.max_ns as f64)));
-        found.push(Finding::new("trigger_gaps", Severity::Hazard, format!("pulses of {name} are missing"), format!("{}{usual}", count(line.gaps, "gap", "gaps")), "a pulse was missed: match edges and frames by time, not by number"));
+        found.push(Finding::new(
+            "trigger_gaps",
+            Severity::Hazard,
+            format!("pulses of {name} are missing"),
+            format!("{}{usual}", count(line.gaps, "gap", "gaps")),
+            "a pulse was missed: match edges and frames by time, not by number",
+        ));
     }
     let (beats, Some(frames)) = (line.rising.max(line.falling), frames) else { return };
     let is_near = beats.abs_diff(frames.count) * 5 < frames.count;

@@ -64,7 +64,8 @@ mod tests {
 
     #[test]
     fn a_missed_edge_and_a_missed_pulse_show() {
-        let mut edges: Vec<Trigger> = (0..10).flat_map(|k| [(k * 100, Edge::Rising), (k * 100 + 20, Edge::Falling)]).map(|(t, edge)| Trigger { t, line: 3, edge }).collect();
+        let mut edges: Vec<Trigger> =
+            (0..10).flat_map(|k| [(k * 100, Edge::Rising), (k * 100 + 20, Edge::Falling)]).map(|(t, edge)| Trigger { t, line: 3, edge }).collect();
         assert_eq!(survey(&edges)[0].unpaired, 0);
         edges.drain(10..12);
         edges.remove(3);

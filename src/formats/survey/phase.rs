@@ -46,16 +46,8 @@ impl Phase {
     pub fn new(mut starts: Vec<i64>) -> Option<Phase> {
         starts.sort_unstable();
         starts.dedup();
-        let zero = Phase {
-            starts,
-            now: usize::MAX,
-            counts: [(0, 0); PHASES],
-            frames: 0,
-            sums: [0.0; PHASES],
-            over: [0; PHASES],
-            on: [0; PHASES],
-            all: [0; PHASES],
-        };
+        let zero =
+            Phase { starts, now: usize::MAX, counts: [(0, 0); PHASES], frames: 0, sums: [0.0; PHASES], over: [0; PHASES], on: [0; PHASES], all: [0; PHASES] };
         (zero.starts.len() > 2).then_some(zero)
     }
 

@@ -137,7 +137,16 @@ pub(super) fn chosen(count: usize, most: usize) -> Vec<usize> {
     }
     let runs = (most / RUN).max(1);
     let run = most.min(RUN);
-    let mut frames: Vec<usize> = (0..runs).flat_map(|n| if runs == 1 { 0..run } else { let from = n * (count - run) / (runs - 1); from..from + run }).collect();
+    let mut frames: Vec<usize> = (0..runs)
+        .flat_map(|n| {
+            if runs == 1 {
+                0..run
+            } else {
+                let from = n * (count - run) / (runs - 1);
+                from..from + run
+            }
+        })
+        .collect();
     frames.dedup();
     frames
 }

@@ -204,10 +204,13 @@ fn slope(points: &[(f64, f64, f64)], weights: &[f64]) -> Option<f64> {
     slopes.sort_by(|a, b| a.0.total_cmp(&b.0));
     let half = 0.5 * slopes.iter().map(|slope| slope.1).sum::<f64>();
     let mut below = 0.0;
-    slopes.iter().find(|slope| {
-        below += slope.1;
-        below >= half
-    }).map(|slope| slope.0)
+    slopes
+        .iter()
+        .find(|slope| {
+            below += slope.1;
+            below >= half
+        })
+        .map(|slope| slope.0)
 }
 
 fn slope_error(points: &[(f64, f64, f64)]) -> f64 {

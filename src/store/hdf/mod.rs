@@ -1,20 +1,25 @@
 //! The door to HDF5: opening files with care, and texts and attributes in whichever way other programs write them.
 //!
 //! The library has one global lock, so heavy work is kept outside it: chunks are packed and unpacked by us in parallel
-//! ([`pack`]) and pass through the library as raw bytes ([`grid`], [`write`]). No lock is held while they work, or a stolen task could
+//! ([`pack`], [`pipeline`]) and pass through the library as raw bytes ([`chunks`], [`write`]). No lock is held while they work, or a stolen task could
 //! wait for its own thread.
 //!
 //! Care means: external links are unregistered and plugins are off before the first file is opened; a dataset whose bytes lie in
 //! other files is refused; and what a dataset claims to hold is compared with what the file can hold.
 
+pub(crate) mod chunks;
+pub(crate) mod codec;
 pub(crate) mod grid;
+pub(crate) mod number;
 pub(crate) mod pack;
+pub(crate) mod pipeline;
 pub(crate) mod text;
 pub(crate) mod write;
 
 use crate::error::StoreError;
 use hdf5::dataset::Layout;
 use hdf5::{Dataset, File, Group};
+use pipeline::Pipeline;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -23,7 +28,8 @@ use std::sync::LazyLock;
 pub(crate) trait Item: hdf5::H5Type + bytemuck::Pod + Default + Send + Sync {}
 impl<T: hdf5::H5Type + bytemuck::Pod + Default + Send + Sync> Item for T {}
 
-/// Deflate cannot shrink by more than about 1032, so a dataset that claims more than this factor was never written, or lies.
+/// A dataset with a filter that we do not know and that claims more than this factor was never written, or lies: deflate cannot shrink by more than
+/// about 1032. Filters that we know have bounds of their own.
 const LARGEST_RATIO: u64 = 1100;
 
 /// No chunk may be larger: the library would take that much memory for one number.
@@ -95,14 +101,15 @@ impl Opened {
         self.wrap(&format!("/{name}"), "open the group", locked(|| self.file.group(name))).map(Some)
     }
 
+    /// Is there a link of this name, `group/group/name`, and to each of its groups?
+    pub fn exists(&self, name: &str) -> bool {
+        let ends = name.match_indices('/').map(|(at, _)| at).chain([name.len()]);
+        locked(|| ends.into_iter().all(|end| self.file.link_exists(&name[..end])))
+    }
+
     /// A dataset, `group/name` or `name`, after the checks of this module; `None` when there is none.
     pub fn dataset(&self, name: &str) -> Result<Option<Dataset>, StoreError> {
-        if let Some((group, _)) = name.split_once('/')
-            && self.group(group)?.is_none()
-        {
-            return Ok(None);
-        }
-        if !locked(|| self.file.link_exists(name)) {
+        if !self.exists(name) {
             return Ok(None);
         }
         let at = format!("/{name}");
@@ -124,7 +131,12 @@ impl Opened {
         let stored = locked(|| dataset.storage_size());
         let file_bytes = self.bytes;
         let possible = match layout {
-            Layout::Chunked => stored.min(file_bytes).saturating_mul(LARGEST_RATIO),
+            Layout::Chunked => {
+                let ratio = locked(|| Pipeline::of(plist.id())).map_or(LARGEST_RATIO, |pipeline| pipeline.largest_ratio());
+                // Some chunks may not have been written, so a dataset without filters may claim more than is stored, too.
+                let ratio = ratio.max(LARGEST_RATIO);
+                stored.min(file_bytes).saturating_mul(ratio)
+            }
             _ => stored.min(file_bytes),
         };
         if claimed.is_none_or(|claimed| claimed > possible) {

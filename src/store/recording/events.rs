@@ -195,29 +195,8 @@ impl Kept {
         }
     }
 
-    /// Into (y, t, x) order. One counting sort by row keeps the file's time order; only equal stamps are left to order by column.
     fn into_band(self) -> Result<EventBand, photocurrent_core::DataError> {
-        let row_of = |i: usize| (u32::from(self.y[i]) - self.rows.start) as usize;
-        let mut offsets = vec![0; self.rows.len() + 1];
-        (0..self.y.len()).for_each(|i| offsets[row_of(i) + 1] += 1);
-        for row in 1..offsets.len() {
-            offsets[row] += offsets[row - 1];
-        }
-        let mut next = offsets.clone();
-        let mut order = vec![0; self.y.len()];
-        for i in 0..self.y.len() {
-            let row = row_of(i);
-            order[next[row]] = i;
-            next[row] += 1;
-        }
-        for row in 0..self.rows.len() {
-            let row = &mut order[offsets[row]..offsets[row + 1]];
-            row.chunk_by_mut(|&a, &b| self.t[a] == self.t[b]).for_each(|ties| ties.sort_by_key(|&i| self.x[i]));
-        }
-        fn gather<T: Copy>(order: &[usize], column: &[T]) -> Vec<T> {
-            order.iter().map(|&i| column[i]).collect()
-        }
-        let t_in = self.t_in.as_ref().map(|column| gather(&order, column));
-        EventBand::from_columns(self.rows.start, offsets, gather(&order, &self.x), gather(&order, &self.p), gather(&order, &self.t), t_in, None)
+        // The band could repair a disorder in time; here it is a mistake of the file, which `Checks` reports before.
+        EventBand::from_file_order(self.rows, &self.y, &self.x, &self.p, &self.t, self.t_in.as_deref())
     }
 }

@@ -1,0 +1,354 @@
+//! Readers of other people's files: one node for each format, one text for all of them.
+//!
+//! What differs between formats is in `photocurrent-formats`: how a file is recognised, how its bytes become events and pictures. Here stands what is the
+//! same: parameters that state what a file cannot say, a clock that begins at zero, bands of rows. A format accepts only those parameters
+//! that mean something for it ([`Reader::ACCEPTS`]), and its manual page shows only those.
+//!
+//! Limits: planning walks over all events once, to know their span. Events beyond 512 MiB go through a temporary file.
+
+use photocurrent_core::document::Source;
+use photocurrent_core::quantity::{Duration, InputPath};
+use photocurrent_core::value::DataType;
+use photocurrent_core::{Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
+use photocurrent_formats::trim::Crop;
+use photocurrent_formats::{Column, Declared, EventCursor, Recording, StampRole, TimeUnit, Transfer, format};
+use schemars::{JsonSchema, Schema, SchemaGenerator};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::borrow::Cow;
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+
+/// One format as a node.
+pub trait Reader: Send + Sync + 'static {
+    /// What the node says about itself.
+    const DECL: Decl;
+    /// The format's id in the catalogue of formats.
+    const FORMAT: &'static str;
+    /// The parameters that mean something for it, in addition to [`COMMON`].
+    const ACCEPTS: &'static [&'static str];
+}
+
+/// Parameters that every format accepts.
+const COMMON: [&str; 5] = ["path", "start", "end", "zero", "crop"];
+
+/// Width and height of the array of event pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Size {
+    /// Pixels in a row.
+    #[schemars(range(min = 1, max = 65536))]
+    pub width: u32,
+    /// Rows.
+    #[schemars(range(min = 1, max = 65536))]
+    pub height: u32,
+}
+
+/// A part of the array of event pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Part {
+    /// First column.
+    #[schemars(range(max = 65535))]
+    pub x: u16,
+    /// First row.
+    #[schemars(range(max = 65535))]
+    pub y: u16,
+    /// Columns.
+    #[schemars(range(min = 1, max = 65535))]
+    pub width: u16,
+    /// Rows.
+    #[schemars(range(min = 1, max = 65535))]
+    pub height: u16,
+}
+
+/// All parameters of all formats.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct All {
+    /// The file or folder; relative to the manifest that names it.
+    pub path: InputPath,
+    /// Leave out what was stamped before this time, counted from zero. Default: the beginning.
+    #[schemars(extend("x-min" = "0 ns"))]
+    pub start: Option<Duration>,
+    /// Leave out events stamped at or after this time, and frames whose exposure ends after it; counted from zero. Default: the end.
+    #[schemars(extend("x-min" = "0 ns"))]
+    pub end: Option<Duration>,
+    /// The file's time that becomes t = 0. Default: its earliest stamp. Give two readers the same value where events and frames of one recording are read apart.
+    pub zero: Option<Duration>,
+    /// Only this part of the array of event pixels, numbered from 0, and the frame pixels that lie on it.
+    pub crop: Option<Part>,
+    /// Size of the array of event pixels, where the file does not state it.
+    pub extent: Option<Size>,
+    /// Unit of the stamps, where the file does not state it.
+    pub time_unit: Option<TimeUnit>,
+    /// What the columns hold, from the left, where no header says so.
+    pub columns: Option<Vec<Column>>,
+    /// Stored coordinates count this many to a pixel: 32 in HS-ERGB and BS-ERGB.
+    #[schemars(range(min = 1, max = 4096))]
+    pub coordinate_scale: Option<u32>,
+    /// Which event camera, stream or topic of a file with several, as the file names it.
+    pub camera: Option<String>,
+    /// Which frame camera, stream or topic of a file with several, as the file names it.
+    pub frame_camera: Option<String>,
+    /// Frames that lie elsewhere: a folder of PNG or TIFF pictures, or a Y4M file; relative to the manifest.
+    pub frames: Option<InputPath>,
+    /// Stamps of those frames: a text file; relative to the manifest. Default: the one beside the pictures.
+    pub stamps: Option<InputPath>,
+    /// The trigger line of the event file whose edges are the exposures of those frames: rising opens, falling closes.
+    pub trigger_line: Option<u16>,
+    /// Added to every stamp of a frame: for clocks that begin apart.
+    pub frame_offset: Option<Duration>,
+    /// Length of a frame's exposure, where it is not recorded.
+    #[schemars(extend("x-min" = "1 ns"))]
+    pub exposure: Option<Duration>,
+    /// What a frame's one stamp means, where it is not recorded.
+    pub stamp: Option<StampRole>,
+    /// Delay from one row's exposure to the next, where it is not recorded; 0 is a global shutter.
+    #[schemars(extend("x-min" = "0 ns"))]
+    pub row_time: Option<Duration>,
+    /// How the stored values of frames follow from linear ones, where it is not recorded.
+    pub transfer: Option<Transfer>,
+}
+
+impl All {
+    /// The parameters as the readers take them.
+    pub fn settings(&self) -> Settings {
+        let path = |path: &Option<InputPath>| path.as_ref().map(|path| PathBuf::from(path.path()));
+        Settings {
+            declared: Declared {
+                extent: self.extent.map(|size| Extent { width: size.width, height: size.height }),
+                time_unit: self.time_unit,
+                columns: self.columns.clone(),
+                coordinate_scale: self.coordinate_scale,
+                camera: self.camera.clone(),
+                frame_camera: self.frame_camera.clone(),
+                frames: path(&self.frames),
+                stamps: path(&self.stamps),
+                trigger_line: self.trigger_line,
+                exposure: self.exposure,
+                stamp: self.stamp,
+                transfer: self.transfer,
+            },
+            zero: self.zero,
+            start: self.start,
+            end: self.end,
+            frame_offset: self.frame_offset,
+            row_time: self.row_time,
+            crop: self.crop.map(|part| Crop { x: part.x, y: part.y, width: part.width, height: part.height }),
+        }
+    }
+
+    /// From names and values as they are written on a command line: `exposure=5 ms`, `columns=["t", "x", "y", "p"]`.
+    ///
+    /// # Errors
+    /// With the name that is unknown, or the value that does not fit.
+    pub fn stated(path: &Path, statements: &[String]) -> Result<All, String> {
+        let mut table = toml::Table::new();
+        for statement in statements {
+            let (name, value) = statement.split_once('=').ok_or_else(|| format!("`{statement}` is no NAME=VALUE, such as exposure=\"5 ms\""))?;
+            let (name, value) = (name.trim(), value.trim());
+            // A bare word is a text: the shell has taken the quotes away.
+            let parsed = format!("v = {value}").parse::<toml::Table>().ok().and_then(|mut table| table.remove("v"));
+            table.insert(name.into(), parsed.unwrap_or_else(|| toml::Value::String(value.into())));
+        }
+        let map = serde_json::to_value(table).map_err(|error| error.to_string())?;
+        let all: All = serde_json::from_value(map).map_err(|error| error.to_string())?;
+        Ok(All { path: InputPath::new(path), ..all })
+    }
+}
+
+/// The parameters of one format: those of [`All`] that it accepts.
+pub struct Params<R> {
+    all: All,
+    reader: PhantomData<R>,
+}
+
+impl<R> Default for Params<R> {
+    fn default() -> Self {
+        Params { all: All::default(), reader: PhantomData }
+    }
+}
+
+fn accepted<R: Reader>(name: &str) -> bool {
+    COMMON.contains(&name) || R::ACCEPTS.contains(&name)
+}
+
+impl<R: Reader> Serialize for Params<R> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut value = serde_json::to_value(&self.all).map_err(serde::ser::Error::custom)?;
+        if let Some(map) = value.as_object_mut() {
+            map.retain(|name, _| accepted::<R>(name));
+        }
+        value.serialize(serializer)
+    }
+}
+
+impl<'de, R: Reader> Deserialize<'de> for Params<R> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let map = serde_json::Map::deserialize(deserializer)?;
+        if let Some(name) = map.keys().find(|name| !accepted::<R>(name)) {
+            return Err(serde::de::Error::custom(format!("`{name}` is no parameter of {}", R::DECL.kind)));
+        }
+        let all = serde_json::from_value(map.into()).map_err(serde::de::Error::custom)?;
+        Ok(Params { all, reader: PhantomData })
+    }
+}
+
+impl<R: Reader> JsonSchema for Params<R> {
+    fn schema_name() -> Cow<'static, str> {
+        format!("Params of {}", R::DECL.kind).into()
+    }
+    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
+        let mut schema = All::json_schema(generator);
+        if let Some(properties) = schema.get_mut("properties").and_then(serde_json::Value::as_object_mut) {
+            properties.retain(|name, _| accepted::<R>(name));
+        }
+        schema
+    }
+}
+
+photocurrent_core::ports! {
+    /// Nothing is needed.
+    pub struct In {}
+}
+
+photocurrent_core::ports! {
+    /// What the file holds.
+    pub struct Out {
+        /// The events.
+        events: Option<EventStream>,
+        /// The frames as captured, linear digital numbers.
+        frames: Option<FrameSequence>,
+        /// The sensor description that travels with the file.
+        sensor: Option<Arc<Sensor>>,
+    }
+}
+
+/// An opened file, arranged.
+struct Open {
+    recording: Box<dyn Recording>,
+    arranged: Arranged,
+}
+
+/// The node.
+pub struct Read<R> {
+    all: All,
+    open: OnceLock<Open>,
+    /// The events, gathered once for all bands of rows.
+    events: Mutex<Option<EventStream>>,
+    reader: PhantomData<R>,
+}
+
+impl<R: Reader> Read<R> {
+    fn opened(&self) -> Result<Box<dyn Recording>, NodeError> {
+        let path = self.all.path.path();
+        let format = format::named(R::FORMAT).ok_or_else(|| NodeError::failed(format!("there is no format `{}`", R::FORMAT)))?;
+        let probe = format::Probe::new(path)?;
+        if !(format.recognises)(&probe) {
+            let found =
+                format::recognise(path)?.map_or("of no format that is known".to_string(), |other| format!("{}: read it with read/{}", other.name, other.id));
+            return Err(NodeError::input(format!("{} is not {}, it is {found}", path.display(), format.name)).param("path"));
+        }
+        photocurrent_formats::joined::open(format, path, &self.all.settings().declared).map_err(NodeError::from)
+    }
+
+    fn open(&self, advance: impl FnMut(&dyn EventCursor) -> Result<(), NodeError>) -> Result<&Open, NodeError> {
+        if let Some(open) = self.open.get() {
+            return Ok(open);
+        }
+        let recording = self.opened()?;
+        let arranged = arrange(self.all.path.path(), recording.as_ref(), &self.all.settings(), advance)?;
+        Ok(self.open.get_or_init(|| Open { recording, arranged }))
+    }
+
+    fn sensor(&self, recording: &dyn Recording) -> Result<Option<Arc<Sensor>>, NodeError> {
+        let Some(text) = recording.sensor_text() else { return Ok(None) };
+        let path = self.all.path.path();
+        let name = super::short_name(path);
+        let source = Source::new(format!("{name}:/sensor"), path.parent().unwrap_or(path), text);
+        let sensor = Sensor::parse(&source)
+            .map_err(|problems| NodeError::input(format!("the sensor description in {name} has mistakes")).param("path").problems(problems))?;
+        Ok(Some(Arc::new(sensor)))
+    }
+
+    /// The events, read from the file at the first call.
+    fn events(&self, open: &Open, cx: &Context) -> Result<Option<EventStream>, NodeError> {
+        // A lock: of two bands that begin together one reads, the other waits for it.
+        let mut events = self.events.lock().unwrap_or_else(PoisonError::into_inner);
+        if events.is_none() {
+            let name = super::short_name(self.all.path.path());
+            let mut before = 0;
+            let gathered = open.arranged.gather(open.recording.as_ref(), EVENTS_BUDGET, |cursor: &dyn EventCursor| {
+                let (at, total) = cursor.position();
+                if before == 0 {
+                    cx.begin(total, "bytes");
+                }
+                cx.advance(at.saturating_sub(before))?;
+                before = at.max(before);
+                Ok::<(), NodeError>(())
+            })?;
+            if let Some((stream, outside)) = gathered {
+                cx.count(outside, &format!("events in {name} lie outside {} pixels and were left out", stream.meta.extent));
+                *events = Some(stream);
+            }
+        }
+        Ok(events.clone())
+    }
+}
+
+impl<R: Reader> Node for Read<R> {
+    const DECL: Decl = R::DECL;
+    type Params = Params<R>;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params<R>) -> Result<Self, NodeError> {
+        let all = params.all;
+        super::need_path(&all.path, "recording")?;
+        if let (Some(start), Some(end)) = (all.start, all.end)
+            && end <= start
+        {
+            return Err(NodeError::usage(format!("the window ends at {end}, and begins at {start}")).param("end"));
+        }
+        if let Some(Transfer::Gamma(gamma)) = all.transfer
+            && !(gamma > 0.0 && gamma.is_finite())
+        {
+            return Err(NodeError::usage(format!("a gamma of {gamma} is no curve; it must be positive")).param("transfer"));
+        }
+        Ok(Read { all, open: OnceLock::new(), events: Mutex::new(None), reader: PhantomData })
+    }
+
+    fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let open = self.open(|_| Ok(()))?;
+        let absent = |data_type: DataType, why: &String| Meta::Absent { data_type, why: why.clone() };
+        let events = open.arranged.events.as_ref().map_or_else(|why| absent(DataType::Events, why), |meta| Meta::Events(meta.clone()));
+        let frames = open.arranged.frames.as_ref().map_or_else(|why| absent(DataType::Frames, why), |meta| Meta::Frames(meta.clone()));
+        let no_sensor = || absent(DataType::Sensor, &format!("{} has no sensor description", super::short_name(self.all.path.path())));
+        let sensor = self.sensor(open.recording.as_ref())?.map_or_else(no_sensor, Meta::Sensor);
+        Ok(vec![events, frames, sensor])
+    }
+
+    fn run(&self, _: In, cx: &Context) -> Result<Out, NodeError> {
+        let open = self.open(|_| cx.advance(0))?;
+        let arranged = &open.arranged;
+        arranged.notes.iter().for_each(|note| cx.note(note));
+        arranged.counts.iter().for_each(|(n, what)| cx.count(*n, what));
+        arranged.losses.iter().for_each(|loss| cx.loss(format!("{}: {}: {}", super::short_name(self.all.path.path()), loss.at, loss.what)));
+        Ok(Out {
+            events: if cx.wants("events") { self.events(open, cx)?.map(|events| events.cut(cx.rows())) } else { None },
+            frames: if cx.wants("frames") { arranged.frame_sequence() } else { None },
+            sensor: if cx.wants("sensor") { self.sensor(open.recording.as_ref())? } else { None },
+        })
+    }
+
+    fn files(&self) -> Vec<FileRef> {
+        let named = |path: PathBuf| FileRef { param: "path".into(), path };
+        // A file that cannot be opened is reported by `plan`, with the reason.
+        match self.opened() {
+            Ok(recording) => recording.files().into_iter().map(named).collect(),
+            Err(_) => vec![named(self.all.path.path().into())],
+        }
+    }
+}

@@ -1,0 +1,331 @@
+//! What is found in the files, and what has to be proposed because they do not state it.
+
+use super::usage;
+use crate::common::Failure;
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::{Extent, FramesMeta, TimeSpan};
+use photocurrent_formats::arrange::{Arranged, arrange};
+use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, format, joined};
+use photocurrent_nodes::read::foreign::All;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// A value that no file states.
+pub struct Fill {
+    /// The parameter.
+    pub name: &'static str,
+    /// As TOML.
+    pub value: String,
+    /// Why this value, and what depends on it.
+    pub why: String,
+}
+
+/// Everything that the manifest and the description are made of.
+pub struct Facts {
+    pub format: &'static Format,
+    /// The recording, and where frames and stamps lie when they lie elsewhere.
+    pub all: All,
+    /// Paths that the manifest names.
+    pub inputs: Vec<PathBuf>,
+    /// Parameters of the reader, as TOML, in order: those that were stated on the command line.
+    pub stated: Vec<(String, String)>,
+    /// Parameters of the reader that had to be proposed.
+    pub reader: Vec<Fill>,
+    /// Fields of the description that had to be proposed.
+    pub sensor: Vec<Fill>,
+    pub extent: Extent,
+    pub events: u64,
+    pub events_span: TimeSpan,
+    pub frames: Arc<FramesMeta>,
+    /// Bits of a stored value.
+    pub bits: u32,
+    /// The part of the recording that is rendered, from zero.
+    pub window: Option<(Duration, Duration)>,
+    /// Frames per second that are rendered.
+    pub rate_hz: f64,
+    /// Is there a description in the file?
+    pub sensor_text: Option<String>,
+    pub notes: Vec<String>,
+    pub losses: Vec<String>,
+}
+
+impl Facts {
+    /// Everything that is marked.
+    pub fn fills(&self) -> impl Iterator<Item = &Fill> {
+        self.reader.iter().chain(self.sensor_text.is_none().then_some(&self.sensor).into_iter().flatten())
+    }
+
+    /// Length of a frame's exposure, s.
+    pub fn exposure_s(&self) -> f64 {
+        self.frames.times.nominal_exposure_ns().unwrap_or(1) as f64 / 1e9
+    }
+}
+
+/// Which file is what.
+struct Sorted {
+    recording: PathBuf,
+    format: &'static Format,
+    frames: Option<PathBuf>,
+    stamps: Option<PathBuf>,
+}
+
+/// One file with events, at most one folder or film of pictures, at most one file of stamps.
+fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
+    let (mut recording, mut frames, mut stamps) = (None, None, None);
+    for path in files {
+        let found = format::recognise(path).map_err(|error| usage(error.to_string()))?;
+        let (slot, what) = match found {
+            Some(format) if format.id == "pictures" => {
+                if let Some(other) = frames.replace(path.clone()) {
+                    return Err(usage(format!("{} and {} both hold frames: name one", PathBuf::from(other).display(), path.display())));
+                }
+                continue;
+            }
+            Some(format) => (&mut recording, format),
+            None if path.is_file() && stamps.is_none() => {
+                stamps = Some(path.clone());
+                continue;
+            }
+            None => {
+                let hint = "hint: photocurrent inspect lists what it can read; text files need columns: --state 'columns=[\"t\",\"x\",\"y\",\"p\"]'";
+                return Err(usage(format!("{}: this is no recording of a known format\n  {hint}", path.display())));
+            }
+        };
+        if let Some((other, _)) = slot.replace((path.clone(), what)) {
+            let other: PathBuf = other;
+            return Err(usage(format!("{} and {} both hold events: name one", other.display(), path.display())));
+        }
+    }
+    let (recording, format) =
+        recording.ok_or_else(|| usage("no file with events among those named\n  hint: name the event recording first, then its frames".into()))?;
+    Ok(Sorted { recording, format, frames, stamps })
+}
+
+/// Looks at the files, and proposes what they do not state.
+pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
+    let sorted = sort(files)?;
+    let mut all = All::stated(&sorted.recording, state).map_err(|error| usage(format!("--state: {error}")))?;
+    let mut inputs = vec![sorted.recording.clone()];
+    if let Some(frames) = &sorted.frames {
+        all.frames = Some(photocurrent_core::quantity::InputPath::new(frames));
+        inputs.push(frames.clone());
+    }
+    if let Some(stamps) = &sorted.stamps {
+        all.stamps = Some(photocurrent_core::quantity::InputPath::new(stamps));
+        inputs.push(stamps.clone());
+    }
+    let stated = state.iter().filter_map(|text| text.split_once('=')).map(|(name, value)| (name.trim().to_string(), as_toml(value.trim()))).collect();
+    let mut reader = Vec::new();
+    let (recording, arranged) = settle(&sorted, &mut all, &mut reader)?;
+    let path = &sorted.recording;
+    let events_meta = arranged.events.clone().map_err(|why| usage(format!("{why}: there is nothing to reconstruct from")))?;
+    let frames = arranged.frames.clone().map_err(|why| {
+        let hint = "hint: name the frames too: a folder of pictures beside the event file; events alone do not state the light's level";
+        usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
+    })?;
+    let bits = recording.pictures().map_or(8, |pictures| pictures.about().bits);
+    let events_span = events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
+    overlap(path, events_span, &frames)?;
+    let events = events_meta.count_hint.unwrap_or(0);
+    let (window, rate_hz) = what_to_render(&frames, events_span, events);
+    let losses = arranged.losses.iter().map(|loss| format!("{}: {}", loss.at, loss.what)).collect();
+    let mut facts = Facts {
+        format: sorted.format,
+        all,
+        inputs,
+        stated,
+        reader,
+        sensor: Vec::new(),
+        extent: events_meta.extent,
+        events,
+        events_span,
+        frames,
+        bits,
+        window,
+        rate_hz,
+        sensor_text: recording.sensor_text().map(String::from),
+        notes: arranged.notes.clone(),
+        losses,
+    };
+    facts.sensor = describe(&facts);
+    Ok(facts)
+}
+
+/// A value of a command line as TOML: what is no TOML is a text.
+fn as_toml(value: &str) -> String {
+    match format!("v = {value}").parse::<toml::Table>() {
+        Ok(_) => value.into(),
+        Err(_) => toml::Value::String(value.into()).to_string(),
+    }
+}
+
+/// Opens and arranges; what is missing is proposed until nothing is.
+fn settle(sorted: &Sorted, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dyn Recording>, Arranged), Failure> {
+    for _ in 0..16 {
+        let error = match open(sorted, all) {
+            Ok(found) => return Ok(found),
+            Err(error) => error,
+        };
+        let fill = error.undeclared.and_then(|name| propose(name, sorted, all));
+        let Some(fill) = fill else { return Err(Failure::Other { message: error.to_string(), code: 3 }) };
+        fills.push(fill);
+    }
+    Err(usage(format!("{}: more is missing than can be proposed", sorted.recording.display())))
+}
+
+fn open(sorted: &Sorted, all: &All) -> Result<(Box<dyn Recording>, Arranged), FormatError> {
+    let settings = all.settings();
+    let recording = joined::open(sorted.format, &sorted.recording, &settings.declared)?;
+    let arranged = arrange(&sorted.recording, recording.as_ref(), &settings, |_: &dyn EventCursor| Ok::<(), FormatError>(()))?;
+    Ok((recording, arranged))
+}
+
+/// A value for a parameter that no file states, put into `all`; `None` where nothing sensible can be proposed.
+fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
+    let pictures = || joined::open(sorted.format, &sorted.recording, &all.settings().declared).ok().and_then(|recording| recording.pictures());
+    match name {
+        "time_unit" if all.time_unit.is_none() => {
+            let unit = likeliest_unit(sorted, all)?;
+            all.time_unit = Some(unit);
+            let word = format!("{unit:?}").to_lowercase();
+            Some(Fill {
+                name: "time_unit",
+                value: format!("\"{word}\""),
+                why: "the unit of the stamps is not recorded; this one gives a plausible rate of events".into(),
+            })
+        }
+        "coordinate_scale" if all.coordinate_scale.is_none() => {
+            all.coordinate_scale = Some(32);
+            Some(Fill {
+                name: "coordinate_scale",
+                value: "32".into(),
+                why: "coordinates exceed the pictures; the authors of HS-ERGB store 32 times the pixel".into(),
+            })
+        }
+        "exposure" if all.exposure.is_none() => {
+            let pictures = pictures()?;
+            let stamps: Vec<i64> = pictures.about().stamps.iter().map(|stamp| stamp.at).collect();
+            let mut periods: Vec<i64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).filter(|period| *period > 0).collect();
+            periods.sort_unstable();
+            // Round to a tenth of a millisecond: more digits would look like knowledge.
+            let half = periods.get(periods.len() / 2).map_or(5_000_000, |period| (period / 2 / 100_000).max(1) * 100_000);
+            let exposure = Duration::new(half);
+            all.exposure = Some(exposure);
+            let why = "the exposure is not recorded; half the time between frames is no more than a guess. Too long blurs what is sharp, too short leaves blur";
+            Some(Fill { name: "exposure", value: format!("\"{exposure}\""), why: why.into() })
+        }
+        "stamp" if all.stamp.is_none() => {
+            all.stamp = Some(StampRole::Middle);
+            let why = "what a frame's stamp means is not recorded: start, middle or end of its exposure. A wrong one shifts frames against events";
+            Some(Fill { name: "stamp", value: "\"middle\"".into(), why: why.into() })
+        }
+        "row_time" if all.row_time.is_none() => {
+            all.row_time = Some(Duration::new(0));
+            let why = "the delay from row to row is not recorded; 0 is a global shutter. A rolling shutter left at 0 leaves its skew in the picture";
+            Some(Fill { name: "row_time", value: "\"0 us\"".into(), why: why.into() })
+        }
+        "transfer" if all.transfer.is_none() => {
+            let linear = pictures().is_some_and(|pictures| pictures.about().bits != 8);
+            all.transfer = Some(if linear { Transfer::Linear } else { Transfer::Srgb });
+            let word = if linear { "linear" } else { "srgb" };
+            let why = "whether values are linear is not recorded; 8-bit pictures mostly are not, raw ones are. A wrong curve makes events and frames disagree";
+            Some(Fill { name: "transfer", value: format!("\"{word}\""), why: why.into() })
+        }
+        _ => None,
+    }
+}
+
+/// The unit with which events come at a rate that sensors have: the nearest to 10 a second and pixel on a logarithmic scale.
+fn likeliest_unit(sorted: &Sorted, all: &All) -> Option<TimeUnit> {
+    let rate = |unit: TimeUnit| -> Option<f64> {
+        let settings = All { time_unit: Some(unit), ..all.clone() }.settings();
+        let recording = joined::open(sorted.format, &sorted.recording, &settings.declared).ok()?;
+        let found = photocurrent_formats::gather::scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()?;
+        let (first, last) = found.span?;
+        let (x, y) = found.corner?;
+        let pixels = (f64::from(x) + 1.0) * (f64::from(y) + 1.0);
+        (last > first).then(|| found.count as f64 / ((last - first) as f64 / 1e9) / pixels)
+    };
+    const USUAL_HZ: f64 = 10.0;
+    let distance = |unit: TimeUnit| rate(unit).map_or(f64::INFINITY, |rate| (rate / USUAL_HZ).log10_distance());
+    [TimeUnit::Us, TimeUnit::Ns, TimeUnit::S, TimeUnit::Ms].into_iter().min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
+}
+
+/// How far a ratio is from 1, in decades, without a logarithm: enough to rank four units that lie three decades apart.
+trait Decades {
+    fn log10_distance(self) -> f64;
+}
+
+impl Decades for f64 {
+    fn log10_distance(self) -> f64 {
+        let (mut ratio, mut decades) = (if self < 1.0 { 1.0 / self } else { self }, 0.0);
+        while ratio >= 10.0 && decades < 400.0 {
+            ratio /= 10.0;
+            decades += 1.0;
+        }
+        decades + (ratio - 1.0) / 9.0
+    }
+}
+
+/// Streams that share no time are refused, with both spans and the likely offset.
+fn overlap(path: &Path, events: TimeSpan, frames: &FramesMeta) -> Result<(), Failure> {
+    let Some(span) = frames.times.span(frames.extent.height) else { return Ok(()) };
+    if span.start < events.end && events.start < span.end {
+        return Ok(());
+    }
+    let offset = Duration::new(events.start - span.start);
+    Err(Failure::Other {
+        message: format!(
+            "{}: events from {} to {} and frames from {} to {} share no time\n  hint: their clocks begin apart; state the offset: --state frame_offset=\"{offset}\"",
+            path.display(),
+            events.start,
+            events.end,
+            span.start,
+            span.end
+        ),
+        code: 3,
+    })
+}
+
+/// Values that are rendered, about, so that a first run takes a minute or two; pixels times frames.
+const RENDERED: f64 = 1.2e8;
+
+/// Events that are solved, about, for the same reason.
+const SOLVED: f64 = 2e6;
+
+/// A window with a few frames in which events and frames overlap, and a rate: the first run should be short.
+fn what_to_render(frames: &FramesMeta, events: TimeSpan, count: u64) -> (Option<(Duration, Duration)>, f64) {
+    let span = frames.times.span(frames.extent.height).unwrap_or(events);
+    let (start, end) = (span.start.max(events.start).0, span.end.min(events.end).0);
+    let period_ns = frames.times.mean_period_ns().unwrap_or(4e7).max(1e5);
+    // Sixteen pictures for each frame; a whole number of hertz.
+    let rate_hz = (16e9 / period_ns).round().clamp(10.0, 10_000.0);
+    let per_ns = count as f64 / (events.length_ns().max(1)) as f64;
+    let by_pictures = RENDERED / frames.extent.pixels() as f64 / rate_hz * 1e9;
+    let by_events = if per_ns > 0.0 { SOLVED / per_ns } else { f64::INFINITY };
+    let length = by_pictures.min(by_events).max(3.5 * period_ns);
+    if (end - start) as f64 <= 1.2 * length {
+        return (None, rate_hz);
+    }
+    // Whole milliseconds, from the first frame that is whole inside.
+    let first = frames.times.exposures.iter().map(|exposure| exposure.start.0).find(|t| *t >= start).unwrap_or(start);
+    let from = first.div_euclid(1_000_000) * 1_000_000;
+    let to = (from as f64 + length / 1e6 * 1e6) as i64 / 1_000_000 * 1_000_000 + 1_000_000;
+    (Some((Duration::new(from.max(0)), Duration::new(to))), rate_hz)
+}
+
+/// Fields of the description that no file states.
+fn describe(facts: &Facts) -> Vec<Fill> {
+    let _ = facts;
+    let thresholds =
+        "contrast thresholds are never recorded; typical settings lie between 0.15 and 0.5. Too small a value gives pale motion, too large a value ghosts";
+    vec![
+        Fill { name: "threshold_on", value: "0.25".into(), why: thresholds.into() },
+        Fill { name: "threshold_off", value: "0.25".into(), why: "as threshold_on".into() },
+        Fill {
+            name: "refractory",
+            value: "\"100 us\"".into(),
+            why: "the blind time after an event is a bias of the camera; the shortest interval of one pixel's events bounds it".into(),
+        },
+    ]
+}

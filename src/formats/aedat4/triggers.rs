@@ -1,0 +1,95 @@
+//! Trigger signals of an AEDAT4 file.
+//!
+//! A packet (`TRIG`) is one vector of structures of 16 bytes: stamp in microseconds (i64), kind (i8). Kinds 1 and 2 are edges on the input of the camera, 4 and
+//! 5 edges of its own signal generator; 6 to 9 are begin and end of frames and exposures: signals of the camera about itself, no edges of a line.
+
+use super::Inner;
+use super::chain::{Chain, Packet};
+use super::flat::Table;
+use crate::chunk::{Edge, Trigger};
+use crate::error::FormatError;
+use crate::losses::Losses;
+use std::sync::Arc;
+
+/// The kinds, as the format numbers them.
+const KINDS: [&str; 10] = [
+    "resets of the clock",
+    "rising edges on the input",
+    "falling edges on the input",
+    "pulses on the input",
+    "rising edges of the generator",
+    "falling edges of the generator",
+    "begins of frames",
+    "ends of frames",
+    "begins of exposures",
+    "ends of exposures",
+];
+
+/// All trigger signals of a file.
+#[derive(Clone, Debug, Default)]
+pub struct Triggers {
+    /// Edges: line 0 is the input, line 1 the generator.
+    pub edges: Vec<Trigger>,
+    /// How many of each kind.
+    counts: [u64; KINDS.len()],
+    /// What was damaged.
+    pub losses: Losses,
+}
+
+impl Triggers {
+    /// Reads them.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn new(file: &Arc<Inner>, stream: u32) -> Result<Triggers, FormatError> {
+        let mut chain = Chain::new(&file.path, &file.header, file.index.end, 1 << 12)?;
+        let mut found = Triggers::default();
+        match &file.index.triggers {
+            Some(packets) => packets.iter().try_for_each(|packet| found.add(&mut chain, packet))?,
+            None => {
+                let mut losses = Losses::default();
+                while let Some(packet) = chain.next(&mut losses)? {
+                    if packet.stream == stream {
+                        found.add(&mut chain, &packet)?;
+                    }
+                }
+            }
+        }
+        Ok(found)
+    }
+
+    fn add(&mut self, chain: &mut Chain, packet: &Packet) -> Result<(), FormatError> {
+        if !chain.load(packet, usize::MAX, &mut self.losses)? {
+            return Ok(());
+        }
+        let Some(signals) = Table::root(chain.content(), b"TRIG").and_then(|table| table.vector(0, 16)) else {
+            chain.spoiled(packet, "it is not the table of triggers that it should be", &mut self.losses);
+            return Ok(());
+        };
+        for signal in signals.as_chunks::<16>().0 {
+            let [time @ .., _, _, _, _, _, _, _, _] = *signal;
+            let kind = usize::from(signal[8]);
+            let (Some(t), true) = (i64::from_le_bytes(time).checked_mul(1000), kind < KINDS.len()) else {
+                self.losses.add("packets with impossible triggers", packet.place(), format!("a trigger of kind {kind} is left out"));
+                continue;
+            };
+            self.counts[kind] += 1;
+            let (line, edge) = match kind {
+                1 => (0, Edge::Rising),
+                2 => (0, Edge::Falling),
+                4 => (1, Edge::Rising),
+                5 => (1, Edge::Falling),
+                _ => continue,
+            };
+            self.edges.push(Trigger { t, line, edge });
+        }
+        chain.proven();
+        Ok(())
+    }
+
+    /// For people: "59 begins of frames, 59 ends of frames"; `None` without any.
+    pub fn describe(&self) -> Option<String> {
+        let some: Vec<String> = self.counts.iter().zip(KINDS).filter(|(count, _)| **count > 0).map(|(count, kind)| format!("{count} {kind}")).collect();
+        (!some.is_empty()).then(|| some.join(", "))
+    }
+}

@@ -1,0 +1,77 @@
+//! DSEC's events: `events/{x,y,t,p}`, times in us from `t_offset` on, `ms_to_idx`; also VECtor and TUM-VIE. A file, or a sequence's folder with images.
+//!
+//! In a folder are `events/left/events.h5` (or `events.h5`) and, of the frame camera, `images/left/rectified/*.png` (or `distorted`) with
+//! `images/left/exposure_timestamps_left.txt` (start and end of every exposure) or `images/timestamps.txt` (their middle). Frames come
+//! from another camera than the events. The file does not state the sensor's size: `rectify_map.h5` beside it does, and so do our own files.
+
+use super::table::EventTable;
+use super::{HdfRecording, declared_extent, extent, holds, open_file, refused};
+use crate::Declared;
+use crate::error::FormatError;
+use crate::format::{Format, Probe};
+use crate::recording::Recording;
+use photocurrent_core::Extent;
+use photocurrent_store::foreign::ForeignFile;
+use std::path::{Path, PathBuf};
+
+mod folder;
+
+/// DSEC.
+pub static FORMAT: Format = Format { id: "dsec", name: "DSEC HDF5", recognises, open };
+
+fn recognises(probe: &Probe) -> bool {
+    if probe.names.is_some() {
+        return folder::events_of(&probe.path, None).is_some_and(|events| Probe::new(&events).is_ok_and(|probe| recognises(&probe)));
+    }
+    holds(probe, &["events/x", "events/y", "events/t", "events/p"])
+}
+
+fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
+    if !path.is_dir() {
+        return Ok(Box::new(open_events(path, path, declared)?));
+    }
+    let side = declared.camera.as_deref();
+    let missing = || FormatError::new(path, "there is no events.h5", "name the file with the events").expected("events/left/events.h5 or events.h5");
+    let events = folder::events_of(path, side).ok_or_else(missing)?;
+    let mut recording = open_events(path, &events, declared)?;
+    recording.more_files = vec![events];
+    if let Some((pictures, files)) = folder::pictures_of(path, declared.frame_camera.as_deref())? {
+        recording.pictures = Some(pictures);
+        recording.more_files.extend(files);
+    }
+    Ok(Box::new(recording))
+}
+
+fn open_events(path: &Path, events: &Path, declared: &Declared) -> Result<HdfRecording, FormatError> {
+    let file = open_file(events)?;
+    let wrap = |error| refused(events, error);
+    let mut table = EventTable::of_columns(&file, ["events/x", "events/y", "events/t", "events/p"], None)?;
+    if let Some(unit) = declared.time_unit {
+        table.unit_ns = unit.ns();
+    }
+    let mut notes = Vec::new();
+    if let Some(offset) = file.dataset("t_offset").map_err(wrap)? {
+        let us = offset.integers().map_err(wrap)?.first().copied().unwrap_or(0);
+        let wrong = || FormatError::new(events, format!("an offset of {us} us"), "the file is damaged: copy it again").at("/t_offset");
+        table.offset_ns = us.checked_mul(table.unit_ns).ok_or_else(wrong)?;
+        notes.push(format!("t_offset of {us} us added"));
+    }
+    table.index = file.dataset("ms_to_idx").map_err(wrap)?.filter(|index| index.shape().len() == 1 && table.unit_ns == 1000);
+    table.extent = declared_extent(declared, stated_extent(&file));
+    notes.extend(table.polarity_note());
+    Ok(HdfRecording::new(path, Some(table), notes))
+}
+
+/// The sensor's size: of attributes as we write them, or of a rectification map beside the file.
+fn stated_extent(file: &ForeignFile) -> Option<Extent> {
+    let side = |name: &str| file.attribute("events", name).ok().flatten().and_then(|value| value.numbers().first().copied());
+    if let (Some(width), Some(height)) = (side("sensor_width"), side("sensor_height")) {
+        return extent(width, height);
+    }
+    let beside: PathBuf = file.path().with_file_name("rectify_map.h5");
+    let map = ForeignFile::open(&beside).ok()?.dataset("rectify_map").ok()??;
+    match *map.shape() {
+        [height, width, 2] => extent(width as f64, height as f64),
+        _ => None,
+    }
+}

@@ -1,0 +1,148 @@
+//! Event cameras' data in HDF5: one reader of columns for all layouts, and one small module for each layout.
+//!
+//! A file is recognised by the datasets that are in it, never by its name. All layouts are read through `photocurrent_store::foreign`, which trusts nothing.
+//!
+//! | module | events | stamps | frames |
+//! | --- | --- | --- | --- |
+//! | [`recording`] | `events/{x,y,t,p,t_in}` | i64 ns | `frames/dn` |
+//! | [`dsec`] | `events/{x,y,t,p}`, `ms_to_idx`, `t_offset` | u32 us | a folder beside it |
+//! | [`m3ed`] | `prophesee/left/{x,y,t,p}`, `ms_map_idx` | i64 us | `ovc/{left,right,rgb}/data`, `ovc/ts` |
+//! | [`mvsec`] | `davis/left/events` N x 4: x, y, t, p | f64 s | `image_raw`, `image_raw_ts` |
+//! | [`prophesee`] | `CD/events` {x, y, p, t} | i64 us | none; triggers |
+//! | [`v2e`] | `events` N x 4: t, x, y, p | u32 us | `frame`, `frame_ts` |
+//! | [`event_utils`] | `events/{xs,ys,ts,ps}` | f64 s | `images/image000000000` with attributes |
+
+pub mod dsec;
+pub mod event_utils;
+mod losses;
+pub mod m3ed;
+pub mod mvsec;
+pub mod prophesee;
+pub mod recording;
+mod stack;
+mod table;
+pub mod v2e;
+
+#[cfg(test)]
+mod tests;
+
+use crate::error::{FormatError, Loss};
+use crate::format::Probe;
+use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
+use crate::{Declared, chunk::Trigger};
+use photocurrent_core::Extent;
+use photocurrent_store::StoreError;
+use photocurrent_store::foreign::ForeignFile;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use table::EventTable;
+
+/// Turns an error of the store into one of this crate.
+pub(crate) fn refused(path: &Path, error: StoreError) -> FormatError {
+    const COPY: &str = "the file is damaged: copy or record it again";
+    match error {
+        StoreError::Content { path, at, found, expected, hint } => FormatError::new(&path, format!("found {found}"), hint).at(at).expected(expected),
+        StoreError::NotReadable { path, found, hint } => FormatError::new(&path, found, hint),
+        StoreError::Io { path, source, .. } => FormatError::io(&path, &source),
+        StoreError::Library { path, at, doing, detail } => FormatError::new(&path, format!("cannot {doing}: {detail}"), COPY).at(at),
+        other => FormatError::new(path, other.to_string(), COPY),
+    }
+}
+
+fn open_file(path: &Path) -> Result<ForeignFile, FormatError> {
+    ForeignFile::open(path).map_err(|error| refused(path, error))
+}
+
+/// Does an HDF5 file hold all these datasets or groups?
+fn holds(probe: &Probe, names: &[&str]) -> bool {
+    probe.is_hdf5() && ForeignFile::open(&probe.path).is_ok_and(|file| names.iter().all(|name| file.has(name)))
+}
+
+/// An extent of two sides that make sense.
+fn extent(width: f64, height: f64) -> Option<Extent> {
+    let side = |n: f64| (n.fract() == 0.0 && (1.0..=65_536.0).contains(&n)).then_some(n as u32);
+    Some(Extent { width: side(width)?, height: side(height)? })
+}
+
+/// One camera of a file with several: `declared.camera`, or the first that is there. Errors name those that are there.
+fn chosen<'a>(path: &Path, wanted: Option<&str>, there: &[&'a str], what: &str, field: &'static str) -> Result<&'a str, FormatError> {
+    match wanted {
+        None => there.first().copied().ok_or_else(|| FormatError::new(path, format!("there is no {what}"), "is this the file that you meant?")),
+        Some(wanted) => there.iter().copied().find(|name| *name == wanted).ok_or_else(|| {
+            let found = format!("there is no {what} `{wanted}`");
+            FormatError::new(path, found, format!("choose one of: {}", there.join(", "))).undeclared(field)
+        }),
+    }
+}
+
+/// What every layout gives: a table of events, pictures, triggers, facts.
+struct HdfRecording {
+    path: PathBuf,
+    about: Option<EventsAbout>,
+    table: Option<Arc<EventTable>>,
+    pictures: Option<Arc<dyn Pictures>>,
+    triggers: Vec<Trigger>,
+    sensor: Option<String>,
+    facts: Vec<(String, String)>,
+    losses: Vec<Loss>,
+    /// Other files that were read.
+    more_files: Vec<PathBuf>,
+}
+
+impl HdfRecording {
+    /// Of a file with events.
+    fn new(path: &Path, table: Option<EventTable>, notes: Vec<String>) -> HdfRecording {
+        let about = table.as_ref().map(|table| table.about(notes));
+        HdfRecording {
+            path: path.into(),
+            about,
+            table: table.map(Arc::new),
+            pictures: None,
+            triggers: Vec::new(),
+            sensor: None,
+            facts: Vec::new(),
+            losses: Vec::new(),
+            more_files: Vec::new(),
+        }
+    }
+}
+
+impl Recording for HdfRecording {
+    fn events_about(&self) -> Option<&EventsAbout> {
+        self.about.as_ref()
+    }
+
+    fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
+        let table = self.table.clone().ok_or_else(|| FormatError::new(&self.path, "there are no events", "name a file with events"))?;
+        Ok(Box::new(table::TableCursor::new(table)))
+    }
+
+    fn pictures(&self) -> Option<Arc<dyn Pictures>> {
+        self.pictures.clone()
+    }
+
+    fn triggers(&self) -> Result<Vec<Trigger>, FormatError> {
+        Ok(self.triggers.clone())
+    }
+
+    fn sensor_text(&self) -> Option<&str> {
+        self.sensor.as_deref()
+    }
+
+    fn facts(&self) -> Vec<(String, String)> {
+        self.facts.clone()
+    }
+
+    fn losses(&self) -> Vec<Loss> {
+        self.losses.clone()
+    }
+
+    fn files(&self) -> Vec<PathBuf> {
+        std::iter::once(self.path.clone()).chain(self.more_files.iter().cloned()).collect()
+    }
+}
+
+/// What the user states about the sensor's size wins over what the file says.
+fn declared_extent(declared: &Declared, found: Option<Extent>) -> Option<Extent> {
+    declared.extent.or(found)
+}

@@ -1,0 +1,118 @@
+//! Frames in HDF5: one dataset [frames, rows, columns] with channels last, or a dataset for each frame.
+
+use super::refused;
+use crate::error::FormatError;
+use crate::recording::{FrameStamp, FramesAbout, Pictures};
+use photocurrent_core::{Colour, Extent};
+use photocurrent_store::foreign::{Field, ForeignDataset, ForeignFile};
+use std::path::{Path, PathBuf};
+
+/// In which order three channels stand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Order {
+    Rgb,
+    Bgr,
+}
+
+/// What a frame's shape says: extent and colour; `None` when it is none of [h, w], [h, w, 1], [h, w, 3], [1, h, w].
+pub(super) fn shape_of(shape: &[usize]) -> Option<(Extent, Colour)> {
+    let (height, width, colour) = match *shape {
+        [height, width] | [height, width, 1] => (height, width, Colour::Mono),
+        [height, width, 3] => (height, width, Colour::Rgb),
+        [1, height, width] => (height, width, Colour::Mono),
+        _ => return None,
+    };
+    super::extent(width as f64, height as f64).map(|extent| (extent, colour))
+}
+
+/// Bits of a stored value.
+fn bits(field: Field) -> u32 {
+    if field.number().is_float() { 32 } else { 8 * field.number().bytes() as u32 }
+}
+
+/// A description with what a file of this kind leaves open.
+pub(super) fn about(extent: Extent, colour: Colour, field: Field, stamps: Vec<FrameStamp>) -> FramesAbout {
+    FramesAbout { extent, colour, bits: bits(field), stamps, stamp_role: None, row_time_ns: None, transfer: None, notes: Vec::new() }
+}
+
+/// Frames of one dataset, or of one each.
+pub(super) struct Stack {
+    path: PathBuf,
+    from: From,
+    order: Order,
+    about: FramesAbout,
+}
+
+enum From {
+    Dataset(ForeignDataset),
+    Each(ForeignFile, Vec<String>),
+}
+
+impl Stack {
+    /// A dataset whose first dimension counts frames; stamps beyond its frames, or frames beyond its stamps, are left out with a note.
+    pub fn of_dataset(path: &Path, dataset: ForeignDataset, mut stamps: Vec<FrameStamp>, order: Order) -> Result<Stack, FormatError> {
+        let wrong = || {
+            let expected = "[frames, height, width], with 1 or 3 channels last";
+            FormatError::new(path, format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected(expected)
+        };
+        let (extent, colour) = dataset.shape().get(1..).and_then(shape_of).ok_or_else(wrong)?;
+        let field = dataset.numbers().ok_or_else(wrong)?;
+        let (frames, stamped) = (dataset.rows(), stamps.len());
+        stamps.truncate(frames);
+        let mut about = about(extent, colour, field, stamps);
+        if frames > stamped {
+            about.notes.push(format!("{} frames have no stamp and were left out", frames - stamped));
+        } else if stamped > frames {
+            about.notes.push(format!("{} stamps have no frame and were left out", stamped - frames));
+        }
+        Ok(Stack { path: path.into(), from: From::Dataset(dataset), order, about })
+    }
+
+    /// Datasets by name, one for each stamp of `about`.
+    pub fn of_each(file: &ForeignFile, names: Vec<String>, order: Order, about: FramesAbout) -> Stack {
+        Stack { path: file.path().into(), from: From::Each(file.clone(), names), order, about }
+    }
+
+    pub fn about_mut(&mut self) -> &mut FramesAbout {
+        &mut self.about
+    }
+}
+
+impl Pictures for Stack {
+    fn about(&self) -> &FramesAbout {
+        &self.about
+    }
+
+    fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
+        let missing = || FormatError::new(&self.path, format!("there is no frame {frame}"), "the file changed while it was read");
+        if frame >= self.about.stamps.len() {
+            return Err(missing());
+        }
+        let (dataset, rows) = match &self.from {
+            From::Dataset(dataset) => (dataset.clone(), frame..frame + 1),
+            From::Each(file, names) => {
+                let dataset = file.dataset(names.get(frame).ok_or_else(missing)?).map_err(|error| refused(&self.path, error))?.ok_or_else(missing)?;
+                let rows = 0..dataset.rows();
+                if shape_of(dataset.shape()) != Some((self.about.extent, self.about.colour)) {
+                    let expected = format!("{} pixels, as the first picture has", self.about.extent);
+                    let found = format!("the shape {:?}", dataset.shape());
+                    return Err(FormatError::new(&self.path, found, "split the file by size").at(dataset.at()).expected(expected));
+                }
+                (dataset, rows)
+            }
+        };
+        let field = dataset.numbers().ok_or_else(missing)?;
+        let block = dataset.rows_at(rows).map_err(|error| refused(&self.path, error))?;
+        if let Some(gap) = block.gaps().first() {
+            return Err(FormatError::new(&self.path, format!("frame {frame} is damaged: {}", gap.why), "copy or record the file again").at(dataset.at()));
+        }
+        let mut numbers = Vec::new();
+        block.all(field, &mut numbers);
+        values.clear();
+        values.extend(numbers.iter().map(|&number| number as f32));
+        if self.about.colour == Colour::Rgb && self.order == Order::Bgr {
+            values.chunks_exact_mut(3).for_each(|pixel| pixel.swap(0, 2));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,145 @@
+//! Files of other programs: `data/formats/filters.h5` was written by h5py and hdf5plugin (see the script beside it), so every number here comes from
+//! outside the code under test.
+#![allow(clippy::unwrap_used)]
+
+use photocurrent_store::foreign::{ForeignFile, Number, Value};
+use std::path::{Path, PathBuf};
+
+fn fixture() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/formats/filters.h5")
+}
+
+/// The formula of the script.
+fn number(i: i64) -> i64 {
+    (i * i) % 1009 + 3 * i
+}
+
+fn column(file: &ForeignFile, name: &str) -> Vec<i64> {
+    file.dataset(name).unwrap().unwrap().integers().unwrap()
+}
+
+#[test]
+fn every_number_type_is_read() {
+    let file = ForeignFile::open(&fixture()).unwrap();
+    assert_eq!(file.names("").unwrap(), ["compound", "long", "packed", "plain", "scalar", "table", "text", "unknown"]);
+    let names = file.names("plain").unwrap();
+    assert_eq!(names.len(), 14);
+    for name in names {
+        let of = |i: i64| match name.as_str() {
+            "u1" | "i1" => number(i) % 100,
+            "bool" => i64::from(i % 3 == 0),
+            _ => number(i),
+        };
+        let dataset = file.dataset(&format!("plain/{name}")).unwrap().unwrap();
+        assert_eq!(dataset.shape(), [300], "{name}");
+        assert_eq!(dataset.integers().unwrap(), (0..300).map(of).collect::<Vec<_>>(), "{name}");
+        assert_eq!(dataset.floats().unwrap(), (0..300).map(|i| of(i) as f64).collect::<Vec<_>>(), "{name}");
+        let bytes: usize = name.trim_start_matches(|c: char| !c.is_ascii_digit()).parse().unwrap_or(1);
+        assert_eq!(dataset.numbers().unwrap().number().bytes(), bytes, "{name}");
+    }
+    assert_eq!(file.dataset("plain/bool").unwrap().unwrap().numbers().unwrap().name(), "bool");
+    assert_eq!(file.dataset("plain/big_f8").unwrap().unwrap().numbers().unwrap().number(), Number::F64);
+}
+
+#[test]
+fn every_filter_is_undone_without_a_plugin() {
+    let file = ForeignFile::open(&fixture()).unwrap();
+    let names = file.names("packed").unwrap();
+    assert_eq!(names.len(), 25);
+    for name in names {
+        assert_eq!(column(&file, &format!("packed/{name}")), (0..300).map(number).collect::<Vec<_>>(), "{name}");
+    }
+    for name in file.names("long").unwrap() {
+        assert_eq!(column(&file, &format!("long/{name}")), (0..40_000).map(|i| i / 37).collect::<Vec<i64>>(), "{name}");
+    }
+    let error = file.dataset("unknown/bzip2").err().unwrap().to_string();
+    assert!(error.contains("/unknown/bzip2: found numbers packed by BZIP2") && error.contains("h5repack"), "{error}");
+}
+
+#[test]
+fn rows_of_tables_and_compounds_are_read_in_pieces() {
+    let file = ForeignFile::open(&fixture()).unwrap();
+    let table = file.dataset("table").unwrap().unwrap();
+    let compound = file.dataset("compound").unwrap().unwrap();
+    assert_eq!((table.shape(), compound.shape()), (&[300, 4][..], &[300][..]));
+    let of = |i: i64| [number(i), i % 40, i % 30, i % 2];
+    for (c, member) in ["t", "x", "y", "p"].into_iter().enumerate() {
+        for rows in [0..300, 17..19, 299..300, 5..5] {
+            let expected: Vec<i64> = rows.clone().map(|i| of(i as i64)[c]).collect();
+            let mut found = Vec::new();
+            table.rows_at(rows.clone()).unwrap().integers(table.column(c).unwrap(), &mut found);
+            assert_eq!(found, expected, "column {c}, rows {rows:?}");
+            found.clear();
+            compound.rows_at(rows.clone()).unwrap().integers(compound.member(member).unwrap(), &mut found);
+            assert_eq!(found, expected, "member {member}, rows {rows:?}");
+        }
+    }
+    assert!(table.column(4).is_none() && compound.member("z").is_none() && compound.numbers().is_none());
+    assert!(table.rows_at(299..301).is_err());
+}
+
+#[test]
+fn attributes_texts_and_scalars_are_read() {
+    let file = ForeignFile::open(&fixture()).unwrap();
+    assert_eq!(file.attribute_names("").unwrap(), ["bytes", "number", "numbers", "text"]);
+    assert_eq!(file.attribute("", "text").unwrap(), Some(Value::Text("a text".into())));
+    assert_eq!(file.attribute("", "bytes").unwrap(), Some(Value::Text("640x480".into())));
+    assert_eq!(file.attribute("", "numbers").unwrap(), Some(Value::Integers(vec![480, 640])));
+    assert_eq!(file.attribute("", "number").unwrap(), Some(Value::Floats(vec![0.5])));
+    assert_eq!(file.attribute("packed", "nothing").unwrap(), None);
+    assert_eq!(file.attribute("nowhere", "nothing").unwrap(), None);
+    assert_eq!(column(&file, "scalar"), [1_234_567_890_123]);
+    assert_eq!(file.text("text").unwrap().as_deref(), Some("a longer text"));
+    assert!(file.dataset("text").is_err(), "a text is no dataset of numbers");
+    assert!(file.dataset("packed/nothing").unwrap().is_none() && file.dataset("no/such/thing").unwrap().is_none());
+}
+
+/// Reads everything that can be read.
+fn devour(path: &Path) -> usize {
+    let Ok(file) = ForeignFile::open(path) else { return 0 };
+    let mut read = 0;
+    for group in ["", "plain", "packed", "long", "unknown"] {
+        let _ = file.attribute_names(group).map(|names| names.iter().filter(|name| file.attribute(group, name).is_ok()).count());
+        for name in file.names(group).unwrap_or_default() {
+            let name = if group.is_empty() { name } else { format!("{group}/{name}") };
+            if let Ok(Some(dataset)) = file.dataset(&name) {
+                read += dataset.rows_at(0..dataset.rows().min(50_000)).map_or(0, |block| 1 + block.gaps().len());
+            }
+        }
+    }
+    read
+}
+
+#[test]
+fn a_changed_byte_gives_numbers_gaps_or_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("changed.h5");
+    let bytes = std::fs::read(fixture()).unwrap();
+    std::fs::write(&path, &bytes).unwrap();
+    let whole = devour(&path);
+    assert!(whole > 40);
+    let mut random = photocurrent_core::random::Random::new(7, &[]);
+    for _ in 0..150 {
+        let mut changed = bytes.clone();
+        for _ in 0..1 + random.bits() % 3 {
+            let at = (random.bits() % bytes.len() as u64) as usize;
+            changed[at] = if random.bits() % 2 == 0 { random.bits() as u8 } else { changed[at] ^ (1 << (random.bits() % 8)) };
+        }
+        // A file that is replaced, not rewritten: the library remembers open files by their place on the disk.
+        std::fs::remove_file(&path).unwrap();
+        std::fs::write(&path, &changed).unwrap();
+        devour(&path);
+    }
+}
+
+#[test]
+fn a_file_that_is_cut_short_is_refused_with_a_hint() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("cut.h5");
+    let bytes = std::fs::read(fixture()).unwrap();
+    for length in [0, 7, 8, 100, bytes.len() / 2, bytes.len() - 1] {
+        std::fs::write(&path, &bytes[..length]).unwrap();
+        let error = ForeignFile::open(&path).err().unwrap().to_string();
+        assert!(error.contains("cut.h5") && error.contains("hint:"), "{error}");
+    }
+}
