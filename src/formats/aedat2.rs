@@ -78,7 +78,11 @@ impl Camera {
 /// What an address means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Word {
-    Event { x: u16, y: u16, on: bool },
+    Event {
+        x: u16,
+        y: u16,
+        on: bool,
+    },
     /// An event whose pixel the camera does not have.
     Outside,
     /// A signal on the input, with its edge when the file has it.
@@ -135,12 +139,18 @@ impl Aedat2 {
         let size = file.metadata().map_err(io)?.len();
         let mut file = BufReader::new(file);
         let (mut first, mut lines) = (0, Vec::new());
-        // The records begin where a line does not begin with `#`.
+        // The records begin behind the line that says so, or where a line is no comment. A record may begin with `#` as well; but no text has such bytes.
         while first < MOST_HEADER && file.fill_buf().map_err(io)?.first() == Some(&b'#') {
             let mut line = Vec::new();
             let count = file.by_ref().take(1 << 16).read_until(b'\n', &mut line).map_err(io)?;
+            if line.iter().any(|byte| byte.is_ascii_control() && !b"\t\r\n".contains(byte)) {
+                break;
+            }
             first += count as u64;
             lines.push(String::from_utf8_lossy(&line).trim_end().to_owned());
+            if line.starts_with(b"#End Of ASCII Header") {
+                break;
+            }
         }
         let version = lines.first().and_then(|line| line.strip_prefix("#!AER-DAT")).unwrap_or_default().to_owned();
         let record = match version.split('.').next() {

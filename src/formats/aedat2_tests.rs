@@ -16,7 +16,7 @@ fn with<T>(bytes: &[u8], declared: &Declared, work: impl FnOnce(Result<Aedat2, F
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("clip.aedat");
     std::fs::write(&path, bytes).unwrap();
-    assert!(bytes.len() < 12 || !bytes.starts_with(b"#!AER-DAT2") || recognises(&Probe::new(&path).unwrap()));
+    assert!(!bytes.starts_with(b"#!AER-DAT2.") || recognises(&Probe::new(&path).unwrap()));
     work(Aedat2::open(&path, declared))
 }
 
@@ -88,6 +88,15 @@ fn a_camera_that_is_not_named_must_be_declared() {
     with(&bytes, &declared, |recording| assert_eq!(read(&recording.unwrap()).0, [(5000, 239, 179, 0)]));
     let unknown = Declared { camera: Some("cochlea".into()), ..Declared::default() };
     with(&bytes, &unknown, |recording| assert!(recording.err().unwrap().found.contains("`cochlea`")));
+}
+
+#[test]
+fn a_first_record_that_begins_like_a_comment_is_a_record() {
+    // 0x23 is `#`, and rows 140 and 141 of a DAVIS346 begin so. The stamps contain the end of a line.
+    let records = [(0x2300_0800, 0x0000_0a0a), (0x2340_0000, 0x0000_0a0b)];
+    let expected = [(2_570_000, 345, 119, 1), (2_571_000, 345, 118, 0)];
+    assert_eq!(events(&file(DAVIS346, &records)), expected);
+    assert_eq!(events(&file(&format!("{DAVIS346}#End Of ASCII Header\r\n"), &records)), expected);
 }
 
 #[test]

@@ -30,3 +30,4 @@ pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT];
     &hdf::dsec::FORMAT,
     &hdf::v2e::FORMAT,
 ];
+pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT, &crate::aedat2::FORMAT, &crate::event_stream::FORMAT];

@@ -65,7 +65,12 @@ impl EventStream {
         file.take(HEAD).read_to_end(&mut head).map_err(io)?;
         let refuse = |at: &str, found: String, expected: &str, hint: &str| FormatError::new(path, found, hint).at(at).expected(expected);
         if !head.starts_with(MAGIC) {
-            return Err(refuse("byte 0", "the file does not begin as Event Stream files do".into(), "`Event Stream`", "let the program find the format by itself"));
+            return Err(refuse(
+                "byte 0",
+                "the file does not begin as Event Stream files do".into(),
+                "`Event Stream`",
+                "let the program find the format by itself",
+            ));
         }
         let cut = || FormatError::new(path, format!("the file ends at byte {size}, inside its header; no event can be read"), "copy it again");
         let (version, kind) = match head.get(12..16) {
@@ -197,7 +202,8 @@ impl EventCursor for Cursor {
         while chunk.len() < CHUNK_EVENTS && self.at < self.size {
             match self.decode(chunk) {
                 Stop::Outside(x, y) => {
-                    let what = format!("an event at ({x}, {y}) lies outside the {} pixels: a byte is damaged, and nothing behind it can be trusted", self.extent);
+                    let what =
+                        format!("an event at ({x}, {y}) lies outside the {} pixels: a byte is damaged, and nothing behind it can be trusted", self.extent);
                     self.end(what);
                 }
                 Stop::Piece if chunk.len() >= CHUNK_EVENTS || self.at >= self.size => {}

@@ -12,7 +12,7 @@
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one. [`losses`]: a list of such that stays short.
-//! - [`aedat4`]: one module a format.
+//! - [`aedat4`], [`aedat2`], [`event_stream`]: one module a format.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
@@ -20,6 +20,7 @@
 pub mod arrange;
 pub mod bias;
 pub mod calibration;
+pub mod aedat2;
 pub mod aedat4;
 pub mod catalog;
 pub mod chunk;
@@ -31,6 +32,7 @@ pub mod event_camera_dataset;
 pub mod event_utils_memmap;
 mod evidence;
 pub mod evt;
+pub mod event_stream;
 pub mod format;
 pub mod gather;
 pub mod hazard;
