@@ -4,12 +4,10 @@
 
 use crate::args::{ConvertOptions, Written};
 use crate::common::{Done, Failure};
-use photocurrent_core::quantity::Duration;
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
 use photocurrent_formats::csv::CsvWriter;
 use photocurrent_formats::trim::Crop;
-use photocurrent_formats::{EventChunk, EventCursor, FormatError, Recording, TimeUnit, evt, format, joined};
-use photocurrent_nodes::read::foreign::All;
+use photocurrent_formats::{EventChunk, EventCursor, FormatError, Recording, evt, format, joined};
 use photocurrent_store::{RecordingContent, write_recording};
 use std::io::BufWriter;
 use std::path::Path;
@@ -28,8 +26,7 @@ pub fn convert(options: &ConvertOptions) -> Done {
     if output.exists() && input.canonicalize().ok() == output.canonicalize().ok() {
         return Err(usage(format!("{} is the input itself\n  hint: give another name", output.display())));
     }
-    let all = All::stated(input, &options.state).map_err(|error| usage(format!("--state: {error}")))?;
-    let settings = Settings { start: time(&options.start, "--start")?, end: time(&options.end, "--end")?, crop: crop(options)?, ..all.settings() };
+    let settings = Settings { start: options.start, end: options.end, crop: crop(options)?, ..options.declared.parameters(input).settings() };
     if let (Some(start), Some(end)) = (settings.start, settings.end)
         && end <= start
     {
@@ -59,13 +56,8 @@ fn usage(message: String) -> Failure {
     Failure::Other { message, code: 2 }
 }
 
-/// Input data that cannot be taken.
 fn refused(error: FormatError) -> Failure {
-    Failure::Other { message: error.to_string(), code: if error.undeclared.is_some() { 2 } else { 3 } }
-}
-
-fn time(text: &Option<String>, option: &str) -> Result<Option<Duration>, Failure> {
-    text.as_ref().map(|text| text.parse().map_err(|error| usage(format!("{option}: {error}")))).transpose()
+    crate::declared::refused(&error)
 }
 
 fn crop(options: &ConvertOptions) -> Result<Option<Crop>, Failure> {
@@ -118,9 +110,8 @@ fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, sett
     let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write: {error}", options.output.display()));
     let folder = options.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let file = BufWriter::with_capacity(1 << 20, NamedTempFile::new_in(folder).map_err(failed)?);
-    let unit = unit(options)?;
     let mut sink = match to {
-        Written::Csv => Sink::Csv(CsvWriter::new(file, unit, Some(extent), meta.has_t_in).map_err(failed)?),
+        Written::Csv => Sink::Csv(CsvWriter::new(file, options.unit, Some(extent), meta.has_t_in).map_err(failed)?),
         _ => Sink::Evt3(evt::evt3_writer::Writer::new(file, extent, &[]).map_err(failed)?),
     };
     let (mut chunk, mut count) = (EventChunk::default(), 0);
@@ -146,14 +137,4 @@ fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, sett
     file.as_file().sync_all().map_err(failed)?;
     file.persist(&options.output).map_err(|error| failed(error.error))?;
     Ok(ending(options, &arranged, &format!("{count} events")))
-}
-
-fn unit(options: &ConvertOptions) -> Result<TimeUnit, Failure> {
-    match options.unit.as_deref() {
-        None | Some("us") => Ok(TimeUnit::Us),
-        Some("s") => Ok(TimeUnit::S),
-        Some("ms") => Ok(TimeUnit::Ms),
-        Some("ns") => Ok(TimeUnit::Ns),
-        Some(other) => Err(usage(format!("--unit {other}: use s, ms, us or ns"))),
-    }
 }

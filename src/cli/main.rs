@@ -8,6 +8,7 @@ mod cache;
 mod case;
 mod check;
 mod common;
+mod declared;
 mod convert;
 mod diagnose;
 mod effects;

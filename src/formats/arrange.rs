@@ -85,7 +85,8 @@ pub fn arrange<E: From<FormatError> + From<DataError>>(
             let found = scan(&mut *recording.events()?, advance)?;
             notes.extend(about.notes.iter().cloned());
             counts.push((found.disordered, format!("events in {name} are stamped earlier than the event before; sorted by time")));
-            losses.extend(found.losses.iter().cloned());
+            // What was found damaged while opening is met again by the cursor.
+            losses.extend(found.losses.iter().filter(|loss| !recording.losses().contains(loss)).cloned());
             Some((about, found))
         }
     };

@@ -2,8 +2,9 @@
 
 use super::usage;
 use crate::common::Failure;
+use crate::declared::DeclaredOptions;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Extent, FramesMeta, TimeSpan};
+use photocurrent_core::{FramesMeta, TimeSpan};
 use photocurrent_formats::arrange::{Arranged, arrange};
 use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, format, joined};
 use photocurrent_nodes::read::foreign::All;
@@ -33,9 +34,6 @@ pub struct Facts {
     pub reader: Vec<Fill>,
     /// Fields of the description that had to be proposed.
     pub sensor: Vec<Fill>,
-    pub extent: Extent,
-    pub events: u64,
-    pub events_span: TimeSpan,
     pub frames: Arc<FramesMeta>,
     /// Bits of a stored value.
     pub bits: u32,
@@ -87,7 +85,7 @@ fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
                 continue;
             }
             None => {
-                let hint = "hint: photocurrent inspect lists what it can read; text files need columns: --state 'columns=[\"t\",\"x\",\"y\",\"p\"]'";
+                let hint = "hint: photocurrent inspect lists what it can read; text files need columns: --columns t,x,y,p";
                 return Err(usage(format!("{}: this is no recording of a known format\n  {hint}", path.display())));
             }
         };
@@ -102,9 +100,10 @@ fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
 }
 
 /// Looks at the files, and proposes what they do not state.
-pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
+pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, Failure> {
     let sorted = sort(files)?;
-    let mut all = All::stated(&sorted.recording, state).map_err(|error| usage(format!("--state: {error}")))?;
+    let mut all = declared.parameters(&sorted.recording);
+    let stated = stated(&all)?;
     let mut inputs = vec![sorted.recording.clone()];
     if let Some(frames) = &sorted.frames {
         all.frames = Some(photocurrent_core::quantity::InputPath::new(frames));
@@ -114,7 +113,6 @@ pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
         all.stamps = Some(photocurrent_core::quantity::InputPath::new(stamps));
         inputs.push(stamps.clone());
     }
-    let stated = state.iter().filter_map(|text| text.split_once('=')).map(|(name, value)| (name.trim().to_string(), as_toml(value.trim()))).collect();
     let mut reader = Vec::new();
     let (recording, arranged) = settle(&sorted, &mut all, &mut reader)?;
     let path = &sorted.recording;
@@ -136,9 +134,6 @@ pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
         stated,
         reader,
         sensor: Vec::new(),
-        extent: events_meta.extent,
-        events,
-        events_span,
         frames,
         bits,
         window,
@@ -151,12 +146,11 @@ pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
     Ok(facts)
 }
 
-/// A value of a command line as TOML: what is no TOML is a text.
-fn as_toml(value: &str) -> String {
-    match format!("v = {value}").parse::<toml::Table>() {
-        Ok(_) => value.into(),
-        Err(_) => toml::Value::String(value.into()).to_string(),
-    }
+/// What was stated on the command line, as lines of a manifest; paths stand elsewhere.
+fn stated(all: &All) -> Result<Vec<(String, String)>, Failure> {
+    let value = toml::Table::try_from(all).map_err(|error| Failure::other(error.to_string()))?;
+    let lines = value.into_iter().filter(|(name, _)| !["path", "frames", "stamps"].contains(&name.as_str()));
+    Ok(lines.map(|(name, value)| (name, value.to_string())).collect())
 }
 
 /// Opens and arranges; what is missing is proposed until nothing is.
@@ -167,7 +161,7 @@ fn settle(sorted: &Sorted, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<
             Err(error) => error,
         };
         let fill = error.undeclared.and_then(|name| propose(name, sorted, all));
-        let Some(fill) = fill else { return Err(Failure::Other { message: error.to_string(), code: 3 }) };
+        let Some(fill) = fill else { return Err(crate::declared::refused(&error)) };
         fills.push(fill);
     }
     Err(usage(format!("{}: more is missing than can be proposed", sorted.recording.display())))
@@ -276,7 +270,7 @@ fn overlap(path: &Path, events: TimeSpan, frames: &FramesMeta) -> Result<(), Fai
     let offset = Duration::new(events.start - span.start);
     Err(Failure::Other {
         message: format!(
-            "{}: events from {} to {} and frames from {} to {} share no time\n  hint: their clocks begin apart; state the offset: --state frame_offset=\"{offset}\"",
+            "{}: events from {} to {} and frames from {} to {} share no time\n  hint: their clocks begin apart; state the offset: --frame-offset \"{offset}\"",
             path.display(),
             events.start,
             events.end,

@@ -115,7 +115,7 @@ impl Default for Limits {
             phase_frames: 0.75,
             phase_fewest: 6,
             late_share: 0.08,
-            late_ns: 2e6,
+            late_ns: 2.5e6,
             correlation: 0.3,
             drift_share: 0.1,
             mirrored: 0.2,

@@ -6,9 +6,10 @@
 //! Limits: places are several pixels wide, so that fine motion shows less; what a scene without motion hides stays hidden.
 
 use super::pictures::middle;
+use super::places::MOST_PIXELS;
 use crate::recording::FramesAbout;
 use photocurrent_core::Extent;
-use photocurrent_sensor::estimate::{self, Estimate, Stretch};
+use photocurrent_sensor::estimate::{self, Centring, Estimate, Stretch};
 use serde::Serialize;
 
 /// Places, about.
@@ -64,6 +65,7 @@ pub(super) struct Panel {
     /// Of each frame that is read: its stretch and place in it.
     at: Vec<(usize, usize, usize)>,
     now: usize,
+    centring: Centring,
     frame: Extent,
     channels: usize,
     dark: f32,
@@ -73,7 +75,7 @@ impl Panel {
     /// For frames that will be read, in order; none when there are too few, or sizes are unknown.
     pub fn new(about: &FramesAbout, events: Option<Extent>, chosen: &[usize]) -> Option<Panel> {
         let extent = events.unwrap_or(about.extent);
-        if extent.pixels() == 0 || about.extent.pixels() == 0 || chosen.len() < 2 {
+        if extent.pixels() == 0 || extent.pixels() > MOST_PIXELS || about.extent.pixels() == 0 || chosen.len() < 2 {
             return None;
         }
         let side = (libm::sqrt(extent.pixels() as f64 / f64::from(PLACES)).ceil() as u32).max(1);
@@ -99,8 +101,9 @@ impl Panel {
             panel.stretches.push(stretch);
             from = to;
         }
+        let centring = Centring::new(extent.pixels(), period / 4);
         let (frame, channels) = (about.extent, about.colour.channels() as usize);
-        Some(Panel { panel, place_of, width: extent.width, height: extent.height, across, down, at, now: 0, frame, channels, dark: 0.0 })
+        Some(Panel { panel, place_of, width: extent.width, height: extent.height, across, down, at, now: 0, centring, frame, channels, dark: 0.0 })
     }
 
     /// Takes the values of a frame.
@@ -139,7 +142,14 @@ impl Panel {
         if u32::from(x) >= self.width || u32::from(y) >= self.height {
             return;
         }
-        let place = self.place_of[usize::from(y) * self.width as usize + usize::from(x)] as usize;
+        let pixel = usize::from(y) * self.width as usize + usize::from(x);
+        if let Some((t, is_on)) = self.centring.next(pixel, t, on == 1) {
+            self.put(pixel, t, is_on);
+        }
+    }
+
+    fn put(&mut self, pixel: usize, t: i64, is_on: bool) {
+        let place = self.place_of[pixel] as usize;
         let holds = |stretch: &Stretch| t >= stretch.start_ns && t.saturating_sub(stretch.start_ns) < stretch.step_ns.saturating_mul(stretch.steps as i64);
         if !self.panel.stretches.get(self.now).is_some_and(holds) {
             // Stretches are in order of time, and hardly overlap.
@@ -147,10 +157,12 @@ impl Panel {
             let Some(now) = after.checked_sub(1).filter(|now| holds(&self.panel.stretches[*now])) else { return };
             self.now = now;
         }
-        self.panel.stretches[self.now].event(t, place, on == 1);
+        self.panel.stretches[self.now].event(t, place, is_on);
     }
 
-    pub fn survey(self) -> Option<LagSurvey> {
+    pub fn survey(mut self) -> Option<LagSurvey> {
+        let rest: Vec<_> = self.centring.rest().collect();
+        rest.into_iter().for_each(|(pixel, t, is_on)| self.put(pixel, t, is_on));
         let pairs = self.panel.pairs();
         if pairs == 0 {
             return None;

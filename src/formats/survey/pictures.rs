@@ -238,7 +238,7 @@ impl Values {
         if least == most && values.len() > 1 {
             found.constant.push(frame);
         }
-        if self.before == frame.checked_sub(1).map(|before| (before, mix)) {
+        if frame.checked_sub(1).is_some_and(|before| self.before == Some((before, mix))) {
             found.repeated.push(frame);
         }
         self.before = Some((frame, mix));
@@ -316,6 +316,7 @@ mod tests {
     fn values_that_no_light_has_are_counted() {
         let mut values = Values::default();
         values.add(0, &[1.0, f32::NAN, f32::INFINITY, -2.0]);
+        assert!(values.found.repeated.is_empty(), "the first frame repeats none");
         values.add(1, &[3.0; 4]);
         values.add(2, &[3.0; 4]);
         values.add(4, &[3.0; 4]);

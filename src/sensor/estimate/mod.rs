@@ -7,7 +7,7 @@
 //!
 //! These are proposals for a description that lacks a value: good to the size of the interval in scenes that move, none where nothing does.
 //!
-//! - [`Panel`]: events and frames of some places, side by side.
+//! - [`Panel`]: events and frames of some places, side by side; [`Centring`]: when light changed, from when events came.
 //!
 //! Source: the residual of Eq. (13) without its front end; the double integral of Pan et al., CVPR 2019, for the blur.
 //! Limits: the latency of the front end and the readout is part of the offset, and differs with light; frames with a curve that is not linear give
@@ -20,7 +20,7 @@ mod shift;
 mod step;
 
 pub use blur::exposure;
-pub use panel::{NOWHERE, Panel, Stretch};
+pub use panel::{Centring, NOWHERE, Panel, Stretch};
 pub use shift::{Drift, Shift, drift, offset, row_time};
 pub use step::{Steps, thresholds};
 

@@ -6,6 +6,51 @@
 /// A pixel that belongs to no place.
 pub const NOWHERE: u32 = u32::MAX;
 
+/// When light changed, from when events came.
+///
+/// An event comes when its change is complete, and the change went on since the event before: its middle is half of that time earlier. After silence, the time
+/// to the next event says how fast the light changes. So an event is put earlier by half of the shorter of the two, which needs the next one to be known.
+#[derive(Clone, Debug)]
+pub struct Centring {
+    /// Of each pixel: the event before the one that waits, and the one that waits with its sign.
+    waiting: Vec<(i64, i64, bool)>,
+    /// No event is put earlier by more, ns.
+    most_ns: i64,
+}
+
+/// No event yet.
+const NEVER: i64 = i64::MIN;
+
+impl Centring {
+    /// For so many pixels, and events put `most_ns` earlier at most.
+    pub fn new(pixels: usize, most_ns: i64) -> Centring {
+        Centring { waiting: vec![(NEVER, NEVER, false); pixels], most_ns }
+    }
+
+    /// Takes the next event of a pixel and gives the one that waited, at the middle of its change.
+    #[inline]
+    #[must_use]
+    pub fn next(&mut self, pixel: usize, t_ns: i64, is_on: bool) -> Option<(i64, bool)> {
+        let (before, waiting, was_on) = self.waiting[pixel];
+        self.waiting[pixel] = (waiting, t_ns, is_on);
+        self.centred(before, waiting, t_ns).map(|t| (t, was_on))
+    }
+
+    /// Every pixel whose last event still waits, with that event.
+    pub fn rest(&self) -> impl Iterator<Item = (usize, i64, bool)> + '_ {
+        let last = |(pixel, (before, waiting, was_on)): (usize, &(i64, i64, bool))| self.centred(*before, *waiting, NEVER).map(|t| (pixel, t, *was_on));
+        self.waiting.iter().enumerate().filter_map(last)
+    }
+
+    fn centred(&self, before: i64, t: i64, next: i64) -> Option<i64> {
+        if t == NEVER {
+            return None;
+        }
+        let gap = |from: i64, to: i64| if from == NEVER || to == NEVER { i64::MAX } else { to.saturating_sub(from).max(0) };
+        Some(t - (gap(before, t).min(gap(t, next)) / 2).min(self.most_ns))
+    }
+}
+
 /// Neighbouring frames, and the events around them.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stretch {

@@ -1,1 +1,127 @@
+//! Recordings with known truth, made by the simulator: textures that move over a small array, frames that are true means of the light.
 
+use super::*;
+use crate::forward::{LinearLight, Noiseless, Pixel, simulate_events};
+use crate::front_end::FrontEnd;
+
+const WIDTH: u32 = 48;
+const HEIGHT: u32 = 32;
+const PERIOD_NS: i64 = 20_000_000;
+const FRAMES: usize = 9;
+
+/// How a recording is made.
+#[derive(Clone, Copy)]
+struct Made {
+    /// Thresholds.
+    on: f64,
+    off: f64,
+    /// Added to the events' stamps, ns, and more of it with time, ns a second.
+    late_ns: i64,
+    drift_ns_per_s: f64,
+    exposure_ns: i64,
+    row_time_ns: i64,
+    /// Pixels a second.
+    speed: f64,
+}
+
+const PLAIN: Made = Made { on: 0.2, off: 0.2, late_ns: 0, drift_ns_per_s: 0.0, exposure_ns: 2_000_000, row_time_ns: 0, speed: 250.0 };
+
+/// Logarithm of the light: waves that drift, of several lengths so that nothing repeats from frame to frame.
+fn log_light(made: &Made, x: f64, y: f64, t_ns: f64) -> f64 {
+    let x = x - made.speed * t_ns * 1e-9;
+    1.0 + 0.55 * libm::sin(0.41 * x + 0.23 * y) + 0.35 * libm::sin(0.17 * x - 0.31 * y + 1.0) + 0.25 * libm::sin(0.73 * x + 0.11 * y + 2.0)
+}
+
+fn panel(made: Made) -> Panel {
+    let mut panel = Panel::new(&(0..WIDTH * HEIGHT).collect::<Vec<u32>>(), WIDTH, HEIGHT);
+    let mids: Vec<i64> = (0..FRAMES as i64).map(|l| 30_000_000 + l * PERIOD_NS).collect();
+    let mut stretch = Stretch::new(mids.clone(), PERIOD_NS + PERIOD_NS / 4, PERIOD_NS / 64, panel.places());
+    let end_ns = 60_000_000 + FRAMES as i64 * PERIOD_NS;
+    let pixel = Pixel {
+        front_end: FrontEnd::IDEAL,
+        threshold_on: made.on,
+        threshold_off: made.off,
+        latency_ns: 0,
+        latency_spread_ns: 0.0,
+        refractory_ns: 0,
+        log_step: 0.1,
+    };
+    let mut centring = Centring::new(panel.places(), PERIOD_NS / 4);
+    let t_ns: Vec<i64> = (0..=end_ns / 250_000).map(|n| n * 250_000).collect();
+    for y in 0..HEIGHT {
+        for x in 0..WIDTH {
+            let place = (y * WIDTH + x) as usize;
+            let light: Vec<f64> = t_ns.iter().map(|t| libm::exp(log_light(&made, x.into(), y.into(), *t as f64))).collect();
+            for event in simulate_events(&pixel, &LinearLight::new(&t_ns, &light), 0, end_ns, &mut Noiseless) {
+                let t = event.t_in_ns + made.late_ns + (made.drift_ns_per_s * event.t_in_ns as f64 * 1e-9) as i64;
+                if let Some((t, is_on)) = centring.next(place, t, event.polarity > 0) {
+                    stretch.event(t, place, is_on);
+                }
+            }
+            for (frame, mid) in mids.iter().enumerate() {
+                let start = (mid - made.exposure_ns / 2 + i64::from(y) * made.row_time_ns) as f64;
+                let instants = (0..40).map(|n| start + (f64::from(n) + 0.5) / 40.0 * made.exposure_ns as f64);
+                let mean = instants.map(|t| libm::exp(log_light(&made, x.into(), y.into(), t)) / 40.0).sum::<f64>();
+                stretch.frame_mut(frame)[place] = libm::log(mean) as f32;
+            }
+        }
+    }
+    centring.rest().for_each(|(place, t, is_on)| stretch.event(t, place, is_on));
+    panel.stretches.push(stretch);
+    panel
+}
+
+/// The interval holds the truth, or misses it by less than `slack`, and is no wider than `widest`.
+fn near(found: &Estimate, truth: f64, slack: f64, widest: f64) {
+    assert!(found.holds(truth) || (found.value - truth).abs() < slack, "{found:?}, truth {truth}");
+    assert!(found.ci95.1 - found.ci95.0 < widest, "{found:?} is wide");
+}
+
+#[test]
+fn late_events_are_as_late_as_they_were_made() {
+    for late_ns in [0, 6_000_000, -3_500_000] {
+        let found = offset(&panel(Made { late_ns, ..PLAIN })).unwrap();
+        // An event every three milliseconds or so: a tenth of that is the step that a shift can be told from.
+        near(&found.ns, late_ns as f64, 300_000.0, 1_000_000.0);
+        assert!(found.correlation > 0.9, "{found:?}");
+    }
+}
+
+#[test]
+fn nothing_that_moves_gives_no_offset() {
+    assert_eq!(offset(&panel(Made { speed: 0.0, ..PLAIN })), None);
+    assert_eq!(offset(&Panel::default()), None);
+}
+
+#[test]
+fn clocks_that_drift_apart_do_so_at_their_rate() {
+    let found = drift(&panel(Made { drift_ns_per_s: 30e6, ..PLAIN })).unwrap();
+    near(&found.ns_per_s, 30e6, 8e6, 40e6);
+    let none = drift(&panel(PLAIN)).unwrap();
+    assert!(none.ns_per_s.holds(0.0) || none.ns_per_s.value.abs() < 6e6, "{none:?}");
+}
+
+#[test]
+fn rows_that_are_read_one_after_another_give_their_delay() {
+    let found = row_time(&panel(Made { row_time_ns: 100_000, late_ns: -1_000_000, ..PLAIN })).unwrap();
+    near(&found, 100_000.0, 5_000.0, 40_000.0);
+}
+
+#[test]
+fn thresholds_are_those_of_the_simulator() {
+    for (on, off) in [(0.2, 0.2), (0.15, 0.25)] {
+        let found = thresholds(&panel(Made { on, off, ..PLAIN }), 0.0).unwrap();
+        near(&found.on, on, 0.06 * on, 0.05);
+        near(&found.off, off, 0.06 * off, 0.05);
+    }
+}
+
+#[test]
+fn the_exposure_that_blurred_the_frames_is_found() {
+    for exposure_ns in [8_000_000, 14_000_000] {
+        let made = Made { exposure_ns, speed: 600.0, on: 0.1, off: 0.1, ..PLAIN };
+        let found = exposure(&panel(made), (0.1, 0.1), 0.0).unwrap();
+        near(&found, exposure_ns as f64, 1_000_000.0, 4_000_000.0);
+    }
+    assert_eq!(exposure(&panel(Made { speed: 0.0, ..PLAIN }), (0.2, 0.2), 0.0), None);
+}
