@@ -1,8 +1,8 @@
 //! The arguments: what clap turns into help, completions and checks.
 
+use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 use photocurrent_core::quantity::Duration;
 use photocurrent_formats::TimeUnit;
-use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
 /// Solves for the photocurrent of every pixel of a hybrid frame and event sensor.
@@ -200,6 +200,9 @@ pub struct CheckOptions {
     /// Lay a value over the manifest
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub sets: Vec<String>,
+    /// What a recording does not say
+    #[command(flatten)]
+    pub declared: crate::declared::DeclaredOptions,
 }
 
 /// How a table is written.

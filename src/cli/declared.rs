@@ -5,8 +5,8 @@ use clap::Args as ClapArgs;
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_formats::{Column, Declared, StampRole, TimeUnit, Transfer};
-use serde::de::DeserializeOwned;
 use photocurrent_nodes::read::foreign::{All, Size};
+use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 
 /// What the user states; a fact that is not given is taken from the file, or asked for.

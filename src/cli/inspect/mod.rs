@@ -9,6 +9,7 @@ mod screen;
 use crate::args::InspectOptions;
 use crate::common::{Done, Failure, print, print_json};
 use crate::declared::refused;
+use crate::file_kind::need_data;
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Value;
 use photocurrent_formats::hazard::{self, Finding, Limits};
@@ -25,11 +26,11 @@ const DAMAGED: u8 = 3;
 const SCHEMA: &str = "photocurrent-inspect/1";
 
 /// A recording that was read once.
-struct Seen {
-    format: &'static Format,
-    bytes: u64,
-    survey: Survey,
-    findings: Vec<Finding>,
+pub struct Seen {
+    pub format: &'static Format,
+    pub bytes: u64,
+    pub survey: Survey,
+    pub findings: Vec<Finding>,
 }
 
 /// Shows what files hold.
@@ -63,6 +64,7 @@ pub fn inspect(options: &InspectOptions) -> Done {
 
 /// Text, JSON and exit code of one file.
 fn one(path: &Path, declared: &Declared, quiet: bool) -> Result<(String, serde_json::Value, u8), Failure> {
+    need_data(path, "inspect")?;
     let file = path.display().to_string();
     let Some(format) = recognise(path).map_err(|error| Failure::Other { message: error.to_string(), code: 2 })? else {
         let value = open_value(path).map_err(|_| unknown(path))?;
@@ -84,7 +86,7 @@ fn one(path: &Path, declared: &Declared, quiet: bool) -> Result<(String, serde_j
 }
 
 /// Reads a recording once and judges it; `quiet` draws no bar.
-fn look(path: &Path, format: &'static Format, declared: &Declared, quiet: bool) -> Result<Seen, FormatError> {
+pub fn look(path: &Path, format: &'static Format, declared: &Declared, quiet: bool) -> Result<Seen, FormatError> {
     let recording = joined::open(format, path, declared)?;
     let bytes = recording.files().iter().filter_map(|file| std::fs::metadata(file).ok()).map(|metadata| metadata.len()).sum();
     let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(1000));
