@@ -27,7 +27,7 @@ pub(crate) fn ecf(bytes: &[u8], out: &mut [u8]) -> Filled {
     if count > MOST || count * EVENT > out.len() {
         return Err(format!("ECF: {count} events in a chunk for {}", (out.len() / EVENT).min(MOST)));
     }
-    if out.len() % EVENT != 0 {
+    if !out.len().is_multiple_of(EVENT) {
         return full(count * EVENT, out);
     }
     let (events, rest) = out.split_at_mut(count * EVENT);
