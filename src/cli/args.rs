@@ -291,9 +291,9 @@ pub struct InspectOptions {
     /// Recordings of any format, folders of a recording, or cached artefacts (.h5)
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
-    /// What the files do not say
-    #[command(flatten)]
-    pub declared: crate::declared::DeclaredOptions,
+    /// State what the files do not, by the names of the reader's parameters: exposure="5 ms", time_unit=us
+    #[arg(long, value_name = "NAME=VALUE")]
+    pub state: Vec<String>,
     /// Print as JSON (docs/inspect.md)
     #[arg(long)]
     pub json: bool,

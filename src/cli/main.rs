@@ -8,7 +8,6 @@ mod cache;
 mod case;
 mod common;
 <<<<<<< HEAD
-mod declared;
 =======
 mod convert;
 >>>>>>> main
