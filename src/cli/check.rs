@@ -229,15 +229,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_went_by_is_counted_across_pieces() {
-        let mut seen = Seen::default();
-        seen.add(&[5, 9, 7]);
-        seen.add(&[]);
-        seen.add(&[6, 20]);
-        assert_eq!((seen.count, seen.back, seen.span), (5, 2, Some(TimeSpan::new(5, 21))));
-    }
-
-    #[test]
     fn what_a_description_leaves_out_is_named() {
         let text = "format = \"photocurrent-sensor/1\"\n[frames]\ngain = 3.0\nrow_time = \"0 us\"\n";
         let (sensor, mistakes) = parse_sensor(&Source::new("s.toml", "", text));

@@ -305,6 +305,11 @@ impl Arranged {
         if self.ordered { Ok(trimmed) } else { Ok(Box::new(InOrder::new(trimmed)?)) }
     }
 
+    /// Are the frames' linear values whole numbers of at most 16 bits?
+    pub fn whole_numbers(&self) -> bool {
+        self.transfer == Transfer::Linear && self.pictures.as_ref().is_some_and(|pictures| pictures.about().bits <= 16)
+    }
+
     /// The frames, decoded when they are read. `None` without any.
     pub fn frame_sequence(&self) -> Option<FrameSequence> {
         let (meta, pictures) = (self.frames.as_ref().ok()?, self.pictures.as_ref()?);
