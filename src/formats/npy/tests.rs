@@ -273,7 +273,7 @@ fn sequence(scale: u16, more: &[(u16, u16)]) -> tempfile::TempDir {
         std::fs::write(folder.path().join(format!("events_aligned/{n:06}.npz")), stored(&members)).unwrap();
     }
     for n in 0..3 {
-        crate::pictures::tests::write_png(&folder.path().join(format!("images_corrected/{n:06}.png")), 8, 6, &vec![n; 8 * 6 * 3], png::ColorType::Rgb);
+        crate::pictures::tests::write_png(&folder.path().join(format!("images_corrected/{n:06}.png")), 8, 6, &[n; 8 * 6 * 3], png::ColorType::Rgb);
     }
     std::fs::write(folder.path().join("images_corrected/timestamp.txt"), "1000000\n1005000\n").unwrap();
     folder
