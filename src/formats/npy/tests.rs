@@ -192,6 +192,10 @@ fn missing_keys_and_pickled_objects_are_named() {
     let (_folder, path) = file("few.npz", &stored(&[("t.npy", column("<u4", &[1_u32.to_le_bytes()])), ("x.npy", column("<u2", &[1_u16.to_le_bytes()]))]));
     let error = Npz::open(&path, &us()).err().unwrap();
     assert!(error.found.contains("no array for `y`; it holds t, x"), "{error}");
+    let (_folder, path) =
+        file("other.npz", &stored(&[("frames.npy", npy("'|u1'", "(1, 2, 2)", &[0; 4])), ("times.npy", column("<u4", &[1_u32.to_le_bytes()]))]));
+    let error = Npz::open(&path, &us()).err().unwrap();
+    assert!(error.found.contains("it holds frames, times"), "{error}");
     let (_folder, path) = file("objects.npy", &npy("'|O'", "(3,)", b"\x80\x04"));
     assert!(Npz::open(&path, &us()).err().unwrap().found.contains("pickled"));
 }
