@@ -66,7 +66,7 @@ pub(crate) fn about(table: &Table, reading: &Reading, mut notes: Vec<String>) ->
     }
     for (column, name) in [(Column::X, "x"), (Column::Y, "y")] {
         if table.scalar(column).is_some_and(|scalar| scalar.kind == Kind::Float) {
-            notes.push(format!("{name} is stored as fractions of a pixel and rounded to the nearest"));
+            notes.push(format!("{name} is stored as floats and was rounded to the nearest pixel"));
         }
     }
     EventsAbout {
