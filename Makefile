@@ -4,7 +4,7 @@
 # Where cargo builds, unless it is told otherwise.
 BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
-.PHONY: demo test lint setup clean
+.PHONY: demo test lint figures setup clean
 
 demo: setup
 	cargo build --release --locked
@@ -27,6 +27,10 @@ test: setup
 lint: setup
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
+
+# Holds the tables of README.md and docs/ to their commands, those that take minutes too.
+figures: setup
+	cargo test --release --locked --test photocurrent figures -- --include-ignored
 
 # HDF5 with its headers: the one native prerequisite. Nothing happens when it is there.
 setup:

@@ -3,7 +3,7 @@
 //! A node knows its inputs, parameters and seed, and nothing of the graph around it. [`catalog`] is the one list of all
 //! of them. What several nodes share stands beside the families: [`sampling`] (when virtual frames are exposed), [`pixel_events`] (a pixel's events as
 //! signed steps), [`reconstruct`] (what methods that start from captured frames do alike), [`co_located`] (events beside frames of more pixels or
-//! colours), [`held`] (means of held values over the exposures of many frames), [`onnx`] (networks).
+//! colours), [`spans`] (clocks that differ, and spans that are too long), [`held`] (means of held values over the exposures of many frames), [`onnx`] (networks).
 
 pub mod baseline;
 pub mod catalog;
@@ -11,6 +11,7 @@ pub mod co_located;
 mod command;
 pub mod compensate;
 pub mod diagnose;
+pub mod estimate;
 pub mod held;
 pub mod onnx;
 pub mod pixel_events;
@@ -22,9 +23,12 @@ pub mod sampling;
 pub mod score;
 pub mod simulate;
 pub mod solve;
+pub mod spans;
 pub mod split;
 pub mod write;
 
 pub use catalog::catalogue;
+/// The effects that a sensor description states, held against the catalogue.
+pub use photocurrent_sensor::effects::from_description as read_effects;
 /// What a sensor may do beyond the paper's model, for those who list it.
 pub use photocurrent_sensor::effects::{EffectDecl, ParameterDecl, Unit, catalogue as effects};

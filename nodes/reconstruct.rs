@@ -7,6 +7,7 @@
 use crate::co_located::{CoLocated, CoLocatedEvents};
 use crate::pixel_events::{Stamp, StepRule, clock_offset};
 use crate::sampling::{Sampling, virtual_frames};
+use crate::spans::check_one_clock;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::Column;
 use photocurrent_core::{
@@ -32,7 +33,7 @@ impl<'a> Request<'a> {
     /// While planning.
     ///
     /// # Errors
-    /// When nothing is connected to `frames`, or the frames' size is no whole multiple of the events'.
+    /// When nothing is connected to `frames`, or the frames' size is no whole multiple of the events', or the two have no moment in common.
     pub fn planned(inputs: &'a PortMetas) -> Result<Request<'a>, NodeError> {
         let request = Request {
             frames: inputs.frames("frames")?,
@@ -41,6 +42,9 @@ impl<'a> Request<'a> {
             sensor: inputs.has("sensor").then(|| inputs.sensor("sensor")).transpose()?.map(|sensor| &**sensor),
         };
         request.lie()?;
+        if let Some(events) = request.events {
+            check_one_clock(events, request.frames, request.sensor)?;
+        }
         Ok(request)
     }
 

@@ -4,6 +4,7 @@
 //! checks and the list of exposures stand here once. Frame `k` of a steady rate has the middle of its exposure at `k / rate`
 //! on the recording's clock (rounded to the nanosecond): with any two rates that divide each other, common instants fall together.
 
+use crate::spans::{MOST_STEPS, rounded};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::time::NS_PER_S;
 use photocurrent_core::{Colour, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
@@ -67,6 +68,15 @@ impl Sampling {
             return Err(NodeError::usage(message).note(covered).hint("`start` comes first, and both lie in the recording").param(param));
         }
         let period = 1e9 / self.rate.hz();
+        let count = (end as f64 - start as f64) / period;
+        if count > MOST_STEPS as f64 {
+            let message =
+                format!("this would render {} frames, from {} to {} at {}, and {MOST_STEPS} are the most", rounded(count), shown(start), shown(end), self.rate);
+            return Err(NodeError::usage(message)
+                .note(covered)
+                .hint("set `start` and `end` around what you want to see, or lower `rate`; is the recording that long, or is one stamp far from all others?")
+                .param("rate"));
+        }
         let first = (start as f64 / period).ceil() as i64;
         let instants = (first..).map(|k| (k as f64 * period).round() as i64).skip_while(|&t| t < start).take_while(|&t| t < end);
         let half = self.exposure.ns() / 2;
@@ -146,6 +156,18 @@ mod tests {
         let sampling = Sampling { start: Some(Duration::new(10_000_000)), ..Sampling::default() };
         let error = sampling.times(TimeSpan { start: Timestamp(0), end: Timestamp(5) }, None).unwrap_err();
         assert!(error.to_string().contains("covers 0 ns to 5 ns"));
+    }
+
+    #[test]
+    fn more_frames_than_can_be_are_refused_before_they_are_listed() {
+        let sampling = Sampling { rate: Rate::new(1000.0), ..Sampling::default() };
+        let decades = TimeSpan::new(0, 1_700_000_000_000_000_000);
+        let error = sampling.times(decades, None).unwrap_err();
+        assert!(error.message.starts_with("this would render 1.7e12 frames, from 0 ns to 1700000000 s at 1 kHz"), "{}", error.message);
+        assert!(error.hint.unwrap().contains("set `start` and `end`"));
+        let part = Sampling { start: Some(Duration::new(0)), end: Some(Duration::new(5_000_000)), ..sampling };
+        assert_eq!(mids(&part, decades).len(), 5);
+        assert!(part.times(TimeSpan::new(i64::MIN, i64::MAX), None).is_ok());
     }
 
     #[test]

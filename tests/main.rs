@@ -8,6 +8,8 @@
 //! - `determinism`: the same bits for any number of threads, any band height, any machine.
 //! - `diagnosis`: `photocurrent diagnose`, from a recording to its report.
 //! - `colour`: colour frames and mosaics, from a scene to pictures by way of a recording.
+//! - `files`: what a command does with a file of another kind, with mistakes in every line, with streams on two clocks.
+//! - `figures`: the tables of README.md and docs/ are what their commands print.
 //! - `films`: pictures as light, from files to events.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
@@ -19,6 +21,8 @@ mod conformance;
 mod crash;
 mod determinism;
 mod diagnosis;
+mod files;
+mod figures;
 mod films;
 mod manifests;
 mod pipelines;

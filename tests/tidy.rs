@@ -19,7 +19,7 @@ const DIRECTION: [(&str, &str, &[&str]); 7] = [
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
     ("src/diagnosis", "photocurrent-diagnosis", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/store", "photocurrent-store", &["photocurrent-core"]),
-    ("src/formats", "photocurrent-formats", &["photocurrent-core", "photocurrent-store"]),
+    ("src/formats", "photocurrent-formats", &["photocurrent-core", "photocurrent-sensor", "photocurrent-store"]),
     ("src/engine", "photocurrent-engine", &["photocurrent-core", "photocurrent-store"]),
     ("nodes", "photocurrent-nodes", &["photocurrent-core", "photocurrent-sensor", "photocurrent-diagnosis", "photocurrent-store", "photocurrent-formats"]),
 ];

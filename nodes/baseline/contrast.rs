@@ -12,6 +12,7 @@
 use crate::co_located::CoLocated;
 use crate::pixel_events::clock_offset;
 use crate::reconstruct::black_level;
+use crate::spans::check_one_clock;
 use photocurrent_core::events::{EventBand, Polarity};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, TableMeta};
@@ -120,6 +121,8 @@ params = { lowest = 0.1, highest = 0.5 }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
         CoLocated::new(events, frames)?.need_plain("baseline/contrast")?;
+        let sensor = inputs.has("sensor").then(|| inputs.sensor("sensor")).transpose()?;
+        check_one_clock(events, frames, sensor.map(|sensor| &**sensor))?;
         if frames.times.is_empty() {
             return Err(NodeError::usage("there is no frame to search a threshold on").hint("give at least one frame"));
         }

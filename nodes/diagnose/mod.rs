@@ -12,6 +12,7 @@ pub mod residuals;
 pub mod summaries;
 pub mod synthesize;
 
+use crate::spans::check_one_clock;
 use photocurrent_core::{DataType, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
 use photocurrent_diagnosis::case::{Case, CaseFrames, PixelEvents};
 use photocurrent_diagnosis::nominal::Nominal;
@@ -44,6 +45,9 @@ fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
         ))
         .hint("bin the frames to the pixels of the event sensor, and weigh their colours as its photodiodes do")
         .blames(DataType::Frames));
+    }
+    if let (Some(events), Some(frames)) = (events, frames) {
+        check_one_clock(events, frames, Some(sensor))?;
     }
     let empty = Case {
         extent,

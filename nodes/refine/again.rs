@@ -2,12 +2,14 @@
 
 use super::caution::{CAUTIONS, Caution, Lost, take_care};
 use super::film::Fired;
+use super::film::STEP_NS;
 use crate::co_located::CoLocated;
 use crate::solve::pixel::choice::Settings;
 use crate::solve::pixel::map::{RowSetting, RowSolver};
 use crate::solve::pixel::row::Recorded;
 use crate::solve::pixel::shares::Colours;
 use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
+use crate::spans::{check_one_clock, check_steps};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
     Between, Context, EventStream, EventsMeta, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta, handle::Band,
@@ -71,8 +73,12 @@ impl Solver {
     /// What the node's output will be.
     pub fn plan(&self, kind: &str, inputs: &PortMetas) -> Result<TracksMeta, NodeError> {
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
+        check_one_clock(events, frames, Some(inputs.sensor("sensor")?))?;
         self.node.model(inputs.sensor("sensor")?, events)?;
-        self.meta(kind, inputs.tracks("tracks")?, events, frames)
+        let meta = self.meta(kind, inputs.tracks("tracks")?, events, frames)?;
+        self.node.check_length(meta.span)?;
+        check_steps(meta.span, STEP_NS, "pictures", kind)?;
+        Ok(meta)
     }
 
     /// The tracks to come; refuses tracks that are not those of these events and frames.

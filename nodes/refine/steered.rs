@@ -15,6 +15,7 @@
 #[cfg(test)]
 mod tests;
 
+use crate::spans::check_steps;
 use photocurrent_core::handle::Band;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Between, Colour, Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Rows, TrackBand, TrackSet, TracksMeta};
@@ -106,6 +107,7 @@ in   = { tracks = "solve.tracks" }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let tracks = inputs.tracks("tracks")?;
         check(tracks)?;
+        check_steps(tracks.span, self.params.step.ns(), "pictures", Self::DECL.kind)?;
         Ok(vec![Meta::Tracks(Arc::new(without_sigma(tracks)))])
     }
 

@@ -36,6 +36,7 @@ mod tests;
 use crate::co_located::{CoLocated, values_of};
 use crate::compensate::readout::check_events;
 use crate::pixel_events::{Stamp, StepRule, clock_offset, left_out};
+use crate::spans::{check_one_clock, check_steps};
 use choice::Settings;
 use map::FrameNoise;
 pub(crate) use params::{FRAME_NOISE, KNOT_SPACING};
@@ -44,9 +45,10 @@ use photocurrent_core::handle::Band;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{
     Between, Colour, Context, Decl, EventStream, EventsMeta, Exposure, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet, Meta, Node,
-    NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
+    NodeError, PortMetas, Sensor, TimeSpan, TrackBand, TrackSet, TracksMeta,
 };
 use photocurrent_sensor::front_end::FrontEnd;
+use photocurrent_sensor::map::COARSEST;
 use photocurrent_sensor::residuals::Misfit;
 use rayon::prelude::*;
 use row::Recorded;
@@ -194,6 +196,14 @@ impl SolvePixel {
         })
     }
 
+    /// Refuses a span in which even quiet pixels would have more knots than can be.
+    pub(crate) fn check_length(&self, span: TimeSpan) -> Result<(), NodeError> {
+        match self.params.method {
+            Method::Map => check_steps(span, self.params.knot_spacing().ns().saturating_mul(COARSEST), "knots a pixel", "solve/pixel"),
+            Method::Paper => Ok(()),
+        }
+    }
+
     pub(crate) fn tracks_meta(&self, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
         let lie = CoLocated::new(events, frames)?;
         if frames.scale != FrameScale::Captured {
@@ -253,8 +263,10 @@ params = { method = "map" }
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
         let sensor = inputs.sensor("sensor")?;
+        check_one_clock(events, frames, Some(sensor))?;
         self.model(sensor, events)?;
         let tracks = self.tracks_meta(events, frames)?;
+        self.check_length(tracks.span)?;
         Colours::new(CoLocated::new(events, frames)?, sensor)?;
         let map = map_meta(tracks.extent);
         Ok(vec![Meta::Tracks(Arc::new(tracks)), Meta::Map(Arc::new(map))])

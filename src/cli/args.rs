@@ -24,7 +24,7 @@ pub enum Command {
     Plan(PlanOptions),
     /// Say why a node would run again, one reason a line
     Explain(ExplainOptions),
-    /// Check a manifest, or a recording, without running anything
+    /// Look for mistakes in a manifest, a recording or a sensor description, without running anything
     Check(CheckOptions),
     /// Print the scores of finished runs as a table: Markdown, CSV, LaTeX or JSON Lines
     Table(TableOptions),
@@ -68,6 +68,19 @@ pub struct Target {
     /// Where files for you are written [default: out/NAME of the manifest]
     #[arg(long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
+}
+
+/// How progress is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ProgressStyle {
+    /// Bars on a terminal, plain lines elsewhere
+    Auto,
+    /// A line when a node begins and when it ends
+    Plain,
+    /// One JSON object a line, for programs
+    Json,
+    /// Nothing
+    None,
 }
 
 #[derive(ClapArgs)]
@@ -150,6 +163,9 @@ pub struct RunOptions {
     /// Print the outcome as JSON
     #[arg(long)]
     pub json: bool,
+    /// How progress is shown, on stderr
+    #[arg(long, value_enum, default_value = "auto")]
+    pub progress: ProgressStyle,
     /// Say only what went wrong
     #[arg(short, long)]
     pub quiet: bool,
@@ -177,7 +193,7 @@ pub struct ExplainOptions {
 
 #[derive(ClapArgs)]
 pub struct CheckOptions {
-    /// A manifest (.toml) or a recording (.h5)
+    /// A manifest, a recording, a sensor description, or the output folder of a run
     pub file: PathBuf,
     /// Lay a value over the manifest
     #[arg(long = "set", value_name = "PATH=VALUE")]
@@ -301,7 +317,7 @@ pub struct InspectOptions {
 
 #[derive(ClapArgs)]
 pub struct DiagnoseOptions {
-    /// The recording: .h5, or the .aedat4 of a DAVIS camera
+    /// The recording, of any format that records exposures
     pub recording: PathBuf,
     /// The sensor description, TOML [default: the one in the recording]
     #[arg(short, long, value_name = "FILE")]
@@ -327,6 +343,9 @@ pub struct DiagnoseOptions {
     /// Print diagnosis.json instead of a summary
     #[arg(long)]
     pub json: bool,
+    /// How progress is shown, on stderr
+    #[arg(long, value_enum, default_value = "auto")]
+    pub progress: ProgressStyle,
     /// Say only what went wrong
     #[arg(short, long)]
     pub quiet: bool,

@@ -1,10 +1,15 @@
 //! A recording and its description as a diagnosis takes them.
 
 use crate::common::Failure;
-use photocurrent_core::Sensor;
+use crate::file_kind::{FileKind, Reader};
 use photocurrent_core::document::Source;
+use photocurrent_core::error::Trouble;
+use photocurrent_core::quantity::InputPath;
+use photocurrent_core::{EventsMeta, FramesMeta, Sensor};
 use photocurrent_diagnosis::case::Case;
-use photocurrent_nodes::read::{is_aedat4, whole_aedat4};
+use photocurrent_nodes::read::foreign::All;
+use photocurrent_nodes::read::whole;
+use photocurrent_nodes::spans::check_one_clock;
 use photocurrent_store::StoreError;
 use photocurrent_store::recording::Recording;
 use std::path::Path;
@@ -27,36 +32,39 @@ impl From<Failure> for Unread {
 pub fn read(path: &Path, sensor_file: Option<&Path>) -> Result<Case, Unread> {
     // The HDF5 library's word for a missing file comes without what to do about it.
     if let Err(error) = std::fs::metadata(path) {
-        let hint = "hint: name a recording: an HDF5 file in the form photocurrent-recording/1 (docs/formats.md), or an AEDAT4 file";
+        let hint = "hint: name a recording: docs/recordings.md lists the formats";
         return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", path.display())).into());
     }
-    if is_aedat4(path) {
-        return of_davis(path, sensor_file);
+    if let FileKind::Recording(Reader::Format(_)) = FileKind::of(path) {
+        return of_others(path, sensor_file);
     }
     let recording = Recording::open(path).map_err(Failure::from)?;
     let sensor = sensor(path, sensor_file, recording.sensor_text())?;
     of_recording(&recording, &sensor)
 }
 
-/// From an AEDAT4 file of a DAVIS camera.
-fn of_davis(path: &Path, sensor_file: Option<&Path>) -> Result<Case, Unread> {
+/// From a file of another program.
+fn of_others(path: &Path, sensor_file: Option<&Path>) -> Result<Case, Unread> {
     let sensor = sensor(path, sensor_file, None)?;
-    // These cameras have a global shutter; a description may know better.
-    let row_time = sensor.frames.row_time.unwrap_or_default();
-    let streams = whole_aedat4(path, row_time).map_err(|error| usage(error.to_string()))?;
+    // What the file does not record of its rows, a description may know.
+    let all = All { path: InputPath::new(path), row_time: sensor.frames.row_time, ..All::default() };
+    let streams = whole(&all).map_err(|error| usage(error.to_string()))?;
+    one_clock(path, streams.events.as_ref().map(|events| &*events.meta), streams.frames.as_ref().map(|frames| &*frames.meta), &sensor)?;
     Case::read(streams.events.as_ref(), streams.frames.as_ref(), &sensor).map_err(|error| usage(format!("{}: {}", path.display(), error.message)).into())
 }
 
 /// From a recording in this project's form.
 fn of_recording(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> {
     let name = recording.path().display();
+    let row_time_ns = recording.row_time_ns().or(sensor.frames.row_time.map(|row_time| row_time.ns()));
+    let frames_meta = recording.frames_meta(row_time_ns.unwrap_or(0));
+    one_clock(recording.path(), recording.events_meta().map(|events| &**events), frames_meta.as_ref(), sensor)?;
     // Read once before, for the reader's own word on what is wrong.
     match recording.read_events(recording.extent().rows()) {
         Ok(_) => {}
-        Err(error @ StoreError::Content { .. }) => return Err(Unread::Content(error.to_string())),
+        Err(error @ (StoreError::Content { .. } | StoreError::Several { .. })) => return Err(Unread::Content(error.to_string())),
         Err(error) => return Err(Unread::Other(error.into())),
     }
-    let row_time_ns = recording.row_time_ns().or(sensor.frames.row_time.map(|row_time| row_time.ns()));
     let frames = match (recording.exposures().is_some_and(|exposures| !exposures.is_empty()), row_time_ns) {
         (false, _) => None,
         (true, Some(row_time_ns)) => recording.frames(row_time_ns),
@@ -66,6 +74,15 @@ fn of_recording(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> 
         }
     };
     Case::read(recording.events().as_ref(), frames.as_ref(), sensor).map_err(|error| usage(format!("{name}: {}", error.message)).into())
+}
+
+/// Nothing can be said of a sensor whose two streams never saw the same moment, and looking would take for ever.
+fn one_clock(path: &Path, events: Option<&EventsMeta>, frames: Option<&FramesMeta>, sensor: &Sensor) -> Result<(), Unread> {
+    let (Some(events), Some(frames)) = (events, frames) else { return Ok(()) };
+    check_one_clock(events, frames, Some(sensor)).map_err(|error| match error.trouble {
+        Trouble::Input => Unread::Content(format!("{}: {error}", path.display())),
+        _ => usage(format!("{}: {error}", path.display())).into(),
+    })
 }
 
 /// The description: a file's, or the recording's own.

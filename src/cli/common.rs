@@ -1,8 +1,9 @@
 //! What the commands share: how they fail, how they write, how they find a project.
 
 use crate::args::Target;
+use crate::file_kind::need_manifest;
 use photocurrent_core::document::Problem;
-use photocurrent_engine::{End, Outcome, Plan, Project, Selection};
+use photocurrent_engine::{End, Outcome, Plan, Project, Selection, machine_memory};
 use photocurrent_store::StoreError;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -85,12 +86,20 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Refuses a plan that this machine can never run.
+pub fn within_machine(plan: &Plan) -> Result<(), Failure> {
+    Ok(machine_memory().map_or(Ok(()), |bytes| plan.refuse_beyond(bytes))?)
+}
+
 impl Target {
-    /// Loads and plans.
-    pub fn plan(&self) -> Result<(Project, Plan), Failure> {
+    /// Loads and plans, for `command`.
+    pub fn plan(&self, command: &str) -> Result<(Project, Plan), Failure> {
+        need_manifest(&self.manifest, command)?;
         let catalogue = photocurrent_nodes::catalogue();
         let selection = Selection { variants: self.variants.clone(), to: self.to.clone() };
-        Ok(Plan::load(&self.manifest, &self.sets, &catalogue, &selection)?)
+        let (project, plan) = Plan::load(&self.manifest, &self.sets, &catalogue, &selection)?;
+        within_machine(&plan)?;
+        Ok((project, plan))
     }
 
     /// Where files for the user go.
@@ -105,12 +114,30 @@ pub fn failed_nodes(outcome: &Outcome) {
         let error = task.error.as_ref().map(ToString::to_string).unwrap_or_default();
         eprintln!("\nerror: node {} ({}) failed: {error}", task.label, task.kind);
         if let Some(error) = task.error.as_ref().filter(|error| !error.problems.is_empty()) {
-            crate::problems::show(&error.problems);
+            crate::problems::render(&error.problems);
         }
     }
     for task in outcome.tasks.iter().filter(|task| task.end == End::Skipped) {
         eprintln!("skipped: {} needs {}", task.label, task.because.join(", "));
     }
+}
+
+/// `1,234`.
+pub fn grouped(count: u64) -> String {
+    let digits = count.to_string();
+    let mut text = String::new();
+    for (at, digit) in digits.chars().enumerate() {
+        if at > 0 && (digits.len() - at).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    text
+}
+
+/// `1 mistake`, `3 mistakes`.
+pub fn print_count(count: usize, what: &str) -> String {
+    format!("{count} {what}{}", if count == 1 { "" } else { "s" })
 }
 
 /// `1.2 GB`.

@@ -106,7 +106,7 @@ fn whole(options: &ConvertOptions, recording: &dyn Recording, settings: &Setting
 /// Where events go.
 enum Sink {
     Csv(CsvWriter<BufWriter<NamedTempFile>>),
-    Evt3(evt::Writer<BufWriter<NamedTempFile>>),
+    Evt3(evt::evt3_writer::Writer<BufWriter<NamedTempFile>>),
 }
 
 /// Writes events alone.
@@ -121,7 +121,7 @@ fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, sett
     let unit = unit(options)?;
     let mut sink = match to {
         Written::Csv => Sink::Csv(CsvWriter::new(file, unit, Some(extent), meta.has_t_in).map_err(failed)?),
-        _ => Sink::Evt3(evt::Writer::new(file, extent, &[]).map_err(failed)?),
+        _ => Sink::Evt3(evt::evt3_writer::Writer::new(file, extent, &[]).map_err(failed)?),
     };
     let (mut chunk, mut count) = (EventChunk::default(), 0);
     while cursor.next(&mut chunk).map_err(refused)? {

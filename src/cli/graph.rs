@@ -2,11 +2,13 @@
 
 use crate::args::{GraphOptions, GraphStyle};
 use crate::common::{Done, Failure, print};
+use crate::file_kind::need_manifest;
 use photocurrent_core::document::Problem;
 use photocurrent_engine::{GraphFormat, Project, graph as draw};
 
 /// Prints the graph of one variant.
 pub fn graph(options: &GraphOptions) -> Done {
+    need_manifest(&options.manifest, "graph")?;
     let catalogue = photocurrent_nodes::catalogue();
     let project = Project::load(&options.manifest, &options.sets, &catalogue)?;
     let pipeline = match &options.variant {

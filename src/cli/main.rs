@@ -6,13 +6,12 @@
 mod args;
 mod cache;
 mod case;
+mod check;
 mod common;
-<<<<<<< HEAD
-=======
 mod convert;
->>>>>>> main
 mod diagnose;
 mod effects;
+mod file_kind;
 mod graph;
 mod init;
 mod inspect;
@@ -38,7 +37,7 @@ fn main() -> ExitCode {
         Command::Run(options) => run::run(options),
         Command::Plan(options) => plan::plan(options),
         Command::Explain(options) => plan::explain(options),
-        Command::Check(options) => plan::check(options),
+        Command::Check(options) => check::check(options),
         Command::Table(options) => table::table(options),
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),

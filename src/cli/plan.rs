@@ -1,9 +1,9 @@
-//! `photocurrent plan`, `explain`, `check`: what would happen and why. None of them writes anything.
+//! `photocurrent plan`, `explain`: what would happen and why. Neither writes anything.
 
-use crate::args::{CheckOptions, ExplainOptions, PlanOptions, Target};
+use crate::args::{ExplainOptions, PlanOptions, Target};
 use crate::common::{Done, Failure, human_bytes, human_seconds, print, print_json};
 use crate::tables::draw;
-use photocurrent_engine::{Plan, Selection, State, TaskStatus, status};
+use photocurrent_engine::{Plan, State, TaskStatus, status};
 use photocurrent_store::Cache;
 use serde_json::{Value, json};
 
@@ -50,7 +50,7 @@ fn as_json(plan: &Plan, status: &TaskStatus) -> Value {
 
 /// Shows every task in running order.
 pub fn plan(options: &PlanOptions) -> Done {
-    let (_, plan) = options.target.plan()?;
+    let (_, plan) = options.target.plan("plan")?;
     let look = Look::new(&options.target)?;
     let all = status(&plan, &look.cache, &options.target.out_dir());
     if options.json {
@@ -82,7 +82,7 @@ pub fn plan(options: &PlanOptions) -> Done {
 
 /// Says why a node would run.
 pub fn explain(options: &ExplainOptions) -> Done {
-    let (_, plan) = options.target.plan()?;
+    let (_, plan) = options.target.plan("explain")?;
     let look = Look::new(&options.target)?;
     let found =
         photocurrent_engine::explain(&plan, &look.cache, &options.target.out_dir(), &options.node).map_err(|problem| Failure::Problems(vec![problem]))?;
@@ -97,16 +97,5 @@ pub fn explain(options: &ExplainOptions) -> Done {
         explanation.lines[1..].iter().for_each(|line| text.push_str(&format!("  {line}\n")));
     }
     print(&text)?;
-    Ok(0)
-}
-
-/// Checks a manifest with everything it names, or a recording.
-pub fn check(options: &CheckOptions) -> Done {
-    if options.file.extension().is_some_and(|extension| extension == "h5" || extension == "hdf5") {
-        return crate::inspect::check_recording(&options.file);
-    }
-    let catalogue = photocurrent_nodes::catalogue();
-    let (_, plan) = Plan::load(&options.file, &options.sets, &catalogue, &Selection::default())?;
-    eprintln!("{}: {} nodes in {} variant(s), no mistake found", options.file.display(), plan.tasks.len(), plan.variants.len());
     Ok(0)
 }

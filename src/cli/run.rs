@@ -17,7 +17,7 @@ use std::time::Instant;
 
 /// Runs a pipeline or an ablation.
 pub fn run(options: &RunOptions) -> Done {
-    let (project, plan) = options.target.plan()?;
+    let (project, plan) = options.target.plan("run")?;
     check_forced(options, &plan)?;
     let cancel = Arc::new(AtomicBool::new(false));
     stop_on_signal(&cancel)?;
@@ -35,7 +35,7 @@ pub fn run(options: &RunOptions) -> Done {
         force: options.force.iter().cloned().collect(),
     };
     let started = Instant::now();
-    let watcher = Watcher::new(&plan, options.quiet);
+    let watcher = Watcher::new(&plan, options.progress, options.quiet);
     let outcome = photocurrent_engine::run(&plan, &cache, &how, &watcher, &cancel);
     let seconds = started.elapsed().as_secs_f64();
     report(options, &project, &outcome, &cache, &out_dir, seconds)?;

@@ -65,11 +65,13 @@ pub struct NodeError {
     pub blamed_input: Option<DataType>,
     /// Mistakes in a text file that the node read, each at its place.
     pub problems: Vec<Problem>,
+    /// Fields of the sensor description that the node needs and that are not stated: `front_end.tau_0`.
+    pub lacks: Vec<String>,
 }
 
 impl NodeError {
     fn with(trouble: Trouble, message: impl Into<String>) -> NodeError {
-        NodeError { trouble, message: message.into(), notes: Vec::new(), hint: None, param: None, blamed_input: None, problems: Vec::new() }
+        NodeError { trouble, message: message.into(), notes: Vec::new(), hint: None, param: None, blamed_input: None, problems: Vec::new(), lacks: Vec::new() }
     }
 
     /// The parameters or the wiring cannot work.

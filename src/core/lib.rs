@@ -3,15 +3,18 @@
 //! Nothing here opens a file or starts a thread. In reading order:
 //!
 //! - [`time`], [`extent`], [`quantity`]: instants in nanoseconds, pixels and rows, values with units.
+//! - [`apart`]: events and frames whose clocks were never put together.
 //! - [`colour`]: grey, three channels, or a mosaic of filters.
 //! - [`events`], [`frames`], [`tracks`], [`light`], [`map`], [`table`], [`sensor`], [`diagnosis`]: the data, each with one
 //!   canonical order.
+//! - [`lacking`]: what to tell of fields that a sensor description does not state.
 //! - [`value`]: the closed set of things that flow between nodes, and [`value::Meta`], what is known of them before data.
 //! - [`node`], [`ports`], [`context`]: what a node is, what its sockets are, what it may ask while it runs.
 //! - [`digest`]: the name of a content. [`random`]: numbers that depend on (seed, pixel, index) only.
 //! - [`document`], [`schema`]: TOML with its positions kept, so that a mistake can be shown where it stands.
 //! - [`testing`]: small helpers that the tests of several crates share.
 
+pub mod apart;
 pub mod colour;
 pub mod context;
 pub mod diagnosis;
@@ -22,6 +25,7 @@ pub mod events;
 pub mod extent;
 pub mod frames;
 pub mod handle;
+pub mod lacking;
 pub mod light;
 pub mod map;
 pub mod node;
@@ -37,6 +41,7 @@ pub mod time;
 pub mod tracks;
 pub mod value;
 
+pub use apart::Apart;
 pub use colour::Colour;
 pub use context::{Context, Notes};
 pub use diagnosis::{Diagnosis, DiagnosisKind, DiagnosisMeta};

@@ -294,9 +294,10 @@ impl Sensor {
         };
         let called = if self.name.is_empty() { String::new() } else { format!(" \"{}\"", self.name) };
         let them = if fields.len() == 1 { "it" } else { "them" };
-        NodeError::usage(format!("{who} needs {list}, and the sensor description{called} does not state {them}"))
+        let error = NodeError::usage(format!("{who} needs {list}, and the sensor description{called} does not state {them}"))
             .hint(format!("add {list} to the sensor description"))
-            .blames(DataType::Sensor)
+            .blames(DataType::Sensor);
+        NodeError { lacks: fields.iter().map(ToString::to_string).collect(), ..error }
     }
 }
 

@@ -135,7 +135,9 @@ impl Meta {
         let per_pixel = |extent: crate::Extent, hint: Option<u64>| hint.unwrap_or(8 * extent.pixels() as u64);
         match self {
             Meta::Events(meta) => per_pixel(meta.extent, meta.count_hint) * (11 + 8 * meta.has_t_in as u64 + 4 * meta.has_step as u64),
-            Meta::Frames(meta) | Meta::Truth(meta) => (meta.times.len() * meta.row_values() * meta.extent.height as usize * 4) as u64,
+            Meta::Frames(meta) | Meta::Truth(meta) => {
+                [meta.row_values(), meta.extent.height as usize, 4].iter().fold(meta.times.len() as u64, |bytes, &n| bytes.saturating_mul(n as u64))
+            }
             Meta::Tracks(meta) => per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64,
             Meta::Light(meta) => per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64,
             Meta::Map(meta) => (meta.extent.pixels() * meta.planes.len() * 4) as u64,

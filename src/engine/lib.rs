@@ -5,6 +5,7 @@
 //! - [`manifest`]: the text as written, every key with its line.
 //! - [`resolve`], [`ablation`], [`pipeline`]: overlays laid over each other; [`Project`] holds one [`Pipeline`] per variant.
 //! - `typed`, [`plan`]: kinds, sockets and metas checked; a [`Plan`] holds every task once, whatever number of variants share it.
+//! - `lacking`: what sensor descriptions do not state, told in one piece.
 //! - `key`, [`mod@status`], [`mod@explain`]: what a result depends on, whether the cache has it, and why not.
 //! - [`schedule`], [`export`], [`observer`], [`outcome`]: [`run`] it, watch it, see what came of it.
 //! - [`mod@graph`], [`schema`]: pictures of a pipeline, and the manifest's JSON Schema for editors.
@@ -14,6 +15,7 @@ pub mod explain;
 pub mod export;
 pub mod graph;
 mod key;
+mod lacking;
 pub mod manifest;
 pub mod observer;
 pub mod outcome;
@@ -36,6 +38,6 @@ pub use outcome::{Outcome, TaskOutcome};
 pub use pipeline::Pipeline;
 pub use plan::{Plan, PlannedVariant, Selection, Task, TaskId};
 pub use resolve::Project;
-pub use schedule::{Options, run};
+pub use schedule::{Options, machine_memory, run};
 pub use schema::manifest_schema;
 pub use status::{State, TaskStatus, status};

@@ -5,14 +5,17 @@
 //! seed and the tasks before them. That hash only tells tasks apart inside one plan; what names results for ever is the key (`key`),
 //! which knows contents.
 
+use crate::lacking::Lacking;
 use crate::pipeline::Pipeline;
 use crate::resolve::{Project, distinct};
+use crate::schedule::least_bytes;
 use crate::typed::{self, Link, TypedNode};
 use photocurrent_core::digest::DigestBuilder;
-use photocurrent_core::document::Problem;
+use photocurrent_core::document::{Origin, Problem};
+use photocurrent_core::lacking::with_examples;
 use photocurrent_core::node::{AnyNode, canonical_params};
 use photocurrent_core::ports::{Arity, PortSpec};
-use photocurrent_core::{Catalogue, DataType, Decl, Digest, FileRef, Grain, Meta, PortMetas};
+use photocurrent_core::{Catalogue, DataType, Decl, Digest, FileRef, Grain, Meta, NodeError, PortMetas};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -70,6 +73,8 @@ pub struct Task {
     pub seed: Option<u64>,
     /// Where its files go, below the output folder.
     pub export: Option<PathBuf>,
+    /// Where the manifest names its kind.
+    pub(crate) origin: Origin,
     pub(crate) node: Arc<dyn AnyNode>,
 }
 
@@ -151,7 +156,7 @@ impl Plan {
             problems = unknown;
         }
         let is_ablation = project.ablation.is_some();
-        let mut planner = Planner { is_ablation, tasks: Vec::new(), known: HashMap::new(), problems: Vec::new() };
+        let mut planner = Planner { is_ablation, tasks: Vec::new(), known: HashMap::new(), problems: Vec::new(), lacking: Vec::new() };
         let mut variants = Vec::new();
         let mut found = Vec::new();
         for pipeline in &project.pipelines {
@@ -162,8 +167,29 @@ impl Plan {
             }
             found.push((pipeline.variant.as_str(), std::mem::take(&mut planner.problems)));
         }
-        let problems = distinct(problems, found);
+        let mut problems = distinct(problems, found);
+        problems.extend(planner.lacking.iter().filter_map(Lacking::problem));
         if problems.is_empty() { Ok(Plan { manifest_id: project.manifest_id, tasks: planner.tasks, variants, is_ablation }) } else { Err(problems) }
+    }
+
+    /// Refuses what can never run: a task whose results, even of its smallest piece, take more than `bytes` of memory.
+    ///
+    /// # Errors
+    /// Every such task, at its place.
+    pub fn refuse_beyond(&self, bytes: u64) -> Result<(), Vec<Problem>> {
+        let problems: Vec<Problem> = self
+            .tasks
+            .iter()
+            .filter_map(|task| {
+                let least = least_bytes(task);
+                (least > bytes).then(|| {
+                    let gb = |bytes: u64| format!("{:.1} GB", bytes as f64 * 1e-9);
+                    let message = format!("nodes.{}: its results need about {} of memory at a time, and there are {}", task.label, gb(least), gb(bytes));
+                    Problem::at(&task.origin, message).help("make less of it: a shorter part of the recording, a lower `rate`, fewer pixels")
+                })
+            })
+            .collect();
+        if problems.is_empty() { Ok(()) } else { Err(problems) }
     }
 
     /// The task of a node in a variant.
@@ -214,6 +240,7 @@ struct Planner {
     tasks: Vec<Task>,
     known: HashMap<Digest, TaskId>,
     problems: Vec<Problem>,
+    lacking: Vec<Lacking>,
 }
 
 impl Planner {
@@ -276,6 +303,7 @@ impl Planner {
         let schema = Arc::new(node.kind.schema.clone());
         let changed_params = changed(&node.params, &node.kind.schema);
         let params = node.params.clone();
+        let origin = node.spec.kind_origin.clone();
         let node = node.node.clone();
         self.tasks.push(Task {
             decl,
@@ -291,6 +319,7 @@ impl Planner {
             files,
             seed,
             export,
+            origin,
             node,
         });
         self.known.insert(hash, self.tasks.len() - 1);
@@ -321,17 +350,18 @@ impl Planner {
     fn plan(&mut self, node: &TypedNode<'_>, inputs: &[TaskInput]) -> Option<(Vec<TaskOutput>, Grain)> {
         let meta = |&(task, port): &(TaskId, &'static str)| self.tasks[task].output(port).map(|output| output.meta.clone());
         let metas: BTreeMap<String, Vec<Meta>> = inputs.iter().map(|input| (input.port.to_string(), input.from.iter().filter_map(meta).collect())).collect();
-        let metas = PortMetas::new(metas);
-        let planned = match node.node.plan(&metas) {
-            Ok(planned) => planned,
-            Err(mut error) => {
-                let blamed = inputs.iter().filter(|input| Some(input.data_type) == error.blamed_input);
-                for task in blamed.flat_map(|input| &input.from).map(|(task, _)| &self.tasks[*task]) {
-                    let read_from = |file: &FileRef| format!("the node `{}` reads it from {}", task.label, file.path.display());
-                    error.notes.extend(task.files.iter().map(read_from));
+        let mut metas = PortMetas::new(metas);
+        let mut supposed: Vec<String> = Vec::new();
+        let planned = loop {
+            match node.node.plan(&metas) {
+                Ok(planned) => break planned,
+                Err(error) => {
+                    let missing: Vec<String> = error.lacks.iter().filter(|field| !supposed.contains(field)).cloned().collect();
+                    self.refused(node, inputs, error);
+                    // What else the pipeline needs is heard by going on as if this were stated.
+                    supposed.extend(missing.iter().cloned());
+                    metas = if missing.is_empty() { return None } else { stated(&metas, &supposed)? };
                 }
-                self.problems.extend(typed::node_problem(node.spec, &error));
-                return None;
             }
         };
         let specs = &node.kind.outputs;
@@ -343,6 +373,24 @@ impl Planner {
         assert!(specs.iter().all(|spec| spec.arity != Arity::Many), "{}: an output gives one value: the store has one place for it", node.kind.decl.kind);
         let outputs = planned.into_iter().zip(specs).map(|(meta, spec)| TaskOutput { port: spec.name, meta, wanted: false }).collect();
         Some((outputs, node.node.grain(&metas)))
+    }
+
+    /// Notes why a node cannot be planned, with the files that are to blame.
+    fn refused(&mut self, node: &TypedNode<'_>, inputs: &[TaskInput], mut error: NodeError) {
+        let blamed = inputs.iter().filter(|input| Some(input.data_type) == error.blamed_input);
+        for task in blamed.flat_map(|input| &input.from).map(|(task, _)| &self.tasks[*task]) {
+            let read_from = |file: &FileRef| format!("the node `{}` reads it from {}", task.label, file.path.display());
+            error.notes.extend(task.files.iter().map(read_from));
+            if !error.lacks.is_empty() {
+                let (from, file) = (task.label.clone(), task.files.first().map(|file| file.path.clone()));
+                let at = self.lacking.iter().position(|lacking| lacking.from == from && lacking.file == file).unwrap_or(self.lacking.len());
+                if at == self.lacking.len() {
+                    self.lacking.push(Lacking { from, file, fields: Vec::new(), refusals: 0 });
+                }
+                self.lacking[at].add(&error.lacks, &format!("nodes.{}", node.spec.id));
+            }
+        }
+        self.problems.extend(typed::node_problem(node.spec, &error));
     }
 
     /// An output is wanted when something takes it, when it is kept, and when nothing takes any output of its node.
@@ -358,6 +406,19 @@ impl Planner {
             self.tasks[task].outputs.iter_mut().filter(|output| output.port == port).for_each(|output| output.wanted = true);
         }
     }
+}
+
+/// The metas with example values in the sensor descriptions for fields that these do not state; `None` when that cannot be.
+fn stated(metas: &PortMetas, fields: &[String]) -> Option<PortMetas> {
+    let mut changed: BTreeMap<String, Vec<Meta>> = BTreeMap::new();
+    for (port, meta) in metas.iter() {
+        let meta = match meta {
+            Meta::Sensor(sensor) => Meta::Sensor(Arc::new(with_examples(sensor, fields)?)),
+            other => other.clone(),
+        };
+        changed.entry(port.to_string()).or_default().push(meta);
+    }
+    Some(PortMetas::new(changed))
 }
 
 /// Tells tasks of one plan apart.

@@ -9,6 +9,7 @@ use crate::manifest::{self, Manifest};
 use crate::pipeline::Pipeline;
 use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
 use photocurrent_core::{Catalogue, Digest};
+use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 /// A manifest with its overlays resolved: one pipeline per variant.
@@ -67,11 +68,12 @@ impl Project {
 
 /// The mistakes of all variants, each once: they share most of their text. One that only some variants make says in which.
 pub(crate) fn distinct(common: Vec<Problem>, variants: Vec<(&str, Vec<Problem>)>) -> Vec<Problem> {
-    let same = |a: &Problem, b: &Problem| a.at == b.at && a.message == b.message;
     let mut seen: Vec<(Problem, Vec<&str>)> = Vec::new();
+    let mut place: HashMap<Mark, usize> = HashMap::new();
     let count = variants.len();
     for (variant, problem) in variants.into_iter().flat_map(|(variant, problems)| problems.into_iter().map(move |problem| (variant, problem))) {
-        match seen.iter_mut().find(|(other, _)| same(other, &problem)) {
+        let at = *place.entry(mark(&problem)).or_insert(seen.len());
+        match seen.get_mut(at) {
             Some((_, of)) if of.last() != Some(&variant) => of.push(variant),
             Some(_) => {}
             None => seen.push((problem, vec![variant])),
@@ -84,13 +86,19 @@ pub(crate) fn distinct(common: Vec<Problem>, variants: Vec<(&str, Vec<Problem>)>
         }
         _ => problem,
     });
-    let mut all: Vec<Problem> = Vec::new();
-    for problem in common.into_iter().chain(placed) {
-        if !all.iter().any(|other| same(other, &problem)) {
-            all.push(problem);
-        }
-    }
-    all
+    let mut told: HashSet<Mark> = HashSet::new();
+    common.into_iter().chain(placed).filter(|problem| told.insert(mark(problem))).collect()
+}
+
+/// What two reports of one mistake have in common: text and place, and the words there.
+type Mark = (String, Option<(String, usize, usize, String)>);
+
+fn mark(problem: &Problem) -> Mark {
+    let at = problem.at.as_ref().map(|at| {
+        let words: String = at.source.text.get(at.span.clone()).unwrap_or_default().chars().take(200).collect();
+        (at.source.name.clone(), at.span.start, at.span.end, words)
+    });
+    (problem.message.clone(), at)
 }
 
 /// Lays one document over another, with the rule for a changed `kind`.

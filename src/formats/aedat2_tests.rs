@@ -115,7 +115,7 @@ fn a_file_cut_anywhere_gives_its_whole_records_and_a_loss() {
         let (events, losses) = with(&bytes[..length], &Declared::default(), |recording| read(&recording.unwrap()));
         let whole = (length - DVS128.len()) / 8;
         assert_eq!(events, all[..whole]);
-        assert_eq!(losses.len(), usize::from((length - DVS128.len()) % 8 != 0));
+        assert_eq!(losses.len(), usize::from(!(length - DVS128.len()).is_multiple_of(8)));
     }
 }
 

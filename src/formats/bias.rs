@@ -1,8 +1,8 @@
 //! Settings of Prophesee sensors: `.bias` files and the JSON of camera settings.
 //!
-//! A `.bias` file has lines `value % name`, with lines of `% comment` between; new software writes JSON with the list `ll_biases_state.bias`. The values are settings of
-//! the sensor's current sources and comparators, in units of its own that differ between generations: no threshold in log units follows
-//! from them without a calibration, so none is computed here. They are facts for people, and for whoever has measured his own sensor.
+//! A `.bias` file has lines `value % name`, with lines of `% comment` between; new software writes JSON with the list `ll_biases_state.bias`.
+//! The values set the sensor's current sources and comparators, in units of its own that differ between generations: no threshold in log units
+//! follows from them without a calibration, so none is computed here. They are facts for people, and for those who have measured their sensor.
 
 use crate::error::FormatError;
 use serde_json::Value;
@@ -76,9 +76,9 @@ fn parse_json(path: &Path, text: &str) -> Result<Biases, FormatError> {
     list.iter().enumerate().map(|(n, bias)| of(bias).ok_or_else(|| wrong(format!("`{bias}`")).at(format!("bias {n}")))).collect()
 }
 
-/// The settings that stand beside a recording under its name, as the camera's software leaves them; as a fact for people. A file that is
+/// The settings that stand next to a recording under its name, as the camera's software leaves them; as a fact for people. A file that is
 /// none is passed over: it is not part of the recording.
-pub(crate) fn beside(recording: &Path) -> Option<(String, String)> {
+pub(crate) fn next_to(recording: &Path) -> Option<(String, String)> {
     let biases = read(&recording.with_extension("bias")).ok()?;
     let list: Vec<String> = biases.iter().map(|(name, value)| format!("{name} {value}")).collect();
     Some(("biases".into(), format!("{} (settings in the sensor's own units; thresholds need a calibration)", list.join(", "))))

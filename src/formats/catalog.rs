@@ -8,11 +8,24 @@ use crate::hdf;
 /// Every format, in the order in which a file is held against them.
 pub static FORMATS: &[&Format] = &[
     // By a signature.
+    &crate::aedat4::FORMAT,
+    &crate::aedat2::FORMAT,
+    &crate::event_stream::FORMAT,
     &crate::evt::EVT2,
     &crate::evt::EVT21,
     &crate::evt::EVT3,
     &crate::evt::DAT,
+    &crate::rosbag::FORMAT,
+    &crate::mcap::FORMAT,
     &crate::npz::FORMAT,
+    // By what an HDF5 file holds.
+    &hdf::recording::FORMAT,
+    &hdf::prophesee::FORMAT,
+    &hdf::m3ed::FORMAT,
+    &hdf::mvsec::FORMAT,
+    &hdf::event_utils::FORMAT,
+    &hdf::dsec::FORMAT,
+    &hdf::v2e::FORMAT,
     // By what stands in a folder.
     &crate::event_camera_dataset::FORMAT,
     &crate::hs_ergb::FORMAT,
@@ -21,13 +34,3 @@ pub static FORMATS: &[&Format] = &[
     // By what it looks like.
     &crate::csv::FORMAT,
 ];
-pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT];
-    &hdf::recording::FORMAT,
-    &hdf::prophesee::FORMAT,
-    &hdf::m3ed::FORMAT,
-    &hdf::mvsec::FORMAT,
-    &hdf::event_utils::FORMAT,
-    &hdf::dsec::FORMAT,
-    &hdf::v2e::FORMAT,
-];
-pub static FORMATS: &[&Format] = &[&crate::aedat4::FORMAT, &crate::aedat2::FORMAT, &crate::event_stream::FORMAT];

@@ -9,6 +9,7 @@
 //! - [`evt`]: Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT; [`bias`]: settings of these sensors.
 //! - [`survey`]: one pass over a recording: everything that a person, or the judge of hazards, wants to know.
 //! - [`hazard`]: what is wrong or unknown, with evidence and what to do.
+//! - [`rosbag`], [`mcap`]: bags of ROS 1 and MCAP files, whose messages and chunks [`ros`] reads.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one. [`losses`]: a list of such that stays short.
@@ -17,11 +18,11 @@
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
 
+pub mod aedat2;
+pub mod aedat4;
 pub mod arrange;
 pub mod bias;
 pub mod calibration;
-pub mod aedat2;
-pub mod aedat4;
 pub mod catalog;
 pub mod chunk;
 pub mod csv;
@@ -29,21 +30,24 @@ mod decimal;
 pub mod declared;
 pub mod error;
 pub mod event_camera_dataset;
+pub mod event_stream;
 pub mod event_utils_memmap;
 mod evidence;
 pub mod evt;
-pub mod event_stream;
 pub mod format;
 pub mod gather;
 pub mod hazard;
+pub mod hdf;
 pub mod hs_ergb;
 pub mod joined;
+pub mod losses;
+pub mod mcap;
 mod npy;
 pub mod npz;
 pub mod pictures;
-pub mod losses;
-pub mod hdf;
 pub mod recording;
+pub mod ros;
+pub mod rosbag;
 pub mod survey;
 mod tally;
 mod text;

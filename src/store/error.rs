@@ -1,5 +1,6 @@
 //! Everything that can go wrong between memory and disk, each with its file, what was found and what to do next.
 
+use photocurrent_core::document::Problem;
 use photocurrent_core::{DataError, NodeError};
 use std::path::{Path, PathBuf};
 
@@ -52,6 +53,14 @@ pub enum StoreError {
         /// What to do next.
         hint: String,
     },
+    /// Several things in the file are not as its format says; each stands for itself.
+    #[error("{}: {} mistakes\n{}", path.display(), mistakes.len(), mistakes.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
+    Several {
+        /// The file.
+        path: PathBuf,
+        /// Two or more, in the order of the format.
+        mistakes: Vec<StoreError>,
+    },
     /// An entry of the cache does not hold what its name promises; a run makes it again.
     #[error("{}: damaged cache entry: {why}", path.display())]
     Damaged {
@@ -93,9 +102,45 @@ impl StoreError {
     /// Would running the node again mend it? True for what is wrong with one entry of the cache, false for a full disk.
     pub fn is_damage(&self) -> bool {
         match self {
-            StoreError::Damaged { .. } | StoreError::NotReadable { .. } | StoreError::Content { .. } | StoreError::Library { .. } => true,
+            StoreError::Damaged { .. }
+            | StoreError::NotReadable { .. }
+            | StoreError::Content { .. }
+            | StoreError::Library { .. }
+            | StoreError::Several { .. } => true,
             StoreError::Io { source, .. } => source.kind() == std::io::ErrorKind::NotFound,
             StoreError::Misuse { .. } | StoreError::Source(_) | StoreError::Busy { .. } => false,
+        }
+    }
+}
+
+/// Collects what is wrong with a file, so that all of it is told at once.
+#[derive(Debug, Default)]
+pub(crate) struct Mistakes {
+    found: Vec<StoreError>,
+}
+
+impl Mistakes {
+    /// The value, or its mistakes noted.
+    pub fn take<T>(&mut self, result: Result<T, StoreError>) -> Option<T> {
+        match result {
+            Ok(value) => return Some(value),
+            Err(StoreError::Several { mistakes, .. }) => self.found.extend(mistakes),
+            Err(error) => self.found.push(error),
+        }
+        None
+    }
+
+    /// Nothing wrong so far?
+    pub fn is_empty(&self) -> bool {
+        self.found.is_empty()
+    }
+
+    /// Everything noted, as one error.
+    pub fn finish(mut self, path: &Path) -> Result<(), StoreError> {
+        match self.found.len() {
+            0 => Ok(()),
+            1 => Err(self.found.remove(0)),
+            _ => Err(StoreError::Several { path: path.into(), mistakes: self.found }),
         }
     }
 }
@@ -113,6 +158,14 @@ impl From<StoreError> for NodeError {
                 NodeError::input(format!("{}: {at}: found {found}, expected {expected}", path.display())).hint(hint)
             }
             StoreError::NotReadable { path, found, hint } => NodeError::input(format!("{}: {found}", path.display())).hint(hint),
+            StoreError::Several { path, mistakes } => {
+                let count = mistakes.len();
+                let problems = mistakes.into_iter().map(|mistake| {
+                    let error = NodeError::from(mistake);
+                    Problem { notes: error.notes, help: error.hint, ..Problem::new(error.message) }
+                });
+                NodeError::input(format!("{}: {count} things are not as the format says", path.display())).problems(problems.collect())
+            }
             StoreError::Misuse { .. } => NodeError::failed(error.to_string()),
             StoreError::Source(error) => error.into(),
             other => NodeError::files(other.to_string()),

@@ -1,6 +1,7 @@
 //! Where data live on disk: recordings that come from outside, artefacts that the tool makes, and the cache that names them.
 //!
 //! - [`recording`]: the documented HDF5 recording, `photocurrent-recording/1`; read by row band, checked while reading.
+//! - [`stream`]: recordings and DSEC's layout, written as the events come.
 //! - [`layout`]: one HDF5 layout per type of value, `photocurrent-artefact/1`; written band by band, read lazily.
 //! - [`cache`]: key -> record -> content, safe for several processes and for a kill at any moment.
 //! - [`foreign`]: HDF5 files of other programs, looked at and read with care.
@@ -16,6 +17,7 @@ pub mod foreign;
 mod hdf;
 pub mod layout;
 pub mod recording;
+pub mod stream;
 mod threads;
 
 pub use cache::{
@@ -23,7 +25,7 @@ pub use cache::{
 };
 pub use error::StoreError;
 pub use layout::{ValueWriter, open_value};
-pub use recording::{DnCode, DnType, Inspection, Recording, RecordingContent, write_recording, write_rendered};
+pub use recording::{DnCode, DnType, Inspection, Recording, RecordingContent, format_attribute, write_recording, write_rendered};
 
 /// The version that is written into every file and record.
 pub const TOOL_VERSION: &str = env!("CARGO_PKG_VERSION");

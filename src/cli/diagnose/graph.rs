@@ -2,12 +2,12 @@
 
 use crate::args::DiagnoseOptions;
 use crate::common::{Failure, failed_nodes};
+use crate::file_kind::{FileKind, Reader};
 use crate::progress::Watcher;
 use crate::run::stop_on_signal;
 use photocurrent_core::Digest;
 use photocurrent_diagnosis::case::Case;
 use photocurrent_engine::{End, Options, Outcome, Plan, Selection};
-use photocurrent_nodes::read::is_aedat4;
 use photocurrent_store::Cache;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -49,7 +49,7 @@ pub fn run(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Resu
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let out_dir = folder.join("out");
     let how = Options { threads, out_dir: out_dir.clone(), ..defaults };
-    let outcome = photocurrent_engine::run(&plan, &cache, &how, &Watcher::new(&plan, options.quiet), &cancel);
+    let outcome = photocurrent_engine::run(&plan, &cache, &how, &Watcher::new(&plan, options.progress, options.quiet), &cancel);
     if outcome.exit_code() != 0 {
         failed_nodes(&outcome);
         return Ok(Err(outcome.exit_code()));
@@ -81,8 +81,11 @@ fn plan(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Plan, F
 
 /// What is laid over the wiring.
 fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
-    let kind = if is_aedat4(&options.recording) { "read/aedat4" } else { "read/recording" };
-    // A description knows the row time of frames that do not state it; DAVIS cameras have a global shutter without one.
+    let kind = match FileKind::of(&options.recording) {
+        FileKind::Recording(Reader::Format(format)) => format!("read/{}", format.id),
+        _ => "read/recording".into(),
+    };
+    // A description knows the row time of frames that do not state it.
     let row_time = case.sensor.frames.row_time.map(|row_time| format!(", row_time = \"{row_time}\"")).unwrap_or_default();
     let mut text = format!("format = 1\nextends = \"wiring.toml\"\n[pipeline]\nseed = {}\n", options.seed);
     text += &format!("[nodes.recording]\nkind = \"{kind}\"\nparams = {{ path = {}{row_time} }}\n", quoted(&options.recording)?);

@@ -5,6 +5,7 @@ mod graph;
 use crate::args::DiagnoseOptions;
 use crate::case::{self, Unread, usage};
 use crate::common::{Done, Failure, human_seconds, print};
+use crate::file_kind::need_recording;
 use photocurrent_diagnosis::diagnose::broken;
 use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::nominal::Nominal;
@@ -30,6 +31,7 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     let folder = options.out.clone().unwrap_or_else(|| Path::new("out").join(options.recording.file_stem().unwrap_or_default()));
     check_free(&folder)?;
     check_knowledge(options)?;
+    need_recording(&options.recording, "diagnose")?;
     // What is wrong with the input is told in the words of this command, before the graph begins.
     let case = match case::read(&options.recording, options.sensor.as_deref()) {
         Ok(case) => case,

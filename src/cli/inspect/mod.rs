@@ -1,4 +1,4 @@
-//! `photocurrent inspect`: what recordings hold, and what is wrong with them or not known; and the recording half of `check`.
+//! `photocurrent inspect`: what recordings hold, and what is wrong with them or not known.
 //!
 //! Files are recognised by their content. A recording of any format is read once ([`photocurrent_formats::survey`]) and judged
 //! ([`photocurrent_formats::hazard`]); a cached artefact says what it is. Hazards do not fail the command: exit code 0 when files are readable, 3 when one is damaged
@@ -8,6 +8,7 @@ mod screen;
 
 use crate::args::InspectOptions;
 use crate::common::{Done, Failure, print, print_json};
+use crate::file_kind::need_data;
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Value;
 use photocurrent_formats::hazard::{self, Finding, Limits};
@@ -15,7 +16,6 @@ use photocurrent_formats::survey::{Most, Survey, survey};
 use photocurrent_formats::{Declared, Format, FormatError, joined, recognise};
 use photocurrent_nodes::read::foreign::All;
 use photocurrent_store::open_value;
-use photocurrent_store::recording::Recording;
 use serde_json::json;
 use std::io::IsTerminal;
 use std::path::Path;
@@ -63,6 +63,7 @@ pub fn inspect(options: &InspectOptions) -> Done {
 
 /// Text, JSON and exit code of one file.
 fn one(path: &Path, state: &[String], quiet: bool) -> Result<(String, serde_json::Value, u8), Failure> {
+    need_data(path, "inspect")?;
     let file = path.display().to_string();
     let Some(format) = recognise(path).map_err(|error| Failure::Other { message: error.to_string(), code: 2 })? else {
         let value = open_value(path).map_err(|_| unknown(path))?;
@@ -104,6 +105,14 @@ fn look(path: &Path, format: &'static Format, declared: &Declared, quiet: bool) 
     Ok(Seen { format, bytes, survey, findings })
 }
 
+/// What is to be said of a recording of any format, for those who decide by it.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn hazards(path: &Path, format: &'static Format, declared: &Declared) -> Result<Vec<Finding>, FormatError> {
+    look(path, format, declared, true).map(|seen| seen.findings)
+}
+
 /// A refusal of a reader: 2 where the user must state something, 3 where the file is damaged.
 fn refused(error: &FormatError) -> Failure {
     let state = error.undeclared.map(|field| format!("\n  hint: --state {field}=...")).unwrap_or_default();
@@ -133,21 +142,4 @@ fn artefact(value: &Value, file: &str) -> Result<(String, serde_json::Value), Fa
         text.push_str(&serde_json::to_string_pretty(&meta).map_err(|error| Failure::other(error.to_string()))?);
     }
     Ok((text, object))
-}
-
-/// Reads a whole recording and says whether it keeps to its format; exit code 3 when it does not.
-pub fn check_recording(path: &Path) -> Done {
-    let checked = Recording::open(path).and_then(|recording| {
-        for rows in recording.extent().rows().bands(64) {
-            recording.read_events(rows)?;
-        }
-        Ok(recording)
-    });
-    match checked {
-        Ok(recording) => {
-            eprintln!("{}: {} events, {} frames, no mistake found", path.display(), recording.event_count(), recording.exposures().map_or(0, <[_]>::len));
-            Ok(0)
-        }
-        Err(error) => Err(Failure::Other { message: error.to_string(), code: 3 }),
-    }
 }

@@ -76,7 +76,9 @@ fn of_events(events: &EventsSurvey) -> String {
         let _ = write!(text, "; {} of the pixels fire", percent(places.active_pixels as f64 / events.pixels().max(1) as f64));
     }
     let _ = writeln!(text, "{}", if places.hot_pixels > 0 { format!(", {} of them hot", places.hot_pixels) } else { String::new() });
-    events.notes.iter().for_each(|note| drop(writeln!(text, "{:<9}{note}", "")));
+    for note in &events.notes {
+        let _ = writeln!(text, "{:<9}{note}", "");
+    }
     text
 }
 
@@ -110,7 +112,9 @@ fn of_frames(frames: &FramesSurvey) -> String {
         Short(values.mean),
         if values.read.len() as u64 == frames.count { "all frames".to_owned() } else { format!("{} frames", values.read.len()) }
     );
-    frames.notes.iter().for_each(|note| drop(writeln!(text, "{:<9}{note}", "")));
+    for note in &frames.notes {
+        let _ = writeln!(text, "{:<9}{note}", "");
+    }
     text
 }
 

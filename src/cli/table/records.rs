@@ -3,6 +3,7 @@
 use super::usage;
 use crate::args::Pooled;
 use crate::common::Failure;
+use crate::file_kind::FileKind;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -64,7 +65,11 @@ pub fn read(sources: &[PathBuf], choice: &Choice) -> Result<Vec<Record>, Failure
 fn find(source: &Path, by_frame: bool) -> Result<(PathBuf, String), Failure> {
     let file = if by_frame { "metrics.jsonl" } else { "metrics.pooled.jsonl" };
     let name = |path: &Path| path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-    if source.extension().is_some_and(|extension| extension == "toml") {
+    let kind = FileKind::of(source);
+    if matches!(kind, FileKind::Recording(_) | FileKind::Artefact | FileKind::Sensor | FileKind::Diagnosis) {
+        return Err(kind.refuse(source, "table", "a manifest that was run, a folder with scores, or a file of scores"));
+    }
+    if matches!(kind, FileKind::Manifest) || source.extension().is_some_and(|extension| extension == "toml") {
         let stem = source.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         if !source.exists() {
             return Err(usage(format!(

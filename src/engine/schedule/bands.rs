@@ -67,6 +67,17 @@ pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> 
     Bands { rows, bands: rows.bands(height), halo, estimate: need(height) }
 }
 
+/// About how many bytes the outputs of a task's smallest piece take: a row where the node may be cut, else everything.
+pub(crate) fn least_bytes(task: &Task) -> u64 {
+    let all: u64 = task.stored().map(|output| output.meta.estimated_bytes()).fold(0, u64::saturating_add);
+    let rows = task.stored().next().and_then(|output| output.meta.rows());
+    let same_rows = task.stored().all(|output| output.meta.rows() == rows);
+    match (task.grain, rows) {
+        (Grain::Pixel | Grain::Row { .. }, Some(rows)) if same_rows && task.export.is_none() && !rows.is_empty() => all / rows.len() as u64,
+        _ => all,
+    }
+}
+
 /// The largest height that fits, and 1 when none does. More rows never need less, so halving finds it.
 fn tallest(all: u32, share: u64, need: &dyn Fn(u32) -> u64) -> u32 {
     let (mut fits, mut too_tall) = (1, all + 1);

@@ -16,6 +16,7 @@ use crate::export;
 use crate::observer::{End, Observer};
 use crate::outcome::{Outcome, TaskOutcome};
 use crate::plan::{Plan, TaskId};
+pub(crate) use bands::least_bytes;
 use photocurrent_store::Cache;
 use state::{Claim, Phase, State};
 use std::collections::BTreeSet;
@@ -57,6 +58,16 @@ pub fn default_memory() -> u64 {
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
     let kilobytes = line.and_then(|line| line.trim().trim_end_matches("kB").trim().parse::<u64>().ok());
     kilobytes.map_or(4 << 30, |kilobytes| kilobytes * 1024 / 2)
+}
+
+/// All memory that this process may ever have: the machine's, or less where a control group says so. `None` when neither is known.
+pub fn machine_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"));
+    let total = line.and_then(|line| line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()).map(|kilobytes| kilobytes * 1024);
+    let limits = ["/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"];
+    let limits = limits.iter().filter_map(|path| std::fs::read_to_string(path).ok()?.trim().parse::<u64>().ok());
+    limits.chain(total).min()
 }
 
 /// What the workers share.

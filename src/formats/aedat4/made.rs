@@ -117,10 +117,10 @@ pub fn frame(stream: u32, stamp: i64, exposure: (i64, i64), format: i8, size: (i
     piece(stream, flat_table(b"FRME", &fields, &vector(pixels.len(), pixels)), 1, (stamp, stamp))
 }
 
-/// Triggers: stamp in us, kind.
+/// Triggers: stamp in us, kind. Each is a table of its own.
 pub fn triggers(stream: u32, signals: &[(i64, u8)]) -> Piece {
-    let bytes: Vec<u8> = signals.iter().flat_map(|(t, kind)| [&t.to_le_bytes()[..], &[*kind], &[0; 7]].concat()).collect();
-    piece(stream, flat_table(b"TRIG", &[vec![0; 4]], &vector(signals.len(), &bytes)), signals.len(), (0, 0))
+    let rows: Vec<Vec<u8>> = signals.iter().map(|(t, kind)| [&[*kind, 0, 0, 0][..], &t.to_le_bytes()].concat()).collect();
+    piece(stream, rows_table(b"TRIG", &[8, 16, 8, 4], &rows), signals.len(), (0, 0))
 }
 
 /// The head of a file: `streams` are kind, width, height.
@@ -156,12 +156,18 @@ pub fn file(how: How, streams: &[(&str, u32, u32)], pieces: &[Piece], with_table
     bytes
 }
 
-/// Rows: place of the content, stream, length, elements, first and last stamp. Every row is a table of its own: distance to its list of fields,
-/// then the fields; one list of fields serves all.
+/// Rows: place of the content, stream, length, elements, first and last stamp.
 fn data_table(rows: &[(i64, i32, i32, i64, (i64, i64))]) -> Vec<u8> {
-    let list: [u16; 7] = [14, 44, 4, 12, 20, 28, 36];
+    let row = |(at, stream, length, elements, span): &(i64, i32, i32, i64, (i64, i64))| {
+        [&at.to_le_bytes()[..], &stream.to_le_bytes(), &length.to_le_bytes(), &elements.to_le_bytes(), &span.0.to_le_bytes(), &span.1.to_le_bytes()].concat()
+    };
+    rows_table(b"FTAB", &[14, 44, 4, 12, 20, 28, 36], &rows.iter().map(row).collect::<Vec<_>>())
+}
+
+/// A table whose one field is a vector of tables: `list` is the list of fields that serves all of those, `rows` are their bytes behind the distance to it.
+fn rows_table(identifier: &[u8; 4], list: &[u16], rows: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = 40u32.to_le_bytes().to_vec();
-    bytes.extend(b"FTAB");
+    bytes.extend(identifier);
     list.iter().for_each(|entry| bytes.extend(entry.to_le_bytes()));
     // The root's list of one field, at 24; the root at 40.
     bytes.resize(24, 0);
@@ -171,14 +177,12 @@ fn data_table(rows: &[(i64, i32, i32, i64, (i64, i64))]) -> Vec<u8> {
     bytes.extend(4u32.to_le_bytes());
     bytes.extend((rows.len() as u32).to_le_bytes());
     let start = bytes.len();
-    let row_at = |k: usize| start + 4 * rows.len() + 44 * k;
+    let size = 4 + rows.first().map_or(0, Vec::len);
+    let row_at = |k: usize| start + 4 * rows.len() + size * k;
     (0..rows.len()).for_each(|k| bytes.extend(((row_at(k) - start - 4 * k) as u32).to_le_bytes()));
-    for (k, (at, stream, length, elements, span)) in rows.iter().enumerate() {
+    for (k, row) in rows.iter().enumerate() {
         bytes.extend((row_at(k) as i32 - 8).to_le_bytes());
-        bytes.extend(at.to_le_bytes());
-        bytes.extend(stream.to_le_bytes());
-        bytes.extend(length.to_le_bytes());
-        [*elements, span.0, span.1].iter().for_each(|value| bytes.extend(value.to_le_bytes()));
+        bytes.extend(row);
     }
     bytes
 }

@@ -1,6 +1,6 @@
 //! Trigger signals of an AEDAT4 file.
 //!
-//! A packet (`TRIG`) is one vector of structures of 16 bytes: stamp in microseconds (i64), kind (i8). Kinds 1 and 2 are edges on the input of the camera, 4 and
+//! A packet (`TRIG`) is one vector of tables: stamp in microseconds (i64), kind (i8). Kinds 1 and 2 are edges on the input of the camera, 4 and
 //! 5 edges of its own signal generator; 6 to 9 are begin and end of frames and exposures: signals of the camera about itself, no edges of a line.
 
 use super::Inner;
@@ -62,14 +62,17 @@ impl Triggers {
         if !chain.load(packet, usize::MAX, &mut self.losses)? {
             return Ok(());
         }
-        let Some(signals) = Table::root(chain.content(), b"TRIG").and_then(|table| table.vector(0, 16)) else {
+        let content = chain.content();
+        // Pointers to one and the same table would be more triggers than the packet can hold: each takes sixteen bytes.
+        let root = Table::root(content, b"TRIG").filter(|table| table.vector(0, 4).is_some_and(|pointers| 4 * pointers.len() <= content.len()));
+        let Some(root) = root.filter(|table| table.tables(0).all(|signal| signal.is_some())) else {
             chain.spoiled(packet, "it is not the table of triggers that it should be", &mut self.losses);
             return Ok(());
         };
-        for signal in signals.as_chunks::<16>().0 {
-            let [time @ .., _, _, _, _, _, _, _, _] = *signal;
-            let kind = usize::from(signal[8]);
-            let (Some(t), true) = (i64::from_le_bytes(time).checked_mul(1000), kind < KINDS.len()) else {
+        for signal in root.tables(0).flatten() {
+            let kind = signal.i8(1);
+            let known = usize::try_from(kind).ok().filter(|&kind| kind < KINDS.len());
+            let (Some(t), Some(kind)) = (signal.i64(0).checked_mul(1000), known) else {
                 self.losses.add("packets with impossible triggers", packet.place(), format!("a trigger of kind {kind} is left out"));
                 continue;
             };

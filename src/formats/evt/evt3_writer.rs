@@ -1,6 +1,6 @@
 //! Writes events as an EVT3 RAW file.
 //!
-//! Time words are written for every 4,096 us, also through a gap without events: decoders tell a wrap of the 24 bits only by the step from one time
+//! Time words are written for every 4,096 us, also through a gap without events: decoders know a wrap of the 24 bits only by the step from one time
 //! word to the next. Events of one time, row and polarity that stand within 12 columns become a vector where that saves a word.
 //!
 //! Limits: stamps are whole microseconds, below 16.777216 s at the first event (what was subtracted is given back by [`Writer::shift_ns`]); columns
@@ -148,7 +148,7 @@ impl<W: Write> Writer<W> {
         if !self.has_low {
             self.word(8, (to & 0xFFF) as u16);
         } else if us - self.us > LONGEST_GAP_US {
-            return Err(refused(format!("no event for {} hours before {t} ns: EVT3 cannot tell so long a gap", (us - self.us) / 3_600_000_000)));
+            return Err(refused(format!("no event for {} hours before {t} ns: EVT3 has no room for so long a gap", (us - self.us) / 3_600_000_000)));
         }
         let mut high = if self.has_low { from } else { to };
         while high < to {

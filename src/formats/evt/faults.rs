@@ -46,7 +46,7 @@ pub(crate) const BURST: usize = 768;
 
 /// Events on their way out.
 ///
-/// Every word writes into it, whether it is an event or not, and only the count tells whether the write stands: a branch on the kind of
+/// Every word writes into it, whether it is an event or not, and only the count decides whether the write stands: a branch on the kind of
 /// a word would be mispredicted about every fifth time. The index is masked, so that no write needs a check of bounds.
 pub(crate) struct Buffer {
     t: [i64; N],

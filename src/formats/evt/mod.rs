@@ -15,12 +15,12 @@ mod evt2;
 mod evt3;
 pub mod evt3_writer;
 mod faults;
+#[cfg(test)]
+mod file_tests;
 mod header;
 mod raw;
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod tests_files;
 
 pub use dat::{DatDecoder, DatLayout};
 pub use evt2::{Evt2Decoder, Evt21Decoder};
@@ -78,7 +78,7 @@ fn is_dat(probe: &Probe) -> bool {
     known && record && header.get("evt").is_none() && header.get("format").is_none()
 }
 
-/// What is known of a file beside its words: the extent, stated by the user or the file, and how it was found.
+/// What is known of a file without its words: the extent, stated by the user or the file, and how it was found.
 fn size(header: &Header, declared: &Declared) -> (Option<Extent>, Vec<String>) {
     match (declared.extent, header.extent()) {
         (Some(extent), _) => (Some(extent), Vec::new()),
@@ -125,7 +125,7 @@ fn open_dat(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, Form
         [kind, size, ..] => {
             let at = format!("byte {}", header.data_at);
             let found = format!("records of type {kind} and {size} bytes");
-            let hint = "only files of change events are read; type 14 holds trigger edges, which a RAW file has beside its events";
+            let hint = "only files of change events are read; type 14 holds trigger edges, which a RAW file has among its events";
             return Err(FormatError::new(path, found, hint).at(at).expected("type 0 or 12 and 8 bytes"));
         }
         _ => return Err(FormatError::new(path, "the file ends with its header", "copy the file again").at(format!("byte {bytes}"))),

@@ -19,9 +19,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 const PIECE: usize = 1 << 17;
 /// Bytes from one entry of the index to the next.
 const STRIDE: u64 = 1 << 22;
-/// Losses of one kind that are told one by one.
+/// Losses of one kind that are reported one by one.
 const MOST_LOSSES: u64 = 20;
-/// Bytes that are looked at to tell the layout of a DAT file.
+/// Bytes from which the layout of a DAT file is found.
 pub(super) const LOOK: usize = 1 << 15;
 
 /// Reads at most so many bytes from a place of a file.
@@ -64,13 +64,13 @@ struct Raw<D> {
     index: Arc<Mutex<Vec<Mark<D>>>>,
 }
 
-/// What is known of the events beside the decoder.
+/// What is known of the events without the decoder.
 pub(super) struct About {
     pub encoding: String,
     pub stamps: String,
     pub extent: Option<Extent>,
     pub notes: Vec<String>,
-    /// Is every word an event, so that the size of the file tells their number?
+    /// Is every word an event, so that the number of events follows from the size of the file?
     pub is_counted: bool,
 }
 
@@ -82,7 +82,7 @@ pub(super) fn open<D: Decoder>(path: &Path, header: &Header, bytes: u64, known: 
     let about = EventsAbout { extent, tick_ns: 1000, count, has_t_in: false, stamps: known.stamps, notes: known.notes };
     let mut facts = vec![("encoding".to_owned(), known.encoding)];
     facts.extend(header.facts());
-    facts.extend(bias::beside(path));
+    facts.extend(bias::next_to(path));
     let start = Mark { at: data_at, decoder, latest: i64::MIN };
     Box::new(Raw { path: path.into(), data_at, about, extent, facts, index: Arc::new(Mutex::new(vec![start])) })
 }
@@ -149,7 +149,7 @@ struct Cursor<D> {
     data_at: u64,
     /// Where it stands.
     mark: Mark<D>,
-    /// Faults of the decoder that have been told, or belong to what was not read.
+    /// Faults of the decoder that have been reported, or belong to what was not read.
     known: Faults,
     piece: Vec<u8>,
     /// Edges of the last piece.
@@ -189,8 +189,8 @@ impl<D: Decoder> Cursor<D> {
         }
     }
 
-    /// Tells what the decoder left out in the piece before the mark.
-    fn tell_faults(&mut self, begin: u64) {
+    /// Reports what the decoder left out in the piece before the mark.
+    fn report_faults(&mut self, begin: u64) {
         let now = *self.mark.decoder.faults();
         if now != self.known {
             self.losses.add(begin..self.mark.at, self.known, now);
@@ -209,7 +209,7 @@ impl<D: Decoder> EventCursor for Cursor<D> {
         let begin = self.mark.at;
         self.mark.at += used as u64;
         self.mark.latest = chunk.t.iter().copied().fold(self.mark.latest, i64::max);
-        self.tell_faults(begin);
+        self.report_faults(begin);
         let left = read - used;
         if left > 0 {
             // Only the end of the file is no whole word. Some programs end a file with a line feed.
@@ -235,7 +235,7 @@ impl<D: Decoder> EventCursor for Cursor<D> {
         if !is_last {
             return Ok(());
         }
-        // Beyond the index: it grows until it covers the time, or the file ends. What is left out on the way is not told; it will be when it is read.
+        // Beyond the index: it grows until it covers the time, or the file ends. What is left out on the way is reported when it is read.
         let losses = self.losses.clone();
         let mut chunk = EventChunk::default();
         while self.mark.latest < t_ns && self.next(&mut chunk)? {}
@@ -253,19 +253,19 @@ impl<D: Decoder> EventCursor for Cursor<D> {
     }
 }
 
-/// What was left out, told one by one up to a number, then in all.
+/// What was left out, reported one by one up to a number, then in all.
 #[derive(Clone)]
 struct Losses {
     extent: Option<Extent>,
     all: Vec<Loss>,
-    /// How many of each kind were found, and where in `all` the one stands that tells how many more.
-    told: [(u64, Option<usize>); 4],
+    /// How many of each kind were found, and where in `all` the one stands that counts the others.
+    reported: [(u64, Option<usize>); 4],
     has_tail: bool,
 }
 
 impl Losses {
     fn new(extent: Option<Extent>) -> Losses {
-        Losses { extent, all: Vec::new(), told: [(0, None); 4], has_tail: false }
+        Losses { extent, all: Vec::new(), reported: [(0, None); 4], has_tail: false }
     }
 
     fn what(&self, kind: usize, n: u64) -> String {
@@ -284,17 +284,17 @@ impl Losses {
         for (kind, (known, now)) in known.counts().into_iter().zip(now.counts()).enumerate() {
             let Some(n) = now.checked_sub(known).filter(|&n| n > 0) else { continue };
             let at = format!("bytes {} to {}", bytes.start, bytes.end);
-            // A place that is read again after a jump is told once.
+            // A place that is read again after a jump is reported once.
             if self.all.iter().any(|loss| loss.at == at && loss.what == self.what(kind, n)) {
                 continue;
             }
-            self.told[kind].0 += 1;
-            let more = self.told[kind].0.saturating_sub(MOST_LOSSES);
-            match self.told[kind].1 {
+            self.reported[kind].0 += 1;
+            let more = self.reported[kind].0.saturating_sub(MOST_LOSSES);
+            match self.reported[kind].1 {
                 _ if more == 0 => self.all.push(Loss { at, what: self.what(kind, n) }),
                 Some(place) => self.all[place] = Loss { at: format!("{more} more places"), what: self.what(kind, now) + " (in all)" },
                 None => {
-                    self.told[kind].1 = Some(self.all.len());
+                    self.reported[kind].1 = Some(self.all.len());
                     self.all.push(Loss { at: format!("{more} more places"), what: self.what(kind, now) + " (in all)" });
                 }
             }

@@ -241,7 +241,8 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_a_header_or_none(bytes in proptest::collection::vec(any::<u8>(), 0..300), text in "(% (evt|format|geometry|system_ID|Version|endianness) [0-9a-zEVT.=;x -]{0,30}\n){0,4}") {
+    fn any_bytes_are_a_header_or_none(bytes in proptest::collection::vec(any::<u8>(), 0..300),
+                                         text in "(% (evt|format|geometry|system_ID|Version|endianness) [0-9a-zEVT.=;x -]{0,30}\n){0,4}") {
         let Some(header) = Header::parse(&[text.as_bytes(), &bytes].concat()) else {
             prop_assert!(text.is_empty());
             return Ok(());
@@ -264,7 +265,8 @@ proptest! {
         let shift = writer.shift_ns();
         let file = writer.finish().expect("a file");
         let header = Header::parse(&file).expect("a header");
-        prop_assert_eq!((header.encoding(), header.extent(), header.get("serial_number")), (Some(Encoding::Evt3), Some((Extent { width: 40, height: 4 }, None)), Some("12")));
+        let expected = (Some(Encoding::Evt3), Some((Extent { width: 40, height: 4 }, None)), Some("12"));
+        prop_assert_eq!((header.encoding(), header.extent(), header.get("serial_number")), expected);
         let (mut read, mut decoder) = (EventChunk::default(), Evt3Decoder::new());
         decoder.decode(&file[header.data_at..], &mut read, &mut Vec::new());
         chunk.t.iter_mut().for_each(|t| *t = *t - 999 - shift);

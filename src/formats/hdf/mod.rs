@@ -22,6 +22,7 @@ pub mod recording;
 mod stack;
 mod table;
 pub mod v2e;
+pub mod write;
 
 #[cfg(test)]
 mod tests;

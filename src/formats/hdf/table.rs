@@ -56,7 +56,7 @@ impl EventTable {
             // A column may also be written as [N, 1].
             let field = dataset.column(0).filter(|_| matches!(dataset.shape(), [_] | [_, 1])).ok_or_else(wrong)?;
             sources.push(dataset);
-            Ok(Column { source: sources.len() - 1, field })
+            Ok::<Column, FormatError>(Column { source: sources.len() - 1, field })
         };
         let [x, y, t, p] = [column(names[0])?, column(names[1])?, column(names[2])?, column(names[3])?];
         let t_in = t_in.map(&mut column).transpose()?;

@@ -158,3 +158,64 @@ fn prophesee_is_the_same_with_and_without_its_codec() {
         assert_eq!(recording.facts(), [("serial number".to_string(), "00000293".to_string())]);
     }
 }
+
+#[test]
+fn what_is_written_as_dsec_comes_back_and_its_index_keeps_its_promise() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("out.h5");
+    let extent = Extent { width: 1280, height: 720 };
+    let declared = Declared { camera: Some("right".into()), ..Declared::default() };
+    let source = open(&fixture("m3ed.h5"), "m3ed", &declared);
+    let written = super::write::write_dsec(&path, &*source, extent).unwrap();
+    assert_eq!((written.events, written.notes.len(), written.losses.len()), (3000, 0, 0));
+    let back = open(&path, "dsec", &Declared::default());
+    assert_eq!(back.events_about().unwrap().extent, Some(extent));
+    assert_eq!(all(&*back, None), (expected(0..3000, 1280, 720, 0), 0));
+    let file = photocurrent_store::foreign::ForeignFile::open(&path).unwrap();
+    let column = |name: &str| file.dataset(name).unwrap().unwrap().integers().unwrap();
+    let (t, index) = (column("events/t"), column("ms_to_idx"));
+    assert_eq!(index.len(), 2999 * 13 / 1000 + 1);
+    for (ms, &at) in index.iter().enumerate() {
+        let (ms, at) = (ms as i64, at as usize);
+        assert!(t[at] >= ms * 1000 && (at == 0 || t[at - 1] < ms * 1000), "{ms} ms");
+    }
+    // MVSEC's stamps are no whole microseconds, and small pixels do not hold its events.
+    let source = open(&fixture("mvsec.h5"), "mvsec", &Declared::default());
+    let written = super::write::write_dsec(&path, &*source, Extent { width: 346, height: 260 }).unwrap();
+    assert!(written.notes[0].contains("rounded to whole microseconds"), "{:?}", written.notes);
+    assert_eq!(all(&*open(&path, "dsec", &Declared::default()), None).0, expected(0..2000, 346, 260, 1_504_645_177_000_000));
+    let error = super::write::write_dsec(&path, &*source, Extent { width: 300, height: 260 }).err().unwrap().to_string();
+    assert!(error.contains("outside the 300 x 260 pixels"), "{error}");
+    assert_eq!(all(&*open(&path, "dsec", &Declared::default()), None).0.len(), 2000, "what was there stays");
+}
+
+#[test]
+fn a_streamed_recording_is_a_recording() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("out.h5");
+    let source = open(&fixture("event_utils.h5"), "event_utils_hdf5", &Declared::default());
+    let pictures = source.pictures().unwrap();
+    let read = |frame: usize, values: &mut Vec<f32>| pictures.read(frame, values).map_err(|error| photocurrent_store::StoreError::Source(error.into()));
+    let extent = Extent { width: 40, height: 30 };
+    let frames = photocurrent_store::stream::StreamedFrames {
+        extent,
+        colour: Colour::Rgb,
+        dn: photocurrent_store::DnType::U16,
+        row_time_ns: 0,
+        exposures: vec![(500_000, 1_500_000), (10_500_000, 11_500_000)],
+        read: &read,
+    };
+    let content = photocurrent_store::stream::StreamedRecording { extent, events: None, t_resolution_ns: Some(1000), frames: Some(frames), sensor: None };
+    assert_eq!(super::write::write_recording(&path, &*source, &content).unwrap().events, 2000);
+    let back = open(&path, "recording", &Declared::default());
+    assert_eq!(all(&*back, None), (expected(0..2000, 40, 30, 0), 0));
+    let about = back.events_about().unwrap();
+    assert_eq!((about.extent, about.tick_ns, about.has_t_in), (Some(extent), 1000, false));
+    let (mut values, mut right) = (Vec::new(), Vec::new());
+    back.pictures().unwrap().read(1, &mut values).unwrap();
+    pictures.read(1, &mut right).unwrap();
+    assert_eq!(values, right);
+    assert_eq!(back.pictures().unwrap().about().stamps[1].exposure, Some((10_500_000, 11_500_000)));
+    // The whole of it passes the checks of a recording.
+    assert_eq!(photocurrent_store::Recording::open(&path).unwrap().read_events(extent.rows()).unwrap().t.len(), 2000);
+}

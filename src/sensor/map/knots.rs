@@ -7,7 +7,7 @@ use super::{LoneEvents, MapProblem};
 use photocurrent_core::sensor::Reset;
 
 /// In quiet gaps knots may lie so many times as far apart as near events.
-const COARSEST: i64 = 32;
+pub const COARSEST: i64 = 32;
 /// They do so from this many times their distance from the nearest event on.
 const WIDENING: i64 = 2;
 

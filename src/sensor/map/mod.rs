@@ -32,6 +32,7 @@ mod thresholds;
 mod whitened;
 
 pub use group::{MapGroup, MapTask};
+pub use knots::COARSEST;
 pub use prior::{Local, Prior};
 pub use segment::ramp_voltage;
 pub use whitened::{Column, LeftOut, Whitened, refine, whiten};

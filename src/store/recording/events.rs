@@ -1,7 +1,7 @@
 //! Events of a recording: by time in the file, by row band in memory, checked on the way.
 
 use super::{check_column, column, group_integer, has_group, required};
-use crate::error::StoreError;
+use crate::error::{Mistakes, StoreError};
 use crate::hdf::Opened;
 use crate::hdf::grid::Grid;
 use crate::threads;
@@ -39,32 +39,34 @@ impl Events {
         if !has_group(opened, "events") {
             return Ok(None);
         }
-        let t: Grid<i64> = required(opened, "events/t", Some("ns"))?;
-        let count = t.shape.first().copied().unwrap_or(0);
-        check_column(opened, "events/t", &t, count, "a column")?;
-        let has_t_in = opened.dataset("events/t_in")?.is_some();
-        let resolution = group_integer(opened, "events", "t_resolution_ns")?;
-        if let Some(step) = resolution.filter(|&step| step < 0) {
-            let hint = "give the step of the recorded stamps, or leave the attribute out";
-            return Err(opened.content("/events: attribute `t_resolution_ns`", step.to_string(), "a number of nanoseconds", hint));
+        let mut mistakes = Mistakes::default();
+        let t: Option<Grid<i64>> = mistakes.take(required(opened, "events/t", Some("ns")));
+        // Without stamps there is still something to say of the other columns: they have one length.
+        let count = t.as_ref().and_then(|t| t.shape.first().copied());
+        if let Some(t) = &t {
+            mistakes.take(check_column(opened, "events/t", t, count.unwrap_or(0), "a column"));
         }
-        let span = if count == 0 {
-            None
-        } else {
-            let (first, last) = (t.column(0..1)?[0], t.column(count - 1..count)?[0]);
-            Some(TimeSpan::new(first, last.saturating_add(1)))
+        let (count, like) = match count {
+            Some(count) => (count, "/events/t"),
+            None => (mistakes.take(required::<u16>(opened, "events/x", None)).and_then(|x| x.shape.first().copied()).unwrap_or(0), "/events/x"),
         };
+        let x = mistakes.take(column(opened, "events/x", count, like, None));
+        let y = mistakes.take(column(opened, "events/y", count, like, None));
+        let p = mistakes.take(column(opened, "events/p", count, like, None));
+        let has_t_in = mistakes.take(opened.dataset("events/t_in")).flatten().is_some();
+        let t_in = if has_t_in { mistakes.take(column(opened, "events/t_in", count, like, Some("ns"))) } else { None };
+        let resolution = mistakes.take(resolution(opened)).flatten();
+        let span = match &t {
+            Some(t) if mistakes.is_empty() && count > 0 => {
+                let (first, last) = (t.column(0..1)?[0], t.column(count - 1..count)?[0]);
+                Some(TimeSpan::new(first, last.saturating_add(1)))
+            }
+            _ => None,
+        };
+        mistakes.finish(&opened.path)?;
+        let (Some(t), Some(x), Some(y), Some(p)) = (t, x, y, p) else { return Ok(None) };
         let meta = EventsMeta { extent, span, has_t_in, has_step: false, t_resolution_ns: resolution, count_hint: Some(count as u64) };
-        Ok(Some(Events {
-            meta: Arc::new(meta),
-            count,
-            x: column(opened, "events/x", count, "/events/t", None)?,
-            y: column(opened, "events/y", count, "/events/t", None)?,
-            p: column(opened, "events/p", count, "/events/t", None)?,
-            t_in: has_t_in.then(|| column(opened, "events/t_in", count, "/events/t", Some("ns"))).transpose()?,
-            t,
-            checked: AtomicBool::new(false),
-        }))
+        Ok(Some(Events { meta: Arc::new(meta), count, x, y, p, t_in, t, checked: AtomicBool::new(false) }))
     }
 
     /// The events of some rows; the first call checks all events of the file.
@@ -98,6 +100,16 @@ impl Events {
         );
         Ok(Block { x: x?, p: p?, t: t?, t_in: t_in? })
     }
+}
+
+/// The step of the stamps, when it is stated.
+fn resolution(opened: &Opened) -> Result<Option<i64>, StoreError> {
+    let resolution = group_integer(opened, "events", "t_resolution_ns")?;
+    if let Some(step) = resolution.filter(|&step| step < 0) {
+        let hint = "give the step of the recorded stamps, or leave the attribute out";
+        return Err(opened.content("/events: attribute `t_resolution_ns`", step.to_string(), "a number of nanoseconds", hint));
+    }
+    Ok(resolution)
 }
 
 /// A kind of mistake: where it comes first, how often, and an example.
@@ -157,14 +169,15 @@ impl Checks {
             ("/events/t", "earlier than the event ahead", self.order, "times that do not decrease".into(), "sort the events by t, keeping ties in order"),
             ("/events/t_in", "with its in-pixel time after its off-pixel time", self.in_pixel, "t_in <= t".into(), "were the two columns swapped?"),
         ];
+        let mut mistakes = Mistakes::default();
         for (at, what, fault, expected, hint) in faults {
             if let Some((index, example)) = fault.first {
                 let events = if fault.count == 1 { "event" } else { "events" };
                 let found = format!("{} {events} {what}, the first at index {index} ({example})", fault.count);
-                return Err(opened.content(at, found, expected, hint));
+                mistakes.take::<()>(Err(opened.content(at, found, expected, hint)));
             }
         }
-        Ok(())
+        mistakes.finish(&opened.path)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Frames and true frames of a recording: the header checked at once, the numbers read lazily.
 
-use super::{column, group_integer, has_group, required};
-use crate::error::StoreError;
+use super::{check_column, group_integer, has_group, required};
+use crate::error::{Mistakes, StoreError};
 use crate::hdf::Opened;
 use crate::hdf::grid::{Grid, number_type};
 use photocurrent_core::frames::FrameSource;
@@ -44,7 +44,7 @@ impl Numbers {
         }
     }
 
-    fn open(opened: &Opened, name: &str, events: Extent, u16_allowed: bool) -> Result<Numbers, StoreError> {
+    fn open(opened: &Opened, name: &str, events: Option<Extent>, u16_allowed: bool) -> Result<Numbers, StoreError> {
         let at = format!("/{name}");
         let found = number_type(opened, name)?.map(|kind| kind.to_string());
         let stored = match found.as_deref() {
@@ -67,7 +67,7 @@ impl Numbers {
         let (height, width, channels) = (shape[1], shape[2], shape.get(3).copied().unwrap_or(1));
         let side = |pixels: usize| u32::try_from(pixels).unwrap_or(u32::MAX);
         let extent = Extent { width: side(width), height: side(height) };
-        if extent.multiple_of(events).is_none() {
+        if let Some(events) = events.filter(|events| extent.multiple_of(*events).is_none()) {
             let expected = format!("{events}, as the attributes say, or a whole multiple of it (the same for width and height)");
             let hint = "crop or bin the frames to the pixels of the event sensor";
             return Err(opened.content(&at, format!("frames of {width} x {height} pixels"), expected, hint));
@@ -99,19 +99,32 @@ impl FrameSource for Numbers {
 }
 
 impl Frames {
-    pub fn open(opened: &Opened, extent: Extent) -> Result<Option<Frames>, StoreError> {
+    pub fn open(opened: &Opened, extent: Option<Extent>) -> Result<Option<Frames>, StoreError> {
         if !has_group(opened, "frames") {
             return Ok(None);
         }
-        let dn = Numbers::open(opened, "frames/dn", extent, true)?;
-        let colour = colour_of(opened, "frames", &dn)?;
-        let start = column::<i64>(opened, "frames/exposure_start", dn.count, "/frames/dn", Some("ns"))?.column(0..dn.count)?;
-        let end = column::<i64>(opened, "frames/exposure_end", dn.count, "/frames/dn", Some("ns"))?.column(0..dn.count)?;
+        let mut mistakes = Mistakes::default();
+        let dn = mistakes.take(Numbers::open(opened, "frames/dn", extent, true));
+        let colour = dn.as_ref().and_then(|dn| mistakes.take(colour_of(opened, "frames", dn)));
+        let mut stamps = |name: &str| mistakes.take(stamps(opened, name, dn.as_ref(), "/frames/dn"));
+        let (start, end) = (stamps("frames/exposure_start"), stamps("frames/exposure_end"));
+        if let Some((start, end)) = start.as_ref().zip(end.as_ref()).filter(|(start, end)| start.len() == end.len()) {
+            mistakes.take(check_exposures(opened, start, end));
+        }
+        let row_time_ns = mistakes.take(group_integer(opened, "frames", "row_time_ns")).flatten();
+        mistakes.finish(&opened.path)?;
+        let (Some(dn), Some(colour), Some(start), Some(end)) = (dn, colour, start, end) else { return Ok(None) };
         let exposures: Vec<Exposure> = start.iter().zip(&end).map(|(&start, &end)| Exposure { start: Timestamp(start), end: Timestamp(end) }).collect();
-        check_exposures(opened, &start, &end)?;
-        let row_time_ns = group_integer(opened, "frames", "row_time_ns")?;
         Ok(Some(Frames { exposures, row_time_ns, colour, dn: Arc::new(dn) }))
     }
+}
+
+/// One stamp for each picture of `dn`; of any number when that could not be read.
+fn stamps(opened: &Opened, name: &str, dn: Option<&Numbers>, like: &str) -> Result<Vec<i64>, StoreError> {
+    let grid = required::<i64>(opened, name, Some("ns"))?;
+    let count = dn.map_or(grid.shape.first().copied().unwrap_or(0), |dn| dn.count);
+    check_column(opened, name, &grid, count, like)?;
+    grid.column(0..count)
 }
 
 /// The colours that the attribute `colour` of a group names, held against the channels of its `dn`.
@@ -136,16 +149,18 @@ fn colour_of(opened: &Opened, group: &str, dn: &Numbers) -> Result<Colour, Store
 }
 
 fn check_exposures(opened: &Opened, start: &[i64], end: &[i64]) -> Result<(), StoreError> {
+    let mut mistakes = Mistakes::default();
     let empty: Vec<usize> = (0..start.len()).filter(|&l| end[l] <= start[l]).collect();
     if let Some(&l) = empty.first() {
         let found = format!("an empty exposure in {} of {} frames, first in frame {l} ({} to {} ns)", empty.len(), start.len(), start[l], end[l]);
-        return Err(opened.content("/frames/exposure_end", found, "exposure_end > exposure_start", "were the two datasets swapped, or is the unit not ns?"));
+        let hint = "were the two datasets swapped, or is the unit not ns?";
+        mistakes.take::<()>(Err(opened.content("/frames/exposure_end", found, "exposure_end > exposure_start", hint)));
     }
     if let Some(l) = (1..start.len()).find(|&l| start[l] < start[l - 1]) {
         let found = format!("frame {l} starting at {} ns, before frame {} at {} ns", start[l], l - 1, start[l - 1]);
-        return Err(opened.content("/frames/exposure_start", found, "frames in time order", "sort the frames by the start of their exposure"));
+        mistakes.take::<()>(Err(opened.content("/frames/exposure_start", found, "frames in time order", "sort the frames by the start of their exposure")));
     }
-    Ok(())
+    mistakes.finish(&opened.path)
 }
 
 /// The true frames of simulated data.
@@ -156,17 +171,25 @@ pub(super) struct TruthFrames {
 }
 
 impl TruthFrames {
-    pub fn open(opened: &Opened, extent: Extent) -> Result<Option<TruthFrames>, StoreError> {
+    pub fn open(opened: &Opened, extent: Option<Extent>) -> Result<Option<TruthFrames>, StoreError> {
         if !has_group(opened, "truth") {
             return Ok(None);
         }
-        let dn = Numbers::open(opened, "truth/dn", extent, false)?;
-        let colour = colour_of(opened, "truth", &dn)?;
-        let times = column::<i64>(opened, "truth/t", dn.count, "/truth/dn", Some("ns"))?.column(0..dn.count)?;
-        if let Some(m) = (1..times.len()).find(|&m| times[m] < times[m - 1]) {
-            let found = format!("instant {m} at {} ns, before instant {} at {} ns", times[m], m - 1, times[m - 1]);
-            return Err(opened.content("/truth/t", found, "instants in time order", "sort the true frames by time"));
-        }
+        let mut mistakes = Mistakes::default();
+        let dn = mistakes.take(Numbers::open(opened, "truth/dn", extent, false));
+        let colour = dn.as_ref().and_then(|dn| mistakes.take(colour_of(opened, "truth", dn)));
+        let times = mistakes.take(stamps(opened, "truth/t", dn.as_ref(), "/truth/dn").and_then(|times| in_order(opened, times)));
+        mistakes.finish(&opened.path)?;
+        let (Some(dn), Some(colour), Some(times)) = (dn, colour, times) else { return Ok(None) };
         Ok(Some(TruthFrames { times: times.into_iter().map(Timestamp).collect(), colour, dn: Arc::new(dn) }))
     }
+}
+
+/// The instants of true frames, which do not decrease.
+fn in_order(opened: &Opened, times: Vec<i64>) -> Result<Vec<i64>, StoreError> {
+    if let Some(m) = (1..times.len()).find(|&m| times[m] < times[m - 1]) {
+        let found = format!("instant {m} at {} ns, before instant {} at {} ns", times[m], m - 1, times[m - 1]);
+        return Err(opened.content("/truth/t", found, "instants in time order", "sort the true frames by time"));
+    }
+    Ok(times)
 }

@@ -11,13 +11,13 @@ mod events;
 mod frames;
 mod inspect;
 mod rendered;
-mod write;
+pub(crate) mod write;
 
 pub use inspect::{EventsSummary, FramesSummary, Inspection, Spread, TruthSummary};
 pub use rendered::{DnCode, write_rendered};
 pub use write::{DnType, RecordingContent, write_recording};
 
-use crate::error::StoreError;
+use crate::error::{Mistakes, StoreError};
 use crate::hdf::grid::Grid;
 use crate::hdf::{Item, Opened, locked};
 use events::Events;
@@ -52,7 +52,7 @@ impl Recording {
     /// Opens a file and reads its header: attributes, shapes, exposures, the first and the last stamp.
     ///
     /// # Errors
-    /// When the file is no recording or its header contradicts the format. Event by event checks come with the first read.
+    /// When the file is no recording or its header contradicts the format, with every mistake there is. Event by event checks come with the first read.
     pub fn open(path: &Path) -> Result<Recording, StoreError> {
         let opened = Opened::read(path)?;
         let format = opened.text_attribute(&opened.file, "/", "format")?;
@@ -61,11 +61,17 @@ impl Recording {
             let hint = "docs/formats.md states the layout of a recording; set the attribute if the file keeps to it";
             return Err(opened.content("/", found, format!("format = \"{FORMAT}\""), hint));
         }
-        let extent = Extent { width: side(&opened, "width")?, height: side(&opened, "height")? };
-        let events = Events::open(&opened, extent)?;
-        let frames = Frames::open(&opened, extent)?;
-        let truth = TruthFrames::open(&opened, extent)?;
-        let sensor = opened.dataset("sensor")?.map(|dataset| opened.text("/sensor", &dataset)).transpose()?;
+        let mut mistakes = Mistakes::default();
+        let (width, height) = (mistakes.take(side(&opened, "width")), mistakes.take(side(&opened, "height")));
+        // Without a size, what does not depend on it is still looked at.
+        let known = width.zip(height).map(|(width, height)| Extent { width, height });
+        let extent = known.unwrap_or(Extent { width: 1, height: 1 });
+        let events = mistakes.take(Events::open(&opened, extent)).flatten();
+        let frames = mistakes.take(Frames::open(&opened, known)).flatten();
+        let truth = mistakes.take(TruthFrames::open(&opened, known)).flatten();
+        let sensor = opened.dataset("sensor").and_then(|found| found.map(|dataset| opened.text("/sensor", &dataset)).transpose());
+        let sensor = mistakes.take(sensor).flatten();
+        mistakes.finish(path)?;
         Ok(Recording { inner: Arc::new(Inner { opened, extent, events, frames, sensor, truth }) })
     }
 
@@ -169,6 +175,15 @@ impl Recording {
         let meta = FramesMeta { extent, colour, times: FrameTimes { exposures: Arc::new(exposures), row_time_ns: 0 }, scale };
         Some(Truth(FrameSequence::new(Arc::new(meta), extent.rows(), self.truth_source()?)))
     }
+}
+
+/// The attribute `format` of an HDF5 file: which form of file it says it is. Reads nothing else.
+///
+/// # Errors
+/// When it cannot be opened.
+pub fn format_attribute(path: &Path) -> Result<Option<String>, StoreError> {
+    let opened = Opened::read(path)?;
+    opened.text_attribute(&opened.file, "/", "format")
 }
 
 impl BandSource<EventBand> for Recording {

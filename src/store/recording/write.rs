@@ -80,7 +80,7 @@ pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<u64, S
 }
 
 /// Lets `fill` write a new file beside `path`, and moves it there when it is complete and synced.
-pub(super) fn whole_file<T>(path: &Path, fill: impl FnOnce(&Opened) -> Result<T, StoreError>) -> Result<T, StoreError> {
+pub(crate) fn whole_file<T>(path: &Path, fill: impl FnOnce(&Opened) -> Result<T, StoreError>) -> Result<T, StoreError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // The umask still applies: temporary files are private by default, and a recording is not.
     let everybody = std::fs::Permissions::from_mode(0o666);
@@ -180,7 +180,7 @@ fn for_slices_of_time(band: &EventBand, about: usize, mut take: impl FnMut(&[Pla
     Ok(())
 }
 
-pub(super) fn write_times(opened: &Opened, name: &str, times: Vec<i64>) -> Result<(), StoreError> {
+pub(crate) fn write_times(opened: &Opened, name: &str, times: Vec<i64>) -> Result<(), StoreError> {
     let mut column = ColumnWriter::new(opened, name);
     column.append(&times)?;
     opened.set_text_attribute(column.finish()?.dataset(), "unit", "ns")
@@ -201,7 +201,7 @@ fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingCont
 }
 
 /// Grey goes without saying.
-pub(super) fn write_colour(opened: &Opened, group: &hdf5::Group, colour: Colour) -> Result<(), StoreError> {
+pub(crate) fn write_colour(opened: &Opened, group: &hdf5::Group, colour: Colour) -> Result<(), StoreError> {
     if colour == Colour::Mono { Ok(()) } else { opened.set_text_attribute(group, "colour", colour.name()) }
 }
 

@@ -331,6 +331,33 @@ fn a_header_that_contradicts_the_format_is_told() {
 }
 
 #[test]
+fn independent_mistakes_are_told_together() {
+    let found = complaint(|path| {
+        let file = Plain::good().write(path);
+        file.delete_attr("width").unwrap();
+        file.dataset("events/t").unwrap().delete_attr("unit").unwrap();
+        file.unlink("events/p").unwrap();
+        let frames = file.create_group("frames").unwrap();
+        frames.new_dataset::<f32>().shape((2, 2, 3)).create("dn").unwrap().write_raw(&[1.0f32; 12]).unwrap();
+        text(&frames, "colour", "bayer_rgbg");
+        times(&frames, "exposure_start", &[0, 10, 20]);
+    });
+    let parts = [
+        "6 mistakes",
+        "/: found no attribute `width`",
+        "/events/t: found no attribute `unit`",
+        "/events/p: found nothing",
+        "/frames: attribute `colour`: found \"bayer_rgbg\"",
+        "/frames/exposure_start: found the shape [3], expected [2]",
+        "/frames/exposure_end: found nothing",
+    ];
+    parts.iter().for_each(|part| assert!(found.contains(part), "`{part}` in\n{found}"));
+    // Of events, too: every kind of mistake, each with its count.
+    let found = Plain { x: vec![1, 3, 2, 9], p: vec![1, 255, 1, 1], ..Plain::good() }.complaint();
+    assert!(found.contains("2 mistakes") && found.contains("2 events outside the sensor") && found.contains("1 event with another polarity"), "{found}");
+}
+
+#[test]
 fn unknown_values_in_frames_are_data() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("egg.h5");

@@ -122,7 +122,7 @@ fn a_file_cut_off_within_a_word_says_where() {
 }
 
 #[test]
-fn losses_are_told_with_their_place_and_not_without_end() {
+fn losses_name_their_place_and_are_bounded_in_number() {
     // In 32 pieces of 128 KiB each one word of an unknown kind.
     let mut data = words(&[0x8000_0001_u32], u32::to_le_bytes);
     data.resize(32 << 17, 0);
@@ -172,7 +172,7 @@ fn seek_leaves_out_no_event_at_or_after_the_time() {
 }
 
 #[test]
-fn settings_beside_a_recording_are_facts() {
+fn settings_next_to_a_recording_are_facts() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("a.raw");
     std::fs::write(&path, b"% evt 3.0\n% serial_number 00000307\n").expect("written");

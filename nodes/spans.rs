@@ -1,0 +1,75 @@
+//! How long a recording lasts, looked at before anything is made from that length: for every node that works over a span of time.
+//!
+//! Two mistakes of stamps make a recording last for decades: events and frames on two clocks ([`check_one_clock`]), and one stamp far from all others. A list with an
+//! entry for every millisecond of that ([`check_steps`]) would take all memory there is, so both are refused while planning.
+
+use crate::pixel_events::clock_offset;
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::{Apart, DataType, EventsMeta, FramesMeta, NodeError, Sensor, TimeSpan};
+
+/// More entries of a list than this are a mistake of stamps or of parameters: more than an hour at a thousand a second.
+pub const MOST_STEPS: u64 = 4_000_000;
+
+/// Refuses to lay `what` every `step_ns` over a span that would need more than [`MOST_STEPS`] of them; `who` would.
+///
+/// # Errors
+/// When there would be too many, with their number and the span.
+pub fn check_steps(span: TimeSpan, step_ns: i64, what: &str, who: &str) -> Result<(), NodeError> {
+    let steps = (span.end.0 as f64 - span.start.0 as f64) / step_ns.max(1) as f64;
+    if steps <= MOST_STEPS as f64 {
+        return Ok(());
+    }
+    let (from, to) = (Duration::new(span.start.0), Duration::new(span.end.0));
+    Err(NodeError::input(format!("{who} would need {} {what} for a recording from {from} to {to}, and {MOST_STEPS} are the most", rounded(steps)))
+        .hint("is a stamp far from all others, or in another unit? `photocurrent inspect` shows the spans; else cut the recording into shorter ones")
+        .blames(DataType::Events))
+}
+
+/// A large number for people: `1.7e12`.
+pub fn rounded(count: f64) -> String {
+    if count < 1e6 { format!("{count:.0}") } else { format!("{count:.1e}") }
+}
+
+/// Refuses events and frames that share no time once the description's clock offset is taken off; both inputs' files are to blame.
+///
+/// # Errors
+/// When they do not share time, with both spans and the likely offset; or when the clock offset is not understood.
+pub fn check_one_clock(events: &EventsMeta, frames: &FramesMeta, sensor: Option<&Sensor>) -> Result<(), NodeError> {
+    let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
+    let shifted = events.span.map(|span| TimeSpan::new(span.start.0.saturating_sub(shift_ns), span.end.0.saturating_sub(shift_ns)));
+    match Apart::of(shifted, &frames.times, frames.extent.height) {
+        None => Ok(()),
+        Some(apart) => Err(NodeError::input(apart.message()).hint(apart.hint()).blames(DataType::Events)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::document::Source;
+    use photocurrent_core::testing;
+
+    #[test]
+    fn a_stated_clock_offset_puts_streams_together() {
+        let frames = testing::frames(6, 5, 3).meta;
+        let day = 1_600_000_000_000_000_000;
+        let events = |shift: i64| {
+            let meta = (*testing::events(6, 5).meta).clone();
+            EventsMeta { span: meta.span.map(|span| TimeSpan::new(span.start.0 + shift, span.end.0 + shift)), ..meta }
+        };
+        assert!(check_one_clock(&events(0), &frames, None).is_ok());
+        let error = check_one_clock(&events(day), &frames, None).unwrap_err();
+        assert!(error.message.contains("no moment in common") && error.hint.is_some() && error.blamed_input == Some(DataType::Events), "{error}");
+        let text = "format = \"photocurrent-sensor/1\"\n[effects]\nclock_offset = { offset = \"1600000000 s\" }\n";
+        let sensor = Sensor::parse(&Source::new("s.toml", "", text)).unwrap();
+        assert!(check_one_clock(&events(day), &frames, Some(&sensor)).is_ok() && check_one_clock(&events(0), &frames, Some(&sensor)).is_err());
+    }
+    #[test]
+    fn lists_that_no_machine_can_hold_are_refused_with_their_number() {
+        assert!(check_steps(TimeSpan::new(0, 3_600_000_000_000), 1_000_000, "frames", "somebody").is_ok());
+        let error = check_steps(TimeSpan::new(0, 1_600_000_000_000_000_000), 1_000_000, "frames", "somebody").unwrap_err();
+        assert!(error.message.starts_with("somebody would need 1.6e12 frames for a recording from 0 ns to 1600000000 s"), "{}", error.message);
+        assert!(check_steps(TimeSpan::new(i64::MIN, i64::MAX), 0, "frames", "somebody").is_err());
+        assert_eq!((rounded(12_345.0), rounded(1.72e12)), ("12345".into(), "1.7e12".into()));
+    }
+}

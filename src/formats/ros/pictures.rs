@@ -1,0 +1,200 @@
+//! Pictures of one image topic, by index.
+//!
+//! Their stamps are in the messages, so all image messages are gone over once, their heads only; that happens when pictures are first asked for.
+//! A picture's place is kept as (piece, byte), 16 bytes; its values are read when they are wanted. Stored values are given as they are.
+
+use super::Contents;
+use super::lossy::{LossList, label};
+use super::messages::ImageHead;
+use super::topics::Group;
+use super::walk::Walker;
+use crate::error::{FormatError, Loss};
+use crate::recording::{FrameStamp, FramesAbout, Pictures};
+use photocurrent_core::Colour;
+use photocurrent_core::colour::Order;
+use std::sync::{Arc, Mutex};
+
+/// Bytes of a message that hold all that stands before the values: names of frames are short.
+const HEAD_BYTES: u64 = 4096;
+
+/// How values stand in a message: `sensor_msgs/image_encodings.h`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Pixels {
+    colour: Colour,
+    bits: u32,
+    /// Stored values of a pixel; a fourth, alpha, is left out.
+    stored: usize,
+    /// Is blue stored first?
+    blue_first: bool,
+}
+
+/// Names of the encodings that are read, for messages.
+const NAMES: &str = "mono8, mono16, 8UC1, 16UC1, 32FC1, rgb8, bgr8, rgba8, bgra8, rgb16, bgr16, rgba16, bgra16, bayer_*8, bayer_*16";
+
+fn pixels(encoding: &[u8]) -> Option<Pixels> {
+    let of = |colour, bits, stored, blue_first| Some(Pixels { colour, bits, stored, blue_first });
+    match encoding {
+        b"mono8" | b"8UC1" => of(Colour::Mono, 8, 1, false),
+        b"mono16" | b"16UC1" => of(Colour::Mono, 16, 1, false),
+        b"32FC1" => of(Colour::Mono, 32, 1, false),
+        b"rgb8" => of(Colour::Rgb, 8, 3, false),
+        b"bgr8" => of(Colour::Rgb, 8, 3, true),
+        b"rgba8" => of(Colour::Rgb, 8, 4, false),
+        b"bgra8" => of(Colour::Rgb, 8, 4, true),
+        b"rgb16" => of(Colour::Rgb, 16, 3, false),
+        b"bgr16" => of(Colour::Rgb, 16, 3, true),
+        b"rgba16" => of(Colour::Rgb, 16, 4, false),
+        b"bgra16" => of(Colour::Rgb, 16, 4, true),
+        b"bayer_rggb8" => of(Colour::Bayer(Order::Rggb), 8, 1, false),
+        b"bayer_bggr8" => of(Colour::Bayer(Order::Bggr), 8, 1, false),
+        b"bayer_gbrg8" => of(Colour::Bayer(Order::Gbrg), 8, 1, false),
+        b"bayer_grbg8" => of(Colour::Bayer(Order::Grbg), 8, 1, false),
+        b"bayer_rggb16" => of(Colour::Bayer(Order::Rggb), 16, 1, false),
+        b"bayer_bggr16" => of(Colour::Bayer(Order::Bggr), 16, 1, false),
+        b"bayer_gbrg16" => of(Colour::Bayer(Order::Gbrg), 16, 1, false),
+        b"bayer_grbg16" => of(Colour::Bayer(Order::Grbg), 16, 1, false),
+        _ => None,
+    }
+}
+
+impl Pixels {
+    fn row_bytes(&self, width: u32) -> u64 {
+        u64::from(width) * self.stored as u64 * u64::from(self.bits / 8)
+    }
+
+    /// Are the values there that a head claims?
+    fn fits(&self, head: &ImageHead<'_>, message: u64) -> bool {
+        let row = self.row_bytes(head.extent.width);
+        let needed = u64::from(head.step) * u64::from(head.extent.height - 1) + row;
+        u64::from(head.step) >= row && u64::from(head.length) >= needed && head.at as u64 + needed <= message
+    }
+
+    /// Appends the values of a row.
+    fn push_row(&self, row: &[u8], big: bool, values: &mut Vec<f32>) {
+        match self.bits {
+            8 => self.push(row.iter().map(|&value| f32::from(value)), values),
+            16 => self.push(row.as_chunks::<2>().0.iter().map(|&b| f32::from(if big { u16::from_be_bytes(b) } else { u16::from_le_bytes(b) })), values),
+            _ => self.push(row.as_chunks::<4>().0.iter().map(|&b| if big { f32::from_be_bytes(b) } else { f32::from_le_bytes(b) }), values),
+        }
+    }
+
+    fn push(&self, mut stored: impl Iterator<Item = f32>, values: &mut Vec<f32>) {
+        if self.stored == 1 {
+            values.extend(stored);
+            return;
+        }
+        while let (Some(first), Some(second), Some(third)) = (stored.next(), stored.next(), stored.next()) {
+            if self.stored == 4 {
+                stored.next();
+            }
+            values.extend(if self.blue_first { [third, second, first] } else { [first, second, third] });
+        }
+    }
+}
+
+/// The pictures of a topic.
+pub struct Images {
+    contents: Arc<Contents>,
+    group: Group,
+    pixels: Pixels,
+    about: FramesAbout,
+    /// Piece and byte of every message.
+    places: Vec<(u32, u64)>,
+    walker: Mutex<Walker>,
+}
+
+impl Images {
+    /// Goes over all messages of the topic. `None` when none holds a picture.
+    ///
+    /// # Errors
+    /// When the file has gone, or its pictures have an encoding that is not read.
+    pub fn survey(contents: &Arc<Contents>, group: &Group) -> Result<(Option<Images>, LossList), FormatError> {
+        let mut walker = Walker::new(contents, &group.ids()).heads(HEAD_BYTES);
+        let mut images: Option<Images> = None;
+        let (mut stampless, mut others) = (0_u64, 0_u64);
+        let mut losses = LossList::default();
+        while let Some(envelope) = walker.advance()? {
+            let at = || format!("message received at {} ns on {}", envelope.received, group.name);
+            let wire = group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body));
+            let Some(head) = wire.and_then(ImageHead::read) else {
+                losses.add("picture", || Loss { at: at(), what: "the message is no picture; it is left out".into() });
+                continue;
+            };
+            let Some(pixels) = pixels(head.encoding) else {
+                if images.is_none() {
+                    return Err(unknown_encoding(contents, group, head.encoding));
+                }
+                others += 1;
+                continue;
+            };
+            if !pixels.fits(&head, envelope.length) {
+                losses.add("picture", || Loss { at: at(), what: "the picture claims more values than the message holds; it is left out".into() });
+                continue;
+            }
+            let images = images.get_or_insert_with(|| Images::new(contents, group, &head, pixels));
+            if images.about.extent != head.extent || images.pixels != pixels {
+                others += 1;
+                continue;
+            }
+            let stamped = head.stamp.is_sound() && head.stamp.ns != 0;
+            stampless += u64::from(!stamped);
+            images.about.stamps.push(FrameStamp { at: if stamped { head.stamp.ns } else { envelope.received }, exposure: None });
+            images.places.push((u32::try_from(walker.piece()).unwrap_or(u32::MAX), envelope.offset));
+        }
+        walker.losses.as_slice().iter().for_each(|loss| losses.add("chunk", || loss.clone()));
+        if let Some(images) = &mut images {
+            if stampless > 0 {
+                images.about.notes.push(format!("{stampless} pictures have no `header.stamp`; the time when their message was received stands in"));
+            }
+            if others > 0 {
+                images.about.notes.push(format!("{others} pictures differ from the first in size or encoding; they are left out"));
+            }
+        }
+        Ok((images, losses))
+    }
+
+    fn new(contents: &Arc<Contents>, group: &Group, head: &ImageHead<'_>, pixels: Pixels) -> Images {
+        let about = FramesAbout {
+            extent: head.extent,
+            colour: pixels.colour,
+            bits: pixels.bits,
+            stamps: Vec::new(),
+            stamp_role: None,
+            row_time_ns: None,
+            transfer: None,
+            notes: vec![format!("pictures are those of {}, as {}; their stamps are `header.stamp`", group.name, label(head.encoding))],
+        };
+        let walker = Mutex::new(Walker::new(contents, &group.ids()));
+        Images { contents: contents.clone(), group: group.clone(), pixels, about, places: Vec::new(), walker }
+    }
+}
+
+/// The refusal of pictures in an encoding that is not read.
+fn unknown_encoding(contents: &Contents, group: &Group, encoding: &[u8]) -> FormatError {
+    let found = format!("pictures of {} have the encoding `{}`", group.name, label(encoding));
+    FormatError::new(&contents.path, found, "convert the topic with image_proc or cv_bridge, or choose another by `frame_camera`").expected(NAMES)
+}
+
+impl Pictures for Images {
+    fn about(&self) -> &FramesAbout {
+        &self.about
+    }
+
+    fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
+        let refuse = |what: &str| FormatError::new(&self.contents.path, what.to_string(), "record or copy the file again").at(format!("picture {frame}"));
+        values.clear();
+        let &(piece, offset) = self.places.get(frame).ok_or_else(|| refuse("there is no such picture"))?;
+        let mut walker = self.walker.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let envelope = walker.fetch(piece as usize, offset)?.map_err(|what| refuse(&what))?;
+        let wire = self.group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body));
+        let head = wire.and_then(ImageHead::read).filter(|head| head.extent == self.about.extent && self.pixels.fits(head, walker.body.len() as u64));
+        let head = head.ok_or_else(|| refuse("the message has changed since the file was opened"))?;
+        let row = self.pixels.row_bytes(head.extent.width) as usize;
+        values.reserve_exact(head.extent.pixels() * self.pixels.stored.min(3));
+        for y in 0..head.extent.height as usize {
+            let at = head.at + y * head.step as usize;
+            self.pixels.push_row(walker.body.get(at..at + row).unwrap_or_default(), head.big, values);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,131 @@
+//! Which topic the events come from, and which the pictures: the only one, or the one that the user names.
+
+use super::Contents;
+use super::lossy::label;
+use super::messages::{EventArray, EventPacket, Kind, Serial, kind_of};
+use super::packets::{self, Encoding};
+use super::walk::Walker;
+use crate::error::FormatError;
+use photocurrent_core::Extent;
+use std::sync::Arc;
+
+/// A topic: all its connections.
+#[derive(Clone, Debug)]
+pub struct Group {
+    /// Its name.
+    pub name: String,
+    /// Type of its messages.
+    pub type_name: String,
+    /// What they are.
+    pub kind: Kind,
+    /// Its connections and how their messages are serialised.
+    pub connections: Vec<(u32, Serial)>,
+    /// How many messages, when known.
+    pub messages: Option<u64>,
+}
+
+impl Group {
+    /// Numbers of its connections.
+    pub fn ids(&self) -> Vec<u32> {
+        self.connections.iter().map(|(id, _)| *id).collect()
+    }
+
+    /// How messages of a connection are serialised.
+    pub fn serial(&self, id: u32) -> Option<Serial> {
+        self.connections.iter().find(|(known, _)| *known == id).map(|(_, serial)| *serial)
+    }
+
+    /// For people: "/dvs/events (dvs_msgs/EventArray, 12 messages)".
+    pub fn describe(&self) -> String {
+        let count = self.messages.map(|count| format!(", {count} messages")).unwrap_or_default();
+        format!("{} ({}{count})", self.name, self.type_name)
+    }
+}
+
+/// All topics of a file, in the order in which they appear.
+pub fn groups(contents: &Contents) -> Vec<Group> {
+    let mut groups: Vec<Group> = Vec::new();
+    for topic in &contents.topics {
+        let kind = if topic.serial == Serial::Other { Kind::Other } else { kind_of(&topic.type_name) };
+        match groups.iter_mut().find(|group| group.name == topic.name && group.type_name == topic.type_name) {
+            Some(group) => {
+                group.connections.push((topic.id, topic.serial));
+                group.messages = group.messages.zip(topic.messages).map(|(a, b)| a.saturating_add(b));
+            }
+            None => groups.push(Group {
+                name: topic.name.clone(),
+                type_name: topic.type_name.clone(),
+                kind,
+                connections: vec![(topic.id, topic.serial)],
+                messages: topic.messages,
+            }),
+        }
+    }
+    groups
+}
+
+/// Chooses among topics: the one that is `named`, or the only one. `None` when there is none and none is named.
+///
+/// # Errors
+/// When there are several and none is named, or when the named one is not there.
+pub fn choose<'a>(contents: &Contents, groups: &'a [Group], named: Option<&str>, field: &'static str, what: &str) -> Result<Option<&'a Group>, FormatError> {
+    let list = || groups.iter().take(32).map(Group::describe).collect::<Vec<_>>().join("; ");
+    let trim = |name: &str| name.trim_start_matches('/').to_string();
+    match (named, groups) {
+        (Some(name), _) => match groups.iter().find(|group| trim(&group.name) == trim(name)) {
+            Some(group) => Ok(Some(group)),
+            None if groups.is_empty() => Err(FormatError::new(&contents.path, format!("the file has no topic with {what}"), format!("leave `{field}` out"))),
+            None => {
+                let found = format!("no topic with {what} is called `{name}`; there are: {}", list());
+                Err(FormatError::new(&contents.path, found, format!("name one of them as `{field}`")).undeclared(field))
+            }
+        },
+        (None, []) => Ok(None),
+        (None, [only]) => Ok(Some(only)),
+        (None, _) => {
+            let found = format!("{} topics have {what}: {}", groups.len(), list());
+            Err(FormatError::new(&contents.path, found, format!("name one of them as `{field}`")).undeclared(field))
+        }
+    }
+}
+
+/// What the first message of an event topic says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum First {
+    /// Events one by one.
+    Array(Option<Extent>),
+    /// Packets in this encoding.
+    Packet(Encoding, Option<Extent>),
+    /// Packets in another encoding, by its name.
+    Unknown(String),
+    /// No message can be read.
+    Nothing,
+}
+
+/// Looks at the first message of a topic that can be read.
+///
+/// # Errors
+/// When the file has gone.
+pub fn first(contents: &Arc<Contents>, group: &Group) -> Result<First, FormatError> {
+    let mut walker = Walker::new(contents, &group.ids());
+    while let Some(envelope) = walker.advance()? {
+        let Some(wire) = group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body)) else { continue };
+        if group.kind == Kind::EventArray {
+            if let Some(array) = EventArray::read(wire) {
+                return Ok(First::Array(array.extent));
+            }
+        } else if let Some(packet) = EventPacket::read(wire) {
+            return Ok(match Encoding::named(packet.encoding) {
+                Some(encoding) => First::Packet(encoding, packet.extent),
+                None => First::Unknown(label(packet.encoding)),
+            });
+        }
+    }
+    Ok(First::Nothing)
+}
+
+/// The refusal of packets in an encoding that is not read.
+pub fn unknown_encoding(contents: &Contents, group: &Group, encoding: &str) -> FormatError {
+    let found = format!("packets of {} have the encoding `{encoding}`", group.name);
+    FormatError::new(&contents.path, found, "convert the topic with event_camera_tools, or record it in one of these encodings").expected(packets::NAMES)
+}

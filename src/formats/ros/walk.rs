@@ -1,0 +1,144 @@
+//! Walks over the messages of some topics, through all pieces of a file, and goes to a message by its place.
+
+use super::lossy::LossList;
+use super::records::{Container, Envelope, Record, Records};
+use super::{Contents, bag, mcap};
+use crate::error::{FormatError, Loss};
+use std::fs::File;
+use std::sync::Arc;
+
+/// Opens a piece.
+///
+/// # Errors
+/// When the file has gone; `Ok(Err)` says why the piece cannot be read.
+pub fn open_piece(contents: &Contents, index: usize) -> Result<Result<Records, String>, FormatError> {
+    let io = |error: std::io::Error| FormatError::io(&contents.path, &error);
+    let Some(piece) = contents.pieces.get(index) else { return Ok(Err("there is no such piece".into())) };
+    let file = File::open(&contents.path).map_err(io)?;
+    let size = file.metadata().map_err(io)?.len();
+    if piece.at > size {
+        return Ok(Err("the file has become shorter since it was opened".into()));
+    }
+    let source = match contents.container {
+        Container::Bag => bag::open_piece(file, size, piece),
+        Container::Mcap => mcap::open_piece(file, size, piece),
+    };
+    Ok(source.map_err(io)?.map(|source| Records::new(contents.container, source)))
+}
+
+/// A place between messages.
+pub struct Walker {
+    contents: Arc<Contents>,
+    /// Connections whose messages are given.
+    wanted: Vec<u32>,
+    /// Bytes of a message that are kept.
+    most: u64,
+    piece: usize,
+    records: Option<Records>,
+    /// The message that was given last.
+    pub body: Vec<u8>,
+    /// What could not be read.
+    pub losses: LossList,
+}
+
+impl Walker {
+    /// Before the first message.
+    pub fn new(contents: &Arc<Contents>, wanted: &[u32]) -> Walker {
+        Walker { contents: contents.clone(), wanted: wanted.to_vec(), most: u64::MAX, piece: 0, records: None, body: Vec::new(), losses: LossList::default() }
+    }
+
+    /// Keeps only the first bytes of every message.
+    #[must_use]
+    pub fn heads(mut self, most: u64) -> Walker {
+        self.most = most;
+        self
+    }
+
+    /// The piece of the message that was given last.
+    pub fn piece(&self) -> usize {
+        self.piece
+    }
+
+    /// Goes to the start of a piece.
+    pub fn go_to(&mut self, piece: usize) {
+        self.piece = piece;
+        self.records = None;
+    }
+
+    /// Where the walker stands, in bytes of the file, to a piece.
+    pub fn position(&self) -> u64 {
+        self.contents.pieces.get(self.piece).map_or(self.contents.size, |piece| piece.at)
+    }
+
+    /// The next message; its bytes are in `body`.
+    ///
+    /// # Errors
+    /// When the file has gone.
+    pub fn advance(&mut self) -> Result<Option<Envelope>, FormatError> {
+        let contents = self.contents.clone();
+        while let Some(piece) = contents.pieces.get(self.piece) {
+            if self.records.is_none() {
+                let has = |id: &u32| piece.counts.as_ref().is_none_or(|counts| counts.iter().any(|(known, _)| known == id));
+                if !self.wanted.iter().any(has) {
+                    self.piece += 1;
+                    continue;
+                }
+                match open_piece(&self.contents, self.piece)? {
+                    Ok(records) => self.records = Some(records),
+                    Err(what) => self.lose(&what, None),
+                }
+            }
+            let Some(records) = &mut self.records else { continue };
+            let at = records.at();
+            let wanted = &self.wanted;
+            match records.next(&|id| wanted.contains(&id), self.most, &mut self.body) {
+                Ok(Some(Record::Message(envelope))) if self.wanted.contains(&envelope.id) => return Ok(Some(envelope)),
+                Ok(Some(_)) => {}
+                Ok(None) => {
+                    self.piece += 1;
+                    self.records = None;
+                }
+                Err(what) => self.lose(&what, Some(at)),
+            }
+        }
+        Ok(None)
+    }
+
+    /// Goes to the message at a place that [`Walker::advance`] gave, and reads it.
+    ///
+    /// # Errors
+    /// When the file has gone; `Ok(Err)` says why the message cannot be read any more.
+    pub fn fetch(&mut self, piece: usize, offset: u64) -> Result<Result<Envelope, String>, FormatError> {
+        if self.piece != piece || self.records.as_ref().is_none_or(|records| records.at() > offset) {
+            self.piece = piece;
+            self.records = None;
+            match open_piece(&self.contents, piece)? {
+                Ok(records) => self.records = Some(records),
+                Err(what) => return Ok(Err(what)),
+            }
+        }
+        let Some(records) = &mut self.records else { return Ok(Err("the piece is not open".into())) };
+        let got = records.forward(offset).and_then(|()| records.next(&|_| true, self.most, &mut self.body));
+        match got {
+            Ok(Some(Record::Message(envelope))) => Ok(Ok(envelope)),
+            Ok(_) => {
+                self.records = None;
+                Ok(Err("there is no message any more where one was".into()))
+            }
+            Err(what) => {
+                self.records = None;
+                Ok(Err(what))
+            }
+        }
+    }
+
+    /// Notes that the rest of this piece cannot be read, and goes to the next.
+    fn lose(&mut self, what: &str, within: Option<u64>) {
+        let start = self.position();
+        let within = within.map(|at| format!(", {at} bytes into its content")).unwrap_or_default();
+        let what = format!("{what}; the messages that follow in this chunk are lost");
+        self.losses.add("chunk", || Loss { at: format!("chunk at byte {start}{within}"), what });
+        self.piece += 1;
+        self.records = None;
+    }
+}

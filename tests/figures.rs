@@ -1,0 +1,176 @@
+//! The tables of README.md and docs/ are what the commands beside them print today.
+//!
+//! A table whose numbers a command makes has a line before it, invisible on the page:
+//!
+//! ```text
+//! <!-- made by: photocurrent run pipelines/quickstart.toml -->
+//! ```
+//!
+//! What follows it is compared: of a code block every line must stand in the output, in this order and unbroken (`...` at the end of a line stands for the rest of it; a line
+//! that begins with `$ ` is the command itself); of a Markdown table the numbers of each row must stand in the output in this order. With `> FILE` at the end the output is
+//! that file, below the folder where the command runs, and not what it printed. Several commands are joined by ` && `.
+//!
+//! `made by, slowly:` marks what takes more than some seconds. `make figures` holds those as well:
+//! `cargo test --release --test photocurrent figures -- --include-ignored`.
+//!
+//! Limits: of a Markdown table, labels are not compared, only numbers; and who writes a table without the line is not held to anything.
+
+use crate::support::{Bench, root};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+
+/// A table in a text, with the command that makes it.
+#[derive(Debug, PartialEq)]
+struct Figure {
+    /// File and line.
+    place: String,
+    slow: bool,
+    command: String,
+    lines: Vec<String>,
+}
+
+/// The figures of a Markdown text.
+fn figures(name: &str, text: &str) -> Vec<Figure> {
+    let lines: Vec<&str> = text.lines().collect();
+    let mut found = Vec::new();
+    for (at, line) in lines.iter().enumerate() {
+        let Some(inside) = line.trim().strip_prefix("<!-- made by").and_then(|rest| rest.strip_suffix("-->")) else { continue };
+        let place = format!("{name}:{}", at + 1);
+        let (kind, command) = inside.split_once(':').unwrap_or_else(|| panic!("{place}: a colon stands before the command"));
+        let slow = match kind.trim() {
+            "" => false,
+            ", slowly" => true,
+            other => panic!("{place}: `made by` or `made by, slowly`, and not `made by{other}`"),
+        };
+        let mut rest = lines[at + 1..].iter().map(|line| line.trim_end()).skip_while(|line| line.is_empty());
+        let first = rest.next().unwrap_or_default();
+        let body: Vec<&str> = if first.starts_with("```") {
+            rest.take_while(|line| *line != "```").filter(|line| !line.starts_with("$ ") && !line.is_empty()).collect()
+        } else {
+            std::iter::once(first).chain(rest).take_while(|line| line.starts_with('|')).collect()
+        };
+        assert!(!body.is_empty(), "{place}: a code block or a table follows");
+        found.push(Figure { place, slow, command: command.trim().into(), lines: body.into_iter().map(String::from).collect() });
+    }
+    found
+}
+
+/// All figures of README.md and docs/.
+fn all_figures() -> Vec<Figure> {
+    let mut names: Vec<String> = fs::read_dir(root().join("docs"))
+        .expect("docs/")
+        .map(|entry| format!("docs/{}", entry.expect("an entry").file_name().to_string_lossy()))
+        .filter(|name| name.ends_with(".md"))
+        .collect();
+    names.sort();
+    names.insert(0, "README.md".into());
+    names.iter().flat_map(|name| figures(name, &fs::read_to_string(root().join(name)).expect("a text"))).collect()
+}
+
+/// The numbers with a decimal point that are cells of their own in a row of a Markdown table.
+fn numbers(row: &str) -> Vec<String> {
+    let cells = row.split('|').map(|cell| cell.trim().trim_matches('*').to_string());
+    cells.filter(|cell| cell.contains('.') && cell.parse::<f64>().is_ok()).collect()
+}
+
+/// What of a figure the output does not say.
+fn difference(figure: &[String], output: &str) -> Option<String> {
+    if figure[0].starts_with('|') {
+        let words: Vec<&str> = output.split(|c: char| c.is_whitespace() || c == '|' || c == ',').map(|word| word.trim_matches('*')).collect();
+        for row in figure {
+            let mut words = words.iter();
+            if let Some(missing) = numbers(row).iter().find(|number| !words.any(|word| word == number)) {
+                return Some(format!("{row}\n  {missing} is not there, or not in this order"));
+            }
+        }
+        return None;
+    }
+    let printed: Vec<&str> = output.lines().map(str::trim_end).filter(|line| !line.is_empty()).collect();
+    let alike = |wanted: &String, line: &&str| match wanted.split_once("...") {
+        Some((begin, _)) => line.starts_with(begin),
+        None => line == wanted,
+    };
+    let is_there = printed
+        .windows(figure.len().min(printed.len()).max(1))
+        .any(|lines| lines.len() == figure.len() && figure.iter().zip(lines).all(|(wanted, line)| alike(wanted, line)));
+    (!is_there).then(|| figure.join("\n"))
+}
+
+/// Runs the commands of figures, each once, and says what is out of date.
+fn hold(slow: bool) {
+    let mut by_command: BTreeMap<String, Vec<Figure>> = BTreeMap::new();
+    for figure in all_figures().into_iter().filter(|figure| figure.slow == slow) {
+        let command = figure.command.split(" > ").next().unwrap_or_default().to_string();
+        by_command.entry(command).or_default().push(figure);
+    }
+    assert!(slow || by_command.len() >= 3, "README.md and docs/ have tables that are cheap to make: {:?}", by_command.keys());
+    let mut stale = Vec::new();
+    for (command, figures) in by_command {
+        let bench = Bench::new();
+        for folder in ["pipelines", "data"] {
+            std::os::unix::fs::symlink(root().join(folder), bench.path(folder)).expect("a link");
+        }
+        let mut output = String::new();
+        for part in command.split(" && ") {
+            let words: Vec<&str> = part.split_whitespace().collect();
+            assert_eq!(words.first(), Some(&"photocurrent"), "{}: `{part}` is no command of ours", figures[0].place);
+            let done = bench.run(&words[1..]);
+            assert_eq!(done.code, 0, "{}: `{part}` failed:\n{}", figures[0].place, done.stderr);
+            output += &done.stdout;
+        }
+        for figure in figures {
+            let text = match figure.command.split_once(" > ") {
+                Some((_, file)) => fs::read_to_string(bench.path(file.trim())).unwrap_or_else(|error| panic!("{}: {file}: {error}", figure.place)),
+                None => output.clone(),
+            };
+            if let Some(missing) = difference(&figure.lines, &text) {
+                stale.push(format!(
+                    "{}: `{}` gives something else than\n{missing}\n\nnamely:\n{}",
+                    figure.place,
+                    figure.command,
+                    text.chars().take(4000).collect::<String>()
+                ));
+            }
+        }
+    }
+    assert!(stale.is_empty(), "figures are stale; write down what the commands print:\n\n{}", stale.join("\n\n"));
+}
+
+#[test]
+fn figures_that_are_cheap_to_make_are_those_of_today() {
+    hold(false);
+}
+
+#[test]
+#[ignore = "takes minutes; `make figures` runs it"]
+fn figures_that_take_longer_are_those_of_today() {
+    hold(true);
+}
+
+#[test]
+fn tables_of_scores_in_the_readme_say_what_makes_them() {
+    let marked: BTreeSet<String> = all_figures().into_iter().filter(|figure| figure.place.starts_with("README.md")).flat_map(|figure| figure.lines).collect();
+    let readme = fs::read_to_string(root().join("README.md")).expect("README.md");
+    // Our tables have a line of dashes under their head.
+    let mut lines = readme.lines().peekable();
+    while let Some(line) = lines.next() {
+        let is_head = lines.peek().is_some_and(|next| next.starts_with("---") && next.contains("  --"));
+        assert!(!is_head || marked.contains(line), "README.md: the table that begins with `{line}` needs a line `<!-- made by: ... -->` before it");
+    }
+}
+
+#[test]
+fn a_figure_that_differs_in_a_digit_is_found() {
+    let text = "x\n<!-- made by: photocurrent run a.toml -->\n```\n$ photocurrent run a.toml\nlabel  psnr\n-----  ----\nours   1.25\n```\n<!-- made by, slowly: photocurrent run b.toml -->\n\n| a | b |\n| --- | --- |\n| ours (0.3) | **2.50** |\n\ny\n";
+    let found = figures("t.md", text);
+    assert_eq!((found[0].place.as_str(), found[0].slow, found[0].command.as_str()), ("t.md:2", false, "photocurrent run a.toml"));
+    assert_eq!(found[0].lines, ["label  psnr", "-----  ----", "ours   1.25"]);
+    assert_eq!(difference(&found[0].lines, "\nlabel  psnr\n-----  ----\nours   1.25\nEDI    1.00\n"), None);
+    // A digit, and a row that is left out in between.
+    assert!(difference(&found[0].lines, "label  psnr\n-----  ----\nours   1.26\n").is_some());
+    assert!(difference(&found[0].lines, "label  psnr\n-----  ----\nEDI    1.00\nours   1.25\n").is_some());
+    assert_eq!(difference(&["{\"a\": 1, ...".into()], "{\"a\": 1, \"b\": 2}\n"), None);
+    assert!(found[1].slow && found[1].lines.len() == 3);
+    assert_eq!(difference(&found[1].lines, "ours  2.50\n"), None);
+    assert!(difference(&found[1].lines, "ours  2.51\n").is_some());
+}

@@ -1,0 +1,219 @@
+//! What a command does with a file: it is recognised by its content, its mistakes are told at once and not without end, and streams on two clocks are refused
+//! before anything is made from them.
+
+use crate::recordings::{EXTENT, events, exposures, frames, pipeline, write, write_content};
+use crate::support::{self, Bench, Done, small_pipeline};
+use photocurrent_core::events::{Event, Polarity};
+use photocurrent_core::{Exposure, testing};
+use photocurrent_store::RecordingContent;
+use std::process::Stdio;
+
+fn says(done: &Done, code: i32, parts: &[&str]) {
+    let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert_eq!(done.code, code, "{}", done.stderr);
+    parts.iter().for_each(|part| assert!(words(&done.stderr).contains(&words(part)), "`{part}` is missing from\n{}", done.stderr));
+    assert!(!done.stderr.contains("panicked"), "{}", done.stderr);
+}
+
+fn sensor() -> String {
+    std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description")
+}
+
+/// Frames at the time of day, events from 0 on: the forgotten `t_offset`.
+fn on_two_clocks(offset_ns: i64) -> Bench {
+    let bench = Bench::new();
+    let late = exposures(3).iter().map(|exposure| exposure.delayed(offset_ns)).collect();
+    let frames = testing::captured(EXTENT, late, 0, |_, x, _| 100.0 + x as f32);
+    let (events, sensor) = (events(), sensor());
+    write_content(
+        &bench.path("rec.h5"),
+        &RecordingContent { events: Some(&events), frames: Some(&frames), sensor: Some(&sensor), ..RecordingContent::empty(EXTENT) },
+    );
+    bench.write("m.toml", &pipeline());
+    bench
+}
+
+/// The command with no more address space than a small machine has: what would take 22 GB is killed here, and not the machine.
+fn bounded(bench: &Bench, arguments: &str) -> Done {
+    let command = format!("ulimit -v 6000000; exec {} {arguments}", env!("CARGO_BIN_EXE_photocurrent"));
+    let mut shell = std::process::Command::new("sh");
+    let output = shell.args(["-c", &command]).current_dir(bench.path("")).env("NO_COLOR", "1").stdin(Stdio::null()).output().expect("a shell");
+    let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
+    Done { code: output.status.code().unwrap_or(-1), stdout: text(output.stdout), stderr: text(output.stderr) }
+}
+
+#[test]
+fn events_and_frames_on_two_clocks_are_refused_everywhere_before_anything_is_made() {
+    for (offset_ns, shown) in [(1_600_000_000_000_000_000, "1600000000 s"), (1_000_000_000_000, "1000 s"), (-1_000_000_000_000, "-1000 s")] {
+        let bench = on_two_clocks(offset_ns);
+        let spans = ["no moment in common: events from 5.001 ms to", &format!("frames from {shown} to"), "`t_offset`"];
+        says(&bounded(&bench, "check rec.h5"), 3, &spans);
+        for command in ["check m.toml", "plan m.toml", "run m.toml"] {
+            let done = bounded(&bench, command);
+            says(&done, 2, &spans);
+            says(&done, 2, &["nodes.solve", "reads it from"]);
+        }
+        let done = bounded(&bench, "diagnose rec.h5 -o found");
+        assert_eq!(done.code, 3, "{}", done.stderr);
+        assert!(done.stdout.starts_with("broken_data: ") && done.stdout.contains("no moment in common"), "{}", done.stdout);
+        let report = std::fs::read_to_string(bench.path("found/diagnosis.json")).expect("a report");
+        assert!(report.contains("\"broken_data\"") && report.contains("t_offset"), "{report}");
+        assert!(!bench.path("out").exists(), "nothing ran");
+    }
+}
+
+#[test]
+fn one_stamp_far_from_all_others_makes_no_endless_film() {
+    let bench = Bench::new();
+    let mut stamps: Vec<Event> = (0..20).map(|n| Event { x: n % 12, y: 2, polarity: Polarity::On, t: i64::from(n) * 1_000_000, t_in: None }).collect();
+    stamps.push(Event { x: 1, y: 1, polarity: Polarity::Off, t: 1_700_000_000_000_000_000, t_in: None });
+    write(&bench.path("rec.h5"), Some(&testing::stream(EXTENT, stamps)), Some(&frames(3)));
+    bench.write("m.toml", &pipeline());
+    let done = bounded(&bench, "plan m.toml");
+    says(&done, 2, &["nodes.render: this would render 1.7e12 frames, from 0 ns to 1700000000.000000001 s at 1 kHz", "set `start` and `end`"]);
+    let done = bounded(&bench, "plan m.toml --set nodes.solve.params={method=\"map\"}");
+    says(&done, 2, &["solve/pixel would need", "knots a pixel"]);
+    // The part that matters can be had.
+    let part = "--set nodes.render.params.start=\"0 ms\" --set nodes.render.params.end=\"20 ms\"";
+    says(&bounded(&bench, &format!("plan m.toml {part}")), 0, &[]);
+}
+
+#[test]
+fn every_command_knows_what_it_was_given() {
+    let bench = Bench::new();
+    let (stream, text) = (events(), sensor());
+    let frames = frames(3);
+    write_content(
+        &bench.path("data.bin"),
+        &RecordingContent { events: Some(&stream), frames: Some(&frames), sensor: Some(&text), ..RecordingContent::empty(EXTENT) },
+    );
+    bench.write("hybrid.txt", &text);
+    bench.write("small.toml", &small_pipeline());
+    says(&bench.run(&["check", "data.bin"]), 0, &["24 events, 3 frames", "no mistake found"]);
+    says(&bench.run(&["check", "hybrid.txt"]), 0, &["the sensor description", "no mistake found"]);
+    says(&bench.run(&["check", "small.toml"]), 0, &["no mistake found"]);
+    for command in ["run", "plan", "graph"] {
+        says(&bench.run(&[command, "data.bin"]), 2, &[&format!("`{command}` takes a manifest, and this is a recording"), "photocurrent inspect data.bin"]);
+        says(&bench.run(&[command, "hybrid.txt"]), 2, &["this is a sensor description", "photocurrent check hybrid.txt"]);
+    }
+    says(&bench.run(&["explain", "data.bin", "solve"]), 2, &["`explain` takes a manifest"]);
+    says(&bench.run(&["inspect", "small.toml"]), 2, &["`inspect` takes a recording", "this is a manifest"]);
+    says(&bench.run(&["diagnose", "small.toml"]), 2, &["`diagnose` takes a recording, and this is a manifest"]);
+    says(&bench.run(&["diagnose", "hybrid.txt"]), 2, &["this is a sensor description"]);
+    says(&bench.run(&["table", "data.bin"]), 2, &["`table` takes a manifest that was run", "this is a recording"]);
+    assert!(!bench.path("out").exists());
+    // What a run wrote, and what a diagnosis wrote.
+    says(&bench.run(&["run", "small.toml", "--progress", "none", "--to", "psnr"]), 0, &[]);
+    says(&bench.run(&["check", "out/small"]), 0, &["the output of a run", "no mistake found"]);
+    says(&bench.run(&["run", "out/small"]), 2, &["this is the output folder of a run", "photocurrent table out/small"]);
+    says(&bench.run(&["inspect", "out/small"]), 2, &["the output folder of a run"]);
+    let lines = std::fs::read_to_string(bench.path("out/small/metrics.jsonl")).expect("scores");
+    bench.write("bad/metrics.jsonl", &format!("{lines}no JSON\n"));
+    says(&bench.run(&["check", "bad"]), 3, &["bad/metrics.jsonl:", "no JSON", "1 mistake"]);
+    bench.write("diagnosis.json", "{\"schema\": \"photocurrent-diagnosis/1\"}");
+    says(&bench.run(&["run", "diagnosis.json"]), 2, &["this is a diagnosis"]);
+    says(&bench.run(&["check", "diagnosis.json"]), 3, &["this is no diagnosis"]);
+    // The camera's own file, under another name.
+    let clip = support::root().join("data/recordings/davis346_traffic.aedat4");
+    std::fs::copy(clip, bench.path("clip")).expect("a copy");
+    says(&bench.run(&["run", "clip"]), 2, &["this is a recording", "AEDAT4"]);
+    says(&bench.run(&["check", "clip"]), 0, &["events", "no mistake found"]);
+}
+
+#[test]
+fn a_large_text_is_not_read_as_a_manifest_and_mistakes_of_one_kind_are_counted() {
+    let bench = Bench::new();
+    let line = "0.003811 96 133 0\n";
+    bench.write("events.txt", &line.repeat(2_000_000));
+    let begun = std::time::Instant::now();
+    let done = bench.run(&["run", "events.txt"]);
+    assert_eq!(done.code, 2, "{}", done.stderr);
+    assert!(done.stderr.contains("`run` takes a manifest") && done.stderr.lines().count() < 6, "{}", done.stderr);
+    assert!(begun.elapsed().as_secs_f64() < 2.0, "{:?} to recognise a text", begun.elapsed());
+    // The same in a manifest's clothes: mistakes in every line are shown twenty times, in time that grows with the text.
+    bench.write("events.toml", &format!("format = 1\n{}", line.repeat(20_000)));
+    let begun = std::time::Instant::now();
+    let done = bench.run(&["check", "events.toml"]);
+    assert_eq!(done.code, 2);
+    assert!(done.stderr.matches("error: not TOML").count() <= 40 && done.stderr.contains("more like: not TOML"), "{}", &done.stderr[..2000]);
+    assert!(begun.elapsed().as_secs_f64() < 20.0, "{:?} for 20,000 mistakes", begun.elapsed());
+}
+
+#[test]
+fn what_run_refuses_in_a_recording_check_finds() {
+    let bench = Bench::new();
+    let (stream, frames) = (events(), frames(3));
+    let text = sensor() + "\n[frams]\nx = 1\n";
+    write_content(
+        &bench.path("rec.h5"),
+        &RecordingContent { events: Some(&stream), frames: Some(&frames), sensor: Some(&text), ..RecordingContent::empty(EXTENT) },
+    );
+    says(&bench.run(&["check", "rec.h5"]), 3, &["`frams` is not a", "rec.h5:/sensor:", "1 mistake"]);
+}
+
+#[test]
+fn everything_that_a_description_lacks_is_told_at_once() {
+    let bench = Bench::new();
+    write(&bench.path("rec.h5"), Some(&events()), Some(&frames(3)));
+    bench.write("bare.toml", "format = \"photocurrent-sensor/1\"\nname = \"bare\"\n[frames]\nblack_level_dn = 10\n");
+    let manifest = r#"format = 1
+[nodes.sensor]
+kind = "read/sensor"
+params.path = "bare.toml"
+[nodes.recording]
+kind = "read/recording"
+params.path = "rec.h5"
+[nodes.solve]
+kind = "solve/pixel"
+in = { events = "recording.events", frames = "recording.frames", sensor = "sensor" }
+params = { method = "map" }
+[nodes.render]
+kind = "render/rows"
+in = { tracks = "solve.tracks", sensor = "sensor" }
+params = { shutter = "rolling" }
+"#;
+    bench.write("m.toml", manifest);
+    let done = bench.run(&["check", "m.toml"]);
+    let fields =
+        ["front_end.tau_0", "front_end.alpha", "readout.refractory", "comparator.threshold_on", "comparator.threshold_off", "frames.gain", "frames.row_time"];
+    let said =
+        ["lacks 7 fields that this pipeline needs", "bare.toml:1", "nodes.solve", "nodes.render", "its table [frames] stands in line 3", "row_time = \"0 us\""];
+    says(&done, 2, &[&fields[..], &said[..]].concat());
+    // What it says to add is what is needed.
+    let start = done.stderr.rfind("[front_end]").expect("what to add");
+    let added: String = done.stderr[start..]
+        .lines()
+        .map(|line| line.trim_start_matches([' ', '=', '|']))
+        .take_while(|line| !line.contains("mistake"))
+        .collect::<Vec<_>>()
+        .join("\n");
+    bench.write("bare.toml", &format!("format = \"photocurrent-sensor/1\"\n{added}\n"));
+    says(&bench.run(&["check", "m.toml"]), 0, &["no mistake found"]);
+}
+
+#[test]
+fn a_run_without_a_terminal_speaks_in_plain_lines() {
+    let bench = Bench::new();
+    bench.write("small.toml", &small_pipeline());
+    let done = bench.run(&["run", "small.toml"]);
+    says(&done, 0, &["started solve (solve/pixel)", "done solve (solve/pixel), ", "nodes executed"]);
+    assert!(!done.stderr.contains('{'), "{}", done.stderr);
+    let nodes = small_pipeline().matches("[nodes.").count();
+    assert!(done.stderr.lines().count() <= 2 * nodes + 12, "{}", done.stderr);
+    let done = bench.run(&["run", "small.toml", "--progress", "json", "--force", "solve"]);
+    let lines: Vec<serde_json::Value> = done.stderr.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
+    let of = |event: &str| lines.iter().filter(|line| line["event"] == event).count();
+    assert_eq!((of("planned"), of("started") >= 1, of("finished")), (1, true, nodes), "{}", done.stderr);
+    let done = bench.run(&["run", "small.toml", "--progress", "none", "--force", "solve"]);
+    assert!(!done.stderr.contains("started") && done.stderr.contains("nodes executed"), "{}", done.stderr);
+    assert_eq!(bench.run(&["run", "small.toml", "--quiet"]).stderr, "");
+}
+
+#[test]
+fn a_clip_that_begins_or_ends_with_its_frames_is_one_clock() {
+    let bench = Bench::new();
+    // One picture, and events after it.
+    let frame = testing::captured(EXTENT, vec![Exposure::new(0, 4_000_000)], 0, |_, x, _| 100.0 + x as f32);
+    write(&bench.path("rec.h5"), Some(&events()), Some(&frame));
+    says(&bench.run(&["check", "rec.h5"]), 0, &["24 events, 1 frames", "no mistake found"]);
+}
