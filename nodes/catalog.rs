@@ -1,6 +1,6 @@
 //! The table of contents: every node kind, in the order in which data flows. Nothing else registers nodes.
 
-use crate::{baseline, compensate, diagnose, read, refine, render, score, simulate, solve, split, write};
+use crate::{baseline, compensate, diagnose, estimate, read, refine, render, score, simulate, solve, split, write};
 use photocurrent_core::{Catalogue, Kind};
 
 /// All node kinds.
@@ -43,6 +43,11 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<score::coverage::ScoreCoverage>(),
         Kind::of::<score::heldout::ScoreHeldout>(),
         Kind::of::<score::diagnosis::ScoreDiagnosis>(),
+        // What the file does not say.
+        Kind::of::<estimate::offset::EstimateOffset>(),
+        Kind::of::<estimate::row_time::EstimateRowTime>(),
+        Kind::of::<estimate::thresholds::EstimateThresholds>(),
+        Kind::of::<estimate::exposure::EstimateExposure>(),
         // What the description leaves out.
         Kind::of::<diagnose::integrity::DiagnoseIntegrity>(),
         Kind::of::<diagnose::fit::DiagnoseFit>(),

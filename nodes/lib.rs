@@ -11,6 +11,7 @@ pub mod co_located;
 mod command;
 pub mod compensate;
 pub mod diagnose;
+pub mod estimate;
 pub mod held;
 pub mod onnx;
 pub mod pixel_events;

@@ -40,6 +40,10 @@ pub fn broken(case: &Case) -> Vec<String> {
         } else if known.iter().all(|dn| *dn == known[0]) && known.len() > 1 {
             why.push(format!("every frame value is {}: the frames hold no picture", known[0]));
         }
+        let infinite = frames.dn.iter().filter(|dn| dn.is_infinite()).count();
+        if infinite > 0 {
+            why.push(format!("{infinite} of {count} frame values are infinite"));
+        }
         let full = case.sensor.frames.saturation_dn.unwrap_or(f64::INFINITY);
         let saturated = known.iter().filter(|dn| f64::from(**dn) >= full).count();
         if saturated * 10 > known.len() * 9 {
@@ -47,6 +51,13 @@ pub fn broken(case: &Case) -> Vec<String> {
         }
         let black = case.sensor.frames.black_level_dn.unwrap_or(0.0);
         let room = if full.is_finite() { full - black } else { 1e4 };
+        // Noise about a black of zero makes half of a dark frame negative, but not on average.
+        let negative = known.iter().filter(|dn| **dn < 0.0).count();
+        let mean = known.iter().map(|dn| f64::from(*dn)).sum::<f64>() / known.len().max(1) as f64;
+        let variance = known.iter().map(|dn| (f64::from(*dn) - mean) * (f64::from(*dn) - mean)).sum::<f64>() / known.len().max(1) as f64;
+        if negative * 2 > known.len() && mean < black.min(0.0) - 0.2 * variance.sqrt() {
+            why.push(format!("{negative} of {} frame values are negative, {mean:.4} on average: no light is", known.len()));
+        }
         let absurd = known.iter().filter(|dn| f64::from(**dn) < black - room || f64::from(**dn) > black + 10.0 * room).count();
         if absurd * 10 > known.len() {
             why.push(format!("{absurd} of {} frame values lie outside anything that black level {black} and saturation {full} allow", known.len()));

@@ -335,6 +335,21 @@ fn broken_and_insufficient_data_are_said() {
 }
 
 #[test]
+fn frames_that_no_light_makes_are_broken() {
+    let of_frames = |change: &dyn Fn(usize, &mut f32)| {
+        let mut case = crate::testing::case();
+        case.frames.as_mut().unwrap().dn.iter_mut().enumerate().for_each(|(k, dn)| change(k, dn));
+        of(&case).broken.join("; ")
+    };
+    assert_eq!(of_frames(&|_, _| {}), "");
+    assert!(of_frames(&|_, dn| *dn = -*dn).contains("are negative"));
+    assert!(of_frames(&|k, dn| if k == 17 { *dn = f32::INFINITY }).starts_with("1 of 840 frame values are infinite"));
+    assert!(of_frames(&|_, dn| *dn = f32::NAN).contains("are not numbers"));
+    // Single values may be marked as not known, and noise may go below zero.
+    assert_eq!(of_frames(&|k, dn| if k % 9 == 0 { *dn = f32::NAN } else if k % 5 == 0 { *dn = -0.5 }), "");
+}
+
+#[test]
 fn bursts_in_step_with_the_frames_are_coupling() {
     let extent_pixels = 480;
     let exposures = (0..15).map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000)).collect();

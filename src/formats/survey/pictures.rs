@@ -131,7 +131,7 @@ pub(super) fn middle(stamp: &FrameStamp) -> i64 {
 }
 
 /// Which of `count` frames are read when at most `most` may be: runs of neighbours from the first to the last.
-pub(super) fn chosen(count: usize, most: usize) -> Vec<usize> {
+pub fn chosen(count: usize, most: usize) -> Vec<usize> {
     if count <= most {
         return (0..count).collect();
     }

@@ -1,0 +1,57 @@
+//! What a file does not say and its own events and frames do: proposals with an interval, for a description or a reader that lacks a value.
+//!
+//! - [`offset`]: how late events are against frames, and whether the clocks drift apart.
+//! - [`row_time`]: the delay from row to row.
+//! - [`thresholds`]: the log change of an ON and of an OFF event.
+//! - [`exposure`]: the length of the exposure that blurred the frames.
+//!
+//! All look at some frames and at the busiest pixels of every band of rows ([`panel()`]) and call one function of [`photocurrent_sensor::estimate`]. A value that
+//! the scene does not show is "not measured" in the table, never a guess.
+
+pub mod exposure;
+pub mod offset;
+mod panel;
+pub mod row_time;
+pub mod thresholds;
+
+pub use panel::{Settings, panel};
+
+use crate::spans::check_one_clock;
+use photocurrent_core::table::{Column, TableMeta};
+use photocurrent_core::{Meta, NodeError, PortMetas, Table};
+use photocurrent_sensor::estimate::Estimate;
+use std::sync::Arc;
+
+/// One row of the table: what it is called, value with interval, its unit, and what one is in the estimate's own.
+struct Row {
+    name: &'static str,
+    found: Option<Estimate>,
+    unit: &'static str,
+    scale: f64,
+}
+
+impl Row {
+    /// `scale` of the estimate's own unit make one of `unit`.
+    fn new(name: &'static str, found: Option<Estimate>, unit: &'static str, scale: f64) -> Row {
+        Row { name, found, unit, scale }
+    }
+}
+
+/// Values with their intervals; what was not measured is NaN.
+fn table(rows: &[Row]) -> Table {
+    let numbers = |of: fn(&Estimate) -> f64| Column::Numbers(rows.iter().map(|row| row.found.as_ref().map_or(f64::NAN, |found| of(found) / row.scale)).collect());
+    Table::default()
+        .with("quantity", Column::Texts(rows.iter().map(|row| row.name.to_owned()).collect()))
+        .with("value", numbers(|found| found.value))
+        .with("ci95_low", numbers(|found| found.ci95.0))
+        .with("ci95_high", numbers(|found| found.ci95.1))
+        .with("unit", Column::Texts(rows.iter().map(|row| row.unit.to_owned()).collect()))
+}
+
+/// Refuses, before any data, streams that do not meet.
+fn plan(inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+    let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
+    panel::fits(events, frames)?;
+    check_one_clock(events, frames, inputs.sensor("sensor").ok().map(|sensor| &**sensor))?;
+    Ok(vec![Meta::Table(Arc::new(TableMeta { scores: false }))])
+}

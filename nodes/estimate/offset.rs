@@ -1,0 +1,98 @@
+//! `estimate/offset`: how late events are against the frames, and whether the two clocks drift apart.
+//!
+//! Frames' log change from mid-exposure to mid-exposure, and the events between, are held against each other at shifts of up to a frame period.
+//! The shift holds everything that delays events: the latency of front end and readout, and an offset of the clocks.
+//!
+//! Limits: nothing where nothing moves; a scene that repeats within a frame period has several shifts.
+
+use super::{Row, Settings, panel, table};
+use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_sensor::estimate;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of `estimate/offset`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over it.
+    #[schemars(range(min = 2, max = 512))]
+    pub frames: usize,
+}
+
+impl Default for Params {
+    fn default() -> Params {
+        Params { frames: 48 }
+    }
+}
+
+photocurrent_core::ports! {
+    /// The recording.
+    pub struct In {
+        /// The events.
+        events: EventStream,
+        /// The frames as captured, of the events' pixels or a whole multiple.
+        frames: FrameSequence,
+        /// What is known of the sensor: black level and saturation are used where they are stated.
+        sensor: Option<Arc<Sensor>>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// What was found.
+    pub struct Out {
+        /// `offset`, ms: events are stamped so much later than frames saw the same; `drift`, us a second.
+        estimates: Arc<Table>,
+    }
+}
+
+/// The node.
+pub struct EstimateOffset {
+    params: Params,
+}
+
+impl Node for EstimateOffset {
+    const DECL: Decl = Decl {
+        kind: "estimate/offset",
+        about: "How late events are against frames, and how fast the clocks drift apart, with intervals.",
+        revision: 1,
+        grain: Grain::Whole,
+        draws: false,
+        exports: false,
+        sources: &["the correlation that users make by hand: panpanfei/Bringing-a-Blurry-Frame-Alive-at-High-Frame-Rate-with-an-Event-Camera, issue 5"],
+        example: r#"
+[nodes.recording]
+kind   = "read/recording"
+params = { path = "scene.h5" }
+
+[nodes.offset]
+kind = "estimate/offset"
+in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params) -> Result<Self, NodeError> {
+        Ok(EstimateOffset { params })
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        super::plan(inputs)
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let settings = Settings { frames: self.params.frames, ..Settings::default() };
+        let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
+        let shift = estimate::offset(&panel);
+        let drift = estimate::drift(&panel);
+        match &shift {
+            Some(shift) => cx.note(format!("correlation {:.2} at the offset, {:.2} without; {} pairs of frames", shift.correlation, shift.correlation_at_none, shift.pairs)),
+            None => cx.note("events and frames do not clearly agree at any shift: nothing moves, or they are of different scenes"),
+        }
+        let rows = [Row::new("offset", shift.map(|shift| shift.ns), "ms", 1e6), Row::new("drift", drift.map(|drift| drift.ns_per_s), "us/s", 1e3)];
+        Ok(Out { estimates: Arc::new(table(&rows)) })
+    }
+}

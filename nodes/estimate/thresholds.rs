@@ -1,0 +1,105 @@
+//! `estimate/thresholds`: the log change of an ON and of an OFF event.
+//!
+//! Between two frames a pixel's logarithm changes by the ON threshold for each ON event, and back by the other for each OFF one. A robust fit over the busiest
+//! pixels gives both.
+//!
+//! Limits: events that a fast change loses make thresholds look larger; frames that are not linear give thresholds of their curve; the front end is taken as ideal.
+
+use super::{Row, Settings, panel, table};
+use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_sensor::estimate;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use photocurrent_core::quantity::Duration;
+
+/// Parameters of `estimate/thresholds`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// Frames that are looked at, at most: all of a short recording, otherwise runs of neighbours spread over it.
+    #[schemars(range(min = 2, max = 512))]
+    pub frames: usize,
+    /// How late events are against frames; absent = estimated as estimate/offset does.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub offset: Option<Duration>,
+}
+
+impl Default for Params {
+    fn default() -> Params {
+        Params { frames: 48, offset: None }
+    }
+}
+
+photocurrent_core::ports! {
+    /// The recording.
+    pub struct In {
+        /// The events.
+        events: EventStream,
+        /// The frames as captured, of the events' pixels or a whole multiple.
+        frames: FrameSequence,
+        /// What is known of the sensor: black level and saturation are used where they are stated.
+        sensor: Option<Arc<Sensor>>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// What was found.
+    pub struct Out {
+        /// `threshold_on` and `threshold_off`, natural-log units, positive.
+        estimates: Arc<Table>,
+    }
+}
+
+/// The node.
+pub struct EstimateThresholds {
+    params: Params,
+}
+
+impl Node for EstimateThresholds {
+    const DECL: Decl = Decl {
+        kind: "estimate/thresholds",
+        about: "Contrast thresholds from the log change of frames an event, with intervals.",
+        revision: 1,
+        grain: Grain::Whole,
+        draws: false,
+        exports: false,
+        sources: &["v2e, issue 60; Brandli, Muller, Delbruck, ISCAS 2014: calibration by frames"],
+        example: r#"
+[nodes.recording]
+kind   = "read/recording"
+params = { path = "scene.h5" }
+
+[nodes.thresholds]
+kind = "estimate/thresholds"
+in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params) -> Result<Self, NodeError> {
+        Ok(EstimateThresholds { params })
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        super::plan(inputs)
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let settings = Settings { frames: self.params.frames, ..Settings::default() };
+        let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
+        let offset_ns = self.params.offset.map(|offset| offset.ns() as f64).or_else(|| estimate::offset(&panel).map(|shift| shift.ns.value)).unwrap_or(0.0);
+        let found = estimate::thresholds(&panel, offset_ns);
+        match &found {
+            Some(found) => cx.note(format!("{} pixels and pairs of frames, sigma {:.3} left; events taken {:.3} ms later", found.measured, found.sigma, offset_ns * 1e-6)),
+            None => cx.note("too few pixels changed by more than an event between frames"),
+        }
+        let rows = [
+            Row::new("threshold_on", found.map(|found| found.on), "ln", 1.0),
+            Row::new("threshold_off", found.map(|found| found.off), "ln", 1.0),
+        ];
+        Ok(Out { estimates: Arc::new(table(&rows)) })
+    }
+}
