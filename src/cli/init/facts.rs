@@ -5,9 +5,11 @@ use crate::common::Failure;
 use crate::declared::DeclaredOptions;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{FramesMeta, TimeSpan};
-use photocurrent_formats::arrange::{Arranged, arrange};
-use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, format, joined};
+use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, arrange};
+use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, format, joined};
+use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
 use photocurrent_nodes::read::foreign::All;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -121,6 +123,11 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, F
         let hint = "hint: name the frames too: a folder of pictures beside the event file; events alone do not state the light's level";
         usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
     })?;
+    let found = measured(recording.as_ref(), &arranged, &sorted, &mut all, &mut reader)?;
+    // A better exposure moves the frames' times.
+    let (recording, arranged) =
+        if found.exposure_ns.is_some() { open(&sorted, &all).map_err(|error| crate::declared::refused(&error))? } else { (recording, arranged) };
+    let frames = arranged.frames.clone().unwrap_or(frames);
     let bits = recording.pictures().map_or(8, |pictures| pictures.about().bits);
     let events_span = events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
     overlap(path, events_span, &frames)?;
@@ -142,7 +149,7 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, F
         notes: arranged.notes.clone(),
         losses,
     };
-    facts.sensor = describe(&facts);
+    facts.sensor = describe(&found);
     Ok(facts)
 }
 
@@ -188,6 +195,14 @@ fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
                 why: "the unit of the stamps is not recorded; this one gives a plausible rate of events".into(),
             })
         }
+        "stamps" if all.trigger_line.is_none() => {
+            let (line, count) = busiest_line(sorted)?;
+            all.trigger_line = Some(line);
+            let why = format!(
+                "no file states when the frames were taken; trigger line {line} of the event file rose {count} times: rising opens the shutter, falling closes it"
+            );
+            Some(Fill { name: "trigger_line", value: line.to_string(), why })
+        }
         "coordinate_scale" if all.coordinate_scale.is_none() => {
             all.coordinate_scale = Some(32);
             Some(Fill {
@@ -227,6 +242,14 @@ fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
         }
         _ => None,
     }
+}
+
+/// The trigger line with most rising edges, and how many.
+fn busiest_line(sorted: &Sorted) -> Option<(u16, usize)> {
+    let triggers = (sorted.format.open)(&sorted.recording, &Declared::default()).ok()?.triggers().ok()?;
+    let mut counts = BTreeMap::new();
+    triggers.iter().filter(|trigger| trigger.edge == Edge::Rising).for_each(|trigger| *counts.entry(trigger.line).or_insert(0) += 1);
+    counts.into_iter().max_by_key(|(_, count)| *count)
 }
 
 /// The unit with which events come at a rate that sensors have: the nearest to 10 a second and pixel on a logarithmic scale.
@@ -308,18 +331,71 @@ fn what_to_render(frames: &FramesMeta, events: TimeSpan, count: u64) -> (Option<
     (Some((Duration::new(from.max(0)), Duration::new(to))), rate_hz)
 }
 
+/// What the streams themselves say; of a long recording, its first part.
+fn measured(recording: &dyn Recording, arranged: &Arranged, sorted: &Sorted, all: &mut All, fills: &mut [Fill]) -> Result<Proposals, Failure> {
+    let failed = |error: photocurrent_core::NodeError| Failure::Other { message: error.to_string(), code: 3 };
+    let gathered = arranged.gather(recording, EVENTS_BUDGET, |_: &dyn EventCursor| Ok::<(), FormatError>(()));
+    let (Some((events, _)), Some(frames)) = (gathered.map_err(|error| crate::declared::refused(&error))?, arranged.frame_sequence()) else {
+        return Ok(Proposals::default());
+    };
+    let mut found = proposals(&events, &frames).map_err(failed)?;
+    // An exposure that is recorded or stated is no question.
+    let Some(fill) = fills.iter_mut().find(|fill| fill.name == "exposure") else {
+        found.exposure_ns = None;
+        return Ok(found);
+    };
+    if let Some(exposure) = found.exposure_ns.filter(|exposure| exposure.value >= 1e4) {
+        let rounded = Duration::new((exposure.value / 1e4).round() as i64 * 10_000);
+        all.exposure = Some(rounded);
+        fill.value = format!("\"{rounded}\"");
+        let (low, high) = (exposure.ci95.0 / 1e6, exposure.ci95.1 / 1e6);
+        fill.why = format!(
+            "the exposure is not recorded; this length explains the blur of the frames of {} best (95 %: {low:.2} to {high:.2} ms)",
+            sorted.format.name
+        );
+    } else {
+        found.exposure_ns = None;
+    }
+    Ok(found)
+}
+
+/// An offset below this is no matter: a latency of the front end is of that size.
+const SMALL_OFFSET_NS: f64 = 5e5;
+
 /// Fields of the description that no file states.
-fn describe(facts: &Facts) -> Vec<Fill> {
-    let _ = facts;
-    let thresholds =
-        "contrast thresholds are never recorded; typical settings lie between 0.15 and 0.5. Too small a value gives pale motion, too large a value ghosts";
-    vec![
-        Fill { name: "threshold_on", value: "0.25".into(), why: thresholds.into() },
-        Fill { name: "threshold_off", value: "0.25".into(), why: "as threshold_on".into() },
+fn describe(found: &Proposals) -> Vec<Fill> {
+    let matters = "Too small a value gives pale motion, too large a value ghosts";
+    let threshold = |name: &'static str, estimate: Option<Estimate>| match estimate.filter(|estimate| (0.02..2.0).contains(&estimate.value)) {
+        Some(Estimate { value, ci95: (low, high) }) => Fill {
+            name,
+            value: format!("{value:.3}"),
+            why: format!("never recorded; this one explains the change of the frames by their events (95 %: {low:.3} to {high:.3}). {matters}"),
+        },
+        None => Fill {
+            name,
+            value: "0.25".into(),
+            why: format!("never recorded, and too little moves to measure it; usual settings lie between 0.15 and 0.5. {matters}"),
+        },
+    };
+    let mut fills = vec![
+        threshold("threshold_on", found.thresholds.map(|both| both.0)),
+        threshold("threshold_off", found.thresholds.map(|both| both.1)),
         Fill {
             name: "refractory",
             value: "\"100 us\"".into(),
-            why: "the blind time after an event is a bias of the camera; the shortest interval of one pixel's events bounds it".into(),
+            why: "the blind time after an event is a bias of the camera; the shortest interval between events of one pixel bounds it".into(),
         },
-    ]
+    ];
+    if let Some(Estimate { value, ci95: (low, high) }) = found.offset_ns.filter(|offset| offset.value.abs() > SMALL_OFFSET_NS && !offset.holds(0.0)) {
+        fills.push(Fill {
+            name: "clock_offset",
+            value: format!("{{ offset = \"{:.2} ms\" }}", value / 1e6),
+            why: format!(
+                "events lag the frames by so much (95 %: {:.2} to {:.2} ms): clocks, or the latency of the pixels; 0 if you know better",
+                low / 1e6,
+                high / 1e6
+            ),
+        });
+    }
+    fills
 }

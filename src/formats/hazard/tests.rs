@@ -105,7 +105,8 @@ fn sound() -> Made {
     all.sort_unstable();
     let mut events = EventChunk::default();
     all.iter().for_each(|(t, x, y, on)| events.push(*t, *x, *y, *on == 1));
-    let stamps: Vec<FrameStamp> = (0..FRAMES as i64).map(|l| l * PERIOD + 3 * MS + (l % 3) * 5_000).map(|at| FrameStamp { at, exposure: Some((at, at + 2 * MS)) }).collect();
+    let stamps: Vec<FrameStamp> =
+        (0..FRAMES as i64).map(|l| l * PERIOD + 3 * MS + (l % 3) * 5_000).map(|at| FrameStamp { at, exposure: Some((at, at + 2 * MS)) }).collect();
     let picture = |stamp: &FrameStamp| {
         let t = stamp.at + MS;
         (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (x, y))).map(|(x, y)| (libm::exp(log_light(x, y, t))).round() as f32).collect()
@@ -178,7 +179,10 @@ fn frames_that_no_light_makes_are_errors() {
 fn clocks_that_do_not_meet_are_told_with_the_offset() {
     let mut made = sound();
     let day = 1_700_000_000_000_000_000;
-    made.frames.stamps.iter_mut().for_each(|stamp| *stamp = FrameStamp { at: stamp.at + day, exposure: stamp.exposure.map(|(start, end)| (start + day, end + day)) });
+    made.frames
+        .stamps
+        .iter_mut()
+        .for_each(|stamp| *stamp = FrameStamp { at: stamp.at + day, exposure: stamp.exposure.map(|(start, end)| (start + day, end + day)) });
     let survey = survey(&made, "made", &Most::default(), |_| {}).unwrap();
     let found = findings(&survey, &Limits::default());
     assert_eq!((found[0].id, found[0].severity), ("no_overlap", Severity::Error));
@@ -277,7 +281,14 @@ fn bursts_in_step_with_the_frames_are_told() {
 
 #[test]
 fn triggers_that_miss_an_edge_are_told() {
-    let edges = |made: &mut Made| made.frames.stamps.iter().flat_map(|stamp| [(stamp.at, Edge::Rising), (stamp.at + 2 * MS, Edge::Falling)]).map(|(t, edge)| Trigger { t, line: 0, edge }).collect::<Vec<_>>();
+    let edges = |made: &mut Made| {
+        made.frames
+            .stamps
+            .iter()
+            .flat_map(|stamp| [(stamp.at, Edge::Rising), (stamp.at + 2 * MS, Edge::Falling)])
+            .map(|(t, edge)| Trigger { t, line: 0, edge })
+            .collect::<Vec<_>>()
+    };
     assert!(with(|made| made.triggers = edges(made)).is_empty());
     let missed = with(|made| {
         made.triggers = edges(made);

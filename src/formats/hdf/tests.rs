@@ -209,7 +209,8 @@ fn a_streamed_recording_is_a_recording() {
         exposures: vec![(500_000, 1_500_000), (10_500_000, 11_500_000)],
         read: &read,
     };
-    let content = photocurrent_store::stream::StreamedRecording { extent, events: Some(false), t_resolution_ns: Some(1000), frames: Some(frames), sensor: None };
+    let content =
+        photocurrent_store::stream::StreamedRecording { extent, events: Some(false), t_resolution_ns: Some(1000), frames: Some(frames), sensor: None };
     assert_eq!(super::write::write_recording(&path, Some(&mut *source.events().unwrap()), &content).unwrap().events, 2000);
     let back = open(&path, "recording", &Declared::default());
     assert_eq!(all(&*back, None), (expected(0..2000, 40, 30, 0), 0));
