@@ -5,12 +5,12 @@
 //! Limits: it needs light that bends within an exposure, fast motion over fine texture, and stamps at the middle of the exposure.
 
 use super::{Row, Settings, panel, table};
+use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use photocurrent_sensor::estimate;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use photocurrent_core::quantity::Duration;
 
 /// Parameters of `estimate/exposure`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]

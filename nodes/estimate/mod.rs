@@ -39,7 +39,8 @@ impl Row {
 
 /// Values with their intervals; what was not measured is NaN.
 fn table(rows: &[Row]) -> Table {
-    let numbers = |of: fn(&Estimate) -> f64| Column::Numbers(rows.iter().map(|row| row.found.as_ref().map_or(f64::NAN, |found| of(found) / row.scale)).collect());
+    let numbers =
+        |of: fn(&Estimate) -> f64| Column::Numbers(rows.iter().map(|row| row.found.as_ref().map_or(f64::NAN, |found| of(found) / row.scale)).collect());
     Table::default()
         .with("quantity", Column::Texts(rows.iter().map(|row| row.name.to_owned()).collect()))
         .with("value", numbers(|found| found.value))

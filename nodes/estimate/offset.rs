@@ -89,7 +89,8 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let shift = estimate::offset(&panel);
         let drift = estimate::drift(&panel);
         match &shift {
-            Some(shift) => cx.note(format!("correlation {:.2} at the offset, {:.2} without; {} pairs of frames", shift.correlation, shift.correlation_at_none, shift.pairs)),
+            Some(shift) => cx
+                .note(format!("correlation {:.2} at the offset, {:.2} without; {} pairs of frames", shift.correlation, shift.correlation_at_none, shift.pairs)),
             None => cx.note("events and frames do not clearly agree at any shift: nothing moves, or they are of different scenes"),
         }
         let rows = [Row::new("offset", shift.map(|shift| shift.ns), "ms", 1e6), Row::new("drift", drift.map(|drift| drift.ns_per_s), "us/s", 1e3)];

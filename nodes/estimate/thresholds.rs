@@ -6,12 +6,12 @@
 //! Limits: events that a fast change loses make thresholds look larger; frames that are not linear give thresholds of their curve; the front end is taken as ideal.
 
 use super::{Row, Settings, panel, table};
+use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use photocurrent_sensor::estimate;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use photocurrent_core::quantity::Duration;
 
 /// Parameters of `estimate/thresholds`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -93,13 +93,12 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let offset_ns = self.params.offset.map(|offset| offset.ns() as f64).or_else(|| estimate::offset(&panel).map(|shift| shift.ns.value)).unwrap_or(0.0);
         let found = estimate::thresholds(&panel, offset_ns);
         match &found {
-            Some(found) => cx.note(format!("{} pixels and pairs of frames, sigma {:.3} left; events taken {:.3} ms later", found.measured, found.sigma, offset_ns * 1e-6)),
+            Some(found) => {
+                cx.note(format!("{} pixels and pairs of frames, sigma {:.3} left; events taken {:.3} ms later", found.measured, found.sigma, offset_ns * 1e-6))
+            }
             None => cx.note("too few pixels changed by more than an event between frames"),
         }
-        let rows = [
-            Row::new("threshold_on", found.map(|found| found.on), "ln", 1.0),
-            Row::new("threshold_off", found.map(|found| found.off), "ln", 1.0),
-        ];
+        let rows = [Row::new("threshold_on", found.map(|found| found.on), "ln", 1.0), Row::new("threshold_off", found.map(|found| found.off), "ln", 1.0)];
         Ok(Out { estimates: Arc::new(table(&rows)) })
     }
 }

@@ -1,7 +1,7 @@
 //! One screen of facts about a recording, and what is to be said of it.
 
 use crate::common::human_bytes;
-use photocurrent_formats::hazard::{Finding, percent, time};
+use photocurrent_formats::hazard::{Finding, Severity, percent, time};
 use photocurrent_formats::survey::lines::LineSurvey;
 use photocurrent_formats::survey::pictures::{FramesSurvey, Spread};
 use photocurrent_formats::survey::{EventsSurvey, Survey};
@@ -55,7 +55,9 @@ fn of_events(events: &EventsSurvey) -> String {
     let cut = if events.is_cut { " (those that were read)" } else { "" };
     let _ = writeln!(text, "{:<9}{}{cut} of {width} x {height}{about} pixels, {} ON", "events", thousands(events.count), percent(events.on_share()));
     if let Some((first, last)) = events.span_ns {
-        let rate = events.rate_of_pixel_hz().map_or_else(String::new, |rate| format!(", {} a second, {rate:.3} a pixel and second", rough(events.count as f64 / events.seconds())));
+        let rate = events
+            .rate_of_pixel_hz()
+            .map_or_else(String::new, |rate| format!(", {} a second, {rate:.3} a pixel and second", rough(events.count as f64 / events.seconds())));
         let _ = writeln!(text, "{:<9}{} to {}: {}{rate}", "", time(first as f64), time(last as f64), time(events.seconds() * 1e9));
         let bin = events.rate.bin_ns as f64 * (events.rate.counts.len() as f64 / WIDE as f64).max(1.0);
         let most = events.rate.counts.iter().copied().max().unwrap_or(0) as f64 / (events.rate.bin_ns as f64 * 1e-9);
@@ -64,7 +66,8 @@ fn of_events(events: &EventsSurvey) -> String {
     let stamps = &events.stamps;
     let stored = if events.stored_as.is_empty() { String::new() } else { format!(", stored as {}", events.stored_as) };
     let step = if stamps.step_ns == 0 { "unknown".to_owned() } else { time(stamps.step_ns as f64) };
-    let _ = write!(text, "{:<9}step {step} (stated {}){stored}; {} equal to the one before", "stamps", time(stamps.tick_ns as f64), percent(stamps.equal_share));
+    let _ =
+        write!(text, "{:<9}step {step} (stated {}){stored}; {} equal to the one before", "stamps", time(stamps.tick_ns as f64), percent(stamps.equal_share));
     let _ = writeln!(text, "{}", if stamps.backward > 0 { format!("; {} steps back", stamps.backward) } else { String::new() });
     if let Some(in_pixel) = &events.in_pixel {
         let (least, mean, most) = in_pixel.latency_ns;
@@ -87,7 +90,8 @@ fn of_frames(frames: &FramesSurvey) -> String {
     let bits = if frames.bits == 32 { "floats".to_owned() } else { format!("{} bits", frames.bits) };
     let _ = writeln!(text, "{:<9}{} of {} x {} pixels, {}, {bits}", "frames", thousands(frames.count), frames.width, frames.height, frames.colour);
     let spread = |of: Spread| {
-        let ends = if of.max_ns - of.min_ns > of.median_ns / 1000 { format!(" ({} to {})", time(of.min_ns as f64), time(of.max_ns as f64)) } else { String::new() };
+        let ends =
+            if of.max_ns - of.min_ns > of.median_ns / 1000 { format!(" ({} to {})", time(of.min_ns as f64), time(of.max_ns as f64)) } else { String::new() };
         format!("{}{ends}", time(of.median_ns as f64))
     };
     let mut parts = Vec::new();
@@ -127,10 +131,11 @@ fn of_line(line: &LineSurvey) -> String {
 fn of_findings(findings: &[Finding]) -> String {
     let mut text = String::new();
     let mut told = 0;
+    let width = findings.iter().map(|finding| finding.id.len()).max().unwrap_or(0);
     for finding in findings.iter().take(MOST_FINDINGS) {
-        let _ = write!(text, "\n{} {}: {}\n    {}\n", finding.severity, finding.id, finding.message, finding.evidence);
-        if finding.what_to_do != "nothing" {
-            let _ = writeln!(text, "    to do: {}", finding.what_to_do);
+        let _ = write!(text, "\n{:<8} {:<width$}  {}\n         {:<width$}  {}\n", finding.severity.name(), finding.id, finding.message, "", finding.evidence);
+        if finding.severity != Severity::Fact {
+            let _ = writeln!(text, "         {:<width$}  to do: {}", "", finding.what_to_do);
         }
         told += 1;
     }

@@ -105,7 +105,8 @@ fn sound() -> Made {
     all.sort_unstable();
     let mut events = EventChunk::default();
     all.iter().for_each(|(t, x, y, on)| events.push(*t, *x, *y, *on == 1));
-    let stamps: Vec<FrameStamp> = (0..FRAMES as i64).map(|l| l * PERIOD + 3 * MS + (l % 3) * 5_000).map(|at| FrameStamp { at, exposure: Some((at, at + 2 * MS)) }).collect();
+    let stamps: Vec<FrameStamp> =
+        (0..FRAMES as i64).map(|l| l * PERIOD + 3 * MS + (l % 3) * 5_000).map(|at| FrameStamp { at, exposure: Some((at, at + 2 * MS)) }).collect();
     let picture = |stamp: &FrameStamp| {
         let t = stamp.at + MS;
         (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (x, y))).map(|(x, y)| (libm::exp(log_light(x, y, t))).round() as f32).collect()
@@ -178,7 +179,10 @@ fn frames_that_no_light_makes_are_errors() {
 fn clocks_that_do_not_meet_are_told_with_the_offset() {
     let mut made = sound();
     let day = 1_700_000_000_000_000_000;
-    made.frames.stamps.iter_mut().for_each(|stamp| *stamp = FrameStamp { at: stamp.at + day, exposure: stamp.exposure.map(|(start, end)| (start + day, end + day)) });
+    made.frames
+        .stamps
+        .iter_mut()
+        .for_each(|stamp| *stamp = FrameStamp { at: stamp.at + day, exposure: stamp.exposure.map(|(start, end)| (start + day, end + day)) });
     let survey = survey(&made, "made", &Most::default(), |_| {}).unwrap();
     let found = findings(&survey, &Limits::default());
     assert_eq!((found[0].id, found[0].severity), ("no_overlap", Severity::Error));
@@ -212,8 +216,11 @@ fn a_counter_that_started_again_is_an_error() {
 #[test]
 fn stamps_that_stand_still_or_come_in_clumps_are_told() {
     assert!(with(|made| made.events.t.fill(30 * MS)).contains(&"clock_stands"));
-    let clumped = with(|made| made.events.t.iter_mut().for_each(|t| *t -= *t % (5 * MS)));
-    assert!(clumped.contains(&"clumps") && clumped.contains(&"coarse_stamps"), "{clumped:?}");
+    // A clock of 5 ms; and clumps at times that a clock of 1 us may well have.
+    assert!(with(|made| made.events.t.iter_mut().for_each(|t| *t -= *t % (5 * MS))).contains(&"coarse_stamps"));
+    let place = |k: i64| k * 5 * MS + (k * k % 97) * 1000;
+    let clumped = with(|made| made.events.t.iter_mut().for_each(|t| *t = place(*t / (5 * MS))));
+    assert!(clumped.contains(&"clumps") && !clumped.contains(&"coarse_stamps"), "{clumped:?}");
 }
 
 #[test]
@@ -265,19 +272,31 @@ fn missing_and_repeated_frames_and_long_exposures_are_told() {
 fn bursts_in_step_with_the_frames_are_told() {
     let found = with(|made| {
         let mut random = Random::new(9, &[]);
+        let events = &made.events;
+        let mut all: Vec<(i64, u16, u16, u8)> = (0..events.len()).map(|k| (events.t[k], events.x[k], events.y[k], events.on[k])).collect();
         for stamp in made.frames.stamps.clone() {
             for _ in 0..1500 {
                 let (x, y) = ((random.uniform() * 64.0) as u16, (random.uniform() * 48.0) as u16);
-                made.events.push(stamp.at + 9 * MS + (random.uniform() * 200.0) as i64 * 1000, x, y, true);
+                all.push((stamp.at + 9 * MS + (random.uniform() * 200.0) as i64 * 1000, x, y, 1));
             }
         }
+        all.sort_unstable();
+        made.events.clear();
+        all.iter().for_each(|(t, x, y, on)| made.events.push(*t, *x, *y, *on == 1));
     });
     assert!(found.contains(&"frame_coupled_events"), "{found:?}");
 }
 
 #[test]
 fn triggers_that_miss_an_edge_are_told() {
-    let edges = |made: &mut Made| made.frames.stamps.iter().flat_map(|stamp| [(stamp.at, Edge::Rising), (stamp.at + 2 * MS, Edge::Falling)]).map(|(t, edge)| Trigger { t, line: 0, edge }).collect::<Vec<_>>();
+    let edges = |made: &mut Made| {
+        made.frames
+            .stamps
+            .iter()
+            .flat_map(|stamp| [(stamp.at, Edge::Rising), (stamp.at + 2 * MS, Edge::Falling)])
+            .map(|(t, edge)| Trigger { t, line: 0, edge })
+            .collect::<Vec<_>>()
+    };
     assert!(with(|made| made.triggers = edges(made)).is_empty());
     let missed = with(|made| {
         made.triggers = edges(made);
