@@ -114,7 +114,9 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
         lag.correlation.1,
         count(lag.pairs as u64, "pair of frames", "pairs of frames")
     );
-    let beyond = (limits.late_share * period).max(limits.late_ns);
+    // A description that travels with the recording states its front end, and with it the latency in dim light.
+    let latency = if survey.has_sensor { 2.0 * limits.late_ns } else { limits.late_ns };
+    let beyond = (limits.late_share * period).max(latency);
     if late.ci95.0 > 0.5 * beyond && late.value > beyond || late.ci95.1 < -0.5 * beyond && late.value < -beyond {
         let way = if late.value > 0.0 { "late" } else { "early" };
         found.push(Finding::new(
