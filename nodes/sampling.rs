@@ -6,7 +6,7 @@
 
 use crate::spans::{MOST_STEPS, rounded};
 use photocurrent_core::quantity::{Duration, Rate};
-use photocurrent_core::time::NS_PER_S;
+use photocurrent_core::time::{NS_PER_S, in_seconds};
 use photocurrent_core::{Colour, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -70,8 +70,13 @@ impl Sampling {
         let period = 1e9 / self.rate.hz();
         let count = (end as f64 - start as f64) / period;
         if count > MOST_STEPS as f64 {
-            let message =
-                format!("this would render {} frames, from {} to {} at {}, and {MOST_STEPS} are the most", rounded(count), shown(start), shown(end), self.rate);
+            let message = format!(
+                "this would render {} frames, from {} to {} at {}, and {MOST_STEPS} are the most",
+                rounded(count),
+                in_seconds(start),
+                in_seconds(end),
+                self.rate
+            );
             return Err(NodeError::usage(message)
                 .note(covered)
                 .hint("set `start` and `end` around what you want to see, or lower `rate`; is the recording that long, or is one stamp far from all others?")
@@ -163,7 +168,7 @@ mod tests {
         let sampling = Sampling { rate: Rate::new(1000.0), ..Sampling::default() };
         let decades = TimeSpan::new(0, 1_700_000_000_000_000_000);
         let error = sampling.times(decades, None).unwrap_err();
-        assert!(error.message.starts_with("this would render 1.7e12 frames, from 0 ns to 1700000000 s at 1 kHz"), "{}", error.message);
+        assert!(error.message.starts_with("this would render 1.7e12 frames, from 0 s to 1700000000 s at 1 kHz"), "{}", error.message);
         assert!(error.hint.unwrap().contains("set `start` and `end`"));
         let part = Sampling { start: Some(Duration::new(0)), end: Some(Duration::new(5_000_000)), ..sampling };
         assert_eq!(mids(&part, decades).len(), 5);

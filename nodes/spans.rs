@@ -4,7 +4,7 @@
 //! entry for every millisecond of that ([`check_steps`]) would take all memory there is, so both are refused while planning.
 
 use crate::pixel_events::clock_offset;
-use photocurrent_core::quantity::Duration;
+use photocurrent_core::time::in_seconds;
 use photocurrent_core::{Apart, DataType, EventsMeta, FramesMeta, NodeError, Sensor, TimeSpan};
 
 /// More entries of a list than this are a mistake of stamps or of parameters: more than an hour at a thousand a second.
@@ -19,7 +19,7 @@ pub fn check_steps(span: TimeSpan, step_ns: i64, what: &str, who: &str) -> Resul
     if steps <= MOST_STEPS as f64 {
         return Ok(());
     }
-    let (from, to) = (Duration::new(span.start.0), Duration::new(span.end.0));
+    let (from, to) = (in_seconds(span.start.0), in_seconds(span.end.0));
     Err(NodeError::input(format!("{who} would need {} {what} for a recording from {from} to {to}, and {MOST_STEPS} are the most", rounded(steps)))
         .hint("is a stamp far from all others, or in another unit? `photocurrent inspect` shows the spans; else cut the recording into shorter ones")
         .blames(DataType::Events))
@@ -68,7 +68,7 @@ mod tests {
     fn lists_that_no_machine_can_hold_are_refused_with_their_number() {
         assert!(check_steps(TimeSpan::new(0, 3_600_000_000_000), 1_000_000, "frames", "somebody").is_ok());
         let error = check_steps(TimeSpan::new(0, 1_600_000_000_000_000_000), 1_000_000, "frames", "somebody").unwrap_err();
-        assert!(error.message.starts_with("somebody would need 1.6e12 frames for a recording from 0 ns to 1600000000 s"), "{}", error.message);
+        assert!(error.message.starts_with("somebody would need 1.6e12 frames for a recording from 0 s to 1600000000 s"), "{}", error.message);
         assert!(check_steps(TimeSpan::new(i64::MIN, i64::MAX), 0, "frames", "somebody").is_err());
         assert_eq!((rounded(12_345.0), rounded(1.72e12)), ("12345".into(), "1.7e12".into()));
     }

@@ -46,7 +46,7 @@ fn bounded(bench: &Bench, arguments: &str) -> Done {
 fn events_and_frames_on_two_clocks_are_refused_everywhere_before_anything_is_made() {
     for (offset_ns, shown) in [(1_600_000_000_000_000_000, "1600000000 s"), (1_000_000_000_000, "1000 s"), (-1_000_000_000_000, "-1000 s")] {
         let bench = on_two_clocks(offset_ns);
-        let spans = ["no moment in common: events from 5.001 ms to", &format!("frames from {shown} to"), "`t_offset`"];
+        let spans = ["no moment in common: events from 0.005001 s to", &format!("frames from {shown} to"), "`t_offset`"];
         says(&bounded(&bench, "check rec.h5"), 3, &spans);
         for command in ["check m.toml", "plan m.toml", "run m.toml"] {
             let done = bounded(&bench, command);
@@ -70,11 +70,16 @@ fn one_stamp_far_from_all_others_makes_no_endless_film() {
     write(&bench.path("rec.h5"), Some(&testing::stream(EXTENT, stamps)), Some(&frames(3)));
     bench.write("m.toml", &pipeline());
     let done = bounded(&bench, "plan m.toml");
-    says(&done, 2, &["nodes.render: this would render 1.7e12 frames, from 0 ns to 1700000000.000000001 s at 1 kHz", "set `start` and `end`"]);
-    let done = bounded(&bench, "plan m.toml --set nodes.solve.params={method=\"map\"}");
-    says(&done, 2, &["solve/pixel would need", "knots a pixel"]);
+    says(&done, 2, &["nodes.render: this would render 1.7e12 frames, from 0 s to 1700000000.000000001 s at 1 kHz", "set `start` and `end`"]);
+    let map = pipeline().replace(
+        "params = { method = \"paper\", front_end = \"ideal\", readout = \"none\", cis_weight = 1.0, evs_weight = 1000.0 }",
+        "params = { method = \"map\" }",
+    );
+    assert!(map.contains("\"map\""));
+    bench.write("map.toml", &map);
+    says(&bounded(&bench, "plan map.toml"), 2, &["solve/pixel would need", "knots a pixel"]);
     // The part that matters can be had.
-    let part = "--set nodes.render.params.start=\"0 ms\" --set nodes.render.params.end=\"20 ms\"";
+    let part = "--set 'nodes.render.params.start=\"0 ms\"' --set 'nodes.render.params.end=\"20 ms\"'";
     says(&bounded(&bench, &format!("plan m.toml {part}")), 0, &[]);
 }
 
@@ -135,7 +140,7 @@ fn a_large_text_is_not_read_as_a_manifest_and_mistakes_of_one_kind_are_counted()
     let begun = std::time::Instant::now();
     let done = bench.run(&["check", "events.toml"]);
     assert_eq!(done.code, 2);
-    assert!(done.stderr.matches("error: not TOML").count() <= 40 && done.stderr.contains("more like: not TOML"), "{}", &done.stderr[..2000]);
+    assert!(done.stderr.matches("error: not TOML").count() <= 100 && done.stderr.contains("more like: not TOML"), "{}", &done.stderr[..2000]);
     assert!(begun.elapsed().as_secs_f64() < 20.0, "{:?} for 20,000 mistakes", begun.elapsed());
 }
 

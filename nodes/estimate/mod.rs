@@ -18,9 +18,34 @@ pub use panel::{Settings, panel};
 
 use crate::spans::check_one_clock;
 use photocurrent_core::table::{Column, TableMeta};
-use photocurrent_core::{Meta, NodeError, PortMetas, Table};
-use photocurrent_sensor::estimate::Estimate;
+use photocurrent_core::{EventStream, FrameSequence, Meta, NodeError, PortMetas, Table};
+use photocurrent_sensor::estimate;
+pub use photocurrent_sensor::estimate::Estimate;
 use std::sync::Arc;
+
+/// What events and frames together say of a sensor, for a description that has to begin somewhere.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Proposals {
+    /// How late events are against frames, ns; none where nothing clearly moves.
+    pub offset_ns: Option<Estimate>,
+    /// Contrast thresholds, natural-log units.
+    pub thresholds: Option<(Estimate, Estimate)>,
+    /// Length of the exposure, ns.
+    pub exposure_ns: Option<Estimate>,
+}
+
+/// Estimates everything that can be estimated at once.
+///
+/// # Errors
+/// When a stream cannot be read, or frames are no whole multiple of the events' pixels.
+pub fn proposals(events: &EventStream, frames: &FrameSequence) -> Result<Proposals, NodeError> {
+    let panel = panel(events, frames, None, &Settings::default())?;
+    let offset_ns = estimate::offset(&panel).map(|shift| shift.ns);
+    let late = offset_ns.map_or(0.0, |offset| offset.value);
+    let thresholds = estimate::thresholds(&panel, late).map(|steps| (steps.on, steps.off));
+    let exposure_ns = thresholds.and_then(|(on, off)| estimate::exposure(&panel, (on.value, off.value), late));
+    Ok(Proposals { offset_ns, thresholds, exposure_ns })
+}
 
 /// One row of the table: what it is called, value with interval, its unit, and what one is in the estimate's own.
 struct Row {

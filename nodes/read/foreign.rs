@@ -17,7 +17,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::borrow::Cow;
 use std::marker::PhantomData;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// One format as a node.
@@ -138,24 +138,6 @@ impl All {
             row_time: self.row_time,
             crop: self.crop.map(|part| Crop { x: part.x, y: part.y, width: part.width, height: part.height }),
         }
-    }
-
-    /// From names and values as they are written on a command line: `exposure=5 ms`, `columns=["t", "x", "y", "p"]`.
-    ///
-    /// # Errors
-    /// With the name that is unknown, or the value that does not fit.
-    pub fn stated(path: &Path, statements: &[String]) -> Result<All, String> {
-        let mut table = toml::Table::new();
-        for statement in statements {
-            let (name, value) = statement.split_once('=').ok_or_else(|| format!("`{statement}` is no NAME=VALUE, such as exposure=\"5 ms\""))?;
-            let (name, value) = (name.trim(), value.trim());
-            // A bare word is a text: the shell has taken the quotes away.
-            let parsed = format!("v = {value}").parse::<toml::Table>().ok().and_then(|mut table| table.remove("v"));
-            table.insert(name.into(), parsed.unwrap_or_else(|| toml::Value::String(value.into())));
-        }
-        let map = serde_json::to_value(table).map_err(|error| error.to_string())?;
-        let all: All = serde_json::from_value(map).map_err(|error| error.to_string())?;
-        Ok(All { path: InputPath::new(path), ..all })
     }
 }
 

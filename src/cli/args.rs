@@ -1,6 +1,8 @@
 //! The arguments: what clap turns into help, completions and checks.
 
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
+use photocurrent_core::quantity::Duration;
+use photocurrent_formats::TimeUnit;
 use std::path::PathBuf;
 
 /// Solves for the photocurrent of every pixel of a hybrid frame and event sensor.
@@ -91,9 +93,9 @@ pub struct InitOptions {
     /// The manifest to write; the sensor description is written beside it
     #[arg(short, long, value_name = "FILE", default_value = "photocurrent.toml")]
     pub output: PathBuf,
-    /// State what the files do not, by the names of the reader's parameters: exposure="5 ms", time_unit=us
-    #[arg(long, value_name = "NAME=VALUE")]
-    pub state: Vec<String>,
+    /// What the files do not say
+    #[command(flatten)]
+    pub declared: crate::declared::DeclaredOptions,
     /// Replace a manifest that is there
     #[arg(long)]
     pub force: bool,
@@ -126,19 +128,19 @@ pub struct ConvertOptions {
     pub crop: Vec<u16>,
     /// Leave out what was stamped before this time, from the earliest stamp: 250ms
     #[arg(long, value_name = "TIME")]
-    pub start: Option<String>,
+    pub start: Option<Duration>,
     /// Leave out what was stamped at or after this time
     #[arg(long, value_name = "TIME")]
-    pub end: Option<String>,
-    /// Unit of the stamps in a text file: s, ms, us or ns
-    #[arg(long, value_name = "UNIT")]
-    pub unit: Option<String>,
+    pub end: Option<Duration>,
+    /// Unit of the stamps in a text file that is written: s, ms, us or ns
+    #[arg(long, value_name = "UNIT", value_parser = crate::declared::word::<TimeUnit>, default_value = "us")]
+    pub unit: TimeUnit,
     /// Count time from the earliest stamp [default: the file's clock; a recording always begins at zero]
     #[arg(long)]
     pub from_zero: bool,
-    /// State what the file does not, by the names of the reader's parameters: exposure="5 ms", time_unit=us
-    #[arg(long, value_name = "NAME=VALUE")]
-    pub state: Vec<String>,
+    /// What the file does not say
+    #[command(flatten)]
+    pub declared: crate::declared::DeclaredOptions,
     /// Replace a file that is there
     #[arg(long)]
     pub force: bool,
@@ -198,6 +200,9 @@ pub struct CheckOptions {
     /// Lay a value over the manifest
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub sets: Vec<String>,
+    /// What a recording does not say
+    #[command(flatten)]
+    pub declared: crate::declared::DeclaredOptions,
 }
 
 /// How a table is written.
@@ -307,9 +312,9 @@ pub struct InspectOptions {
     /// Recordings of any format, folders of a recording, or cached artefacts (.h5)
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
-    /// State what the files do not, by the names of the reader's parameters: exposure="5 ms", time_unit=us
-    #[arg(long, value_name = "NAME=VALUE")]
-    pub state: Vec<String>,
+    /// What the files do not say
+    #[command(flatten)]
+    pub declared: crate::declared::DeclaredOptions,
     /// Print as JSON (docs/inspect.md)
     #[arg(long)]
     pub json: bool,

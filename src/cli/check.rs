@@ -4,13 +4,15 @@
 
 use crate::args::CheckOptions;
 use crate::common::{Done, Failure, print_count, within_machine};
+use crate::declared::refused;
 use crate::file_kind::{FileKind, Reader};
+use crate::inspect::{Seen, look};
 use crate::problems;
 use photocurrent_core::document::{Problem, Source};
-use photocurrent_core::{Apart, Exposure, FrameTimes, Rows, Sensor, TimeSpan};
+use photocurrent_core::{Rows, Sensor};
 use photocurrent_engine::{Plan, Selection};
 use photocurrent_formats::hazard::Severity;
-use photocurrent_formats::{Declared, EventChunk, Format};
+use photocurrent_formats::{Format, recognise};
 use photocurrent_nodes::{read_effects, spans};
 use photocurrent_store::recording::Recording;
 use photocurrent_store::{StoreError, open_value};
@@ -28,8 +30,8 @@ pub fn check(options: &CheckOptions) -> Done {
     }
     match &kind {
         FileKind::Manifest | FileKind::Missing => check_manifest(options),
-        FileKind::Recording(Reader::Ours) => check_recording(path),
-        FileKind::Recording(Reader::Format(format)) => check_format(path, format),
+        FileKind::Recording(Reader::Ours) => check_recording(options),
+        FileKind::Recording(Reader::Format(format)) => check_format(options, format),
         FileKind::Sensor => check_sensor(path),
         FileKind::RunFolder | FileKind::Scores => check_scores(path),
         FileKind::Diagnosis => check_diagnosis(path),
@@ -76,25 +78,19 @@ impl<'a> Findings<'a> {
         }
     }
 
-    /// Adds what makes results meaningless, and says how much else there is to know.
-    fn hazards(&mut self, format: &'static Format, declared: &Declared) {
-        // What cannot be read is told by who reads it for itself.
-        let Ok(found) = crate::inspect::hazards(self.path, format, declared) else { return };
-        // Clocks apart are told with the offset of the description.
-        for one in found.iter().filter(|one| one.severity == Severity::Error && one.id != "no_overlap") {
-            self.lines.push(format!("{}: {}: {}\n  hint: {}", self.path.display(), one.message, one.evidence, one.what_to_do));
-        }
-        let more = found.iter().filter(|one| matches!(one.severity, Severity::Hazard | Severity::Question)).count();
-        if more > 0 {
-            eprintln!("note: {}: {}; `photocurrent inspect` says which", self.path.display(), print_count(more, "more finding"));
+    /// Takes what makes data meaningless as a mistake, and notes the rest that is suspicious.
+    fn judge(&mut self, seen: &Seen) {
+        for finding in &seen.findings {
+            let text = format!("{}: {} ({})\n  hint: {}", self.path.display(), finding.message, finding.evidence, finding.what_to_do);
+            match finding.severity {
+                Severity::Error => self.lines.push(text),
+                Severity::Hazard => eprintln!("hazard: {text}"),
+                Severity::Question | Severity::Fact => {}
+            }
         }
     }
 
-    fn apart(&mut self, apart: &Apart) {
-        self.lines.push(format!("{}: {}\n  hint: {}", self.path.display(), apart.message(), apart.hint()));
-    }
-
-    /// Tells all of them, or that there is none; `what` was looked at.
+    /// Reports all of them, or that there is none; `what` was looked at.
     fn finish(self, what: &str) -> Done {
         let count = self.lines.len() + self.problems.len();
         if count == 0 {
@@ -109,7 +105,8 @@ impl<'a> Findings<'a> {
 }
 
 /// Reads a whole recording of this project's form: events, frames, description, and whether its clocks agree.
-fn check_recording(path: &Path) -> Done {
+fn check_recording(options: &CheckOptions) -> Done {
+    let path = &options.file;
     let mut findings = Findings::new(path);
     let recording = match Recording::open(path) {
         Ok(recording) => recording,
@@ -143,78 +140,24 @@ fn check_recording(path: &Path) -> Done {
             eprintln!("note: {}: the row time of the frames is stated nowhere; who reads them must state it (0 is a global shutter)", path.display());
         }
     }
-    if let Ok(Some(format)) = photocurrent_formats::recognise(path) {
-        findings.hazards(format, &Declared::default());
+    // The judge of every format, once the form is right.
+    if findings.lines.is_empty()
+        && let Ok(Some(format)) = recognise(path)
+    {
+        findings.judge(&look(path, format, &options.declared.declared(), true).map_err(|error| refused(&error))?);
     }
     let count = recording.exposures().map_or(0, <[_]>::len);
     findings.finish(&format!("{} events, {count} frames", recording.event_count()))
 }
 
-/// Reads a whole recording of any format: what was lost, stamps that go back, clocks that do not agree.
-fn check_format(path: &Path, format: &'static Format) -> Done {
+/// Reads a whole recording of any format: what was lost, and what makes its data meaningless; what is only suspicious is noted.
+fn check_format(options: &CheckOptions, format: &'static Format) -> Done {
+    let path = &options.file;
     let mut findings = Findings::new(path);
-    let recording = match (format.open)(path, &Declared::default()) {
-        Ok(recording) => recording,
-        Err(error) if error.undeclared.is_some() => return Err(Failure::Other { message: error.to_string(), code: 2 }),
-        Err(error) => return Err(data(error.to_string())),
-    };
-    let lost = |at: &str, what: &str| format!("{}: {at}: {what}", path.display());
-    findings.lines.extend(recording.losses().iter().map(|loss| lost(&loss.at, &loss.what)));
-    let mut seen = Seen::default();
-    if recording.events_about().is_some() {
-        let mut cursor = recording.events().map_err(|error| data(error.to_string()))?;
-        let mut chunk = EventChunk::default();
-        while cursor.next(&mut chunk).map_err(|error| data(error.to_string()))? {
-            seen.add(&chunk.t);
-        }
-        findings.lines.extend(cursor.losses().iter().map(|loss| lost(&loss.at, &loss.what)));
-    }
-    let mut frames = 0;
-    if let Some(pictures) = recording.pictures() {
-        let about = pictures.about();
-        frames = about.stamps.len();
-        let mut values = Vec::new();
-        findings.lines.extend((0..frames).filter_map(|frame| pictures.read(frame, &mut values).err()).map(|error| error.to_string()));
-        let mut exposures: Vec<Exposure> = about
-            .stamps
-            .iter()
-            .map(|stamp| stamp.exposure.unwrap_or((stamp.at, stamp.at)))
-            .map(|(start, end)| Exposure::new(start, end.max(start.saturating_add(1))))
-            .collect();
-        exposures.sort_unstable_by_key(|exposure| exposure.start);
-        let times = FrameTimes::new(exposures, 0).map_err(|error| data(error.to_string()))?;
-        if let Some(apart) = Apart::of(seen.span, &times, 1) {
-            findings.apart(&apart);
-        }
-    }
-    findings.hazards(format, &Declared::default());
-    if seen.back > 0 {
-        eprintln!("note: {}: {} of {} events are stamped before the one ahead of them; readers sort them", path.display(), seen.back, seen.count);
-    }
-    findings.finish(&format!("{}: {} events, {frames} frames", format.name, seen.count))
-}
-
-/// What went by of an event stream.
-#[derive(Default)]
-struct Seen {
-    count: u64,
-    back: u64,
-    last: Option<i64>,
-    span: Option<TimeSpan>,
-}
-
-impl Seen {
-    fn add(&mut self, stamps: &[i64]) {
-        self.count += stamps.len() as u64;
-        for &t in stamps {
-            self.back += u64::from(self.last.is_some_and(|last| last > t));
-            self.last = Some(t);
-        }
-        if let (Some(&low), Some(&high)) = (stamps.iter().min(), stamps.iter().max()) {
-            let here = TimeSpan::new(low, high.saturating_add(1));
-            self.span = Some(self.span.map_or(here, |span| span.union(here)));
-        }
-    }
+    let seen = look(path, format, &options.declared.declared(), true).map_err(|error| refused(&error))?;
+    findings.lines.extend(seen.survey.losses.iter().map(|loss| format!("{}: {}: {}", path.display(), loss.at, loss.what)));
+    findings.judge(&seen);
+    findings.finish(format.name)
 }
 
 /// The description, and every mistake in it; its effects are held against the catalogue.
@@ -284,15 +227,6 @@ fn check_diagnosis(path: &Path) -> Done {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn what_went_by_is_counted_across_pieces() {
-        let mut seen = Seen::default();
-        seen.add(&[5, 9, 7]);
-        seen.add(&[]);
-        seen.add(&[6, 20]);
-        assert_eq!((seen.count, seen.back, seen.span), (5, 2, Some(TimeSpan::new(5, 21))));
-    }
 
     #[test]
     fn what_a_description_leaves_out_is_named() {

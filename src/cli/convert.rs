@@ -4,15 +4,18 @@
 
 use crate::args::{ConvertOptions, Written};
 use crate::common::{Done, Failure};
-use photocurrent_core::quantity::Duration;
-use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
+use photocurrent_core::EventsMeta;
+use photocurrent_formats::arrange::{Arranged, Settings, arrange};
 use photocurrent_formats::csv::CsvWriter;
+use photocurrent_formats::hdf::write;
 use photocurrent_formats::trim::Crop;
-use photocurrent_formats::{EventChunk, EventCursor, FormatError, Recording, TimeUnit, evt, format, joined};
-use photocurrent_nodes::read::foreign::All;
-use photocurrent_store::{RecordingContent, write_recording};
+use photocurrent_formats::{EventChunk, EventCursor, FormatError, Recording, evt, format, joined};
+use photocurrent_store::StoreError;
+use photocurrent_store::recording::DnType;
+use photocurrent_store::stream::{StreamedFrames, StreamedRecording};
 use std::io::BufWriter;
 use std::path::Path;
+use std::sync::Arc;
 use tempfile::NamedTempFile;
 
 /// Writes `options.input` as `options.output`.
@@ -28,8 +31,7 @@ pub fn convert(options: &ConvertOptions) -> Done {
     if output.exists() && input.canonicalize().ok() == output.canonicalize().ok() {
         return Err(usage(format!("{} is the input itself\n  hint: give another name", output.display())));
     }
-    let all = All::stated(input, &options.state).map_err(|error| usage(format!("--state: {error}")))?;
-    let settings = Settings { start: time(&options.start, "--start")?, end: time(&options.end, "--end")?, crop: crop(options)?, ..all.settings() };
+    let settings = Settings { start: options.start, end: options.end, crop: crop(options)?, ..options.declared.parameters(input).settings() };
     if let (Some(start), Some(end)) = (settings.start, settings.end)
         && end <= start
     {
@@ -39,10 +41,11 @@ pub fn convert(options: &ConvertOptions) -> Done {
     let found =
         found.ok_or_else(|| usage(format!("{}: this is no recording of a known format\n  hint: photocurrent inspect says what was found", input.display())))?;
     let recording = joined::open(found, input, &settings.declared).map_err(refused)?;
-    if to == Written::Recording {
-        return whole(options, recording.as_ref(), &settings);
+    match to {
+        Written::Recording => whole(options, recording.as_ref(), &settings),
+        Written::Dsec => dsec(options, recording.as_ref(), &settings),
+        Written::Csv | Written::Evt3 => events(options, to, recording.as_ref(), &settings),
     }
-    events(options, to, recording.as_ref(), &settings)
 }
 
 fn by_ending(path: &Path) -> Result<Written, Failure> {
@@ -59,13 +62,8 @@ fn usage(message: String) -> Failure {
     Failure::Other { message, code: 2 }
 }
 
-/// Input data that cannot be taken.
 fn refused(error: FormatError) -> Failure {
-    Failure::Other { message: error.to_string(), code: if error.undeclared.is_some() { 2 } else { 3 } }
-}
-
-fn time(text: &Option<String>, option: &str) -> Result<Option<Duration>, Failure> {
-    text.as_ref().map(|text| text.parse().map_err(|error| usage(format!("{option}: {error}")))).transpose()
+    crate::declared::refused(&error)
 }
 
 fn crop(options: &ConvertOptions) -> Result<Option<Crop>, Failure> {
@@ -92,15 +90,48 @@ fn arranged(options: &ConvertOptions, recording: &dyn Recording, settings: &Sett
 /// Writes our own recording: both streams on one clock, linear digital numbers, the sensor description.
 fn whole(options: &ConvertOptions, recording: &dyn Recording, settings: &Settings) -> Done {
     let arranged = arranged(options, recording, settings)?;
-    let events = arranged.gather(recording, EVENTS_BUDGET, |_: &dyn EventCursor| Ok::<(), FormatError>(())).map_err(refused)?.map(|(events, _)| events);
-    let frames = arranged.frame_sequence();
-    let extent = events.as_ref().map(|events| events.meta.extent).or(frames.as_ref().map(|frames| frames.meta.extent));
+    let (events, frames) = (arranged.events.as_ref().ok(), arranged.frame_sequence());
+    let extent = events.map(|events| events.extent).or(frames.as_ref().map(|frames| frames.meta.extent));
     let extent =
         extent.ok_or_else(|| Failure::Other { message: format!("{}: there is neither an event nor a frame in it", options.input.display()), code: 3 })?;
-    let content = RecordingContent { events: events.as_ref(), frames: frames.as_ref(), sensor: recording.sensor_text(), ..RecordingContent::empty(extent) };
-    let count = write_recording(&options.output, &content)?;
-    let frames = frames.map_or(0, |frames| frames.len());
-    Ok(ending(options, &arranged, &format!("{count} events, {frames} frames")))
+    let read = |frame: usize, values: &mut Vec<f32>| {
+        let block = frames.as_ref().map(|frames| frames.read(frame..frame + 1, frames.rows())).transpose().map_err(StoreError::Source)?;
+        *values = block.map(|block| block.dn).unwrap_or_default();
+        Ok(())
+    };
+    let content = StreamedRecording {
+        extent,
+        events: events.map(|events| events.has_t_in),
+        t_resolution_ns: events.and_then(|events| events.t_resolution_ns),
+        frames: frames.as_ref().map(|frames| StreamedFrames {
+            extent: frames.meta.extent,
+            colour: frames.meta.colour,
+            dn: if arranged.whole_numbers() { DnType::U16 } else { DnType::F32 },
+            row_time_ns: frames.meta.times.row_time_ns,
+            exposures: frames.meta.times.exposures.iter().map(|exposure| (exposure.start.0, exposure.end.0)).collect(),
+            read: &read,
+        }),
+        sensor: recording.sensor_text(),
+    };
+    let mut cursor = events.map(|_| arranged.cursor(recording, true)).transpose().map_err(refused)?;
+    let cursor: Option<&mut dyn EventCursor> = cursor.as_mut().map(|cursor| &mut **cursor as &mut dyn EventCursor);
+    let written = write::write_recording(&options.output, cursor, &content).map_err(refused)?;
+    let count = content.frames.map_or(0, |frames| frames.exposures.len());
+    Ok(ending(options, &arranged, &format!("{} events, {count} frames", written.events)))
+}
+
+/// Writes events in the layout of DSEC.
+fn dsec(options: &ConvertOptions, recording: &dyn Recording, settings: &Settings) -> Done {
+    let arranged = arranged(options, recording, settings)?;
+    let meta = events_of(&arranged)?;
+    let mut cursor = arranged.cursor(recording, options.from_zero).map_err(refused)?;
+    let written = write::write_dsec(&options.output, &mut *cursor, meta.extent, meta.has_t_in).map_err(refused)?;
+    written.notes.iter().for_each(|note| eprintln!("note: {note}"));
+    Ok(ending(options, &arranged, &format!("{} events", written.events)))
+}
+
+fn events_of(arranged: &Arranged) -> Result<Arc<EventsMeta>, Failure> {
+    arranged.events.clone().map_err(|why| Failure::Other { message: format!("{why}: there is nothing to write"), code: 3 })
 }
 
 /// Where events go.
@@ -112,15 +143,14 @@ enum Sink {
 /// Writes events alone.
 fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, settings: &Settings) -> Done {
     let arranged = arranged(options, recording, settings)?;
-    let meta = arranged.events.clone().map_err(|why| Failure::Other { message: format!("{why}: there is nothing to write"), code: 3 })?;
+    let meta = events_of(&arranged)?;
     let extent = meta.extent;
     let mut cursor = arranged.cursor(recording, options.from_zero).map_err(refused)?;
     let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write: {error}", options.output.display()));
     let folder = options.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let file = BufWriter::with_capacity(1 << 20, NamedTempFile::new_in(folder).map_err(failed)?);
-    let unit = unit(options)?;
     let mut sink = match to {
-        Written::Csv => Sink::Csv(CsvWriter::new(file, unit, Some(extent), meta.has_t_in).map_err(failed)?),
+        Written::Csv => Sink::Csv(CsvWriter::new(file, options.unit, Some(extent), meta.has_t_in).map_err(failed)?),
         _ => Sink::Evt3(evt::evt3_writer::Writer::new(file, extent, &[]).map_err(failed)?),
     };
     let (mut chunk, mut count) = (EventChunk::default(), 0);
@@ -146,14 +176,4 @@ fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, sett
     file.as_file().sync_all().map_err(failed)?;
     file.persist(&options.output).map_err(|error| failed(error.error))?;
     Ok(ending(options, &arranged, &format!("{count} events")))
-}
-
-fn unit(options: &ConvertOptions) -> Result<TimeUnit, Failure> {
-    match options.unit.as_deref() {
-        None | Some("us") => Ok(TimeUnit::Us),
-        Some("s") => Ok(TimeUnit::S),
-        Some("ms") => Ok(TimeUnit::Ms),
-        Some("ns") => Ok(TimeUnit::Ns),
-        Some(other) => Err(usage(format!("--unit {other}: use s, ms, us or ns"))),
-    }
 }

@@ -155,10 +155,12 @@ fn of_hdf5(path: &Path, head: &[u8]) -> Option<FileKind> {
 }
 
 fn of_text(path: &Path, head: &[u8], bytes: u64) -> Option<FileKind> {
+    let is_named_so = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
     // A character may be cut in two at the end of what was read.
     let text = match std::str::from_utf8(head) {
         Ok(text) => text,
-        Err(error) if error.error_len().is_none() => std::str::from_utf8(&head[..error.valid_up_to()]).unwrap_or_default(),
+        // A text in another encoding, by its name: who reads it shows the byte.
+        Err(error) if error.error_len().is_none() || is_named_so && !head.contains(&0) => std::str::from_utf8(&head[..error.valid_up_to()]).unwrap_or_default(),
         Err(_) => return None,
     };
     let text = text.trim_start_matches('\u{feff}');
@@ -175,7 +177,6 @@ fn of_text(path: &Path, head: &[u8], bytes: u64) -> Option<FileKind> {
     if beginning.starts_with("<!doctype html") && beginning.contains("<title>diagnosis</title>") {
         return Some(FileKind::Diagnosis);
     }
-    let is_named_so = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("toml"));
     match of_toml(text) {
         _ if bytes > LARGEST_TOML => None,
         Some(kind) => Some(kind),

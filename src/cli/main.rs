@@ -9,6 +9,7 @@ mod case;
 mod check;
 mod common;
 mod convert;
+mod declared;
 mod diagnose;
 mod effects;
 mod file_kind;

@@ -8,8 +8,7 @@
 //! a lone frame within the length of the events.
 
 use crate::frames::FrameTimes;
-use crate::quantity::Duration;
-use crate::time::TimeSpan;
+use crate::time::{TimeSpan, in_seconds};
 
 /// Events and frames without a common moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,7 +43,7 @@ impl Apart {
         let offset = self.offset_ns();
         let (sign, later) = if offset < 0 { ("-", "earlier") } else { ("", "later") };
         let length = offset.unsigned_abs();
-        let shown = Duration::new(offset.saturating_abs());
+        let shown = in_seconds(offset.saturating_abs());
         format!(
             "frames start {shown} {later} than events: if the two clocks were never put together (a forgotten `t_offset`), add about {sign}{length} ns to the stamps of the events"
         )
@@ -52,7 +51,7 @@ impl Apart {
 }
 
 fn span(span: TimeSpan) -> String {
-    format!("from {} to {}", Duration::new(span.start.0), Duration::new(span.end.0))
+    format!("from {} to {}", in_seconds(span.start.0), in_seconds(span.end.0))
 }
 
 #[cfg(test)]
@@ -76,7 +75,7 @@ mod tests {
         let day = 1_600_000_000_000_000_000;
         let found = Apart::of(Some(TimeSpan::new(0, 200 * MS)), &frames(day, 20), 1).unwrap();
         assert_eq!(found.offset_ns(), day);
-        assert!(found.message().contains("events from 0 ns to 200 ms, frames from 1600000000 s to"), "{}", found.message());
+        assert!(found.message().contains("events from 0 s to 0.2 s, frames from 1600000000 s to"), "{}", found.message());
         assert!(found.hint().contains("add about 1600000000000000000 ns"), "{}", found.hint());
         let found = Apart::of(Some(TimeSpan::new(day, day + 1)), &frames(0, 20), 1).unwrap();
         assert!(found.hint().contains("earlier") && found.hint().contains("add about -1600000000000000000 ns"), "{}", found.hint());

@@ -10,6 +10,15 @@ use std::ops::{Add, Sub};
 /// Nanoseconds in a second.
 pub const NS_PER_S: f64 = 1e9;
 
+/// Nanoseconds as seconds for people, every digit that counts: `0.005001 s`.
+pub fn in_seconds(ns: i64) -> String {
+    let (sign, ns) = (if ns < 0 { "-" } else { "" }, ns.unsigned_abs());
+    let fraction = format!("{:09}", ns % 1_000_000_000);
+    let fraction = fraction.trim_end_matches('0');
+    let point = if fraction.is_empty() { "" } else { "." };
+    format!("{sign}{}{point}{fraction} s", ns / 1_000_000_000)
+}
+
 /// An instant, in nanoseconds since the recording's own zero. May be negative.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -117,6 +126,12 @@ mod tests {
     fn a_negative_instant_prints_with_its_whole_milliseconds_below_it() {
         assert_eq!(Timestamp(1_500_000).to_string(), "1.500000 ms");
         assert_eq!(Timestamp(-500_000).to_string(), "-1.500000 ms");
+    }
+
+    #[test]
+    fn seconds_have_the_digits_that_count() {
+        assert_eq!([0, 5_001_000, -1_500_000_000, 1_600_000_000_000_000_000].map(in_seconds), ["0 s", "0.005001 s", "-1.5 s", "1600000000 s"]);
+        assert_eq!(in_seconds(i64::MIN), "-9223372036.854775808 s");
     }
 
     #[test]

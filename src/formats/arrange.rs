@@ -85,7 +85,8 @@ pub fn arrange<E: From<FormatError> + From<DataError>>(
             let found = scan(&mut *recording.events()?, advance)?;
             notes.extend(about.notes.iter().cloned());
             counts.push((found.disordered, format!("events in {name} are stamped earlier than the event before; sorted by time")));
-            losses.extend(found.losses.iter().cloned());
+            // What was found damaged while opening is met again by the cursor.
+            losses.extend(found.losses.iter().filter(|loss| !recording.losses().contains(loss)).cloned());
             Some((about, found))
         }
     };
@@ -302,6 +303,11 @@ impl Arranged {
         };
         let trimmed = Box::new(Trimmed::new(recording.events()?, trim)?);
         if self.ordered { Ok(trimmed) } else { Ok(Box::new(InOrder::new(trimmed)?)) }
+    }
+
+    /// Are the frames' linear values whole numbers of at most 16 bits?
+    pub fn whole_numbers(&self) -> bool {
+        self.transfer == Transfer::Linear && self.pictures.as_ref().is_some_and(|pictures| pictures.about().bits <= 16)
     }
 
     /// The frames, decoded when they are read. `None` without any.

@@ -94,7 +94,7 @@ impl Decimal {
 
     /// Is it a whole number?
     pub(crate) fn is_whole(self) -> bool {
-        self.exponent >= 0 || 10_u64.checked_pow(self.exponent.unsigned_abs()).map_or(self.mantissa == 0, |power| self.mantissa % power == 0)
+        self.exponent >= 0 || 10_u64.checked_pow(self.exponent.unsigned_abs()).map_or(self.mantissa == 0, |power| self.mantissa.is_multiple_of(power))
     }
 
     /// The number divided by `scale` and rounded to the nearest whole one, halves up: the pixel that a coordinate lies in.

@@ -7,6 +7,7 @@ use crate::chunk::{Edge, Trigger};
 use crate::declared::Declared;
 use crate::error::{FormatError, Loss};
 use crate::format::Format;
+use crate::known::with_known_camera;
 use crate::pictures::{PictureFiles, exposures_from_triggers};
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use std::path::{Path, PathBuf};
@@ -34,7 +35,8 @@ pub fn with_declared_frames(events: Box<dyn Recording>, declared: &Declared) -> 
 /// # Errors
 /// When the file cannot be read, or its frames cannot.
 pub fn open(format: &Format, path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
-    with_declared_frames((format.open)(path, declared)?, declared)
+    let recording = (format.open)(path, declared)?;
+    if declared.frames.is_some() { with_declared_frames(recording, declared) } else { Ok(with_known_camera(format, recording)) }
 }
 
 impl Joined {

@@ -40,6 +40,7 @@ pub mod hazard;
 pub mod hdf;
 pub mod hs_ergb;
 pub mod joined;
+pub mod known;
 pub mod losses;
 pub mod mcap;
 mod npy;

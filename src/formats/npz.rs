@@ -66,7 +66,7 @@ pub(crate) fn about(table: &Table, reading: &Reading, mut notes: Vec<String>) ->
     }
     for (column, name) in [(Column::X, "x"), (Column::Y, "y")] {
         if table.scalar(column).is_some_and(|scalar| scalar.kind == Kind::Float) {
-            notes.push(format!("{name} is stored as fractions of a pixel and rounded to the nearest"));
+            notes.push(format!("{name} is stored as floats and was rounded to the nearest pixel"));
         }
     }
     EventsAbout {
@@ -99,6 +99,7 @@ pub(crate) fn table(path: &Path, declared: &Declared) -> Result<(Table, String),
     let is_archive = path_begins(path, b"PK")?;
     let arrays = if is_archive { place::archive(path)? } else { vec![(String::new(), Place { path: path.into(), member: None })] };
     let names = if arrays.is_empty() { "no arrays".to_string() } else { arrays.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ") };
+    let lone = arrays.len() == 1;
     let mut table = Table::default();
     let mut columns_of = None;
     for (name, place) in arrays {
@@ -108,7 +109,7 @@ pub(crate) fn table(path: &Path, declared: &Declared) -> Result<(Table, String),
         } else if name == "xy" {
             let header = place.header()?;
             table.add_columns(&[Column::X, Column::Y], place, &header)?;
-        } else if columns_of.is_none() {
+        } else if columns_of.is_none() && (lone || has_rows(&place)) {
             columns_of = Some(place);
         }
     }
@@ -123,6 +124,14 @@ pub(crate) fn table(path: &Path, declared: &Declared) -> Result<(Table, String),
     }
     table.check(path, &names)?;
     Ok((table, names))
+}
+
+/// Could this array hold an event in every row?
+fn has_rows(place: &Place) -> bool {
+    place.header().is_ok_and(|header| match header.element {
+        Element::Record(..) => header.shape.len() == 1,
+        Element::Number(_) => header.shape.len() == 2 && (4..=16).contains(&header.shape[1]),
+    })
 }
 
 fn undeclared_columns(path: &Path, place: Place, header: &crate::npy::header::Header) -> FormatError {

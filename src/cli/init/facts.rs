@@ -2,11 +2,14 @@
 
 use super::usage;
 use crate::common::Failure;
+use crate::declared::DeclaredOptions;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Extent, FramesMeta, TimeSpan};
-use photocurrent_formats::arrange::{Arranged, arrange};
-use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, format, joined};
+use photocurrent_core::{FramesMeta, TimeSpan};
+use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, arrange};
+use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, format, joined};
+use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
 use photocurrent_nodes::read::foreign::All;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -33,9 +36,6 @@ pub struct Facts {
     pub reader: Vec<Fill>,
     /// Fields of the description that had to be proposed.
     pub sensor: Vec<Fill>,
-    pub extent: Extent,
-    pub events: u64,
-    pub events_span: TimeSpan,
     pub frames: Arc<FramesMeta>,
     /// Bits of a stored value.
     pub bits: u32,
@@ -87,7 +87,7 @@ fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
                 continue;
             }
             None => {
-                let hint = "hint: photocurrent inspect lists what it can read; text files need columns: --state 'columns=[\"t\",\"x\",\"y\",\"p\"]'";
+                let hint = "hint: photocurrent inspect lists what it can read; text files need columns: --columns t,x,y,p";
                 return Err(usage(format!("{}: this is no recording of a known format\n  {hint}", path.display())));
             }
         };
@@ -102,9 +102,10 @@ fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
 }
 
 /// Looks at the files, and proposes what they do not state.
-pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
+pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, Failure> {
     let sorted = sort(files)?;
-    let mut all = All::stated(&sorted.recording, state).map_err(|error| usage(format!("--state: {error}")))?;
+    let mut all = declared.parameters(&sorted.recording);
+    let stated = stated(&all)?;
     let mut inputs = vec![sorted.recording.clone()];
     if let Some(frames) = &sorted.frames {
         all.frames = Some(photocurrent_core::quantity::InputPath::new(frames));
@@ -114,7 +115,6 @@ pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
         all.stamps = Some(photocurrent_core::quantity::InputPath::new(stamps));
         inputs.push(stamps.clone());
     }
-    let stated = state.iter().filter_map(|text| text.split_once('=')).map(|(name, value)| (name.trim().to_string(), as_toml(value.trim()))).collect();
     let mut reader = Vec::new();
     let (recording, arranged) = settle(&sorted, &mut all, &mut reader)?;
     let path = &sorted.recording;
@@ -123,6 +123,11 @@ pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
         let hint = "hint: name the frames too: a folder of pictures beside the event file; events alone do not state the light's level";
         usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
     })?;
+    let found = measured(recording.as_ref(), &arranged, &sorted, &mut all, &mut reader)?;
+    // A better exposure moves the frames' times.
+    let (recording, arranged) =
+        if found.exposure_ns.is_some() { open(&sorted, &all).map_err(|error| crate::declared::refused(&error))? } else { (recording, arranged) };
+    let frames = arranged.frames.clone().unwrap_or(frames);
     let bits = recording.pictures().map_or(8, |pictures| pictures.about().bits);
     let events_span = events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
     overlap(path, events_span, &frames)?;
@@ -136,9 +141,6 @@ pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
         stated,
         reader,
         sensor: Vec::new(),
-        extent: events_meta.extent,
-        events,
-        events_span,
         frames,
         bits,
         window,
@@ -147,16 +149,15 @@ pub fn collect(files: &[PathBuf], state: &[String]) -> Result<Facts, Failure> {
         notes: arranged.notes.clone(),
         losses,
     };
-    facts.sensor = describe(&facts);
+    facts.sensor = describe(&found);
     Ok(facts)
 }
 
-/// A value of a command line as TOML: what is no TOML is a text.
-fn as_toml(value: &str) -> String {
-    match format!("v = {value}").parse::<toml::Table>() {
-        Ok(_) => value.into(),
-        Err(_) => toml::Value::String(value.into()).to_string(),
-    }
+/// What was stated on the command line, as lines of a manifest; paths stand elsewhere.
+fn stated(all: &All) -> Result<Vec<(String, String)>, Failure> {
+    let value = toml::Table::try_from(all).map_err(|error| Failure::other(error.to_string()))?;
+    let lines = value.into_iter().filter(|(name, _)| !["path", "frames", "stamps"].contains(&name.as_str()));
+    Ok(lines.map(|(name, value)| (name, value.to_string())).collect())
 }
 
 /// Opens and arranges; what is missing is proposed until nothing is.
@@ -167,7 +168,7 @@ fn settle(sorted: &Sorted, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<
             Err(error) => error,
         };
         let fill = error.undeclared.and_then(|name| propose(name, sorted, all));
-        let Some(fill) = fill else { return Err(Failure::Other { message: error.to_string(), code: 3 }) };
+        let Some(fill) = fill else { return Err(crate::declared::refused(&error)) };
         fills.push(fill);
     }
     Err(usage(format!("{}: more is missing than can be proposed", sorted.recording.display())))
@@ -193,6 +194,14 @@ fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
                 value: format!("\"{word}\""),
                 why: "the unit of the stamps is not recorded; this one gives a plausible rate of events".into(),
             })
+        }
+        "stamps" if all.trigger_line.is_none() => {
+            let (line, count) = busiest_line(sorted)?;
+            all.trigger_line = Some(line);
+            let why = format!(
+                "no file states when the frames were taken; trigger line {line} of the event file rose {count} times: rising opens the shutter, falling closes it"
+            );
+            Some(Fill { name: "trigger_line", value: line.to_string(), why })
         }
         "coordinate_scale" if all.coordinate_scale.is_none() => {
             all.coordinate_scale = Some(32);
@@ -233,6 +242,14 @@ fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
         }
         _ => None,
     }
+}
+
+/// The trigger line with most rising edges, and how many.
+fn busiest_line(sorted: &Sorted) -> Option<(u16, usize)> {
+    let triggers = (sorted.format.open)(&sorted.recording, &Declared::default()).ok()?.triggers().ok()?;
+    let mut counts = BTreeMap::new();
+    triggers.iter().filter(|trigger| trigger.edge == Edge::Rising).for_each(|trigger| *counts.entry(trigger.line).or_insert(0) += 1);
+    counts.into_iter().max_by_key(|(_, count)| *count)
 }
 
 /// The unit with which events come at a rate that sensors have: the nearest to 10 a second and pixel on a logarithmic scale.
@@ -276,7 +293,7 @@ fn overlap(path: &Path, events: TimeSpan, frames: &FramesMeta) -> Result<(), Fai
     let offset = Duration::new(events.start - span.start);
     Err(Failure::Other {
         message: format!(
-            "{}: events from {} to {} and frames from {} to {} share no time\n  hint: their clocks begin apart; state the offset: --state frame_offset=\"{offset}\"",
+            "{}: events from {} to {} and frames from {} to {} share no time\n  hint: their clocks begin apart; state the offset: --frame-offset \"{offset}\"",
             path.display(),
             events.start,
             events.end,
@@ -314,18 +331,71 @@ fn what_to_render(frames: &FramesMeta, events: TimeSpan, count: u64) -> (Option<
     (Some((Duration::new(from.max(0)), Duration::new(to))), rate_hz)
 }
 
+/// What the streams themselves say; of a long recording, its first part.
+fn measured(recording: &dyn Recording, arranged: &Arranged, sorted: &Sorted, all: &mut All, fills: &mut [Fill]) -> Result<Proposals, Failure> {
+    let failed = |error: photocurrent_core::NodeError| Failure::Other { message: error.to_string(), code: 3 };
+    let gathered = arranged.gather(recording, EVENTS_BUDGET, |_: &dyn EventCursor| Ok::<(), FormatError>(()));
+    let (Some((events, _)), Some(frames)) = (gathered.map_err(|error| crate::declared::refused(&error))?, arranged.frame_sequence()) else {
+        return Ok(Proposals::default());
+    };
+    let mut found = proposals(&events, &frames).map_err(failed)?;
+    // An exposure that is recorded or stated is no question.
+    let Some(fill) = fills.iter_mut().find(|fill| fill.name == "exposure") else {
+        found.exposure_ns = None;
+        return Ok(found);
+    };
+    if let Some(exposure) = found.exposure_ns.filter(|exposure| exposure.value >= 1e4) {
+        let rounded = Duration::new((exposure.value / 1e4).round() as i64 * 10_000);
+        all.exposure = Some(rounded);
+        fill.value = format!("\"{rounded}\"");
+        let (low, high) = (exposure.ci95.0 / 1e6, exposure.ci95.1 / 1e6);
+        fill.why = format!(
+            "the exposure is not recorded; this length explains the blur of the frames of {} best (95 %: {low:.2} to {high:.2} ms)",
+            sorted.format.name
+        );
+    } else {
+        found.exposure_ns = None;
+    }
+    Ok(found)
+}
+
+/// An offset below this is no matter: a latency of the front end is of that size.
+const SMALL_OFFSET_NS: f64 = 5e5;
+
 /// Fields of the description that no file states.
-fn describe(facts: &Facts) -> Vec<Fill> {
-    let _ = facts;
-    let thresholds =
-        "contrast thresholds are never recorded; typical settings lie between 0.15 and 0.5. Too small a value gives pale motion, too large a value ghosts";
-    vec![
-        Fill { name: "threshold_on", value: "0.25".into(), why: thresholds.into() },
-        Fill { name: "threshold_off", value: "0.25".into(), why: "as threshold_on".into() },
+fn describe(found: &Proposals) -> Vec<Fill> {
+    let matters = "Too small a value gives pale motion, too large a value ghosts";
+    let threshold = |name: &'static str, estimate: Option<Estimate>| match estimate.filter(|estimate| (0.02..2.0).contains(&estimate.value)) {
+        Some(Estimate { value, ci95: (low, high) }) => Fill {
+            name,
+            value: format!("{value:.3}"),
+            why: format!("never recorded; this one explains the change of the frames by their events (95 %: {low:.3} to {high:.3}). {matters}"),
+        },
+        None => Fill {
+            name,
+            value: "0.25".into(),
+            why: format!("never recorded, and too little moves to measure it; usual settings lie between 0.15 and 0.5. {matters}"),
+        },
+    };
+    let mut fills = vec![
+        threshold("threshold_on", found.thresholds.map(|both| both.0)),
+        threshold("threshold_off", found.thresholds.map(|both| both.1)),
         Fill {
             name: "refractory",
             value: "\"100 us\"".into(),
-            why: "the blind time after an event is a bias of the camera; the shortest interval of one pixel's events bounds it".into(),
+            why: "the blind time after an event is a bias of the camera; the shortest interval between events of one pixel bounds it".into(),
         },
-    ]
+    ];
+    if let Some(Estimate { value, ci95: (low, high) }) = found.offset_ns.filter(|offset| offset.value.abs() > SMALL_OFFSET_NS && !offset.holds(0.0)) {
+        fills.push(Fill {
+            name: "clock_offset",
+            value: format!("{{ offset = \"{:.2} ms\" }}", value / 1e6),
+            why: format!(
+                "events lag the frames by so much (95 %: {:.2} to {:.2} ms): clocks, or the latency of the pixels; 0 if you know better",
+                low / 1e6,
+                high / 1e6
+            ),
+        });
+    }
+    fills
 }

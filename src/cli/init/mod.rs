@@ -21,7 +21,7 @@ pub fn init(options: &InitOptions) -> Done {
         return Err(usage(format!("{} exists\n  hint: give another name with -o, or --force to replace it", path.display())));
     }
     let folder = manifest.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let found = facts::collect(&options.files, &options.state)?;
+    let found = facts::collect(&options.files, &options.declared)?;
     for path in &found.inputs {
         crate::common::must_be_utf8(path)?;
     }

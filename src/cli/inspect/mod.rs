@@ -8,13 +8,13 @@ mod screen;
 
 use crate::args::InspectOptions;
 use crate::common::{Done, Failure, print, print_json};
+use crate::declared::refused;
 use crate::file_kind::need_data;
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Value;
 use photocurrent_formats::hazard::{self, Finding, Limits};
 use photocurrent_formats::survey::{Most, Survey, survey};
 use photocurrent_formats::{Declared, Format, FormatError, joined, recognise};
-use photocurrent_nodes::read::foreign::All;
 use photocurrent_store::open_value;
 use serde_json::json;
 use std::io::IsTerminal;
@@ -26,18 +26,19 @@ const DAMAGED: u8 = 3;
 const SCHEMA: &str = "photocurrent-inspect/1";
 
 /// A recording that was read once.
-struct Seen {
-    format: &'static Format,
-    bytes: u64,
-    survey: Survey,
-    findings: Vec<Finding>,
+pub struct Seen {
+    pub format: &'static Format,
+    pub bytes: u64,
+    pub survey: Survey,
+    pub findings: Vec<Finding>,
 }
 
 /// Shows what files hold.
 pub fn inspect(options: &InspectOptions) -> Done {
+    let declared = options.declared.declared();
     let (mut code, mut texts, mut objects) = (0, Vec::new(), Vec::new());
     for path in &options.files {
-        match one(path, &options.state, options.json) {
+        match one(path, &declared, options.json) {
             Ok((text, object, of_file)) => {
                 texts.push(text);
                 objects.push(object);
@@ -62,7 +63,7 @@ pub fn inspect(options: &InspectOptions) -> Done {
 }
 
 /// Text, JSON and exit code of one file.
-fn one(path: &Path, state: &[String], quiet: bool) -> Result<(String, serde_json::Value, u8), Failure> {
+fn one(path: &Path, declared: &Declared, quiet: bool) -> Result<(String, serde_json::Value, u8), Failure> {
     need_data(path, "inspect")?;
     let file = path.display().to_string();
     let Some(format) = recognise(path).map_err(|error| Failure::Other { message: error.to_string(), code: 2 })? else {
@@ -70,8 +71,7 @@ fn one(path: &Path, state: &[String], quiet: bool) -> Result<(String, serde_json
         let (text, object) = artefact(&value, &file)?;
         return Ok((text, object, 0));
     };
-    let all = All::stated(path, state).map_err(|error| Failure::Other { message: format!("--state: {error}"), code: 2 })?;
-    let seen = look(path, format, &all.settings().declared, quiet).map_err(|error| refused(&error))?;
+    let seen = look(path, format, declared, quiet).map_err(|error| refused(&error))?;
     let text = screen::screen(&file, seen.format.name, seen.bytes, &seen.survey, &seen.findings);
     let to_json = |value: Result<serde_json::Value, serde_json::Error>| value.map_err(|error| Failure::other(error.to_string()));
     let object = json!({
@@ -85,8 +85,8 @@ fn one(path: &Path, state: &[String], quiet: bool) -> Result<(String, serde_json
     Ok((text, object, if seen.survey.losses.is_empty() { 0 } else { DAMAGED }))
 }
 
-/// Reads a recording once and judges it.
-fn look(path: &Path, format: &'static Format, declared: &Declared, quiet: bool) -> Result<Seen, FormatError> {
+/// Reads a recording once and judges it; `quiet` draws no bar.
+pub fn look(path: &Path, format: &'static Format, declared: &Declared, quiet: bool) -> Result<Seen, FormatError> {
     let recording = joined::open(format, path, declared)?;
     let bytes = recording.files().iter().filter_map(|file| std::fs::metadata(file).ok()).map(|metadata| metadata.len()).sum();
     let bar = (!quiet && std::io::stderr().is_terminal()).then(|| ProgressBar::new(1000));
@@ -103,20 +103,6 @@ fn look(path: &Path, format: &'static Format, declared: &Declared, quiet: bool) 
     }
     let findings = hazard::findings(&survey, &Limits::default());
     Ok(Seen { format, bytes, survey, findings })
-}
-
-/// What is to be said of a recording of any format, for those who decide by it.
-///
-/// # Errors
-/// When it cannot be read.
-pub fn hazards(path: &Path, format: &'static Format, declared: &Declared) -> Result<Vec<Finding>, FormatError> {
-    look(path, format, declared, true).map(|seen| seen.findings)
-}
-
-/// A refusal of a reader: 2 where the user must state something, 3 where the file is damaged.
-fn refused(error: &FormatError) -> Failure {
-    let state = error.undeclared.map(|field| format!("\n  hint: --state {field}=...")).unwrap_or_default();
-    Failure::Other { message: format!("{error}{state}"), code: if error.undeclared.is_some() { 2 } else { DAMAGED } }
 }
 
 /// What to say of a file that is none of ours.

@@ -79,9 +79,7 @@ fn of_events(events: &EventsSurvey) -> String {
         let _ = write!(text, "; {} of the pixels fire", percent(places.active_pixels as f64 / events.pixels().max(1) as f64));
     }
     let _ = writeln!(text, "{}", if places.hot_pixels > 0 { format!(", {} of them hot", places.hot_pixels) } else { String::new() });
-    for note in &events.notes {
-        let _ = writeln!(text, "{:<9}{note}", "");
-    }
+    events.notes.iter().for_each(|note| text.push_str(&format!("{:<9}{note}\n", "")));
     text
 }
 
@@ -116,9 +114,7 @@ fn of_frames(frames: &FramesSurvey) -> String {
         Short(values.mean),
         if values.read.len() as u64 == frames.count { "all frames".to_owned() } else { format!("{} frames", values.read.len()) }
     );
-    for note in &frames.notes {
-        let _ = writeln!(text, "{:<9}{note}", "");
-    }
+    frames.notes.iter().for_each(|note| text.push_str(&format!("{:<9}{note}\n", "")));
     text
 }
 

@@ -343,10 +343,22 @@ fn frames_that_no_light_makes_are_broken() {
     };
     assert_eq!(of_frames(&|_, _| {}), "");
     assert!(of_frames(&|_, dn| *dn = -*dn).contains("are negative"));
-    assert!(of_frames(&|k, dn| if k == 17 { *dn = f32::INFINITY }).starts_with("1 of 840 frame values are infinite"));
+    assert!(
+        of_frames(&|k, dn| if k == 17 {
+            *dn = f32::INFINITY
+        })
+        .starts_with("1 of 840 frame values are infinite")
+    );
     assert!(of_frames(&|_, dn| *dn = f32::NAN).contains("are not numbers"));
     // Single values may be marked as not known, and noise may go below zero.
-    assert_eq!(of_frames(&|k, dn| if k % 9 == 0 { *dn = f32::NAN } else if k % 5 == 0 { *dn = -0.5 }), "");
+    assert_eq!(
+        of_frames(&|k, dn| if k % 9 == 0 {
+            *dn = f32::NAN
+        } else if k % 5 == 0 {
+            *dn = -0.5
+        }),
+        ""
+    );
 }
 
 #[test]

@@ -16,7 +16,7 @@ use std::sync::Arc;
 /// Bytes of an event.
 const EVENT: usize = 16;
 
-/// Stamps beyond this cannot be told in nanoseconds.
+/// Stamps beyond this do not fit into nanoseconds of 64 bits.
 const MOST_US: i64 = i64::MAX / 1000;
 
 /// The bytes of a packet's events; `None` when the packet is damaged.
@@ -71,7 +71,7 @@ impl Cursor {
     }
 }
 
-/// Is an event in the array, with a stamp that can be told?
+/// Is an event in the array, with a stamp that fits?
 #[inline]
 fn is_inside(t: i64, x: u16, y: u16, extent: Extent) -> bool {
     // Coordinates are signed; a negative one is far too large here.

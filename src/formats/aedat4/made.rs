@@ -1,4 +1,8 @@
 //! A few bytes of AEDAT4 by hand, for tests: FlatBuffers tables laid out after the published schemas.
+//!
+//! Bytes are made here, so panics are mistakes of a test.
+
+#![allow(clippy::unwrap_used)]
 
 use std::io::Write;
 

@@ -16,8 +16,8 @@ mod flat;
 mod frames;
 mod header;
 mod index;
-#[cfg(test)]
-pub(crate) mod made;
+#[doc(hidden)]
+pub mod made;
 #[cfg(test)]
 mod tests;
 mod triggers;

@@ -95,6 +95,41 @@ fn a_long_packet_of_linked_blocks_is_what_an_independent_encoder_was_given() {
     }
 }
 
+/// A clip of a DAVIS346, and what another decoder (PyPI `aedat` 2.3.0) finds in it.
+#[test]
+fn the_traffic_clip_is_what_another_decoder_finds_in_it() {
+    let path = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../data/recordings/davis346_traffic.aedat4"));
+    let recording = Aedat4::open(path, &Declared::default()).unwrap();
+    let (events, losses) = read(&recording);
+    assert_eq!((events.len(), losses.len()), (78_830, 0));
+    assert_eq!(recording.events_about().unwrap().count, Some(78_830));
+    let sums =
+        events.iter().fold((0, 0, 0), |sums: (u64, u64, u64), event| (sums.0 + u64::from(event.1), sums.1 + u64::from(event.2), sums.2 + u64::from(event.3)));
+    assert_eq!(sums, (14_861_513, 15_061_593, 41_257));
+    assert_eq!(events.iter().map(|event| i128::from(event.0)).sum::<i128>(), 125_273_730_997_963_369_624_000);
+    let pictures = recording.pictures().unwrap();
+    let (mut values, mut sum) = (Vec::new(), 0.0);
+    for k in 0..59 {
+        pictures.read(k, &mut values).unwrap();
+        sum += values.iter().map(|value| f64::from(*value)).sum::<f64>();
+    }
+    assert_eq!(sum, 409_067_057.0);
+    let about = pictures.about();
+    let first = crate::FrameStamp { at: 1_589_163_147_365_215_000, exposure: Some((1_589_163_147_364_965_000, 1_589_163_147_365_465_000)) };
+    assert_eq!((about.stamps.len(), about.stamps[0], about.stamp_role), (59, first, Some(StampRole::Middle)));
+    assert_eq!(recording.triggers().unwrap(), []);
+    let signals = recording.facts().into_iter().find(|(name, _)| name == "trigger signals").unwrap().1;
+    assert_eq!(signals, "59 begins of frames, 59 ends of frames, 59 begins of exposures, 59 ends of exposures");
+
+    // Half of the file: about half of the events, and the same ones.
+    let bytes = std::fs::read(path).unwrap();
+    with(&bytes[..bytes.len() / 2], |half| {
+        let (some, losses) = read(&half);
+        assert!(some.len() > 30_000 && some.len() < 50_000 && losses.len() >= 2, "{} events, {losses:?}", some.len());
+        assert_eq!(some, events[..some.len()]);
+    });
+}
+
 #[test]
 fn only_edges_on_lines_are_triggers() {
     with(&made::file(How::Lz4, &STREAMS, &pieces(), true), |recording| {

@@ -166,7 +166,7 @@ fn what_is_written_as_dsec_comes_back_and_its_index_keeps_its_promise() {
     let extent = Extent { width: 1280, height: 720 };
     let declared = Declared { camera: Some("right".into()), ..Declared::default() };
     let source = open(&fixture("m3ed.h5"), "m3ed", &declared);
-    let written = super::write::write_dsec(&path, &*source, extent).unwrap();
+    let written = super::write::write_dsec(&path, &mut *source.events().unwrap(), extent, source.events_about().unwrap().has_t_in).unwrap();
     assert_eq!((written.events, written.notes.len(), written.losses.len()), (3000, 0, 0));
     let back = open(&path, "dsec", &Declared::default());
     assert_eq!(back.events_about().unwrap().extent, Some(extent));
@@ -181,10 +181,14 @@ fn what_is_written_as_dsec_comes_back_and_its_index_keeps_its_promise() {
     }
     // MVSEC's stamps are no whole microseconds, and small pixels do not hold its events.
     let source = open(&fixture("mvsec.h5"), "mvsec", &Declared::default());
-    let written = super::write::write_dsec(&path, &*source, Extent { width: 346, height: 260 }).unwrap();
+    let written =
+        super::write::write_dsec(&path, &mut *source.events().unwrap(), Extent { width: 346, height: 260 }, source.events_about().unwrap().has_t_in).unwrap();
     assert!(written.notes[0].contains("rounded to whole microseconds"), "{:?}", written.notes);
     assert_eq!(all(&*open(&path, "dsec", &Declared::default()), None).0, expected(0..2000, 346, 260, 1_504_645_177_000_000));
-    let error = super::write::write_dsec(&path, &*source, Extent { width: 300, height: 260 }).err().unwrap().to_string();
+    let error = super::write::write_dsec(&path, &mut *source.events().unwrap(), Extent { width: 300, height: 260 }, source.events_about().unwrap().has_t_in)
+        .err()
+        .unwrap()
+        .to_string();
     assert!(error.contains("outside the 300 x 260 pixels"), "{error}");
     assert_eq!(all(&*open(&path, "dsec", &Declared::default()), None).0.len(), 2000, "what was there stays");
 }
@@ -205,8 +209,9 @@ fn a_streamed_recording_is_a_recording() {
         exposures: vec![(500_000, 1_500_000), (10_500_000, 11_500_000)],
         read: &read,
     };
-    let content = photocurrent_store::stream::StreamedRecording { extent, events: None, t_resolution_ns: Some(1000), frames: Some(frames), sensor: None };
-    assert_eq!(super::write::write_recording(&path, &*source, &content).unwrap().events, 2000);
+    let content =
+        photocurrent_store::stream::StreamedRecording { extent, events: Some(false), t_resolution_ns: Some(1000), frames: Some(frames), sensor: None };
+    assert_eq!(super::write::write_recording(&path, Some(&mut *source.events().unwrap()), &content).unwrap().events, 2000);
     let back = open(&path, "recording", &Declared::default());
     assert_eq!(all(&*back, None), (expected(0..2000, 40, 30, 0), 0));
     let about = back.events_about().unwrap();

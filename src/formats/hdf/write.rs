@@ -3,7 +3,7 @@
 use super::refused;
 use crate::chunk::EventChunk;
 use crate::error::{FormatError, Loss};
-use crate::recording::{EventCursor, Recording};
+use crate::recording::EventCursor;
 use photocurrent_core::{DataError, Extent};
 use photocurrent_store::StoreError;
 use photocurrent_store::stream::{EventPiece, EventSink, StreamedRecording, stream_recording};
@@ -20,34 +20,38 @@ pub struct Written {
     pub losses: Vec<Loss>,
 }
 
-/// Writes the events of a recording in the layout of DSEC. `extent` is the sensor's size.
+/// Writes events in the layout of DSEC. `extent` is the sensor's size.
 ///
 /// # Errors
 /// When the events cannot be read, are not in the order of time, lie outside the sensor, or last longer than the layout can say.
-pub fn write_dsec(path: &Path, recording: &dyn Recording, extent: Extent) -> Result<Written, FormatError> {
-    let mut cursor = recording.events()?;
-    let written = photocurrent_store::stream::write_dsec(path, extent, |sink| pour(&mut *cursor, sink)).map_err(|error| refused(path, error))?;
+pub fn write_dsec(path: &Path, cursor: &mut dyn EventCursor, extent: Extent, has_t_in: bool) -> Result<Written, FormatError> {
+    let written = photocurrent_store::stream::write_dsec(path, extent, |sink| pour(cursor, sink)).map_err(|error| refused(path, error))?;
     let mut notes = Vec::new();
     if written.rounded > 0 {
         notes.push(format!("{} stamps were rounded to whole microseconds", written.rounded));
     }
-    if recording.events_about().is_some_and(|about| about.has_t_in) {
+    if has_t_in {
         notes.push("in-pixel times were left out: this layout has no place for them".into());
     }
     Ok(Written { events: written.events, notes, losses: cursor.losses().to_vec() })
 }
 
-/// Writes our own recording: the events of `recording`, and what `content` says besides.
+/// Writes our own recording: events, when `content` says that there are any, and what else it says.
 ///
 /// # Errors
 /// When the events cannot be read, are not in the order of time, or lie outside the sensor; when a frame cannot be read.
-pub fn write_recording(path: &Path, recording: &dyn Recording, content: &StreamedRecording) -> Result<Written, FormatError> {
-    let about = recording.events_about();
-    let content = StreamedRecording { events: about.map(|about| about.has_t_in), ..content.clone() };
-    let mut cursor = if about.is_some() { Some(recording.events()?) } else { None };
-    let pour = |sink: &mut EventSink| cursor.as_mut().map_or(Ok(()), |cursor| pour(&mut **cursor, sink));
-    let events = stream_recording(path, &content, pour).map_err(|error| refused(path, error))?;
-    Ok(Written { events, notes: Vec::new(), losses: cursor.map_or_else(Vec::new, |cursor| cursor.losses().to_vec()) })
+pub fn write_recording(path: &Path, cursor: Option<&mut dyn EventCursor>, content: &StreamedRecording) -> Result<Written, FormatError> {
+    let mut losses = Vec::new();
+    let fill = |sink: &mut EventSink| match cursor {
+        None => Ok(()),
+        Some(cursor) => {
+            pour(cursor, sink)?;
+            losses = cursor.losses().to_vec();
+            Ok(())
+        }
+    };
+    let events = stream_recording(path, content, fill).map_err(|error| refused(path, error))?;
+    Ok(Written { events, notes: Vec::new(), losses })
 }
 
 fn pour(cursor: &mut dyn EventCursor, sink: &mut EventSink) -> Result<(), StoreError> {

@@ -8,7 +8,7 @@ pub(crate) mod decode;
 pub(crate) mod names;
 pub(crate) mod stamps;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 pub mod triggers;
 pub(crate) mod y4m;
 

@@ -23,7 +23,7 @@ pub fn exposures_from_triggers(triggers: &[Trigger], line: u16) -> (Vec<(i64, i6
     for edge in edges {
         if let Some(before) = last
             && before.edge == edge.edge
-            && edge.t.saturating_sub(before.t).abs() <= bounce
+            && edge.t.abs_diff(before.t) <= bounce.unsigned_abs()
         {
             spurious += 1;
             first_odd.get_or_insert(edge.t);

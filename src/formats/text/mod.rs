@@ -7,7 +7,7 @@ pub(crate) mod cursor;
 pub(crate) mod line;
 pub(crate) mod sniff;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use crate::declared::{Column, TimeUnit};
 use photocurrent_core::Extent;

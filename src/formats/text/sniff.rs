@@ -238,11 +238,13 @@ pub(crate) fn proposal(sample: &[Vec<Option<Decimal>>], fields: usize) -> Option
     let columns: Vec<Option<Vec<f64>>> = (0..fields.min(16)).map(column).collect();
     let is_polarity = |values: &[f64]| values.iter().all(|value| [0.0, 1.0, -1.0].contains(value));
     let is_sorted = |values: &[f64]| values.windows(2).all(|pair| pair[0] <= pair[1]) && values.first() < values.last();
-    let find = |test: &dyn Fn(&[f64]) -> bool, but: &[usize]| {
-        columns.iter().enumerate().filter(|(index, _)| !but.contains(index)).rfind(|(_, values)| values.as_deref().is_some_and(test)).map(|(index, _)| index)
-    };
-    let p = find(&is_polarity, &[])?;
-    let t = find(&is_sorted, &[p])?;
+    let of = |index: usize| columns[index].as_deref().unwrap_or_default();
+    let known: Vec<usize> = (0..columns.len()).filter(|index| columns[*index].is_some()).collect();
+    let p = known.iter().copied().rfind(|index| is_polarity(of(*index)))?;
+    // Of few lines a coordinate may be sorted too; stamps have fractions, or are the larger numbers.
+    let rank = |index: &usize| (of(*index).iter().any(|value| value.fract() != 0.0), of(*index).last().copied().unwrap_or(0.0));
+    let better = |a: &usize, b: &usize| rank(a).0.cmp(&rank(b).0).then(rank(a).1.total_cmp(&rank(b).1));
+    let t = known.iter().copied().filter(|index| *index != p && is_sorted(of(*index))).max_by(better)?;
     let mut rest = (0..columns.len()).filter(|index| *index != p && *index != t && columns[*index].is_some());
     let (x, y) = (rest.next()?, rest.next()?);
     let named = |index: usize| [(t, Column::T), (x, Column::X), (y, Column::Y), (p, Column::P)].into_iter().find(|(at, _)| *at == index);

@@ -174,3 +174,50 @@ pub(crate) mod testing {
         Pipeline { steps: steps.to_vec() }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::testing::pipeline;
+    use super::*;
+    use proptest::prelude::*;
+
+    const ALL: [Step; 10] = [
+        Step::Shuffle(4),
+        Step::Deflate,
+        Step::Fletcher32,
+        Step::Lzf,
+        Step::Blosc,
+        Step::Zstd,
+        Step::Lz4,
+        Step::Bitshuffle(4, 0, BitCodec::Lz4),
+        Step::Bitshuffle(3, 8, BitCodec::None),
+        Step::Ecf,
+    ];
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        /// Whatever bytes stand in a chunk: numbers or a reason, never a panic.
+        #[test]
+        fn any_bytes_give_numbers_or_a_reason(bytes: Vec<u8>, room in 0usize..400, step in 0usize..10, flags: u8, block in 0u32..64) {
+            let mut out = vec![0; room];
+            let _ = pipeline(&[ALL[step]]).undo(bytes.clone(), 0, &mut out);
+            let _ = pipeline(&[Step::Fletcher32, ALL[step]]).undo(bytes.clone(), 1, &mut out);
+            // Headers that are believed further: Blosc's, and ECF's.
+            let size = room as u32;
+            let mut blosc = vec![2, 1, flags, 4];
+            [size, block, bytes.len() as u32 + 16].iter().for_each(|n| blosc.extend(n.to_le_bytes()));
+            blosc.extend(&bytes);
+            let _ = pipeline(&[Step::Blosc]).undo(blosc, 0, &mut out);
+            let ecf = [&(((room as u32 / 16) << 2) | u32::from(flags & 3)).to_le_bytes()[..], &bytes].concat();
+            let _ = pipeline(&[Step::Ecf]).undo(ecf, 0, &mut out);
+        }
+    }
+
+    #[test]
+    fn filters_that_are_not_known_are_named() {
+        assert_eq!(Step::new(307, &[]).unwrap_err(), "BZIP2 (filter number 307)");
+        assert_eq!(Step::new(99, &[]).unwrap_err(), "filter number 99");
+        assert!(Step::new(32008, &[0, 4, 4, 0, 7]).is_err());
+    }
+}

@@ -38,7 +38,7 @@ fn gather<const W: usize>(bytes: &[u8], out: &mut [u8]) {
 /// Undoes bitshuffle of numbers whose count is a multiple of 8: row 8 b + k holds bit k of byte b of every number, eight numbers to a byte.
 pub(crate) fn unshuffle_bits(bytes: &[u8], item: usize, out: &mut [u8]) -> Filled {
     full(bytes.len(), out)?;
-    if item == 0 || bytes.len() % (8 * item) != 0 {
+    if item == 0 || !bytes.len().is_multiple_of(8 * item) {
         return Err(format!("{} bytes are no multiple of eight {item}-byte numbers", bytes.len()));
     }
     let row = bytes.len() / item / 8;
@@ -86,7 +86,7 @@ pub(crate) fn bitshuffle(bytes: &[u8], item: usize, block: usize, codec: BitCode
         full(from.u64_be()?.try_into().unwrap_or(usize::MAX), out)?;
         from.u32_be()? as usize
     };
-    if block_bytes == 0 || block_bytes % (8 * item) != 0 {
+    if block_bytes == 0 || !block_bytes.is_multiple_of(8 * item) {
         return Err(format!("blocks of {block_bytes} bytes for {item}-byte numbers"));
     }
     // Whole blocks, then a shorter one of whole eights, then what is left as it is.

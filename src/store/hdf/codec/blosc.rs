@@ -52,7 +52,10 @@ pub(crate) fn blosc(bytes: &[u8], out: &mut [u8]) -> Filled {
     Ok(())
 }
 
-fn codec(number: u8) -> Result<fn(&[u8], &mut [u8]) -> Filled, String> {
+/// Unpacks one stream into room of its length.
+type Codec = fn(&[u8], &mut [u8]) -> Filled;
+
+fn codec(number: u8) -> Result<Codec, String> {
     match number {
         0 => Ok(blosclz),
         1 => Ok(lz4_block),
@@ -63,7 +66,7 @@ fn codec(number: u8) -> Result<fn(&[u8], &mut [u8]) -> Filled, String> {
     }
 }
 
-fn streams_into(mut from: Bytes, streams: usize, unpack: fn(&[u8], &mut [u8]) -> Filled, room: &mut [u8]) -> Filled {
+fn streams_into(mut from: Bytes, streams: usize, unpack: Codec, room: &mut [u8]) -> Filled {
     let each = room.len() / streams;
     for stream in room.chunks_mut(each.max(1)).take(streams) {
         let size = from.u32()? as usize;

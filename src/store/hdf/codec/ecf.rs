@@ -27,7 +27,7 @@ pub(crate) fn ecf(bytes: &[u8], out: &mut [u8]) -> Filled {
     if count > MOST || count * EVENT > out.len() {
         return Err(format!("ECF: {count} events in a chunk for {}", (out.len() / EVENT).min(MOST)));
     }
-    if out.len() % EVENT != 0 {
+    if !out.len().is_multiple_of(EVENT) {
         return full(count * EVENT, out);
     }
     let (events, rest) = out.split_at_mut(count * EVENT);
@@ -147,4 +147,45 @@ fn packed_24(from: &mut Bytes, events: &mut [Event]) -> Filled {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn event(x: u16, y: u16, p: u16, t: u64) -> Event {
+        let mut event = [0; EVENT];
+        set(&mut event, 0, x);
+        set(&mut event, 2, y);
+        set(&mut event, 4, p);
+        event[8..].copy_from_slice(&t.to_le_bytes());
+        event
+    }
+
+    /// Packed bytes that the published codec's own tests demand, written out by hand.
+    #[test]
+    fn the_published_examples_are_unpacked() {
+        // One event, everything packed together: count 1 << 2 | 2, first stamp 4, a run of 1 at step 0, 2 << 12 | 1 << 1 | 0 in the upper 24 bits.
+        let bytes = [&[6, 0, 0, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0x01, 0, 0x02, 0x20, 0][..], &[0; 8]].concat();
+        let mut out = [0; EVENT];
+        ecf(&bytes, &mut out).unwrap();
+        assert_eq!(out, event(1, 2, 0, 4));
+        // Two events of one stamp and row, x and p packed together: 0 << 1 | 1 and 10 << 1 | 1 as 12 bits each.
+        let bytes = [9, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0, 0x02, 0xe2, 0x02, 0x15, 0x00, 0x00, 0x01, 0, 0];
+        let mut out = [0; 3 * EVENT];
+        ecf(&bytes, &mut out).unwrap();
+        assert_eq!(out.as_chunks::<EVENT>().0, [event(0, 23, 1, 10_000), event(10, 23, 1, 10_000), [0; EVENT]]);
+    }
+
+    #[test]
+    fn a_chunk_that_is_cut_anywhere_is_refused() {
+        let bytes = [9, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0, 0x02, 0xe2, 0x02, 0x15, 0x00, 0x00, 0x01, 0, 0];
+        for length in 0..bytes.len() {
+            assert!(ecf(&bytes[..length], &mut [0; 2 * EVENT]).is_err(), "{length} bytes");
+        }
+        assert!(ecf(&bytes, &mut [0; EVENT]).is_err(), "more events than there is room for");
+        // A run of no events would never end.
+        let empty = [6, 0, 0, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0x00, 0x00];
+        assert!(ecf(&empty, &mut [0; EVENT]).is_err());
+    }
 }
