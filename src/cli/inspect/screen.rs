@@ -1,7 +1,7 @@
 //! One screen of facts about a recording, and what is to be said of it.
 
 use crate::common::human_bytes;
-use photocurrent_formats::hazard::{Finding, percent, time};
+use photocurrent_formats::hazard::{Finding, Severity, percent, time};
 use photocurrent_formats::survey::lines::LineSurvey;
 use photocurrent_formats::survey::pictures::{FramesSurvey, Spread};
 use photocurrent_formats::survey::{EventsSurvey, Survey};
@@ -127,10 +127,11 @@ fn of_line(line: &LineSurvey) -> String {
 fn of_findings(findings: &[Finding]) -> String {
     let mut text = String::new();
     let mut told = 0;
+    let width = findings.iter().map(|finding| finding.id.len()).max().unwrap_or(0);
     for finding in findings.iter().take(MOST_FINDINGS) {
-        let _ = write!(text, "\n{} {}: {}\n    {}\n", finding.severity, finding.id, finding.message, finding.evidence);
-        if finding.what_to_do != "nothing" {
-            let _ = writeln!(text, "    to do: {}", finding.what_to_do);
+        let _ = write!(text, "\n{:<8} {:<width$}  {}\n         {:<width$}  {}\n", finding.severity.name(), finding.id, finding.message, "", finding.evidence);
+        if finding.severity != Severity::Fact {
+            let _ = writeln!(text, "         {:<width$}  to do: {}", "", finding.what_to_do);
         }
         told += 1;
     }

@@ -199,7 +199,8 @@ fn times(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             "state the unit of the frames' stamps",
         ));
     }
-    if frames.is_constant_rate {
+    // A camera that stamps exposures has its own clock, and its periods are even.
+    if frames.is_constant_rate && frames.exposures_stamped == 0 {
         found.push(Finding::new(
             "constant_rate",
             Severity::Fact,

@@ -62,13 +62,15 @@ pub struct Limits {
     pub repeated_share: f64,
     /// Shortest overlap of events and frames, as a share of the shorter span, that is no hazard.
     pub overlap_share: f64,
-    /// A peak of the rate at one phase of the frame period, over the mean, that is told.
+    /// A peak of the rate at one phase of the frame period, over the mean, that is told where it is sure: a tenth more is nothing that a method would notice.
     pub phase_peak: f64,
-    /// In so large a share of the frames.
-    pub phase_frames: f64,
+    /// And one that is a hazard.
+    pub phase_strong: f64,
+    /// How sure the peak must be, in standard errors from frame to frame: the best of 64 bins of ten frames is that far off once in a thousand recordings.
+    pub phase_sigma: f64,
     /// Frames that decide that, at least: in three frames much is in step by chance.
     pub phase_fewest: u64,
-    /// Events later than frames by more than this share of the frame period are told as a hazard: blur is the exposure, and a shift beyond a twentieth of a period is visible.
+    /// Events later than frames by more than this share of the frame period are told as a hazard: a shift of a twentieth of a period is visible.
     pub late_share: f64,
     /// And by more than this, ns: front ends in dim light are late by milliseconds, and that is physics which a description states.
     pub late_ns: f64,
@@ -76,6 +78,8 @@ pub struct Limits {
     pub correlation: f64,
     /// Change of the shift over the recording, as a share of the frame period, that is told.
     pub drift_share: f64,
+    /// Pairs of frames that decide that, at least: with fewer, what moves early and what moves late are other things, with other latencies.
+    pub drift_pairs: usize,
     /// By how much the correlation with a mirrored picture must exceed the one as it is.
     pub mirrored: f64,
 }
@@ -111,13 +115,15 @@ impl Default for Limits {
             clipped_most: 0.9,
             repeated_share: 0.1,
             overlap_share: 0.5,
-            phase_peak: 2.0,
-            phase_frames: 0.75,
+            phase_peak: 1.2,
+            phase_strong: 1.5,
+            phase_sigma: 6.5,
             phase_fewest: 6,
-            late_share: 0.08,
+            late_share: 0.06,
             late_ns: 2.5e6,
             correlation: 0.3,
             drift_share: 0.1,
+            drift_pairs: 24,
             mirrored: 0.2,
         }
     }

@@ -73,16 +73,16 @@ fn overlap(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found:
 fn step(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
     let Some(phase) = survey.phase.as_ref().filter(|phase| phase.frames >= limits.phase_fewest) else { return };
     let peak = phase.profile[phase.peak];
-    if peak > limits.phase_peak && phase.peak_frames as f64 > limits.phase_frames * phase.frames as f64 {
+    if peak > limits.phase_peak && phase.peak_sigma > limits.phase_sigma {
         let mean_on = phase.on_share.iter().sum::<f64>() / phase.on_share.len() as f64;
         found.push(Finding::new(
             "frame_coupled_events",
-            Severity::Hazard,
-            "events come in bursts in step with the frames",
+            if peak > limits.phase_strong { Severity::Hazard } else { Severity::Fact },
+            "some events come in step with the frames",
             format!(
-                "{} after a frame begins, {peak:.1} times the mean rate, in {} of {} frames; {} ON there, {} otherwise",
+                "{} after a frame begins {peak:.2} times the mean rate ({:.0} sigma over {} frames); {} ON there, {} otherwise",
                 time((phase.peak as f64 + 0.5) * phase.bin_ns as f64),
-                phase.peak_frames,
+                phase.peak_sigma,
                 phase.frames,
                 percent(phase.on_share[phase.peak]),
                 percent(mean_on)
@@ -114,7 +114,9 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
         lag.correlation.1,
         count(lag.pairs as u64, "pair of frames", "pairs of frames")
     );
-    let beyond = (limits.late_share * period).max(limits.late_ns);
+    // A description that travels with the recording states its front end, and with it the latency in dim light.
+    let latency = if survey.has_sensor { 2.0 * limits.late_ns } else { limits.late_ns };
+    let beyond = (limits.late_share * period).max(latency);
     if late.ci95.0 > 0.5 * beyond && late.value > beyond || late.ci95.1 < -0.5 * beyond && late.value < -beyond {
         let way = if late.value > 0.0 { "late" } else { "early" };
         found.push(Finding::new(
@@ -129,7 +131,7 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
     }
     if let Some(drift) = lag.drift_ns_per_s {
         let change = drift.value.abs() * lag.drift_over_s;
-        let is_sure = drift.ci95.0 > 0.0 || drift.ci95.1 < 0.0;
+        let is_sure = lag.pairs >= limits.drift_pairs && (drift.ci95.0 > 0.0 || drift.ci95.1 < 0.0);
         if is_sure && change > limits.drift_share * period {
             found.push(Finding::new(
                 "clock_drift",

@@ -24,6 +24,8 @@ pub struct PhaseSurvey {
     pub on_share: Vec<f64>,
     /// The bin with most.
     pub peak: usize,
+    /// How far it is above the middle bin, in standard errors from frame to frame.
+    pub peak_sigma: f64,
     /// In how many of the frames it has over 1.5 times the frame's mean.
     pub peak_frames: u64,
 }
@@ -36,6 +38,7 @@ pub(super) struct Phase {
     counts: [(u32, u32); PHASES],
     frames: u64,
     sums: [f64; PHASES],
+    squares: [f64; PHASES],
     over: [u64; PHASES],
     on: [u64; PHASES],
     all: [u64; PHASES],
@@ -46,8 +49,17 @@ impl Phase {
     pub fn new(mut starts: Vec<i64>) -> Option<Phase> {
         starts.sort_unstable();
         starts.dedup();
-        let zero =
-            Phase { starts, now: usize::MAX, counts: [(0, 0); PHASES], frames: 0, sums: [0.0; PHASES], over: [0; PHASES], on: [0; PHASES], all: [0; PHASES] };
+        let zero = Phase {
+            starts,
+            now: usize::MAX,
+            counts: [(0, 0); PHASES],
+            frames: 0,
+            sums: [0.0; PHASES],
+            squares: [0.0; PHASES],
+            over: [0; PHASES],
+            on: [0; PHASES],
+            all: [0; PHASES],
+        };
         (zero.starts.len() > 2).then_some(zero)
     }
 
@@ -77,6 +89,7 @@ impl Phase {
             for (bin, (count, on)) in self.counts.iter().enumerate() {
                 let over_mean = f64::from(*count) * PHASES as f64 / f64::from(all);
                 self.sums[bin] += over_mean;
+                self.squares[bin] += over_mean * over_mean;
                 self.over[bin] += u64::from(over_mean > 1.5);
                 self.on[bin] += u64::from(*on);
                 self.all[bin] += u64::from(*count);
@@ -94,7 +107,13 @@ impl Phase {
         periods.sort_unstable();
         let profile: Vec<f64> = self.sums.iter().map(|sum| sum / self.frames as f64).collect();
         let peak = (0..PHASES).max_by(|a, b| profile[*a].total_cmp(&profile[*b])).unwrap_or(0);
+        let mut sorted = profile.clone();
+        sorted.sort_by(f64::total_cmp);
+        let n = self.frames as f64;
+        let variance = (self.squares[peak] / n - profile[peak] * profile[peak]).max(0.0) * n / (n - 1.0);
+        let peak_sigma = (profile[peak] - sorted[PHASES / 2]) / (variance / n).sqrt().max(1e-3);
         Some(PhaseSurvey {
+            peak_sigma,
             frames: self.frames,
             bin_ns: periods[periods.len() / 2] / PHASES as i64,
             on_share: self.on.iter().zip(&self.all).map(|(on, all)| *on as f64 / (*all).max(1) as f64).collect(),
@@ -120,6 +139,7 @@ mod tests {
         }
         let found = phase.survey().unwrap();
         assert_eq!((found.frames, found.bin_ns, found.peak, found.peak_frames), (19, 100, 30, 19));
+        assert!(found.peak_sigma > 50.0, "{found:?}");
         assert!(found.profile[30] > 10.0 && found.on_share[30] > 0.9 && found.on_share[3] == 0.0);
     }
 

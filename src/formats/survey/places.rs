@@ -12,7 +12,7 @@ pub const MOST_PIXELS: usize = 1 << 24;
 const MOST_LISTED: usize = 16;
 /// A hot pixel has at least so many events: fewer may be chance.
 const FEWEST_OF_HOT: u32 = 32;
-/// And so many times as many as the middle one of the eight around it, one being added to those.
+/// And so many times as many as the second of the eight around it, one being added to those: the pixels of a line have two like themselves.
 const HOT_TIMES: u32 = 24;
 /// A row or column is silent when its neighbours have so many events on average.
 const FEWEST_BESIDE: f64 = 50.0;
@@ -213,11 +213,12 @@ impl Places {
                 if *count < FEWEST_OF_HOT {
                     continue;
                 }
-                // Beyond the edge there is nothing: a pixel there has a lower bar, and a hot one there is as hot.
+                // Beyond the edge the edge goes on; so a corner has no neighbours, and is never hot.
+                let (right, bottom) = (self.columns.len() - 1, self.rows.len() - 1);
                 let mut around = [(-1, -1), (0, -1), (1, -1), (-1, 0), (1, 0), (-1, 1), (0, 1), (1, 1)]
-                    .map(|(dx, dy): (isize, isize)| x.checked_add_signed(dx).zip(y.checked_add_signed(dy)).map_or(0, |(x, y)| of(x, y)));
+                    .map(|(dx, dy): (isize, isize)| of(x.saturating_add_signed(dx).min(right), y.saturating_add_signed(dy).min(bottom)));
                 around.sort_unstable();
-                if *count > HOT_TIMES * (1 + around[4]) {
+                if *count > HOT_TIMES * (1 + around[6]) {
                     hot.push(HotPixel { x: x as u32, y: y as u32, events: *count });
                     events += u64::from(*count);
                 }
