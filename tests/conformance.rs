@@ -276,6 +276,11 @@ fn every_file_of_a_family_is_in_the_catalogue_and_nothing_else_is() {
             }
         }
     }
+    // Readers of other programs' files are one text with a table of formats, a line each.
+    assert!(list.contains("read::formats::kinds()"), "the table of nodes/read/formats.rs is in nodes/catalog.rs");
+    let table = fs::read_to_string(root().join("nodes/read/formats.rs")).expect("the table of formats");
+    let lines = table.lines().filter_map(|line| line.trim().split_once(" \"read/")?.1.split_once('"'));
+    found.extend(lines.filter(|(_, rest)| rest.starts_with(" \"")).map(|(name, _)| format!("read/{name}")));
     let differing: Vec<&String> = found.symmetric_difference(&listed).collect();
     assert!(differing.is_empty(), "nodes/family/name.rs holds the kind `family/name` and is in catalog.rs; not so: {differing:?}");
 }

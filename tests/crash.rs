@@ -150,7 +150,7 @@ fn a_run_killed_at_any_moment_leaves_nothing_wrong_and_the_next_one_completes() 
 /// Reads what the command says until it says that a node has begun; false when it ended before.
 fn wait_for_start(child: &mut Child, node: &str) -> bool {
     let lines = BufReader::new(child.stderr.take().expect("stderr is a pipe"));
-    let mark = format!("{{\"event\":\"started\",\"node\":\"{node}\"");
+    let mark = format!("started  {node} (");
     let mut seen = false;
     let mut lines = lines.lines();
     while let Some(Ok(line)) = lines.next() {

@@ -126,7 +126,7 @@ fn a_description_beside_the_recording_counts_and_a_second_run_is_read_from_the_c
     let content = RecordingContent { events: Some(&recordings::events()), frames: Some(&frames), ..RecordingContent::empty(recordings::EXTENT) };
     recordings::write_content(&bench.path("plain.h5"), &content);
     let run = |out: &str| {
-        let done = bench.run(&["diagnose", "plain.h5", "--sensor", "mine.toml", "-o", out]);
+        let done = bench.run(&["diagnose", "plain.h5", "--sensor", "mine.toml", "-o", out, "--progress", "json"]);
         assert_eq!(done.code, 0, "{}", done.stderr);
         let count = |end: &str| done.stderr.lines().filter(|line| line.contains(&format!("\"end\":\"{end}\""))).count();
         (count("done"), count("reused"), read(&bench, &format!("{out}/diagnosis.json")))

@@ -10,6 +10,7 @@
 //! - `colour`: colour frames and mosaics, from a scene to pictures by way of a recording.
 //! - `files`: what a command does with a file of another kind, with mistakes in every line, with streams on two clocks.
 //! - `figures`: the tables of README.md and docs/ are what their commands print.
+//! - `first_run`: `init` and `run` on files of every kind, `convert` there and back.
 //! - `films`: pictures as light, from files to events.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
@@ -24,6 +25,7 @@ mod diagnosis;
 mod figures;
 mod files;
 mod films;
+mod first_run;
 mod manifests;
 mod pipelines;
 mod recordings;

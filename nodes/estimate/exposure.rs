@@ -21,10 +21,8 @@ pub struct Params {
     #[schemars(range(min = 2, max = 512))]
     pub frames: usize,
     /// How late events are against frames; absent = estimated as estimate/offset does.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offset: Option<Duration>,
     /// ON and OFF thresholds, natural-log units; absent = those of the description, or estimated as estimate/thresholds does.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub thresholds: Option<[f64; 2]>,
 }
 

@@ -21,7 +21,6 @@ pub struct Params {
     #[schemars(range(min = 2, max = 512))]
     pub frames: usize,
     /// How late events are against frames; absent = estimated as estimate/offset does.
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub offset: Option<Duration>,
 }
 

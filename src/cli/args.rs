@@ -3,6 +3,7 @@
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
 use photocurrent_core::quantity::Duration;
 use photocurrent_formats::TimeUnit;
+use photocurrent_formats::trim::Crop;
 use std::path::PathBuf;
 
 /// Solves for the photocurrent of every pixel of a hybrid frame and event sensor.
@@ -124,8 +125,8 @@ pub struct ConvertOptions {
     #[arg(long, value_enum, value_name = "FORMAT")]
     pub to: Option<Written>,
     /// Only these pixels, numbered from 0 afterwards
-    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_delimiter = ',', num_args = 4)]
-    pub crop: Vec<u16>,
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", value_parser = crop)]
+    pub crop: Option<Crop>,
     /// Leave out what was stamped before this time, from the earliest stamp: 250ms
     #[arg(long, value_name = "TIME")]
     pub start: Option<Duration>,
@@ -446,6 +447,15 @@ pub enum CacheCommand {
     },
     /// Read everything and compare it with its digest
     Verify,
+}
+
+/// `100,80,64,64`: a rectangle of pixels.
+fn crop(text: &str) -> Result<Crop, String> {
+    let numbers: Vec<Option<u16>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    match numbers[..] {
+        [Some(x), Some(y), Some(width), Some(height)] if width > 0 && height > 0 => Ok(Crop { x, y, width, height }),
+        _ => Err(format!("`{text}` is no rectangle; first column, first row, columns, rows, such as 100,80,64,64")),
+    }
 }
 
 /// `800MB`, `8GiB`, `1000000`: a number of bytes.

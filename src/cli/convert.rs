@@ -8,7 +8,6 @@ use photocurrent_core::EventsMeta;
 use photocurrent_formats::arrange::{Arranged, Settings, arrange};
 use photocurrent_formats::csv::CsvWriter;
 use photocurrent_formats::hdf::write;
-use photocurrent_formats::trim::Crop;
 use photocurrent_formats::{EventChunk, EventCursor, FormatError, Recording, evt, format, joined};
 use photocurrent_store::StoreError;
 use photocurrent_store::recording::DnType;
@@ -31,7 +30,7 @@ pub fn convert(options: &ConvertOptions) -> Done {
     if output.exists() && input.canonicalize().ok() == output.canonicalize().ok() {
         return Err(usage(format!("{} is the input itself\n  hint: give another name", output.display())));
     }
-    let settings = Settings { start: options.start, end: options.end, crop: crop(options)?, ..options.declared.parameters(input).settings() };
+    let settings = Settings { start: options.start, end: options.end, crop: options.crop, ..options.declared.parameters(input).settings() };
     if let (Some(start), Some(end)) = (settings.start, settings.end)
         && end <= start
     {
@@ -64,14 +63,6 @@ fn usage(message: String) -> Failure {
 
 fn refused(error: FormatError) -> Failure {
     crate::declared::refused(&error)
-}
-
-fn crop(options: &ConvertOptions) -> Result<Option<Crop>, Failure> {
-    match options.crop[..] {
-        [x, y, width, height] if width > 0 && height > 0 => Ok(Some(Crop { x, y, width, height })),
-        [] => Ok(None),
-        _ => Err(usage("--crop takes X,Y,WIDTH,HEIGHT in pixels, width and height at least 1".into())),
-    }
 }
 
 /// Says what was lost on stderr, and gives the exit code.

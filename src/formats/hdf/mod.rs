@@ -139,7 +139,8 @@ impl Recording for HdfRecording {
     }
 
     fn files(&self) -> Vec<PathBuf> {
-        std::iter::once(self.path.clone()).chain(self.more_files.iter().cloned()).collect()
+        // Of a sequence's folder, only what was read.
+        std::iter::once(&self.path).chain(&self.more_files).filter(|path| !path.is_dir()).cloned().collect()
     }
 }
 

@@ -103,7 +103,10 @@ fn open_tiff(path: &Path) -> Result<(Tiff<BufReader<File>>, Head), FormatError> 
     let file = File::open(path).map_err(|error| FormatError::io(path, &error))?;
     let bytes = file.metadata().map_err(|error| FormatError::io(path, &error))?.len();
     let mut limits = Limits::default();
-    limits.decoding_buffer_size = 1 << 30;
+    // Bounds lists in the directory too, whose length a few bytes can claim.
+    limits.decoding_buffer_size = usize::try_from(bytes.saturating_mul(PACKED)).unwrap_or(usize::MAX).clamp(1 << 16, 1 << 30);
+    // A strip or tile is read whole before it is decompressed: it cannot be longer than the file.
+    limits.intermediate_buffer_size = usize::try_from(bytes).unwrap_or(usize::MAX);
     let mut decoder = Tiff::new(BufReader::new(file)).map_err(|error| damaged(path, error))?.with_limits(limits);
     let (width, height) = decoder.dimensions().map_err(|error| damaged(path, error))?;
     let (colour, bits) = match decoder.colortype().map_err(|error| damaged(path, error))? {

@@ -7,6 +7,7 @@ use photocurrent_formats::{Column, Declared, TimeUnit};
 use std::path::{Path, PathBuf};
 
 // Writes AEDAT4; shared with that reader's own tests.
+#[allow(clippy::type_complexity)]
 #[path = "../../aedat4/made.rs"]
 mod made;
 

@@ -1,0 +1,334 @@
+//! The first two commands of a new user, for files of every kind: `init`, then `run`, without an edit, gives frames sharper than those captured.
+//!
+//! One made-up recording (a texture that slides four pixels within an exposure) is written as each dataset lays it out. What comes back is held against the true
+//! light of the scene.
+
+use crate::support::{Bench, root};
+use photocurrent_formats::ros::testing::{BagWriter, Packing, Wire, event_array, image};
+use photocurrent_formats::{EventChunk, aedat4::made, format, joined};
+use photocurrent_store::recording::Recording;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+
+const WIDTH: usize = 48;
+const HEIGHT: usize = 36;
+const EXPOSURE_US: i64 = 8_000;
+
+/// The recording, once for all tests: events, frames as 8-bit codes with their starts, truth.
+struct Scene {
+    /// (us, x, y, on), in order of time.
+    events: Vec<(i64, u16, u16, bool)>,
+    /// Start of the exposure in us, codes.
+    frames: Vec<(i64, Vec<u8>)>,
+    /// Middle in us, codes as a frame of the nominal exposure would have them.
+    truth: Vec<(i64, Vec<f64>)>,
+}
+
+fn scene() -> &'static Scene {
+    static SCENE: OnceLock<Scene> = OnceLock::new();
+    SCENE.get_or_init(|| {
+        let bench = Bench::new();
+        let sensor = root().join("data/sensors/ideal.toml");
+        let manifest = format!(
+            r#"format = 1
+[pipeline]
+seed = 3
+[nodes.sensor]
+kind = "read/sensor"
+params = {{ path = {sensor:?}, change = {{ frames = {{ row_time = "0 us" }}, comparator = {{ threshold_on = 0.2, threshold_off = 0.2 }} }} }}
+[nodes.scene]
+kind = "simulate/scene"
+in = {{ sensor = "sensor" }}
+params = {{ scene = "texture", width = {WIDTH}, height = {HEIGHT}, duration = "130 ms", illuminance = "800 lx" }}
+[nodes.camera]
+kind = "simulate/sensor"
+in = {{ light = "scene.light", sensor = "sensor" }}
+params = {{ frame_rate = "50 Hz", exposure = "{EXPOSURE_US} us" }}
+[nodes.file]
+kind = "write/recording"
+in = {{ events = "camera.events", frames = "camera.frames", truth = "scene.truth" }}
+"#
+        );
+        bench.write("scene.toml", &manifest);
+        let done = bench.run(&["run", "scene.toml", "--quiet"]);
+        assert_eq!(done.code, 0, "{}", done.stderr);
+        read(&bench.path("out/scene/file/recording.h5"))
+    })
+}
+
+fn read(path: &Path) -> Scene {
+    let recording = Recording::open(path).unwrap();
+    let frames = recording.frames(0).unwrap();
+    let truth = recording.truth().unwrap().0;
+    let block = frames.read_rows(frames.rows()).unwrap();
+    // Eight-bit codes, as most cameras give them: the brightest value of the scene is 250.
+    let scale = 250.0 / f64::from(block.dn.iter().copied().fold(0.0, f32::max));
+    let codes = |values: &[f32]| values.iter().map(|dn| (f64::from(*dn) * scale).round() as u8).collect();
+    let true_block = truth.read_rows(truth.rows()).unwrap();
+    let mut chunk = EventChunk::default();
+    let mut events = Vec::new();
+    let opened = joined::open(format::named("recording").unwrap(), path, &Default::default()).unwrap();
+    let mut cursor = opened.events().unwrap();
+    while cursor.next(&mut chunk).unwrap() {
+        events.extend((0..chunk.len()).map(|i| (chunk.t[i] / 1000 + 1_000_000, chunk.x[i], chunk.y[i], chunk.on[i] != 0)));
+    }
+    Scene {
+        events,
+        frames: (0..frames.len()).map(|l| (frames.meta.times.exposures[l].start.0 / 1000 + 1_000_000, codes(block.frame(l)))).collect(),
+        truth: (0..truth.len())
+            .map(|l| (truth.meta.times.exposures[l].mid().0 / 1000 + 1_000_000, true_block.frame(l).iter().map(|dn| f64::from(*dn) * scale).collect()))
+            .collect(),
+    }
+}
+
+fn write_png(path: &Path, codes: &[u8]) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let mut encoder = png::Encoder::new(fs::File::create(path).unwrap(), WIDTH as u32, HEIGHT as u32);
+    encoder.set_color(png::ColorType::Grayscale);
+    encoder.set_depth(png::BitDepth::Eight);
+    encoder.write_header().unwrap().write_image_data(codes).unwrap();
+}
+
+/// PSNR against the truth nearest in time, over the inner pixels, after the one factor that fits best (exposures of rendered frames have a scale of their own).
+fn psnr(frames: &[(i64, Vec<f64>)]) -> f64 {
+    let scene = scene();
+    let (first, last) = (scene.frames[1].0, scene.frames[scene.frames.len() - 2].0);
+    let (mut square, mut count) = (0.0, 0.0);
+    for (t, values) in frames.iter().filter(|(t, _)| (first..last).contains(t)) {
+        let (_, truth) = scene.truth.iter().min_by_key(|(at, _)| (at - t).abs()).unwrap();
+        for (value, truth) in values.iter().zip(truth) {
+            square += (value - truth) * (value - truth);
+            count += 1.0;
+        }
+    }
+    assert!(count > 0.0, "frames were rendered between the captured ones");
+    10.0 * (250.0 * 250.0 * count / square).log10()
+}
+
+/// The rendered frames of a run: middle in us since the first event or exposure, linear values.
+fn rendered(folder: &Path) -> Vec<(i64, Vec<f64>)> {
+    let table = fs::read_to_string(folder.join("frames.csv")).unwrap();
+    let scale: f64 = table.lines().next().unwrap().split("scale=").nth(1).unwrap().split(';').next().unwrap().parse().unwrap();
+    let rows = table.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit()));
+    let frame = |line: &str| {
+        let cells: Vec<&str> = line.split(',').collect();
+        let decoder = png::Decoder::new(std::io::BufReader::new(fs::File::open(folder.join(cells[4])).unwrap()));
+        let mut reader = decoder.read_info().unwrap();
+        let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut bytes).unwrap();
+        let values = bytes.chunks_exact(2).map(|pair| f64::from(u16::from_be_bytes([pair[0], pair[1]])) * scale).collect();
+        (cells[3].parse::<i64>().unwrap() / 1000, values)
+    };
+    rows.map(frame).collect()
+}
+
+/// `init` and `run` on files in a bench; the frames must be nearer to the truth than repeating the captured ones, by a good margin.
+fn two_commands(bench: &Bench, files: &[&str], options: &[&str]) {
+    let mut arguments = vec!["init"];
+    arguments.extend(files);
+    arguments.extend(["-o", "my.toml"]);
+    arguments.extend(options);
+    let done = bench.run(&arguments);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    assert!(done.stderr.contains("next: photocurrent run my.toml"), "{}", done.stderr);
+    let manifest = fs::read_to_string(bench.path("my.toml")).unwrap();
+    let done = bench.run(&["run", "my.toml", "--quiet"]);
+    assert_eq!(done.code, 0, "{}\n{manifest}", done.stderr);
+    let scene = scene();
+    let zero = scene.events[0].0.min(scene.frames[0].0);
+    let ours: Vec<(i64, Vec<f64>)> = rendered(&bench.path("out/my/frames")).into_iter().map(|(t, values)| (t + zero, values)).collect();
+    let captured = |t: i64| scene.frames.iter().min_by_key(|(start, _)| (start + EXPOSURE_US / 2 - t).abs()).unwrap();
+    let repeated: Vec<(i64, Vec<f64>)> = ours.iter().map(|(t, _)| (*t, captured(*t).1.iter().map(|code| f64::from(*code)).collect())).collect();
+    let (ours, repeated) = (psnr(&ours), psnr(&repeated));
+    assert!(ours > repeated + 3.0, "sharp frames have {ours:.1} dB, captured ones {repeated:.1} dB\n{manifest}");
+    assert!(bench.path("out/my/sheet/contact_sheet.png").is_file() && bench.path("out/my/frames/preview").is_dir(), "there is something to look at");
+}
+
+/// What this test knows of the scene and a dataset does not record; a user knows it too, or looks at the marked lines.
+const KNOWN: [&str; 6] = ["--exposure", "8 ms", "--stamp", "start", "--transfer", "linear"];
+
+#[test]
+fn a_folder_of_the_event_camera_dataset() {
+    let bench = Bench::new();
+    let mut text = String::new();
+    scene().events.iter().for_each(|(t, x, y, on)| writeln!(text, "{}.{:06} {x} {y} {}", t / 1_000_000, t % 1_000_000, u8::from(*on)).unwrap());
+    bench.write("clip/events.txt", &text);
+    let mut list = String::new();
+    for (l, (t, codes)) in scene().frames.iter().enumerate() {
+        writeln!(list, "{}.{:06} images/frame_{l:08}.png", t / 1_000_000, t % 1_000_000).unwrap();
+        write_png(&bench.path(&format!("clip/images/frame_{l:08}.png")), codes);
+    }
+    bench.write("clip/images.txt", &list);
+    two_commands(&bench, &["clip"], &KNOWN);
+}
+
+#[test]
+fn a_sequence_of_dsec() {
+    let bench = Bench::new();
+    write_csv(&bench, "events.csv");
+    fs::create_dir_all(bench.path("clip/events/left")).unwrap();
+    let done = bench.run(&["convert", "events.csv", "clip/events/left/events.h5", "--to", "dsec"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let mut exposures = String::from("# start, end\n");
+    for (l, (t, codes)) in scene().frames.iter().enumerate() {
+        writeln!(exposures, "{t}, {}", t + EXPOSURE_US).unwrap();
+        write_png(&bench.path(&format!("clip/images/left/rectified/{l:06}.png")), codes);
+    }
+    bench.write("clip/images/left/exposure_timestamps_left.txt", &exposures);
+    two_commands(&bench, &["clip"], &["--transfer", "linear"]);
+}
+
+fn write_csv(bench: &Bench, name: &str) -> PathBuf {
+    let mut text = format!("# photocurrent-events/1 time_unit=us width={WIDTH} height={HEIGHT}\nt,x,y,p\n");
+    scene().events.iter().for_each(|(t, x, y, on)| writeln!(text, "{t},{x},{y},{}", u8::from(*on)).unwrap());
+    bench.write(name, &text)
+}
+
+#[test]
+fn an_evt3_file_beside_a_folder_of_pictures() {
+    let bench = Bench::new();
+    write_csv(&bench, "events.csv");
+    let done = bench.run(&["convert", "events.csv", "clip.raw"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let mut stamps = String::from("file,start_us,end_us\n");
+    for (l, (t, codes)) in scene().frames.iter().enumerate() {
+        writeln!(stamps, "{l}.png,{t},{}", t + EXPOSURE_US).unwrap();
+        write_png(&bench.path(&format!("frames/{l}.png")), codes);
+    }
+    bench.write("frames/timestamps.txt", &stamps);
+    two_commands(&bench, &["clip.raw", "frames"], &["--transfer", "linear"]);
+}
+
+#[test]
+fn an_aedat4_file() {
+    let bench = Bench::new();
+    let events: Vec<(i64, i16, i16, u8)> = scene().events.iter().map(|(t, x, y, on)| (*t, *x as i16, *y as i16, u8::from(*on))).collect();
+    let mut pieces: Vec<made::Piece> = events.chunks(1000).map(|part| made::events(0, part)).collect();
+    let size = (WIDTH as i16, HEIGHT as i16);
+    pieces.extend(scene().frames.iter().map(|(t, codes)| made::frame(1, *t, (*t, t + EXPOSURE_US), 0, size, codes)));
+    let streams = [("EVTS", WIDTH as u32, HEIGHT as u32), ("FRME", WIDTH as u32, HEIGHT as u32)];
+    fs::write(bench.path("clip.aedat4"), made::file(made::How::Lz4, &streams, &pieces, true)).unwrap();
+    // Everything is recorded.
+    two_commands(&bench, &["clip.aedat4"], &[]);
+}
+
+#[test]
+fn a_bag_of_ros() {
+    let bench = Bench::new();
+    let mut bag = BagWriter::new(Packing::None);
+    let (events, images) = (bag.connect("/dvs/events", "dvs_msgs/EventArray"), bag.connect("/dvs/image_raw", "sensor_msgs/Image"));
+    let size = (WIDTH as u32, HEIGHT as u32);
+    for part in scene().events.chunks(500) {
+        let part: Vec<(i64, u16, u16, bool)> = part.iter().map(|(t, x, y, on)| (t * 1000, *x, *y, *on)).collect();
+        let last = part.last().unwrap().0;
+        bag.message(events, last, &event_array(Wire::Ros1, last, size, &part));
+    }
+    for (t, codes) in &scene().frames {
+        bag.message(images, t * 1000, &image(Wire::Ros1, t * 1000, size, "mono8", WIDTH as u32, codes));
+    }
+    fs::write(bench.path("clip.bag"), bag.finish().unwrap()).unwrap();
+    two_commands(&bench, &["clip.bag"], &KNOWN);
+}
+
+/// A column of 8-byte integers as NumPy writes it.
+fn npy(values: &[i64]) -> Vec<u8> {
+    let head = format!("{{'descr': '<i8', 'fortran_order': False, 'shape': ({},), }}", values.len());
+    let padded = format!("{head:<117}\n");
+    let bytes = values.iter().flat_map(|value| value.to_le_bytes());
+    b"\x93NUMPY\x01\x00\x76\x00".iter().copied().chain(padded.bytes()).chain(bytes).collect()
+}
+
+/// A zip file whose members are stored as they are.
+fn zip(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    let (mut out, mut directory) = (Vec::new(), Vec::new());
+    for (name, bytes) in members {
+        let mut crc = flate2::Crc::new();
+        crc.update(bytes);
+        let size = (bytes.len() as u32).to_le_bytes();
+        let common = [&[20, 0, 0, 0, 0, 0, 0, 0, 0, 0][..], &crc.sum().to_le_bytes(), &size, &size, &(name.len() as u16).to_le_bytes(), &[0, 0]].concat();
+        let at = (out.len() as u32).to_le_bytes();
+        directory.extend([&b"PK\x01\x02\x14\x00"[..], &common, &[0; 10], &at, name.as_bytes()].concat());
+        out.extend([&b"PK\x03\x04"[..], &common, name.as_bytes(), bytes].concat());
+    }
+    let (count, start) = ((members.len() as u16).to_le_bytes(), (out.len() as u32).to_le_bytes());
+    let size = (directory.len() as u32).to_le_bytes();
+    out.extend(directory);
+    out.extend([&b"PK\x05\x06\0\0\0\0"[..], &count, &count, &size, &start, &[0, 0]].concat());
+    out
+}
+
+#[test]
+fn a_sequence_of_hs_ergb() {
+    let bench = Bench::new();
+    let frames = &scene().frames;
+    let mut stamps = String::new();
+    for (l, (t, codes)) in frames.iter().enumerate() {
+        write_png(&bench.path(&format!("clip/images/{l:06}.png")), codes);
+        writeln!(stamps, "{t}").unwrap();
+        // File n lies between pictures n and n + 1; what comes before the first picture stands in the first.
+        let from = if l == 0 { i64::MIN } else { *t };
+        let to = frames.get(l + 1).map_or(i64::MAX, |(next, _)| *next);
+        let part: Vec<_> = scene().events.iter().filter(|event| (from..to).contains(&event.0)).collect();
+        let column = |of: &dyn Fn(&(i64, u16, u16, bool)) -> i64| npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>());
+        let bytes = zip(&[
+            ("x.npy", column(&|event| 32 * i64::from(event.1))),
+            ("y.npy", column(&|event| 32 * i64::from(event.2))),
+            ("t.npy", column(&|event| event.0)),
+            ("p.npy", column(&|event| i64::from(event.3))),
+        ]);
+        fs::create_dir_all(bench.path("clip/events")).unwrap();
+        fs::write(bench.path(&format!("clip/events/{l:06}.npz")), bytes).unwrap();
+    }
+    bench.write("clip/images/timestamp.txt", &stamps);
+    two_commands(&bench, &["clip"], &KNOWN);
+}
+
+#[test]
+fn unknowns_are_proposed_and_marked_and_the_manifest_runs_all_the_same() {
+    let bench = Bench::new();
+    write_csv(&bench, "events.csv");
+    let mut stamps = String::new();
+    for (l, (t, codes)) in scene().frames.iter().enumerate() {
+        writeln!(stamps, "{t}").unwrap();
+        write_png(&bench.path(&format!("frames/{l}.png")), codes);
+    }
+    bench.write("stamps.txt", &stamps);
+    let done = bench.run(&["init", "events.csv", "frames", "stamps.txt", "-o", "my.toml", "--time-unit", "us"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let (manifest, sensor) = (fs::read_to_string(bench.path("my.toml")).unwrap(), fs::read_to_string(bench.path("my.sensor.toml")).unwrap());
+    for name in ["exposure", "stamp", "row_time", "transfer"] {
+        let line = manifest.lines().find(|line| line.starts_with(&format!("{name} ="))).unwrap_or_else(|| panic!("{name} stands in\n{manifest}"));
+        assert!(line.contains("# FILL: "), "{line}");
+    }
+    assert!(sensor.lines().any(|line| line.starts_with("threshold_on =") && line.contains("# FILL: ")), "{sensor}");
+    assert_eq!(bench.run(&["run", "my.toml", "--quiet"]).code, 0);
+    // Nothing is overwritten unasked.
+    let again = bench.run(&["init", "events.csv", "frames", "stamps.txt", "-o", "my.toml"]);
+    assert!(again.code == 2 && again.stderr.contains("--force"), "{}", again.stderr);
+}
+
+#[test]
+fn what_is_converted_there_and_back_is_the_same() {
+    let bench = Bench::new();
+    let first = fs::read_to_string(write_csv(&bench, "a.csv")).unwrap();
+    for (to, options) in [("b.h5", vec!["--to", "dsec"]), ("b.raw", vec![])] {
+        let mut arguments = vec!["convert", "a.csv", to];
+        arguments.extend(options);
+        assert_eq!(bench.run(&arguments).code, 0, "{to}");
+        assert_eq!(bench.run(&["convert", to, "c.csv", "--force"]).code, 0, "{to}");
+        assert_eq!(fs::read_to_string(bench.path("c.csv")).unwrap(), first, "{to}");
+    }
+    // Our own recording begins at zero; a part of it is what the text says of that part.
+    assert_eq!(bench.run(&["convert", "a.csv", "d.h5"]).code, 0);
+    assert_eq!(bench.run(&["convert", "d.h5", "e.csv", "--crop", "8,4,20,10", "--start", "20 ms", "--end", "60 ms"]).code, 0);
+    let zero = scene().events[0].0;
+    let inside = |event: &&(i64, u16, u16, bool)| (20_000..60_000).contains(&(event.0 - zero)) && (8..28).contains(&event.1) && (4..14).contains(&event.2);
+    let expected: Vec<String> =
+        scene().events.iter().filter(inside).map(|(t, x, y, on)| format!("{},{},{},{}", t - zero, x - 8, y - 4, u8::from(*on))).collect();
+    let part = fs::read_to_string(bench.path("e.csv")).unwrap();
+    let found: Vec<&str> = part.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit())).collect();
+    assert_eq!(found, expected);
+    assert!(!expected.is_empty());
+}
