@@ -2,7 +2,8 @@
 //!
 //! Events say how the light went while a frame was exposed. The length at which the mean over the exposure explains the frames best is proposed.
 //!
-//! Limits: it needs light that bends within an exposure, fast motion over fine texture, and stamps at the middle of the exposure.
+//! Limits: it needs light that bends within an exposure, fast motion over fine texture, events with little noise, and stamps at the middle of the exposure. Real
+//! recordings rarely have all of it, and then nothing is proposed: noise of events looks like blur.
 
 use super::{Row, Settings, panel, table};
 use photocurrent_core::quantity::Duration;
@@ -97,7 +98,9 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let found = thresholds.and_then(|thresholds| estimate::exposure(&panel, thresholds, offset_ns));
         match (thresholds, &found) {
             (None, _) => cx.note("thresholds are not known, and too few pixels changed to tell them"),
-            (Some(_), None) => cx.note("no length explains the frames better than the others: the light bends too little within an exposure"),
+            (Some(_), None) => {
+                cx.note("no length explains the frames better than the others: the light bends too little within an exposure, or events are too noisy to tell")
+            }
             (Some((on, off)), Some(_)) => cx.note(format!("with thresholds {on:.3} and {off:.3}, events taken {:.3} ms later", offset_ns * 1e-6)),
         }
         Ok(Out { estimates: Arc::new(table(&[Row::new("exposure", found, "ms", 1e6)])) })

@@ -148,7 +148,7 @@ fn pictures(frames: &FrameSequence, runs: &[Vec<usize>], place_of: &[u32], times
                 }
             }
             // A place whose part is saturated would change by what is left out.
-            let whole = (times * times) as u32;
+            let whole = times * times;
             let log = panel.stretches[stretch].frame_mut(within);
             log.iter_mut().zip(sums).zip(counts).for_each(|((log, sum), count)| *log = if count == whole { sum / count as f32 } else { f32::NAN });
         }

@@ -3,7 +3,7 @@
 //! Between two frames a pixel's logarithm changes by the ON threshold for each ON event, and back by the other for each OFF one. A robust fit over the busiest
 //! pixels gives both.
 //!
-//! Limits: events that a fast change loses make thresholds look larger; frames that are not linear give thresholds of their curve; the front end is taken as ideal.
+//! Limits: events that a fast change loses make thresholds look larger (twice in a dim clip of a fast pendulum); frames that are not linear give thresholds of their curve; the front end is taken as ideal.
 
 use super::{Row, Settings, panel, table};
 use photocurrent_core::quantity::Duration;

@@ -106,7 +106,7 @@ impl Stamps {
         let first = *self.first.get_or_insert(t);
         let from_first = t.abs_diff(first);
         // The greatest common divisor changes a few dozen times at most.
-        if self.step == 0 || from_first % self.step != 0 {
+        if self.step == 0 || !from_first.is_multiple_of(self.step) {
             self.step = gcd(self.step, from_first);
         }
         if self.events > 0 {

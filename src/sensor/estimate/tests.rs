@@ -3,6 +3,7 @@
 use super::*;
 use crate::forward::{LinearLight, Noiseless, Pixel, simulate_events};
 use crate::front_end::FrontEnd;
+use photocurrent_core::random::Random;
 
 const WIDTH: u32 = 48;
 const HEIGHT: u32 = 32;
@@ -22,9 +23,11 @@ struct Made {
     row_time_ns: i64,
     /// Pixels a second.
     speed: f64,
+    /// Share of events that are lost, and of noise events that come beside; stamps wander by as many periods.
+    noise: f64,
 }
 
-const PLAIN: Made = Made { on: 0.2, off: 0.2, late_ns: 0, drift_ns_per_s: 0.0, exposure_ns: 2_000_000, row_time_ns: 0, speed: 250.0 };
+const PLAIN: Made = Made { on: 0.2, off: 0.2, late_ns: 0, drift_ns_per_s: 0.0, exposure_ns: 2_000_000, row_time_ns: 0, speed: 250.0, noise: 0.0 };
 
 /// Logarithm of the light: waves that drift, of several lengths so that nothing repeats from frame to frame.
 fn log_light(made: &Made, x: f64, y: f64, t_ns: f64) -> f64 {
@@ -46,15 +49,27 @@ fn panel(made: Made) -> Panel {
         refractory_ns: 0,
         log_step: 0.1,
     };
+    let mut random = Random::new(7, &[]);
     let mut centring = Centring::new(panel.places(), PERIOD_NS / 4);
     let t_ns: Vec<i64> = (0..=end_ns / 250_000).map(|n| n * 250_000).collect();
     for y in 0..HEIGHT {
         for x in 0..WIDTH {
             let place = (y * WIDTH + x) as usize;
             let light: Vec<f64> = t_ns.iter().map(|t| libm::exp(log_light(&made, x.into(), y.into(), *t as f64))).collect();
+            let mut events: Vec<(i64, bool)> = Vec::new();
             for event in simulate_events(&pixel, &LinearLight::new(&t_ns, &light), 0, end_ns, &mut Noiseless) {
-                let t = event.t_in_ns + made.late_ns + (made.drift_ns_per_s * event.t_in_ns as f64 * 1e-9) as i64;
-                if let Some((t, is_on)) = centring.next(place, t, event.polarity > 0) {
+                let wander = (made.noise * PERIOD_NS as f64 * random.normal()) as i64;
+                if random.uniform() >= made.noise {
+                    events.push((event.t_in_ns + wander, event.polarity > 0));
+                }
+                if random.uniform() < made.noise {
+                    events.push(((random.uniform() * end_ns as f64) as i64, random.uniform() < 0.5));
+                }
+            }
+            events.sort_unstable();
+            for (t_in_ns, was_on) in events {
+                let t = t_in_ns + made.late_ns + (made.drift_ns_per_s * t_in_ns as f64 * 1e-9) as i64;
+                if let Some((t, is_on)) = centring.next(place, t, was_on) {
                     stretch.event(t, place, is_on);
                 }
             }
@@ -124,4 +139,19 @@ fn the_exposure_that_blurred_the_frames_is_found() {
         near(&found, exposure_ns as f64, 1_000_000.0, 4_000_000.0);
     }
     assert_eq!(exposure(&panel(Made { speed: 0.0, ..PLAIN }), (0.2, 0.2), 0.0), None);
+}
+
+/// A mean over any time smooths noise: without the limit on what a length must explain, these give some five to thirteen milliseconds.
+#[test]
+fn noise_of_events_is_no_blur() {
+    for (noise, speed) in [(0.1, 120.0), (0.1, 400.0), (0.3, 250.0)] {
+        let made = Made { exposure_ns: 500_000, noise, speed, ..PLAIN };
+        assert_eq!(exposure(&panel(made), (0.2, 0.2), 0.0), None, "{noise} {speed}");
+    }
+}
+
+#[test]
+fn noise_widens_an_offset_and_does_not_move_it() {
+    let found = offset(&panel(Made { noise: 0.1, late_ns: 4_000_000, ..PLAIN })).unwrap();
+    near(&found.ns, 4_000_000.0, 700_000.0, 3_000_000.0);
 }
