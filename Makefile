@@ -18,6 +18,7 @@ demo: setup
 	@echo "  $(BIN) run pipelines/quickstart.toml                                        # again: nothing runs"
 	@echo "  $(BIN) explain pipelines/quickstart.toml solve_all --set nodes.solve_all.params.cis_weight=2"
 	@echo "  $(BIN) run pipelines/davis346.toml                                          # a real camera"
+	@echo "  $(BIN) init data/recordings/davis346_cradle.aedat4 -o my.toml               # a manifest for any recording, yours too"
 	@echo "  $(BIN) diagnose data/recordings/davis346_traffic.aedat4 --sensor data/sensors/davis346_sheet.toml --direct   # and what its description lacks"
 	@echo "  $(BIN) graph pipelines/quickstart.toml --format svg > graph.svg"
 

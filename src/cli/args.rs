@@ -9,7 +9,7 @@ use std::path::PathBuf;
 /// Solves for the photocurrent of every pixel of a hybrid frame and event sensor.
 #[derive(Parser)]
 #[command(version, about, long_about = None, max_term_width = 110)]
-#[command(after_help = "First steps: photocurrent run pipelines/quickstart.toml")]
+#[command(after_help = "First steps: photocurrent run pipelines/quickstart.toml; with your own files: photocurrent init FILE...")]
 pub struct Args {
     #[command(subcommand)]
     pub command: Command,
@@ -17,7 +17,7 @@ pub struct Args {
 
 #[derive(Subcommand)]
 pub enum Command {
-    /// Write a manifest and a sensor description for your files; what they do not state is proposed and marked
+    /// Write a runnable manifest for your files, with what they do not state marked
     Init(InitOptions),
     /// Write a recording in another format, whole or a part of it
     Convert(ConvertOptions),
