@@ -88,7 +88,7 @@ pub enum ProgressStyle {
 
 #[derive(ClapArgs)]
 pub struct InitOptions {
-    /// The recording, and where its frames and their stamps lie when they lie elsewhere
+    /// The recording; its frames and their stamps when they lie elsewhere; calibrations (.yaml) and biases (.bias)
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// The manifest to write; the sensor description is written beside it

@@ -6,7 +6,7 @@ use crate::declared::DeclaredOptions;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{FramesMeta, TimeSpan};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, arrange};
-use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, format, joined};
+use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, bias, calibration, format, joined};
 use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
 use photocurrent_nodes::read::foreign::All;
 use std::collections::BTreeMap;
@@ -45,6 +45,8 @@ pub struct Facts {
     pub rate_hz: f64,
     /// Is there a description in the file?
     pub sensor_text: Option<String>,
+    /// What calibration and bias files say, a line each.
+    pub camera: Vec<String>,
     pub notes: Vec<String>,
     pub losses: Vec<String>,
 }
@@ -67,12 +69,21 @@ struct Sorted {
     format: &'static Format,
     frames: Option<PathBuf>,
     stamps: Option<PathBuf>,
+    /// What calibration and bias files say, a line each.
+    camera: Vec<String>,
+    /// Delay from row to row that a calibration states, s.
+    line_delay_s: Option<f64>,
 }
 
 /// One file with events, at most one folder or film of pictures, at most one file of stamps.
 fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
     let (mut recording, mut frames, mut stamps) = (None, None, None);
+    let (mut camera, mut line_delay_s) = (Vec::new(), None);
     for path in files {
+        if let Some(delay) = camera_facts(path, &mut camera)? {
+            line_delay_s = delay.or(line_delay_s);
+            continue;
+        }
         let found = format::recognise(path).map_err(|error| usage(error.to_string()))?;
         let (slot, what) = match found {
             Some(format) if format.id == "pictures" => {
@@ -98,7 +109,35 @@ fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
     }
     let (recording, format) =
         recording.ok_or_else(|| usage("no file with events among those named\n  hint: name the event recording first, then its frames".into()))?;
-    Ok(Sorted { recording, format, frames, stamps })
+    Ok(Sorted { recording, format, frames, stamps, camera, line_delay_s })
+}
+
+/// Lines about a camera from a calibration (kalibr, DSEC's cam_to_cam) or a file of biases, and the row delay that it states; `None` when the file is neither.
+fn camera_facts(path: &Path, lines: &mut Vec<String>) -> Result<Option<Option<f64>>, Failure> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let refused = |error: FormatError| crate::declared::refused(&error);
+    match path.extension().unwrap_or_default().to_string_lossy().to_lowercase().as_str() {
+        "yaml" | "yml" => {
+            let found = calibration::read(path).map_err(refused)?;
+            for camera in &found.cameras {
+                let mut facts = Vec::new();
+                facts.extend(camera.extent.map(|extent| format!("{extent} pixels")));
+                facts.extend(camera.topic.clone());
+                facts.extend(camera.camera_model.as_ref().zip(camera.intrinsics.as_ref()).map(|(model, numbers)| format!("{model} {numbers:?}")));
+                facts.extend(camera.distortion_model.as_ref().zip(camera.distortion.as_ref()).map(|(model, numbers)| format!("{model} {numbers:?}")));
+                facts.extend(camera.timeshift_cam_imu_s.map(|seconds| format!("time shift to the IMU {seconds} s")));
+                facts.extend(camera.line_delay_s.map(|seconds| format!("line delay {seconds} s")));
+                lines.push(format!("{name}: {}: {}", camera.name, facts.join("; ")));
+            }
+            Ok(Some(found.cameras.iter().find_map(|camera| camera.line_delay_s)))
+        }
+        "bias" => {
+            // What a bias is worth in volts or seconds is known by calibration alone.
+            lines.extend(bias::read(path).map_err(refused)?.iter().map(|(bias, value)| format!("{name}: {bias} = {value}")));
+            Ok(Some(None))
+        }
+        _ => Ok(None),
+    }
 }
 
 /// Looks at the files, and proposes what they do not state.
@@ -146,6 +185,7 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, F
         window,
         rate_hz,
         sensor_text: recording.sensor_text().map(String::from),
+        camera: sorted.camera.clone(),
         notes: arranged.notes.clone(),
         losses,
     };
@@ -227,6 +267,11 @@ fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
             all.stamp = Some(StampRole::Middle);
             let why = "what a frame's stamp means is not recorded: start, middle or end of its exposure. A wrong one shifts frames against events";
             Some(Fill { name: "stamp", value: "\"middle\"".into(), why: why.into() })
+        }
+        "row_time" if all.row_time.is_none() && sorted.line_delay_s.is_some() => {
+            let delay = Duration::new((sorted.line_delay_s? * 1e9).round() as i64);
+            all.row_time = Some(delay);
+            Some(Fill { name: "row_time", value: format!("\"{delay}\""), why: "the calibration's line delay, taken as seconds".into() })
         }
         "row_time" if all.row_time.is_none() => {
             all.row_time = Some(Duration::new(0));

@@ -101,12 +101,13 @@ pub fn sensor(facts: &Facts) -> String {
     let gain = 1.0 / facts.exposure_s();
     let saturation = if facts.bits >= 32 { String::new() } else { format!("saturation_dn = {:.1}\n", (2f64).powi(facts.bits as i32) - 1.0) };
     let row_time = photocurrent_core::quantity::Duration::new(facts.frames.times.row_time_ns);
+    let camera: String = facts.camera.iter().map(|line| format!("# {line}\n")).collect();
     let offset = fill("clock_offset");
     let effects = if offset.is_empty() { offset } else { format!("\n[effects]\n{offset}") };
     format!(
         "# The camera of {file}: what its files state, and starting values for the rest. Made by `photocurrent init`.\n\
          # Measured thresholds are worth most: photocurrent nodes estimate/thresholds.\n\
-         format = \"photocurrent-sensor/1\"\nname   = {}\n\n\
+         {camera}format = \"photocurrent-sensor/1\"\nname   = {}\n\n\
          [comparator]\n{}{}\n[readout]\n{}\n[frames]\n\
          gain = {gain:?} # sets the unit of photocurrent: 1 reads as 1 DN in a frame of this recording\n\
          black_level_dn = 0.0\n{saturation}row_time = \"{row_time}\"\n{effects}",

@@ -56,8 +56,9 @@ impl Cursor {
             let content = self.chain.content();
             match elements(content) {
                 Some(events) => {
-                    let start = events.as_ptr() as usize - content.as_ptr() as usize;
-                    self.rest = if events.is_empty() { 0..0 } else { start..start + events.len() };
+                    // An absent vector is empty and does not stand in the content.
+                    let start = if events.is_empty() { 0 } else { events.as_ptr() as usize - content.as_ptr() as usize };
+                    self.rest = start..start + events.len();
                     self.chain.proven();
                     self.packet = Some(packet);
                     if !self.rest.is_empty() {

@@ -57,6 +57,17 @@ fn pieces() -> Vec<Piece> {
 const EVENTS: [Event; 5] = [(1_000_000, 2, 1, 1), (1_003_000, 0, 0, 0), (1_010_000, 1, 1, 0), (1_012_000, 1, 0, 1), (1_020_000, 2, 0, 1)];
 
 #[test]
+fn a_packet_without_its_vector_of_events_has_none() {
+    let mut bytes = made::file(How::Plain, &STREAMS, &[made::events(0, &[(1000, 2, 1, 1)]), made::events(0, &[(1020, 2, 0, 1)])], false);
+    // Behind the identifier: two sizes, then where the table has the vector. Zero is nowhere.
+    let places = bytes.windows(4).enumerate().filter(|(_, window)| *window == b"EVTS");
+    // The first is the name of the kind in the header.
+    let list = places.map(|(at, _)| at).nth(1).unwrap() + 4;
+    bytes[list + 4..list + 6].fill(0);
+    assert_eq!(with(&bytes, |recording| read(&recording).0), [(1_020_000, 2, 0, 1)]);
+}
+
+#[test]
 fn whole_files_give_the_same_however_they_are_compressed() {
     for how in How::ALL {
         for with_table in [false, true] {

@@ -64,6 +64,9 @@ struct Raw<D> {
     index: Arc<Mutex<Vec<Mark<D>>>>,
 }
 
+/// So many bytes hold a time word in every sound file: sensors write one every few microseconds.
+const BEGINNING: u64 = 1 << 20;
+
 /// What is known of the events without the decoder.
 pub(super) struct About {
     pub encoding: String,
@@ -79,12 +82,28 @@ pub(super) fn open<D: Decoder>(path: &Path, header: &Header, bytes: u64, known: 
     let data_at = header.data_at as u64;
     let count = known.is_counted.then(|| bytes.saturating_sub(data_at) / D::WORD as u64);
     let extent = known.extent;
-    let about = EventsAbout { extent, tick_ns: 1000, count, has_t_in: false, stamps: known.stamps, notes: known.notes };
+    let mut notes = known.notes;
+    // A recording that was begun in midstream begins so: nothing is damaged.
+    let early = before_time(path, data_at, decoder.clone()).early;
+    if early > 0 {
+        notes.push(format!("{early} events or trigger edges stand before the first time word and have no time; they are left out"));
+    }
+    let about = EventsAbout { extent, tick_ns: 1000, count, has_t_in: false, stamps: known.stamps, notes };
     let mut facts = vec![("encoding".to_owned(), known.encoding)];
     facts.extend(header.facts());
     facts.extend(bias::next_to(path));
     let start = Mark { at: data_at, decoder, latest: i64::MIN };
     Box::new(Raw { path: path.into(), data_at, about, extent, facts, index: Arc::new(Mutex::new(vec![start])) })
+}
+
+/// What the beginning of the words lacks; nothing when it cannot be read, which the cursor reports.
+fn before_time<D: Decoder>(path: &Path, data_at: u64, mut decoder: D) -> Faults {
+    let mut bytes = Vec::new();
+    let read = File::open(path).and_then(|mut file| file.seek(SeekFrom::Start(data_at)).and_then(|_| file.take(BEGINNING).read_to_end(&mut bytes)));
+    if read.is_ok() {
+        decoder.decode(&bytes, &mut EventChunk::default(), &mut Vec::new());
+    }
+    *decoder.faults()
 }
 
 impl<D: Decoder> Raw<D> {
@@ -270,7 +289,6 @@ impl Losses {
 
     fn what(&self, kind: usize, n: u64) -> String {
         match kind {
-            0 => format!("{n} events or trigger edges stand before the first time word and have no time; they are left out"),
             1 => match self.extent {
                 Some(extent) => format!("{n} events lie outside {extent} pixels or have no row; they are left out"),
                 None => format!("{n} events lie outside what the format can have, or have no row; they are left out"),
@@ -282,7 +300,8 @@ impl Losses {
 
     fn add(&mut self, bytes: std::ops::Range<u64>, known: Faults, now: Faults) {
         for (kind, (known, now)) in known.counts().into_iter().zip(now.counts()).enumerate() {
-            let Some(n) = now.checked_sub(known).filter(|&n| n > 0) else { continue };
+            // Events before any time are no damage: a note counts them.
+            let Some(n) = now.checked_sub(known).filter(|&n| n > 0 && kind > 0) else { continue };
             let at = format!("bytes {} to {}", bytes.start, bytes.end);
             // A place that is read again after a jump is reported once.
             if self.all.iter().any(|loss| loss.at == at && loss.what == self.what(kind, n)) {

@@ -108,6 +108,19 @@ fn m3ed_is_read_by_camera() {
     assert!(error.hint.contains("left, right"), "{error}");
 }
 
+/// A file in which four bytes of `prophesee/left/x`'s fill value claim 2 GB: HDF5 1.10 ended the process on it.
+#[test]
+fn a_fill_value_with_a_wrong_size_is_survived() {
+    let mut bytes = std::fs::read(fixture("m3ed.h5")).unwrap();
+    bytes[9036..9040].copy_from_slice(&i32::MAX.to_le_bytes());
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("damaged.h5");
+    std::fs::write(&path, bytes).unwrap();
+    if let Ok(recording) = (super::m3ed::FORMAT.open)(&path, &Declared::default()) {
+        all(&*recording, None);
+    }
+}
+
 #[test]
 fn mvsec_has_seconds_and_signed_polarity() {
     let recording = open(&fixture("mvsec.h5"), "mvsec", &Declared::default());

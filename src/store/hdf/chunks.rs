@@ -11,6 +11,7 @@ use crate::error::StoreError;
 use crate::threads;
 use hdf5::{Dataset, Datatype};
 use hdf5_sys::h5::{herr_t, hsize_t};
+use hdf5_sys::h5d::H5D_fill_value_t;
 use hdf5_sys::h5i::hid_t;
 use std::collections::{HashMap, VecDeque};
 use std::ops::Range;
@@ -203,8 +204,15 @@ fn packed_form(dataset: &Dataset, memory: &Datatype, item: usize) -> Option<Pack
     let properties = dataset.create_plist().ok()?;
     let pipeline = Pipeline::of(properties.id()).ok()?;
     let mut fill = vec![0; item];
-    // SAFETY: the buffer holds one element of the type.
-    if unsafe { hdf5_sys::h5p::H5Pget_fill_value(properties.id(), memory.id(), fill.as_mut_ptr().cast()) } < 0 {
+    let mut defined = H5D_fill_value_t::H5D_FILL_VALUE_DEFAULT;
+    // SAFETY: the buffer holds one element of the type. A fill value of a damaged file may have a size and nothing else; the library asks its type
+    // all the same, and the process would end there: so it is asked first whether the value is whole.
+    let got = unsafe {
+        hdf5_sys::h5p::H5Pfill_value_defined(properties.id(), &mut defined) >= 0
+            && matches!(defined, H5D_fill_value_t::H5D_FILL_VALUE_USER_DEFINED)
+            && hdf5_sys::h5p::H5Pget_fill_value(properties.id(), memory.id(), fill.as_mut_ptr().cast()) >= 0
+    };
+    if !got {
         fill.fill(0);
     }
     chunk.iter().all(|&n| n > 0).then_some(Packed { chunk, pipeline, fill })
