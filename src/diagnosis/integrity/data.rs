@@ -8,6 +8,9 @@ pub const FEWEST_EVENTS: usize = 300;
 /// With fewer frames the two paths cannot be compared.
 pub const FEWEST_FRAMES: usize = 3;
 
+/// Mean rate of a pixel from which stamps must be of another unit: the fastest read-outs give a thousand events a pixel and second with all pixels firing.
+const FASTEST_HZ: f64 = 5_000.0;
+
 /// What makes the data useless, a sentence each.
 pub fn broken(case: &Case) -> Vec<String> {
     let mut why = Vec::new();
@@ -20,6 +23,14 @@ pub fn broken(case: &Case) -> Vec<String> {
         let first = events[0].t_off_ns;
         if events.iter().all(|event| event.t_off_ns == first) {
             why.push(format!("all {} events have one and the same time, {first} ns", events.len()));
+        }
+        let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
+        let rate_hz = events.len() as f64 / (seconds * case.extent.pixels().max(1) as f64);
+        if seconds > 0.0 && rate_hz > FASTEST_HZ {
+            why.push(format!(
+                "{} events in {seconds:.3e} s, {rate_hz:.0} a pixel and second, are more than any sensor gives: the stamps are of a larger unit",
+                events.len()
+            ));
         }
         // A pixel cannot fire twice at one instant; a coarse grid makes a few equal, a broken clock nearly all.
         let pairs = events.len() - (0..case.events.pixels()).filter(|&pixel| !case.events.of(pixel).is_empty()).count();

@@ -326,6 +326,15 @@ fn broken_and_insufficient_data_are_said() {
     assert!(of(&stopped).broken.iter().any(|why| why.contains("one and the same time")));
     let early = Case { has_t_in: true, ..with(bursts(1000), |_, events| events.iter_mut().for_each(|event| event.t_off_ns -= 5000)) };
     assert!(of(&early).broken.iter().any(|why| why.contains("before they fire")));
+    // Microseconds that were read as nanoseconds.
+    let mut fast = with(bursts(1000), |_, events| {
+        events.iter_mut().for_each(|event| {
+            event.t_in_ns /= 1000;
+            event.t_off_ns /= 1000;
+        });
+    });
+    fast.span = (fast.span.0 / 1000, fast.span.1 / 1000);
+    assert!(of(&fast).broken.iter().any(|why| why.contains("of a larger unit")), "{:?}", of(&fast).broken);
     let few = with(bursts(1000), |pixel, events| events.truncate(usize::from(pixel < 20)));
     let found = of(&few);
     assert!(found.broken.is_empty() && found.lacking.iter().any(|why| why.starts_with("20 events")), "{found:?}");

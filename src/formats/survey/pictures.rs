@@ -241,7 +241,8 @@ impl Values {
         if frame.checked_sub(1).is_some_and(|before| self.before == Some((before, mix))) {
             found.repeated.push(frame);
         }
-        self.before = Some((frame, mix));
+        // Frames of no number at all repeat nothing.
+        self.before = (least <= most).then_some((frame, mix));
     }
 
     /// A frame that could not be read.
