@@ -250,10 +250,10 @@ impl ForeignDataset {
         }
     }
 
-    /// The member of a compound; `None` of numbers, or without such a member.
+    /// The member of a compound; `None` of numbers, without such a member, or where it would lie outside of its row: a damaged file can say so.
     pub fn member(&self, name: &str) -> Option<Field> {
         match &self.inner.form {
-            Form::Compound(members) => members.iter().find(|(other, _)| other == name).map(|(_, field)| *field),
+            Form::Compound(members) => members.iter().find(|(other, _)| other == name).map(|(_, field)| *field).filter(|field| field.fits(self.inner.row)),
             _ => None,
         }
     }

@@ -108,6 +108,18 @@ fn m3ed_is_read_by_camera() {
     assert!(error.hint.contains("left, right"), "{error}");
 }
 
+/// A file whose compound of events has a member that lies outside of it.
+#[test]
+fn a_member_outside_of_its_compound_is_refused() {
+    let mut bytes = std::fs::read(fixture("prophesee_plain.h5")).unwrap();
+    bytes[2094] = 0x20;
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("damaged.h5");
+    std::fs::write(&path, bytes).unwrap();
+    let refused = (super::prophesee::FORMAT.open)(&path, &Declared::default()).err().unwrap();
+    assert!(refused.to_string().contains("CD/events"), "{refused}");
+}
+
 /// A file in which four bytes of `prophesee/left/x`'s fill value claim 2 GB: HDF5 1.10 ended the process on it.
 #[test]
 fn a_fill_value_with_a_wrong_size_is_survived() {

@@ -96,7 +96,7 @@ impl Field {
     }
 
     /// Does it lie inside rows of so many bytes?
-    fn fits(&self, stride: usize) -> bool {
+    pub(crate) fn fits(&self, stride: usize) -> bool {
         self.offset.checked_add(self.number.bytes()).is_some_and(|end| end <= stride)
     }
 
