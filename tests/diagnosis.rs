@@ -54,7 +54,7 @@ fn a_davis_camera_couples_leaks_is_blind_and_late() {
     let done = bench.run(&["diagnose", clip.to_str().expect("UTF-8"), "--direct"]);
     says(&done, 2, &["no sensor description", "--sensor"]);
     let done = bench.run(&["diagnose", clip.to_str().expect("UTF-8"), "--direct", "--sensor", sheet.to_str().expect("UTF-8"), "-o", "found"]);
-    says(&done, 0, &["t = 0 is 1589163147364965 us on the camera's clock"]);
+    says(&done, 0, &["t = 0 is 1589163147364965 us on the clock of davis346_traffic.aedat4"]);
     let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");
     let effects = report["effects"].as_array().expect("effects");
     let number = |id: &str, key: &str| {
@@ -77,7 +77,7 @@ fn a_davis_camera_couples_leaks_is_blind_and_late() {
 #[test]
 fn what_cannot_be_diagnosed_says_why() {
     let bench = Bench::new();
-    says(&bench.run(&["diagnose", "nowhere.h5"]), 2, &["nowhere.h5", "cannot read the recording", "photocurrent-recording/1"]);
+    says(&bench.run(&["diagnose", "nowhere.h5"]), 2, &["nowhere.h5", "cannot read the recording", "docs/recordings.md"]);
     recordings::write(&bench.path("plain.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
     says(&bench.run(&["diagnose", "plain.h5"]), 2, &["no sensor description", "--sensor"]);
     says(&bench.run(&["diagnose", "plain.h5", "--sensor", "none.toml"]), 2, &["none.toml", "cannot read"]);

@@ -3,6 +3,8 @@
 //! One made-up recording (a texture that slides four pixels within an exposure) is written as each dataset lays it out. What comes back is held against the true
 //! light of the scene.
 
+#![allow(clippy::unwrap_used)]
+
 use crate::support::{Bench, root};
 use photocurrent_formats::ros::testing::{BagWriter, Packing, Wire, event_array, image};
 use photocurrent_formats::{EventChunk, aedat4::made, format, joined};
@@ -12,14 +14,17 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
+/// An event: us, x, y, ON.
+type Event = (i64, u16, u16, bool);
+
 const WIDTH: usize = 48;
 const HEIGHT: usize = 36;
 const EXPOSURE_US: i64 = 8_000;
 
 /// The recording, once for all tests: events, frames as 8-bit codes with their starts, truth.
 struct Scene {
-    /// (us, x, y, on), in order of time.
-    events: Vec<(i64, u16, u16, bool)>,
+    /// In order of time.
+    events: Vec<Event>,
     /// Start of the exposure in us, codes.
     frames: Vec<(i64, Vec<u8>)>,
     /// Middle in us, codes as a frame of the nominal exposure would have them.
@@ -104,7 +109,7 @@ fn psnr(frames: &[(i64, Vec<f64>)]) -> f64 {
         }
     }
     assert!(count > 0.0, "frames were rendered between the captured ones");
-    10.0 * (250.0 * 250.0 * count / square).log10()
+    10.0 * libm::log10(250.0 * 250.0 * count / square)
 }
 
 /// The rendered frames of a run: middle in us since the first event or exposure, linear values.
@@ -221,7 +226,7 @@ fn a_bag_of_ros() {
     let (events, images) = (bag.connect("/dvs/events", "dvs_msgs/EventArray"), bag.connect("/dvs/image_raw", "sensor_msgs/Image"));
     let size = (WIDTH as u32, HEIGHT as u32);
     for part in scene().events.chunks(500) {
-        let part: Vec<(i64, u16, u16, bool)> = part.iter().map(|(t, x, y, on)| (t * 1000, *x, *y, *on)).collect();
+        let part: Vec<Event> = part.iter().map(|(t, x, y, on)| (t * 1000, *x, *y, *on)).collect();
         let last = part.last().unwrap().0;
         bag.message(events, last, &event_array(Wire::Ros1, last, size, &part));
     }
@@ -271,7 +276,7 @@ fn a_sequence_of_hs_ergb() {
         let from = if l == 0 { i64::MIN } else { *t };
         let to = frames.get(l + 1).map_or(i64::MAX, |(next, _)| *next);
         let part: Vec<_> = scene().events.iter().filter(|event| (from..to).contains(&event.0)).collect();
-        let column = |of: &dyn Fn(&(i64, u16, u16, bool)) -> i64| npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>());
+        let column = |of: &dyn Fn(&Event) -> i64| npy(&part.iter().map(|event| of(event)).collect::<Vec<_>>());
         let bytes = zip(&[
             ("x.npy", column(&|event| 32 * i64::from(event.1))),
             ("y.npy", column(&|event| 32 * i64::from(event.2))),
@@ -324,7 +329,7 @@ fn what_is_converted_there_and_back_is_the_same() {
     assert_eq!(bench.run(&["convert", "a.csv", "d.h5"]).code, 0);
     assert_eq!(bench.run(&["convert", "d.h5", "e.csv", "--crop", "8,4,20,10", "--start", "20 ms", "--end", "60 ms"]).code, 0);
     let zero = scene().events[0].0;
-    let inside = |event: &&(i64, u16, u16, bool)| (20_000..60_000).contains(&(event.0 - zero)) && (8..28).contains(&event.1) && (4..14).contains(&event.2);
+    let inside = |event: &&Event| (20_000..60_000).contains(&(event.0 - zero)) && (8..28).contains(&event.1) && (4..14).contains(&event.2);
     let expected: Vec<String> =
         scene().events.iter().filter(inside).map(|(t, x, y, on)| format!("{},{},{},{}", t - zero, x - 8, y - 4, u8::from(*on))).collect();
     let part = fs::read_to_string(bench.path("e.csv")).unwrap();

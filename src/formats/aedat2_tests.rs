@@ -20,7 +20,10 @@ fn with<T>(bytes: &[u8], declared: &Declared, work: impl FnOnce(Result<Aedat2, F
     work(Aedat2::open(&path, declared))
 }
 
-fn read(recording: &Aedat2) -> (Vec<(i64, u16, u16, u8)>, Vec<Loss>) {
+/// ns, x, y, ON.
+type Event = (i64, u16, u16, u8);
+
+fn read(recording: &Aedat2) -> (Vec<Event>, Vec<Loss>) {
     let (mut cursor, mut chunk, mut events) = (recording.events().unwrap(), EventChunk::default(), Vec::new());
     while cursor.next(&mut chunk).unwrap() {
         events.extend((0..chunk.len()).map(|k| (chunk.t[k], chunk.x[k], chunk.y[k], chunk.on[k])));

@@ -275,7 +275,10 @@ mod tests {
         work(EventStream::open(&path))
     }
 
-    fn read(bytes: &[u8]) -> (Vec<(i64, u16, u16, u8)>, Vec<Loss>) {
+    /// ns, x, y, ON.
+    type Event = (i64, u16, u16, u8);
+
+    fn read(bytes: &[u8]) -> (Vec<Event>, Vec<Loss>) {
         with(bytes, |recording| {
             let recording = recording.unwrap();
             let (mut cursor, mut chunk, mut events) = (recording.events().unwrap(), EventChunk::default(), Vec::new());

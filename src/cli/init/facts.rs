@@ -77,7 +77,8 @@ struct Sorted {
 
 /// One file with events, at most one folder or film of pictures, at most one file of stamps.
 fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
-    let (mut recording, mut frames, mut stamps) = (None, None, None);
+    let (mut recording, mut stamps) = (None, None);
+    let mut frames: Option<PathBuf> = None;
     let (mut camera, mut line_delay_s) = (Vec::new(), None);
     for path in files {
         if let Some(delay) = camera_facts(path, &mut camera)? {
@@ -88,7 +89,7 @@ fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
         let (slot, what) = match found {
             Some(format) if format.id == "pictures" => {
                 if let Some(other) = frames.replace(path.clone()) {
-                    return Err(usage(format!("{} and {} both hold frames: name one", PathBuf::from(other).display(), path.display())));
+                    return Err(usage(format!("{} and {} both hold frames: name one", other.display(), path.display())));
                 }
                 continue;
             }

@@ -17,7 +17,7 @@ pub fn init(options: &InitOptions) -> Done {
     if manifest.extension().is_none_or(|extension| extension != "toml") {
         return Err(usage(format!("{}: a manifest's name ends in .toml", manifest.display())));
     }
-    for path in [manifest, &sensor].into_iter().filter(|path| path.exists() && !options.force) {
+    if let Some(path) = [manifest, &sensor].into_iter().find(|path| path.exists() && !options.force) {
         return Err(usage(format!("{} exists\n  hint: give another name with -o, or --force to replace it", path.display())));
     }
     let folder = manifest.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));

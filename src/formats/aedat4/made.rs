@@ -2,7 +2,7 @@
 //!
 //! Bytes are made here, so panics are mistakes of a test.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::type_complexity)]
 
 use std::io::Write;
 

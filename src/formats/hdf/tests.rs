@@ -86,7 +86,7 @@ fn a_dsec_folder_has_its_pictures_with_their_exposures() {
     pictures.read(1, &mut values).unwrap();
     assert_eq!(values, [1.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
     assert!(pictures.read(2, &mut values).is_err());
-    assert_eq!(recording.files().len(), 5, "the folder, the events, two pictures, their stamps");
+    assert_eq!(recording.files().len(), 4, "the folder, the events, two pictures, their stamps");
 }
 
 #[test]

@@ -123,7 +123,7 @@ fn a_changed_byte_gives_numbers_gaps_or_an_error() {
         let mut changed = bytes.clone();
         for _ in 0..1 + random.bits() % 3 {
             let at = (random.bits() % bytes.len() as u64) as usize;
-            changed[at] = if random.bits() % 2 == 0 { random.bits() as u8 } else { changed[at] ^ (1 << (random.bits() % 8)) };
+            changed[at] = if random.bits().is_multiple_of(2) { random.bits() as u8 } else { changed[at] ^ (1 << (random.bits() % 8)) };
         }
         // A file that is replaced, not rewritten: the library remembers open files by their place on the disk.
         std::fs::remove_file(&path).unwrap();

@@ -2,14 +2,10 @@
 
 use super::Seed;
 use photocurrent_core::Extent;
+use photocurrent_formats::aedat4::made;
 use photocurrent_formats::ros::testing::{BagWriter, McapWriter, Packing, Wire, event_array, event_packet, evt3, image};
 use photocurrent_formats::{Column, Declared, TimeUnit};
 use std::path::{Path, PathBuf};
-
-// Writes AEDAT4; shared with that reader's own tests.
-#[allow(clippy::type_complexity)]
-#[path = "../../aedat4/made.rs"]
-mod made;
 
 type Event = (i64, u16, u16, bool);
 
