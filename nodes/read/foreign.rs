@@ -208,6 +208,15 @@ photocurrent_core::ports! {
     }
 }
 
+/// What stands there instead: for messages.
+fn beginning(probe: &format::Probe) -> String {
+    match &probe.names {
+        Some(names) => format!("it is a folder with {} entries", names.len()),
+        None if probe.head.is_empty() => "it is an empty file".into(),
+        None => format!("it begins with `{}`", probe.head[..probe.head.len().min(12)].escape_ascii()),
+    }
+}
+
 /// An opened file, arranged.
 struct Open {
     recording: Box<dyn Recording>,
@@ -229,9 +238,12 @@ impl<R: Reader> Read<R> {
         let format = format::named(R::FORMAT).ok_or_else(|| NodeError::failed(format!("there is no format `{}`", R::FORMAT)))?;
         let probe = format::Probe::new(path)?;
         if !(format.recognises)(&probe) {
-            let found =
-                format::recognise(path)?.map_or("of no format that is known".to_string(), |other| format!("{}: read it with read/{}", other.name, other.id));
-            return Err(NodeError::input(format!("{} is not {}, it is {found}", path.display(), format.name)).param("path"));
+            let (path, name) = (path.display(), format.name);
+            let error = match format::recognise(self.all.path.path())? {
+                Some(other) => NodeError::input(format!("{path} is {}, and not {name}", other.name)).hint(format!("read it with read/{}", other.id)),
+                None => NodeError::input(format!("{path} is not {name}: {}", beginning(&probe))).hint("photocurrent inspect lists the formats that are known"),
+            };
+            return Err(error.param("path"));
         }
         photocurrent_formats::joined::open(format, path, &self.all.settings().declared).map_err(NodeError::from)
     }

@@ -43,7 +43,9 @@ fn overlap(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found:
     let shared = of_events.1.min(of_frames.1).saturating_sub(of_events.0.max(of_frames.0));
     let (long_events, long_frames) = (of_events.1.saturating_sub(of_events.0), of_frames.1.saturating_sub(of_frames.0));
     let spans = format!("events from {}, frames from {}", span(of_events), span(of_frames));
-    if shared < 0 {
+    // As for a plan (`photocurrent_core::Apart`): frames that end shortly before the first event are within a period, a lone frame within the events' length.
+    let slack = frames.period.map_or(long_events, |period| period.median_ns);
+    if shared < -slack.max(0) {
         // Clocks that began together are off by the difference of their starts.
         let offset = of_frames.0.saturating_sub(of_events.0);
         let ratio = (of_frames.0 as f64 / of_events.0.max(1) as f64).abs();
