@@ -1,4 +1,4 @@
-//! What a command does with a file: it is recognised by its content, its mistakes are told at once and not without end, and streams on two clocks are refused
+//! What a command does with a file: it is recognised by its content, its mistakes are reported at once and not without end, and streams on two clocks are refused
 //! before anything is made from them.
 
 use crate::recordings::{EXTENT, events, exposures, frames, pipeline, write, write_content};

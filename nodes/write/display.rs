@@ -12,7 +12,7 @@ const BELOW_WHITE: f64 = 0.998;
 /// White is looked for in so many frames, and so many values of each, at most.
 const FRAMES: usize = 32;
 const VALUES: usize = 1 << 17;
-/// Steps of light that are told apart on the way to 8 bits: fine enough for the steep beginning of the curve.
+/// Steps of light that are distinguished on the way to 8 bits: fine enough for the steep beginning of the curve.
 const STEPS: usize = 1 << 14;
 
 /// Which DN are black and white.

@@ -1,6 +1,6 @@
 //! `photocurrent check`: looks for mistakes in whatever it is given, a manifest with everything it names, a recording, a sensor description, the output of a run.
 //!
-//! Exit code 0: none found; 2: a manifest or description has mistakes; 3: data have. Every independent mistake is told at once.
+//! Exit code 0: none found; 2: a manifest or description has mistakes; 3: data have. Every independent mistake is reported at once.
 
 use crate::args::CheckOptions;
 use crate::common::{Done, Failure, print_count, within_machine};
@@ -133,7 +133,7 @@ fn check_recording(options: &CheckOptions) -> Done {
         findings.add(error);
     }
     if let (Some(frames), Some(source)) = (&frames, recording.frames_source()) {
-        // One picture at a time; what cannot be read is told once.
+        // One picture at a time; what cannot be read is reported once.
         let broken = (0..frames.times.len()).find_map(|l| source.read(l..l + 1, frames.extent.rows()).err());
         findings.lines.extend(broken.map(|error| error.message));
         if row_time_ns.is_none() {

@@ -27,7 +27,7 @@ pub fn render(problems: &[Problem]) {
     more.iter().for_each(|line| eprintln!("{line}\n"));
 }
 
-/// Writes mistakes that are told in a line each.
+/// Writes mistakes that are reported in a line each.
 pub fn lines(lines: &[String]) {
     let messages: Vec<&str> = lines.iter().map(String::as_str).collect();
     let (shown, more) = fewest(&messages);

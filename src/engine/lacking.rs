@@ -1,4 +1,4 @@
-//! What the sensor descriptions of a plan lack, told in one piece: the fields, who needs each, where they belong, and how they are written.
+//! What the sensor descriptions of a plan lack, reported in one piece: the fields, who needs each, where they belong, and how they are written.
 
 use photocurrent_core::document::{Origin, Problem, Source};
 use photocurrent_core::lacking::{as_toml, needed};

@@ -5,7 +5,7 @@
 //! - [`manifest`]: the text as written, every key with its line.
 //! - [`resolve`], [`ablation`], [`pipeline`]: overlays laid over each other; [`Project`] holds one [`Pipeline`] per variant.
 //! - `typed`, [`plan`]: kinds, sockets and metas checked; a [`Plan`] holds every task once, whatever number of variants share it.
-//! - `lacking`: what sensor descriptions do not state, told in one piece.
+//! - `lacking`: what sensor descriptions do not state, reported in one piece.
 //! - `key`, [`mod@status`], [`mod@explain`]: what a result depends on, whether the cache has it, and why not.
 //! - [`schedule`], [`export`], [`observer`], [`outcome`]: [`run`] it, watch it, see what came of it.
 //! - [`mod@graph`], [`schema`]: pictures of a pipeline, and the manifest's JSON Schema for editors.

@@ -113,7 +113,7 @@ impl StoreError {
     }
 }
 
-/// Collects what is wrong with a file, so that all of it is told at once.
+/// Collects what is wrong with a file, so that all of it is reported at once.
 #[derive(Debug, Default)]
 pub(crate) struct Mistakes {
     found: Vec<StoreError>,

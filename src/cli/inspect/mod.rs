@@ -2,7 +2,7 @@
 //!
 //! Files are recognised by their content. A recording of any format is read once ([`photocurrent_formats::survey`]) and judged
 //! ([`photocurrent_formats::hazard`]); a cached artefact says what it is. Hazards do not fail the command: exit code 0 when files are readable, 3 when one is damaged
-//! (what is whole is told), 2 when one is none of ours.
+//! (what is whole is reported), 2 when one is none of ours.
 
 mod screen;
 
@@ -44,7 +44,7 @@ pub fn inspect(options: &InspectOptions) -> Done {
                 objects.push(object);
                 code = code.max(of_file);
             }
-            // One file is told as it is; of several, the others are told all the same.
+            // One file is reported as it is; of several, the others are reported all the same.
             Err(failure) if options.files.len() == 1 => return Err(failure),
             Err(Failure::Other { message, code: of_file }) => {
                 eprintln!("error: {message}");

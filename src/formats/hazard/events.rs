@@ -124,7 +124,7 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         ));
         return;
     }
-    // A clock of that step is told as such.
+    // A clock of that step is reported as such.
     let is_clumped = stamps.equal_share > limits.clump_share && stamps.median_step_ns >= limits.clump_step_ns.max(2 * stamps.step_ns);
     if is_clumped {
         found.push(Finding::new(

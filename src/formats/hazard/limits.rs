@@ -24,9 +24,9 @@ pub struct Limits {
     pub clump_share: f64,
     /// See `clump_share`, ns.
     pub clump_step_ns: i64,
-    /// Share of equal stamps that is told as a fact: latencies below the step cannot be seen.
+    /// Share of equal stamps that is reported as a fact: latencies below the step cannot be seen.
     pub equal_share: f64,
-    /// Steps of stamps that are told when this many times the format's own.
+    /// Steps of stamps that are reported when this many times the format's own.
     pub coarse_times: i64,
     /// Time going back further than this, ns, is no jitter of a read-out: packets of a driver are a few milliseconds.
     pub back_ns: i64,
@@ -52,9 +52,9 @@ pub struct Limits {
     pub nan_share: f64,
     /// Share of values below zero from which frames cannot be light: noise about black makes half of a dark frame negative at most.
     pub negative_share: f64,
-    /// Share of values below zero that is told.
+    /// Share of values below zero that is reported.
     pub some_negative: f64,
-    /// Share of clipped values that is told: clipped light is lost.
+    /// Share of clipped values that is reported: clipped light is lost.
     pub clipped_share: f64,
     /// Share of one and the same frame value from which frames hold no picture.
     pub clipped_most: f64,
@@ -62,7 +62,7 @@ pub struct Limits {
     pub repeated_share: f64,
     /// Shortest overlap of events and frames, as a share of the shorter span, that is no hazard.
     pub overlap_share: f64,
-    /// A peak of the rate at one phase of the frame period, over the mean, that is told where it is sure: a tenth more is nothing that a method would notice.
+    /// A peak of the rate at one phase of the frame period, over the mean, that is reported where it is sure: a tenth more is nothing that a method would notice.
     pub phase_peak: f64,
     /// And one that is a hazard.
     pub phase_strong: f64,
@@ -70,13 +70,13 @@ pub struct Limits {
     pub phase_sigma: f64,
     /// Frames that decide that, at least: in three frames much is in step by chance.
     pub phase_fewest: u64,
-    /// Events later than frames by more than this share of the frame period are told as a hazard: a shift of a twentieth of a period is visible.
+    /// Events later than frames by more than this share of the frame period are reported as a hazard: a shift of a twentieth of a period is visible.
     pub late_share: f64,
     /// And by more than this, ns: front ends in dim light are late by milliseconds, and that is physics which a description states.
     pub late_ns: f64,
-    /// Correlation of events and frames from which their shift is told.
+    /// Correlation of events and frames from which their shift is reported.
     pub correlation: f64,
-    /// Change of the shift over the recording, as a share of the frame period, that is told.
+    /// Change of the shift over the recording, as a share of the frame period, that is reported.
     pub drift_share: f64,
     /// Pairs of frames that decide that, at least: with fewer, what moves early and what moves late are other things, with other latencies.
     pub drift_pairs: usize,

@@ -132,7 +132,7 @@ pub struct Survey {
     pub losses: Vec<LossSurvey>,
 }
 
-/// A [`Loss`], as it is told.
+/// A [`Loss`], as it is reported.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct LossSurvey {
     /// Where.

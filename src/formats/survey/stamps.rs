@@ -11,7 +11,7 @@ use serde::Serialize;
 const EXACT: usize = 4096;
 /// Steps back that are kept as examples.
 const MOST_EXAMPLES: usize = 8;
-/// A single-precision second must be so many steps of the file apart for its grid to be told from the file's own.
+/// A single-precision second must be so many steps of the file apart for its grid to be reported from the file's own.
 const FLOAT_STEPS: f64 = 8.0;
 
 /// A place at which time goes back.

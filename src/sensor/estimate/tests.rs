@@ -96,7 +96,7 @@ fn near(found: &Estimate, truth: f64, slack: f64, widest: f64) {
 fn late_events_are_as_late_as_they_were_made() {
     for late_ns in [0, 6_000_000, -3_500_000] {
         let found = offset(&panel(Made { late_ns, ..PLAIN })).unwrap();
-        // An event every three milliseconds or so: a tenth of that is the step that a shift can be told from.
+        // An event every three milliseconds or so: a tenth of that is the step that a shift can be reported from.
         near(&found.ns, late_ns as f64, 300_000.0, 1_000_000.0);
         assert!(found.correlation > 0.9, "{found:?}");
     }
