@@ -66,8 +66,9 @@ fn refused(error: FormatError) -> Failure {
 }
 
 /// Says what was lost on stderr, and gives the exit code.
-fn ending(options: &ConvertOptions, arranged: &Arranged, what: &str) -> u8 {
-    arranged.notes.iter().for_each(|note| eprintln!("note: {note}"));
+fn ending(options: &ConvertOptions, arranged: &Arranged, from_zero: bool, what: &str) -> u8 {
+    // Where the file's clock stays, its zero is no news.
+    arranged.notes.iter().filter(|note| from_zero || !note.starts_with("t = 0 is ")).for_each(|note| eprintln!("note: {note}"));
     arranged.counts.iter().filter(|(n, _)| *n > 0).for_each(|(n, what)| eprintln!("note: {n} {what}"));
     arranged.losses.iter().for_each(|loss| eprintln!("data lost: {}: {}", loss.at, loss.what));
     eprintln!("{}: {what}", options.output.display());
@@ -108,7 +109,7 @@ fn whole(options: &ConvertOptions, recording: &dyn Recording, settings: &Setting
     let cursor: Option<&mut dyn EventCursor> = cursor.as_mut().map(|cursor| &mut **cursor as &mut dyn EventCursor);
     let written = write::write_recording(&options.output, cursor, &content).map_err(refused)?;
     let count = content.frames.map_or(0, |frames| frames.exposures.len());
-    Ok(ending(options, &arranged, &format!("{} events, {count} frames", written.events)))
+    Ok(ending(options, &arranged, true, &format!("{} events, {count} frames", written.events)))
 }
 
 /// Writes events in the layout of DSEC.
@@ -118,7 +119,7 @@ fn dsec(options: &ConvertOptions, recording: &dyn Recording, settings: &Settings
     let mut cursor = arranged.cursor(recording, options.from_zero).map_err(refused)?;
     let written = write::write_dsec(&options.output, &mut *cursor, meta.extent, meta.has_t_in).map_err(refused)?;
     written.notes.iter().for_each(|note| eprintln!("note: {note}"));
-    Ok(ending(options, &arranged, &format!("{} events", written.events)))
+    Ok(ending(options, &arranged, options.from_zero, &format!("{} events", written.events)))
 }
 
 fn events_of(arranged: &Arranged) -> Result<Arc<EventsMeta>, Failure> {
@@ -166,5 +167,5 @@ fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, sett
     let file = file.into_inner().map_err(|error| failed(error.into_error()))?;
     file.as_file().sync_all().map_err(failed)?;
     file.persist(&options.output).map_err(|error| failed(error.error))?;
-    Ok(ending(options, &arranged, &format!("{count} events")))
+    Ok(ending(options, &arranged, options.from_zero, &format!("{count} events")))
 }
