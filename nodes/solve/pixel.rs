@@ -16,7 +16,7 @@
 //! the event pixel that it lies on, posed in that pixel's light ([`shares`]).
 //!
 //! Limits: colours that change are followed from problem to problem ([`photocurrent_sensor::pooling`] says where that fails). A saturated value counts as the light of saturation, which is a lower bound. A pixel whose
-//! problem does not converge gets the safe estimate (a double integral) and is counted; the `map` output shows where. Light that no frame of its pixel
+//! problem does not converge falls back to the double-integral estimate and is counted; the `map` output shows where. Light that no frame of its pixel
 //! comes near is held, counted and shown there too ([`plausible`]).
 
 pub(crate) mod choice;
@@ -72,7 +72,7 @@ photocurrent_core::ports! {
     pub struct Out {
         /// Photocurrent of every value of the frames over time.
         tracks: TrackSet,
-        /// How the solution went: planes `status` (0 converged, 1 safe estimate, 2 saturated, 3 no usable frame), `iterations` (largest), `cost` (sum), `event_residual` and `frame_residual` (root mean squares in standard deviations, NaN for none), `implausible` (0, or natural logarithm of the brightest light over that of the brightest frame where it was held: see `plausible_range`).
+        /// How the solution went: planes `status` (0 converged, 1 double-integral estimate, 2 saturated, 3 no usable frame), `iterations` (largest), `cost` (sum), `event_residual` and `frame_residual` (root mean squares in standard deviations, NaN for none), `implausible` (0, or natural logarithm of the brightest light over that of the brightest frame where it was held: see `plausible_range`).
         map: MapSet,
     }
 }
