@@ -5,9 +5,9 @@
 //! Limits: it needs light that bends within an exposure, fast motion over fine texture, events with little noise, and stamps at the middle of the exposure. Real
 //! recordings rarely have all of it, and then nothing is proposed: noise of events looks like blur.
 
-use super::{Row, Settings, panel, table};
+use super::{In, Row, Settings, panel, table};
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use photocurrent_sensor::estimate;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,18 +29,6 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Params {
         Params { frames: 48, offset: None, thresholds: None }
-    }
-}
-
-photocurrent_core::ports! {
-    /// The recording.
-    pub struct In {
-        /// The events.
-        events: EventStream,
-        /// The frames as captured, of the events' pixels or a whole multiple.
-        frames: FrameSequence,
-        /// What is known of the sensor: black level and saturation are used where they are stated.
-        sensor: Option<Arc<Sensor>>,
     }
 }
 

@@ -18,10 +18,22 @@ pub use panel::{Settings, panel};
 
 use crate::spans::check_one_clock;
 use photocurrent_core::table::{Column, TableMeta};
-use photocurrent_core::{EventStream, FrameSequence, Meta, NodeError, PortMetas, Table};
+use photocurrent_core::{EventStream, FrameSequence, Meta, NodeError, PortMetas, Sensor, Table};
 use photocurrent_sensor::estimate;
 pub use photocurrent_sensor::estimate::Estimate;
 use std::sync::Arc;
+
+photocurrent_core::ports! {
+    /// The recording.
+    pub struct In {
+        /// The events.
+        events: EventStream,
+        /// The frames as captured, of the events' pixels or a whole multiple.
+        frames: FrameSequence,
+        /// What is known of the sensor: black level and saturation are used where they are stated.
+        sensor: Option<Arc<Sensor>>,
+    }
+}
 
 /// What events and frames together say of a sensor, for a description that has to begin somewhere.
 #[derive(Clone, Copy, Debug, Default)]

@@ -4,8 +4,8 @@
 //!
 //! Limits: it needs motion in many rows; a scene that repeats within a frame period has several shifts.
 
-use super::{Row, Settings, panel, table};
-use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use super::{In, Row, Settings, panel, table};
+use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use photocurrent_sensor::estimate;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -23,18 +23,6 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Params {
         Params { frames: 48 }
-    }
-}
-
-photocurrent_core::ports! {
-    /// The recording.
-    pub struct In {
-        /// The events.
-        events: EventStream,
-        /// The frames as captured, of the events' pixels or a whole multiple.
-        frames: FrameSequence,
-        /// What is known of the sensor: black level and saturation are used where they are stated.
-        sensor: Option<Arc<Sensor>>,
     }
 }
 

@@ -5,9 +5,9 @@
 //!
 //! Limits: events that a fast change loses make thresholds look larger (twice in a dim clip of a fast pendulum); frames that are not linear give thresholds of their curve; the front end is taken as ideal.
 
-use super::{Row, Settings, panel, table};
+use super::{In, Row, Settings, panel, table};
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
 use photocurrent_sensor::estimate;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -27,18 +27,6 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Params {
         Params { frames: 48, offset: None }
-    }
-}
-
-photocurrent_core::ports! {
-    /// The recording.
-    pub struct In {
-        /// The events.
-        events: EventStream,
-        /// The frames as captured, of the events' pixels or a whole multiple.
-        frames: FrameSequence,
-        /// What is known of the sensor: black level and saturation are used where they are stated.
-        sensor: Option<Arc<Sensor>>,
     }
 }
 
