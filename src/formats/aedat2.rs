@@ -227,9 +227,10 @@ impl Cursor {
         }
         let left = count % record;
         if left > 0 {
-            self.losses.add("records that are cut off", format!("bytes {} to {}", self.at - left as u64, self.at), "the last record is cut off and left out");
+            let at = || format!("bytes {} to {}", self.at - left as u64, self.at);
+            self.losses.add("records that are cut off", at, || "the last record is cut off and left out".into());
         }
-        let mut outside = 0;
+        let mut outside = 0_u64;
         for bytes in self.bytes.chunks_exact(record) {
             let (address, stamp) = match *bytes {
                 [a, b, c, d, e, f, g, h] => (u32::from_be_bytes([a, b, c, d]), u32::from_be_bytes([e, f, g, h])),
@@ -248,10 +249,8 @@ impl Cursor {
                 word => take(time_us, word),
             }
         }
-        if outside > 0 {
-            let what = format!("{outside} addresses name no pixel of the {} pixels of this camera; they are left out", self.camera.extent);
-            self.losses.add("pieces with addresses outside the pixels", format!("bytes {start} to {}", self.at), what);
-        }
+        let what = || format!("{outside} addresses name no pixel of the {} pixels of this camera; they are left out", self.camera.extent);
+        self.losses.add_items("addresses outside the pixel array were left out", outside, || format!("bytes {start} to {}", self.at), what);
         Ok(true)
     }
 }
@@ -274,7 +273,7 @@ impl EventCursor for Cursor {
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
+    fn losses(&self) -> Vec<Loss> {
         self.losses.list()
     }
 

@@ -28,7 +28,7 @@ fn read(recording: &Aedat2) -> (Vec<Event>, Vec<Loss>) {
     while cursor.next(&mut chunk).unwrap() {
         events.extend((0..chunk.len()).map(|k| (chunk.t[k], chunk.x[k], chunk.y[k], chunk.on[k])));
     }
-    (events, cursor.losses().to_vec())
+    (events, cursor.losses())
 }
 
 fn events(bytes: &[u8]) -> Vec<(i64, u16, u16, u8)> {

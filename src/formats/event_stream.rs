@@ -188,7 +188,7 @@ impl Cursor {
 
     /// Gives up on the rest of the file.
     fn end(&mut self, what: String) {
-        self.losses.add("pieces that are damaged", format!("bytes {} to {}", self.at, self.size), what);
+        self.losses.add("pieces that are damaged", || format!("bytes {} to {}", self.at, self.size), || what);
         self.at = self.size;
         self.bytes.clear();
         self.used = 0;
@@ -224,7 +224,7 @@ impl EventCursor for Cursor {
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
+    fn losses(&self) -> Vec<Loss> {
         self.losses.list()
     }
 
@@ -285,7 +285,7 @@ mod tests {
             while cursor.next(&mut chunk).unwrap() {
                 events.extend((0..chunk.len()).map(|k| (chunk.t[k], chunk.x[k], chunk.y[k], chunk.on[k])));
             }
-            (events, cursor.losses().to_vec())
+            (events, cursor.losses())
         })
     }
 

@@ -53,7 +53,7 @@ pub fn scan<E: From<FormatError>>(cursor: &mut dyn EventCursor, mut advance: imp
         }
         advance(cursor)?;
     }
-    scan.losses = cursor.losses().to_vec();
+    scan.losses = cursor.losses();
     Ok(scan)
 }
 
@@ -318,8 +318,8 @@ mod tests {
             self.next = 0;
             Ok(())
         }
-        fn losses(&self) -> &[Loss] {
-            &[]
+        fn losses(&self) -> Vec<Loss> {
+            Vec::new()
         }
         fn position(&self) -> (u64, u64) {
             (self.next as u64, self.chunks.len() as u64)

@@ -11,12 +11,12 @@ use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::evidence::{self, Of};
 use crate::format::{Format, Probe};
+use crate::losses::Losses;
 use crate::npy::header::Kind;
 use crate::npy::table::{Reading, Table, TableCursor};
 use crate::npz;
 use crate::pictures::{PictureFiles, names};
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
-use crate::tally::Tally;
 use photocurrent_core::Extent;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -217,7 +217,7 @@ struct SequenceCursor {
     reading: Reading,
     index: usize,
     inner: Option<TableCursor>,
-    tally: Tally,
+    losses: Losses,
 }
 
 impl SequenceCursor {
@@ -232,14 +232,14 @@ impl SequenceCursor {
         match opened {
             Ok((cursor, losses)) => {
                 for loss in losses {
-                    self.tally.add("event files whose arrays disagree", || format!("{name}, {}", loss.at), || loss.what.clone());
+                    self.losses.add("event files whose arrays disagree", || format!("{name}, {}", loss.at), || loss.what.clone());
                 }
                 self.inner = Some(cursor);
             }
             // A file that has gone is no damage.
             Err(error) if !file.is_file() => return Err(error),
             Err(error) => {
-                self.tally.add("event files that cannot be read", || name, || format!("{}; its events are lost", error.found));
+                self.losses.add("event files that cannot be read", || name, || format!("{}; its events are lost", error.found));
                 self.index += 1;
             }
         }
@@ -257,7 +257,7 @@ impl EventCursor for SequenceCursor {
                 }
                 let name = self.archives[self.index].file_name().unwrap_or_default().to_string_lossy().into_owned();
                 if let Some(inner) = self.inner.take() {
-                    self.tally.append(&name, inner.into_tally());
+                    self.losses.append(inner.into_losses(), |at| format!("{name}, {at}"));
                 }
                 self.index += 1;
             } else if self.index >= self.archives.len() {
@@ -266,18 +266,17 @@ impl EventCursor for SequenceCursor {
                 self.open_next()?;
             }
         };
-        self.tally.settle();
         Ok(more)
     }
 
     fn seek(&mut self, _t_ns: i64) -> Result<(), FormatError> {
         // Nothing says that the files are sorted, so that only the beginning is safe.
-        (self.index, self.inner, self.tally) = (0, None, Tally::default());
+        (self.index, self.inner, self.losses) = (0, None, Losses::default());
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
-        self.tally.losses()
+    fn losses(&self) -> Vec<Loss> {
+        self.losses.list()
     }
 
     fn position(&self) -> (u64, u64) {
@@ -292,7 +291,7 @@ impl Recording for HsErgb {
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
         let (archives, declared) = (self.archives.clone(), self.declared.clone());
-        Ok(Box::new(SequenceCursor { archives, declared, reading: self.reading, index: 0, inner: None, tally: Tally::default() }))
+        Ok(Box::new(SequenceCursor { archives, declared, reading: self.reading, index: 0, inner: None, losses: Losses::default() }))
     }
 
     fn pictures(&self) -> Option<Arc<dyn Pictures>> {

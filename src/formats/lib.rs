@@ -12,7 +12,7 @@
 //! - [`rosbag`], [`mcap`]: bags of ROS 1 and MCAP files, whose messages and chunks [`ros`] reads.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
-//! - [`error`]: why a file is refused, and what was lost of a damaged one. [`losses`]: a list of such that stays short.
+//! - [`losses`]: what was left out, as a list that stays short.
 //! - [`aedat4`], [`aedat2`], [`event_stream`]: one module a format.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
@@ -50,7 +50,6 @@ pub mod recording;
 pub mod ros;
 pub mod rosbag;
 pub mod survey;
-mod tally;
 mod text;
 pub mod transfer;
 pub mod trim;

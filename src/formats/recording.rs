@@ -83,8 +83,8 @@ pub trait EventCursor: Send {
     /// As [`EventCursor::next`].
     fn seek(&mut self, t_ns: i64) -> Result<(), FormatError>;
 
-    /// What was left out so far because it was damaged.
-    fn losses(&self) -> &[Loss];
+    /// What was left out so far because it was damaged, as [`crate::losses::Losses`] lists it.
+    fn losses(&self) -> Vec<Loss>;
 
     /// Where in the file the cursor stands, of how much in all, in one unit: bytes, events. For progress.
     fn position(&self) -> (u64, u64);

@@ -104,7 +104,7 @@ impl EventCursor for Trimmed {
         self.inner.seek(t_ns.saturating_add(self.trim.zero_ns).max(self.trim.start_ns))
     }
 
-    fn losses(&self) -> &[Loss] {
+    fn losses(&self) -> Vec<Loss> {
         self.inner.losses()
     }
 
@@ -150,7 +150,7 @@ impl InOrder {
         }
         let t_in = all.t_in.as_ref().map(|column| gather(&order, column));
         let sorted = EventChunk { t: gather(&order, &all.t), x: gather(&order, &all.x), y: gather(&order, &all.y), on: gather(&order, &all.on), t_in };
-        Ok(InOrder { sorted, next: 0, losses: inner.losses().to_vec() })
+        Ok(InOrder { sorted, next: 0, losses: inner.losses() })
     }
 }
 
@@ -175,8 +175,8 @@ impl EventCursor for InOrder {
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
-        &self.losses
+    fn losses(&self) -> Vec<Loss> {
+        self.losses.clone()
     }
 
     fn position(&self) -> (u64, u64) {
@@ -206,8 +206,8 @@ mod tests {
             self.0 = (t_ns.max(0) as u64 / 100).min(10);
             Ok(())
         }
-        fn losses(&self) -> &[Loss] {
-            &[]
+        fn losses(&self) -> Vec<Loss> {
+            Vec::new()
         }
         fn position(&self) -> (u64, u64) {
             (self.0, 10)

@@ -131,11 +131,12 @@ impl Chain {
             found = if self.wasted > 2 * self.header.size + (1 << 24) { None } else { self.search(from + 1)? };
             match found {
                 Some(packet) => {
-                    losses.add("damaged pieces", format!("bytes {from} to {}", packet.at), "the chain of packets is damaged here; what was in it is lost")
+                    let what = || "the chain of packets is damaged here; what was in it is lost".into();
+                    losses.add("pieces that are damaged", || format!("bytes {from} to {}", packet.at), what);
                 }
                 None => {
-                    let what = "the last packet is cut off or damaged; what was in it is lost";
-                    losses.add("damaged pieces", format!("bytes {} to {}", self.at, self.end), what);
+                    let what = || "the last packet is cut off or damaged; what was in it is lost".into();
+                    losses.add("pieces that are damaged", || format!("bytes {} to {}", self.at, self.end), what);
                     self.at = self.end;
                     return Ok(None);
                 }
@@ -196,7 +197,7 @@ impl Chain {
     pub fn spoiled(&mut self, packet: &Packet, why: &str, losses: &mut Losses) {
         self.wasted += packet.length;
         self.unproven = Some(packet.at);
-        losses.add("packets that are damaged", packet.place(), format!("the packet is damaged and left out: {why}"));
+        losses.add("packets that are damaged", || packet.place(), || format!("the packet is damaged and left out: {why}"));
     }
 
     /// Notes that a packet is whole: its length is what it says.

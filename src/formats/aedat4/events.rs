@@ -130,10 +130,9 @@ impl EventCursor for Cursor {
             let end = self.rest.end.min(self.rest.start + EVENT * (CHUNK_EVENTS - chunk.len()));
             let outside = decode(&self.chain.content()[self.rest.start..end], self.extent, chunk);
             self.rest.start = end;
-            if outside > 0 {
-                let what = format!("{outside} events lie outside the {} pixels, or have impossible stamps; they are left out", self.extent);
-                self.losses.add("packets with events outside the pixels", self.packet.map(|packet| packet.place()).unwrap_or_default(), what);
-            }
+            let what = || format!("{outside} events lie outside the {} pixels, or have impossible stamps; they are left out", self.extent);
+            let at = || self.packet.map(|packet| packet.place()).unwrap_or_default();
+            self.losses.add_items("events outside the pixels or with impossible stamps were left out", outside as u64, at, what);
         }
         Ok(true)
     }
@@ -152,7 +151,7 @@ impl EventCursor for Cursor {
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
+    fn losses(&self) -> Vec<Loss> {
         self.losses.list()
     }
 

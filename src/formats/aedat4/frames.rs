@@ -116,7 +116,7 @@ impl Frames {
             if !chain.load(packet, TABLE_BYTES, &mut losses)? {
                 continue;
             }
-            let mut leave_out = |what: String| losses.add("frames that were left out", packet.place(), what);
+            let mut leave_out = |what: String| losses.add("frames that were left out", || packet.place(), || what);
             let head = Table::root_of_start(chain.content(), b"FRME").as_ref().and_then(Head::of);
             let Some(head) = head else {
                 leave_out("the packet is damaged and left out: it is not the table of a frame that it should be".into());
@@ -149,7 +149,7 @@ impl Frames {
             stamps.push(stamp);
             packets.push(*packet);
         }
-        let Some((extent, format)) = first else { return Ok((None, losses.list().to_vec())) };
+        let Some((extent, format)) = first else { return Ok((None, losses.list())) };
         let mut about = FramesAbout {
             extent,
             colour: if format.channels() == 3 { Colour::Rgb } else { Colour::Mono },
@@ -167,7 +167,7 @@ impl Frames {
         if without > 0 {
             about.notes.push(format!("{without} of {} frames have no exposure: its end is not after its start", about.stamps.len()));
         }
-        Ok((Some(Frames { about, format, packets, file: file.clone(), chain: Mutex::new(chain) }), losses.list().to_vec()))
+        Ok((Some(Frames { about, format, packets, file: file.clone(), chain: Mutex::new(chain) }), losses.list()))
     }
 }
 

@@ -71,8 +71,8 @@ impl Index {
                 Err(why) => {
                     losses.add(
                         "data tables that are damaged",
-                        format!("bytes {at} to {}", header.size),
-                        format!("the data table is damaged: {why}; the packets were looked for one by one"),
+                        || format!("bytes {at} to {}", header.size),
+                        || format!("the data table is damaged: {why}; the packets were looked for one by one"),
                     );
                     let start = read_at(path, at, 4)?;
                     // The packets end where something stands that looks like the table.
@@ -82,8 +82,8 @@ impl Index {
                 }
             },
             Some(at) => {
-                let what = format!("the file ends here, and its data table should stand at byte {at}: the end is cut off");
-                losses.add("ends that are cut off", format!("byte {}", header.size), what);
+                let what = || format!("the file ends here, and its data table should stand at byte {at}: the end is cut off");
+                losses.add("ends that are cut off", || format!("byte {}", header.size), what);
             }
             None => {}
         }

@@ -210,10 +210,10 @@ impl Recording for Aedat4 {
     }
 
     fn losses(&self) -> Vec<Loss> {
-        let mut losses = self.losses.list().to_vec();
+        let mut losses = self.losses.list();
         losses.extend(self.frames().1.iter().cloned());
         if let Some(Ok(signals)) = self.triggers.get() {
-            losses.extend(signals.losses.list().iter().cloned());
+            losses.extend(signals.losses.list());
         }
         losses
     }

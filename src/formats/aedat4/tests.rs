@@ -37,7 +37,7 @@ fn rest(cursor: &mut dyn EventCursor) -> Vec<Event> {
 fn read(recording: &Aedat4) -> (Vec<Event>, Vec<Loss>) {
     let mut cursor = recording.events().unwrap();
     let events = rest(cursor.as_mut());
-    let losses = [recording.losses(), cursor.losses().to_vec()].concat();
+    let losses = [recording.losses(), cursor.losses()].concat();
     (events, losses)
 }
 

@@ -73,7 +73,7 @@ impl Triggers {
             let kind = signal.i8(1);
             let known = usize::try_from(kind).ok().filter(|&kind| kind < KINDS.len());
             let (Some(t), Some(kind)) = (signal.i64(0).checked_mul(1000), known) else {
-                self.losses.add("packets with impossible triggers", packet.place(), format!("a trigger of kind {kind} is left out"));
+                self.losses.add("packets with impossible triggers", || packet.place(), || format!("a trigger of kind {kind} is left out"));
                 continue;
             };
             self.counts[kind] += 1;

@@ -8,6 +8,7 @@ use super::{Decoder, Faults};
 use crate::bias;
 use crate::chunk::{EventChunk, Trigger};
 use crate::error::{FormatError, Loss};
+use crate::losses::Losses;
 use crate::recording::{EventCursor, EventsAbout, Recording};
 use photocurrent_core::Extent;
 use std::fs::File;
@@ -19,8 +20,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 const PIECE: usize = 1 << 17;
 /// Bytes from one entry of the index to the next.
 const STRIDE: u64 = 1 << 22;
-/// Losses of one kind that are reported one by one.
-const MOST_LOSSES: u64 = 20;
 /// Bytes from which the layout of a DAT file is found.
 pub(super) const LOOK: usize = 1 << 15;
 
@@ -120,7 +119,8 @@ impl<D: Decoder> Raw<D> {
             known: Faults::default(),
             piece: Vec::new(),
             triggers: Vec::new(),
-            losses: Losses::new(self.extent),
+            losses: Losses::default(),
+            extent: self.extent,
             index: self.index.clone(),
         };
         cursor.go_to_mark()?;
@@ -174,6 +174,7 @@ struct Cursor<D> {
     /// Edges of the last piece.
     triggers: Vec<Trigger>,
     losses: Losses,
+    extent: Option<Extent>,
     index: Arc<Mutex<Vec<Mark<D>>>>,
 }
 
@@ -208,13 +209,23 @@ impl<D: Decoder> Cursor<D> {
         }
     }
 
-    /// Reports what the decoder left out in the piece before the mark.
+    /// Reports what the decoder left out in the piece before the mark. Events before any time are no damage: a note counts them.
     fn report_faults(&mut self, begin: u64) {
         let now = *self.mark.decoder.faults();
-        if now != self.known {
-            self.losses.add(begin..self.mark.at, self.known, now);
-            self.known = now;
+        let known = std::mem::replace(&mut self.known, now);
+        if now == known {
+            return;
         }
+        let at = || format!("bytes {begin} to {}", self.mark.at);
+        let outside = now.outside.saturating_sub(known.outside);
+        let array = self.extent.map_or("what the format can have".into(), |extent| format!("{extent} pixels"));
+        let what = || format!("{outside} events lie outside {array}, or have no row; they are left out");
+        self.losses.add_items("events outside the pixel array, or without a row, were left out", outside, at, what);
+        let unknown = now.unknown.saturating_sub(known.unknown);
+        self.losses.add_items("words of no known kind were left out", unknown, at, || format!("{unknown} words are of no known kind; they are left out"));
+        let strays = now.strays.saturating_sub(known.strays);
+        let what = || format!("{strays} time words leap away and the next one back; they are undone, events between have a wrong stamp");
+        self.losses.add_items("time words that leap away and back were undone", strays, at, what);
     }
 }
 
@@ -233,7 +244,8 @@ impl<D: Decoder> EventCursor for Cursor<D> {
         if left > 0 {
             // Only the end of the file is no whole word. Some programs end a file with a line feed.
             if self.piece[used..read] != *b"\n" {
-                self.losses.add_tail(self.mark.at, left, D::WORD);
+                let what = || format!("the file ends within a word of {} bytes: it is cut off, and what came after it is lost", D::WORD);
+                self.losses.add("words that are cut off", || format!("bytes {} to {}", self.mark.at, self.mark.at + left as u64), what);
             }
             self.file.seek(SeekFrom::End(0)).map_err(|error| FormatError::io(&self.path, &error))?;
         }
@@ -263,69 +275,11 @@ impl<D: Decoder> EventCursor for Cursor<D> {
         self.go_to_mark()
     }
 
-    fn losses(&self) -> &[Loss] {
-        &self.losses.all
+    fn losses(&self) -> Vec<Loss> {
+        self.losses.list()
     }
 
     fn position(&self) -> (u64, u64) {
         (self.mark.at - self.data_at, self.bytes.saturating_sub(self.data_at))
-    }
-}
-
-/// What was left out, reported one by one up to a number, then in all.
-#[derive(Clone)]
-struct Losses {
-    extent: Option<Extent>,
-    all: Vec<Loss>,
-    /// How many of each kind were found, and where in `all` the one stands that counts the others.
-    reported: [(u64, Option<usize>); 4],
-    has_tail: bool,
-}
-
-impl Losses {
-    fn new(extent: Option<Extent>) -> Losses {
-        Losses { extent, all: Vec::new(), reported: [(0, None); 4], has_tail: false }
-    }
-
-    fn what(&self, kind: usize, n: u64) -> String {
-        match kind {
-            1 => match self.extent {
-                Some(extent) => format!("{n} events lie outside {extent} pixels or have no row; they are left out"),
-                None => format!("{n} events lie outside what the format can have, or have no row; they are left out"),
-            },
-            2 => format!("{n} words are of no known kind; they are left out"),
-            _ => format!("{n} time words leap away and the next one back; they are undone, events between have a wrong stamp"),
-        }
-    }
-
-    fn add(&mut self, bytes: std::ops::Range<u64>, known: Faults, now: Faults) {
-        for (kind, (known, now)) in known.counts().into_iter().zip(now.counts()).enumerate() {
-            // Events before any time are no damage: a note counts them.
-            let Some(n) = now.checked_sub(known).filter(|&n| n > 0 && kind > 0) else { continue };
-            let at = format!("bytes {} to {}", bytes.start, bytes.end);
-            // A place that is read again after a jump is reported once.
-            if self.all.iter().any(|loss| loss.at == at && loss.what == self.what(kind, n)) {
-                continue;
-            }
-            self.reported[kind].0 += 1;
-            let more = self.reported[kind].0.saturating_sub(MOST_LOSSES);
-            match self.reported[kind].1 {
-                _ if more == 0 => self.all.push(Loss { at, what: self.what(kind, n) }),
-                Some(place) => self.all[place] = Loss { at: format!("{more} more places"), what: self.what(kind, now) + " (in all)" },
-                None => {
-                    self.reported[kind].1 = Some(self.all.len());
-                    self.all.push(Loss { at: format!("{more} more places"), what: self.what(kind, now) + " (in all)" });
-                }
-            }
-        }
-    }
-
-    /// The end of the file is no whole word.
-    fn add_tail(&mut self, at: u64, bytes: usize, word: usize) {
-        if !self.has_tail {
-            self.has_tail = true;
-            let what = format!("the file ends within a word of {word} bytes: it is cut off, and what came after it is lost");
-            self.all.push(Loss { at: format!("bytes {at} to {}", at + bytes as u64), what });
-        }
     }
 }

@@ -98,7 +98,7 @@ fn timed(recording: &dyn photocurrent_formats::Recording) -> Result<(Seen, Durat
     while cursor.next(&mut chunk)? {
         seen.add(&chunk);
     }
-    let losses = recording.losses().into_iter().chain(cursor.losses().iter().cloned());
+    let losses = recording.losses().into_iter().chain(cursor.losses());
     losses.for_each(|loss| println!("  loss at {}: {}", loss.at, loss.what));
     let mut best = Duration::MAX;
     for _ in 0..RUNS {

@@ -37,8 +37,8 @@ impl EventCursor for Cursor {
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
-        &[]
+    fn losses(&self) -> Vec<Loss> {
+        Vec::new()
     }
 
     fn position(&self) -> (u64, u64) {

@@ -14,7 +14,6 @@
 
 pub mod dsec;
 pub mod event_utils;
-mod losses;
 pub mod m3ed;
 pub mod mvsec;
 pub mod prophesee;

@@ -3,10 +3,10 @@
 //! A piece is read and unpacked at a time, a few chunks in parallel. Numbers of any type are accepted; what the reader made of them is said in notes.
 //! Seeking halves the time column, a row at a time, and goes back a little further so that small disorder leaves nothing out.
 
-use super::losses::{Kind, Losses};
 use super::refused;
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
 use crate::error::{FormatError, Loss};
+use crate::losses::Losses;
 use crate::recording::{EventCursor, EventsAbout};
 use photocurrent_core::Extent;
 use photocurrent_store::foreign::{Field, ForeignDataset, ForeignFile, RowBlock};
@@ -305,7 +305,8 @@ impl TableCursor {
             blocks[column.source].integers(column.field, &mut self.t_in);
         }
         for (lost, why) in &damaged {
-            self.losses.piece(format!("events {} to {}", lost.start, lost.end.saturating_sub(1)), format!("{why}; its events are lost"));
+            let at = || format!("events {} to {}", lost.start, lost.end.saturating_sub(1));
+            self.losses.add("pieces that are damaged", at, || format!("{why}; its events are lost"));
         }
         let mut from = rows.start;
         while from < rows.end {
@@ -328,21 +329,25 @@ impl TableCursor {
     #[inline]
     fn take(&mut self, table: &EventTable, index: usize, i: usize) {
         let (x, y, p) = (self.x.integers[i], self.y.integers[i], self.p[i]);
+        let event = || format!("event {index}");
         let Some(t) = self.t.get(table, i) else {
-            let stored = self.t.floats.get(i).map_or_else(|| self.t.integers[i].to_string(), f64::to_string);
-            return self.losses.event(Kind::Stamp, index, || format!("t = {stored}"));
+            let stored = || self.t.floats.get(i).map_or_else(|| self.t.integers[i].to_string(), f64::to_string);
+            return self.losses.add("events without a sound stamp were left out", event, || format!("its stamp {} is no time; it was left out", stored()));
         };
         if !(self.x.is_whole(i) && self.y.is_whole(i)) {
             let at = |of: &Coordinates| of.floats.get(i).copied().unwrap_or(of.integers[i] as f64);
             let (x, y) = (at(&self.x), at(&self.y));
-            return self.losses.event(Kind::Fraction, index, || format!("x = {x}, y = {y}"));
+            let what = || format!("its place x = {x}, y = {y} lies between pixels; it was left out");
+            return self.losses.add("events between pixels were left out", event, what);
         }
         let (width, height) = table.extent.map_or((65_536, 65_536), |extent| (i64::from(extent.width), i64::from(extent.height)));
         if !((0..width).contains(&x) && (0..height).contains(&y)) {
-            return self.losses.event(Kind::Outside, index, || format!("x = {x}, y = {y}"));
+            let what = || format!("its pixel x = {x}, y = {y} lies outside {width} x {height}; it was left out");
+            return self.losses.add("events outside the pixel array were left out", event, what);
         }
         if !(-1..=1).contains(&p) {
-            return self.losses.event(Kind::Polarity, index, || format!("p = {p}"));
+            let what = || format!("its polarity {p} is none of 0, 1, -1; it was left out");
+            return self.losses.add("events whose polarity is none of 0, 1, -1 were left out", event, what);
         }
         self.ready.push(t, x as u16, y as u16, p == 1);
         if let (Some(column), Some(&t_in)) = (&mut self.ready.t_in, self.t_in.get(i)) {
@@ -380,8 +385,8 @@ impl EventCursor for TableCursor {
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
-        self.losses.all()
+    fn losses(&self) -> Vec<Loss> {
+        self.losses.list()
     }
 
     fn position(&self) -> (u64, u64) {

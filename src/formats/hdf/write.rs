@@ -33,7 +33,7 @@ pub fn write_dsec(path: &Path, cursor: &mut dyn EventCursor, extent: Extent, has
     if has_t_in {
         notes.push("in-pixel times were left out: this layout has no place for them".into());
     }
-    Ok(Written { events: written.events, notes, losses: cursor.losses().to_vec() })
+    Ok(Written { events: written.events, notes, losses: cursor.losses() })
 }
 
 /// Writes our own recording: events, when `content` says that there are any, and what else it says.
@@ -46,7 +46,7 @@ pub fn write_recording(path: &Path, cursor: Option<&mut dyn EventCursor>, conten
         None => Ok(()),
         Some(cursor) => {
             pour(cursor, sink)?;
-            losses = cursor.losses().to_vec();
+            losses = cursor.losses();
             Ok(())
         }
     };

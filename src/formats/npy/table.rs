@@ -7,8 +7,8 @@ use super::place::{Bytes, Place};
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
 use crate::declared::{Column, TimeUnit};
 use crate::error::{FormatError, Loss};
+use crate::losses::Losses;
 use crate::recording::EventCursor;
-use crate::tally::Tally;
 use photocurrent_core::Extent;
 use std::io::{ErrorKind, Read};
 use std::path::Path;
@@ -214,7 +214,7 @@ pub(crate) struct TableCursor {
     row: u64,
     rows: Vec<u8>,
     columns: [Vec<i64>; 5],
-    tally: Tally,
+    losses: Losses,
 }
 
 fn slot(column: Column) -> usize {
@@ -231,12 +231,12 @@ impl TableCursor {
     /// Opens all sources at their first row.
     pub(crate) fn open(table: Arc<Table>, reading: Reading) -> Result<TableCursor, FormatError> {
         let streams = table.sources.iter().map(|source| source.place.open(source.start)).collect::<Result<_, _>>()?;
-        Ok(TableCursor { table, reading, streams, row: 0, rows: Vec::new(), columns: Default::default(), tally: Tally::default() })
+        Ok(TableCursor { table, reading, streams, row: 0, rows: Vec::new(), columns: Default::default(), losses: Losses::default() })
     }
 
     /// Hands over what was left out.
-    pub(crate) fn into_tally(self) -> Tally {
-        self.tally
+    pub(crate) fn into_losses(self) -> Losses {
+        self.losses
     }
 
     fn take(&mut self, chunk: &mut EventChunk, rows: usize) {
@@ -255,16 +255,16 @@ impl TableCursor {
             }
             let at = || format!("event {}", first + k as u64);
             if t[k] == NONE || !has_t_in {
-                self.tally.add("events without a finite stamp were left out", at, || "its stamp is not finite, or beyond 292 years; it was left out".into());
+                self.losses.add("events without a finite stamp were left out", at, || "its stamp is not finite, or beyond 292 years; it was left out".into());
             } else if p[k] == NONE {
                 let what = || "its polarity is none of 0, 1, -1; it was left out".into();
-                self.tally.add("events whose polarity is none of 0, 1, -1 were left out", at, what);
+                self.losses.add("events whose polarity is none of 0, 1, -1 were left out", at, what);
             } else {
                 let what = || match self.reading.extent {
                     Some(extent) => format!("its pixel lies outside {extent}; it was left out"),
                     None => "its pixel is negative, not finite or beyond 65,535; it was left out".into(),
                 };
-                self.tally.add("events outside the pixel array were left out", at, what);
+                self.losses.add("events outside the pixel array were left out", at, what);
             }
         }
     }
@@ -352,17 +352,16 @@ impl EventCursor for TableCursor {
         if got < wanted {
             let (row, rows) = (self.row, self.table.rows);
             let what = || format!("the data end or cannot be unpacked after {row} of {rows} events; the rest is lost");
-            self.tally.add("data end early", || format!("event {row}"), what);
+            self.losses.add("arrays that end early", || format!("event {row}"), what);
             self.row = rows;
         }
         if self.row >= self.table.rows {
             for (source, stream) in table.sources.iter().zip(&self.streams).filter(|(_, stream)| stream.is_damaged()) {
                 let _ = stream;
                 let what = || "its checksum is not the one that the archive states: some of its numbers are damaged, and which ones is not known".into();
-                self.tally.add("checksums are wrong", || source.place.name(), what);
+                self.losses.add("arrays whose checksum is wrong", || source.place.name(), what);
             }
         }
-        self.tally.settle();
         Ok(true)
     }
 
@@ -372,8 +371,8 @@ impl EventCursor for TableCursor {
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
-        self.tally.losses()
+    fn losses(&self) -> Vec<Loss> {
+        self.losses.list()
     }
 
     fn position(&self) -> (u64, u64) {

@@ -15,8 +15,8 @@ pub(crate) mod y4m;
 use crate::declared::{Declared, TimeUnit, Transfer};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
+use crate::losses::Losses;
 use crate::recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};
-use crate::tally::Tally;
 use stamps::{Row, Stamps};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -127,13 +127,13 @@ fn find(path: &Path) -> Result<Found, FormatError> {
             }
         }
     }
-    let mut tally = Tally::default();
+    let mut losses = Losses::default();
     let mut heads: Vec<Option<decode::Head>> = Vec::with_capacity(files.len());
     for file in &files {
         let head = decode::head(file);
         if let Err(error) = &head {
             let what = || format!("{}; it was left out", error.found);
-            tally.add("pictures that cannot be read were left out", || file_name(file), what);
+            losses.add("pictures that cannot be read were left out", || file_name(file), what);
         }
         heads.push(head.ok());
     }
@@ -150,10 +150,9 @@ fn find(path: &Path) -> Result<Found, FormatError> {
     for (file, head) in files.iter().zip(&heads) {
         if let Some(head) = head.filter(|head| !is_alike(head)) {
             let what = || format!("{} of {} bits, where others have {} of {}; it was left out", head.extent, head.bits, first.extent, first.bits);
-            tally.add("pictures of another size or depth were left out", || file_name(file), what);
+            losses.add("pictures of another size or depth were left out", || file_name(file), what);
         }
     }
-    tally.settle();
     let mut notes = Vec::new();
     if heads.iter().flatten().any(|head| head.has_more) {
         notes.push("a file holds several pictures; only the first was read".into());
@@ -174,7 +173,7 @@ fn find(path: &Path) -> Result<Found, FormatError> {
     };
     let names = files.iter().map(|file| file_name(file)).collect();
     let whole = heads.iter().map(|head| head.as_ref().is_some_and(is_alike)).collect();
-    Ok(Found { about, names, whole, losses: tally.losses().to_vec(), files: files.clone(), source: Source::Files(files) })
+    Ok(Found { about, names, whole, losses: losses.list(), files: files.clone(), source: Source::Files(files) })
 }
 
 fn file_name(path: &Path) -> String {

@@ -6,11 +6,12 @@
 //!
 //! Limits: encrypted bags and version 1 are refused by name.
 
-use super::lossy::{LossList, label};
 use super::messages::Serial;
 use super::records::{Container, Source, Topic};
+use super::wire::label;
 use super::{Contents, Piece, scan};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
+use crate::losses::Losses;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -139,7 +140,7 @@ pub fn open(path: &Path) -> Result<Contents, FormatError> {
     }
     let start = MAGIC.len() as u64;
     let mut contents = Contents::new(path, size, Container::Bag);
-    let mut losses = LossList::default();
+    let mut losses = Losses::default();
     let head = outer(&mut file, size, start).map_err(io)?.filter(|record| op(&record.header) == Some(BAG_HEADER));
     if head.as_ref().and_then(|record| field(&record.header, "encryptor")).is_some_and(|name| !name.is_empty()) {
         return Err(FormatError::new(path, "the bag is encrypted", "decrypt it with `rosbag decrypt`"));
@@ -147,7 +148,7 @@ pub fn open(path: &Path) -> Result<Contents, FormatError> {
     let indexed = match &head {
         Some(record) => read_index(&mut file, size, &record.header, &mut contents).map_err(io)?,
         None => {
-            losses.add("bag header", || Loss { at: format!("byte {start}"), what: "the header of the bag is damaged".into() });
+            losses.add("bag headers that are damaged", || format!("byte {start}"), || "the header of the bag is damaged".into());
             false
         }
     };
@@ -157,7 +158,7 @@ pub fn open(path: &Path) -> Result<Contents, FormatError> {
         contents.pieces = find_chunks(&mut file, size, first, &mut losses).map_err(io)?;
         let what =
             format!("the bag has no index at its end: its recorder was stopped, or it is cut off; its {} chunks were read one by one", contents.pieces.len());
-        losses.add("index", || Loss { at: format!("byte {size}"), what });
+        losses.add("indexes that are missing", || format!("byte {size}"), || what);
         contents.losses = losses;
         contents = scan::survey(contents)?;
     } else {
@@ -227,7 +228,7 @@ fn chunk_info(header: &[u8], data: &[u8], size: u64) -> Option<Piece> {
 }
 
 /// Goes from record to record and notes the chunks. After bytes that are no record, looks for the next chunk.
-fn find_chunks(file: &mut File, size: u64, first: u64, losses: &mut LossList) -> std::io::Result<Vec<Piece>> {
+fn find_chunks(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> std::io::Result<Vec<Piece>> {
     let mut pieces = Vec::new();
     let mut at = first;
     while at < size {
@@ -235,7 +236,7 @@ fn find_chunks(file: &mut File, size: u64, first: u64, losses: &mut LossList) ->
         let Some(record) = record else {
             let next = next_chunk(file, size, at)?;
             let end = next.unwrap_or(size);
-            losses.add("bytes that are no record", || Loss { at: format!("bytes {at} to {end}"), what: "these are no records; what they held is lost".into() });
+            losses.add("stretches of bytes that are no record", || format!("bytes {at} to {end}"), || "these are no records; what they held is lost".into());
             at = end;
             continue;
         };

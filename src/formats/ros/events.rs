@@ -1,15 +1,15 @@
 //! Walks over the events of one topic.
 
 use super::Contents;
-use super::lossy::LossList;
 use super::messages::{Event, EventArray, EventPacket, Kind};
 use super::packets::{Encoding, PacketDecoder};
 use super::records::Envelope;
 use super::topics::Group;
 use super::walk::Walker;
-use super::wire::{Layout, Wire};
+use super::wire::{Layout, Wire, label};
 use crate::chunk::{CHUNK_EVENTS, EventChunk, Trigger};
 use crate::error::{FormatError, Loss};
+use crate::losses::Losses;
 use crate::recording::EventCursor;
 use photocurrent_core::Extent;
 use std::sync::Arc;
@@ -80,25 +80,24 @@ impl Cursor {
         let wire = self.stream.group.serial(envelope.id).and_then(|serial| serial.wire(body));
         if self.stream.group.kind == Kind::EventArray {
             let Some(array) = wire.and_then(EventArray::read) else {
-                losses.add("message", || Loss { at: at(), what: "the message is no event array; it is left out".into() });
+                losses.add("messages that are no event array", at, || "the message is no event array; it is left out".into());
                 return;
             };
             let held = (body.len() - array.at) / EventArray::EVENT_BYTES;
             if array.count as usize > held {
                 let what = format!("it claims {} events and holds {held}; those are read", array.count);
-                losses.add("cut array", || Loss { at: at(), what });
+                losses.add("event arrays that are cut off", at, || what);
             }
             let left = array.count.min(u32::try_from(held).unwrap_or(u32::MAX));
             self.pending = Some(Pending::Array { at: array.at, left, layout: array.layout });
             return;
         }
         let Some(packet) = wire.and_then(EventPacket::read) else {
-            losses.add("message", || Loss { at: at(), what: "the message is no event packet; it is left out".into() });
+            losses.add("messages that are no event packet", at, || "the message is no event packet; it is left out".into());
             return;
         };
         let Some(encoding) = self.stream.encoding.filter(|encoding| Some(*encoding) == Encoding::named(packet.encoding)) else {
-            losses
-                .add("encoding", || Loss { at: at(), what: format!("the packet is encoded as `{}`, unlike the first", super::lossy::label(packet.encoding)) });
+            losses.add("packets in another encoding", at, || format!("the packet is encoded as `{}`, unlike the first", label(packet.encoding)));
             return;
         };
         let same = matches!(self.last, Some((id, _)) if id == envelope.id);
@@ -114,7 +113,7 @@ impl Cursor {
                 .sequence
                 .checked_sub(before)
                 .map_or("the numbers of packets begin again".to_string(), |step| format!("{} packets before it are missing", step.saturating_sub(1)));
-            losses.add("gap", || Loss { at: at(), what: format!("packet {} follows packet {before}: {missing}", packet.sequence) });
+            losses.add("gaps between packets", at, || format!("packet {} follows packet {before}: {missing}", packet.sequence));
             self.lost_wraps = true;
         }
         self.last = Some((envelope.id, packet.sequence));
@@ -154,11 +153,10 @@ impl Cursor {
             }
         }
         lose_events(losses, at, [0, u64::from(outside), 0, 0], self.stream.extent);
-        if timeless > 0 {
-            losses.add("stamps", || Loss { at: format!("event array, byte {at}"), what: format!("{timeless} events have no sound stamp; they are left out") });
-        }
+        let what = || format!("{timeless} events have no sound stamp; they are left out");
+        losses.add_items("events without a sound stamp were left out", u64::from(timeless), || format!("event array, byte {at}"), what);
         if missing > 0 {
-            losses.add("cut array", || Loss { at: format!("event array, byte {at}"), what: format!("the last {missing} events are cut off") });
+            losses.add("event arrays that are cut off", || format!("event array, byte {at}"), || format!("the last {missing} events are cut off"));
         } else if left > now {
             self.pending = Some(Pending::Array { at: wire.at(), left: left - now, layout });
         }
@@ -226,18 +224,16 @@ fn missed_wraps(encoding: Encoding, expected: i64, decoded: i64) -> i64 {
 }
 
 /// Notes events that a decoder left out: before any time, outside, unknown words, strays.
-fn lose_events(losses: &mut LossList, at: usize, counts: [u64; 4], extent: Option<Extent>) {
+fn lose_events(losses: &mut Losses, at: usize, counts: [u64; 4], extent: Option<Extent>) {
     let size = extent.map(|extent| format!("{}x{}", extent.width, extent.height)).unwrap_or("the pixel array".into());
     let [early, outside, unknown, strays] = counts;
     let mut note = |kind: &'static str, count: u64, what: &str| {
-        if count > 0 {
-            losses.add(kind, || Loss { at: format!("event message, byte {at} of it"), what: format!("{count} {what}") });
-        }
+        losses.add_items(kind, count, || format!("event message, byte {at} of it"), || format!("{count} {what}"));
     };
-    note("outside", outside, &format!("events lie outside {size}; they are left out"));
-    note("early", early, "events come before the first time; they are left out");
-    note("unknown words", unknown, "words are of no known kind; they are left out");
-    note("stray times", strays, "times leap away and back; events in between have a wrong stamp");
+    note("events outside the pixel array were left out", outside, &format!("events lie outside {size}; they are left out"));
+    note("events before the first time were left out", early, "events come before the first time; they are left out");
+    note("words of no known kind were left out", unknown, "words are of no known kind; they are left out");
+    note("times that leap away and back were undone", strays, "times leap away and back; events in between have a wrong stamp");
 }
 
 impl EventCursor for Cursor {
@@ -272,8 +268,8 @@ impl EventCursor for Cursor {
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
-        self.walker.losses.as_slice()
+    fn losses(&self) -> Vec<Loss> {
+        self.walker.losses.list()
     }
 
     fn position(&self) -> (u64, u64) {

@@ -6,11 +6,12 @@
 //!
 //! Limits: checksums are not compared; attachments and metadata are not read.
 
-use super::lossy::{LossList, label};
 use super::messages::Serial;
 use super::records::{Container, Record, Source, Topic};
+use super::wire::label;
 use super::{Contents, Piece, scan};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
+use crate::losses::Losses;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -166,7 +167,7 @@ pub fn open(path: &Path) -> Result<Contents, FormatError> {
         return Err(FormatError::new(path, "this is no MCAP file: its first bytes are others", "check the path"));
     }
     let mut contents = Contents::new(path, size, Container::Mcap);
-    let mut losses = LossList::default();
+    let mut losses = Losses::default();
     let start = MAGIC.len() as u64;
     contents.facts.push(("container".into(), "MCAP".into()));
     if let Some((HEADER, length)) = outer(&mut file, size, start).map_err(io)? {
@@ -185,7 +186,7 @@ pub fn open(path: &Path) -> Result<Contents, FormatError> {
         contents.pieces = find_pieces(&mut file, size, start, &mut losses).map_err(io)?;
         if summary == Summary::Missing {
             let what = "the file has no end record: its recorder was stopped, or it is cut off; its records were read one by one".into();
-            losses.add("summary", || Loss { at: format!("byte {size}"), what });
+            losses.add("summaries that are missing or damaged", || format!("byte {size}"), || what);
         }
         contents.losses = losses;
         contents = scan::survey(contents)?;
@@ -292,7 +293,7 @@ fn statistics(content: &[u8]) -> Option<(u64, BTreeMap<u32, u64>)> {
 }
 
 /// Goes from record to record: notes chunks, and runs of records that stand outside of them.
-fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut LossList) -> std::io::Result<Vec<Piece>> {
+fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> std::io::Result<Vec<Piece>> {
     let mut pieces = Vec::new();
     let mut run: Option<u64> = None;
     let mut at = first;
@@ -304,7 +305,7 @@ fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut LossList) ->
         let end = at.saturating_add(9).saturating_add(length);
         if op == 0 || end > size && op != CHUNK {
             let what = if op == 0 { "no record begins here; what follows is lost" } else { "the record is cut off; it and what follows are lost" };
-            losses.add("end", || Loss { at: format!("bytes {at} to {size}"), what: what.into() });
+            losses.add("ends that are cut off", || format!("bytes {at} to {size}"), || what.into());
             break;
         }
         match op {
@@ -325,7 +326,7 @@ fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut LossList) ->
     }
     pieces.extend(run.map(|from| whole(from, at)));
     if at < size && outer(file, size, at)?.is_none() {
-        losses.add("end", || Loss { at: format!("bytes {at} to {size}"), what: "the file ends within a record".into() });
+        losses.add("ends that are cut off", || format!("bytes {at} to {size}"), || "the file ends within a record".into());
     }
     Ok(pieces)
 }

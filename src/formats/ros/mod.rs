@@ -19,7 +19,6 @@
 pub mod bag;
 pub mod clock;
 pub mod events;
-pub mod lossy;
 pub mod mcap;
 pub mod messages;
 pub mod packets;
@@ -36,7 +35,7 @@ pub mod wire;
 #[cfg(test)]
 mod tests;
 
-use lossy::LossList;
+use crate::losses::Losses;
 use records::{Container, Topic};
 use std::path::{Path, PathBuf};
 
@@ -55,12 +54,12 @@ pub struct Contents {
     /// What it says, for people.
     pub facts: Vec<(String, String)>,
     /// What was damaged.
-    pub losses: LossList,
+    pub losses: Losses,
 }
 
 impl Contents {
     fn new(path: &Path, size: u64, container: Container) -> Contents {
-        Contents { path: path.into(), size, container, topics: Vec::new(), pieces: Vec::new(), facts: Vec::new(), losses: LossList::default() }
+        Contents { path: path.into(), size, container, topics: Vec::new(), pieces: Vec::new(), facts: Vec::new(), losses: Losses::default() }
     }
 }
 

@@ -4,11 +4,12 @@
 //! A picture's place is kept as (piece, byte), 16 bytes; its values are read when they are wanted. Stored values are given as they are.
 
 use super::Contents;
-use super::lossy::{LossList, label};
 use super::messages::ImageHead;
 use super::topics::Group;
 use super::walk::Walker;
-use crate::error::{FormatError, Loss};
+use super::wire::label;
+use crate::error::FormatError;
+use crate::losses::Losses;
 use crate::recording::{FrameStamp, FramesAbout, Pictures};
 use photocurrent_core::Colour;
 use photocurrent_core::colour::Order;
@@ -108,16 +109,16 @@ impl Images {
     ///
     /// # Errors
     /// When the file has gone, or its pictures have an encoding that is not read.
-    pub fn survey(contents: &Arc<Contents>, group: &Group) -> Result<(Option<Images>, LossList), FormatError> {
+    pub fn survey(contents: &Arc<Contents>, group: &Group) -> Result<(Option<Images>, Losses), FormatError> {
         let mut walker = Walker::new(contents, &group.ids()).heads(HEAD_BYTES);
         let mut images: Option<Images> = None;
         let (mut stampless, mut others) = (0_u64, 0_u64);
-        let mut losses = LossList::default();
+        let mut losses = Losses::default();
         while let Some(envelope) = walker.advance()? {
             let at = || format!("message received at {} ns on {}", envelope.received, group.name);
             let wire = group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body));
             let Some(head) = wire.and_then(ImageHead::read) else {
-                losses.add("picture", || Loss { at: at(), what: "the message is no picture; it is left out".into() });
+                losses.add("messages that are no picture", at, || "the message is no picture; it is left out".into());
                 continue;
             };
             let Some(pixels) = pixels(head.encoding) else {
@@ -128,7 +129,7 @@ impl Images {
                 continue;
             };
             if !pixels.fits(&head, envelope.length) {
-                losses.add("picture", || Loss { at: at(), what: "the picture claims more values than the message holds; it is left out".into() });
+                losses.add("pictures that are cut off", at, || "the picture claims more values than the message holds; it is left out".into());
                 continue;
             }
             let images = images.get_or_insert_with(|| Images::new(contents, group, &head, pixels));
@@ -141,7 +142,7 @@ impl Images {
             images.about.stamps.push(FrameStamp { at: if stamped { head.stamp.ns } else { envelope.received }, exposure: None });
             images.places.push((u32::try_from(walker.piece()).unwrap_or(u32::MAX), envelope.offset));
         }
-        walker.losses.as_slice().iter().for_each(|loss| losses.add("chunk", || loss.clone()));
+        losses.append(walker.losses, |at| at);
         if let Some(images) = &mut images {
             if stampless > 0 {
                 images.about.notes.push(format!("{stampless} pictures have no `header.stamp`; the time when their message was received stands in"));

@@ -3,7 +3,6 @@
 use super::Contents;
 use super::clock::{self, Shift};
 use super::events::{Cursor, Stream};
-use super::lossy::LossList;
 use super::messages::Kind;
 use super::packets::Encoding;
 use super::pictures::Images;
@@ -11,6 +10,7 @@ use super::topics::{self, First, Group};
 use crate::chunk::{EventChunk, Trigger};
 use crate::declared::Declared;
 use crate::error::{FormatError, Loss};
+use crate::losses::Losses;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use std::path::PathBuf;
@@ -33,7 +33,7 @@ struct Ros {
 #[derive(Default)]
 struct Survey {
     images: Option<Arc<Images>>,
-    losses: LossList,
+    losses: Losses,
 }
 
 /// Chooses topics and looks at their first messages.
@@ -88,10 +88,10 @@ pub fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Recording
     if stream.is_none() && image_topic.is_none() {
         let found = format!("no topic has events or pictures; there are: {}", groups.iter().take(32).map(Group::describe).collect::<Vec<_>>().join("; "));
         let expected = "dvs_msgs/EventArray, prophesee_event_msgs/EventArray, event_camera_msgs/EventPacket or sensor_msgs/Image";
-        let lost = contents.losses.as_slice().first().map(|loss| format!("; {}: {}", loss.at, loss.what)).unwrap_or_default();
+        let lost = contents.losses.list().first().map(|loss| format!("; {}: {}", loss.at, loss.what)).unwrap_or_default();
         return Err(FormatError::new(&contents.path, found + &lost, "record those topics, or check that the file is whole").expected(expected));
     }
-    let losses = contents.losses.as_slice().to_vec();
+    let losses = contents.losses.list();
     let recording = Ros { contents, stream, about, trigger_topics, image_topic, images: OnceLock::new(), facts, losses };
     // Without events the pictures are all there is: then what is wrong with them is a reason to refuse the file.
     if recording.stream.is_none()
@@ -145,7 +145,7 @@ impl Ros {
             Ok((images, losses)) => Survey { images: images.map(Arc::new), losses },
             Err(error) => {
                 let mut survey = Survey::default();
-                survey.losses.add("pictures", || Loss { at: group.name.clone(), what: format!("{}; no picture is read", error.found) });
+                survey.losses.add("topics whose pictures are not read", || group.name.clone(), || format!("{}; no picture is read", error.found));
                 survey
             }
         }))
@@ -193,7 +193,7 @@ impl Recording for Ros {
     }
 
     fn losses(&self) -> Vec<Loss> {
-        let found = self.images.get().map(|survey| survey.losses.as_slice().to_vec()).unwrap_or_default();
+        let found = self.images.get().map(|survey| survey.losses.list()).unwrap_or_default();
         self.losses.iter().cloned().chain(found).collect()
     }
 

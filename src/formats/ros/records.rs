@@ -4,9 +4,9 @@
 //! ends the piece with a reason; the pieces after it can still be read.
 
 use super::bag;
-use super::lossy::label;
 use super::mcap;
 use super::messages::Serial;
+use super::wire::label;
 use std::fs::File;
 use std::io::{BufReader, Read};
 

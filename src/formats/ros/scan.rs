@@ -3,7 +3,7 @@
 use super::mcap;
 use super::records::{Record, Topic};
 use super::{Contents, walk};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
 use std::collections::BTreeMap;
 
 /// Fills in topics, counts and times of all pieces.
@@ -51,7 +51,7 @@ pub fn survey(mut contents: Contents) -> Result<Contents, FormatError> {
     let orphans: u64 = counts.values().sum();
     if orphans > 0 {
         let what = format!("{orphans} messages belong to {} connections whose definition is lost; they are left out", counts.len());
-        contents.losses.add("definitions", || Loss { at: "the whole file".into(), what });
+        contents.losses.add("topics without a definition", || "the whole file".into(), || what);
     }
     Ok(contents)
 }

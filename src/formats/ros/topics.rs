@@ -1,10 +1,10 @@
 //! Which topic the events come from, and which the pictures: the only one, or the one that the user names.
 
 use super::Contents;
-use super::lossy::label;
 use super::messages::{EventArray, EventPacket, Kind, Serial, kind_of};
 use super::packets::{self, Encoding};
 use super::walk::Walker;
+use super::wire::label;
 use crate::error::FormatError;
 use photocurrent_core::Extent;
 use std::sync::Arc;

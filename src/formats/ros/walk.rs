@@ -1,9 +1,9 @@
 //! Walks over the messages of some topics, through all pieces of a file, and goes to a message by its place.
 
-use super::lossy::LossList;
 use super::records::{Container, Envelope, Record, Records};
 use super::{Contents, bag, mcap};
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
+use crate::losses::Losses;
 use std::fs::File;
 use std::sync::Arc;
 
@@ -38,13 +38,13 @@ pub struct Walker {
     /// The message that was given last.
     pub body: Vec<u8>,
     /// What could not be read.
-    pub losses: LossList,
+    pub losses: Losses,
 }
 
 impl Walker {
     /// Before the first message.
     pub fn new(contents: &Arc<Contents>, wanted: &[u32]) -> Walker {
-        Walker { contents: contents.clone(), wanted: wanted.to_vec(), most: u64::MAX, piece: 0, records: None, body: Vec::new(), losses: LossList::default() }
+        Walker { contents: contents.clone(), wanted: wanted.to_vec(), most: u64::MAX, piece: 0, records: None, body: Vec::new(), losses: Losses::default() }
     }
 
     /// Keeps only the first bytes of every message.
@@ -137,7 +137,7 @@ impl Walker {
         let start = self.position();
         let within = within.map(|at| format!(", {at} bytes into its content")).unwrap_or_default();
         let what = format!("{what}; the messages that follow in this chunk are lost");
-        self.losses.add("chunk", || Loss { at: format!("chunk at byte {start}{within}"), what });
+        self.losses.add("chunks that are damaged", || format!("chunk at byte {start}{within}"), || what);
         self.piece += 1;
         self.records = None;
     }

@@ -155,3 +155,15 @@ impl Stamp {
         self.nanoseconds < 1_000_000_000
     }
 }
+/// Text of a file for a message: no control characters, not longer than a line.
+pub fn label(bytes: &[u8]) -> String {
+    const MOST: usize = 120;
+    let clean = |c: char| if c.is_control() { '?' } else { c };
+    // No character has more than four bytes: this many hold what is shown.
+    let start = bytes.get(..4 * MOST).unwrap_or(bytes);
+    let mut text: String = String::from_utf8_lossy(start).chars().map(clean).take(MOST).collect();
+    if bytes.len() > text.len() {
+        text.push_str("...");
+    }
+    text
+}

@@ -180,7 +180,7 @@ pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut tell: im
             let (at, of) = cursor.position();
             tell(at as f64 / of.max(1) as f64);
         }
-        losses.extend(cursor.losses().iter().cloned());
+        losses.extend(cursor.losses());
         let mut events = counted.survey(about.extent);
         events.is_cut = events.count >= most.events;
         events.stated_count = about.count;

@@ -4,8 +4,8 @@ use super::line::{self, Event};
 use super::{Layout, is_comment};
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
 use crate::error::{FormatError, Loss};
+use crate::losses::Losses;
 use crate::recording::EventCursor;
-use crate::tally::Tally;
 use std::fs::File;
 use std::io::{ErrorKind, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -30,7 +30,7 @@ pub(crate) struct TextCursor {
     ended: bool,
     /// Inside a line that is longer than a block.
     overlong: bool,
-    tally: Tally,
+    losses: Losses,
 }
 
 impl TextCursor {
@@ -52,7 +52,7 @@ impl TextCursor {
             line,
             ended: false,
             overlong: false,
-            tally: Tally::default(),
+            losses: Losses::default(),
         })
     }
 
@@ -95,9 +95,9 @@ impl TextCursor {
             }
             Err(_) if !whole => {
                 let shown = line::shown(line);
-                self.tally.add("the last line is cut off", || format!("line {number}"), || format!("the file ends inside the line {shown}; its event is lost"));
+                self.losses.add("lines that are cut off", || format!("line {number}"), || format!("the file ends inside the line {shown}; its event is lost"));
             }
-            Err(wrong) => self.tally.add(wrong.kind(), || format!("line {number}"), || wrong.what(line, &self.layout)),
+            Err(wrong) => self.losses.add(wrong.kind(), || format!("line {number}"), || wrong.what(line, &self.layout)),
         }
     }
 }
@@ -128,7 +128,7 @@ impl EventCursor for TextCursor {
                     if !self.overlong {
                         let number = self.line;
                         let what = || format!("the line is longer than {BLOCK} bytes and was left out");
-                        self.tally.add("lines of no plausible length were left out", || format!("line {number}"), what);
+                        self.losses.add("lines of no plausible length were left out", || format!("line {number}"), what);
                     }
                     self.overlong = true;
                     self.unread = 0..0;
@@ -136,7 +136,6 @@ impl EventCursor for TextCursor {
                 None => self.refill()?,
             }
         }
-        self.tally.settle();
         Ok(!(chunk.is_empty() && self.ended && self.unread.is_empty()))
     }
 
@@ -146,8 +145,8 @@ impl EventCursor for TextCursor {
         Ok(())
     }
 
-    fn losses(&self) -> &[Loss] {
-        self.tally.losses()
+    fn losses(&self) -> Vec<Loss> {
+        self.losses.list()
     }
 
     fn position(&self) -> (u64, u64) {

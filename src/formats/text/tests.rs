@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 pub(crate) fn collect(recording: &dyn Recording) -> (EventChunk, Vec<Loss>) {
     let mut cursor = recording.events().unwrap();
     let all = drain(cursor.as_mut());
-    (all, cursor.losses().to_vec())
+    (all, cursor.losses())
 }
 
 /// The events that a cursor still gives.
