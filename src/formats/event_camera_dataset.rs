@@ -43,7 +43,7 @@ impl EventCameraDataset {
         let images = path.join("images.txt");
         let frames = match images.is_file() {
             // The stamps of both files have one unit.
-            true => Some(Arc::new(PictureFiles::open_with(path, declared, &images, Some(events.unit()))?)),
+            true => Some(Arc::new(PictureFiles::open_with(path, declared, &images, Some(events.unit()), None)?)),
             false => None,
         };
         let extent = frames.as_ref().map(|frames| frames.about().extent);

@@ -109,7 +109,7 @@ fn frames(path: &Path, declared: &Declared, unit: TimeUnit) -> Result<Option<Arc
         declared.stamps.clone().or_else(|| [&folder, path].into_iter().flat_map(|place| STAMPS.map(|name| place.join(name))).find(|file| file.is_file()));
     let pictures = match stamps {
         // One unit a file set.
-        Some(file) => PictureFiles::open_with(&folder, declared, &file, Some(unit))?,
+        Some(file) => PictureFiles::open_with(&folder, declared, &file, Some(unit), None)?,
         None => PictureFiles::open(&folder, declared)?,
     };
     Ok(Some(Arc::new(pictures)))

@@ -13,6 +13,7 @@ use crate::recording::Recording;
 use photocurrent_core::Extent;
 use photocurrent_store::foreign::ForeignFile;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 mod folder;
 
@@ -35,9 +36,10 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     let events = folder::events_of(path, side).ok_or_else(missing)?;
     let mut recording = open_events(path, &events, declared)?;
     recording.more_files = vec![events];
-    if let Some((pictures, files)) = folder::pictures_of(path, declared.frame_camera.as_deref())? {
-        recording.pictures = Some(pictures);
-        recording.more_files.extend(files);
+    if let Some(pictures) = folder::pictures_of(path, declared.frame_camera.as_deref())? {
+        recording.more_files.extend_from_slice(pictures.files());
+        recording.losses.extend_from_slice(pictures.losses());
+        recording.pictures = Some(Arc::new(pictures));
     }
     Ok(Box::new(recording))
 }

@@ -81,7 +81,7 @@ fn a_dsec_folder_has_its_pictures_with_their_exposures() {
     let about = pictures.about();
     assert_eq!((about.extent, about.colour, about.bits), (Extent { width: 2, height: 1 }, Colour::Rgb, 8));
     assert_eq!(about.stamps[1].exposure, Some((49_599_050_100_000, 49_599_050_900_000)));
-    assert_eq!(about.stamps[0].at, 49_599_000_200_000);
+    assert_eq!((about.stamp_role, about.stamps[0].at), (Some(crate::StampRole::Start), 49_599_000_100_000));
     let mut values = Vec::new();
     pictures.read(1, &mut values).unwrap();
     assert_eq!(values, [1.0, 1.0, 2.0, 3.0, 4.0, 5.0]);

@@ -12,7 +12,7 @@ pub(crate) mod tests;
 pub mod triggers;
 pub(crate) mod y4m;
 
-use crate::declared::{Declared, TimeUnit, Transfer};
+use crate::declared::{Declared, StampRole, TimeUnit, Transfer};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::losses::Losses;
@@ -86,9 +86,16 @@ impl PictureFiles {
         }
     }
 
-    /// As [`PictureFiles::open`], with the stamps of a file whose unit the folder's format defines.
-    pub(crate) fn open_with(path: &Path, declared: &Declared, stamps_file: &Path, unit: Option<TimeUnit>) -> Result<PictureFiles, FormatError> {
-        let stamps = stamps::read(stamps_file, declared, unit)?;
+    /// As [`PictureFiles::open`], with the stamps of a file whose unit, and the meaning of whose plain stamps, the folder's format defines.
+    pub(crate) fn open_with(
+        path: &Path,
+        declared: &Declared,
+        stamps_file: &Path,
+        unit: Option<TimeUnit>,
+        role: Option<StampRole>,
+    ) -> Result<PictureFiles, FormatError> {
+        let mut stamps = stamps::read(stamps_file, declared, unit)?;
+        stamps.role = stamps.role.or(role);
         find(path)?.with_stamps(stamps_file, stamps)
     }
 
@@ -98,7 +105,7 @@ impl PictureFiles {
     /// When there are no pictures.
     pub fn with_exposures(path: &Path, exposures: &[(i64, i64)], notes: Vec<String>) -> Result<PictureFiles, FormatError> {
         let rows = exposures.iter().map(|&(start, end)| Row { name: None, at: start, exposure: Some((start, end)), line: 0 }).collect();
-        let stamps = Stamps { rows, role: Some(crate::StampRole::Start), notes, ..Stamps::default() };
+        let stamps = Stamps { rows, role: Some(StampRole::Start), notes, ..Stamps::default() };
         find(path)?.place(stamps)
     }
 
