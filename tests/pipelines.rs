@@ -194,12 +194,12 @@ fn exported_frames_follow_the_format_to_the_letter_and_read_back_as_they_were_re
     assert_eq!(exposure, "6500000");
     let (offset, scale): (f64, f64) = (offset.parse().expect("a number"), scale.parse().expect("a number"));
     assert!(scale > 0.0);
-    assert_eq!(csv[1], "index,t_start_ns,t_end_ns,t_mid_ns,file");
+    assert_eq!(csv[1], "index,t_start_ns,t_end_ns,t_mid_ns,file,offset_dn,scale_dn");
     // 1 kHz below 76 ms, exposed for 100 us around each millisecond.
     assert_eq!(csv.len(), 2 + 76);
     for (k, row) in csv[2..].iter().enumerate() {
         let mid = 1_000_000 * k as i64;
-        assert_eq!(*row, format!("{k},{},{},{mid},{k:06}.png", mid - 50_000, mid + 50_000));
+        assert_eq!(*row, format!("{k},{},{},{mid},{k:06}.png,{offset:?},{scale:?}", mid - 50_000, mid + 50_000));
     }
 
     let cache = Cache::open(&bench.path(".photocurrent")).expect("the cache");

@@ -1,7 +1,7 @@
 //! Writes frames as a folder of 16-bit PNGs with a table of their exposures, or as one HDF5 file.
 //!
 //! The folder holds `000000.png`, `000001.png` ... and `frames.csv`: when each frame was exposed, and how codes become digital numbers
-//! (`dn = offset + scale * code`, in the first line). Values are linear DN; there is no gamma, in the pixels or in the headers. DN stand for a
+//! (`dn = offset_dn + scale_dn * code`, in each row and in the first line). Values are linear DN; there is no gamma, in the pixels or in the headers. DN stand for a
 //! frame of the exposure that the first line names, so that rendered and recorded frames compare directly.
 //!
 //! With the sensor description connected, code 65535 is its `saturation_dn`: folders of one camera share a code, and an outlier changes nothing. There is no headroom above
@@ -193,9 +193,9 @@ fn csv(meta: &FramesMeta, code: DnCode) -> String {
     let DnCode { offset, scale } = code;
     let exposure_ns = nominal_exposure_ns(meta).unwrap_or(0);
     let mut text = format!("# dn = offset + scale * code; offset={offset:?} scale={scale:?}; exposure_dn_of_ns={exposure_ns}{row_time}\n");
-    text += "index,t_start_ns,t_end_ns,t_mid_ns,file\n";
+    text += "index,t_start_ns,t_end_ns,t_mid_ns,file,offset_dn,scale_dn\n";
     for (l, exposure) in meta.times.exposures.iter().enumerate() {
-        text += &format!("{l},{},{},{},{}\n", exposure.start.0, exposure.end.0, exposure.mid().0, file_name(l));
+        text += &format!("{l},{},{},{},{},{offset:?},{scale:?}\n", exposure.start.0, exposure.end.0, exposure.mid().0, file_name(l));
     }
     text
 }
@@ -214,7 +214,7 @@ impl Node for WriteFrames {
     const DECL: Decl = Decl {
         kind: "write/frames",
         about: "Writes frames of linear DN with their exposures, as 16-bit PNGs or as one HDF5 file.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: true,
@@ -421,8 +421,11 @@ mod tests {
         write(&frames, Params::default(), |listing, notes, folder| {
             let (offset, scale, exposure, lines) = read_csv(folder);
             assert_eq!(exposure, "4000000");
-            assert_eq!(lines[0], "index,t_start_ns,t_end_ns,t_mid_ns,file");
-            assert_eq!(lines[2], "1,10000000,14000000,12000000,000001.png");
+            assert_eq!(lines[0], "index,t_start_ns,t_end_ns,t_mid_ns,file,offset_dn,scale_dn");
+            let fields: Vec<&str> = lines[2].split(',').collect();
+            assert_eq!(fields[..5], ["1", "10000000", "14000000", "12000000", "000001.png"]);
+            let number = |at: usize| fields[at].parse::<f64>().unwrap();
+            assert_eq!((number(5), number(6)), (offset, scale), "each row has the code of its file");
             assert_eq!(lines.len(), 4);
             for l in 0..3 {
                 let (codes, info) = load(&folder.join(format!("{l:06}.png")));

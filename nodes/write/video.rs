@@ -71,8 +71,9 @@ pub struct WriteVideo {
 const Y4M: &str = "video.y4m";
 const MP4: &str = "video.mp4";
 
-/// H.264 that every player shows, of even size, without the date and the name of the machine.
-const FFMPEG: [&str; 18] = [
+/// H.264 that every player shows, of even size, without the date and the name of the machine. Range, matrix, primaries and curve are those of the Y4M file:
+/// without these tags players take the matrix of BT.601 for small films, and red becomes orange.
+const FFMPEG: [&str; 26] = [
     "-y",
     "-loglevel",
     "error",
@@ -86,6 +87,14 @@ const FFMPEG: [&str; 18] = [
     "17",
     "-pix_fmt",
     "yuv420p",
+    "-color_range",
+    "tv",
+    "-colorspace",
+    "bt709",
+    "-color_primaries",
+    "bt709",
+    "-color_trc",
+    "iec61966-2-1",
     "-movflags",
     "+faststart",
     "-fflags",
@@ -97,7 +106,7 @@ impl Node for WriteVideo {
     const DECL: Decl = Decl {
         kind: "write/video",
         about: "Writes frames as a film for looking: Y4M, and MP4 by an encoder that the manifest names.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: true,
@@ -322,6 +331,37 @@ mod tests {
         write(&grey(), copies("echo no; exit 3"), |out, _, _| assert_eq!(out.err().unwrap().message, "\"sh\" ended with exit code 3"));
         let missing = Params { encoder: Some("no-such-encoder-here".into()), ..Params::default() };
         write(&grey(), missing, |out, _, _| assert!(out.err().unwrap().hint.unwrap().contains("video.y4m needs none")));
+    }
+
+    /// Standard output of a program; `None` when it is not installed.
+    fn output(program: &str, arguments: &[&str], folder: &Path) -> Option<Vec<u8>> {
+        let made = std::process::Command::new(program).args(arguments).current_dir(folder).output().ok()?;
+        assert!(made.status.success(), "{program}: {}", String::from_utf8_lossy(&made.stderr));
+        Some(made.stdout)
+    }
+
+    #[test]
+    fn ffmpeg_makes_an_mp4_of_the_same_colours() {
+        let here = Path::new(".");
+        if output("ffmpeg", &["-version"], here).is_none() || output("ffprobe", &["-version"], here).is_none() {
+            println!("not tested: ffmpeg and ffprobe are not installed");
+            return;
+        }
+        let times = FrameTimes::new(exposures(3), 0).unwrap();
+        let meta = FramesMeta { extent: Extent { width: 33, height: 17 }, colour: Colour::Rgb, times, scale: FrameScale::Captured };
+        let dn = [10.0, 0.0, 0.0].repeat(3 * 33 * 17);
+        let red = FrameSequence::in_memory(Arc::new(meta.clone()), FrameBlock { frames: 0..3, rows: meta.extent.rows(), row_values: 99, dn });
+        let params = Params { rate: Rate::new(25.0), white: Some(10.0), encoder: Some("ffmpeg".into()), ..Params::default() };
+        write(&red, params, |out, _, folder| {
+            out.unwrap();
+            let entries = "stream=codec_name,width,height,pix_fmt,color_range,color_space,color_transfer,color_primaries,r_frame_rate,nb_frames";
+            let stream = output("ffprobe", &["-v", "error", "-show_entries", entries, "-of", "csv=p=0", MP4], folder).unwrap();
+            assert_eq!(String::from_utf8_lossy(&stream).trim(), "h264,34,18,yuv420p,tv,bt709,iec61966-2-1,bt709,25/1,3");
+            let rgb = output("ffmpeg", &["-v", "error", "-i", MP4, "-f", "rawvideo", "-pix_fmt", "rgb24", "-"], folder).unwrap();
+            assert_eq!(rgb.len(), 3 * 34 * 18 * 3);
+            // Pure red; the encoder's quantisation moves it by a few codes.
+            assert!(rgb[0] > 245 && rgb[1] < 10 && rgb[2] < 10, "{:?}", &rgb[..3]);
+        });
     }
 
     #[test]

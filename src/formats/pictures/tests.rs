@@ -109,7 +109,7 @@ fn stamps_are_read_in_every_form() {
 #[test]
 fn rendered_frames_of_this_project_are_read_back() {
     let folder = folder(&["000000.png", "000001.png"]);
-    let text = "# dn = offset + scale * code; offset=0.0 scale=0.015610; exposure_dn_of_ns=4200000; row_time_ns=30\nindex,t_start_ns,t_end_ns,t_mid_ns,file\n0,100,300,200,000000.png\n1,400,600,500,000001.png\n";
+    let text = "# dn = offset + scale * code; offset=0.0 scale=0.015610; exposure_dn_of_ns=4200000; row_time_ns=30\nindex,t_start_ns,t_end_ns,t_mid_ns,file,offset_dn,scale_dn\n0,100,300,200,000000.png,0.0,0.01561\n1,400,600,500,000001.png,0.0,0.01561\n";
     std::fs::write(folder.path().join("frames.csv"), text).unwrap();
     let pictures = PictureFiles::open(folder.path(), &Declared::default()).unwrap();
     let about = pictures.about();
