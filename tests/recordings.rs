@@ -215,7 +215,7 @@ fn a_dead_pixel_is_dark_and_its_neighbours_are_not() {
     let row = rendered.row(12, 2);
     assert!(row[4].abs() < 1e-3, "{row:?}");
     assert!([3, 5].iter().all(|&x| (row[x] / dn(x as u32) - 1.0).abs() < 0.02), "{row:?}");
-    assert_eq!(rendered.notes, ["solve: 1 pixels did not converge in some window and carry the safe estimate there"]);
+    assert_eq!(rendered.notes, ["solve: 1 pixels did not converge in some window and fell back to the double-integral estimate there"]);
 }
 
 #[test]

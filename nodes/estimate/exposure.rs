@@ -85,10 +85,10 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let thresholds = given.or_else(|| estimate::thresholds(&panel, offset_ns).map(|found| (found.on.value, found.off.value)));
         let found = thresholds.and_then(|thresholds| estimate::exposure(&panel, thresholds, offset_ns));
         match (thresholds, &found) {
-            (None, _) => cx.note("thresholds are not known, and too few pixels changed to tell them"),
-            (Some(_), None) => {
-                cx.note("no length explains the frames better than the others: the light bends too little within an exposure, or events are too noisy to tell")
-            }
+            (None, _) => cx.note("thresholds are not known, and too few pixels changed to estimate them"),
+            (Some(_), None) => cx.note(
+                "no length explains the frames better than the others: the curvature of the light within an exposure is too small, or events are too noisy",
+            ),
             (Some((on, off)), Some(_)) => cx.note(format!("with thresholds {on:.3} and {off:.3}, events taken {:.3} ms later", offset_ns * 1e-6)),
         }
         Ok(Out { estimates: Arc::new(table(&[Row::new("exposure", found, "ms", 1e6)])) })

@@ -94,7 +94,7 @@ pub struct All {
     pub frame_camera: Option<String>,
     /// Frames that lie elsewhere: a folder of PNG or TIFF pictures, or a Y4M file; relative to the manifest.
     pub frames: Option<InputPath>,
-    /// Stamps of those frames: a text file; relative to the manifest. Default: the one beside the pictures.
+    /// Stamps of those frames: a text file; relative to the manifest. Default: the one in the folder of the pictures.
     pub stamps: Option<InputPath>,
     /// The trigger line of the event file whose edges are the exposures of those frames: rising opens, falling closes.
     pub trigger_line: Option<u16>,

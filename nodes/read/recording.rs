@@ -4,7 +4,7 @@
 //! data are read. Only the header is read while planning. Events come out by row band, frames lazily by frames and rows, so that a
 //! recording may be larger than memory.
 //!
-//! The row time is the recorder's word (`row_time_ns` of `/frames`), also when the sensor description says otherwise; then a note tells both. A
+//! The row time is that of the recorder (`row_time_ns` of `/frames`), also when the sensor description differs; then a note states both. A
 //! recording that states it nowhere is refused rather than taken for a global shutter, unless the parameter `row_time` does.
 //!
 //! Frames may have a whole number of pixels along the side of each event pixel, three channels, or a mosaic of filters, which is passed on as stored: one value a
@@ -62,7 +62,7 @@ impl ReadRecording {
             return Ok(recording);
         }
         let path = self.params.path.path();
-        // The system's word for a missing file comes without a hint about where paths start.
+        // The system's message for a missing file comes without a hint about where paths start.
         if std::fs::metadata(path).map_err(|error| super::cannot_read(path, &error))?.is_dir() {
             return Err(NodeError::files(format!("{}: this is no regular file but a folder", path.display()))
                 .hint("name the HDF5 recording itself, such as `path = \"scene.h5\"`")
@@ -103,7 +103,7 @@ fn row_time_ns(name: &str, recorded: Option<i64>, described: Option<Duration>) -
     })
 }
 
-/// What to tell when recorder and description disagree.
+/// The note when recorder and description disagree.
 fn disagreement(name: &str, recorded: Option<i64>, described: Option<Duration>) -> Option<String> {
     let (recorded, described) = (recorded?, described?);
     (recorded != described.ns())

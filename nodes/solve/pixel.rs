@@ -86,7 +86,7 @@ pub struct SolvePixel {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Status {
     Converged = 0,
-    SafeEstimate = 1,
+    FellBack = 1,
     Saturated = 2,
     NoFrame = 3,
 }
@@ -358,7 +358,7 @@ fn of_pixels(values: MapBand, meta: &TracksMeta) -> MapBand {
 
 fn report(map: &MapBand, plausible_range: f64, cx: &Context) {
     let pixels = |status: Status| map.rows().iter().flat_map(|row| map.row(0, row)).filter(|value| **value == status as u8 as f32).count() as u64;
-    cx.count(pixels(Status::SafeEstimate), "pixels did not converge in some window and carry the safe estimate there");
+    cx.count(pixels(Status::FellBack), "pixels did not converge in some window and fell back to the double-integral estimate there");
     cx.count(pixels(Status::Saturated), "pixels were saturated in every frame of some window: their light is a lower bound there");
     cx.count(pixels(Status::NoFrame), "pixels had no usable frame value in some window (NaN): they hold their last known light there");
     cx.count(implausible(map), &plausible::note(plausible_range));

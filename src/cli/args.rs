@@ -91,7 +91,7 @@ pub struct InitOptions {
     /// The recording; its frames and their stamps when they lie elsewhere; calibrations (.yaml) and biases (.bias)
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
-    /// The manifest to write; the sensor description is written beside it
+    /// The manifest to write; the sensor description is written to the same folder
     #[arg(short, long, value_name = "FILE", default_value = "photocurrent.toml")]
     pub output: PathBuf,
     /// What the files do not say
@@ -271,7 +271,7 @@ pub struct TableOptions {
     /// Digits after the point, for all metrics or for one: 2, psnr_db=1,lpips=3 [default: by metric]
     #[arg(long, value_name = "N|METRIC=N,...", value_delimiter = ',')]
     pub digits: Vec<String>,
-    /// Among which cells the best and the second are marked [default: where methods stand beside each other]
+    /// Among which cells the best and the second are marked [default: where methods stand side by side]
     #[arg(long, value_enum)]
     pub best: Option<Among>,
     /// Show a name as another one: edi=EDI

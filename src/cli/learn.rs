@@ -107,8 +107,8 @@ fn null(path: &Path, seed: u64) -> Result<(Null, Null), Failure> {
 
 /// Writes a file whole or not at all.
 fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
-    let beside = path.with_extension("tmp");
+    let partial = path.with_extension("tmp");
     let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write it: {error}", path.display()));
-    std::fs::write(&beside, bytes).map_err(failed)?;
-    std::fs::rename(&beside, path).map_err(failed)
+    std::fs::write(&partial, bytes).map_err(failed)?;
+    std::fs::rename(&partial, path).map_err(failed)
 }

@@ -70,7 +70,7 @@ impl Bars {
 /// One JSON object a line.
 pub struct Lines {
     labels: Labels,
-    /// Items done and in all per task, and the tenth last told: progress is worth ten lines a node, not thousands.
+    /// Items done and in all per task, and the tenth last reported: progress is worth ten lines a node, not thousands.
     done: Mutex<BTreeMap<TaskId, (u64, u64, u64)>>,
 }
 
@@ -134,11 +134,11 @@ impl Observer for Watcher {
             }
             Watcher::Lines(lines) => {
                 let mut done = locked(&lines.done);
-                let (at, total, told) = done.entry(task).or_default();
+                let (at, total, reported) = done.entry(task).or_default();
                 *at += items;
                 let tenth = (10 * *at).checked_div(*total).unwrap_or(0);
-                if tenth > *told {
-                    *told = tenth;
+                if tenth > *reported {
+                    *reported = tenth;
                     line(json!({"event": "progress", "node": lines.labels[task].0, "done": *at, "total": *total}));
                 }
             }

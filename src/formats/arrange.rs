@@ -18,7 +18,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-/// What is wanted of a file, beside what the user declares of it.
+/// What is wanted of a file, in addition to what the user declares of it.
 #[derive(Clone, Debug, Default)]
 pub struct Settings {
     /// What the file cannot say.

@@ -118,7 +118,7 @@ impl RowSolver {
             let most = libm::exp(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max)) * ratio;
             knots_of[lit[n]] = begin..knots.len();
             let status = match solution.status {
-                MapStatus::Failed => Status::SafeEstimate,
+                MapStatus::Failed => Status::FellBack,
                 _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
                 MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
             };

@@ -220,7 +220,7 @@ impl RowSolver {
             let solution = solve(&posed(&self.problems[n]), &options, &mut self.workspace).map_err(unposable)?;
             let problem = &mut self.problems[n];
             if !solution.has_converged() {
-                problem.status = problem.status.max(Status::SafeEstimate);
+                problem.status = problem.status.max(Status::FellBack);
             }
             (problem.iterations, problem.cost, problem.misfit) = (solution.iterations, solution.cost, solution.misfit);
             self.log_photocurrent[problem.knots.clone()].copy_from_slice(solution.log_photocurrent);

@@ -133,7 +133,7 @@ fn camera_facts(path: &Path, lines: &mut Vec<String>) -> Result<Option<Option<f6
             Ok(Some(found.cameras.iter().find_map(|camera| camera.line_delay_s)))
         }
         "bias" => {
-            // What a bias is worth in volts or seconds is known by calibration alone.
+            // How a bias acts in volts or seconds is known by calibration alone.
             lines.extend(bias::read(path).map_err(refused)?.iter().map(|(bias, value)| format!("{name}: {bias} = {value}")));
             Ok(Some(None))
         }

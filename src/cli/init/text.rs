@@ -106,7 +106,7 @@ pub fn sensor(facts: &Facts) -> String {
     let effects = if offset.is_empty() { offset } else { format!("\n[effects]\n{offset}") };
     format!(
         "# The camera of {file}: what its files state, and starting values for the rest. Made by `photocurrent init`.\n\
-         # Measured thresholds are worth most: photocurrent nodes estimate/thresholds.\n\
+         # Measured thresholds are better: photocurrent nodes estimate/thresholds.\n\
          {camera}format = \"photocurrent-sensor/1\"\nname   = {}\n\n\
          [comparator]\n{}{}\n[readout]\n{}\n[frames]\n\
          gain = {gain:?} # sets the unit of photocurrent: 1 reads as 1 DN in a frame of this recording\n\

@@ -126,17 +126,17 @@ fn of_line(line: &LineSurvey) -> String {
 
 fn of_findings(findings: &[Finding]) -> String {
     let mut text = String::new();
-    let mut told = 0;
+    let mut shown = 0;
     let width = findings.iter().map(|finding| finding.id.len()).max().unwrap_or(0);
     for finding in findings.iter().take(MOST_FINDINGS) {
         let _ = write!(text, "\n{:<8} {:<width$}  {}\n         {:<width$}  {}\n", finding.severity.name(), finding.id, finding.message, "", finding.evidence);
         if finding.severity != Severity::Fact {
             let _ = writeln!(text, "         {:<width$}  to do: {}", "", finding.what_to_do);
         }
-        told += 1;
+        shown += 1;
     }
-    if findings.len() > told {
-        let _ = writeln!(text, "\nand {} more; --json gives all", findings.len() - told);
+    if findings.len() > shown {
+        let _ = writeln!(text, "\nand {} more; --json gives all", findings.len() - shown);
     }
     text
 }

@@ -77,7 +77,7 @@ impl Grid {
         Ok(Grid { row_axes, column_axes, rows, columns, cells })
     }
 
-    /// Are cells compared along a row? Methods with methods, where there are any; else what stands beside each other, unless that is one metric beside another.
+    /// Are cells compared along a row? Methods with methods, where there are any; else cells side by side, unless those are of two metrics.
     pub fn columns_compare(&self) -> bool {
         let has_methods = |axes: &[String]| axes.iter().any(|axis| ["method", "node", "label"].contains(&axis.as_str()));
         match (has_methods(&self.column_axes), has_methods(&self.row_axes)) {

@@ -347,7 +347,7 @@ fn lines(what: &str, lines: &LinesSurvey, found: &mut Vec<Finding>) {
         found.push(Finding::new(
             if what == "row" { "loud_rows" } else { "loud_columns" },
             Severity::Fact,
-            format!("{} with over three times the events of those beside", several(lines.loud)),
+            format!("{} with over three times the events of their neighbours", several(lines.loud)),
             format!("{what} {}", list(&lines.loud_list)),
             "state `hot_rows` in the description if it is the sensor; a lamp or an edge along it does this too",
         ));

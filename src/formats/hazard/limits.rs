@@ -15,7 +15,7 @@ pub struct Limits {
     /// Time from an event of a pixel to its next of the same sign, ns, below which one in a hundred may lie: blind times are tens of nanoseconds at least in fiction, microseconds in
     /// silicon.
     pub shortest_interval_ns: f64,
-    /// Frames per second that no camera of whole pictures makes beside events.
+    /// Frames per second that no camera of whole pictures makes with events.
     pub fastest_frames_hz: f64,
     /// Share of ON events above which (or of OFF events) one polarity is as good as missing.
     pub one_polarity: f64,

@@ -7,7 +7,7 @@
 //! - [`events`], [`frames`], [`together`]: the detectors.
 //!
 //! Severities: an [`Severity::Error`] makes results meaningless, so nothing should run on such data; a [`Severity::Hazard`] may, and should be looked at;
-//! a [`Severity::Question`] is a fact that a method needs and the file does not hold; a [`Severity::Fact`] is worth knowing and no fault.
+//! a [`Severity::Question`] is a fact that a method needs and the file does not hold; a [`Severity::Fact`] is information and no fault.
 
 pub mod events;
 pub mod frames;
@@ -33,7 +33,7 @@ pub enum Severity {
     Hazard,
     /// The file does not say, and methods need to know.
     Question,
-    /// Worth knowing, no fault.
+    /// Information, no fault.
     Fact,
 }
 

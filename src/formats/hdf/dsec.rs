@@ -2,7 +2,7 @@
 //!
 //! In a folder are `events/left/events.h5` (or `events.h5`) and, of the frame camera, `images/left/rectified/*.png` (or `distorted`) with
 //! `images/left/exposure_timestamps_left.txt` (start and end of every exposure) or `images/timestamps.txt` (their middle). Frames come
-//! from another camera than the events. The file does not state the sensor's size: `rectify_map.h5` beside it does, and so do our own files.
+//! from another camera than the events. The file does not state the sensor's size: `rectify_map.h5` in its folder does, and so do our own files.
 
 use super::table::EventTable;
 use super::{HdfRecording, declared_extent, extent, holds, open_file, refused};
@@ -64,14 +64,14 @@ fn open_events(path: &Path, events: &Path, declared: &Declared) -> Result<HdfRec
     Ok(HdfRecording::new(path, Some(table), notes))
 }
 
-/// The sensor's size: of attributes as we write them, or of a rectification map beside the file.
+/// The sensor's size: of attributes as we write them, or of a rectification map in its folder.
 fn stated_extent(file: &ForeignFile) -> Option<Extent> {
     let side = |name: &str| file.attribute("events", name).ok().flatten().and_then(|value| value.numbers().first().copied());
     if let (Some(width), Some(height)) = (side("sensor_width"), side("sensor_height")) {
         return extent(width, height);
     }
-    let beside: PathBuf = file.path().with_file_name("rectify_map.h5");
-    let map = ForeignFile::open(&beside).ok()?.dataset("rectify_map").ok()??;
+    let map_file: PathBuf = file.path().with_file_name("rectify_map.h5");
+    let map = ForeignFile::open(&map_file).ok()?.dataset("rectify_map").ok()??;
     match *map.shape() {
         [height, width, 2] => extent(width as f64, height as f64),
         _ => None,

@@ -5,7 +5,7 @@
 //! | module | events | stamps | frames |
 //! | --- | --- | --- | --- |
 //! | [`recording`] | `events/{x,y,t,p,t_in}` | i64 ns | `frames/dn` |
-//! | [`dsec`] | `events/{x,y,t,p}`, `ms_to_idx`, `t_offset` | u32 us | a folder beside it |
+//! | [`dsec`] | `events/{x,y,t,p}`, `ms_to_idx`, `t_offset` | u32 us | a separate folder |
 //! | [`m3ed`] | `prophesee/left/{x,y,t,p}`, `ms_map_idx` | i64 us | `ovc/{left,right,rgb}/data`, `ovc/ts` |
 //! | [`mvsec`] | `davis/left/events` N x 4: x, y, t, p | f64 s | `image_raw`, `image_raw_ts` |
 //! | [`prophesee`] | `CD/events` {x, y, p, t} | i64 us | none; triggers |

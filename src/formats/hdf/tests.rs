@@ -1,4 +1,4 @@
-//! Files in `data/formats` are written by h5py (see the script beside them); what they hold follows formulas that are repeated here.
+//! Files in `data/formats` are written by h5py (see the script in that folder); what they hold follows formulas that are repeated here.
 #![allow(clippy::unwrap_used)]
 
 use crate::chunk::{Edge, EventChunk, Trigger};

@@ -73,10 +73,10 @@ impl PictureFiles {
     /// When there are no pictures, no stamps, or the unit of the stamps is not stated.
     pub fn open(path: &Path, declared: &Declared) -> Result<PictureFiles, FormatError> {
         let found = find(path)?;
-        let beside = if path.is_dir() { path.to_path_buf() } else { path.parent().map(Path::to_path_buf).unwrap_or_default() };
-        let mut candidates: Vec<PathBuf> = STAMPS.iter().map(|name| beside.join(name)).collect();
+        let folder = if path.is_dir() { path.to_path_buf() } else { path.parent().map(Path::to_path_buf).unwrap_or_default() };
+        let mut candidates: Vec<PathBuf> = STAMPS.iter().map(|name| folder.join(name)).collect();
         if !path.is_dir() {
-            // Beside a video only a file of its own name is surely its.
+            // In the folder of a video only a file of the same name surely belongs to it.
             candidates = vec![path.with_extension("txt"), path.with_extension("csv")];
         }
         let stamps_file = declared.stamps.clone().or_else(|| candidates.into_iter().find(|file| file.is_file()));

@@ -1,7 +1,7 @@
 //! Events against frames: how late events are, whether the clocks drift apart, and whether the two see one picture.
 //!
 //! The picture is cut into some four thousand places. Frames give the mean logarithm of each, events their numbers in sixteenths of the frame period;
-//! [`photocurrent_sensor::estimate`] finds the shift at which the two agree. The same with the events' picture mirrored tells data that are.
+//! [`photocurrent_sensor::estimate`] finds the shift at which the two agree. The same with the events' picture mirrored shows mirrored data.
 //!
 //! Limits: places are several pixels wide, so that fine motion shows less; what a scene without motion hides stays hidden.
 

@@ -147,11 +147,11 @@ impl From<Loss> for LossSurvey {
     }
 }
 
-/// Reads a recording once. `tell` hears now and then which part of the events is read, 0 to 1.
+/// Reads a recording once. `progress` is called now and then with the part of the events that is read, 0 to 1.
 ///
 /// # Errors
 /// When the file cannot be read any more. What is damaged is no error: it stands in [`Survey::losses`].
-pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut tell: impl FnMut(f64)) -> Result<Survey, FormatError> {
+pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut progress: impl FnMut(f64)) -> Result<Survey, FormatError> {
     let mut found = Survey { format: format.to_owned(), has_sensor: recording.sensor_text().is_some(), facts: recording.facts(), ..Survey::default() };
     let mut losses = recording.losses();
     let (mut phase, mut panel) = (None, None);
@@ -178,7 +178,7 @@ pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut tell: im
         while counted.count < most.events && cursor.next(&mut chunk)? {
             counted.add(&chunk, phase.as_mut(), panel.as_mut());
             let (at, of) = cursor.position();
-            tell(at as f64 / of.max(1) as f64);
+            progress(at as f64 / of.max(1) as f64);
         }
         losses.extend(cursor.losses());
         let mut events = counted.survey(about.extent);

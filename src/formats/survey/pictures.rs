@@ -266,7 +266,7 @@ impl Values {
     }
 }
 
-/// Reads frames and hands each on, with what could not be read told to `values`.
+/// Reads frames and hands each on, with what could not be read reported to `values`.
 pub(super) fn read(pictures: &dyn Pictures, frames: &[usize], mut each: impl FnMut(usize, &[f32])) -> ValuesSurvey {
     let mut values = Values::default();
     let mut buffer = Vec::new();

@@ -50,7 +50,7 @@ pub struct LinesSurvey {
     pub silent: u64,
     /// The first of them.
     pub silent_list: Vec<u32>,
-    /// Lines with over three times the events of those beside them.
+    /// Lines with over three times the events of their neighbours.
     pub loud: u64,
     /// The first of them.
     pub loud_list: Vec<u32>,
@@ -241,10 +241,10 @@ fn lines(counts: &[u64]) -> LinesSurvey {
     for (line, &count) in counts.iter().enumerate() {
         let from = line.saturating_sub(WINDOW);
         let to = (line + WINDOW + 1).min(counts.len());
-        let mut beside: Vec<u64> = (from..to).filter(|other| *other != line).map(|other| counts[other]).collect();
-        beside.sort_unstable();
-        let middle = beside.get(beside.len() / 2).copied().unwrap_or(0) as f64;
-        // An edge of the picture has neighbours on one side only: what lies outside of the scene is no silence.
+        let mut neighbours: Vec<u64> = (from..to).filter(|other| *other != line).map(|other| counts[other]).collect();
+        neighbours.sort_unstable();
+        let middle = neighbours.get(neighbours.len() / 2).copied().unwrap_or(0) as f64;
+        // An edge of the picture has neighbours on one side only: lines outside of the scene are not silent lines.
         let is_between = from + WINDOW == line && to == line + WINDOW + 1 && counts[line - 1] > 0 && counts[line + 1] > 0;
         if count == 0 && is_between && middle >= FEWEST_BESIDE {
             found.silent += 1;
@@ -254,7 +254,8 @@ fn lines(counts: &[u64]) -> LinesSurvey {
             found.loud += 1;
             found.loud_list.push(line as u32);
         }
-        ratios.push((middle >= FEWEST_BESIDE && count > 0).then(|| libm::log(count as f64 / (beside.iter().sum::<u64>() as f64 / beside.len() as f64))));
+        ratios
+            .push((middle >= FEWEST_BESIDE && count > 0).then(|| libm::log(count as f64 / (neighbours.iter().sum::<u64>() as f64 / neighbours.len() as f64))));
     }
     found.silent_list.truncate(MOST_LISTED);
     found.loud_list.truncate(MOST_LISTED);
@@ -263,7 +264,7 @@ fn lines(counts: &[u64]) -> LinesSurvey {
     found
 }
 
-/// The strongest phase of a period, where it is sure and worth telling.
+/// The strongest phase of a period, where it is significant.
 fn pattern(ratios: &[Option<f64>], period: usize) -> Option<LinePattern> {
     /// At least so many lines in each phase.
     const FEWEST: usize = 8;

@@ -20,7 +20,7 @@ fn bench_rule(bencher: Bencher<'_, '_>, knots: usize, tau_rule: TauRule) {
     let options = SolveOptions::default();
     let mut workspace = Workspace::default();
     let solution = solve(&problem, &options, &mut workspace).expect("the problem is well posed");
-    assert!(solution.has_converged(), "a bench of a safe estimate would flatter");
+    assert!(solution.has_converged(), "a bench of a double-integral estimate would flatter");
     bencher.counter(ItemsCount::new(knots)).bench_local(|| solve(divan::black_box(&problem), &options, &mut workspace).map(|solution| solution.cost));
 }
 

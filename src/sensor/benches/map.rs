@@ -33,7 +33,7 @@ fn main() {
         let mut workspace = MapWorkspace::default();
         for pixel in &pixels {
             let solution = solve(&pixel.problem(), &MapOptions::default(), &mut workspace);
-            assert!(solution.status != MapStatus::Failed, "a bench of safe estimates would flatter");
+            assert!(solution.status != MapStatus::Failed, "a bench of double-integral estimates would flatter");
             knots += solution.t_ns.len();
             steps += solution.iterations * solution.t_ns.len();
             events += pixel.events.len();

@@ -2,7 +2,7 @@
 //!
 //! With `V_FE = V_DC` the photocurrent is `e^level * exp(sum of steps)`, so every digital number is proportional
 //! to `e^level` and the best level is one weighted mean. This is the event-based double integral (EDI); it starts the iteration,
-//! and it is the safe estimate of a pixel that does not converge. For a pixel without events it is the exact solution.
+//! and it is the double-integral estimate of a pixel that does not converge. For a pixel without events it is the exact solution.
 
 use super::overlap::Overlap;
 use super::problem::{LOG_PHOTOCURRENT_MAX, LOG_PHOTOCURRENT_MIN, PixelProblem};

@@ -9,7 +9,7 @@
 //! - `problem`: what is given, what comes out, what is refused.
 //! - `interval`: one interval between knots, and its inverse: which photocurrent makes a given voltage step.
 //! - `overlap`: which hold lies in which exposure.
-//! - `level`: the closed form without front-end delay: the start, and the safe estimate.
+//! - `level`: the closed form without front-end delay: the start, and the double-integral estimate.
 //! - `candidate`: a point of the search and its cost.
 //! - `linear`: unknowns `d_k = V(k) - V(k-1)` turn the EVS rows into identities; gradients by backward sweeps.
 //! - `chain`, `newton`: the Gauss-Newton step from an M x M system.
@@ -20,7 +20,7 @@
 //! [`crate::front_end::TauRule::End`] a fall that the low-pass cannot make leaves a residual in its EVS row (see
 //! `interval`). The cost is not convex: minima beyond a fold are excluded on purpose, and a start far too dark can be caught
 //! at one (`a_start_far_too_dark_can_stop_at_a_fold`); from the frames every reference problem reaches its optimum.
-//! A pixel at or below black cannot be solved and returns the safe estimate, flagged.
+//! A pixel at or below black cannot be solved and returns the double-integral estimate, flagged.
 //!
 //! ```
 //! # use photocurrent_sensor::front_end::{FrontEnd, TauRule};
@@ -117,15 +117,15 @@ pub fn solve_from<'w>(
     let lit = fit_level(problem, &workspace.overlap, &mut workspace.closed_form);
     // One knot or none: the photocurrent is constant, and the closed form is the minimum.
     if !lit || problem.t_s.len() < 2 {
-        let outcome = if lit { Outcome::Converged } else { Outcome::SafeEstimate };
+        let outcome = if lit { Outcome::Converged } else { Outcome::FellBack };
         return Ok(workspace.closed_form_solution(problem, outcome, 0));
     }
     if !workspace.start(problem, start) {
-        return Ok(workspace.closed_form_solution(problem, Outcome::SafeEstimate, 0));
+        return Ok(workspace.closed_form_solution(problem, Outcome::FellBack, 0));
     }
     let (converged, iterations) = workspace.iterate(problem, options);
     if !converged {
-        return Ok(workspace.closed_form_solution(problem, Outcome::SafeEstimate, iterations));
+        return Ok(workspace.closed_form_solution(problem, Outcome::FellBack, iterations));
     }
     let solved = &workspace.current;
     Ok(Solution {

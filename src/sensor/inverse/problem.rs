@@ -207,11 +207,11 @@ impl Default for SolveOptions {
 pub enum Outcome {
     /// A minimum of the cost, or the closed form of a pixel without events.
     Converged,
-    /// The iteration did not reach a minimum; this is the safe estimate instead: the measured steps through an ideal
+    /// The iteration did not reach a minimum; this is the double-integral estimate instead: the measured steps through an ideal
     /// front end, at the level that fits the digital numbers best (an event-based double integral).
     /// A pixel whose frames lie at or below the black level has no photocurrent to fit: it comes out as
     /// [`LOG_PHOTOCURRENT_MIN`] everywhere.
-    SafeEstimate,
+    FellBack,
 }
 
 /// One pixel's result, borrowed from the workspace that computed it.
@@ -223,18 +223,18 @@ pub struct Solution<'w> {
     pub front_end_voltage: &'w [f64],
     /// Predicted digital number per frame sample.
     pub dn: &'w [f64],
-    /// The cost of Eq. (13). For a safe estimate, that of the ideal front end (its EVS rows are then met exactly).
+    /// The cost of Eq. (13). For a double-integral estimate, that of the ideal front end (its EVS rows are then met exactly).
     pub cost: f64,
     /// The same in two parts: EVS rows as events, CIS rows as frames, each times its weight.
     pub misfit: Misfit,
     /// Accepted and refused steps tried, over all damping values.
     pub iterations: usize,
-    /// Whether this is a minimum or the safe estimate.
+    /// Whether this is a minimum or the double-integral estimate.
     pub outcome: Outcome,
 }
 
 impl Solution<'_> {
-    /// Whether the iteration reached a minimum (the opposite: this is the safe estimate).
+    /// Whether the iteration reached a minimum (the opposite: this is the double-integral estimate).
     pub fn has_converged(&self) -> bool {
         self.outcome == Outcome::Converged
     }

@@ -230,10 +230,10 @@ fn a_pixel_without_events_is_constant() {
 }
 
 #[test]
-fn a_pixel_at_black_is_a_marked_safe_estimate() {
+fn a_pixel_at_black_is_a_marked_fall_back() {
     let frames = FRAMES.map(|frame| FrameSample { dn: 15.0, ..frame });
     let solution = solved(&PixelProblem { frames: &frames, ..problem() });
-    assert_eq!(solution.outcome, Outcome::SafeEstimate);
+    assert_eq!(solution.outcome, Outcome::FellBack);
     assert!(solution.u.iter().all(|&u| u == LOG_PHOTOCURRENT_MIN));
 }
 

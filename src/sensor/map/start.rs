@@ -2,7 +2,7 @@
 //!
 //! Each event moves log light by its threshold, along a ramp that ends at the event; each frame says at which level. Between
 //! the middles of two exposures the level goes over linearly, so that thresholds that are a little wrong do not add up. This is also
-//! the safe estimate of a pixel whose problem does not converge.
+//! the double-integral estimate of a pixel whose problem does not converge.
 
 use super::MapProblem;
 use super::knots::{Knots, Op};
