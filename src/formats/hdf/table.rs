@@ -16,6 +16,9 @@ use std::sync::Arc;
 /// Events that are read at a time: several chunks, so that they are unpacked in parallel.
 const PIECE: usize = 4 * CHUNK_EVENTS;
 
+/// Events that are checked together.
+const BATCH: usize = 1024;
+
 /// Events that a seek goes back further: stamps may be out of order by so many places.
 const BACK: usize = 4096;
 
@@ -140,6 +143,11 @@ impl EventTable {
         }
     }
 
+    /// The first column and row outside; those that a coordinate of 16 bits cannot name when the extent is not known.
+    fn sides(&self) -> (i64, i64) {
+        self.extent.map_or((65_536, 65_536), |extent| (i64::from(extent.width).min(65_536), i64::from(extent.height).min(65_536)))
+    }
+
     /// One stamp in nanoseconds; `None` when it is no time.
     fn stamp(&self, row: usize) -> Option<i64> {
         let block = self.sources[self.t.source].rows_at(row..row + 1).ok()?;
@@ -162,7 +170,7 @@ impl EventTable {
                 block.integers(index.column(0)?, &mut found);
                 usize::try_from(*found.first()?).ok().filter(|&at| at <= self.count)
             };
-            // The index is believed only as far as the stamps beside it agree.
+            // The index is used only as far as the stamps at its places agree.
             if let Some(low) = entry(ms)
                 && (low == 0 || self.stamp(low - 1).is_some_and(|t| t < t_ns))
             {
@@ -317,12 +325,38 @@ impl TableCursor {
                 continue;
             }
             let to = damaged.iter().map(|(lost, _)| lost.start).filter(|&start| start > from).min().unwrap_or(rows.end).min(rows.end);
-            for i in from - rows.start..to - rows.start {
-                self.take(&table, rows.start + i, i);
+            for batch in (from - rows.start..to - rows.start).step_by(BATCH) {
+                let batch = batch..(batch + BATCH).min(to - rows.start);
+                if !self.take_sound(&table, batch.clone()) {
+                    batch.for_each(|i| self.take(&table, rows.start + i, i));
+                }
             }
             from = to;
         }
         Ok(())
+    }
+
+    /// Puts events into `ready`, whole columns at a time, if none of them has to be left out and all are stored as integers; else does nothing.
+    fn take_sound(&mut self, table: &EventTable, batch: std::ops::Range<usize>) -> bool {
+        if !(self.x.floats.is_empty() && self.y.floats.is_empty() && self.t.floats.is_empty() && table.t_in.is_none()) {
+            return false;
+        }
+        let (x, y) = (&self.x.integers[batch.clone()], &self.y.integers[batch.clone()]);
+        let (t, p) = (&self.t.integers[batch.clone()], &self.p[batch]);
+        let (width, height) = table.sides();
+        // Without branches, so that the compiler works on several events at once.
+        let places = x.iter().zip(y).fold(true, |sound, (&x, &y)| sound & (0..width).contains(&x) & (0..height).contains(&y));
+        let polarities = p.iter().fold(true, |sound, &p| sound & (-1..=1).contains(&p));
+        let (low, high) = t.iter().fold((i64::MAX, i64::MIN), |(low, high), &t| (low.min(t), high.max(t)));
+        let fits = |t: i64| t.checked_mul(table.unit_ns).and_then(|ns| ns.checked_add(table.offset_ns)).is_some();
+        if !(places && polarities && fits(low) && fits(high)) {
+            return false;
+        }
+        self.ready.t.extend(t.iter().map(|&t| t * table.unit_ns + table.offset_ns));
+        self.ready.x.extend(x.iter().map(|&x| x as u16));
+        self.ready.y.extend(y.iter().map(|&y| y as u16));
+        self.ready.on.extend(p.iter().map(|&p| u8::from(p == 1)));
+        true
     }
 
     /// Checks one event and puts it into `ready`.
@@ -340,7 +374,7 @@ impl TableCursor {
             let what = || format!("its place x = {x}, y = {y} lies between pixels; it was left out");
             return self.losses.add("events between pixels were left out", event, what);
         }
-        let (width, height) = table.extent.map_or((65_536, 65_536), |extent| (i64::from(extent.width), i64::from(extent.height)));
+        let (width, height) = table.sides();
         if !((0..width).contains(&x) && (0..height).contains(&y)) {
             let what = || format!("its pixel x = {x}, y = {y} lies outside {width} x {height}; it was left out");
             return self.losses.add("events outside the pixel array were left out", event, what);
