@@ -79,10 +79,14 @@ impl Probe {
 /// Which format a file or folder has; `None` when it is none of ours.
 ///
 /// # Errors
-/// When it is not there or may not be read.
+/// When it is not there or may not be read, and when it is an HDF5 file that cannot be opened: no layout can be recognised in that.
 pub fn recognise(path: &Path) -> Result<Option<&'static Format>, FormatError> {
     let probe = Probe::new(path)?;
-    Ok(FORMATS.iter().copied().find(|format| (format.recognises)(&probe)))
+    let found = FORMATS.iter().copied().find(|format| (format.recognises)(&probe));
+    if found.is_none() && probe.is_hdf5() {
+        crate::hdf::readable(path)?;
+    }
+    Ok(found)
 }
 
 /// A format by its id.

@@ -4,8 +4,9 @@
 //! group at a time and never into a cycle; a shape is compared with the stored bytes before memory is taken, and so is every chunk. Filters
 //! are undone by us (`hdf::pipeline`): none, deflate, shuffle, fletcher32, LZF, Blosc, Zstandard, LZ4, bitshuffle, Prophesee's ECF.
 //!
-//! A damaged chunk is a [`Gap`], and reading goes on behind it. A file that is cut short is refused: the library has its directory where it likes,
-//! and crashes on parts of it that are not there.
+//! A damaged chunk is a [`Gap`], and reading goes on behind it. A file that ends before its stated end is opened as far as it goes
+//! ([`ForeignFile::cut`]): what lies behind its end is a gap, too, or, where it is a header, an error of that dataset.
+//! Before all this a copy of this process tries the file (`hdf::trial`): one that ends the library is refused.
 
 use crate::error::StoreError;
 use crate::hdf::chunks::{Chunks, Hole};
@@ -37,9 +38,13 @@ impl ForeignFile {
     /// Opens a file for reading.
     ///
     /// # Errors
-    /// When it cannot be read or is no HDF5 file.
+    /// When it cannot be read, is no HDF5 file, ends the library, or is cut before its directory.
     pub fn open(path: &Path) -> Result<ForeignFile, StoreError> {
         Ok(ForeignFile { opened: Opened::read(path)? })
+    }
+
+    pub(crate) fn of(opened: Opened) -> ForeignFile {
+        ForeignFile { opened }
     }
 
     /// Where it is.
@@ -50,6 +55,11 @@ impl ForeignFile {
     /// Its size in bytes.
     pub fn bytes(&self) -> u64 {
         self.opened.bytes
+    }
+
+    /// "the file is cut at byte 1000 of 2000", of one that ends before its stated end; `None` of a whole file.
+    pub fn cut(&self) -> Option<String> {
+        self.opened.cut()
     }
 
     /// Is there something of this name, `group/group/name`?
@@ -139,7 +149,7 @@ impl ForeignFile {
         self.value(&at, &attribute)
     }
 
-    fn location(&self, of: &str) -> Result<Option<Location>, StoreError> {
+    pub(crate) fn location(&self, of: &str) -> Result<Option<Location>, StoreError> {
         let file: &Location = &self.opened.file;
         if of.is_empty() {
             return Ok(Some(file.clone()));
@@ -294,43 +304,68 @@ impl ForeignDataset {
         self.inner.chunks.read(&start, &count, &mut block.bytes, Some(&mut holes))?;
         for Hole { rows: hole, why } in holes {
             let rows = hole.start.max(rows.start)..hole.end.min(rows.end);
-            if block.gaps.last().is_none_or(|gap: &Gap| gap.rows != rows) {
-                block.gaps.push(Gap { rows, why });
+            match block.gaps.last_mut() {
+                Some(gap) if gap.rows == rows => {}
+                Some(gap) if gap.why == why && gap.rows.end == rows.start => gap.rows.end = rows.end,
+                _ => block.gaps.push(Gap { rows, why }),
             }
         }
         Ok(block)
     }
 
-    /// All numbers as integers, of a dataset that is small; a damaged piece is an error.
+    /// Makes the calls that reading makes, with little to read: of some chunks, or of the first and the last row.
+    pub(crate) fn try_out(&self) {
+        self.inner.chunks.try_out();
+    }
+
+    /// Rows from the first on that a cut file still holds, found by halving: chunks stand in the order in which they were written. All rows of a file that
+    /// is whole, damaged ones included.
+    ///
+    /// # Errors
+    /// As [`ForeignDataset::rows_at`].
+    pub fn rows_before_the_cut(&self) -> Result<usize, StoreError> {
+        let rows = self.rows();
+        if self.inner.chunks.opened.stated_bytes.is_none() {
+            return Ok(rows);
+        }
+        let (mut whole, mut lost) = (0, rows);
+        while whole < lost {
+            let middle = whole + (lost - whole) / 2;
+            if self.rows_at(middle..middle + 1)?.gaps.is_empty() { whole = middle + 1 } else { lost = middle }
+        }
+        Ok(whole)
+    }
+
+    /// All numbers as integers, of a dataset that is small: of a cut file, those before the cut. A damaged piece is an error.
     ///
     /// # Errors
     /// As [`ForeignDataset::rows_at`], and when the dataset is large, damaged, or holds compounds.
     pub fn integers(&self) -> Result<Vec<i64>, StoreError> {
-        let (block, field) = self.whole()?;
+        let (block, field) = self.small()?;
         let mut numbers = Vec::new();
         field.integers(&block.bytes, field.number().bytes(), &mut numbers);
         Ok(numbers)
     }
 
-    /// All numbers as f64, of a dataset that is small; a damaged piece is an error.
+    /// All numbers as f64, of a dataset that is small: of a cut file, those before the cut. A damaged piece is an error.
     ///
     /// # Errors
     /// As [`ForeignDataset::integers`].
     pub fn floats(&self) -> Result<Vec<f64>, StoreError> {
-        let (block, field) = self.whole()?;
+        let (block, field) = self.small()?;
         let mut numbers = Vec::new();
         field.floats(&block.bytes, field.number().bytes(), &mut numbers);
         Ok(numbers)
     }
 
-    fn whole(&self) -> Result<(RowBlock, Field), StoreError> {
+    fn small(&self) -> Result<(RowBlock, Field), StoreError> {
         let chunks = &self.inner.chunks;
         let wrong = |found: String, expected: &str| chunks.opened.content(&chunks.at, found, expected, "is this the file that you meant?");
         let field = self.numbers().ok_or_else(|| wrong("compounds".into(), "numbers"))?;
         if self.inner.row.saturating_mul(self.rows()) > LARGEST_WHOLE {
             return Err(wrong(format!("the shape {:?}", self.shape()), "a short list"));
         }
-        let block = self.rows_at(0..self.rows())?;
+        let block = self.rows_at(0..self.rows_before_the_cut()?)?;
         match block.gaps.first() {
             Some(gap) => Err(wrong(gap.why.clone(), "a whole chunk")),
             None => Ok((block, field)),

@@ -66,7 +66,8 @@ pub fn inspect(options: &InspectOptions) -> Done {
 fn one(path: &Path, declared: &Declared, quiet: bool) -> Result<(String, serde_json::Value, u8), Failure> {
     need_data(path, "inspect")?;
     let file = path.display().to_string();
-    let Some(format) = recognise(path).map_err(|error| Failure::Other { message: error.to_string(), code: 2 })? else {
+    let wrong = |error: FormatError| if path.exists() { refused(&error) } else { Failure::Other { message: error.to_string(), code: 2 } };
+    let Some(format) = recognise(path).map_err(wrong)? else {
         let value = open_value(path).map_err(|_| unknown(path))?;
         let (text, object) = artefact(&value, &file)?;
         return Ok((text, object, 0));

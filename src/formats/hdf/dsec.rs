@@ -5,9 +5,9 @@
 //! from another camera than the events. The file does not state the sensor's size: `rectify_map.h5` in its folder does, and so do our own files.
 
 use super::table::EventTable;
-use super::{HdfRecording, declared_extent, extent, holds, open_file, refused};
+use super::{HdfRecording, declared_extent, extent, holds, open_file, optional, refused, with_cut};
 use crate::Declared;
-use crate::error::FormatError;
+use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::recording::Recording;
 use photocurrent_core::Extent;
@@ -18,7 +18,7 @@ use std::sync::Arc;
 mod folder;
 
 /// DSEC.
-pub static FORMAT: Format = Format { id: "dsec", name: "DSEC HDF5", recognises, open };
+pub static FORMAT: Format = Format { id: "dsec", name: "DSEC HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     if probe.names.is_some() {
@@ -51,17 +51,19 @@ fn open_events(path: &Path, events: &Path, declared: &Declared) -> Result<HdfRec
     if let Some(unit) = declared.time_unit {
         table.unit_ns = unit.ns();
     }
-    let mut notes = Vec::new();
-    if let Some(offset) = file.dataset("t_offset").map_err(wrap)? {
-        let us = offset.integers().map_err(wrap)?.first().copied().unwrap_or(0);
+    let (mut notes, mut lost) = (Vec::new(), Vec::new());
+    let offset = optional(&file, "t_offset", &mut lost)?.map(|offset| offset.integers()).transpose().map_err(wrap)?;
+    if let Some(&us) = offset.as_ref().and_then(|offset| offset.first()) {
         let wrong = || FormatError::new(events, format!("an offset of {us} us"), "the file is damaged: copy it again").at("/t_offset");
         table.offset_ns = us.checked_mul(table.unit_ns).ok_or_else(wrong)?;
         notes.push(format!("t_offset of {us} us added"));
+    } else if file.cut().is_some() {
+        lost.push(Loss { at: "/t_offset".into(), what: "none is left: if there was one, all times are too early by it".into() });
     }
-    table.index = file.dataset("ms_to_idx").map_err(wrap)?.filter(|index| index.shape().len() == 1 && table.unit_ns == 1000);
+    table.index = optional(&file, "ms_to_idx", &mut lost)?.filter(|index| index.shape().len() == 1 && table.unit_ns == 1000);
     table.extent = declared_extent(declared, stated_extent(&file));
     notes.extend(table.polarity_note());
-    Ok(HdfRecording::new(path, Some(table), notes))
+    Ok(HdfRecording::new(path, &file, Some(table), notes, lost))
 }
 
 /// The sensor's size: of attributes as we write them, or of a rectification map in its folder.

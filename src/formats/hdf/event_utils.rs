@@ -5,7 +5,7 @@
 
 use super::stack::{Order, Stack, about, shape_of};
 use super::table::{EventTable, nanoseconds};
-use super::{HdfRecording, declared_extent, extent, holds, open_file, refused};
+use super::{HdfRecording, declared_extent, extent, holds, open_file, refused, with_cut};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::recording::{FrameStamp, Pictures, Recording};
@@ -15,7 +15,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// event_utils' HDF5.
-pub static FORMAT: Format = Format { id: "event_utils_hdf5", name: "event_utils HDF5", recognises, open };
+pub static FORMAT: Format = Format { id: "event_utils_hdf5", name: "event_utils HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     holds(probe, &["events/xs", "events/ys", "events/ts", "events/ps"])
@@ -33,9 +33,8 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     table.extent = declared_extent(declared, found);
     let (pictures, losses) = pictures(&file, table.unit_ns)?;
     let notes = table.polarity_note().into_iter().collect();
-    let mut recording = HdfRecording::new(path, Some(table), notes);
+    let mut recording = HdfRecording::new(path, &file, Some(table), notes, losses);
     recording.pictures = pictures.map(|pictures| Arc::new(pictures) as Arc<dyn Pictures>);
-    recording.losses = losses;
     Ok(Box::new(recording))
 }
 
@@ -45,10 +44,19 @@ fn pictures(file: &ForeignFile, unit_ns: i64) -> Result<(Option<Stack>, Vec<Loss
     let mut names: Vec<String> = names.into_iter().filter(|name| name.starts_with("image")).map(|name| format!("images/{name}")).collect();
     // Nine digits sort as they count; more would not.
     names.sort_by_key(|name| (name.len(), name.clone()));
-    let (mut kept, mut stamps, mut without, mut odd) = (Vec::new(), Vec::new(), 0, 0);
+    let (mut kept, mut stamps, mut without, mut odd, mut lost) = (Vec::new(), Vec::new(), 0, 0, 0);
     let (mut first, mut order) = (None, Order::Rgb);
     for name in names {
-        let Some(dataset) = file.dataset(&name).map_err(wrap)? else { continue };
+        let dataset = match file.dataset(&name) {
+            // The header of a picture or some of its pixels.
+            Ok(Some(dataset)) if dataset.rows_before_the_cut().map_err(wrap)? == dataset.rows() => dataset,
+            Ok(None) => continue,
+            Err(error) if file.cut().is_none() => return Err(wrap(error)),
+            _ => {
+                lost += 1;
+                continue;
+            }
+        };
         let time = |attribute: &str| -> Result<Option<i64>, FormatError> {
             let value = file.attribute(&name, attribute).map_err(wrap)?;
             Ok(value.and_then(|value| nanoseconds(*value.numbers().first()?, unit_ns)))
@@ -74,6 +82,9 @@ fn pictures(file: &ForeignFile, unit_ns: i64) -> Result<(Option<Stack>, Vec<Loss
         stamps.push(FrameStamp { at, exposure });
     }
     let mut losses = Vec::new();
+    if lost > 0 {
+        losses.push(Loss { at: "/images".into(), what: format!("{lost} pictures lie behind the cut; they are lost") });
+    }
     if odd > 0 {
         losses.push(Loss { at: "/images".into(), what: format!("{odd} pictures have another shape than the first and were left out") });
     }

@@ -5,7 +5,7 @@
 
 use super::stack::{Order, Stack};
 use super::table::EventTable;
-use super::{HdfRecording, chosen, declared_extent, extent, holds, open_file, refused};
+use super::{HdfRecording, chosen, declared_extent, extent, holds, open_file, optional, refused, with_cut};
 use crate::Declared;
 use crate::error::FormatError;
 use crate::format::{Format, Probe};
@@ -15,7 +15,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// M3ED.
-pub static FORMAT: Format = Format { id: "m3ed", name: "M3ED HDF5", recognises, open };
+pub static FORMAT: Format = Format { id: "m3ed", name: "M3ED HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     holds(probe, &["prophesee/left/t"]) || holds(probe, &["prophesee/right/t"])
@@ -28,22 +28,24 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     let camera = chosen(path, declared.camera.as_deref(), &there, "event camera", "camera")?;
     let name = |name: &str| format!("prophesee/{camera}/{name}");
     let mut table = EventTable::of_columns(&file, [&name("x"), &name("y"), &name("t"), &name("p")], None)?;
+    let mut lost = Vec::new();
     // The resolution is what the calibration was made for: width, height.
-    let resolution = file.dataset(&name("calib/resolution")).map_err(wrap)?.map(|resolution| resolution.floats()).transpose().map_err(wrap)?;
+    let resolution = optional(&file, &name("calib/resolution"), &mut lost)?.map(|resolution| resolution.floats()).transpose().map_err(wrap)?;
     let found = resolution.as_deref().and_then(|sides| if let [width, height] = *sides { extent(width, height) } else { None });
     table.extent = declared_extent(declared, found);
-    table.index = file.dataset(&name("ms_map_idx")).map_err(wrap)?;
+    table.index = optional(&file, &name("ms_map_idx"), &mut lost)?;
     let notes = table.polarity_note().into_iter().collect();
-    let mut recording = HdfRecording::new(path, Some(table), notes);
+    let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost);
     recording.facts = vec![("event camera".into(), format!("prophesee/{camera} (of {})", there.join(", ")))];
     let frames: Vec<&str> = ["left", "rgb", "right"].into_iter().filter(|side| file.has(&format!("ovc/{side}/data"))).collect();
     if !frames.is_empty() || declared.frame_camera.is_some() {
         let side = chosen(path, declared.frame_camera.as_deref(), &frames, "frame camera", "frame_camera")?;
-        let images = file.dataset(&format!("ovc/{side}/data")).map_err(wrap)?;
-        let stamps = file.dataset("ovc/ts").map_err(wrap)?.map(|stamps| stamps.integers()).transpose().map_err(wrap)?.unwrap_or_default();
+        let images = optional(&file, &format!("ovc/{side}/data"), &mut recording.losses)?;
+        let stamps = optional(&file, "ovc/ts", &mut recording.losses)?.map(|stamps| stamps.integers()).transpose().map_err(wrap)?.unwrap_or_default();
         let stamps = stamps.into_iter().map(|t| FrameStamp { at: t.saturating_mul(1000), exposure: None }).collect();
         if let Some(images) = images {
             let mut stack = Stack::of_dataset(path, images, stamps, Order::Bgr)?;
+            recording.losses.extend(stack.lost.take());
             if stack.about().colour == Colour::Rgb {
                 stack.about_mut().notes.push("channels are stored as blue, green, red, and were turned round".into());
             }

@@ -24,6 +24,8 @@ pub mod v2e;
 pub mod write;
 
 #[cfg(test)]
+mod cut_tests;
+#[cfg(test)]
 mod tests;
 
 use crate::error::{FormatError, Loss};
@@ -32,14 +34,16 @@ use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use crate::{Declared, chunk::Trigger};
 use photocurrent_core::Extent;
 use photocurrent_store::StoreError;
-use photocurrent_store::foreign::ForeignFile;
+use photocurrent_store::foreign::{ForeignDataset, ForeignFile};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use table::EventTable;
 
+/// What to do about a damaged file.
+const COPY: &str = "the file is damaged: copy or record it again";
+
 /// Turns an error of the store into one of this crate.
 pub(crate) fn refused(path: &Path, error: StoreError) -> FormatError {
-    const COPY: &str = "the file is damaged: copy or record it again";
     match error {
         StoreError::Content { path, at, found, expected, hint } => FormatError::new(&path, format!("found {found}"), hint).at(at).expected(expected),
         StoreError::NotReadable { path, found, hint } => FormatError::new(&path, found, hint),
@@ -51,6 +55,36 @@ pub(crate) fn refused(path: &Path, error: StoreError) -> FormatError {
 
 fn open_file(path: &Path) -> Result<ForeignFile, FormatError> {
     ForeignFile::open(path).map_err(|error| refused(path, error))
+}
+
+/// A dataset that a layout may lack. In a cut file its header may be lost: that is a loss.
+fn optional(file: &ForeignFile, name: &str, losses: &mut Vec<Loss>) -> Result<Option<ForeignDataset>, FormatError> {
+    match file.dataset(name) {
+        Err(_) if file.cut().is_some() => {
+            losses.push(Loss { at: format!("/{name}"), what: "its header lies behind the cut; it is lost".into() });
+            Ok(None)
+        }
+        found => found.map_err(|error| refused(file.path(), error)),
+    }
+}
+
+/// What opening gave; a refusal of a cut file says so first.
+fn with_cut(opened: Result<Box<dyn Recording>, FormatError>) -> Result<Box<dyn Recording>, FormatError> {
+    opened.map_err(|error| match ForeignFile::open(&error.path).ok().and_then(|file| file.cut()) {
+        Some(cut) => FormatError { found: format!("{cut}, and what is needed lies behind the cut: {}", error.found), ..error },
+        None => error,
+    })
+}
+
+/// Why an HDF5 file that no layout recognises cannot be read at all.
+///
+/// # Errors
+/// When it cannot be opened, or is cut so early that its layout is lost.
+pub(crate) fn readable(path: &Path) -> Result<(), FormatError> {
+    match open_file(path)?.cut() {
+        Some(cut) => Err(FormatError::new(path, format!("{cut}, and no layout can be recognised in what is left"), COPY)),
+        None => Ok(()),
+    }
 }
 
 /// Does an HDF5 file hold all these datasets or groups?
@@ -90,8 +124,9 @@ struct HdfRecording {
 }
 
 impl HdfRecording {
-    /// Of a file with events.
-    fn new(path: &Path, table: Option<EventTable>, notes: Vec<String>) -> HdfRecording {
+    /// Of a file, or of a folder and its file, with or without events. What was lost while it was opened stands behind the cut that caused it.
+    fn new(path: &Path, file: &ForeignFile, table: Option<EventTable>, notes: Vec<String>, lost: Vec<Loss>) -> HdfRecording {
+        let whole = |cut: String| Loss { at: "the file".into(), what: format!("{cut}; what lies behind is lost") };
         let about = table.as_ref().map(|table| table.about(notes));
         HdfRecording {
             path: path.into(),
@@ -101,7 +136,7 @@ impl HdfRecording {
             triggers: Vec::new(),
             sensor: None,
             facts: Vec::new(),
-            losses: Vec::new(),
+            losses: file.cut().map(whole).into_iter().chain(lost).collect(),
             more_files: Vec::new(),
         }
     }

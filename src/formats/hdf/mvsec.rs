@@ -4,7 +4,7 @@
 
 use super::stack::{Order, Stack};
 use super::table::{EventTable, nanoseconds};
-use super::{HdfRecording, chosen, declared_extent, holds, open_file, refused};
+use super::{HdfRecording, chosen, declared_extent, holds, open_file, optional, refused, with_cut};
 use crate::error::FormatError;
 use crate::format::{Format, Probe};
 use crate::recording::{FrameStamp, Pictures, Recording};
@@ -13,7 +13,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// MVSEC.
-pub static FORMAT: Format = Format { id: "mvsec", name: "MVSEC HDF5", recognises, open };
+pub static FORMAT: Format = Format { id: "mvsec", name: "MVSEC HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     holds(probe, &["davis/left/events"]) || holds(probe, &["davis/right/events"])
@@ -27,19 +27,22 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     let mut table = EventTable::of_rows(&file, &name("events"), [0, 1, 2, 3])?;
     table.unit_ns = TimeUnit::S.ns();
     let wrap = |error| refused(path, error);
-    let images = file.dataset(&name("image_raw")).map_err(wrap)?;
-    let stamps = file.dataset(&name("image_raw_ts")).map_err(wrap)?;
+    let mut lost = Vec::new();
+    let images = optional(&file, &name("image_raw"), &mut lost)?;
+    let stamps = optional(&file, &name("image_raw_ts"), &mut lost)?;
     let mut pictures = None;
     if let (Some(images), Some(stamps)) = (images, stamps) {
         let stamps = stamps.floats().map_err(wrap)?;
         let at = |s: f64| nanoseconds(s, TimeUnit::S.ns()).map(|at| FrameStamp { at, exposure: None });
         let bad = || FormatError::new(path, "a stamp that is no time", "the file is damaged: copy it again").at(format!("/{}", name("image_raw_ts")));
         let stamps = stamps.into_iter().map(|s| at(s).ok_or_else(bad)).collect::<Result<Vec<_>, _>>()?;
-        pictures = Some(Stack::of_dataset(path, images, stamps, Order::Rgb)?);
+        let mut stack = Stack::of_dataset(path, images, stamps, Order::Rgb)?;
+        lost.extend(stack.lost.take());
+        pictures = Some(stack);
     }
     table.extent = declared_extent(declared, pictures.as_ref().map(|pictures| pictures.about().extent));
     let notes = table.polarity_note().into_iter().collect();
-    let mut recording = HdfRecording::new(path, Some(table), notes);
+    let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost);
     recording.pictures = pictures.map(|pictures| Arc::new(pictures) as Arc<dyn Pictures>);
     recording.facts = vec![("camera".into(), format!("davis/{camera} (of {})", there.join(", ")))];
     Ok(Box::new(recording))

@@ -3,7 +3,7 @@
 //! `CD/indexes` is not used: its times are shifted and its entries repeat; halving the stamps finds a time with a few chunks.
 
 use super::table::EventTable;
-use super::{HdfRecording, declared_extent, extent, holds, open_file, refused};
+use super::{HdfRecording, declared_extent, extent, holds, open_file, optional, refused, with_cut};
 use crate::chunk::{Edge, Trigger};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
@@ -14,13 +14,16 @@ use photocurrent_store::foreign::ForeignFile;
 use std::path::Path;
 
 /// Prophesee's HDF5.
-pub static FORMAT: Format = Format { id: "prophesee_hdf5", name: "Prophesee HDF5", recognises, open };
+pub static FORMAT: Format = Format { id: "prophesee_hdf5", name: "Prophesee HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 /// Attributes that people want to see.
 const FACTS: [&str; 8] = ["serial_number", "generation", "integrator_name", "plugin_integrator_name", "system_ID", "camera_integrator_name", "date", "version"];
 
 /// Triggers that are read; a line that never rests has fewer.
 const MOST_TRIGGERS: usize = 10_000_000;
+
+/// Losses of triggers that are named one by one.
+const MOST_LOSSES: usize = 20;
 
 fn recognises(probe: &Probe) -> bool {
     holds(probe, &["CD/events"])
@@ -31,14 +34,14 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     let mut table = EventTable::of_compound(&file, "CD/events")?;
     let geometry = file.attribute("", "geometry").map_err(|error| refused(path, error))?;
     table.extent = declared_extent(declared, geometry.as_ref().and_then(|value| value.text()).and_then(sides));
-    let mut recording = HdfRecording::new(path, Some(table), Vec::new());
+    let mut recording = HdfRecording::new(path, &file, Some(table), Vec::new(), Vec::new());
     for name in FACTS {
         if let Ok(Some(value)) = file.attribute("", name) {
             let numbers = || value.numbers().iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
             recording.facts.push((name.replace('_', " "), value.text().map_or_else(numbers, str::to_string)));
         }
     }
-    (recording.triggers, recording.losses) = triggers(&file)?;
+    recording.triggers = triggers(&file, &mut recording.losses)?;
     Ok(Box::new(recording))
 }
 
@@ -48,11 +51,11 @@ fn sides(geometry: &str) -> Option<Extent> {
     extent(width.trim().parse().ok()?, height.trim().parse().ok()?)
 }
 
-fn triggers(file: &ForeignFile) -> Result<(Vec<Trigger>, Vec<Loss>), FormatError> {
+fn triggers(file: &ForeignFile, losses: &mut Vec<Loss>) -> Result<Vec<Trigger>, FormatError> {
     let wrap = |error| refused(file.path(), error);
-    let Some(events) = file.dataset("EXT_TRIGGER/events").map_err(wrap)? else { return Ok((Vec::new(), Vec::new())) };
-    let (Some(p), Some(t), Some(id)) = (events.member("p"), events.member("t"), events.member("id")) else { return Ok((Vec::new(), Vec::new())) };
-    let (mut triggers, mut losses) = (Vec::new(), Vec::new());
+    let Some(events) = optional(file, "EXT_TRIGGER/events", losses)? else { return Ok(Vec::new()) };
+    let (Some(p), Some(t), Some(id)) = (events.member("p"), events.member("t"), events.member("id")) else { return Ok(Vec::new()) };
+    let mut triggers = Vec::new();
     let count = events.rows().min(MOST_TRIGGERS);
     for start in (0..count).step_by(1 << 16) {
         let block = events.rows_at(start..count.min(start + (1 << 16))).map_err(wrap)?;
@@ -72,6 +75,6 @@ fn triggers(file: &ForeignFile) -> Result<(Vec<Trigger>, Vec<Loss>), FormatError
             triggers.push(Trigger { t, line, edge });
         }
     }
-    losses.truncate(20);
-    Ok((triggers, losses))
+    losses.truncate(MOST_LOSSES);
+    Ok(triggers)
 }

@@ -1,19 +1,20 @@
 //! This project's own recordings, `photocurrent-recording/1`: events in file order with their in-pixel times, linear frames, the sensor's description.
 
+use super::stack::{Order, Stack};
 use super::table::EventTable;
-use super::{HdfRecording, holds, open_file, refused};
+use super::{HdfRecording, extent, holds, open_file, optional, refused, with_cut};
 use crate::error::FormatError;
 use crate::format::{Format, Probe};
 use crate::recording::{FrameStamp, FramesAbout, Pictures, Recording};
 use crate::{Declared, StampRole, TimeUnit, Transfer};
-use photocurrent_core::FramesMeta;
+use photocurrent_core::{Colour, FramesMeta};
 use photocurrent_core::frames::FrameSource;
 use photocurrent_store::foreign::{ForeignFile, Value};
 use std::path::Path;
 use std::sync::Arc;
 
 /// Our own recordings.
-pub static FORMAT: Format = Format { id: "recording", name: "photocurrent recording", recognises, open };
+pub static FORMAT: Format = Format { id: "recording", name: "photocurrent recording", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     let says_so = |value: Option<Value>| value.is_some_and(|value| value.text() == Some("photocurrent-recording/1"));
@@ -23,8 +24,11 @@ fn recognises(probe: &Probe) -> bool {
 
 fn open(path: &Path, _: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let wrap = |error| refused(path, error);
-    let stored = photocurrent_store::Recording::open(path).map_err(wrap)?;
     let file = open_file(path)?;
+    if file.cut().is_some() {
+        return open_cut(path, &file);
+    }
+    let stored = photocurrent_store::Recording::open(path).map_err(wrap)?;
     let mut table = None;
     if let Some(meta) = stored.events_meta() {
         let t_in = meta.has_t_in.then_some("events/t_in");
@@ -33,7 +37,7 @@ fn open(path: &Path, _: &Declared) -> Result<Box<dyn Recording>, FormatError> {
         events.extent = Some(stored.extent());
         table = Some(events);
     }
-    let mut recording = HdfRecording::new(path, table, Vec::new());
+    let mut recording = HdfRecording::new(path, &file, table, Vec::new(), Vec::new());
     if let (Some(about), Some(step)) = (&mut recording.about, stored.events_meta().and_then(|meta| meta.t_resolution_ns)) {
         about.tick_ns = step.max(1);
     }
@@ -45,6 +49,45 @@ fn open(path: &Path, _: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     if let Some(times) = stored.truth_times() {
         recording.facts.push(("true frames".into(), format!("{} (simulated data)", times.len())));
     }
+    Ok(Box::new(recording))
+}
+
+/// What is left of a recording that ends before its stated end: the strict reader of recordings refuses it.
+fn open_cut(path: &Path, file: &ForeignFile) -> Result<Box<dyn Recording>, FormatError> {
+    let wrap = |error| refused(path, error);
+    let integer = |of: &str, name: &str| file.attribute(of, name).ok().flatten().and_then(|value| value.numbers().first().map(|&number| number as i64));
+    let (mut table, mut lost) = (None, Vec::new());
+    if file.has("events/t") {
+        let t_in = file.has("events/t_in").then_some("events/t_in");
+        let mut events = EventTable::of_columns(file, ["events/x", "events/y", "events/t", "events/p"], t_in)?;
+        events.unit_ns = TimeUnit::Ns.ns();
+        events.extent = integer("", "width").zip(integer("", "height")).and_then(|(width, height)| extent(width as f64, height as f64));
+        table = Some(events);
+    }
+    let mut column = |name: &str| optional(file, name, &mut lost)?.map(|column| column.integers()).transpose().map_err(wrap).map(Option::unwrap_or_default);
+    let (starts, ends) = (column("frames/exposure_start")?, column("frames/exposure_end")?);
+    let stamps = starts.iter().zip(&ends).map(|(&start, &end)| FrameStamp { at: start, exposure: Some((start, end)) }).collect();
+    let mut pictures = None;
+    if let Some(dn) = optional(file, "frames/dn", &mut lost)? {
+        let mut stack = Stack::of_dataset(path, dn, stamps, Order::Rgb)?;
+        lost.extend(stack.lost.take());
+        let about = stack.about_mut();
+        (about.stamp_role, about.transfer) = (Some(StampRole::Start), Some(Transfer::Linear));
+        about.row_time_ns = integer("frames", "row_time_ns");
+        if let Ok(Some(colour)) = file.attribute("frames", "colour")
+            && let Some(colour) = colour.text().and_then(Colour::named)
+            && colour.channels() == about.colour.channels()
+        {
+            about.colour = colour;
+        }
+        pictures = Some(Arc::new(stack) as Arc<dyn Pictures>);
+    }
+    let mut recording = HdfRecording::new(path, file, table, Vec::new(), lost);
+    if let (Some(about), Some(step)) = (&mut recording.about, integer("events", "t_resolution_ns")) {
+        about.tick_ns = step.max(1);
+    }
+    recording.pictures = pictures;
+    recording.sensor = file.text("sensor").ok().flatten();
     Ok(Box::new(recording))
 }
 

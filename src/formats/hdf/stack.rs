@@ -1,7 +1,7 @@
 //! Frames in HDF5: one dataset [frames, rows, columns] with channels last, or a dataset for each frame.
 
 use super::refused;
-use crate::error::FormatError;
+use crate::error::{FormatError, Loss};
 use crate::recording::{FrameStamp, FramesAbout, Pictures};
 use photocurrent_core::{Colour, Extent};
 use photocurrent_store::foreign::{Field, ForeignDataset, ForeignFile};
@@ -41,6 +41,8 @@ pub(super) struct Stack {
     from: From,
     order: Order,
     about: FramesAbout,
+    /// Frames of a cut file that are lost.
+    pub lost: Option<Loss>,
 }
 
 enum From {
@@ -57,20 +59,24 @@ impl Stack {
         };
         let (extent, colour) = dataset.shape().get(1..).and_then(shape_of).ok_or_else(wrong)?;
         let field = dataset.numbers().ok_or_else(wrong)?;
-        let (frames, stamped) = (dataset.rows(), stamps.len());
-        stamps.truncate(frames);
+        let (frames, whole, stamped) = (dataset.rows(), dataset.rows_before_the_cut().map_err(|error| refused(path, error))?, stamps.len());
+        let lost = (whole < frames).then(|| Loss {
+            at: dataset.at().into(),
+            what: format!("frames {whole} to {} lie behind the cut; they are lost", frames - 1),
+        });
+        stamps.truncate(whole);
         let mut about = about(extent, colour, field, stamps);
         if frames > stamped {
             about.notes.push(format!("{} frames have no stamp and were left out", frames - stamped));
         } else if stamped > frames {
             about.notes.push(format!("{} stamps have no frame and were left out", stamped - frames));
         }
-        Ok(Stack { path: path.into(), from: From::Dataset(dataset), order, about })
+        Ok(Stack { path: path.into(), from: From::Dataset(dataset), order, about, lost })
     }
 
     /// Datasets by name, one for each stamp of `about`.
     pub fn of_each(file: &ForeignFile, names: Vec<String>, order: Order, about: FramesAbout) -> Stack {
-        Stack { path: file.path().into(), from: From::Each(file.clone(), names), order, about }
+        Stack { path: file.path().into(), from: From::Each(file.clone(), names), order, about, lost: None }
     }
 
     pub fn about_mut(&mut self) -> &mut FramesAbout {

@@ -10,6 +10,7 @@ use crate::losses::Losses;
 use crate::recording::{EventCursor, EventsAbout};
 use photocurrent_core::Extent;
 use photocurrent_store::foreign::{Field, ForeignDataset, ForeignFile, RowBlock};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -265,6 +266,8 @@ pub(super) struct TableCursor {
     ready: EventChunk,
     given: usize,
     losses: Losses,
+    /// Rows that were damaged and why, those that follow each other as one.
+    damaged: Vec<(Range<usize>, String)>,
     x: Coordinates,
     y: Coordinates,
     t: Stamps,
@@ -281,6 +284,7 @@ impl TableCursor {
             ready,
             given: 0,
             losses: Losses::default(),
+            damaged: Vec::new(),
             x: Coordinates::default(),
             y: Coordinates::default(),
             t: Stamps::default(),
@@ -296,7 +300,7 @@ impl TableCursor {
         self.next = rows.end;
         self.ready.clear();
         self.given = 0;
-        let mut damaged: Vec<(std::ops::Range<usize>, String)> = Vec::new();
+        let mut damaged: Vec<(Range<usize>, String)> = Vec::new();
         let mut blocks = Vec::new();
         for source in &table.sources {
             let block = source.rows_at(rows.clone()).map_err(|error| refused(&table.path, error))?;
@@ -313,8 +317,10 @@ impl TableCursor {
             blocks[column.source].integers(column.field, &mut self.t_in);
         }
         for (lost, why) in &damaged {
-            let at = || format!("events {} to {}", lost.start, lost.end.saturating_sub(1));
-            self.losses.add("pieces that are damaged", at, || format!("{why}; its events are lost"));
+            match self.damaged.iter_mut().find(|(open, other)| (open.start..=open.end).contains(&lost.start) && other == why) {
+                Some((open, _)) => open.end = open.end.max(lost.end),
+                None => self.damaged.push((lost.clone(), why.clone())),
+            }
         }
         let mut from = rows.start;
         while from < rows.end {
@@ -420,7 +426,12 @@ impl EventCursor for TableCursor {
     }
 
     fn losses(&self) -> Vec<Loss> {
-        self.losses.list()
+        let mut losses = self.losses.clone();
+        for (lost, why) in &self.damaged {
+            let at = || format!("events {} to {}", lost.start, lost.end.saturating_sub(1));
+            losses.add("pieces that are damaged", at, || format!("{why}; its events are lost"));
+        }
+        losses.list()
     }
 
     fn position(&self) -> (u64, u64) {

@@ -4,7 +4,7 @@
 
 use super::stack::{Order, Stack};
 use super::table::EventTable;
-use super::{HdfRecording, declared_extent, extent, open_file, refused};
+use super::{HdfRecording, declared_extent, extent, open_file, optional, refused, with_cut};
 use crate::error::FormatError;
 use crate::format::{Format, Probe};
 use crate::recording::{FrameStamp, Pictures, Recording};
@@ -14,7 +14,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// v2e's HDF5.
-pub static FORMAT: Format = Format { id: "v2e_hdf5", name: "v2e HDF5", recognises, open };
+pub static FORMAT: Format = Format { id: "v2e_hdf5", name: "v2e HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     probe.is_hdf5()
@@ -28,17 +28,20 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     table.unit_ns = declared.time_unit.unwrap_or(TimeUnit::Us).ns();
     let wrap = |error| refused(path, error);
     let mut pictures = None;
-    if let Some(frames) = file.dataset("frame").map_err(wrap)? {
-        let stamps = file.dataset("frame_ts").map_err(wrap)?;
+    let mut lost = Vec::new();
+    if let Some(frames) = optional(&file, "frame", &mut lost)? {
+        let stamps = optional(&file, "frame_ts", &mut lost)?;
         let stamps = stamps.map(|stamps| stamps.integers()).transpose().map_err(wrap)?.unwrap_or_default();
         let stamps = stamps.into_iter().map(|t| FrameStamp { at: t.saturating_mul(1000), exposure: None }).collect();
-        pictures = Some(Stack::of_dataset(path, frames, stamps, Order::Rgb)?);
+        let mut stack = Stack::of_dataset(path, frames, stamps, Order::Rgb)?;
+        lost.extend(stack.lost.take());
+        pictures = Some(stack);
     }
     let found = pictures.as_ref().map(|pictures| pictures.about().extent);
     table.extent = declared_extent(declared, found.and_then(|found| extent(found.width.into(), found.height.into())));
     let mut notes = vec!["v2e computes with 32-bit seconds: stamps beyond 16 s come in steps of 2 us and more".to_string()];
     notes.extend(table.polarity_note());
-    let mut recording = HdfRecording::new(path, Some(table), notes);
+    let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost);
     recording.pictures = pictures.map(|pictures| Arc::new(pictures) as Arc<dyn Pictures>);
     Ok(Box::new(recording))
 }

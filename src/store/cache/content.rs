@@ -6,7 +6,7 @@
 use super::files::{self, Identity};
 use super::{Cache, StoredOutput, lock_file};
 use crate::error::StoreError;
-use crate::layout::{ValueWriter, open_value};
+use crate::layout::{ValueWriter, open_stored};
 use photocurrent_core::{DataType, Digest, Meta, Value};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ impl Cache {
             let _placing = self.placing()?;
             self.intact(digest)?;
         }
-        open_value(&self.data_path(digest))
+        open_stored(&self.data_path(digest))
     }
 
     pub(super) fn data_path(&self, digest: &Digest) -> PathBuf {

@@ -3,7 +3,7 @@
 use super::content::{data_path, sum_path};
 use super::{Cache, Lookup, StoredOutput, files, lock_file, make_folders, memory, read_record};
 use crate::error::StoreError;
-use crate::layout::open_value;
+use crate::layout::open_stored;
 use photocurrent_core::Digest;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -149,7 +149,7 @@ impl Cache {
             }
         }
         for (digest, path) in contents(&self.root)? {
-            let found = self.intact(&digest).and_then(|_| open_value(&path)).map_err(|error| error.to_string());
+            let found = self.intact(&digest).and_then(|_| open_stored(&path)).map_err(|error| error.to_string());
             match found.and_then(|value| value.digest().map_err(|error| error.message)) {
                 Ok(found) if found == digest => report.good_contents += 1,
                 Ok(found) => report.damaged.push(format!("{}: the content is that of {}", path.display(), found.short())),

@@ -27,6 +27,11 @@ const BATCH: usize = 64;
 /// Bytes that are unpacked at a time, unless a single chunk has more.
 const BATCH_BYTES: usize = 64 << 20;
 
+/// Chunks of a dataset that a trial reads.
+const TRIED_CHUNKS: usize = 16;
+/// Bytes of a chunk or row that a trial reads at most.
+const TRIED_BYTES: usize = 4 << 20;
+
 /// A dataset that can be read box by box, from many threads.
 pub(crate) struct Chunks {
     pub opened: Opened,
@@ -39,6 +44,8 @@ pub(crate) struct Chunks {
     /// The type in which the ordinary read gives elements.
     memory: Datatype,
     packed: Option<Packed>,
+    /// Rows of a dataset without chunks that stand in the file; fewer than all where it is cut.
+    whole_rows: usize,
     recent: Option<Recent>,
 }
 
@@ -62,7 +69,8 @@ impl Chunks {
     pub fn new(opened: &Opened, at: &str, dataset: Dataset, memory: Datatype, native: bool) -> Chunks {
         let (shape, item) = locked(|| (dataset.shape(), memory.size()));
         let packed = if native { locked(|| packed_form(&dataset, &memory, item)) } else { None };
-        Chunks { opened: opened.clone(), at: at.into(), dataset, shape, item, memory, packed, recent: None }
+        let whole_rows = whole_rows(opened, &dataset, &shape, item);
+        Chunks { opened: opened.clone(), at: at.into(), dataset, shape, item, memory, packed, whole_rows, recent: None }
     }
 
     /// Keeps up to `bytes` of unpacked chunks, one at least, for readers that come back to the same chunks.
@@ -87,7 +95,7 @@ impl Chunks {
             return Ok(());
         }
         let Some(packed) = &self.packed else {
-            return self.read_ordinary(start, count, out);
+            return self.read_without_chunks(start, count, out, holes);
         };
         let chunk_bytes = packed.chunk.iter().product::<usize>() * self.item;
         let batch = (BATCH_BYTES / chunk_bytes.max(1)).clamp(1, BATCH);
@@ -109,6 +117,43 @@ impl Chunks {
             }
         }
         Ok(())
+    }
+
+    /// Makes the calls that reading makes, some of them: a few chunks are looked up and, where they are small, read as they are stored; without chunks, the
+    /// first and the last row are read. Starts no thread and unpacks nothing.
+    pub fn try_out(&self) {
+        let rows = self.shape.first().copied().unwrap_or(1);
+        let row = self.shape.iter().skip(1).fold(self.item, |bytes, &n| bytes.saturating_mul(n));
+        if rows == 0 || row == 0 {
+            return;
+        }
+        let Some(packed) = &self.packed else {
+            let mut out = vec![0; if row <= TRIED_BYTES { row } else { 0 }];
+            for first in [0, rows - 1] {
+                let (mut start, mut count) = (vec![0; self.shape.len()], self.shape.clone());
+                if let (Some(start), Some(count)) = (start.first_mut(), count.first_mut()) {
+                    (*start, *count) = (first, 1);
+                }
+                if !out.is_empty() {
+                    drop(self.read_ordinary(&start, &count, &mut out));
+                }
+            }
+            return;
+        };
+        let counts: Vec<usize> = (0..self.shape.len()).map(|d| self.shape[d].div_ceil(packed.chunk[d])).collect();
+        let all = counts.iter().fold(1usize, |all, &n| all.saturating_mul(n));
+        for k in 0..TRIED_CHUNKS.min(all) {
+            let mut flat = (k as u128 * (all - 1) as u128 / (TRIED_CHUNKS.min(all) - 1).max(1) as u128) as usize;
+            let mut origin = vec![0; counts.len()];
+            for d in (0..counts.len()).rev() {
+                origin[d] = flat % counts[d] * packed.chunk[d];
+                flat /= counts[d];
+            }
+            let unpacked = packed.chunk.iter().fold(self.item, |bytes, &n| bytes.saturating_mul(n));
+            if unpacked <= TRIED_BYTES {
+                drop(self.stored(&origin, unpacked));
+            }
+        }
     }
 
     fn hole(&self, packed: &Packed, origin: &[usize], why: String) -> Hole {
@@ -137,7 +182,8 @@ impl Chunks {
     /// The stored bytes of a chunk and the mask of filters left out; `None` when it was never written.
     fn stored(&self, origin: &[usize], unpacked: usize) -> Result<Option<(Vec<u8>, u32)>, String> {
         let offset: Vec<hsize_t> = origin.iter().map(|&o| o as hsize_t).collect();
-        let failed = |doing: &str| format!("the library cannot {doing} the chunk at {origin:?}");
+        // Of a cut file all chunks behind the cut have one reason, so that they make one gap.
+        let failed = |doing: &str| self.opened.cut().unwrap_or_else(|| format!("the library cannot {doing} the chunk at {origin:?}"));
         locked(|| {
             let mut size: hsize_t = 0;
             // SAFETY: the dataset is open and chunked, and `offset` has one entry per dimension.
@@ -160,6 +206,26 @@ impl Chunks {
             }
             Ok(Some((bytes, mask)))
         })
+    }
+
+    /// Rows that lie behind the end of a cut file are a hole, or an error.
+    fn read_without_chunks(&self, start: &[usize], count: &[usize], out: &mut [u8], holes: Option<&mut Vec<Hole>>) -> Result<(), StoreError> {
+        let (first, rows) = (start.first().copied().unwrap_or(0), count.first().copied().unwrap_or(1));
+        let there = self.whole_rows.clamp(first, first + rows) - first;
+        if there == rows {
+            return self.read_ordinary(start, count, out);
+        }
+        let why = self.opened.cut().unwrap_or_default();
+        let Some(holes) = holes else {
+            return Err(self.opened.content(&self.at, why, "a whole file", "copy or record it again"));
+        };
+        holes.push(Hole { rows: first + there..first + rows, why });
+        if there == 0 {
+            return Ok(());
+        }
+        let part = out.len() / rows * there;
+        let count = [&[there], &count[1..]].concat();
+        self.read_ordinary(start, &count, &mut out[..part])
     }
 
     fn read_ordinary(&self, start: &[usize], count: &[usize], out: &mut [u8]) -> Result<(), StoreError> {
@@ -197,6 +263,17 @@ impl Chunks {
 struct Chunk {
     bytes: Vec<u8>,
     is_written: bool,
+}
+
+/// Rows of a dataset without chunks that lie before the end of a file; all of them when the file is whole.
+fn whole_rows(opened: &Opened, dataset: &Dataset, shape: &[usize], item: usize) -> usize {
+    let rows = shape.first().copied().unwrap_or(1);
+    let row = shape.iter().skip(1).fold(item, |bytes, &n| bytes.saturating_mul(n));
+    // A dataset in its header has no address.
+    match locked(|| dataset.offset()) {
+        Some(offset) if opened.stated_bytes.is_some() && row > 0 => rows.min((opened.bytes.saturating_sub(offset) / row as u64) as usize),
+        _ => rows,
+    }
 }
 
 fn packed_form(dataset: &Dataset, memory: &Datatype, item: usize) -> Option<Packed> {

@@ -4,19 +4,23 @@
 //! ([`pack`], [`pipeline`]) and pass through the library as raw bytes ([`chunks`], [`write`]). No lock is held while they work, or a stolen task could
 //! wait for its own thread.
 //!
-//! Care means: external links are unregistered and plugins are off before the first file is opened; a dataset whose bytes lie in
-//! other files is refused; and what a dataset claims to hold is compared with what the file can hold.
+//! Care means: external links are unregistered and plugins are off before the first file is opened; a file from outside is tried in a process of its
+//! own ([`trial`]); a dataset whose bytes lie in other files is refused; and what a dataset claims to hold is compared with what the file can hold.
 
 pub(crate) mod chunks;
 pub(crate) mod codec;
+mod cut;
 pub(crate) mod grid;
+mod guard;
 pub(crate) mod number;
 pub(crate) mod pack;
 pub(crate) mod pipeline;
 pub(crate) mod text;
+mod trial;
 pub(crate) mod write;
 
 use crate::error::StoreError;
+use cut::Superblock;
 use hdf5::dataset::Layout;
 use hdf5::{Dataset, File, Group};
 use pipeline::Pipeline;
@@ -34,6 +38,9 @@ const LARGEST_RATIO: u64 = 1100;
 
 /// No chunk may be larger: the library would take that much memory for one number.
 const LARGEST_CHUNK: u64 = 1 << 30;
+
+/// Groups in groups are followed so far: no layout that is read has half as many.
+const DEEPEST: usize = 10;
 
 /// Runs library calls under the library's lock, with its printing off and the doors to other files shut.
 pub(crate) fn locked<T>(calls: impl FnOnce() -> T) -> T {
@@ -58,18 +65,48 @@ pub(crate) struct Opened {
     pub file: File,
     /// Size of the file when it was opened: no chunk can be larger.
     pub bytes: u64,
+    /// The size that the file states, where it ends earlier: what lies behind its end is lost.
+    pub stated_bytes: Option<u64>,
 }
 
 impl Opened {
-    /// Opens for reading.
+    /// Opens a file from outside for reading: tried in a process of its own first, and as far as it goes when it is cut.
     pub fn read(path: &Path) -> Result<Opened, StoreError> {
-        let bytes = refuse_what_is_not_hdf5(path)?;
+        refuse_what_is_not_hdf5(path)?;
+        trial::pass(path)?;
+        Opened::open(path)
+    }
+
+    /// Opens a file that we wrote for reading: whole or not at all.
+    pub fn read_ours(path: &Path) -> Result<Opened, StoreError> {
+        let Start { bytes, .. } = refuse_what_is_not_hdf5(path)?;
+        Opened::whole(path, bytes)
+    }
+
+    /// Opens for reading without a trial.
+    fn open(path: &Path) -> Result<Opened, StoreError> {
+        let Start { bytes, superblock } = refuse_what_is_not_hdf5(path)?;
+        match superblock.filter(|superblock| superblock.end > bytes) {
+            None => Opened::whole(path, bytes),
+            Some(superblock) => {
+                let file = cut::open(path, superblock, bytes)?;
+                Ok(Opened { path: path.into(), file, bytes, stated_bytes: Some(superblock.end) })
+            }
+        }
+    }
+
+    fn whole(path: &Path, bytes: u64) -> Result<Opened, StoreError> {
         let file = locked(|| File::open(path)).map_err(|error| StoreError::NotReadable {
             path: path.into(),
             found: format!("the HDF5 library cannot open the file: {}", short(&error)),
             hint: hint_for(&short(&error)).into(),
         })?;
-        Ok(Opened { path: path.into(), file, bytes })
+        Ok(Opened { path: path.into(), file, bytes, stated_bytes: None })
+    }
+
+    /// "the file is cut at byte 1000 of 2000", of one that ends before its stated end.
+    pub fn cut(&self) -> Option<String> {
+        self.stated_bytes.map(|stated| format!("the file is cut at byte {} of {stated}", self.bytes))
     }
 
     /// Creates, replacing what is there.
@@ -80,7 +117,7 @@ impl Opened {
             doing: "create the file",
             detail: short(&error),
         })?;
-        Ok(Opened { path: path.into(), file, bytes: 0 })
+        Ok(Opened { path: path.into(), file, bytes: 0, stated_bytes: None })
     }
 
     /// Turns a library error into ours.
@@ -104,7 +141,7 @@ impl Opened {
     /// Is there a link of this name, `group/group/name`, and to each of its groups?
     pub fn exists(&self, name: &str) -> bool {
         let ends = name.match_indices('/').map(|(at, _)| at).chain([name.len()]);
-        locked(|| ends.into_iter().all(|end| self.file.link_exists(&name[..end])))
+        name.split('/').count() <= DEEPEST && locked(|| ends.into_iter().all(|end| self.file.link_exists(&name[..end])))
     }
 
     /// A dataset, `group/name` or `name`, after the checks of this module; `None` when there is none.
@@ -139,6 +176,8 @@ impl Opened {
             }
             _ => stored.min(file_bytes),
         };
+        // Of a file that is cut, the library cannot add up an index, and numbers may lie behind the end.
+        let possible = if self.stated_bytes.is_some() { file_bytes.saturating_mul(LARGEST_RATIO) } else { possible };
         if claimed.is_none_or(|claimed| claimed > possible) {
             return Err(self.content(
                 at,
@@ -169,8 +208,16 @@ pub(crate) fn short(error: &hdf5::Error) -> String {
     error.to_string().lines().next().unwrap_or("no reason given").to_string()
 }
 
-/// Gives the size of the file when it begins as HDF5 does.
-fn refuse_what_is_not_hdf5(path: &Path) -> Result<u64, StoreError> {
+/// How an HDF5 file begins.
+struct Start {
+    /// Its size.
+    bytes: u64,
+    /// `None` when it is of a version that we do not know, or not whole.
+    superblock: Option<Superblock>,
+}
+
+/// Looks at the beginning of a file, which must be as HDF5 says.
+fn refuse_what_is_not_hdf5(path: &Path) -> Result<Start, StoreError> {
     const SIGNATURE: [u8; 8] = [0x89, b'H', b'D', b'F', b'\r', b'\n', 0x1a, b'\n'];
     let io = |error| StoreError::io(path, "open the file", error);
     let mut file = std::fs::File::open(path).map_err(io)?;
@@ -190,7 +237,7 @@ fn refuse_what_is_not_hdf5(path: &Path) -> Result<u64, StoreError> {
         let mut bytes = [0; 8];
         file.seek(SeekFrom::Start(at)).and_then(|_| file.read_exact(&mut bytes)).map_err(io)?;
         if bytes == SIGNATURE {
-            return Ok(metadata.len());
+            return Ok(Start { bytes: metadata.len(), superblock: Superblock::read(&mut file, at) });
         }
         if at == 0 {
             first = bytes;

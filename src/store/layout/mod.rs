@@ -203,7 +203,15 @@ fn describe(meta: &Meta) -> String {
 /// # Errors
 /// When the file is no artefact, or what it holds does not fit its own description.
 pub fn open_value(path: &Path) -> Result<Value, StoreError> {
-    let opened = Opened::read(path)?;
+    value_of(&Opened::read(path)?)
+}
+
+/// [`open_value`] of a file of the cache, which nobody else writes.
+pub(crate) fn open_stored(path: &Path) -> Result<Value, StoreError> {
+    value_of(&Opened::read_ours(path)?)
+}
+
+fn value_of(opened: &Opened) -> Result<Value, StoreError> {
     let hint = "the file is no artefact of this version: run the pipeline again";
     let format = opened.text_attribute(&opened.file, "/", "format")?;
     if format.as_deref() != Some(FORMAT) {
@@ -220,13 +228,13 @@ pub fn open_value(path: &Path) -> Result<Value, StoreError> {
         return Err(opened.content("/meta", meta.data_type().name(), data_type, hint));
     }
     match meta {
-        Meta::Events(meta) => columns::open_events(&opened, &meta).map(Value::Events),
-        Meta::Tracks(meta) => series::open(&opened, &*meta).map(Value::Tracks),
-        Meta::Light(meta) => series::open(&opened, &*meta).map(Value::Light),
-        Meta::Frames(meta) => grids::open_frames(&opened, meta).map(Value::Frames),
-        Meta::Truth(meta) => grids::open_frames(&opened, meta).map(|frames| Value::Truth(Truth(frames))),
-        Meta::Map(meta) => grids::open_map(&opened, meta).map(Value::Map),
-        Meta::Table(_) => table::read(&opened).map(|table| Value::Table(Arc::new(table))),
+        Meta::Events(meta) => columns::open_events(opened, &meta).map(Value::Events),
+        Meta::Tracks(meta) => series::open(opened, &*meta).map(Value::Tracks),
+        Meta::Light(meta) => series::open(opened, &*meta).map(Value::Light),
+        Meta::Frames(meta) => grids::open_frames(opened, meta).map(Value::Frames),
+        Meta::Truth(meta) => grids::open_frames(opened, meta).map(|frames| Value::Truth(Truth(frames))),
+        Meta::Map(meta) => grids::open_map(opened, meta).map(Value::Map),
+        Meta::Table(_) => table::read(opened).map(|table| Value::Table(Arc::new(table))),
         Meta::Sensor(sensor) => Ok(Value::Sensor(sensor)),
         Meta::Diagnosis(meta) => {
             let dataset = opened.dataset("diagnosis")?.ok_or_else(|| missing("/diagnosis"))?;

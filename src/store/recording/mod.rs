@@ -55,6 +55,10 @@ impl Recording {
     /// When the file is no recording or its header contradicts the format, with every mistake there is. Event by event checks come with the first read.
     pub fn open(path: &Path) -> Result<Recording, StoreError> {
         let opened = Opened::read(path)?;
+        if let Some(cut) = opened.cut() {
+            let hint = format!("keep what is whole in a file of its own: photocurrent convert {} OUT.h5", path.display());
+            return Err(StoreError::NotReadable { path: path.into(), found: cut, hint });
+        }
         let format = opened.text_attribute(&opened.file, "/", "format")?;
         if format.as_deref() != Some(FORMAT) {
             let found = format.map_or("no attribute `format`".into(), |format| format!("format = \"{format}\""));
