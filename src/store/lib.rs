@@ -7,9 +7,9 @@
 //! - [`foreign`]: HDF5 files of other programs, looked at and read with care.
 //! - [`error`]: the one error type of this crate.
 //!
-//! This is the only crate that names HDF5. Files from outside are not trusted: links to other files, external and virtual storage and
-//! filter plugins are refused, and a claim about size is compared with the file before memory is taken (`hdf`).
-//! What remains is libhdf5 itself: a file crafted against its parser is beyond these checks.
+//! This is the only crate that names HDF5. Files from outside are not trusted: a copy of this process tries them first, as libhdf5 itself may crash on
+//! them; links to other files, external and virtual storage and filter plugins are refused, and a claim about size is compared with the file before
+//! memory is taken (`hdf`).
 
 pub mod cache;
 pub mod error;

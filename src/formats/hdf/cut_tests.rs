@@ -34,8 +34,8 @@ impl EventCursor for Made {
         self.next = 0;
         Ok(())
     }
-    fn losses(&self) -> &[Loss] {
-        &[]
+    fn losses(&self) -> Vec<Loss> {
+        Vec::new()
     }
     fn position(&self) -> (u64, u64) {
         (self.next as u64, self.count as u64)
@@ -59,7 +59,7 @@ fn all(path: &Path, format: &Format) -> Result<(Vec<(i64, u16, u16, u8)>, Vec<Lo
             pictures.read(frame, &mut values)?;
         }
     }
-    Ok((events, [recording.losses(), cursor.losses().to_vec()].concat()))
+    Ok((events, [recording.losses(), cursor.losses()].concat()))
 }
 
 /// Cuts a file at many places: every cut is refused with its byte, or gives events of the whole file in their order and says what is lost. Gives the number
@@ -102,7 +102,7 @@ fn cut_everywhere(whole: &Path) -> Vec<usize> {
 fn our_own_files_give_what_stands_before_the_cut() {
     let folder = tempfile::tempdir().unwrap();
     let (ours, dsec) = (folder.path().join("ours.h5"), folder.path().join("dsec.h5"));
-    let made = || Made { next: 0, count: 300_000 };
+    let made = || Made { next: 0, count: 3_000_000 };
     let read = |frame: usize, values: &mut Vec<f32>| {
         *values = vec![frame as f32; EXTENT.pixels()];
         Ok(())
@@ -115,8 +115,8 @@ fn our_own_files_give_what_stands_before_the_cut() {
     for path in [ours, dsec] {
         let left = cut_everywhere(&path);
         assert!(left.is_sorted(), "a later cut loses no more: {left:?}");
-        // One column stands behind the other: before the last one begins there is no whole event.
-        assert!(left[CUTS * 3 / 4..].iter().all(|&events| events > 0) && left[CUTS * 3 / 4] < 300_000, "{}: {left:?}", path.display());
+        // Columns are written by turns, a million events at a time: cuts in the later half leave events.
+        assert!(left[CUTS / 2..].iter().all(|&events| events > 0) && left[CUTS / 2] < 3_000_000, "{}: {left:?}", path.display());
     }
 }
 

@@ -5,7 +5,11 @@ pub mod seeds;
 
 use photocurrent_formats::{Declared, EventChunk, Format, recognise};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
+use std::time::{Duration, SystemTime};
 
+/// Inputs that were written.
+static INPUTS: AtomicU64 = AtomicU64::new(1);
 /// Events that are read of one input; no seed has near as many, and what a bomb unpacks is not waited for.
 const MOST_EVENTS: usize = 1 << 21;
 /// Pictures that are read of one input.
@@ -43,7 +47,10 @@ impl Seed {
             if before.is_none() {
                 std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             }
-            std::fs::write(path, bytes).unwrap();
+            std::fs::write(&path, bytes).unwrap();
+            // Every input has a time of its own, in the past: whatever is remembered of a file by its time of change is of this input.
+            let time = SystemTime::UNIX_EPOCH + Duration::from_millis(INPUTS.fetch_add(1, Relaxed));
+            std::fs::File::options().write(true).open(path).unwrap().set_modified(time).unwrap();
         }
         if let [(name, _)] = self.files.as_slice() { place.join(name) } else { place.into() }
     }
