@@ -46,8 +46,11 @@ fn fixture(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/formats").join(name)
 }
 
+/// t, x, y, ON.
+type Row = (i64, u16, u16, u8);
+
 /// Events as rows, and everything that was lost.
-fn all(path: &Path, format: &Format) -> Result<(Vec<(i64, u16, u16, u8)>, Vec<Loss>), FormatError> {
+fn all(path: &Path, format: &Format) -> Result<(Vec<Row>, Vec<Loss>), FormatError> {
     let recording = (format.open)(path, &Declared::default())?;
     let (mut cursor, mut chunk, mut events) = (recording.events()?, EventChunk::default(), Vec::new());
     while cursor.next(&mut chunk)? {

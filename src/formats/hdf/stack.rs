@@ -60,10 +60,8 @@ impl Stack {
         let (extent, colour) = dataset.shape().get(1..).and_then(shape_of).ok_or_else(wrong)?;
         let field = dataset.numbers().ok_or_else(wrong)?;
         let (frames, whole, stamped) = (dataset.rows(), dataset.rows_before_the_cut().map_err(|error| refused(path, error))?, stamps.len());
-        let lost = (whole < frames).then(|| Loss {
-            at: dataset.at().into(),
-            what: format!("frames {whole} to {} lie behind the cut; they are lost", frames - 1),
-        });
+        let lost =
+            (whole < frames).then(|| Loss { at: dataset.at().into(), what: format!("frames {whole} to {} lie behind the cut; they are lost", frames - 1) });
         stamps.truncate(whole);
         let mut about = about(extent, colour, field, stamps);
         if frames > stamped {

@@ -215,3 +215,15 @@ mod mapped {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values from the comments of Bob Jenkins' own program.
+    #[test]
+    fn the_checksum_is_that_of_its_author() {
+        assert_eq!(lookup3(b""), 0xdead_beef);
+        assert_eq!(lookup3(b"Four score and seven years ago"), 0x1777_0551);
+    }
+}

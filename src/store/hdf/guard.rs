@@ -243,6 +243,7 @@ fn death(status: i32, limits: Limits) -> String {
 }
 
 #[cfg(all(test, unix))]
+#[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
 

@@ -193,3 +193,39 @@ fn heaps_of_texts_that_are_damaged_anywhere_are_survived() {
         }
     }
 }
+
+/// Datasets with and without chunks, in both generations of superblocks and indices, cut at many places.
+#[test]
+fn a_cut_file_gives_rows_before_the_cut_and_gaps_behind_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let (whole, path) = (folder.path().join("whole.h5"), folder.path().join("cut.h5"));
+    let rows = 4000usize;
+    let right: Vec<u32> = (0..rows as u32).map(|i| i.wrapping_mul(2_654_435_761)).collect();
+    for (latest, chunked) in [(false, false), (false, true), (true, false), (true, true)] {
+        let file = hdf5::File::with_options().with_fapl(|fapl| if latest { fapl.libver_latest() } else { fapl }).create(&whole).unwrap();
+        let build = file.new_dataset::<u32>().shape([rows]);
+        let build = if chunked { build.chunk([100]) } else { build };
+        build.create("t").unwrap().write(&right).unwrap();
+        file.close().unwrap();
+        let bytes = std::fs::read(&whole).unwrap();
+        let mut before = 0;
+        for k in 1..20 {
+            let length = bytes.len() * k / 20;
+            std::fs::write(&path, &bytes[..length]).unwrap();
+            let Ok(file) = ForeignFile::open(&path) else { continue };
+            assert_eq!(file.cut(), Some(format!("the file is cut at byte {length} of {}", bytes.len())));
+            let Ok(Some(dataset)) = file.dataset("t") else { continue };
+            let block = dataset.rows_at(0..rows).unwrap();
+            let mut found = Vec::new();
+            block.integers(dataset.numbers().unwrap(), &mut found);
+            let lost: usize = block.gaps().iter().map(|gap| gap.rows.len()).sum();
+            for i in (0..rows).filter(|i| !block.gaps().iter().any(|gap| gap.rows.contains(i))) {
+                assert_eq!(found[i], i64::from(right[i]), "row {i} of cut {k}, latest {latest}, chunked {chunked}");
+            }
+            assert!(lost > 0 && block.gaps().iter().all(|gap| gap.why.contains("cut at byte")), "{:?}", block.gaps());
+            assert_eq!(dataset.integers().unwrap().len(), dataset.rows_before_the_cut().unwrap());
+            before = before.max(rows - lost);
+        }
+        assert!(before > rows / 2, "{before} rows, latest {latest}, chunked {chunked}");
+    }
+}
