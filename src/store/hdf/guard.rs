@@ -30,6 +30,9 @@ pub(crate) struct Death {
 /// Exit code of a copy that wanted more memory than it may use.
 #[cfg(unix)]
 const OUT_OF_MEMORY: i32 = 3;
+/// Exit code of a copy that met more things than it may look at.
+#[cfg(unix)]
+const TOO_MANY: i32 = 4;
 
 /// What the work says of itself.
 pub(crate) enum Report<'a> {
@@ -37,6 +40,8 @@ pub(crate) enum Report<'a> {
     At(&'a str),
     /// The library wanted memory that it may not have.
     OutOfMemory,
+    /// There are more things than the work may look at.
+    TooMany,
 }
 
 /// No report is longer.
@@ -137,9 +142,12 @@ unsafe fn child(reports: i32, limits: Limits, mask: &libc::sigset_t, work: impl 
         libc::pthread_sigmask(libc::SIG_SETMASK, mask, std::ptr::null_mut());
     }
     let mut report = |what: Report| {
-        let Report::At(name) = what else {
+        let name = match what {
+            Report::At(name) => name,
             // SAFETY: ends this process.
-            unsafe { libc::_exit(OUT_OF_MEMORY) }
+            Report::OutOfMemory => unsafe { libc::_exit(OUT_OF_MEMORY) },
+            // SAFETY: as above.
+            Report::TooMany => unsafe { libc::_exit(TOO_MANY) },
         };
         let mut line: Vec<u8> = name.bytes().take(LONGEST_REPORT).map(|byte| if byte == b'\n' || byte == 0 { b' ' } else { byte }).collect();
         line.push(b'\n');
@@ -226,6 +234,7 @@ fn death(status: i32, limits: Limits) -> String {
     if !libc::WIFSIGNALED(status) {
         return match libc::WEXITSTATUS(status) {
             OUT_OF_MEMORY => format!("it wants more than {} MiB of memory", limits.memory >> 20),
+            TOO_MANY => "it holds more objects than are looked at".into(),
             code => format!("it ends the process (exit code {code})"),
         };
     }

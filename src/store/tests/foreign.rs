@@ -137,7 +137,7 @@ fn a_file_without_its_directory_is_refused_with_a_hint() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cut.h5");
     let bytes = std::fs::read(fixture()).unwrap();
-    for length in [0, 7, 8, 60, 100] {
+    for length in [0, 7, 8, 60] {
         std::fs::write(&path, &bytes[..length]).unwrap();
         let error = ForeignFile::open(&path).err().unwrap().to_string();
         assert!(error.contains("cut.h5") && error.contains("hint:"), "{error}");
@@ -206,6 +206,7 @@ fn a_cut_file_gives_rows_before_the_cut_and_gaps_behind_it() {
         let build = file.new_dataset::<u32>().shape([rows]);
         let build = if chunked { build.chunk([100]) } else { build };
         build.create("t").unwrap().write(&right).unwrap();
+        drop(build);
         file.close().unwrap();
         let bytes = std::fs::read(&whole).unwrap();
         let mut before = 0;
