@@ -63,6 +63,9 @@ impl Superblock {
             let sum_at = self.end_at + 2 * self.width;
             let sum = lookup3(bytes.get(..sum_at)?);
             bytes.get_mut(sum_at..sum_at + 4)?.copy_from_slice(&sum.to_le_bytes());
+        } else {
+            // Behind the end stand two more addresses and the root's entry: without it the library would read zeros.
+            bytes.get(self.end_at + 4 * self.width + 23)?;
         }
         Some(())
     }

@@ -73,6 +73,9 @@ pub(crate) fn attempt(limits: Limits, work: impl FnOnce(&mut dyn FnMut(Report)))
             libc::close(ends[0]);
             return Err(failed);
         }
+        // Until the copy has closed the files that it inherited, it holds their locks: nobody here may close and open one meanwhile.
+        let mut ready = 0u8;
+        while libc::read(ends[0], (&raw mut ready).cast(), 1) < 0 && std::io::Error::last_os_error().kind() == std::io::ErrorKind::Interrupted {}
         Ok(())
     })?;
     let (last, end) = follow(ends[0], limits.silence);
@@ -134,6 +137,8 @@ unsafe fn child(reports: i32, limits: Limits, mask: &libc::sigset_t, work: impl 
         for stream in 0..3 {
             libc::dup2(silent, stream);
         }
+        close_all_but(reports);
+        send(reports, b"\n");
         let limit = |bytes: u64| libc::rlimit { rlim_cur: bytes as libc::rlim_t, rlim_max: bytes as libc::rlim_t };
         libc::setrlimit(libc::RLIMIT_CORE, &limit(0));
         if let Some(held) = address_space() {
@@ -164,6 +169,27 @@ unsafe fn child(reports: i32, limits: Limits, mask: &libc::sigset_t, work: impl 
     }
     // SAFETY: ends this process.
     unsafe { libc::_exit(i32::from(outcome.is_err())) }
+}
+
+/// Closes every inherited file but one and the standard streams.
+#[cfg(unix)]
+unsafe fn close_all_but(kept: i32) {
+    /// Descriptors that are closed one by one where the system cannot close a range.
+    const MOST: i32 = 65_536;
+    // SAFETY: the copy uses none of them.
+    unsafe {
+        #[cfg(any(target_os = "linux", target_os = "android"))]
+        {
+            let below = kept <= 3 || libc::syscall(libc::SYS_close_range, 3, kept - 1, 0) == 0;
+            if below && libc::syscall(libc::SYS_close_range, kept + 1, u32::MAX, 0) == 0 {
+                return;
+            }
+        }
+        let last = i32::try_from(libc::sysconf(libc::_SC_OPEN_MAX)).unwrap_or(MOST).clamp(0, MOST);
+        for descriptor in (3..last).filter(|&descriptor| descriptor != kept) {
+            libc::close(descriptor);
+        }
+    }
 }
 
 #[cfg(unix)]
