@@ -203,7 +203,12 @@ fn describe(meta: &Meta) -> String {
 /// # Errors
 /// When the file is no artefact, or what it holds does not fit its own description.
 pub fn open_value(path: &Path) -> Result<Value, StoreError> {
-    value_of(&Opened::read(path)?)
+    let opened = Opened::read(path)?;
+    if let Some(found) = opened.cut() {
+        let hint = "an artefact is whole or not there: run the pipeline again".into();
+        return Err(StoreError::NotReadable { path: path.into(), found, hint });
+    }
+    value_of(&opened)
 }
 
 /// [`open_value`] of a file of the cache, which nobody else writes.
