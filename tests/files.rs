@@ -222,3 +222,57 @@ fn a_clip_that_begins_or_ends_with_its_frames_is_one_clock() {
     write(&bench.path("rec.h5"), Some(&events()), Some(&frame));
     says(&bench.run(&["check", "rec.h5"]), 0, &["24 events, 1 frames", "no mistake found"]);
 }
+
+/// The exit code of a command whose stdout and stderr nobody reads.
+fn unheard(bench: &Bench, arguments: &[&str]) -> i32 {
+    let (reader, writer) = std::io::pipe().expect("a pipe");
+    drop(reader);
+    let status = bench.command(arguments).stdin(Stdio::null()).stdout(writer.try_clone().expect("a pipe")).stderr(writer).status();
+    status.expect("the command starts").code().unwrap_or(-1)
+}
+
+#[test]
+fn a_reader_that_goes_away_changes_no_exit_code() {
+    let bench = Bench::new();
+    bench.write("m.toml", &small_pipeline());
+    bench.write("bad.toml", "format = 1\n[nodes.a]\nkind = \"read/nothing\"\n");
+    // 130 whole lines of text, and one that is cut: what is whole is read, and the exit code says that it is damaged.
+    let lines: String = (0..130).map(|k| format!("{},{},3,{}\n", k * 100, k % 20, k % 2)).collect();
+    bench.write("cut.csv", &format!("t,x,y,p\n{lines}13000,5\n"));
+    let cases: [(&[&str], i32); 9] = [
+        (&["nodes"], 0),
+        (&["nodes", "--markdown"], 0),
+        (&["completions", "bash"], 0),
+        (&["check", "bad.toml"], 2),
+        (&["check", "nowhere.toml"], 2),
+        (&["inspect", "cut.csv", "--time-unit", "us"], 3),
+        (&["inspect", "cut.csv", "--time-unit", "us", "--json"], 3),
+        (&["run", "m.toml", "--progress", "plain"], 0),
+        (&["run", "m.toml", "--progress", "json", "--json", "--force", "solve"], 0),
+    ];
+    for (arguments, code) in cases {
+        assert_eq!(unheard(&bench, arguments), code, "{arguments:?}");
+    }
+}
+
+#[test]
+fn what_needs_more_than_the_stated_memory_is_refused_before_anything_runs() {
+    let bench = Bench::new();
+    bench.write("m.toml", &small_pipeline());
+    for command in ["plan", "check", "run"] {
+        says(&bench.run(&[command, "m.toml", "--memory", "30kB"]), 2, &["nodes.", "of memory at a time, and there are 30.0 kB", "--memory"]);
+        assert!(!bench.path("out").exists() && !bench.path(".photocurrent").exists(), "{command} left something behind");
+    }
+    assert_eq!(bench.run(&["check", "m.toml", "--memory", "64MB"]).code, 0);
+    // 2,001 frames of 16 bytes each, before any of their values.
+    let sampled = small_pipeline().replace("kind = \"render/rows\"", "kind = \"render/rows\"\nparams = { rate = \"50 kHz\" }");
+    bench.write("list.toml", &sampled);
+    says(&bench.run(&["plan", "list.toml", "--memory", "20kB"]), 2, &["for the times of frames, and there are 20.0 kB"]);
+    // A diagnosis holds its recording.
+    let (events, frames, sensor) = (events(), frames(3), sensor());
+    write_content(
+        &bench.path("rec.h5"),
+        &RecordingContent { events: Some(&events), frames: Some(&frames), sensor: Some(&sensor), ..RecordingContent::empty(EXTENT) },
+    );
+    says(&bench.run(&["diagnose", "rec.h5", "--memory", "100B"]), 2, &["rec.h5: a diagnosis holds the recording", "and there are 100 B"]);
+}

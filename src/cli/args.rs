@@ -65,6 +65,9 @@ pub struct Target {
     /// Only these nodes and what they need
     #[arg(long = "to", value_name = "NODE")]
     pub to: Vec<String>,
+    /// Memory that data may take, such as 800MB or 8GiB: what needs more at a time is refused before anything runs [default: half of what is free]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    pub memory: Option<u64>,
     /// Where results are kept for later runs
     #[arg(long, value_name = "FOLDER", default_value = ".photocurrent")]
     pub cache: PathBuf,
@@ -157,9 +160,6 @@ pub struct RunOptions {
     /// Threads, for nodes side by side and inside nodes [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub threads: Option<u32>,
-    /// Memory for data, such as 800MB or 8GiB [default: half of what is free]
-    #[arg(long, value_name = "SIZE", value_parser = bytes)]
-    pub memory: Option<u64>,
     /// Height of row bands, instead of what memory asks for; results do not depend on it
     #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u32).range(1..))]
     pub band_rows: Option<u32>,
@@ -196,11 +196,15 @@ pub struct ExplainOptions {
 
 #[derive(ClapArgs)]
 pub struct CheckOptions {
-    /// A manifest, a recording, a sensor description, or the output folder of a run
-    pub file: PathBuf,
+    /// A manifest, a recording (with its frames and their stamps when they lie elsewhere), a sensor description, or the output folder of a run
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<PathBuf>,
     /// Lay a value over the manifest
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub sets: Vec<String>,
+    /// Memory that data may take, such as 800MB or 8GiB: what needs more at a time is refused before anything runs [default: all there is]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    pub memory: Option<u64>,
     /// What a recording does not say
     #[command(flatten)]
     pub declared: crate::declared::DeclaredOptions,
@@ -310,7 +314,7 @@ pub struct GraphOptions {
 
 #[derive(ClapArgs)]
 pub struct InspectOptions {
-    /// Recordings of any format, folders of a recording, or cached artefacts (.h5)
+    /// Recordings of any format, folders of a recording, or cached artefacts (.h5); events and frames that lie in several files are one recording
     #[arg(required = true, value_name = "FILE")]
     pub files: Vec<PathBuf>,
     /// What the files do not say
@@ -343,6 +347,9 @@ pub struct DiagnoseOptions {
     /// Where results of the stages are kept for later runs
     #[arg(long, value_name = "FOLDER", default_value = ".photocurrent")]
     pub cache: PathBuf,
+    /// Memory that data may take, such as 800MB or 8GiB: what needs more at a time is refused before anything runs [default: half of what is free]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    pub memory: Option<u64>,
     /// Threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub threads: Option<u32>,

@@ -1,8 +1,9 @@
 //! `photocurrent cache`: what is kept, how much room it takes, what may go, whether it is whole.
 
 use crate::args::{CacheCommand, CacheOptions};
-use crate::common::{Done, Failure, human_bytes, human_seconds, print, print_json};
+use crate::common::{Done, Failure, human_bytes, human_seconds};
 use crate::tables::draw;
+use crate::terminal::{print, print_json};
 use photocurrent_store::{Cache, GcOptions};
 use serde_json::json;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};

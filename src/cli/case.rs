@@ -1,18 +1,20 @@
 //! A recording and its description as a diagnosis takes them.
 
-use crate::common::Failure;
+use crate::common::{Failure, human_bytes};
 use crate::file_kind::{FileKind, Reader};
 use photocurrent_core::document::Source;
 use photocurrent_core::error::Trouble;
 use photocurrent_core::quantity::InputPath;
 use photocurrent_core::{EventsMeta, FramesMeta, Sensor};
 use photocurrent_diagnosis::case::Case;
+use photocurrent_engine::machine_memory;
 use photocurrent_nodes::read::foreign::All;
 use photocurrent_nodes::read::whole;
 use photocurrent_nodes::spans::check_one_clock;
 use photocurrent_store::StoreError;
 use photocurrent_store::recording::Recording;
 use std::path::Path;
+use std::sync::Arc;
 
 /// Why a recording is no case.
 pub enum Unread {
@@ -28,37 +30,39 @@ impl From<Failure> for Unread {
     }
 }
 
-/// Reads a recording with the description in a file, or its own.
-pub fn read(path: &Path, sensor_file: Option<&Path>) -> Result<Case, Unread> {
+/// Reads a recording with the description in a file, or its own; refuses, before its data, one that takes more than `memory` bytes (none = what the machine has).
+pub fn read(path: &Path, sensor_file: Option<&Path>, memory: Option<u64>) -> Result<Case, Unread> {
     // The HDF5 library's word for a missing file comes without what to do about it.
     if let Err(error) = std::fs::metadata(path) {
         let hint = "hint: name a recording: docs/recordings.md lists the formats";
         return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", path.display())).into());
     }
     if let FileKind::Recording(Reader::Format(_)) = FileKind::of(path) {
-        return of_others(path, sensor_file);
+        return of_others(path, sensor_file, memory);
     }
     let recording = Recording::open(path).map_err(Failure::from)?;
     let sensor = sensor(path, sensor_file, recording.sensor_text())?;
-    of_recording(&recording, &sensor)
+    of_recording(&recording, &sensor, memory)
 }
 
 /// From a file of another program.
-fn of_others(path: &Path, sensor_file: Option<&Path>) -> Result<Case, Unread> {
+fn of_others(path: &Path, sensor_file: Option<&Path>, memory: Option<u64>) -> Result<Case, Unread> {
     let sensor = sensor(path, sensor_file, None)?;
     // What the file does not record of its rows, a description may know.
     let all = All { path: InputPath::new(path), row_time: sensor.frames.row_time, ..All::default() };
     let streams = whole(&all).map_err(|error| usage(error.to_string()))?;
     one_clock(path, streams.events.as_ref().map(|events| &*events.meta), streams.frames.as_ref().map(|frames| &*frames.meta), &sensor)?;
+    fits(path, streams.events.as_ref().map(|events| &events.meta), streams.frames.as_ref().map(|frames| &frames.meta), memory)?;
     Case::read(streams.events.as_ref(), streams.frames.as_ref(), &sensor).map_err(|error| usage(format!("{}: {}", path.display(), error.message)).into())
 }
 
 /// From a recording in this project's form.
-fn of_recording(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> {
+fn of_recording(recording: &Recording, sensor: &Sensor, memory: Option<u64>) -> Result<Case, Unread> {
     let name = recording.path().display();
     let row_time_ns = recording.row_time_ns().or(sensor.frames.row_time.map(|row_time| row_time.ns()));
     let frames_meta = recording.frames_meta(row_time_ns.unwrap_or(0));
     one_clock(recording.path(), recording.events_meta().map(|events| &**events), frames_meta.as_ref(), sensor)?;
+    fits(recording.path(), recording.events_meta(), frames_meta.map(Arc::new).as_ref(), memory)?;
     // Read once before, for the reader's own word on what is wrong.
     match recording.read_events(recording.extent().rows()) {
         Ok(_) => {}
@@ -74,6 +78,17 @@ fn of_recording(recording: &Recording, sensor: &Sensor) -> Result<Case, Unread> 
         }
     };
     Case::read(recording.events().as_ref(), frames.as_ref(), sensor).map_err(|error| usage(format!("{name}: {}", error.message)).into())
+}
+
+/// Refuses a recording that is too large to be held.
+fn fits(path: &Path, events: Option<&Arc<EventsMeta>>, frames: Option<&Arc<FramesMeta>>, memory: Option<u64>) -> Result<(), Failure> {
+    let (needed, allowed) = (Case::estimated_bytes(events, frames), [memory, machine_memory()].into_iter().flatten().min().unwrap_or(u64::MAX));
+    if needed <= allowed {
+        return Ok(());
+    }
+    let hint = "hint: `photocurrent convert --start ... --end ...` writes a shorter part; --memory allows more, where the machine has it";
+    let (needed, allowed) = (human_bytes(needed), human_bytes(allowed));
+    Err(usage(format!("{}: a diagnosis holds the recording, which takes about {needed}, and there are {allowed}\n  {hint}", path.display())))
 }
 
 /// Nothing can be said of a sensor whose two streams never saw the same moment, and looking would take for ever.

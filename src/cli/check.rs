@@ -3,16 +3,19 @@
 //! Exit code 0: none found; 2: a manifest or description has mistakes; 3: data have. Every independent mistake is reported at once.
 
 use crate::args::CheckOptions;
-use crate::common::{Done, Failure, print_count, within_machine};
+use crate::case::usage;
+use crate::common::{Done, Failure, print_count};
 use crate::declared::refused;
 use crate::file_kind::{FileKind, Reader};
 use crate::inspect::{Seen, look};
+use crate::parts::Parts;
 use crate::problems;
+use crate::terminal::say;
 use photocurrent_core::document::{Problem, Source};
 use photocurrent_core::{Rows, Sensor};
 use photocurrent_engine::{Plan, Selection};
 use photocurrent_formats::hazard::Severity;
-use photocurrent_formats::{Format, recognise};
+use photocurrent_formats::{Declared, Format, recognise};
 use photocurrent_nodes::{read_effects, spans};
 use photocurrent_store::recording::Recording;
 use photocurrent_store::{StoreError, open_value};
@@ -23,7 +26,10 @@ const BROKEN: u8 = 3;
 
 /// Checks a file by what it is.
 pub fn check(options: &CheckOptions) -> Done {
-    let path = &options.file;
+    let path = &options.files[0];
+    if options.files.len() > 1 {
+        return check_together(options);
+    }
     let kind = FileKind::of(path);
     if !options.sets.is_empty() && !matches!(kind, FileKind::Manifest | FileKind::Missing) {
         return Err(kind.refuse(path, "check --set", "a manifest"));
@@ -31,13 +37,13 @@ pub fn check(options: &CheckOptions) -> Done {
     match &kind {
         FileKind::Manifest | FileKind::Missing => check_manifest(options),
         FileKind::Recording(Reader::Ours) => check_recording(options),
-        FileKind::Recording(Reader::Format(format)) => check_format(options, format),
+        FileKind::Recording(Reader::Format(format)) => check_format(path, format, &options.declared.declared()),
         FileKind::Sensor => check_sensor(path),
         FileKind::RunFolder | FileKind::Scores => check_scores(path),
         FileKind::Diagnosis => check_diagnosis(path),
         FileKind::Artefact => {
             let value = open_value(path).map_err(|error| data(error.to_string()))?;
-            eprintln!("{}: a cached result of type {}; `photocurrent cache verify` reads all of it", path.display(), value.data_type());
+            say!("{}: a cached result of type {}; `photocurrent cache verify` reads all of it", path.display(), value.data_type());
             Ok(0)
         }
         FileKind::Other(_) => Err(kind.refuse(path, "check", "a manifest, a recording, a sensor description or the output folder of a run")),
@@ -51,9 +57,9 @@ fn data(message: String) -> Failure {
 
 fn check_manifest(options: &CheckOptions) -> Done {
     let catalogue = photocurrent_nodes::catalogue();
-    let (_, plan) = Plan::load(&options.file, &options.sets, &catalogue, &Selection::default())?;
-    within_machine(&plan)?;
-    eprintln!("{}: {} nodes in {} variant(s), no mistake found", options.file.display(), plan.tasks.len(), plan.variants.len());
+    let selection = Selection { memory: options.memory, ..Selection::default() };
+    let (_, plan) = Plan::load(&options.files[0], &options.sets, &catalogue, &selection)?;
+    say!("{}: {} nodes in {} variant(s), no mistake found", options.files[0].display(), plan.tasks.len(), plan.variants.len());
     Ok(0)
 }
 
@@ -84,7 +90,7 @@ impl<'a> Findings<'a> {
             let text = format!("{}: {} ({})\n  hint: {}", self.path.display(), finding.message, finding.evidence, finding.what_to_do);
             match finding.severity {
                 Severity::Error => self.lines.push(text),
-                Severity::Hazard => eprintln!("hazard: {text}"),
+                Severity::Hazard => say!("hazard: {text}"),
                 Severity::Question | Severity::Fact => {}
             }
         }
@@ -94,19 +100,19 @@ impl<'a> Findings<'a> {
     fn finish(self, what: &str) -> Done {
         let count = self.lines.len() + self.problems.len();
         if count == 0 {
-            eprintln!("{}: {what}, no mistake found", self.path.display());
+            say!("{}: {what}, no mistake found", self.path.display());
             return Ok(0);
         }
         problems::lines(&self.lines);
         problems::render(&self.problems);
-        eprintln!("{}: {what}; {}", self.path.display(), print_count(count, "mistake"));
+        say!("{}: {what}; {}", self.path.display(), print_count(count, "mistake"));
         Ok(BROKEN)
     }
 }
 
 /// Reads a whole recording of this project's form: events, frames, description, and whether its clocks agree.
 fn check_recording(options: &CheckOptions) -> Done {
-    let path = &options.file;
+    let path = &options.files[0];
     let mut findings = Findings::new(path);
     let recording = match Recording::open(path) {
         Ok(recording) => recording,
@@ -137,7 +143,7 @@ fn check_recording(options: &CheckOptions) -> Done {
         let broken = (0..frames.times.len()).find_map(|l| source.read(l..l + 1, frames.extent.rows()).err());
         findings.lines.extend(broken.map(|error| error.message));
         if row_time_ns.is_none() {
-            eprintln!("note: {}: the row time of the frames is stated nowhere; who reads them must state it (0 is a global shutter)", path.display());
+            say!("note: {}: the row time of the frames is stated nowhere; who reads them must state it (0 is a global shutter)", path.display());
         }
     }
     // The judge of every format, once the form is right.
@@ -150,11 +156,20 @@ fn check_recording(options: &CheckOptions) -> Done {
     findings.finish(&format!("{} events, {count} frames", recording.event_count()))
 }
 
+/// Events and frames that lie in several files.
+fn check_together(options: &CheckOptions) -> Done {
+    let names = || options.files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ");
+    let Some(parts) = Parts::one_recording(&options.files).filter(|_| options.sets.is_empty()) else {
+        let hint = "hint: name one file, or a file of events with its frames (and their stamps)";
+        return Err(usage(format!("{}: `check` takes one manifest, recording or description, and these are not one recording\n  {hint}", names())));
+    };
+    check_format(&parts.recording, parts.format, &parts.declared(&options.declared.declared()))
+}
+
 /// Reads a whole recording of any format: what was lost, and what makes its data meaningless; what is only suspicious is noted.
-fn check_format(options: &CheckOptions, format: &'static Format) -> Done {
-    let path = &options.file;
+fn check_format(path: &Path, format: &'static Format, declared: &Declared) -> Done {
     let mut findings = Findings::new(path);
-    let seen = look(path, format, &options.declared.declared(), true).map_err(|error| refused(&error))?;
+    let seen = look(path, format, declared, true).map_err(|error| refused(&error))?;
     findings.lines.extend(seen.survey.losses.iter().map(|loss| format!("{}: {}: {}", path.display(), loss.at, loss.what)));
     findings.judge(&seen);
     findings.finish(format.name)
@@ -180,7 +195,7 @@ fn check_sensor(path: &Path) -> Done {
     let absent = absent(&sensor);
     let unknown =
         if absent.is_empty() { "every field that methods ask for is stated".into() } else { format!("not stated, so unknown: {}", absent.join(", ")) };
-    eprintln!("{}: the sensor description \"{}\", no mistake found\n{unknown}", path.display(), sensor.name);
+    say!("{}: the sensor description \"{}\", no mistake found\n{unknown}", path.display(), sensor.name);
     Ok(0)
 }
 
@@ -214,13 +229,13 @@ fn check_scores(path: &Path) -> Done {
 fn check_diagnosis(path: &Path) -> Done {
     let file = if path.is_dir() { path.join("diagnosis.json") } else { path.to_path_buf() };
     if file.extension().is_some_and(|extension| extension == "html") {
-        eprintln!("{}: the page of a diagnosis: open it in a browser", file.display());
+        say!("{}: the page of a diagnosis: open it in a browser", file.display());
         return Ok(0);
     }
     let text = std::fs::read_to_string(&file).map_err(|error| data(photocurrent_core::error::cannot_read(&file, &error)))?;
     let report: photocurrent_diagnosis::report::Report =
         serde_json::from_str(&text).map_err(|error| data(format!("{}: this is no diagnosis: {error}", file.display())))?;
-    eprintln!("{}: a diagnosis, no mistake found\n{}: {}", file.display(), report.verdict.name(), report.summary);
+    say!("{}: a diagnosis, no mistake found\n{}: {}", file.display(), report.verdict.name(), report.summary);
     Ok(0)
 }
 

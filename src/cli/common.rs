@@ -2,8 +2,9 @@
 
 use crate::args::Target;
 use crate::file_kind::need_manifest;
+use crate::terminal::say;
 use photocurrent_core::document::Problem;
-use photocurrent_engine::{End, Outcome, Plan, Project, Selection, machine_memory};
+use photocurrent_engine::{End, Outcome, Plan, Project, Selection};
 use photocurrent_store::StoreError;
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -19,8 +20,6 @@ pub enum Failure {
         /// For the shell.
         code: u8,
     },
-    /// Nobody reads our output any more.
-    ReaderGone,
 }
 
 impl Failure {
@@ -44,27 +43,12 @@ impl From<StoreError> for Failure {
 
 impl From<std::io::Error> for Failure {
     fn from(error: std::io::Error) -> Failure {
-        if error.kind() == std::io::ErrorKind::BrokenPipe { Failure::ReaderGone } else { Failure::other(error.to_string()) }
+        Failure::other(error.to_string())
     }
 }
 
 /// An exit code, or why not.
 pub type Done = Result<u8, Failure>;
-
-/// Writes data to stdout, whole.
-pub fn print(text: &str) -> Result<(), Failure> {
-    let mut stdout = std::io::stdout().lock();
-    stdout.write_all(text.as_bytes())?;
-    if !text.ends_with('\n') {
-        stdout.write_all(b"\n")?;
-    }
-    Ok(stdout.flush()?)
-}
-
-/// Writes JSON to stdout, indented.
-pub fn print_json(value: &serde_json::Value) -> Result<(), Failure> {
-    print(&serde_json::to_string_pretty(value).map_err(|error| Failure::other(error.to_string()))?)
-}
 
 /// Refuses a path that a manifest cannot name.
 pub fn must_be_utf8(path: &Path) -> Result<(), Failure> {
@@ -86,20 +70,13 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Refuses a plan that this machine can never run.
-pub fn within_machine(plan: &Plan) -> Result<(), Failure> {
-    Ok(machine_memory().map_or(Ok(()), |bytes| plan.refuse_beyond(bytes))?)
-}
-
 impl Target {
     /// Loads and plans, for `command`.
     pub fn plan(&self, command: &str) -> Result<(Project, Plan), Failure> {
         need_manifest(&self.manifest, command)?;
         let catalogue = photocurrent_nodes::catalogue();
-        let selection = Selection { variants: self.variants.clone(), to: self.to.clone() };
-        let (project, plan) = Plan::load(&self.manifest, &self.sets, &catalogue, &selection)?;
-        within_machine(&plan)?;
-        Ok((project, plan))
+        let selection = Selection { variants: self.variants.clone(), to: self.to.clone(), memory: self.memory };
+        Ok(Plan::load(&self.manifest, &self.sets, &catalogue, &selection)?)
     }
 
     /// Where files for the user go.
@@ -112,13 +89,13 @@ impl Target {
 pub fn failed_nodes(outcome: &Outcome) {
     for (_, task) in outcome.failures() {
         let error = task.error.as_ref().map(ToString::to_string).unwrap_or_default();
-        eprintln!("\nerror: node {} ({}) failed: {error}", task.label, task.kind);
+        say!("\nerror: node {} ({}) failed: {error}", task.label, task.kind);
         if let Some(error) = task.error.as_ref().filter(|error| !error.problems.is_empty()) {
             crate::problems::render(&error.problems);
         }
     }
     for task in outcome.tasks.iter().filter(|task| task.end == End::Skipped) {
-        eprintln!("skipped: {} needs {}", task.label, task.because.join(", "));
+        say!("skipped: {} needs {}", task.label, task.because.join(", "));
     }
 }
 

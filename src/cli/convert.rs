@@ -4,6 +4,7 @@
 
 use crate::args::{ConvertOptions, Written};
 use crate::common::{Done, Failure};
+use crate::terminal::say;
 use photocurrent_core::EventsMeta;
 use photocurrent_formats::arrange::{Arranged, Settings, arrange};
 use photocurrent_formats::csv::CsvWriter;
@@ -68,10 +69,10 @@ fn refused(error: FormatError) -> Failure {
 /// Says what was lost on stderr, and gives the exit code.
 fn ending(options: &ConvertOptions, arranged: &Arranged, from_zero: bool, what: &str) -> u8 {
     // Where the file's clock stays, its zero is no news.
-    arranged.notes.iter().filter(|note| from_zero || !note.starts_with("t = 0 is ")).for_each(|note| eprintln!("note: {note}"));
-    arranged.counts.iter().filter(|(n, _)| *n > 0).for_each(|(n, what)| eprintln!("note: {n} {what}"));
-    arranged.losses.iter().for_each(|loss| eprintln!("data lost: {}: {}", loss.at, loss.what));
-    eprintln!("{}: {what}", options.output.display());
+    arranged.notes.iter().filter(|note| from_zero || !note.starts_with("t = 0 is ")).for_each(|note| say!("note: {note}"));
+    arranged.counts.iter().filter(|(n, _)| *n > 0).for_each(|(n, what)| say!("note: {n} {what}"));
+    arranged.losses.iter().for_each(|loss| say!("data lost: {}: {}", loss.at, loss.what));
+    say!("{}: {what}", options.output.display());
     if arranged.losses.is_empty() { 0 } else { 3 }
 }
 
@@ -118,7 +119,7 @@ fn dsec(options: &ConvertOptions, recording: &dyn Recording, settings: &Settings
     let meta = events_of(&arranged)?;
     let mut cursor = arranged.cursor(recording, options.from_zero).map_err(refused)?;
     let written = write::write_dsec(&options.output, &mut *cursor, meta.extent, meta.has_t_in).map_err(refused)?;
-    written.notes.iter().for_each(|note| eprintln!("note: {note}"));
+    written.notes.iter().for_each(|note| say!("note: {note}"));
     Ok(ending(options, &arranged, options.from_zero, &format!("{} events", written.events)))
 }
 
@@ -158,7 +159,7 @@ fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, sett
         Sink::Csv(writer) => writer.finish().map_err(failed)?,
         Sink::Evt3(writer) => {
             if writer.shift_ns() != 0 {
-                eprintln!("note: EVT3 begins below 16.8 s: {} us were subtracted from every stamp", writer.shift_ns() / 1000);
+                say!("note: EVT3 begins below 16.8 s: {} us were subtracted from every stamp", writer.shift_ns() / 1000);
             }
             writer.finish().map_err(failed)?
         }

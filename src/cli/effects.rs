@@ -1,8 +1,9 @@
 //! `photocurrent effects`: the catalogue of what a sensor may do beyond the paper's model.
 
 use crate::args::EffectsOptions;
-use crate::common::{Done, Failure, print, print_json};
+use crate::common::{Done, Failure};
 use crate::tables::draw;
+use crate::terminal::{print, print_json, say};
 use photocurrent_core::document::Problem;
 use photocurrent_nodes::{EffectDecl, ParameterDecl, Unit, effects as catalogue};
 use serde_json::{Value, json};
@@ -33,7 +34,7 @@ pub fn effects(options: &EffectsOptions) -> Done {
         let mut rows = vec![["effect", "stage", "what it does"].map(String::from).to_vec()];
         rows.extend(chosen.iter().map(|decl| vec![decl.id.into(), decl.stage.name().into(), decl.about.into()]));
         print(&draw(&rows))?;
-        eprintln!("\nTurn one on in a sensor description: [effects] leak_events = {{ rate = \"0.1 Hz\" }}. photocurrent effects ID prints the page of one.");
+        say!("\nTurn one on in a sensor description: [effects] leak_events = {{ rate = \"0.1 Hz\" }}. photocurrent effects ID prints the page of one.");
     }
     Ok(0)
 }

@@ -1,8 +1,9 @@
 //! `photocurrent graph`.
 
 use crate::args::{GraphOptions, GraphStyle};
-use crate::common::{Done, Failure, print};
+use crate::common::{Done, Failure};
 use crate::file_kind::need_manifest;
+use crate::terminal::print;
 use photocurrent_core::document::Problem;
 use photocurrent_engine::{GraphFormat, Project, graph as draw};
 

@@ -3,6 +3,7 @@
 use crate::args::LearnOptions;
 use crate::case::{self, Unread, usage};
 use crate::common::{Done, Failure};
+use crate::terminal::say;
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Extent;
 use photocurrent_diagnosis::candidates::CANDIDATES;
@@ -49,7 +50,7 @@ pub fn learn(options: &LearnOptions) -> Done {
     }
     if !options.quiet {
         let (scenes, nulls) = (options.scenes, knowledge.floor.nulls.len());
-        eprintln!("{scenes} scenes, {} examples, {nulls} recordings without an effect; the files are in {}", examples.len(), options.out.display());
+        say!("{scenes} scenes, {} examples, {nulls} recordings without an effect; the files are in {}", examples.len(), options.out.display());
     }
     Ok(0)
 }
@@ -95,7 +96,7 @@ fn bias(path: &Path, number: u64, make: impl FnOnce() -> Result<Null, String>) -
 
 /// By how much a recording without an effect deviates, and its biases.
 fn null(path: &Path, seed: u64) -> Result<(Null, Null), Failure> {
-    let case = match case::read(path, None) {
+    let case = match case::read(path, None, None) {
         Ok(case) => case,
         Err(Unread::Content(why)) => return Err(usage(why)),
         Err(Unread::Other(failure)) => return Err(failure),

@@ -3,6 +3,8 @@
 //! Data go to stdout, talk to stderr. Exit codes: 0 done, 1 a node failed, 2 manifest or usage error (nothing ran), 3 input data failed a
 //! check, 4 an ablation finished with failed variants, 130 interrupted (artefacts intact).
 
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
 mod args;
 mod cache;
 mod case;
@@ -18,13 +20,16 @@ mod init;
 mod inspect;
 mod learn;
 mod nodes;
+mod parts;
 mod plan;
 mod problems;
 mod progress;
 mod run;
 mod table;
 mod tables;
+mod terminal;
 
+use crate::terminal::say;
 use args::{Args, Command};
 use clap::Parser;
 use common::Failure;
@@ -57,10 +62,8 @@ fn main() -> ExitCode {
             ExitCode::from(2)
         }
         Err(Failure::Other { message, code }) => {
-            eprintln!("error: {message}");
+            say!("error: {message}");
             ExitCode::from(code)
         }
-        // The reader of our output went away (`photocurrent nodes | head`): that is no failure of ours.
-        Err(Failure::ReaderGone) => ExitCode::SUCCESS,
     }
 }

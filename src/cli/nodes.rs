@@ -1,8 +1,9 @@
 //! `photocurrent nodes`, `schema`, `completions`: what there is to wire, for people, editors and shells.
 
 use crate::args::{Args, CompletionOptions, NodesOptions};
-use crate::common::{Done, Failure, print, print_json};
+use crate::common::{Done, Failure};
 use crate::tables::draw;
+use crate::terminal::{print, print_json, say};
 use clap::CommandFactory;
 use photocurrent_core::document::Problem;
 use photocurrent_core::ports::{Arity, PortSpec};
@@ -36,7 +37,7 @@ pub fn nodes(options: &NodesOptions) -> Done {
         let mut rows = vec![vec!["kind".to_string(), "what it does".to_string()]];
         rows.extend(chosen.iter().map(|kind| vec![kind.decl.kind.to_string(), kind.decl.about.to_string()]));
         print(&draw(&rows))?;
-        eprintln!("\nphotocurrent nodes KIND prints the manual of one.");
+        say!("\nphotocurrent nodes KIND prints the manual of one.");
     }
     Ok(0)
 }

@@ -1,8 +1,9 @@
 //! `photocurrent plan`, `explain`: what would happen and why. Neither writes anything.
 
 use crate::args::{ExplainOptions, PlanOptions, Target};
-use crate::common::{Done, Failure, human_bytes, human_seconds, print, print_json};
+use crate::common::{Done, Failure, human_bytes, human_seconds};
 use crate::tables::draw;
+use crate::terminal::{print, print_json, say};
 use photocurrent_engine::{Plan, State, TaskStatus, status};
 use photocurrent_store::Cache;
 use serde_json::{Value, json};
@@ -76,7 +77,7 @@ pub fn plan(options: &PlanOptions) -> Done {
     print(&draw(&rows))?;
     let count = |name: &str| all.iter().filter(|s| word(&s.state) == name).count();
     let variants = if plan.is_ablation { format!(" for {} variants", plan.variants.len()) } else { String::new() };
-    eprintln!("\n{} nodes{variants}: {} in the cache, {} to run, {} waiting", all.len(), count("hit"), count("miss"), count("waits"));
+    say!("\n{} nodes{variants}: {} in the cache, {} to run, {} waiting", all.len(), count("hit"), count("miss"), count("waits"));
     Ok(0)
 }
 

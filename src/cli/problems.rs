@@ -3,6 +3,7 @@
 //! A file that is something else than it was taken for can hold a mistake in every line: of one kind, twenty are shown and the rest is counted.
 
 use crate::common::{grouped, print_count};
+use crate::terminal::say;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use photocurrent_core::document::Problem;
 use std::collections::BTreeMap;
@@ -14,7 +15,7 @@ const SHOWN: usize = 20;
 /// Writes all problems to stderr, and how many there are; nothing has run.
 pub fn show(problems: &[Problem]) {
     render(problems);
-    eprintln!("{}; nothing ran", print_count(problems.len(), "mistake"));
+    say!("{}; nothing ran", print_count(problems.len(), "mistake"));
 }
 
 /// Writes all problems to stderr.
@@ -23,16 +24,16 @@ pub fn render(problems: &[Problem]) {
     let renderer = if coloured { Renderer::styled() } else { Renderer::plain() };
     let messages: Vec<&str> = problems.iter().map(|problem| problem.message.as_str()).collect();
     let (shown, more) = fewest(&messages);
-    shown.iter().for_each(|&at| eprintln!("{}\n", renderer.render(&[group(&problems[at])])));
-    more.iter().for_each(|line| eprintln!("{line}\n"));
+    shown.iter().for_each(|&at| say!("{}\n", renderer.render(&[group(&problems[at])])));
+    more.iter().for_each(|line| say!("{line}\n"));
 }
 
 /// Writes mistakes that are reported in a line each.
 pub fn lines(lines: &[String]) {
     let messages: Vec<&str> = lines.iter().map(String::as_str).collect();
     let (shown, more) = fewest(&messages);
-    shown.iter().for_each(|&at| eprintln!("error: {}", lines[at]));
-    more.iter().for_each(|line| eprintln!("{line}"));
+    shown.iter().for_each(|&at| say!("error: {}", lines[at]));
+    more.iter().for_each(|line| say!("{line}"));
 }
 
 /// Which of the messages are shown, and a line for each kind of which there are more.

@@ -2,6 +2,7 @@
 
 use crate::args::ProgressStyle as Style;
 use crate::common::{human_bytes, human_seconds};
+use crate::terminal::say;
 use indicatif::{MultiProgress, ProgressBar, ProgressState, ProgressStyle};
 use photocurrent_engine::{End, Observer, Plan, TaskId};
 use serde_json::json;
@@ -75,14 +76,14 @@ pub struct Lines {
 }
 
 fn line(value: serde_json::Value) {
-    eprintln!("{value}");
+    say!("{value}");
 }
 
 impl Observer for Watcher {
     fn planned(&self, tasks: usize) {
         match self {
             Watcher::Lines(_) => line(json!({"event": "planned", "nodes": tasks})),
-            Watcher::Plain(_) => eprintln!("{tasks} nodes"),
+            Watcher::Plain(_) => say!("{tasks} nodes"),
             Watcher::Bars(_) | Watcher::Quiet => {}
         }
     }
@@ -95,7 +96,7 @@ impl Observer for Watcher {
                 bar.enable_steady_tick(std::time::Duration::from_millis(120));
                 locked(&bars.running).insert(task, bar);
             }
-            Watcher::Plain(labels) => eprintln!("started  {label} ({})", labels[task].1),
+            Watcher::Plain(labels) => say!("started  {label} ({})", labels[task].1),
             Watcher::Lines(lines) => line(json!({"event": "started", "node": label, "kind": lines.labels[task].1})),
             Watcher::Quiet => {}
         }
@@ -161,7 +162,7 @@ impl Observer for Watcher {
             Watcher::Plain(_) if end == End::Reused => {}
             Watcher::Plain(labels) => {
                 let (label, kind) = &labels[task];
-                eprintln!("{:<8} {label} ({kind}), {}, {}", word(end), human_seconds(seconds), human_bytes(bytes));
+                say!("{:<8} {label} ({kind}), {}, {}", word(end), human_seconds(seconds), human_bytes(bytes));
             }
             Watcher::Lines(lines) => {
                 line(json!({"event": "finished", "node": lines.labels[task].0, "end": word(end).to_lowercase(), "seconds": seconds, "bytes": bytes}))
@@ -174,7 +175,7 @@ impl Observer for Watcher {
         match self {
             Watcher::Bars(bars) => bars.say(&format!("warning: {text}")),
             Watcher::Lines(_) => line(json!({"event": "warning", "text": text})),
-            Watcher::Plain(_) | Watcher::Quiet => eprintln!("warning: {text}"),
+            Watcher::Plain(_) | Watcher::Quiet => say!("warning: {text}"),
         }
     }
 }

@@ -1,9 +1,10 @@
 //! `photocurrent run`.
 
 use crate::args::RunOptions;
-use crate::common::{Done, Failure, failed_nodes, human_bytes, human_seconds, print, print_json};
+use crate::common::{Done, Failure, failed_nodes, human_bytes, human_seconds};
 use crate::progress::Watcher;
 use crate::tables::draw;
+use crate::terminal::{print, print_json, say};
 use photocurrent_core::document::Problem;
 use photocurrent_core::{Table, Value};
 use photocurrent_engine::{End, Options, Outcome, Plan, Project};
@@ -29,7 +30,7 @@ pub fn run(options: &RunOptions) -> Done {
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let how = Options {
         threads,
-        memory: options.memory.unwrap_or(defaults.memory),
+        memory: options.target.memory.unwrap_or(defaults.memory),
         band_rows: options.band_rows,
         out_dir: out_dir.clone(),
         force: options.force.iter().cloned().collect(),
@@ -59,7 +60,7 @@ pub fn stop_on_signal(cancel: &Arc<AtomicBool>) -> Result<(), Failure> {
         if cancel.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
         }
-        eprintln!("\nstopping; what is finished stays (again to stop at once)");
+        say!("\nstopping; what is finished stays (again to stop at once)");
     })
     .map_err(|error| Failure::other(format!("cannot listen for Ctrl-C: {error}")))
 }
@@ -172,16 +173,16 @@ fn talk(options: &RunOptions, outcome: &Outcome, out_dir: &Path, seconds: f64) {
         return;
     }
     for task in &outcome.tasks {
-        task.notes.iter().for_each(|note| eprintln!("note: {}: {note}", task.label));
+        task.notes.iter().for_each(|note| say!("note: {}: {note}", task.label));
     }
     let (executed, reused) = (outcome.count(End::Executed), outcome.count(End::Reused));
     let whole = executed + reused == outcome.tasks.len();
     let written: u64 = outcome.tasks.iter().filter(|task| task.end == End::Executed).map(photocurrent_engine::TaskOutcome::bytes).sum();
     let took = human_seconds(seconds);
     match (executed, whole) {
-        (0, true) => eprintln!("\n0 nodes executed: all {reused} results were in the cache ({took})"),
-        (_, true) => eprintln!("\n{executed} nodes executed, {reused} reused from the cache, {} stored ({took})", human_bytes(written)),
-        (_, false) => eprintln!(
+        (0, true) => say!("\n0 nodes executed: all {reused} results were in the cache ({took})"),
+        (_, true) => say!("\n{executed} nodes executed, {reused} reused from the cache, {} stored ({took})", human_bytes(written)),
+        (_, false) => say!(
             "\n{executed} nodes executed, {reused} reused, {} failed, {} skipped, {} interrupted ({took}); what is finished stays in the cache",
             outcome.count(End::Failed),
             outcome.count(End::Skipped),
@@ -189,7 +190,7 @@ fn talk(options: &RunOptions, outcome: &Outcome, out_dir: &Path, seconds: f64) {
         ),
     }
     if outcome.tasks.iter().any(|task| task.export.is_some() && matches!(task.end, End::Executed | End::Reused)) {
-        eprintln!("files are in {}", out_dir.display());
+        say!("files are in {}", out_dir.display());
     }
 }
 

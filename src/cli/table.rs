@@ -11,7 +11,8 @@ mod plot;
 mod records;
 
 use crate::args::{Among, TableFormat, TableOptions};
-use crate::common::{Done, Failure, print};
+use crate::common::{Done, Failure};
+use crate::terminal::print;
 use formats::Style;
 use grid::{Grid, Request};
 use records::Choice;

@@ -129,6 +129,14 @@ impl Meta {
         }
     }
 
+    /// About how many bytes the meta itself holds, from planning on: the exposures of its frames.
+    pub fn held_bytes(&self) -> u64 {
+        match self {
+            Meta::Frames(meta) | Meta::Truth(meta) => (meta.times.len() * size_of::<crate::Exposure>()) as u64,
+            _ => 0,
+        }
+    }
+
     /// About how many bytes the whole value takes in memory.
     pub fn estimated_bytes(&self) -> u64 {
         // Where a count is not known, eight events a pixel: a lively quarter of a second.

@@ -3,7 +3,8 @@
 use photocurrent_core::events::Event;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Colour, DataError, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Polarity, Sensor, TimeSpan,
+    Colour, DataError, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Meta, Polarity, Sensor,
+    TimeSpan,
 };
 use std::ops::Range;
 use std::sync::Arc;
@@ -88,6 +89,16 @@ pub struct Case {
 }
 
 impl Case {
+    /// About how many bytes reading takes at its peak: events as they are read, by pixel and in one list, and frames.
+    pub fn estimated_bytes(events: Option<&Arc<EventsMeta>>, frames: Option<&Arc<FramesMeta>>) -> u64 {
+        let lists = 2 * size_of::<Recorded>() as u64;
+        let events = events.map_or(0, |meta| {
+            let count = meta.count_hint.unwrap_or(8 * meta.extent.pixels() as u64);
+            count.saturating_mul(lists).saturating_add(Meta::Events(meta.clone()).estimated_bytes())
+        });
+        events.saturating_add(frames.map_or(0, |meta| Meta::Frames(meta.clone()).estimated_bytes()))
+    }
+
     /// Reads a recording into memory.
     ///
     /// # Errors

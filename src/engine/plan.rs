@@ -8,7 +8,7 @@
 use crate::lacking::Lacking;
 use crate::pipeline::Pipeline;
 use crate::resolve::{Project, distinct};
-use crate::schedule::least_bytes;
+use crate::schedule::{least_bytes, machine_memory};
 use crate::typed::{self, Link, TypedNode};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::document::{Origin, Problem};
@@ -113,6 +113,8 @@ pub struct Selection {
     pub variants: Vec<String>,
     /// Nodes to reach: only they and what they need; none means all.
     pub to: Vec<String>,
+    /// Bytes that planning, and the smallest piece of any task, may take; none = all that this process may ever have.
+    pub memory: Option<u64>,
 }
 
 /// What there is to do.
@@ -156,7 +158,9 @@ impl Plan {
             problems = unknown;
         }
         let is_ablation = project.ablation.is_some();
-        let mut planner = Planner { is_ablation, tasks: Vec::new(), known: HashMap::new(), problems: Vec::new(), lacking: Vec::new() };
+        let memory = [selection.memory, machine_memory()].into_iter().flatten().min().unwrap_or(u64::MAX);
+        let mut planner =
+            Planner { is_ablation, tasks: Vec::new(), known: HashMap::new(), problems: Vec::new(), lacking: Vec::new(), memory, lists: BTreeMap::new() };
         let mut variants = Vec::new();
         let mut found = Vec::new();
         for pipeline in &project.pipelines {
@@ -169,23 +173,24 @@ impl Plan {
         }
         let mut problems = distinct(problems, found);
         problems.extend(planner.lacking.iter().filter_map(Lacking::problem));
-        if problems.is_empty() { Ok(Plan { manifest_id: project.manifest_id, tasks: planner.tasks, variants, is_ablation }) } else { Err(problems) }
+        if !problems.is_empty() {
+            return Err(problems);
+        }
+        let plan = Plan { manifest_id: project.manifest_id, tasks: planner.tasks, variants, is_ablation };
+        plan.refuse_beyond(memory)?;
+        Ok(plan)
     }
 
     /// Refuses what can never run: a task whose results, even of its smallest piece, take more than `bytes` of memory.
-    ///
-    /// # Errors
-    /// Every such task, at its place.
-    pub fn refuse_beyond(&self, bytes: u64) -> Result<(), Vec<Problem>> {
+    fn refuse_beyond(&self, bytes: u64) -> Result<(), Vec<Problem>> {
         let problems: Vec<Problem> = self
             .tasks
             .iter()
             .filter_map(|task| {
                 let least = least_bytes(task);
                 (least > bytes).then(|| {
-                    let gb = |bytes: u64| format!("{:.1} GB", bytes as f64 * 1e-9);
-                    let message = format!("nodes.{}: its results need about {} of memory at a time, and there are {}", task.label, gb(least), gb(bytes));
-                    Problem::at(&task.origin, message).help("make less of it: a shorter part of the recording, a lower `rate`, fewer pixels")
+                    let message = format!("nodes.{}: its results need about {} of memory at a time, and there are {}", task.label, size(least), size(bytes));
+                    Problem::at(&task.origin, message).help(LESS)
                 })
             })
             .collect();
@@ -215,6 +220,18 @@ impl Plan {
     }
 }
 
+/// What to do about a plan that is too large.
+const LESS: &str = "make less of it: a shorter part of the recording, a lower `rate`, fewer pixels; or allow more with --memory, where the machine has it";
+
+/// A number of bytes for people: `1.2 GB`.
+fn size(bytes: u64) -> String {
+    match bytes as f64 {
+        bytes if bytes < 1e6 => format!("{:.1} kB", bytes * 1e-3),
+        bytes if bytes < 1e9 => format!("{:.1} MB", bytes * 1e-6),
+        bytes => format!("{:.1} GB", bytes * 1e-9),
+    }
+}
+
 /// The variants that a command line names. A part of a name selects every variant that has all its levels.
 fn select_variants<'a>(project: &'a Project, names: &[String], problems: &mut Vec<Problem>) -> Vec<&'a Pipeline> {
     if names.is_empty() {
@@ -241,6 +258,10 @@ struct Planner {
     known: HashMap<Digest, TaskId>,
     problems: Vec<Problem>,
     lacking: Vec<Lacking>,
+    /// Bytes that planning may take.
+    memory: u64,
+    /// Lists that planned outputs hold, each once, by their address, and their bytes.
+    lists: BTreeMap<usize, u64>,
 }
 
 impl Planner {
@@ -298,6 +319,7 @@ impl Planner {
             return Some(task);
         }
         let (outputs, grain) = self.plan(node, &inputs)?;
+        self.hold(node, &outputs)?;
         let label = node.spec.id.clone();
         let canonical_params = canonical_params(&node.params, &node.kind.schema);
         let schema = Arc::new(node.kind.schema.clone());
@@ -344,6 +366,22 @@ impl Planner {
             }
         }
         if stops { None } else { Some((!from.is_empty()).then_some(from)) }
+    }
+
+    /// Counts what the metas of outputs hold; `None`, and planning stops here, when the plan itself takes too much.
+    fn hold(&mut self, node: &TypedNode<'_>, outputs: &[TaskOutput]) -> Option<()> {
+        for output in outputs {
+            if let Meta::Frames(meta) | Meta::Truth(meta) = &output.meta {
+                self.lists.insert(Arc::as_ptr(meta) as usize, output.meta.held_bytes());
+            }
+        }
+        let held: u64 = self.lists.values().sum();
+        if held <= self.memory {
+            return Some(());
+        }
+        let message = format!("nodes.{}: the plan up to here takes {} for the times of frames, and there are {}", node.spec.id, size(held), size(self.memory));
+        self.problems.push(Problem::at(&node.spec.kind_origin, message).help(LESS));
+        None
     }
 
     /// Asks the node what its outputs will look like, and how far they reach.

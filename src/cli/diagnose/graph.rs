@@ -48,7 +48,7 @@ pub fn run(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Resu
     // The pool inside nodes; it can only fail when something made it before us, and then it works as well.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let out_dir = folder.join("out");
-    let how = Options { threads, out_dir: out_dir.clone(), ..defaults };
+    let how = Options { threads, memory: options.memory.unwrap_or(defaults.memory), out_dir: out_dir.clone(), ..defaults };
     let outcome = photocurrent_engine::run(&plan, &cache, &how, &Watcher::new(&plan, options.progress, options.quiet), &cancel);
     if outcome.exit_code() != 0 {
         failed_nodes(&outcome);
@@ -72,7 +72,7 @@ fn plan(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Plan, F
     };
     write("wiring.toml", WIRING)?;
     let manifest = write("diagnosis.toml", &manifest(options, case)?)?;
-    let selection = Selection { variants: Vec::new(), to: vec![ANSWER.into()] };
+    let selection = Selection { to: vec![ANSWER.into()], memory: options.memory, ..Selection::default() };
     let (_, mut plan) = Plan::load(&manifest, &[], &photocurrent_nodes::catalogue(), &selection)?;
     // The folder is another one each time, and the cache's history goes by what is diagnosed.
     plan.manifest_id = Digest::of_bytes(format!("diagnosis of {}", whole(&options.recording)?.display()).as_bytes());

@@ -4,8 +4,9 @@ mod graph;
 
 use crate::args::DiagnoseOptions;
 use crate::case::{self, Unread, usage};
-use crate::common::{Done, Failure, human_seconds, print};
+use crate::common::{Done, Failure, human_seconds};
 use crate::file_kind::need_recording;
+use crate::terminal::{print, say};
 use photocurrent_diagnosis::diagnose::broken;
 use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::nominal::Nominal;
@@ -33,7 +34,7 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     check_knowledge(options)?;
     need_recording(&options.recording, "diagnose")?;
     // What is wrong with the input is told in the words of this command, before the graph begins.
-    let case = match case::read(&options.recording, options.sensor.as_deref()) {
+    let case = match case::read(&options.recording, options.sensor.as_deref(), options.memory) {
         Ok(case) => case,
         Err(Unread::Content(why)) => {
             let report = broken(&why, options.seed);
@@ -55,14 +56,14 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     let report = std::fs::read_to_string(answered.files.join(REPORT))?;
     let report: Report = serde_json::from_str(&report).map_err(|error| Failure::other(format!("the report cannot be read again: {error}")))?;
     put(&answered.files, &folder, &beside)?;
-    answered.warnings.iter().for_each(|why| eprintln!("warning: {why}"));
+    answered.warnings.iter().for_each(|why| say!("warning: {why}"));
     let told = first_line(&report);
     for (node, note) in answered.notes.iter().filter(|(_, note)| *note != told) {
         // What did not come to its end has gone wrong, and is told to those who asked for quiet as well.
         match note.strip_prefix(UNFINISHED) {
-            Some(what) => eprintln!("warning: {what}"),
+            Some(what) => say!("warning: {what}"),
             None if options.quiet => {}
-            None => eprintln!("note: {node}: {note}"),
+            None => say!("note: {node}: {note}"),
         }
     }
     show(options, &report, &folder, started)?;
@@ -125,7 +126,7 @@ fn show(options: &DiagnoseOptions, report: &Report, folder: &Path, started: Inst
         print(&summary(report))?;
     }
     if !options.quiet {
-        eprintln!("the report is in {} ({})", folder.display(), human_seconds(started.elapsed().as_secs_f64()));
+        say!("the report is in {} ({})", folder.display(), human_seconds(started.elapsed().as_secs_f64()));
     }
     Ok(())
 }

@@ -3,10 +3,11 @@
 use super::usage;
 use crate::common::Failure;
 use crate::declared::DeclaredOptions;
+use crate::parts::Parts;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{FramesMeta, TimeSpan};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, arrange};
-use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, bias, calibration, format, joined};
+use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, joined};
 use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
 use photocurrent_nodes::read::foreign::All;
 use std::collections::BTreeMap;
@@ -63,110 +64,32 @@ impl Facts {
     }
 }
 
-/// Which file is what.
-struct Sorted {
-    recording: PathBuf,
-    format: &'static Format,
-    frames: Option<PathBuf>,
-    stamps: Option<PathBuf>,
-    /// What calibration and bias files say, a line each.
-    camera: Vec<String>,
-    /// Delay from row to row that a calibration states, s.
-    line_delay_s: Option<f64>,
-}
-
-/// One file with events, at most one folder or film of pictures, at most one file of stamps.
-fn sort(files: &[PathBuf]) -> Result<Sorted, Failure> {
-    let (mut recording, mut stamps) = (None, None);
-    let mut frames: Option<PathBuf> = None;
-    let (mut camera, mut line_delay_s) = (Vec::new(), None);
-    for path in files {
-        if let Some(delay) = camera_facts(path, &mut camera)? {
-            line_delay_s = delay.or(line_delay_s);
-            continue;
-        }
-        let found = format::recognise(path).map_err(|error| usage(error.to_string()))?;
-        let (slot, what) = match found {
-            Some(format) if format.id == "pictures" => {
-                if let Some(other) = frames.replace(path.clone()) {
-                    return Err(usage(format!("{} and {} both hold frames: name one", other.display(), path.display())));
-                }
-                continue;
-            }
-            Some(format) => (&mut recording, format),
-            None if path.is_file() && stamps.is_none() => {
-                stamps = Some(path.clone());
-                continue;
-            }
-            None => {
-                let hint = "hint: photocurrent inspect lists what it can read; text files need columns: --columns t,x,y,p";
-                return Err(usage(format!("{}: this is no recording of a known format\n  {hint}", path.display())));
-            }
-        };
-        if let Some((other, _)) = slot.replace((path.clone(), what)) {
-            let other: PathBuf = other;
-            return Err(usage(format!("{} and {} both hold events: name one", other.display(), path.display())));
-        }
-    }
-    let (recording, format) =
-        recording.ok_or_else(|| usage("no file with events among those named\n  hint: name the event recording first, then its frames".into()))?;
-    Ok(Sorted { recording, format, frames, stamps, camera, line_delay_s })
-}
-
-/// Lines about a camera from a calibration (kalibr, DSEC's cam_to_cam) or a file of biases, and the row delay that it states; `None` when the file is neither.
-fn camera_facts(path: &Path, lines: &mut Vec<String>) -> Result<Option<Option<f64>>, Failure> {
-    let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let refused = |error: FormatError| crate::declared::refused(&error);
-    match path.extension().unwrap_or_default().to_string_lossy().to_lowercase().as_str() {
-        "yaml" | "yml" => {
-            let found = calibration::read(path).map_err(refused)?;
-            for camera in &found.cameras {
-                let mut facts = Vec::new();
-                facts.extend(camera.extent.map(|extent| format!("{extent} pixels")));
-                facts.extend(camera.topic.clone());
-                facts.extend(camera.camera_model.as_ref().zip(camera.intrinsics.as_ref()).map(|(model, numbers)| format!("{model} {numbers:?}")));
-                facts.extend(camera.distortion_model.as_ref().zip(camera.distortion.as_ref()).map(|(model, numbers)| format!("{model} {numbers:?}")));
-                facts.extend(camera.timeshift_cam_imu_s.map(|seconds| format!("time shift to the IMU {seconds} s")));
-                facts.extend(camera.line_delay_s.map(|seconds| format!("line delay {seconds} s")));
-                lines.push(format!("{name}: {}: {}", camera.name, facts.join("; ")));
-            }
-            Ok(Some(found.cameras.iter().find_map(|camera| camera.line_delay_s)))
-        }
-        "bias" => {
-            // How a bias acts in volts or seconds is known by calibration alone.
-            lines.extend(bias::read(path).map_err(refused)?.iter().map(|(bias, value)| format!("{name}: {bias} = {value}")));
-            Ok(Some(None))
-        }
-        _ => Ok(None),
-    }
-}
-
 /// Looks at the files, and proposes what they do not state.
 pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, Failure> {
-    let sorted = sort(files)?;
-    let mut all = declared.parameters(&sorted.recording);
+    let parts = Parts::sort(files)?;
+    let mut all = declared.parameters(&parts.recording);
     let stated = stated(&all)?;
-    let mut inputs = vec![sorted.recording.clone()];
-    if let Some(frames) = &sorted.frames {
+    let mut inputs = vec![parts.recording.clone()];
+    if let Some(frames) = &parts.frames {
         all.frames = Some(photocurrent_core::quantity::InputPath::new(frames));
         inputs.push(frames.clone());
     }
-    if let Some(stamps) = &sorted.stamps {
+    if let Some(stamps) = &parts.stamps {
         all.stamps = Some(photocurrent_core::quantity::InputPath::new(stamps));
         inputs.push(stamps.clone());
     }
     let mut reader = Vec::new();
-    let (recording, arranged) = settle(&sorted, &mut all, &mut reader)?;
-    let path = &sorted.recording;
+    let (recording, arranged) = settle(&parts, &mut all, &mut reader)?;
+    let path = &parts.recording;
     let events_meta = arranged.events.clone().map_err(|why| usage(format!("{why}: there is nothing to reconstruct from")))?;
     let frames = arranged.frames.clone().map_err(|why| {
         let hint = "hint: name the frames too: a folder of pictures beside the event file; events alone do not state the light's level";
         usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
     })?;
-    let found = measured(recording.as_ref(), &arranged, &sorted, &mut all, &mut reader)?;
+    let found = measured(recording.as_ref(), &arranged, &parts, &mut all, &mut reader)?;
     // A better exposure moves the frames' times.
     let (recording, arranged) =
-        if found.exposure_ns.is_some() { open(&sorted, &all).map_err(|error| crate::declared::refused(&error))? } else { (recording, arranged) };
+        if found.exposure_ns.is_some() { open(&parts, &all).map_err(|error| crate::declared::refused(&error))? } else { (recording, arranged) };
     let frames = arranged.frames.clone().unwrap_or(frames);
     let bits = recording.pictures().map_or(8, |pictures| pictures.about().bits);
     let events_span = events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
@@ -175,7 +98,7 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, F
     let (window, rate_hz) = what_to_render(&frames, events_span, events);
     let losses = arranged.losses.iter().map(|loss| format!("{}: {}", loss.at, loss.what)).collect();
     let mut facts = Facts {
-        format: sorted.format,
+        format: parts.format,
         all,
         inputs,
         stated,
@@ -186,7 +109,7 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, F
         window,
         rate_hz,
         sensor_text: recording.sensor_text().map(String::from),
-        camera: sorted.camera.clone(),
+        camera: parts.camera.clone(),
         notes: arranged.notes.clone(),
         losses,
     };
@@ -202,32 +125,32 @@ fn stated(all: &All) -> Result<Vec<(String, String)>, Failure> {
 }
 
 /// Opens and arranges; what is missing is proposed until nothing is.
-fn settle(sorted: &Sorted, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dyn Recording>, Arranged), Failure> {
+fn settle(parts: &Parts, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dyn Recording>, Arranged), Failure> {
     for _ in 0..16 {
-        let error = match open(sorted, all) {
+        let error = match open(parts, all) {
             Ok(found) => return Ok(found),
             Err(error) => error,
         };
-        let fill = error.undeclared.and_then(|name| propose(name, sorted, all));
+        let fill = error.undeclared.and_then(|name| propose(name, parts, all));
         let Some(fill) = fill else { return Err(crate::declared::refused(&error)) };
         fills.push(fill);
     }
-    Err(usage(format!("{}: more is missing than can be proposed", sorted.recording.display())))
+    Err(usage(format!("{}: more is missing than can be proposed", parts.recording.display())))
 }
 
-fn open(sorted: &Sorted, all: &All) -> Result<(Box<dyn Recording>, Arranged), FormatError> {
+fn open(parts: &Parts, all: &All) -> Result<(Box<dyn Recording>, Arranged), FormatError> {
     let settings = all.settings();
-    let recording = joined::open(sorted.format, &sorted.recording, &settings.declared)?;
-    let arranged = arrange(&sorted.recording, recording.as_ref(), &settings, |_: &dyn EventCursor| Ok::<(), FormatError>(()))?;
+    let recording = joined::open(parts.format, &parts.recording, &settings.declared)?;
+    let arranged = arrange(&parts.recording, recording.as_ref(), &settings, |_: &dyn EventCursor| Ok::<(), FormatError>(()))?;
     Ok((recording, arranged))
 }
 
 /// A value for a parameter that no file states, put into `all`; `None` where nothing sensible can be proposed.
-fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
-    let pictures = || joined::open(sorted.format, &sorted.recording, &all.settings().declared).ok().and_then(|recording| recording.pictures());
+fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
+    let pictures = || joined::open(parts.format, &parts.recording, &all.settings().declared).ok().and_then(|recording| recording.pictures());
     match name {
         "time_unit" if all.time_unit.is_none() => {
-            let unit = likeliest_unit(sorted, all)?;
+            let unit = likeliest_unit(parts, all)?;
             all.time_unit = Some(unit);
             let word = format!("{unit:?}").to_lowercase();
             Some(Fill {
@@ -237,7 +160,7 @@ fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
             })
         }
         "stamps" if all.trigger_line.is_none() => {
-            let (line, count) = busiest_line(sorted)?;
+            let (line, count) = busiest_line(parts)?;
             all.trigger_line = Some(line);
             let why = format!(
                 "no file states when the frames were taken; trigger line {line} of the event file rose {count} times: rising opens the shutter, falling closes it"
@@ -269,8 +192,8 @@ fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
             let why = "what a frame's stamp means is not recorded: start, middle or end of its exposure. A wrong one shifts frames against events";
             Some(Fill { name: "stamp", value: "\"middle\"".into(), why: why.into() })
         }
-        "row_time" if all.row_time.is_none() && sorted.line_delay_s.is_some() => {
-            let delay = Duration::new((sorted.line_delay_s? * 1e9).round() as i64);
+        "row_time" if all.row_time.is_none() && parts.line_delay_s.is_some() => {
+            let delay = Duration::new((parts.line_delay_s? * 1e9).round() as i64);
             all.row_time = Some(delay);
             Some(Fill { name: "row_time", value: format!("\"{delay}\""), why: "the calibration's line delay, taken as seconds".into() })
         }
@@ -291,18 +214,18 @@ fn propose(name: &str, sorted: &Sorted, all: &mut All) -> Option<Fill> {
 }
 
 /// The trigger line with most rising edges, and how many.
-fn busiest_line(sorted: &Sorted) -> Option<(u16, usize)> {
-    let triggers = (sorted.format.open)(&sorted.recording, &Declared::default()).ok()?.triggers().ok()?;
+fn busiest_line(parts: &Parts) -> Option<(u16, usize)> {
+    let triggers = (parts.format.open)(&parts.recording, &Declared::default()).ok()?.triggers().ok()?;
     let mut counts = BTreeMap::new();
     triggers.iter().filter(|trigger| trigger.edge == Edge::Rising).for_each(|trigger| *counts.entry(trigger.line).or_insert(0) += 1);
     counts.into_iter().max_by_key(|(_, count)| *count)
 }
 
 /// The unit with which events come at a rate that sensors have: the nearest to 10 a second and pixel on a logarithmic scale.
-fn likeliest_unit(sorted: &Sorted, all: &All) -> Option<TimeUnit> {
+fn likeliest_unit(parts: &Parts, all: &All) -> Option<TimeUnit> {
     let rate = |unit: TimeUnit| -> Option<f64> {
         let settings = All { time_unit: Some(unit), ..all.clone() }.settings();
-        let recording = joined::open(sorted.format, &sorted.recording, &settings.declared).ok()?;
+        let recording = joined::open(parts.format, &parts.recording, &settings.declared).ok()?;
         let found = photocurrent_formats::gather::scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()?;
         let (first, last) = found.span?;
         let (x, y) = found.corner?;
@@ -378,7 +301,7 @@ fn what_to_render(frames: &FramesMeta, events: TimeSpan, count: u64) -> (Option<
 }
 
 /// What the streams themselves say; of a long recording, its first part.
-fn measured(recording: &dyn Recording, arranged: &Arranged, sorted: &Sorted, all: &mut All, fills: &mut [Fill]) -> Result<Proposals, Failure> {
+fn measured(recording: &dyn Recording, arranged: &Arranged, parts: &Parts, all: &mut All, fills: &mut [Fill]) -> Result<Proposals, Failure> {
     let failed = |error: photocurrent_core::NodeError| Failure::Other { message: error.to_string(), code: 3 };
     let gathered = arranged.gather(recording, EVENTS_BUDGET, |_: &dyn EventCursor| Ok::<(), FormatError>(()));
     let (Some((events, _)), Some(frames)) = (gathered.map_err(|error| crate::declared::refused(&error))?, arranged.frame_sequence()) else {
@@ -395,10 +318,8 @@ fn measured(recording: &dyn Recording, arranged: &Arranged, sorted: &Sorted, all
         all.exposure = Some(rounded);
         fill.value = format!("\"{rounded}\"");
         let (low, high) = (exposure.ci95.0 / 1e6, exposure.ci95.1 / 1e6);
-        fill.why = format!(
-            "the exposure is not recorded; this length explains the blur of the frames of {} best (95 %: {low:.2} to {high:.2} ms)",
-            sorted.format.name
-        );
+        fill.why =
+            format!("the exposure is not recorded; this length explains the blur of the frames of {} best (95 %: {low:.2} to {high:.2} ms)", parts.format.name);
     } else {
         found.exposure_ns = None;
     }

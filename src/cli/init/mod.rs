@@ -8,6 +8,7 @@ mod text;
 
 use crate::args::InitOptions;
 use crate::common::{Done, Failure};
+use crate::terminal::say;
 use std::path::{Path, PathBuf};
 
 /// Writes `my.toml` and `my.sensor.toml`.
@@ -39,21 +40,21 @@ pub fn init(options: &InitOptions) -> Done {
 /// What was found, what is open, what comes next; on stderr.
 fn talk(options: &InitOptions, found: &facts::Facts, manifest: &Path, sensor: &Path) {
     for note in &found.notes {
-        eprintln!("note: {note}");
+        say!("note: {note}");
     }
     for loss in &found.losses {
-        eprintln!("data lost: {loss}");
+        say!("data lost: {loss}");
     }
     let marked = found.fills().count();
     let sensor_too = if found.sensor_text.is_none() { format!(" and {}", sensor.display()) } else { String::new() };
     let files = options.files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(" ");
-    eprintln!("\n{} from {files}", manifest.display().to_string() + &sensor_too);
+    say!("\n{} from {files}", manifest.display().to_string() + &sensor_too);
     match marked {
-        0 => eprintln!("everything that is needed is recorded or stated"),
-        1 => eprintln!("1 line is marked FILL: the files do not state it; check it first"),
-        n => eprintln!("{n} lines are marked FILL: the files do not state them; check them first"),
+        0 => say!("everything that is needed is recorded or stated"),
+        1 => say!("1 line is marked FILL: the files do not state it; check it first"),
+        n => say!("{n} lines are marked FILL: the files do not state them; check them first"),
     }
-    eprintln!("next: photocurrent run {}", manifest.display());
+    say!("next: photocurrent run {}", manifest.display());
 }
 
 fn usage(message: String) -> Failure {

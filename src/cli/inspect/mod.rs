@@ -1,15 +1,17 @@
 //! `photocurrent inspect`: what recordings hold, and what is wrong with them or not known.
 //!
 //! Files are recognised by their content. A recording of any format is read once ([`photocurrent_formats::survey`]) and judged
-//! ([`photocurrent_formats::hazard`]); a cached artefact says what it is. Hazards do not fail the command: exit code 0 when files are readable, 3 when one is damaged
+//! ([`photocurrent_formats::hazard`]); events and frames that lie in several files are one recording; a cached artefact says what it is. Hazards do not fail the command: exit code 0 when files are readable, 3 when one is damaged
 //! (what is whole is reported), 2 when one is none of ours.
 
 mod screen;
 
 use crate::args::InspectOptions;
-use crate::common::{Done, Failure, print, print_json};
+use crate::common::{Done, Failure};
 use crate::declared::refused;
 use crate::file_kind::need_data;
+use crate::parts::Parts;
+use crate::terminal::{print, print_json, say};
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Value;
 use photocurrent_formats::hazard::{self, Finding, Limits};
@@ -18,7 +20,7 @@ use photocurrent_formats::{Declared, Format, FormatError, joined, recognise};
 use photocurrent_store::open_value;
 use serde_json::json;
 use std::io::IsTerminal;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// The exit code of damaged data.
 const DAMAGED: u8 = 3;
@@ -37,7 +39,22 @@ pub struct Seen {
 pub fn inspect(options: &InspectOptions) -> Done {
     let declared = options.declared.declared();
     let (mut code, mut texts, mut objects) = (0, Vec::new(), Vec::new());
-    for path in &options.files {
+    let mut alone = options.files.as_slice();
+    if let Some(parts) = Parts::one_recording(&options.files) {
+        match together(&parts, &options.files, &declared, options.json) {
+            Ok((text, object, of_files)) => {
+                texts.push(text);
+                objects.push(object);
+                (code, alone) = (of_files, &[]);
+            }
+            Err(Failure::Other { message, code: of_files }) => {
+                say!("error: events and frames cannot be held together: {message}");
+                code = of_files;
+            }
+            Err(failure) => return Err(failure),
+        }
+    }
+    for path in alone {
         match one(path, &declared, options.json) {
             Ok((text, object, of_file)) => {
                 texts.push(text);
@@ -47,7 +64,7 @@ pub fn inspect(options: &InspectOptions) -> Done {
             // One file is reported as it is; of several, the others are reported all the same.
             Err(failure) if options.files.len() == 1 => return Err(failure),
             Err(Failure::Other { message, code: of_file }) => {
-                eprintln!("error: {message}");
+                say!("error: {message}");
                 objects.push(json!({"file": path.display().to_string(), "error": message}));
                 code = code.max(of_file);
             }
@@ -72,7 +89,17 @@ fn one(path: &Path, declared: &Declared, quiet: bool) -> Result<(String, serde_j
         let (text, object) = artefact(&value, &file)?;
         return Ok((text, object, 0));
     };
-    let seen = look(path, format, declared, quiet).map_err(|error| refused(&error))?;
+    shown(file, look(path, format, declared, quiet).map_err(|error| refused(&error))?)
+}
+
+/// Text, JSON and exit code of events and frames that lie in several files.
+fn together(parts: &Parts, files: &[PathBuf], declared: &Declared, quiet: bool) -> Result<(String, serde_json::Value, u8), Failure> {
+    let names: Vec<String> = files.iter().map(|file| file.display().to_string()).collect();
+    shown(names.join(" + "), look(&parts.recording, parts.format, &parts.declared(declared), quiet).map_err(|error| refused(&error))?)
+}
+
+/// Text, JSON and exit code of what was read.
+fn shown(file: String, seen: Seen) -> Result<(String, serde_json::Value, u8), Failure> {
     let text = screen::screen(&file, seen.format.name, seen.bytes, &seen.survey, &seen.findings);
     let to_json = |value: Result<serde_json::Value, serde_json::Error>| value.map_err(|error| Failure::other(error.to_string()));
     let object = json!({

@@ -141,12 +141,12 @@ fn variants_are_chosen_whole_or_in_part() {
     let axes = "[ablation.axes.way]\nup = {}\ndown = { nodes.solve.params.direction = \"down\" }\n[ablation.sweep]\n\"nodes.source.params.offset\" = [1, 2]\n";
     let project = load(&folder.write("m.toml", &format!("{BASE}{axes}")), &[]);
     let names = |variants: &[&str]| -> Vec<String> {
-        let selection = Selection { variants: variants.iter().map(|name| name.to_string()).collect(), to: Vec::new() };
+        let selection = Selection { variants: variants.iter().map(|name| name.to_string()).collect(), ..Selection::default() };
         Plan::new(&project, &catalogue(), &selection).unwrap_or_else(|p| panic!("{p:?}")).variants.into_iter().map(|variant| variant.name).collect()
     };
     assert_eq!(names(&["way=up,offset=2"]), ["way=up,offset=2"]);
     assert_eq!(names(&["offset=2"]), ["way=up,offset=2", "way=down,offset=2"]);
-    let selection = Selection { variants: vec!["way=upp,offset=2".into()], to: Vec::new() };
+    let selection = Selection { variants: vec!["way=upp,offset=2".into()], ..Selection::default() };
     let problems = Plan::new(&project, &catalogue(), &selection).err().unwrap();
     assert_eq!(folder.show(&problems), "there is no variant `way=upp,offset=2`\n  hint: did you mean `way=up,offset=2`?\n");
 }

@@ -45,7 +45,7 @@ impl Bench {
         let path = self.folder.write("m.toml", text);
         let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
         let project = Project::load(&path, &sets, &catalogue()).unwrap_or_else(|p| panic!("{p:#?}"));
-        let selection = Selection { variants: Vec::new(), to: to.iter().map(|node| node.to_string()).collect() };
+        let selection = Selection { variants: Vec::new(), to: to.iter().map(|node| node.to_string()).collect(), memory: None };
         Plan::new(&project, &catalogue(), &selection).unwrap_or_else(|p| panic!("{p:#?}"))
     }
 
