@@ -11,6 +11,7 @@
 //! - `files`: what a command does with a file of another kind, with mistakes in every line, with streams on two clocks.
 //! - `figures`: the tables of README.md and docs/ are what their commands print.
 //! - `first_run`: `init` and `run` on files of every kind, `convert` there and back.
+//! - `inspect`: several files as one recording, exit codes, the form of `--json`.
 //! - `films`: pictures as light, from files to events.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
@@ -26,6 +27,7 @@ mod figures;
 mod files;
 mod films;
 mod first_run;
+mod inspect;
 mod manifests;
 mod pipelines;
 mod recordings;

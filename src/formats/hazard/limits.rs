@@ -68,6 +68,8 @@ pub struct Limits {
     pub phase_strong: f64,
     /// How sure the peak must be, in standard errors from frame to frame: the best of 64 bins of ten frames is that far off once in a thousand recordings.
     pub phase_sigma: f64,
+    /// How sure events in step with the readout of the rows must be, in standard errors over eight groups of frames: chance is that far off once in a thousand recordings.
+    pub readout_sigma: f64,
     /// Frames that decide that, at least: in three frames much is in step by chance.
     pub phase_fewest: u64,
     /// Events later than frames by more than this share of the frame period are reported as a hazard: a shift of a twentieth of a period is visible.
@@ -80,6 +82,10 @@ pub struct Limits {
     pub drift_share: f64,
     /// Pairs of frames that decide that, at least: with fewer, what moves early and what moves late are other things, with other latencies.
     pub drift_pairs: usize,
+    /// Event pixels from which a shift of the frames against the events is a hazard: less is a matter of the middle of a pixel.
+    pub displaced_px: f64,
+    /// By how much the correlation there must exceed the one without a shift.
+    pub displaced_gain: f64,
     /// By how much the correlation with a mirrored picture must exceed the one as it is.
     pub mirrored: f64,
 }
@@ -118,12 +124,15 @@ impl Default for Limits {
             phase_peak: 1.2,
             phase_strong: 1.5,
             phase_sigma: 6.5,
+            readout_sigma: 5.0,
             phase_fewest: 6,
             late_share: 0.06,
             late_ns: 2.5e6,
             correlation: 0.3,
             drift_share: 0.1,
             drift_pairs: 24,
+            displaced_px: 0.75,
+            displaced_gain: 0.05,
             mirrored: 0.2,
         }
     }

@@ -1,6 +1,8 @@
 //! Hazards of events and frames together: clocks that do not meet, events in step with frames, late events, mirrored pictures, trigger edges.
 
 use super::{Finding, Limits, Severity, count, percent, time};
+use crate::survey::grid::GridSurvey;
+use crate::survey::lag::Interval;
 use crate::survey::lines::LineSurvey;
 use crate::survey::pictures::FramesSurvey;
 use crate::survey::{EventsSurvey, Survey};
@@ -75,23 +77,43 @@ fn overlap(events: &EventsSurvey, frames: &FramesSurvey, limits: &Limits, found:
 fn step(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
     let Some(phase) = survey.phase.as_ref().filter(|phase| phase.frames >= limits.phase_fewest) else { return };
     let peak = phase.profile[phase.peak];
-    if peak > limits.phase_peak && phase.peak_sigma > limits.phase_sigma {
-        let mean_on = phase.on_share.iter().sum::<f64>() / phase.on_share.len() as f64;
-        found.push(Finding::new(
-            "frame_coupled_events",
-            if peak > limits.phase_strong { Severity::Hazard } else { Severity::Fact },
-            "some events come in step with the frames",
+    let by_row = phase.readout.iter().filter(|line| line.over > limits.phase_peak && line.sigma > limits.readout_sigma);
+    let (over, evidence) = match by_row.max_by(|a, b| a.sigma.total_cmp(&b.sigma)) {
+        Some(line) => (
+            line.over,
             format!(
-                "{} after a frame begins {peak:.2} times the mean rate ({:.0} sigma over {} frames); {} ON there, {} otherwise",
-                time((phase.peak as f64 + 0.5) * phase.bin_ns as f64),
-                phase.peak_sigma,
-                phase.frames,
-                percent(phase.on_share[phase.peak]),
-                percent(mean_on)
+                "{} events {} after a frame begins in row 0, and {} later from row to row, are {:.2} times those around ({:.0} sigma over {} frames)",
+                if line.is_on { "ON" } else { "OFF" },
+                time(line.phase_ns),
+                time(line.row_ns),
+                line.over,
+                line.sigma,
+                phase.frames
             ),
-            "the switching of the frame path fires pixels: state `frame_coupling` in the description, or cut that phase out; a lamp in step with the frames does this too",
-        ));
-    }
+        ),
+        None if peak > limits.phase_peak && phase.peak_sigma > limits.phase_sigma => {
+            let mean_on = phase.on_share.iter().sum::<f64>() / phase.on_share.len() as f64;
+            (
+                peak,
+                format!(
+                    "{} after a frame begins {peak:.2} times the mean rate ({:.0} sigma over {} frames); {} ON there, {} otherwise",
+                    time((phase.peak as f64 + 0.5) * phase.bin_ns as f64),
+                    phase.peak_sigma,
+                    phase.frames,
+                    percent(phase.on_share[phase.peak]),
+                    percent(mean_on)
+                ),
+            )
+        }
+        None => return,
+    };
+    found.push(Finding::new(
+        "frame_coupled_events",
+        if over > limits.phase_strong { Severity::Hazard } else { Severity::Fact },
+        "some events come in step with the frames",
+        evidence,
+        "the switching of the frame path fires pixels: state `frame_coupling` in the description, or cut that phase out; a lamp in step with the frames does this too",
+    ));
 }
 
 fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
@@ -107,6 +129,9 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
             format!("where events are correlates {r:.2} with where frames change when mirrored, {as_is:.2} as it is"),
             "look at a picture of both; flip one of them",
         ));
+    }
+    if let Some(grid) = &lag.grid {
+        displaced(grid, limits, found);
     }
     let Some(late) = lag.late_ns.filter(|_| lag.correlation.0 >= limits.correlation) else { return };
     let interval = format!("{} (95 % {} to {})", time(late.value), time(late.ci95.0), time(late.ci95.1));
@@ -143,6 +168,34 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
                 "state `clock_drift` in the description, or record with a common trigger",
             ));
         }
+    }
+}
+
+/// Do both lie on one pixel grid?
+fn displaced(grid: &GridSurvey, limits: &Limits, found: &mut Vec<Finding>) {
+    let (best, none) = grid.correlation;
+    if best < limits.correlation {
+        return;
+    }
+    let (right, down) = (grid.right_px, grid.down_px);
+    let interval = |of: Interval, way: &str| format!("{:.2} pixels {way} (95 % {:.2} to {:.2})", of.value, of.ci95.0, of.ci95.1);
+    let evidence = format!(
+        "frames lie {} and {} of the events; correlation {best:.2} there, {none:.2} without a shift, over {}",
+        interval(right, "right"),
+        interval(down, "down"),
+        count(grid.patches as u64, "patch", "patches")
+    );
+    let is_away = |of: Interval| of.value.abs() >= limits.displaced_px && (of.ci95.0 > 0.5 * limits.displaced_px || of.ci95.1 < -0.5 * limits.displaced_px);
+    if (is_away(right) || is_away(down)) && best > none + limits.displaced_gain {
+        found.push(Finding::new(
+            "displaced",
+            Severity::Hazard,
+            "frames and events are shifted against each other by whole pixels",
+            evidence,
+            "crop one of them by that shift, or state `misalignment` in the description; a picture that moves one way shifts so too while `events_late` stands",
+        ));
+    } else {
+        found.push(Finding::new("on_one_grid", Severity::Fact, "events and frames lie on one pixel grid", evidence, "nothing"));
     }
 }
 

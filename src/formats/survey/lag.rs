@@ -5,6 +5,7 @@
 //!
 //! Limits: places are several pixels wide, so that fine motion shows less; what a scene without motion hides stays hidden.
 
+use super::grid::{Grid, GridSurvey};
 use super::pictures::middle;
 use super::places::MOST_PIXELS;
 use crate::recording::FramesAbout;
@@ -49,6 +50,8 @@ pub struct LagSurvey {
     pub drift_ns_per_s: Option<Interval>,
     /// From the early to the late frames of the drift, s.
     pub drift_over_s: f64,
+    /// Whether both lie on one pixel grid; none where sizes do not agree, or nothing moves.
+    pub grid: Option<GridSurvey>,
     /// Correlation of where events are with where frames change: as they are, mirrored left to right, top to bottom, both.
     pub mirrored: [f64; 4],
 }
@@ -69,6 +72,7 @@ pub(super) struct Panel {
     frame: Extent,
     channels: usize,
     dark: f32,
+    grid: Option<Grid>,
 }
 
 impl Panel {
@@ -102,8 +106,11 @@ impl Panel {
             from = to;
         }
         let centring = Centring::new(extent.pixels(), period / 4);
+        let pairs: Vec<(usize, i64, i64)> =
+            at.windows(2).zip(mids.windows(2)).filter(|(at, _)| at[0].1 == at[1].1).map(|(at, mids)| (at[1].0, mids[0], mids[1])).collect();
+        let grid = Grid::new(about, extent, &pairs, period);
         let (frame, channels) = (about.extent, about.colour.channels() as usize);
-        Some(Panel { panel, place_of, width: extent.width, height: extent.height, across, down, at, now: 0, centring, frame, channels, dark: 0.0 })
+        Some(Panel { panel, place_of, width: extent.width, height: extent.height, across, down, at, now: 0, centring, frame, channels, dark: 0.0, grid })
     }
 
     /// Takes the values of a frame.
@@ -115,6 +122,9 @@ impl Panel {
         }
         if self.dark == 0.0 {
             self.dark = DARK * values.iter().copied().filter(|value| value.is_finite()).fold(0.0, f32::max);
+        }
+        if let Some(grid) = &mut self.grid {
+            grid.picture(frame, values, self.dark);
         }
         let places = self.panel.places();
         let (mut sums, mut counts) = (vec![0.0f32; places], vec![0u32; places]);
@@ -149,6 +159,9 @@ impl Panel {
     }
 
     fn put(&mut self, pixel: usize, t: i64, is_on: bool) {
+        if let Some(grid) = &mut self.grid {
+            grid.event(t, pixel % self.width as usize, pixel / self.width as usize, is_on);
+        }
         let place = self.place_of[pixel] as usize;
         let holds = |stretch: &Stretch| t >= stretch.start_ns && t.saturating_sub(stretch.start_ns) < stretch.step_ns.saturating_mul(stretch.steps as i64);
         if !self.panel.stretches.get(self.now).is_some_and(holds) {
@@ -169,12 +182,14 @@ impl Panel {
         }
         let shift = estimate::offset(&self.panel);
         let drift = shift.and_then(|_| estimate::drift(&self.panel));
+        let grid = self.grid.take().and_then(|grid| grid.survey(shift.map_or(0.0, |shift| shift.ns.value)));
         Some(LagSurvey {
             pairs,
             late_ns: shift.map(|shift| shift.ns.into()),
             correlation: shift.map_or((0.0, 0.0), |shift| (shift.correlation, shift.correlation_at_none)),
             drift_ns_per_s: drift.map(|drift| drift.ns_per_s.into()),
             drift_over_s: drift.map_or(0.0, |drift| drift.over_s),
+            grid,
             mirrored: self.mirrored(),
         })
     }

@@ -6,19 +6,22 @@
 //! - [`stamps`]: the step that stamps really have, equal ones, time that goes back.
 //! - [`rate`]: events over time.
 //! - [`places`]: pixels, rows, columns.
-//! - [`phase`]: events in step with the frames.
+//! - [`phase`]: events in step with the frames; [`readout`]: row by row.
 //! - [`pictures`]: frames, their times and values.
 //! - [`lines`]: trigger edges.
+//! - [`grid`]: whether events and frames lie on one pixel grid.
 //! - [`lag`]: what frames and events say of the same change: how late events are, and whether their clocks drift apart.
 //!
 //! Limits: values of up to 64 frames are looked at ([`Most`]), spread over the recording; counters of single pixels up to sixteen million of them.
 
+pub mod grid;
 pub mod lag;
 pub mod lines;
 pub mod phase;
 pub mod pictures;
 pub mod places;
 pub mod rate;
+pub mod readout;
 pub mod stamps;
 
 use crate::chunk::EventChunk;
@@ -167,7 +170,7 @@ pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut progress
                 panel.picture(frame, values);
             }
         });
-        phase = has_events.then(|| Phase::new(about.stamps.iter().map(pictures::begins).collect())).flatten();
+        phase = has_events.then(|| Phase::new(about.stamps.iter().map(pictures::begins).collect(), extent.unwrap_or(about.extent))).flatten();
         panel = building;
         found.frames = Some(frames);
     }
@@ -221,7 +224,7 @@ impl Counted {
             self.stamps.add(t);
             self.places.add(t, x, y, on);
             if let Some(phase) = &mut phase {
-                phase.add(t, on);
+                phase.add(t, y, on);
             }
             if let Some(panel) = &mut panel {
                 panel.event(t, x, y, on);

@@ -4,6 +4,8 @@
 //! every frame. So the time from each frame's stamp to the next is cut into bins, and events are counted by bin, frame by frame. What a scene does is
 //! at another place in the next frame; what is at one place in nearly all is the sensor's, or a simulator's that works frame by frame.
 
+use super::readout::{Readout, ReadoutSurvey};
+use photocurrent_core::Extent;
 use serde::Serialize;
 
 /// Bins from one frame to the next.
@@ -28,6 +30,8 @@ pub struct PhaseSurvey {
     pub peak_sigma: f64,
     /// In how many of the frames it has over 1.5 times the frame's mean.
     pub peak_frames: u64,
+    /// The same row by row, for each sign with enough events.
+    pub readout: Vec<ReadoutSurvey>,
 }
 
 /// Counts events by phase.
@@ -42,11 +46,12 @@ pub(super) struct Phase {
     over: [u64; PHASES],
     on: [u64; PHASES],
     all: [u64; PHASES],
+    readout: Option<Readout>,
 }
 
 impl Phase {
-    /// With the instants at which frames begin; none when there are too few to be in step with.
-    pub fn new(mut starts: Vec<i64>) -> Option<Phase> {
+    /// With the instants at which frames begin, and the pixels whose rows are told apart; none when there are too few frames to be in step with.
+    pub fn new(mut starts: Vec<i64>, extent: Extent) -> Option<Phase> {
         starts.sort_unstable();
         starts.dedup();
         let zero = Phase {
@@ -59,13 +64,14 @@ impl Phase {
             over: [0; PHASES],
             on: [0; PHASES],
             all: [0; PHASES],
+            readout: Readout::new(extent),
         };
         (zero.starts.len() > 2).then_some(zero)
     }
 
     /// Takes an event.
     #[inline]
-    pub fn add(&mut self, t: i64, on: u8) {
+    pub fn add(&mut self, t: i64, y: u16, on: u8) {
         let is_here = self.now != usize::MAX && self.starts[self.now] <= t && t < self.starts[self.now + 1];
         if !is_here {
             let next = self.starts.partition_point(|start| *start <= t);
@@ -76,8 +82,11 @@ impl Phase {
             self.now = next - 1;
         }
         let (from, to) = (self.starts[self.now], self.starts[self.now + 1]);
-        let bin = ((t.abs_diff(from) as f64 / to.abs_diff(from) as f64) * PHASES as f64) as usize;
-        let count = &mut self.counts[bin.min(PHASES - 1)];
+        let phase = t.abs_diff(from) as f64 / to.abs_diff(from) as f64;
+        if let Some(readout) = &mut self.readout {
+            readout.add(self.now, phase, y, on);
+        }
+        let count = &mut self.counts[((phase * PHASES as f64) as usize).min(PHASES - 1)];
         count.0 += 1;
         count.1 += u32::from(on & 1);
     }
@@ -118,6 +127,7 @@ impl Phase {
             bin_ns: periods[periods.len() / 2] / PHASES as i64,
             on_share: self.on.iter().zip(&self.all).map(|(on, all)| *on as f64 / (*all).max(1) as f64).collect(),
             peak_frames: self.over[peak],
+            readout: self.readout.as_ref().map_or_else(Vec::new, |readout| readout.survey(periods[periods.len() / 2] as f64)),
             profile,
             peak,
         })
@@ -128,13 +138,15 @@ impl Phase {
 mod tests {
     use super::*;
 
+    const EXTENT: Extent = Extent { width: 8, height: 7 };
+
     #[test]
     fn a_burst_in_every_frame_stands_at_its_place() {
-        let mut phase = Phase::new((0..20).map(|k| k * 6_400).collect()).unwrap();
+        let mut phase = Phase::new((0..20).map(|k| k * 6_400).collect(), EXTENT).unwrap();
         for t in 0..20 * 6_400 {
             let is_burst = (3_000..3_100).contains(&(t % 6_400));
             if is_burst || t % 20 == 0 {
-                phase.add(t, u8::from(is_burst));
+                phase.add(t, (t % 7) as u16, u8::from(is_burst));
             }
         }
         let found = phase.survey().unwrap();
@@ -145,9 +157,9 @@ mod tests {
 
     #[test]
     fn what_wanders_is_not_in_step() {
-        let mut phase = Phase::new((0..65).map(|k| k * 6_400).collect()).unwrap();
+        let mut phase = Phase::new((0..65).map(|k| k * 6_400).collect(), EXTENT).unwrap();
         for frame in 0..64 {
-            (0..600).for_each(|k| phase.add(frame * 6_400 + frame * 100 + k % 100, 1));
+            (0..600).for_each(|k| phase.add(frame * 6_400 + frame * 100 + k % 100, 3, 1));
         }
         let found = phase.survey().unwrap();
         assert!(found.peak_frames <= 1 && found.profile.iter().all(|over| (over - 1.0).abs() < 1e-9), "{found:?}");

@@ -27,7 +27,11 @@ pub(super) fn estimate(units: usize, of: impl Fn(&[f64]) -> Option<f64>) -> Opti
 
 /// Where a curve over even steps has its top, in steps, by a parabola through the largest value and those beside it; none at an end, or where nothing is finite.
 pub(super) fn top(curve: &[f64]) -> Option<f64> {
-    let best = (0..curve.len()).filter(|n| curve[*n].is_finite()).max_by(|a, b| curve[*a].total_cmp(&curve[*b]))?;
+    peak(curve, (0..curve.len()).filter(|n| curve[*n].is_finite()).max_by(|a, b| curve[*a].total_cmp(&curve[*b]))?)
+}
+
+/// The same, when it is known which value is the largest.
+pub(super) fn peak(curve: &[f64], best: usize) -> Option<f64> {
     let (before, after) = (*curve.get(best.checked_sub(1)?)?, *curve.get(best + 1)?);
     let bend = before - 2.0 * curve[best] + after;
     // Level on all three: the middle.

@@ -7,6 +7,7 @@
 //!
 //! These are proposals for a description that lacks a value: good to the size of the interval in scenes that move, none where nothing does.
 //!
+//! - [`displacement()`]: the shift in whole pixels at which the two agree, over patches ([`Patch`]) of the array's own pixels.
 //! - [`Panel`]: events and frames of some places, side by side; [`Centring`]: when light changed, from when events came.
 //!
 //! Source: the residual of Eq. (13) without its front end; the double integral of Pan et al., CVPR 2019, for the blur.
@@ -16,11 +17,13 @@
 mod blur;
 mod draw;
 mod panel;
+mod place;
 mod shift;
 mod step;
 
 pub use blur::exposure;
 pub use panel::{Centring, NOWHERE, Panel, Stretch};
+pub use place::{Displacement, FRAME_SIDE, Patch, REACH, SIDE, displacement};
 pub use shift::{Drift, Shift, drift, offset, row_time};
 pub use step::{Steps, thresholds};
 
