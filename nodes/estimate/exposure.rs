@@ -2,13 +2,13 @@
 //!
 //! Events say how the light went while a frame was exposed. The length at which the mean over the exposure explains the frames best is proposed.
 //!
-//! Limits: it needs light that bends within an exposure, fast motion over fine texture, events with little noise, and stamps at the middle of the exposure. Real
-//! recordings rarely have all of it, and then nothing is proposed: noise of events looks like blur.
+//! Limits: it needs light that bends within an exposure, fast motion in bright places, and stamps at the middle of the exposure. Where no length explains the frames much better than
+//! the others the note says why, and nothing is proposed: noise of events looks like blur. Thresholds of 0.7 to 1.6 times those that are given are tried with each length, as blurred frames make them look small; the interval holds that of the offset.
 
-use super::{In, Row, Settings, panel, table};
+use super::{Estimate, In, Row, Settings, panel, table};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, Table};
-use photocurrent_sensor::estimate;
+use photocurrent_sensor::estimate::{self, Unclear};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -40,6 +40,21 @@ photocurrent_core::ports! {
     }
 }
 
+/// The length of the exposure, or why it is not clear, for people.
+pub(super) fn of(panel: &estimate::Panel, thresholds: Option<(f64, f64)>, late_ns: &Estimate) -> Result<Estimate, String> {
+    let thresholds = thresholds.ok_or("thresholds are not known, and too few bright pixels changed to measure them")?;
+    estimate::exposure(panel, thresholds, late_ns).map_err(|why| match why {
+        Unclear::NoChange => "nothing moves in bright pixels while frames are exposed".into(),
+        Unclear::Flat { from_shortest, from_longest } => format!(
+            "no length explains the frames much better than others: the residual is {:.0} % below that of the shortest and {:.0} % below that of the longest, and noise of events alone \
+             makes a fifth; the light bends too little within an exposure, or the exposure is short",
+            100.0 * from_shortest,
+            100.0 * from_longest
+        ),
+        Unclear::AtAnEnd => "the best length goes to an end within what is known of the thresholds and of how late events are".into(),
+    })
+}
+
 /// The node.
 pub struct EstimateExposure {
     params: Params,
@@ -49,7 +64,7 @@ impl Node for EstimateExposure {
     const DECL: Decl = Decl {
         kind: "estimate/exposure",
         about: "Length of the exposure, from how frames are blurred where events say how the light went.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -79,18 +94,18 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let settings = Settings { frames: self.params.frames, ..Settings::default() };
         let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
-        let offset_ns = self.params.offset.map(|offset| offset.ns() as f64).or_else(|| estimate::offset(&panel).map(|shift| shift.ns.value)).unwrap_or(0.0);
-        let stated = input.sensor.as_deref().and_then(|sensor| sensor.comparator.threshold_on.zip(sensor.comparator.threshold_off));
-        let given = self.params.thresholds.map(|[on, off]| (on, off)).or(stated);
-        let thresholds = given.or_else(|| estimate::thresholds(&panel, offset_ns).map(|found| (found.on.value, found.off.value)));
-        let found = thresholds.and_then(|thresholds| estimate::exposure(&panel, thresholds, offset_ns));
-        match (thresholds, &found) {
-            (None, _) => cx.note("thresholds are not known, and too few pixels changed to estimate them"),
-            (Some(_), None) => cx.note(
-                "no length explains the frames better than the others: the curvature of the light within an exposure is too small, or events are too noisy",
-            ),
-            (Some((on, off)), Some(_)) => cx.note(format!("with thresholds {on:.3} and {off:.3}, events taken {:.3} ms later", offset_ns * 1e-6)),
+        let stated = self.params.offset.map(|offset| super::exactly(offset.ns() as f64));
+        let late = stated.or_else(|| estimate::offset(&panel).map(|shift| shift.ns)).unwrap_or(super::exactly(0.0));
+        let described = input.sensor.as_deref().and_then(|sensor| sensor.comparator.threshold_on.zip(sensor.comparator.threshold_off));
+        let given = self.params.thresholds.map(|[on, off]| (on, off)).or(described);
+        let thresholds = given.or_else(|| estimate::thresholds(&panel, late.value).map(|found| (found.on.value, found.off.value)));
+        let found = of(&panel, thresholds, &late);
+        match (&found, thresholds) {
+            (Err(why), _) => cx.note(why.clone()),
+            (Ok(_), Some((on, off))) => cx.note(format!("with thresholds {on:.3} and {off:.3}, events taken {:.3} ms later", late.value * 1e-6)),
+            (Ok(_), None) => {}
         }
+        let found = found.ok();
         Ok(Out { estimates: Arc::new(table(&[Row::new("exposure", found, "ms", 1e6)])) })
     }
 }

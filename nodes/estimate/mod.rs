@@ -14,6 +14,9 @@ mod panel;
 pub mod row_time;
 pub mod thresholds;
 
+#[cfg(test)]
+mod tests;
+
 pub use panel::{Settings, panel};
 
 use crate::spans::check_one_clock;
@@ -36,7 +39,7 @@ photocurrent_core::ports! {
 }
 
 /// What events and frames together say of a sensor, for a description that has to begin somewhere.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Proposals {
     /// How late events are against frames, ns; none where nothing clearly moves.
     pub offset_ns: Option<Estimate>,
@@ -44,6 +47,8 @@ pub struct Proposals {
     pub thresholds: Option<(Estimate, Estimate)>,
     /// Length of the exposure, ns.
     pub exposure_ns: Option<Estimate>,
+    /// Why there is none, where there is none.
+    pub exposure_unclear: Option<String>,
 }
 
 /// Estimates everything that can be estimated at once.
@@ -53,10 +58,16 @@ pub struct Proposals {
 pub fn proposals(events: &EventStream, frames: &FrameSequence) -> Result<Proposals, NodeError> {
     let panel = panel(events, frames, None, &Settings::default())?;
     let offset_ns = estimate::offset(&panel).map(|shift| shift.ns);
-    let late = offset_ns.map_or(0.0, |offset| offset.value);
-    let thresholds = estimate::thresholds(&panel, late).map(|steps| (steps.on, steps.off));
-    let exposure_ns = thresholds.and_then(|(on, off)| estimate::exposure(&panel, (on.value, off.value), late));
-    Ok(Proposals { offset_ns, thresholds, exposure_ns })
+    let late = offset_ns.unwrap_or(exactly(0.0));
+    let thresholds = estimate::thresholds(&panel, late.value).map(|steps| (steps.on, steps.off));
+    let exposure = exposure::of(&panel, thresholds.map(|(on, off)| (on.value, off.value)), &late);
+    let exposure_unclear = exposure.as_ref().err().cloned();
+    Ok(Proposals { offset_ns, thresholds, exposure_ns: exposure.ok(), exposure_unclear })
+}
+
+/// A value that is stated.
+fn exactly(value: f64) -> Estimate {
+    Estimate { value, ci95: (value, value) }
 }
 
 /// One row of the table: what it is called, value with interval, its unit, and what one is in the estimate's own.

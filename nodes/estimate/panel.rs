@@ -31,6 +31,9 @@ const HOT: usize = 200;
 /// A step of an eight-bit scale, as part of the largest value: what is darker counts as so dark.
 const DARK: f32 = 0.5 / 255.0;
 
+/// From this part of a frame's largest value on it may be saturated.
+const SATURATED: f32 = 0.995;
+
 /// Refuses frames that are no whole multiple of the events' pixels.
 pub fn fits(events: &EventsMeta, frames: &FramesMeta) -> Result<u32, NodeError> {
     let (e, f) = (events.extent, frames.extent);
@@ -122,15 +125,18 @@ fn busiest(events: &EventStream, bands: &[Rows], settings: &Settings) -> Result<
     Ok(place_of)
 }
 
-/// Logarithms of the frames over black level; saturated values are not known.
+/// Logarithms of the frames over black level; saturated values, and without a stated saturation a frame's largest, are not known.
 fn pictures(frames: &FrameSequence, runs: &[Vec<usize>], place_of: &[u32], times: u32, sensor: Option<&Sensor>, panel: &mut Panel) -> Result<(), NodeError> {
     let black = sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0) as f32;
-    let full = sensor.and_then(|sensor| sensor.frames.saturation_dn).map_or(f32::INFINITY, |full| full as f32);
+    let stated = sensor.and_then(|sensor| sensor.frames.saturation_dn).map(|full| full as f32);
     let (channels, width) = (frames.meta.channels() as usize, frames.meta.extent.width / times);
     let mut dark = 0.0f32;
     for (stretch, run) in runs.iter().enumerate() {
         for (within, &frame) in run.iter().enumerate() {
             let block = frames.read(frame..frame + 1, frames.rows())?;
+            // Where nothing states at which value the sensor ends, it may be at the largest.
+            let largest = || block.dn.iter().copied().filter(|dn| dn.is_finite()).fold(0.0, f32::max);
+            let full = stated.unwrap_or_else(|| SATURATED * largest());
             if dark == 0.0 {
                 dark = DARK * block.dn.iter().copied().filter(|dn| dn.is_finite()).fold(0.0, |most, dn| f32::max(most, dn - black));
             }

@@ -1,9 +1,9 @@
 //! `estimate/thresholds`: the log change of an ON and of an OFF event.
 //!
-//! Between two frames a pixel's logarithm changes by the ON threshold for each ON event, and back by the other for each OFF one. A robust fit over the busiest
-//! pixels gives both.
+//! Between two frames a pixel's logarithm changes by the ON threshold for each ON event, and back by the other for each OFF one. A robust fit of the events of the busiest
+//! pixels on the change of the frames gives both, from bright pixels alone: in dark ones a step of the scale is a large change, and slow pixels lose events.
 //!
-//! Limits: events that a fast change loses make thresholds look larger (twice in a dim clip of a fast pendulum); frames that are not linear give thresholds of their curve; the front end is taken as ideal.
+//! Limits: frames that are not linear give thresholds of their curve; the front end is taken as ideal.
 
 use super::{In, Row, Settings, panel, table};
 use photocurrent_core::quantity::Duration;
@@ -47,7 +47,7 @@ impl Node for EstimateThresholds {
     const DECL: Decl = Decl {
         kind: "estimate/thresholds",
         about: "Contrast thresholds from the log change of frames an event, with intervals.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -80,10 +80,14 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let offset_ns = self.params.offset.map(|offset| offset.ns() as f64).or_else(|| estimate::offset(&panel).map(|shift| shift.ns.value)).unwrap_or(0.0);
         let found = estimate::thresholds(&panel, offset_ns);
         match &found {
-            Some(found) => {
-                cx.note(format!("{} pixels and pairs of frames, sigma {:.3} left; events taken {:.3} ms later", found.measured, found.sigma, offset_ns * 1e-6))
-            }
-            None => cx.note("too few pixels changed by more than an event between frames"),
+            Some(found) => cx.note(format!(
+                "from {} pixels and pairs of frames that changed by 0.3 or more, sigma {:.3} left, without {} that are too dark; events taken {:.3} ms later",
+                found.measured,
+                found.sigma,
+                found.too_dark,
+                offset_ns * 1e-6
+            )),
+            None => cx.note("too few bright pixels changed by 0.3 or more between frames"),
         }
         let rows = [Row::new("threshold_on", found.map(|found| found.on), "ln", 1.0), Row::new("threshold_off", found.map(|found| found.off), "ln", 1.0)];
         Ok(Out { estimates: Arc::new(table(&rows)) })

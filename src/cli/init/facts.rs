@@ -322,6 +322,9 @@ fn measured(recording: &dyn Recording, arranged: &Arranged, parts: &Parts, all: 
             format!("the exposure is not recorded; this length explains the blur of the frames of {} best (95 %: {low:.2} to {high:.2} ms)", parts.format.name);
     } else {
         found.exposure_ns = None;
+        if let Some(why) = &found.exposure_unclear {
+            fill.why = format!("{}; it was not measured: {why}", fill.why);
+        }
     }
     Ok(found)
 }

@@ -41,7 +41,7 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
             recording.facts.push((name.replace('_', " "), value.text().map_or_else(numbers, str::to_string)));
         }
     }
-    recording.triggers = triggers(&file, &mut recording.losses)?;
+    recording.triggers = triggers(&file, MOST_TRIGGERS, &mut recording.losses)?;
     Ok(Box::new(recording))
 }
 
@@ -51,12 +51,12 @@ fn sides(geometry: &str) -> Option<Extent> {
     extent(width.trim().parse().ok()?, height.trim().parse().ok()?)
 }
 
-fn triggers(file: &ForeignFile, losses: &mut Vec<Loss>) -> Result<Vec<Trigger>, FormatError> {
+pub(super) fn triggers(file: &ForeignFile, most: usize, losses: &mut Vec<Loss>) -> Result<Vec<Trigger>, FormatError> {
     let wrap = |error| refused(file.path(), error);
     let Some(events) = optional(file, "EXT_TRIGGER/events", losses)? else { return Ok(Vec::new()) };
     let (Some(p), Some(t), Some(id)) = (events.member("p"), events.member("t"), events.member("id")) else { return Ok(Vec::new()) };
     let mut triggers = Vec::new();
-    let count = events.rows().min(MOST_TRIGGERS);
+    let count = events.rows().min(most);
     for start in (0..count).step_by(1 << 16) {
         let block = events.rows_at(start..count.min(start + (1 << 16))).map_err(wrap)?;
         let (mut edges, mut times, mut lines) = (Vec::new(), Vec::new(), Vec::new());
@@ -76,5 +76,9 @@ fn triggers(file: &ForeignFile, losses: &mut Vec<Loss>) -> Result<Vec<Trigger>, 
         }
     }
     losses.truncate(MOST_LOSSES);
+    if count < events.rows() {
+        let what = format!("no more than {most} triggers are read; the others are left out");
+        losses.push(Loss { at: format!("triggers {count} to {}", events.rows() - 1), what });
+    }
     Ok(triggers)
 }

@@ -185,6 +185,17 @@ fn prophesee_is_the_same_with_and_without_its_codec() {
 }
 
 #[test]
+fn triggers_that_are_left_out_are_a_loss() {
+    let file = photocurrent_store::foreign::ForeignFile::open(&fixture("prophesee_plain.h5")).unwrap();
+    let mut losses = Vec::new();
+    let triggers = super::prophesee::triggers(&file, 3, &mut losses).unwrap();
+    assert_eq!((triggers.len(), losses.len()), (3, 1));
+    assert_eq!((losses[0].at.as_str(), losses[0].what.as_str()), ("triggers 3 to 3", "no more than 3 triggers are read; the others are left out"));
+    super::prophesee::triggers(&file, 4, &mut losses).unwrap();
+    assert_eq!(losses.len(), 1);
+}
+
+#[test]
 fn what_is_written_as_dsec_comes_back_and_its_index_keeps_its_promise() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("out.h5");

@@ -21,7 +21,7 @@ mod place;
 mod shift;
 mod step;
 
-pub use blur::exposure;
+pub use blur::{Unclear, exposure};
 pub use panel::{Centring, NOWHERE, Panel, Stretch};
 pub use place::{Displacement, FRAME_SIDE, Patch, REACH, SIDE, displacement};
 pub use shift::{Drift, Shift, drift, offset, row_time};

@@ -179,6 +179,15 @@ impl Panel {
         self.rows.len()
     }
 
+    /// The logarithm from which on frames are taken at their word: of darker pixels steps of the scale and noise are changes of tens of per cent, and events that slow
+    /// pixels lose are many.
+    pub(super) fn bright(&self) -> f32 {
+        /// As a part of the brightest known place: 30 of 255.
+        const BRIGHT: f32 = 0.12;
+        let top = self.stretches.iter().flat_map(|stretch| &stretch.log).copied().filter(|log| log.is_finite()).fold(f32::NEG_INFINITY, f32::max);
+        top + libm::logf(BRIGHT)
+    }
+
     /// Pairs of neighbouring frames.
     pub fn pairs(&self) -> usize {
         self.stretches.iter().map(|stretch| stretch.mids_ns.len().saturating_sub(1)).sum()

@@ -1,18 +1,22 @@
 //! The log change of one event: thresholds from frames.
 //!
-//! Between two frames the logarithm of a place changes by `c_on` for each ON event of a pixel and by `-c_off` for each OFF event. Both follow from a fit
-//! over all pairs of frames and all places that changed, with places that lie far off (noise events, saturation) counted for less (Huber).
+//! Between two frames the logarithm of a place changes by `c_on` for each ON event of a pixel and by `-c_off` for each OFF event. The net events of a pixel are fitted
+//! on the change of the frames, for rising and falling places by themselves, with places that lie far off (noise events, flicker) counted for less (Huber).
 //!
-//! An event count is a change rounded to whole events, so a plain fit through the counts is too low where counts are small. Places of several pixels
-//! round each pixel by itself, and the errors cancel; and places with less than one event a pixel are left out.
+//! An event count is a change rounded to whole events, so it is the count that is fitted and not the change: rounding then makes noise and no bias. The reverse holds
+//! for noise of the frames, so only bright places are taken, and only changes well over that noise. Dark places are what makes thresholds come out too large: one step of the scale is
+//! a large change there, and their slow pixels lose events. A change that reverses costs the pixel up to a threshold before its next event, whatever its size: the line that is fitted
+//! need not begin at zero, and its slope counts. The largest values may be saturated and are taken as unknown.
 
 use super::draw::estimate;
 use super::{Estimate, Panel};
 
-/// Places with fewer events a pixel say little, and what they say is rounded.
-const FEWEST_A_PIXEL: f32 = 1.5;
-/// Places that changed, at least.
-const FEWEST: usize = 100;
+/// Smaller changes of the logarithm are left out: noise of frames would be taken for change without events.
+const LEAST_CHANGE: f64 = 0.3;
+/// Places that changed one way, at least.
+const FEWEST: usize = 50;
+/// Events between two frames that hang on what was before them, of up to one. The interval holds it.
+const UNSURE: f64 = 0.75;
 /// Rounds of the fit with new weights.
 const ROUNDS: usize = 8;
 /// From so many standard deviations on a place counts for less: Huber's usual constant.
@@ -25,105 +29,129 @@ pub struct Steps {
     pub on: Estimate,
     /// Of an OFF event.
     pub off: Estimate,
-    /// Places and pairs of frames that the fit is made of.
+    /// Places and pairs of frames that the fit is made of: bright ones that changed enough.
     pub measured: usize,
+    /// Those that changed enough and are too dark.
+    pub too_dark: usize,
     /// Standard deviation of what the fit leaves, natural-log units.
     pub sigma: f64,
 }
 
-/// One place between two frames.
+/// One place between two frames that changed one way.
 struct Row {
     unit: u32,
-    on: f64,
-    off: f64,
+    /// Events of that way a pixel, less those of the other.
+    net: f64,
+    /// Change of the logarithm, positive.
     change: f64,
 }
 
-/// Thresholds, with events taken `offset_ns` later than frames; none where too little changed.
+/// Thresholds, with events taken `offset_ns` later than frames; none where too few bright places changed.
 pub fn thresholds(panel: &Panel, offset_ns: f64) -> Option<Steps> {
-    let rows = rows(panel, offset_ns);
+    let Rows { up, down, too_dark } = rows(panel, offset_ns);
+    let (on, sigma_on) = threshold(&up)?;
+    let (off, sigma_off) = threshold(&down)?;
+    Some(Steps { on, off, measured: up.len() + down.len(), too_dark, sigma: 0.5 * (sigma_on + sigma_off) })
+}
+
+/// Sums of 1, change, events, change squared, change times events.
+type Sums = [f64; 5];
+
+fn products(row: &Row) -> Sums {
+    [1.0, row.change, row.net, row.change * row.change, row.change * row.net]
+}
+
+fn add(sums: &mut Sums, weight: f64, more: &Sums) {
+    sums.iter_mut().zip(more).for_each(|(sum, more)| *sum += weight * more);
+}
+
+/// Events a change, and at none, of the line through all; none where it does not rise.
+fn line(&[n, change, events, squares, products]: &Sums) -> Option<(f64, f64)> {
+    let slope = (n * products - change * events) / (n * squares - change * change).max(1e-30);
+    (slope > 0.0 && slope.is_finite()).then(|| (slope, (events - slope * change) / n))
+}
+
+/// The threshold of one way, and the spread of what the fit leaves.
+fn threshold(rows: &[Row]) -> Option<(Estimate, f64)> {
     if rows.len() < FEWEST {
         return None;
     }
-    let mut units: Vec<u32> = rows.iter().map(|row| row.unit).collect();
-    units.dedup();
     // Sums by unit under the weights of the whole fit: drawing units again then costs nothing.
-    let (weights, sigma) = huber(&rows)?;
-    let mut sums = vec![[0.0; 5]; units.len()];
-    let mut unit = 0;
+    let (weights, sigma) = huber(rows)?;
+    let mut units: Vec<(u32, Sums)> = Vec::new();
     for (row, weight) in rows.iter().zip(&weights) {
-        while units[unit] != row.unit {
-            unit += 1;
+        if units.last().is_none_or(|unit| unit.0 != row.unit) {
+            units.push((row.unit, [0.0; 5]));
         }
-        let add = [row.on * row.on, row.on * row.off, row.off * row.off, row.on * row.change, row.off * row.change];
-        sums[unit].iter_mut().zip(add).for_each(|(sum, add)| *sum += weight * add);
+        if let Some((_, sums)) = units.last_mut() {
+            add(sums, *weight, &products(row));
+        }
     }
-    let solved = |weights: &[f64]| {
-        let total = sums.iter().zip(weights).fold([0.0; 5], |mut total: [f64; 5], (sums, weight)| {
-            total.iter_mut().zip(sums).for_each(|(total, sum)| *total += weight * sum);
-            total
-        });
-        solve(&total)
-    };
-    Some(Steps {
-        on: estimate(units.len(), |weights| solved(weights).map(|found| found.0))?,
-        off: estimate(units.len(), |weights| solved(weights).map(|found| found.1))?,
-        measured: rows.len(),
-        sigma,
-    })
+    let found = estimate(units.len(), |drawn| {
+        let mut total = [0.0; 5];
+        units.iter().zip(drawn).for_each(|((_, sums), n)| add(&mut total, *n, sums));
+        line(&total).map(|(slope, _)| 1.0 / slope)
+    })?;
+    // A pixel's state at both ends is not known: after a reversal it is up to one event behind.
+    let net = rows.iter().map(|row| row.net).sum::<f64>() / rows.len() as f64;
+    let unsure = found.value * (UNSURE / net.max(1.0));
+    let ci95 = (found.ci95.0.min(found.value - unsure), found.ci95.1.max(found.value + unsure));
+    Some((Estimate { ci95, ..found }, sigma * found.value))
 }
 
-fn rows(panel: &Panel, offset_ns: f64) -> Vec<Row> {
-    let places = panel.places();
-    let (mut rows, mut pair) = (Vec::new(), 0);
+/// Rows in order of their unit, by the way that frames changed.
+struct Rows {
+    up: Vec<Row>,
+    down: Vec<Row>,
+    too_dark: usize,
+}
+
+fn rows(panel: &Panel, offset_ns: f64) -> Rows {
+    let (places, bright) = (panel.places(), panel.bright());
+    let (mut found, mut pair) = (Rows { up: Vec::new(), down: Vec::new(), too_dark: 0 }, 0);
     for stretch in &panel.stretches {
-        let (on, off) = (stretch.summed(1.0, 0.0), stretch.summed(0.0, -1.0));
+        let summed = stretch.summed(1.0, 1.0);
         for frame in 1..stretch.mids_ns.len() {
             let (from, to) = (stretch.mids_ns[frame - 1] as f64 + offset_ns, stretch.mids_ns[frame] as f64 + offset_ns);
-            let (mut n_on, mut n_off) = (vec![0.0; places], vec![0.0; places]);
-            let is_inside = stretch.add_at(&on, to, 1.0, &mut n_on)
-                && stretch.add_at(&on, from, -1.0, &mut n_on)
-                && stretch.add_at(&off, to, 1.0, &mut n_off)
-                && stretch.add_at(&off, from, -1.0, &mut n_off);
-            let first = rows.len();
+            let mut net = vec![0.0; places];
+            let is_inside = stretch.add_at(&summed, to, 1.0, &mut net) && stretch.add_at(&summed, from, -1.0, &mut net);
             for place in (0..places).filter(|_| is_inside) {
-                let change = f64::from(stretch.logs(frame)[place] - stretch.logs(frame - 1)[place]);
-                let pixels = panel.pixels[place] as f32;
-                // Both ways of nearly one size: a flicker or an edge that went and came, of which frames see nothing.
-                let (on, off) = (n_on[place] / pixels, n_off[place] / pixels);
-                if change.is_finite() && (on - off).abs() >= FEWEST_A_PIXEL && (on - off).abs() > 0.6 * (on + off) {
-                    rows.push(Row { unit: pair * 4096 + u32::from(panel.parts[place]), on: f64::from(on), off: -f64::from(off), change });
+                let (before, after) = (stretch.logs(frame - 1)[place], stretch.logs(frame)[place]);
+                let change = f64::from(after - before);
+                // Not a number is left out as well.
+                if !change.is_finite() || change.abs() < LEAST_CHANGE {
+                    continue;
                 }
+                if before.min(after) < bright {
+                    found.too_dark += 1;
+                    continue;
+                }
+                let (unit, net) = (pair * 4096 + u32::from(panel.parts[place]), f64::from(net[place] / panel.pixels[place] as f32));
+                let (rows, net) = if change > 0.0 { (&mut found.up, net) } else { (&mut found.down, -net) };
+                rows.push(Row { unit, net, change: change.abs() });
             }
-            rows[first..].sort_by_key(|row| row.unit);
             pair += 1;
         }
     }
-    rows
+    found.up.sort_by_key(|row| row.unit);
+    found.down.sort_by_key(|row| row.unit);
+    found
 }
 
-/// Weights of a robust fit, and the spread of what it leaves.
+/// Weights of a robust fit of events on change, and the spread of what it leaves, in events.
 fn huber(rows: &[Row]) -> Option<(Vec<f64>, f64)> {
     let mut weights = vec![1.0; rows.len()];
     let mut sigma = 0.0;
     for _ in 0..ROUNDS {
-        let total = rows.iter().zip(&weights).fold([0.0; 5], |total: [f64; 5], (row, w)| {
-            let add = [row.on * row.on, row.on * row.off, row.off * row.off, row.on * row.change, row.off * row.change];
-            std::array::from_fn(|n| total[n] + w * add[n])
-        });
-        let (on, off) = solve(&total)?;
-        let left: Vec<f64> = rows.iter().map(|row| row.change - on * row.on - off * row.off).collect();
+        let mut total = [0.0; 5];
+        rows.iter().zip(&weights).for_each(|(row, weight)| add(&mut total, *weight, &products(row)));
+        // Events against the change in both: the frames do not show what the events do.
+        let (slope, none) = line(&total)?;
+        let left: Vec<f64> = rows.iter().map(|row| row.net - none - slope * row.change).collect();
         let mut sizes: Vec<f64> = left.iter().map(|left| left.abs()).collect();
         sizes.sort_by(f64::total_cmp);
         sigma = 1.4826 * sizes[sizes.len() / 2];
         weights = left.iter().map(|left| if left.abs() <= HUBER * sigma { 1.0 } else { HUBER * sigma / left.abs() }).collect();
     }
     Some((weights, sigma))
-}
-
-/// Two normal equations; none when they are one.
-fn solve(sums: &[f64; 5]) -> Option<(f64, f64)> {
-    let [aa, ab, bb, ay, by] = *sums;
-    let determinant = aa * bb - ab * ab;
-    (determinant > 1e-9 * aa * bb).then(|| ((ay * bb - by * ab) / determinant, (by * aa - ay * ab) / determinant))
 }

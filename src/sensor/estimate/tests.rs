@@ -86,6 +86,10 @@ fn panel(made: Made) -> Panel {
     panel
 }
 
+fn exactly(value: f64) -> Estimate {
+    Estimate { value, ci95: (value, value) }
+}
+
 /// The interval holds the truth, or misses it by less than `slack`, and is no wider than `widest`.
 fn near(found: &Estimate, truth: f64, slack: f64, widest: f64) {
     assert!(found.holds(truth) || (found.value - truth).abs() < slack, "{found:?}, truth {truth}");
@@ -126,8 +130,8 @@ fn rows_that_are_read_one_after_another_give_their_delay() {
 fn thresholds_are_those_of_the_simulator() {
     for (on, off) in [(0.2, 0.2), (0.15, 0.25)] {
         let found = thresholds(&panel(Made { on, off, ..PLAIN }), 0.0).unwrap();
-        near(&found.on, on, 0.06 * on, 0.05);
-        near(&found.off, off, 0.06 * off, 0.05);
+        near(&found.on, on, 0.0, 0.1);
+        near(&found.off, off, 0.0, 0.1);
     }
 }
 
@@ -135,10 +139,10 @@ fn thresholds_are_those_of_the_simulator() {
 fn the_exposure_that_blurred_the_frames_is_found() {
     for exposure_ns in [8_000_000, 14_000_000] {
         let made = Made { exposure_ns, speed: 600.0, on: 0.1, off: 0.1, ..PLAIN };
-        let found = exposure(&panel(made), (0.1, 0.1), 0.0).unwrap();
-        near(&found, exposure_ns as f64, 1_000_000.0, 4_000_000.0);
+        let found = exposure(&panel(made), (0.1, 0.1), &exactly(0.0)).unwrap();
+        near(&found, exposure_ns as f64, 1_000_000.0, 6_000_000.0);
     }
-    assert_eq!(exposure(&panel(Made { speed: 0.0, ..PLAIN }), (0.2, 0.2), 0.0), None);
+    assert_eq!(exposure(&panel(Made { speed: 0.0, ..PLAIN }), (0.2, 0.2), &exactly(0.0)), Err(Unclear::NoChange));
 }
 
 /// A mean over any time smooths noise: without the limit on what a length must explain, these give some five to thirteen milliseconds.
@@ -146,7 +150,7 @@ fn the_exposure_that_blurred_the_frames_is_found() {
 fn noise_of_events_is_no_blur() {
     for (noise, speed) in [(0.1, 120.0), (0.1, 400.0), (0.3, 250.0)] {
         let made = Made { exposure_ns: 500_000, noise, speed, ..PLAIN };
-        assert_eq!(exposure(&panel(made), (0.2, 0.2), 0.0), None, "{noise} {speed}");
+        assert!(exposure(&panel(made), (0.2, 0.2), &exactly(0.0)).is_err(), "{noise} {speed}");
     }
 }
 
@@ -154,4 +158,50 @@ fn noise_of_events_is_no_blur() {
 fn noise_widens_an_offset_and_does_not_move_it() {
     let found = offset(&panel(Made { noise: 0.1, late_ns: 4_000_000, ..PLAIN })).unwrap();
     near(&found.ns, 4_000_000.0, 700_000.0, 3_000_000.0);
+}
+
+/// Thresholds and offset as the recording itself gives them, events with noise, speeds and textures that no limit was chosen on: the interval holds the truth, or none
+/// is given.
+#[test]
+fn an_exposure_is_covered_or_not_given() {
+    let mut given = 0;
+    for (exposure_ns, speed, noise, on) in [
+        (4_000_000, 500.0, 0.02, 0.12),
+        (7_000_000, 350.0, 0.05, 0.15),
+        (10_000_000, 450.0, 0.02, 0.1),
+        (12_000_000, 300.0, 0.1, 0.2),
+        (16_000_000, 400.0, 0.03, 0.15),
+    ] {
+        let panel = panel(Made { exposure_ns, speed, noise, on, off: 1.2 * on, late_ns: 1_500_000, ..PLAIN });
+        let Some(late) = offset(&panel) else { continue };
+        let Some(steps) = thresholds(&panel, late.ns.value) else { continue };
+        if let Ok(found) = exposure(&panel, (steps.on.value, steps.off.value), &late.ns) {
+            assert!(found.holds(exposure_ns as f64), "{found:?}, truth {exposure_ns}");
+            given += 1;
+        }
+    }
+    assert!(given >= 1, "{given} of five");
+}
+
+/// Dark places with frames of whole steps and pixels that lose half of their events: what a fit over all places would take for thresholds twice as large.
+#[test]
+fn dark_places_that_lose_events_do_not_move_thresholds() {
+    let mut panel = panel(PLAIN);
+    let stretch = &mut panel.stretches[0];
+    let (places, mut random) = (panel.rows.len(), Random::new(2, &[]));
+    for place in (0..places).filter(|place| place % 2 == 0) {
+        for frame in 0..FRAMES {
+            let log = &mut stretch.log[frame * places + place];
+            // Thirty times darker, in steps of a 255th of the brightest.
+            let steps = libm::round(libm::exp(f64::from(*log)) / 30.0 * 255.0 / libm::exp(2.15));
+            *log = libm::log(libm::fmax(steps, 0.5) * libm::exp(2.15) / 255.0) as f32;
+        }
+        for counts in [&mut stretch.on, &mut stretch.off] {
+            counts.iter_mut().skip(place).step_by(places).for_each(|count| *count = if random.uniform() < 0.5 { 0 } else { *count });
+        }
+    }
+    let found = thresholds(&panel, 0.0).unwrap();
+    assert!(found.too_dark > 100, "{found:?}");
+    near(&found.on, 0.2, 0.0, 0.1);
+    near(&found.off, 0.2, 0.0, 0.1);
 }

@@ -1,0 +1,130 @@
+//! The wiring of the estimates: what they refuse, which inputs they use, the form of their table, and that a scene with known values gives these. The numerics are
+//! tested where they stand, in `photocurrent_sensor::estimate`.
+
+use super::*;
+use photocurrent_core::events::{Event, Polarity};
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::{Exposure, Extent, Node, testing};
+use std::collections::BTreeMap;
+
+const EXTENT: Extent = Extent { width: 40, height: 32 };
+const PERIOD_NS: i64 = 20_000_000;
+const FRAMES: i64 = 10;
+const THRESHOLD: f64 = 0.15;
+
+/// Logarithm of the light: waves that drift.
+fn log_light(speed: f64, x: u32, y: u32, t_ns: i64) -> f64 {
+    let (x, y) = (f64::from(x) - speed * t_ns as f64 * 1e-9, f64::from(y));
+    0.5 * libm::sin(0.41 * x + 0.23 * y) + 0.35 * libm::sin(0.17 * x - 0.31 * y + 1.0) + 0.25 * libm::sin(0.73 * x + 0.11 * y + 2.0)
+}
+
+/// Crossings of whole thresholds, stamped `late_ns` later, and frames of `black` and the light's value in the middle of short exposures.
+fn recording(speed: f64, late_ns: i64, black: f32) -> (EventStream, FrameSequence) {
+    let mut events = Vec::new();
+    for (x, y) in (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (x, y))) {
+        let mut level = libm::floor(log_light(speed, x, y, 0) / THRESHOLD);
+        for t in (0..(FRAMES + 1) * PERIOD_NS).step_by(100_000) {
+            let now = log_light(speed, x, y, t) / THRESHOLD;
+            let event = |polarity| Event { x: x as u16, y: y as u16, polarity, t: t + late_ns, t_in: None };
+            while now >= level + 1.0 {
+                level += 1.0;
+                events.push(event(Polarity::On));
+            }
+            while now < level - 1.0 {
+                level -= 1.0;
+                events.push(event(Polarity::Off));
+            }
+        }
+    }
+    let exposures: Vec<Exposure> = (0..FRAMES).map(|l| Exposure::new(10_000_000 + l * PERIOD_NS, 10_500_000 + l * PERIOD_NS)).collect();
+    let mids: Vec<i64> = exposures.iter().map(|exposure| exposure.mid().0).collect();
+    let frames = testing::captured(EXTENT, exposures, 0, |frame, x, y| black + 300.0 * libm::exp(log_light(speed, x, y, mids[frame])) as f32);
+    (testing::stream(EXTENT, events), frames)
+}
+
+fn metas(events: &EventStream, frames: &FrameSequence) -> PortMetas {
+    PortMetas::new(BTreeMap::from([
+        ("events".to_string(), vec![Meta::Events(events.meta.clone())]),
+        ("frames".to_string(), vec![Meta::Frames(frames.meta.clone())]),
+    ]))
+}
+
+/// What a node gives of streams: rows by quantity (value, low, high, unit), and its notes.
+fn run<N: Node<In = In>>(
+    node: &N,
+    events: &EventStream,
+    frames: &FrameSequence,
+    table: impl Fn(N::Out) -> Arc<Table>,
+) -> (BTreeMap<String, (f64, f64, f64, String)>, Vec<String>) {
+    assert_eq!(node.plan(&metas(events, frames)).unwrap(), [Meta::Table(Arc::new(TableMeta { scores: false }))]);
+    let input = In { events: events.clone(), frames: frames.clone(), sensor: None };
+    let (out, notes) = testing::with_context(frames.rows(), &["estimates"], |cx| node.run(input, cx));
+    let table = table(out.unwrap());
+    let names: Vec<&str> = table.columns().iter().map(|(name, _)| name.as_str()).collect();
+    assert_eq!(names, ["quantity", "value", "ci95_low", "ci95_high", "unit"]);
+    let text = |row: usize, column: usize| match &table.columns()[column].1 {
+        Column::Texts(texts) => texts[row].clone(),
+        other => panic!("no text: {other:?}"),
+    };
+    let number = |row: usize, column: usize| match &table.columns()[column].1 {
+        Column::Numbers(numbers) => numbers[row],
+        other => panic!("no number: {other:?}"),
+    };
+    (((0..table.len()).map(|row| (text(row, 0), (number(row, 1), number(row, 2), number(row, 3), text(row, 4))))).collect(), notes)
+}
+
+#[test]
+fn a_scene_with_known_values_gives_them_in_their_units() {
+    let (events, frames) = recording(250.0, 3_000_000, 0.0);
+    let (found, _) = run(&offset::EstimateOffset::build(offset::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    let (late, low, high, unit) = &found["offset"];
+    assert!((late - 3.0).abs() < 0.5 && low <= late && late <= high && unit == "ms", "{found:?}");
+    assert!(found.contains_key("drift"), "{found:?}");
+    let (found, _) = run(&row_time::EstimateRowTime::build(row_time::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    let (row_time, _, _, unit) = &found["row_time"];
+    assert!(unit == "us" && !(row_time.abs() > 20.0), "{found:?}");
+    let (found, notes) = run(&thresholds::EstimateThresholds::build(thresholds::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    for name in ["threshold_on", "threshold_off"] {
+        let (_, low, high, unit) = &found[name];
+        assert!(*low <= THRESHOLD && THRESHOLD <= *high && unit == "ln", "{found:?}");
+    }
+    assert!(notes[0].contains("too dark") && notes[0].contains("ms later"), "{notes:?}");
+}
+
+#[test]
+fn a_stated_offset_is_used_and_not_estimated() {
+    let (events, frames) = recording(250.0, 3_000_000, 0.0);
+    let node =
+        |ms: i64| thresholds::EstimateThresholds::build(thresholds::Params { offset: Some(Duration::new(ms * 1_000_000)), ..Default::default() }).unwrap();
+    let (_, notes) = run(&node(-2), &events, &frames, |out| out.estimates);
+    assert!(notes[0].contains("events taken -2.000 ms later"), "{notes:?}");
+}
+
+#[test]
+fn what_a_scene_does_not_show_is_not_a_number_and_the_note_says_why() {
+    let (events, frames) = recording(0.0, 0, 0.0);
+    let (found, notes) = run(&offset::EstimateOffset::build(offset::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    assert!(found["offset"].0.is_nan() && found["offset"].1.is_nan() && notes[0].contains("do not clearly agree"), "{found:?} {notes:?}");
+    let (found, notes) = run(&row_time::EstimateRowTime::build(row_time::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    assert!(found["row_time"].0.is_nan() && notes[0].contains("too few bands"), "{notes:?}");
+    let (found, notes) = run(&thresholds::EstimateThresholds::build(thresholds::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    assert!(found["threshold_on"].0.is_nan() && notes[0].contains("too few bright pixels"), "{notes:?}");
+    let (found, notes) = run(&exposure::EstimateExposure::build(exposure::Params::default()).unwrap(), &events, &frames, |out| out.estimates);
+    assert!(found["exposure"].0.is_nan() && notes[0].contains("thresholds are not known"), "{notes:?}");
+    let given = exposure::Params { thresholds: Some([0.2, 0.2]), ..Default::default() };
+    let (_, notes) = run(&exposure::EstimateExposure::build(given).unwrap(), &events, &frames, |out| out.estimates);
+    assert!(notes[0].contains("nothing moves"), "{notes:?}");
+}
+
+#[test]
+fn streams_that_do_not_fit_are_refused_while_planning() {
+    let (events, frames) = recording(0.0, 0, 0.0);
+    let node = offset::EstimateOffset::build(offset::Params::default()).unwrap();
+    let odd = testing::captured(Extent { width: 50, height: 32 }, vec![Exposure::new(0, 1), Exposure::new(9, 10)], 0, |_, _, _| 1.0);
+    let error = node.plan(&metas(&events, &odd)).unwrap_err();
+    assert!(error.message.contains("50x32") && error.message.contains("40x32") && error.hint.is_some(), "{error}");
+    let day = 1_600_000_000_000_000_000;
+    let late = frames.meta.times.exposures.iter().map(|exposure| exposure.delayed(day)).collect();
+    let apart = testing::captured(EXTENT, late, 0, |_, _, _| 1.0);
+    assert!(node.plan(&metas(&testing::events(40, 32), &apart)).unwrap_err().message.contains("no moment in common"));
+}
