@@ -32,6 +32,11 @@ impl Prepared {
         Prepared { nominal: nominal.clone(), effects: Vec::new(), kernel: None }
     }
 
+    /// The mixture of neighbours that the event path sees.
+    pub fn kernel(&self) -> Option<&Kernel> {
+        self.kernel.as_ref()
+    }
+
     /// Of a trial on a recording.
     ///
     /// # Errors

@@ -1,0 +1,550 @@
+//! The rounds of the fit: registration, then picture, motion and shading together, with noise and smoothness estimated on the way.
+
+use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivatives, map_of, pose_of};
+use super::register::{Image, Search, register};
+use super::shading::{self, TERMS};
+use super::spline::{Grid, ORDER, weights};
+use super::system::{Rows, Smoothness, TOUCHED, Unknowns, add, roughness, solve, stamp};
+use crate::case::Case;
+use crate::nominal::Nominal;
+use nalgebra::DMatrix;
+use rayon::prelude::*;
+
+/// Gauss-Legendre instants of an exposure (of -1 to 1) and their shares of the mean.
+const INSTANTS: [(f64, f64); 6] = [
+    (-0.932_469_514_203_152, 0.085_662_246_189_585),
+    (-0.661_209_386_466_264_5, 0.180_380_786_524_069_3),
+    (-0.238_619_186_083_196_9, 0.233_956_967_286_345_5),
+    (0.238_619_186_083_196_9, 0.233_956_967_286_345_5),
+    (0.661_209_386_466_264_5, 0.180_380_786_524_069_3),
+    (0.932_469_514_203_152, 0.085_662_246_189_585),
+];
+
+/// How a picture is fitted.
+#[derive(Clone, Copy, Debug)]
+pub struct PictureSetting {
+    /// Distance of coefficients, pixels.
+    pub pitch: f64,
+    /// Shortest time between knots of the motion, ns.
+    pub knot_ns: i64,
+    /// Rounds of Gauss-Newton at most.
+    pub rounds: usize,
+    /// Conjugate gradients in each.
+    pub steps: usize,
+    /// Standard deviation of frame values beyond what is stated, DN.
+    pub frame_dn: f64,
+    /// And as a share of the signal.
+    pub frame_share: f64,
+    /// Residuals count half at this many standard deviations.
+    pub robust: f64,
+    /// A further round is taken while the misfit falls by this share.
+    pub gain: f64,
+    /// Second differences of the picture that are always believed possible, as a share of its mean.
+    pub least_roughness: f64,
+    /// Share of the picture's overall roughness in the local one.
+    pub pooled: f64,
+    /// Weight of the second differences of the motion's knots, one over pixels.
+    pub motion_weight: f64,
+    /// Standard deviation of scale and shear, pixels at the array's edge.
+    pub stretch: f64,
+    /// How motion begins.
+    pub search: Search,
+}
+
+impl Default for PictureSetting {
+    fn default() -> PictureSetting {
+        PictureSetting {
+            pitch: 0.7,
+            knot_ns: 10_000_000,
+            rounds: 8,
+            steps: 40,
+            frame_dn: 1.0,
+            frame_share: 0.005,
+            robust: 4.0,
+            gain: 0.05,
+            least_roughness: 0.003,
+            pooled: 0.1,
+            motion_weight: 1.0,
+            stretch: 3.0,
+            search: Search::default(),
+        }
+    }
+}
+
+/// How well a picture explains the frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Report {
+    /// Median absolute residual of the frame values over 0.6745 standard deviations, round by round: 1 when the noise explains it.
+    pub misfit: Vec<f64>,
+    /// Correlation of each frame with the one before, registered.
+    pub correlation: Vec<f64>,
+    /// The frame noise that was fitted: DN and share of the signal.
+    pub noise: (f64, f64),
+}
+
+/// A picture in motion.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Where its coefficients stand.
+    pub grid: Grid,
+    /// The coefficients, in photocurrent units.
+    pub surface: Vec<f32>,
+    /// How it lies on the array.
+    pub motion: Motion,
+    /// The shading.
+    pub shading: [f64; TERMS],
+    /// Least photocurrent that is predicted.
+    pub least: f64,
+    /// How well it explains the frames.
+    pub report: Report,
+    /// Residual of every frame value, DN, as [frame][y][x]; NaN where it took no part.
+    pub residual: Vec<f32>,
+    centre: (f64, f64),
+}
+
+impl Picture {
+    /// Fits a picture to the frames of a recording.
+    ///
+    /// # Errors
+    /// With fewer than three frames, an array below 8 x 8 pixels, or frames without light.
+    pub fn fit(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Result<Picture, String> {
+        let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 3).ok_or("a moving picture needs at least three frames")?;
+        let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+        if width.min(height) < 8 {
+            return Err(format!("a moving picture needs at least 8 x 8 pixels, the array has {}", case.extent));
+        }
+        let count = frames.times.len();
+        let images = images(case, nominal);
+        // Registration of neighbours, chained.
+        let pairs: Vec<(Map, f64)> = (1..count).into_par_iter().map(|l| register(&images[l - 1], &images[l], &setting.search, None)).collect();
+        let mut poses: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
+        for (pair, _) in &pairs {
+            poses.push(compose(poses.last().expect("one is there"), pair));
+        }
+        let motion = begin_motion(case, &poses, setting);
+        let mut fit = Fit::new(case, nominal, setting, motion);
+        fit.picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
+        fit.rounds();
+        Ok(fit.picture)
+    }
+
+    /// The photocurrent that falls on a pixel at an instant; `None` where the picture was never seen.
+    pub fn light(&self, x: usize, y: usize, t_ns: i64) -> Option<f64> {
+        let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
+        let (px, py) = apply(&self.motion.at(t_ns), place.0, place.1);
+        let shade = shading::factor(&self.shading, &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half));
+        self.grid.value(&self.surface, px, py).map(|c| f64::max(c * shade, self.least))
+    }
+
+    /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time holds. `None` when it never saw the picture.
+    pub fn log_light(&self, x: usize, y: usize, maps: &[Map]) -> Option<Vec<f64>> {
+        let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
+        let shade = shading::factor(&self.shading, &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half));
+        let mut last = None;
+        let mut log: Vec<f64> = Vec::with_capacity(maps.len());
+        let mut missing = 0;
+        for map in maps {
+            let (px, py) = apply(map, place.0, place.1);
+            let value = self.grid.value(&self.surface, px, py).map(|c| photocurrent_sensor::elementary::ln(f64::max(c * shade, self.least)));
+            match value.or(last) {
+                Some(value) => {
+                    if last.is_none() {
+                        log.extend(std::iter::repeat_n(value, missing));
+                    }
+                    last = Some(value);
+                    log.push(value);
+                }
+                None => missing += 1,
+            }
+        }
+        last.map(|_| log)
+    }
+}
+
+/// Log frames; what is missing or dark is the median.
+fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
+    let pixels = case.extent.pixels();
+    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+    (0..case.frame_count())
+        .map(|l| {
+            let signal = |pixel: usize| case.dn(l, pixel) - nominal.number.black_level;
+            let mut known: Vec<f64> = (0..pixels).map(signal).filter(|s| s.is_finite() && *s > 0.0).collect();
+            known.sort_by(f64::total_cmp);
+            let middle = known.get(known.len() / 2).copied().unwrap_or(1.0);
+            let value = |pixel: usize| {
+                let s = signal(pixel);
+                libm::log(f64::max(if s.is_finite() { s } else { middle }, 0.02 * middle)) as f32
+            };
+            Image { width, height, values: (0..pixels).map(value).collect() }
+        })
+        .collect()
+}
+
+/// Splines through the poses of the frames.
+fn begin_motion(case: &Case, poses: &[Map], setting: &PictureSetting) -> Motion {
+    let (width, height) = (f64::from(case.extent.width), f64::from(case.extent.height));
+    let half = 0.5 * (f64::max(width, height) - 1.0);
+    let times = &case.frames.as_ref().expect("frames are there").times;
+    let period_ns = times.mean_period_ns().map_or(setting.knot_ns, |period| period as i64);
+    let knot_ns = i64::max(setting.knot_ns, period_ns * 6 / 5);
+    let mut motion = Motion::still(case.span, knot_ns, half);
+    let knots = motion.knots.len();
+    let mut normal = DMatrix::<f64>::zeros(knots, knots);
+    let mut right = DMatrix::<f64>::zeros(knots, DEGREES);
+    let mut turned = 0.0;
+    for (l, pose) in poses.iter().enumerate() {
+        let mut target: Pose = pose_of(pose, half);
+        // Turns go on where the angle starts again.
+        let whole = std::f64::consts::TAU * half;
+        target[2] += whole * ((turned - target[2]) / whole).round();
+        turned = target[2];
+        let exposure = times.exposure(l, case.extent.height / 2);
+        let (first, weights) = motion.weights(i64::midpoint(exposure.start.0, exposure.end.0));
+        for (a, wa) in weights.iter().enumerate() {
+            for (b, wb) in weights.iter().enumerate() {
+                normal[(first + a, first + b)] += wa * wb;
+            }
+            for (d, target) in target.iter().enumerate() {
+                right[(first + a, d)] += wa * target;
+            }
+        }
+    }
+    let hold = 1e-4;
+    for k in 1..knots - 1 {
+        for (m, fm) in [(k - 1, 1.0), (k, -2.0), (k + 1, 1.0)] {
+            for (n, fn_) in [(k - 1, 1.0), (k, -2.0), (k + 1, 1.0)] {
+                normal[(m, n)] += hold * fm * fn_;
+            }
+        }
+    }
+    for k in 0..knots {
+        normal[(k, k)] += 1e-12;
+    }
+    if let Some(factor) = normal.cholesky() {
+        let found = factor.solve(&right);
+        for (k, knot) in motion.knots.iter_mut().enumerate() {
+            *knot = std::array::from_fn(|d| found[(k, d)]);
+        }
+    }
+    motion
+}
+
+/// One instant of a row's exposure.
+#[derive(Clone, Copy)]
+struct Instant {
+    map: Map,
+    pose: Pose,
+    knot: usize,
+    weights: [f64; ORDER],
+    share: f64,
+}
+
+struct Fit<'a> {
+    case: &'a Case,
+    nominal: &'a Nominal,
+    setting: &'a PictureSetting,
+    picture: Picture,
+    /// What frame values of the fitted picture would be, over the signal's factor; kept for the weights.
+    typical: f64,
+    scale: f64,
+}
+
+impl<'a> Fit<'a> {
+    fn new(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, motion: Motion) -> Fit<'a> {
+        let centre = (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
+        let grid = cover(case, &motion, centre, setting.pitch);
+        let mut light: Vec<f64> = Vec::new();
+        for l in 0..case.frame_count() {
+            let seconds = exposure_s(case, l, 0);
+            let values = (0..case.extent.pixels()).step_by(5).map(|pixel| case.dn(l, pixel));
+            light.extend(values.filter(|dn| dn.is_finite()).map(|dn| (dn - nominal.number.black_level) / (nominal.number.gain * seconds)));
+        }
+        light.sort_by(f64::total_cmp);
+        let typical = light.get(light.len() / 2).copied().unwrap_or(1.0).max(1e-9);
+        let picture = Picture {
+            grid,
+            surface: vec![typical as f32; grid.len()],
+            motion,
+            shading: [0.0; TERMS],
+            least: 1e-3 * typical,
+            report: Report { noise: (setting.frame_dn, setting.frame_share), ..Report::default() },
+            residual: Vec::new(),
+            centre,
+        };
+        Fit { case, nominal, setting, picture, typical, scale: 1.0 }
+    }
+
+    fn rounds(&mut self) {
+        let knots = self.picture.motion.knots.len();
+        let mut smooth = self.first_smoothness(knots);
+        let mut rows = self.lay(false);
+        let mut best = self.cost(&rows, &smooth);
+        for round in 0..self.setting.rounds {
+            let with_rest = round >= 1;
+            let with_shading = round >= 2;
+            let hold_motion = 1.0 / 2.0;
+            smooth.rest = vec![hold_motion; knots * DEGREES];
+            smooth.rest.extend([if with_shading { 2.0 } else { 0.0 }; TERMS]);
+            smooth.motion = self.setting.motion_weight;
+            // Scale and shear are as little as frames allow: a star has no scale.
+            let stretch = 1.0 / self.setting.stretch;
+            smooth.rest_size = (0..knots * DEGREES).map(|n| if n % DEGREES >= RIGID { stretch } else { 0.0 }).collect();
+            smooth.rest_size.extend([1.0; TERMS]);
+            let now = Unknowns { picture: self.picture.surface.clone(), rest: self.flat() };
+            let step = solve(&rows, &self.picture.grid, &smooth, &now, knots, with_rest, self.setting.steps);
+            let mut by = 1.0;
+            let before = self.picture.clone();
+            loop {
+                self.take(&before, &step, by);
+                rows = self.lay(round + 1 >= 1);
+                let cost = self.cost(&rows, &smooth);
+                if cost < best || by < 0.2 || round == 0 {
+                    break;
+                }
+                by *= 0.5;
+            }
+            let misfit = self.reweigh(&mut rows);
+            let last = self.picture.report.misfit.last().copied();
+            self.picture.report.misfit.push(misfit);
+            smooth = self.smoothness(knots);
+            best = self.cost(&rows, &smooth);
+            if round >= 4 && last.is_some_and(|last| misfit > (1.0 - self.setting.gain) * last) {
+                break;
+            }
+        }
+        self.keep_residuals(&rows);
+    }
+
+    fn flat(&self) -> Vec<f64> {
+        let mut rest: Vec<f64> = self.picture.motion.knots.iter().flatten().copied().collect();
+        rest.extend(self.picture.shading);
+        rest
+    }
+
+    fn take(&mut self, before: &Picture, step: &Unknowns, by: f64) {
+        let mut now = Unknowns { picture: before.surface.clone(), rest: before.motion.knots.iter().flatten().copied().chain(before.shading).collect() };
+        add(&mut now, by, step);
+        let knots = before.motion.knots.len();
+        for (k, knot) in self.picture.motion.knots.iter_mut().enumerate() {
+            knot.copy_from_slice(&now.rest[k * DEGREES..(k + 1) * DEGREES]);
+        }
+        self.picture.shading.copy_from_slice(&now.rest[knots * DEGREES..]);
+        self.picture.surface = now.picture;
+    }
+
+    fn cost(&self, rows: &Rows, smooth: &Smoothness) -> f64 {
+        let robust = self.setting.robust * self.scale;
+        let misfit: f64 = (0..rows.len())
+            .map(|r| {
+                let z = f64::from(rows.residual[r]) / self.sigma_of(rows, r);
+                robust * robust * libm::log1p((z / robust) * (z / robust))
+            })
+            .sum();
+        misfit / (self.scale * self.scale) + roughness(&self.picture.grid, smooth, &self.picture.surface)
+    }
+
+    /// The standard deviation that a row's value is believed to, without robustness.
+    fn sigma_of(&self, rows: &Rows, r: usize) -> f64 {
+        self.sigma(f64::from(rows.signal[r]))
+    }
+
+    fn sigma(&self, signal: f64) -> f64 {
+        let stated = self.nominal.stated_frame_sigma_dn(self.nominal.number.black_level + signal);
+        let (dn, share) = self.picture.report.noise;
+        libm::sqrt(stated * stated + dn * dn + (share * signal) * (share * signal))
+    }
+
+    fn first_smoothness(&self, knots: usize) -> Smoothness {
+        let n = self.picture.grid.len();
+        let weight = (1.0 / (0.3 * self.typical)) as f32;
+        Smoothness { along_x: vec![weight; n], along_y: vec![weight; n], across: vec![weight; n], rest: vec![0.0; knots * DEGREES + TERMS], rest_size: vec![0.0; knots * DEGREES + TERMS], motion: 0.0 }
+    }
+
+    /// Weights by the picture's own second differences: their mean square nearby, a share of the overall one, and what is always possible.
+    fn smoothness(&self, knots: usize) -> Smoothness {
+        let grid = &self.picture.grid;
+        let (w, h) = (grid.width, grid.height);
+        let c = &self.picture.surface;
+        let least = (self.setting.least_roughness * self.typical) as f32;
+        let field = |value: &dyn Fn(usize, usize) -> f32| -> Vec<f32> {
+            let square: Vec<f32> = (0..w * h).map(|k| value(k % w, k / w).powi(2)).collect();
+            let mean: f32 = square.iter().sum::<f32>() / square.len() as f32;
+            let mut sorted = square.clone();
+            let middle = sorted.len() / 2;
+            sorted.select_nth_unstable_by(middle, f32::total_cmp);
+            let overall = f32::min(2.0 * sorted[middle], mean);
+            (0..w * h)
+                .map(|k| {
+                    let (x, y) = (k % w, k / w);
+                    let (mut sum, mut n) = (0.0, 0.0);
+                    for j in y.saturating_sub(1)..(y + 2).min(h) {
+                        for i in x.saturating_sub(1)..(x + 2).min(w) {
+                            sum += square[j * w + i];
+                            n += 1.0;
+                        }
+                    }
+                    1.0 / (sum / n + self.setting.pooled as f32 * overall + least * least).sqrt()
+                })
+                .collect()
+        };
+        let at = |x: usize, y: usize| c[y * w + x];
+        let along_x = field(&|x, y| if x > 0 && x + 1 < w { at(x - 1, y) - 2.0 * at(x, y) + at(x + 1, y) } else { 0.0 });
+        let along_y = field(&|x, y| if y > 0 && y + 1 < h { at(x, y - 1) - 2.0 * at(x, y) + at(x, y + 1) } else { 0.0 });
+        let across = field(&|x, y| if x + 1 < w && y + 1 < h { at(x, y) - at(x + 1, y) - at(x, y + 1) + at(x + 1, y + 1) } else { 0.0 });
+        Smoothness { along_x, along_y, across, rest: vec![0.0; knots * DEGREES + TERMS], rest_size: vec![0.0; knots * DEGREES + TERMS], motion: 0.0 }
+    }
+
+    /// Robust weights and the scale of the noise; gives the misfit.
+    fn reweigh(&mut self, rows: &mut Rows) -> f64 {
+        let mut sizes: Vec<f64> = (0..rows.len()).map(|r| f64::from(rows.residual[r]).abs() / self.sigma_of(rows, r)).collect();
+        let z = sizes.clone();
+        let middle = sizes.len() / 2;
+        if sizes.is_empty() {
+            return 0.0;
+        }
+        sizes.select_nth_unstable_by(middle, f64::total_cmp);
+        let misfit = sizes[middle] / 0.6745;
+        self.scale = misfit.max(1.0);
+        for r in 0..rows.len() {
+            let far = z[r] / (self.setting.robust * self.scale);
+            rows.weight[r] = (1.0 / (self.sigma_of(rows, r) * self.scale * libm::sqrt(1.0 + far * far))) as f32;
+        }
+        misfit
+    }
+
+    fn keep_residuals(&mut self, rows: &Rows) {
+        let mut residual = vec![f32::NAN; self.case.frame_count() * self.case.extent.pixels()];
+        for (at, value) in rows.index.iter().zip(&rows.residual) {
+            residual[*at as usize] = *value;
+        }
+        self.picture.residual = residual;
+    }
+
+    /// Puts every frame value on the grid at the present motion.
+    fn lay(&self, with_rest: bool) -> Rows {
+        let height = self.case.extent.height as usize;
+        let count = self.case.frame_count();
+        let parts: Vec<Rows> = (0..count * height).into_par_iter().map(|n| self.lay_row(n / height, n % height, with_rest)).collect();
+        let mut rows = Rows { first: vec![0], ..Rows::default() };
+        for part in parts {
+            let begun = rows.stencil.len() as u32;
+            rows.first.extend(part.first.iter().skip(1).map(|at| at + begun));
+            rows.corner.extend(part.corner);
+            rows.stencil.extend(part.stencil);
+            rows.residual.extend(part.residual);
+            rows.weight.extend(part.weight);
+            rows.knot.extend(part.knot);
+            rows.by_pose.extend(part.by_pose);
+            rows.by_shading.extend(part.by_shading);
+            rows.signal.extend(part.signal);
+            rows.index.extend(part.index);
+        }
+        rows
+    }
+
+    fn lay_row(&self, l: usize, y: usize, with_rest: bool) -> Rows {
+        let Picture { grid, surface, motion, shading: terms, centre, .. } = &self.picture;
+        let times = &self.case.frames.as_ref().expect("frames are there").times;
+        let exposure = times.exposure(l, y as u32);
+        let (start, end) = (exposure.start.0, exposure.end.0);
+        let seconds = (end - start) as f64 * 1e-9;
+        let instants: [Instant; 6] = INSTANTS.map(|(place, share)| {
+            let t_ns = i64::midpoint(start, end) + (0.5 * place * (end - start) as f64) as i64;
+            let (knot, weights) = motion.weights(t_ns);
+            let pose = motion.pose(t_ns);
+            Instant { map: map_of(&pose, motion.half), pose, knot, weights, share }
+        });
+        let knot = instants[0].knot;
+        let number = self.nominal.number;
+        let factor = number.gain * seconds;
+        let mut rows = Rows { first: vec![0], ..Rows::default() };
+        for x in 0..self.case.extent.width as usize {
+            let pixel = y * self.case.extent.width as usize + x;
+            let dn = self.case.dn(l, pixel);
+            if !dn.is_finite() {
+                continue;
+            }
+            let place = (x as f64 - centre.0, y as f64 - centre.1);
+            let unit = (place.0 / motion.half, place.1 / motion.half);
+            let basis = shading::basis(unit.0, unit.1);
+            let scale = factor * shading::factor(terms, &basis);
+            let located: [Option<(usize, usize, f64, f64)>; 6] = instants.map(|instant| {
+                let (px, py) = apply(&instant.map, place.0, place.1);
+                grid.locate(px, py)
+            });
+            if located.iter().any(Option::is_none) {
+                continue;
+            }
+            let located = located.map(Option::unwrap_or_default);
+            let low = (located.iter().map(|at| at.0).min().unwrap_or(0), located.iter().map(|at| at.1).min().unwrap_or(0));
+            let high = (located.iter().map(|at| at.0).max().unwrap_or(0), located.iter().map(|at| at.1).max().unwrap_or(0));
+            let (columns, lines) = (high.0 - low.0 + ORDER, high.1 - low.1 + ORDER);
+            let begun = rows.stencil.len();
+            rows.stencil.resize(begun + columns * lines, 0.0);
+            let stencil = &mut rows.stencil[begun..];
+            for ((i, j, f, g), instant) in located.iter().zip(&instants) {
+                stamp(stencil, columns, low, (*i, *j), &weights(*f), &weights(*g), scale * instant.share);
+            }
+            let corner = low.1 * grid.width + low.0;
+            let signal: f32 = stencil
+                .chunks_exact(columns)
+                .enumerate()
+                .map(|(j, line)| line.iter().zip(&surface[corner + j * grid.width..]).map(|(a, c)| a * c).sum::<f32>())
+                .sum();
+            let mut residual = dn - number.black_level - f64::from(signal);
+            let signal_dn = f64::max(dn - number.black_level, 0.0);
+            if dn >= self.nominal.saturation_dn {
+                // At least that much.
+                residual = f64::max(residual, 0.0);
+            }
+            let mut by_pose = [[0.0_f32; DEGREES]; TOUCHED];
+            if with_rest {
+                for instant in &instants {
+                    let (px, py) = apply(&instant.map, place.0, place.1);
+                    let (gx, gy) = grid.gradient(surface, px, py);
+                    let by = derivatives(&instant.map, &instant.pose, motion.half, place.0, place.1).map(|(dx, dy)| gx * dx + gy * dy);
+                    for (n, weight) in instant.weights.iter().enumerate() {
+                        let at = (instant.knot - knot + n).min(TOUCHED - 1);
+                        let share = scale * instant.share * weight;
+                        by_pose[at].iter_mut().zip(by).for_each(|(sum, by)| *sum += (share * by) as f32);
+                    }
+                }
+            }
+            rows.first.push(rows.stencil.len() as u32);
+            rows.corner.push((corner as u32, columns as u32));
+            rows.residual.push(residual as f32);
+            rows.weight.push((1.0 / self.sigma(signal_dn)) as f32);
+            rows.knot.push(knot as u32);
+            rows.by_pose.push(by_pose);
+            rows.by_shading.push(basis.map(|b| b as f32 * signal));
+            rows.signal.push(signal_dn as f32);
+            rows.index.push((l * self.case.extent.pixels() + pixel) as u32);
+        }
+        rows
+    }
+}
+
+fn exposure_s(case: &Case, l: usize, y: u32) -> f64 {
+    let exposure = case.frames.as_ref().expect("frames are there").times.exposure(l, y);
+    f64::max((exposure.end.0 - exposure.start.0) as f64 * 1e-9, 1e-9)
+}
+
+/// A grid over everything that the array sees during exposures.
+fn cover(case: &Case, motion: &Motion, centre: (f64, f64), pitch: f64) -> Grid {
+    let (mut low, mut high) = ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY));
+    let (width, height) = (f64::from(case.extent.width), f64::from(case.extent.height));
+    let times = &case.frames.as_ref().expect("frames are there").times;
+    for l in 0..times.len() {
+        let (first, last) = (times.exposure(l, 0).start.0, times.exposure(l, case.extent.height - 1).end.0);
+        for n in 0..=4 {
+            let map = motion.at(first + (last - first) * n / 4);
+            for (x, y) in [(0.0, 0.0), (width - 1.0, 0.0), (0.0, height - 1.0), (width - 1.0, height - 1.0)] {
+                let (px, py) = apply(&map, x - centre.0, y - centre.1);
+                low = (f64::min(low.0, px), f64::min(low.1, py));
+                high = (f64::max(high.0, px), f64::max(high.1, py));
+            }
+        }
+    }
+    const MARGIN: f64 = 2.0;
+    Grid::over((low.0 - MARGIN, low.1 - MARGIN), (high.0 + MARGIN, high.1 + MARGIN), pitch)
+}

@@ -1,0 +1,24 @@
+//! The scene as one moving picture, fitted to frames alone.
+//!
+//! Many scenes are coherent: one picture moves, and every place of it is seen by many pixels in many frames, whose exposure, row time and gain are known, without any event. So the picture,
+//! how it lies on the array at every instant, and the static shading of the array are fitted to all frame values at once. What it predicts at an event's instant is then independent of that event.
+//!
+//! - [`spline`]: the surface.
+//! - [`motion`]: how it lies on the array over time.
+//! - [`register`]: how one frame lies on the next; where the fit starts.
+//! - [`shading`]: the array's own shading.
+//! - [`system`]: the sparse least-squares problem.
+//! - [`estimate`]: the rounds.
+//!
+//! Sources: Lucas and Kanade, IJCAI 1981; Irani and Peleg, Improving Resolution by Image Registration, CVGIP 1991; Björck, Numerical Methods for Least Squares Problems, 1996.
+//!
+//! Limits: one affine motion; a surface that is sharper than its pitch is softened.
+
+pub mod estimate;
+pub mod motion;
+pub mod register;
+pub mod shading;
+pub mod spline;
+pub mod system;
+
+pub use estimate::{Picture, PictureSetting, Report};

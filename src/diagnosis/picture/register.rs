@@ -1,0 +1,279 @@
+//! How one frame lies on the next: an affine map, found by a search over turns and shifts and refined by Gauss-Newton.
+//!
+//! Source: Evangelidis and Psarakis, Parametric Image Alignment Using Enhanced Correlation Coefficient Maximization, PAMI 2008; Lucas and Kanade, IJCAI 1981.
+
+use super::motion::{DEGREES, Map as Affine, RIGID, apply, derivatives, map_of, pose_of};
+use nalgebra::{SMatrix, SVector};
+
+
+/// What is searched.
+#[derive(Clone, Copy, Debug)]
+pub struct Search {
+    /// Largest turn between two frames, radians.
+    pub turn: f64,
+    /// Step of the search over turns, radians.
+    pub turn_step: f64,
+    /// Largest shift, as a share of the array's longer side.
+    pub shift: f64,
+    /// Correlation that a turn must add, per radian, to be preferred to none.
+    pub turn_cost: f64,
+    /// Correlation that a shift over the whole array's longer side must add.
+    pub shift_cost: f64,
+    /// Standard deviation of scale and shear from one frame to the next, pixels at the array's edge.
+    pub stretch: f64,
+    /// Scale and shear must lessen what correlation leaves to this share.
+    pub stretched: f64,
+    /// Rounds of Gauss-Newton.
+    pub rounds: usize,
+}
+
+impl Default for Search {
+    fn default() -> Search {
+        Search { turn: 1.05, turn_step: 0.07, shift: 0.2, turn_cost: 0.03, shift_cost: 0.1, stretch: 0.5, stretched: 0.5, rounds: 30 }
+    }
+}
+
+/// A picture on a plane of pixels, row-major; values are finite.
+#[derive(Clone, Debug)]
+pub struct Image {
+    /// Columns.
+    pub width: usize,
+    /// Rows.
+    pub height: usize,
+    /// Values.
+    pub values: Vec<f32>,
+}
+
+impl Image {
+    fn centre(&self) -> (f64, f64) {
+        (0.5 * (self.width as f64 - 1.0), 0.5 * (self.height as f64 - 1.0))
+    }
+
+    /// Smoothed with the binomial weights 1 2 1 along both axes, `times` over.
+    pub fn smoothed(&self, times: usize) -> Image {
+        let (w, h) = (self.width, self.height);
+        let mut values = self.values.clone();
+        for _ in 0..times {
+            let old = values.clone();
+            for y in 0..h {
+                for x in 0..w {
+                    let (l, r) = (old[y * w + x.saturating_sub(1)], old[y * w + (x + 1).min(w - 1)]);
+                    values[y * w + x] = 0.25 * l + 0.5 * old[y * w + x] + 0.25 * r;
+                }
+            }
+            let old = values.clone();
+            for y in 0..h {
+                for x in 0..w {
+                    let (l, r) = (old[y.saturating_sub(1) * w + x], old[(y + 1).min(h - 1) * w + x]);
+                    values[y * w + x] = 0.25 * l + 0.5 * old[y * w + x] + 0.25 * r;
+                }
+            }
+        }
+        Image { values, ..*self }
+    }
+
+    fn halved(&self) -> Image {
+        let (w, h) = (self.width / 2, self.height / 2);
+        let at = |x: usize, y: usize| self.values[y * self.width + x];
+        let values = (0..w * h)
+            .map(|k| {
+                let (x, y) = (2 * (k % w), 2 * (k / w));
+                0.25 * (at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1))
+            })
+            .collect();
+        Image { width: w, height: h, values }
+    }
+
+    /// Value and gradient at a place in pixels from the first one, bilinear; `None` outside.
+    #[inline]
+    fn look(&self, x: f64, y: f64) -> Option<(f64, f64, f64)> {
+        if !(x >= 0.0 && y >= 0.0 && x <= (self.width - 1) as f64 && y <= (self.height - 1) as f64) {
+            return None;
+        }
+        let (i, j) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
+        let (f, g) = (x - i as f64, y - j as f64);
+        let at = |i: usize, j: usize| f64::from(self.values[j * self.width + i]);
+        let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1));
+        let value = (1.0 - g) * ((1.0 - f) * a + f * b) + g * ((1.0 - f) * c + f * d);
+        Some((value, (1.0 - g) * (b - a) + g * (d - c), (1.0 - f) * (c - a) + f * (d - b)))
+    }
+}
+
+/// Where the places of `moved` lie on `still`, and the correlation of both there (-1 to 1).
+///
+/// # Panics
+/// When the images differ in size or are smaller than 8 x 8.
+pub fn register(still: &Image, moved: &Image, search: &Search, begin: Option<Affine>) -> (Affine, f64) {
+    assert!(still.width == moved.width && still.height == moved.height && still.width.min(still.height) >= 8, "two images of one size, at least 8 x 8");
+    let (a, b) = (still.smoothed(1), moved.smoothed(1));
+    let mut best: Option<(Affine, f64)> = None;
+    let half = a.centre().0.max(a.centre().1).max(1.0);
+    let mut starts = coarse(&a.halved(), &b.halved(), search);
+    starts.extend(begin);
+    for start in starts {
+        let coarse = refine(&a.smoothed(2), &b.smoothed(2), start, search, search.rounds / 2);
+        let stretched = refine(&a, &b, coarse, search, search.rounds);
+        // Scale and shear only where they explain: a star has none of its own.
+        let mut pose = pose_of(&stretched, half);
+        pose[RIGID..].fill(0.0);
+        let rigid = refine(&a, &b, map_of(&pose, half), &Search { stretch: 1e-6, ..*search }, search.rounds);
+        let left = |map: &Affine| 1.0 - correlation(&a, &b, map);
+        let map = if left(&stretched) < search.stretched * left(&rigid) { stretched } else { rigid };
+        let score = correlation(&a, &b, &map) - cost(&map, search, still.width);
+        if best.is_none_or(|(_, least)| score > least) {
+            best = Some((map, score));
+        }
+    }
+    let (map, _) = best.unwrap_or(([0.0, 1.0, 0.0, 0.0, 0.0, 1.0], 0.0));
+    (map, correlation(&a, &b, &map))
+}
+
+fn cost(map: &Affine, search: &Search, width: usize) -> f64 {
+    let turn = libm::atan2(map[4] - map[2], map[1] + map[5]).abs();
+    search.turn_cost * turn + search.shift_cost * libm::hypot(map[0], map[3]) / width as f64
+}
+
+/// Turns and shifts of half-size images whose correlation is largest, in full pixels.
+fn coarse(a: &Image, b: &Image, search: &Search) -> Vec<Affine> {
+    let reach = (search.shift * a.width.max(a.height) as f64).ceil() as i64;
+    let steps = (search.turn / search.turn_step).floor() as i64;
+    let mut found: Vec<(f64, Affine)> = Vec::new();
+    for turn in -steps..=steps {
+        let angle = turn as f64 * search.turn_step;
+        let (c, s) = (libm::cos(angle), libm::sin(angle));
+        let mut best: Option<(f64, Affine)> = None;
+        for dy in -reach..=reach {
+            for dx in -reach..=reach {
+                let map = [dx as f64, c, -s, dy as f64, s, c];
+                let full = [2.0 * map[0], c, -s, 2.0 * map[3], s, c];
+                let score = correlation_in_steps(a, b, &map, 2) - cost(&full, search, 2 * a.width);
+                if best.is_none_or(|(least, _)| score > least) {
+                    best = Some((score, full));
+                }
+            }
+        }
+        found.extend(best);
+    }
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    found.truncate(3);
+    found.into_iter().map(|(_, map)| map).collect()
+}
+
+fn correlation(a: &Image, b: &Image, map: &Affine) -> f64 {
+    correlation_in_steps(a, b, map, 1)
+}
+
+/// The correlation where both are; -1 where they share less than half of the array.
+fn correlation_in_steps(a: &Image, b: &Image, map: &Affine, step: usize) -> f64 {
+    let (cx, cy) = a.centre();
+    let mut n = 0.0;
+    let (mut sa, mut sb, mut saa, mut sbb, mut sab) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for j in (0..b.height).step_by(step) {
+        for i in (0..b.width).step_by(step) {
+            let (x, y) = (i as f64 - cx, j as f64 - cy);
+            let place = (map[0] + map[1] * x + map[2] * y + cx, map[3] + map[4] * x + map[5] * y + cy);
+            if let Some((va, ..)) = a.look(place.0, place.1) {
+                let vb = f64::from(b.values[j * b.width + i]);
+                n += 1.0;
+                sa += va;
+                sb += vb;
+                saa += va * va;
+                sbb += vb * vb;
+                sab += va * vb;
+            }
+        }
+    }
+    let all = (b.width.div_ceil(step) * b.height.div_ceil(step)) as f64;
+    let (va, vb) = (saa - sa * sa / n, sbb - sb * sb / n);
+    if n < 0.5 * all || va <= 0.0 || vb <= 0.0 { -1.0 } else { (sab - sa * sb / n) / libm::sqrt(va * vb) }
+}
+
+/// Gauss-Newton on the pose and on gain and offset of the values, with Cauchy weights.
+fn refine(a: &Image, b: &Image, start: Affine, search: &Search, rounds: usize) -> Affine {
+    const VALUES: usize = DEGREES + 2;
+    let (cx, cy) = a.centre();
+    let half = cx.max(cy).max(1.0);
+    let mut pose = pose_of(&start, half);
+    let (mut gain, mut offset) = (1.0, 0.0);
+    let mut scale = f64::INFINITY;
+    for _ in 0..rounds {
+        let map = map_of(&pose, half);
+        let mut normal = SMatrix::<f64, VALUES, VALUES>::zeros();
+        let mut right = SVector::<f64, VALUES>::zeros();
+        let mut sizes = Vec::with_capacity(b.values.len());
+        for j in 0..b.height {
+            for i in 0..b.width {
+                let (x, y) = (i as f64 - cx, j as f64 - cy);
+                let place = apply(&map, x, y);
+                let Some((value, gx, gy)) = a.look(place.0 + cx, place.1 + cy) else { continue };
+                let vb = f64::from(b.values[j * b.width + i]);
+                let residual = gain * vb + offset - value;
+                sizes.push(residual.abs());
+                let far = residual / (2.5 * scale);
+                let weight = if scale.is_finite() { 1.0 / (1.0 + far * far) } else { 1.0 };
+                let moved = derivatives(&map, &pose, half, x, y).map(|(dx, dy)| gx * dx + gy * dy);
+                let row = SVector::<f64, VALUES>::from_fn(|n, _| match n {
+                    n if n < DEGREES => moved[n],
+                    DEGREES => -vb,
+                    _ => -1.0,
+                });
+                normal += weight * row * row.transpose();
+                right += weight * residual * row;
+            }
+        }
+        if sizes.len() < b.values.len() / 3 {
+            break;
+        }
+        let middle = sizes.len() / 2;
+        sizes.select_nth_unstable_by(middle, f64::total_cmp);
+        scale = f64::max(1.48 * sizes[middle], 1e-6);
+        for k in 0..VALUES {
+            normal[(k, k)] += 1e-6 * normal[(k, k)] + 1e-12;
+        }
+        for k in RIGID..DEGREES {
+            let hold = scale * scale / (search.stretch * search.stretch);
+            normal[(k, k)] += hold;
+            right[k] -= hold * pose[k];
+        }
+        let Some(step) = normal.cholesky().map(|factor| factor.solve(&right)) else { break };
+        for (k, value) in pose.iter_mut().enumerate() {
+            *value += step[k];
+        }
+        gain += step[DEGREES];
+        offset += step[DEGREES + 1];
+        if (0..DEGREES).all(|k| step[k].abs() < 1e-4) {
+            break;
+        }
+    }
+    map_of(&pose, half)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene(map: &Affine) -> Image {
+        let (width, height) = (60, 44);
+        let of = |k: usize| {
+            let (x, y) = ((k % width) as f64 - 29.5, (k / width) as f64 - 21.5);
+            let (x, y) = (map[0] + map[1] * x + map[2] * y, map[3] + map[4] * x + map[5] * y);
+            let waves = [(0.21, 0.05, 0.3), (-0.09, 0.17, 1.1), (0.13, 0.19, 2.0), (0.31, -0.22, 0.7)];
+            waves.iter().map(|(a, b, c)| libm::sin(a * x + b * y + c)).sum::<f64>() as f32
+        };
+        Image { width, height, values: (0..width * height).map(of).collect() }
+    }
+
+    #[test]
+    fn a_turned_and_shifted_image_is_found() {
+        for (angle, dx, dy) in [(0.0, 2.3, -1.2), (0.3, 1.0, 0.5), (-0.75, 0.0, 3.0)] {
+            let (c, s) = (libm::cos(angle), libm::sin(angle));
+            let map = [dx, c, -s, dy, s, c];
+            let (found, correlation) = register(&scene(&[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), &scene(&map), &Search::default(), None);
+            assert!(correlation > 0.99, "{correlation}");
+            for k in 0..6 {
+                let far = (found[k] - map[k]).abs() * if k % 3 == 0 { 1.0 } else { 20.0 };
+                assert!(far < 0.15, "{angle}: {found:?} {map:?}");
+            }
+        }
+    }
+}

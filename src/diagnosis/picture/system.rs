@@ -1,0 +1,370 @@
+//! One sparse least-squares problem: coefficients of the picture, of its motion and of the shading that explain frame values.
+//!
+//! Each row is the mean of the picture over one pixel's exposure: the stencils of all its instants are added up first, so that a row costs as many products as it has
+//! coefficients. Conjugate gradients on the normal equations, which are never formed (CGLS; Björck 1996, section 7.4), with the diagonal as preconditioner for the picture
+//! and the Cholesky factor of their block for motion and shading. Sums are taken in fixed parts: the same bytes for any number of threads.
+
+use super::motion::DEGREES;
+use super::shading::TERMS;
+use super::spline::{Grid, ORDER};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use rayon::prelude::*;
+
+/// Knots that one exposure may touch.
+pub const TOUCHED: usize = 6;
+/// Parts in which sums over rows are taken.
+const PARTS: usize = 8;
+
+/// Measurements, ready to be fitted.
+#[derive(Clone, Debug, Default)]
+pub struct Rows {
+    /// Where the stencil of a row begins in `stencil`; one more than rows.
+    pub first: Vec<u32>,
+    /// The first coefficient of a row's stencil, and its columns.
+    pub corner: Vec<(u32, u32)>,
+    /// Derivatives by coefficients, stencil after stencil, row-major.
+    pub stencil: Vec<f32>,
+    /// What is not yet explained, DN.
+    pub residual: Vec<f32>,
+    /// One over the standard deviation; 0 = left out.
+    pub weight: Vec<f32>,
+    /// The first knot that the exposure touches.
+    pub knot: Vec<u32>,
+    /// Derivatives by the poses of the knots from there on.
+    pub by_pose: Vec<[[f32; DEGREES]; TOUCHED]>,
+    /// Derivatives by the shading's terms.
+    pub by_shading: Vec<[f32; TERMS]>,
+    /// The measured value above black, DN.
+    pub signal: Vec<f32>,
+    /// Which frame value it is: index as [frame][y][x].
+    pub index: Vec<u32>,
+}
+
+/// What is fitted, or a step of it.
+#[derive(Clone, Debug, Default)]
+pub struct Unknowns {
+    /// Coefficients of the picture.
+    pub picture: Vec<f32>,
+    /// Six numbers for each knot, then the shading's terms.
+    pub rest: Vec<f64>,
+}
+
+/// Weights of the second differences of the picture: one over their standard deviation.
+#[derive(Clone, Debug, Default)]
+pub struct Smoothness {
+    /// Along x, at each coefficient.
+    pub along_x: Vec<f32>,
+    /// Along y.
+    pub along_y: Vec<f32>,
+    /// Of a change of the slope along x from row to row.
+    pub across: Vec<f32>,
+    /// One over the standard deviation of a step of each of the rest; 0 = fixed.
+    pub rest: Vec<f64>,
+    /// One over the standard deviation of each of the rest from zero; 0 = anything.
+    pub rest_size: Vec<f64>,
+    /// Weight of second differences of the motion's coefficients.
+    pub motion: f64,
+}
+
+impl Rows {
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.residual.len()
+    }
+
+    fn line<'a>(&'a self, r: usize) -> (usize, usize, &'a [f32]) {
+        let (corner, columns) = self.corner[r];
+        (corner as usize, columns as usize, &self.stencil[self.first[r] as usize..self.first[r + 1] as usize])
+    }
+
+    /// The derivative of row r along a step.
+    #[inline]
+    fn along(&self, grid: &Grid, step: &Unknowns, knots: usize, r: usize, with_rest: bool) -> f32 {
+        let (corner, columns, stencil) = self.line(r);
+        let mut sum = 0.0_f32;
+        for (j, line) in stencil.chunks_exact(columns).enumerate() {
+            let at = corner + j * grid.width;
+            sum += line.iter().zip(&step.picture[at..at + columns]).map(|(a, c)| a * c).sum::<f32>();
+        }
+        if with_rest {
+            let mut rest = 0.0;
+            for (by, pose) in self.by_pose[r].iter().zip(step.rest[self.knot[r] as usize * DEGREES..knots * DEGREES].chunks_exact(DEGREES)) {
+                rest += by.iter().zip(pose).map(|(a, b)| f64::from(*a) * b).sum::<f64>();
+            }
+            let shading = &step.rest[knots * DEGREES..];
+            rest += self.by_shading[r].iter().zip(shading).map(|(a, b)| f64::from(*a) * b).sum::<f64>();
+            sum += rest as f32;
+        }
+        sum
+    }
+
+    /// The entries of row r among the rest: index and derivative.
+    fn entries(&self, knots: usize, r: usize, with: &mut impl FnMut(usize, f64)) {
+        for (knot, by) in (self.knot[r] as usize..knots).zip(&self.by_pose[r]) {
+            for (d, value) in by.iter().enumerate() {
+                with(knot * DEGREES + d, f64::from(*value));
+            }
+        }
+        for (n, value) in self.by_shading[r].iter().enumerate() {
+            with(knots * DEGREES + n, f64::from(*value));
+        }
+    }
+
+    fn parts(&self) -> Vec<std::ops::Range<usize>> {
+        let length = self.len().div_ceil(PARTS).max(1);
+        (0..PARTS).map(|n| (n * length).min(self.len())..((n + 1) * length).min(self.len())).collect()
+    }
+
+    /// Adds up `value(r)` times row r over all rows.
+    fn transposed(&self, grid: &Grid, knots: usize, with_rest: bool, value: impl Fn(usize) -> f32 + Sync) -> Unknowns {
+        let count = knots * DEGREES + TERMS;
+        let parts: Vec<Unknowns> = self
+            .parts()
+            .into_par_iter()
+            .map(|range| {
+                let mut sum = Unknowns { picture: vec![0.0; grid.len()], rest: vec![0.0; count] };
+                for r in range {
+                    let value = value(r);
+                    if value == 0.0 {
+                        continue;
+                    }
+                    let (corner, columns, stencil) = self.line(r);
+                    for (j, line) in stencil.chunks_exact(columns).enumerate() {
+                        let at = corner + j * grid.width;
+                        sum.picture[at..at + columns].iter_mut().zip(line).for_each(|(c, a)| *c += value * a);
+                    }
+                    if with_rest {
+                        self.entries(knots, r, &mut |n, a| sum.rest[n] += f64::from(value) * a);
+                    }
+                }
+                sum
+            })
+            .collect();
+        let mut parts = parts.into_iter();
+        let mut sum = parts.next().unwrap_or_default();
+        for part in parts {
+            sum.picture.iter_mut().zip(&part.picture).for_each(|(a, b)| *a += b);
+            sum.rest.iter_mut().zip(&part.rest).for_each(|(a, b)| *a += b);
+        }
+        sum
+    }
+}
+
+/// The differences that are held small: indices of the coefficients with their factors, and the weight.
+fn differences(grid: &Grid, smooth: &Smoothness, mut with: impl FnMut([usize; 4], [f32; 4], f32)) {
+    let w = grid.width;
+    for j in 0..grid.height {
+        for i in 0..w {
+            let at = j * w + i;
+            if i > 0 && i + 1 < w {
+                with([at - 1, at, at + 1, at], [1.0, -2.0, 1.0, 0.0], smooth.along_x[at]);
+            }
+            if j > 0 && j + 1 < grid.height {
+                with([at - w, at, at + w, at], [1.0, -2.0, 1.0, 0.0], smooth.along_y[at]);
+            }
+            if i + 1 < w && j + 1 < grid.height {
+                with([at, at + 1, at + w, at + w + 1], [1.0, -1.0, -1.0, 1.0], smooth.across[at]);
+            }
+        }
+    }
+}
+
+fn motion_differences(knots: usize, mut with: impl FnMut(usize, usize, usize)) {
+    for k in 1..knots.saturating_sub(1) {
+        for d in 0..DEGREES {
+            with((k - 1) * DEGREES + d, k * DEGREES + d, (k + 1) * DEGREES + d);
+        }
+    }
+}
+
+/// Squares of the weighted differences.
+pub fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
+    let mut sum = 0.0;
+    differences(grid, smooth, |at, by, weight| {
+        let value: f32 = at.iter().zip(by).map(|(&at, by)| by * picture[at]).sum();
+        sum += f64::from(weight * value) * f64::from(weight * value);
+    });
+    sum
+}
+
+/// The step that lessens the sum of squares most: residuals of the rows, roughness of `now` plus the step.
+///
+/// `with_rest`: motion and shading move too. `steps`: conjugate gradients at most.
+pub fn solve(rows: &Rows, grid: &Grid, smooth: &Smoothness, now: &Unknowns, knots: usize, with_rest: bool, steps: usize) -> Unknowns {
+    let count = knots * DEGREES + TERMS;
+    let prior = |x: &Unknowns, out: &mut Unknowns| {
+        differences(grid, smooth, |at, by, weight| {
+            let value: f32 = at.iter().zip(by).map(|(&at, by)| by * x.picture[at]).sum();
+            let pull = weight * weight * value;
+            at.iter().zip(by).for_each(|(&at, by)| out.picture[at] += by * pull);
+        });
+        motion_differences(knots, |a, b, c| {
+            let pull = smooth.motion * smooth.motion * (x.rest[a] - 2.0 * x.rest[b] + x.rest[c]);
+            out.rest[a] += pull;
+            out.rest[b] -= 2.0 * pull;
+            out.rest[c] += pull;
+        });
+        out.rest.iter_mut().zip(&x.rest).zip(&smooth.rest_size).for_each(|((out, x), hold)| *out += hold * hold * x);
+    };
+    let normal = |x: &Unknowns| {
+        let mut out = rows.transposed(grid, knots, with_rest, |r| {
+            let weight = rows.weight[r];
+            if weight > 0.0 { weight * weight * rows.along(grid, x, knots, r, with_rest) } else { 0.0 }
+        });
+        prior(x, &mut out);
+        out.rest.iter_mut().zip(&x.rest).zip(&smooth.rest).for_each(|((out, x), hold)| *out += hold * hold * x);
+        out
+    };
+    let fixed = |x: &mut Unknowns| {
+        x.rest.iter_mut().zip(&smooth.rest).filter(|(_, hold)| !with_rest || **hold == 0.0).for_each(|(x, _)| *x = 0.0);
+    };
+    let precondition = Preconditioner::new(rows, grid, smooth, knots, with_rest);
+    let mut residual = rows.transposed(grid, knots, with_rest, |r| rows.weight[r] * rows.weight[r] * rows.residual[r]);
+    let mut held = Unknowns { picture: vec![0.0; grid.len()], rest: vec![0.0; count] };
+    prior(now, &mut held);
+    add(&mut residual, -1.0, &held);
+    fixed(&mut residual);
+    let mut step = Unknowns { picture: vec![0.0; grid.len()], rest: vec![0.0; count] };
+    let mut z = precondition.apply(&residual);
+    fixed(&mut z);
+    let mut direction = z.clone();
+    let mut size = dot(&residual, &z);
+    let begun = size;
+    for _ in 0..steps {
+        if size.is_nan() || size <= 1e-9 * begun {
+            break;
+        }
+        let mut product = normal(&direction);
+        fixed(&mut product);
+        let share = size / dot(&direction, &product);
+        if !share.is_finite() {
+            break;
+        }
+        add(&mut step, share, &direction);
+        add(&mut residual, -share, &product);
+        z = precondition.apply(&residual);
+        fixed(&mut z);
+        let next = dot(&residual, &z);
+        let by = next / size;
+        direction.picture.iter_mut().zip(&z.picture).for_each(|(d, z)| *d = z + by as f32 * *d);
+        direction.rest.iter_mut().zip(&z.rest).for_each(|(d, z)| *d = z + by * *d);
+        size = next;
+    }
+    step
+}
+
+struct Preconditioner {
+    picture: Vec<f32>,
+    rest: Option<Cholesky<f64, Dyn>>,
+}
+
+impl Preconditioner {
+    fn new(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, with_rest: bool) -> Preconditioner {
+        let parts: Vec<Vec<f32>> = rows
+            .parts()
+            .into_par_iter()
+            .map(|range| {
+                let mut sum = vec![0.0_f32; grid.len()];
+                for r in range {
+                    let weight = rows.weight[r] * rows.weight[r];
+                    let (corner, columns, stencil) = rows.line(r);
+                    for (j, line) in stencil.chunks_exact(columns).enumerate() {
+                        let at = corner + j * grid.width;
+                        sum[at..at + columns].iter_mut().zip(line).for_each(|(c, a)| *c += weight * a * a);
+                    }
+                }
+                sum
+            })
+            .collect();
+        let mut picture = vec![0.0_f32; grid.len()];
+        parts.iter().for_each(|part| picture.iter_mut().zip(part).for_each(|(a, b)| *a += b));
+        differences(grid, smooth, |at, by, weight| at.iter().zip(by).for_each(|(&at, by)| picture[at] += by * by * weight * weight));
+        picture.iter_mut().for_each(|d| *d = if *d > 0.0 { 1.0 / *d } else { 0.0 });
+        let rest = with_rest.then(|| block(rows, smooth, knots)).and_then(Cholesky::new);
+        Preconditioner { picture, rest }
+    }
+
+    fn apply(&self, x: &Unknowns) -> Unknowns {
+        let picture = x.picture.iter().zip(&self.picture).map(|(x, d)| x * d).collect();
+        let rest = match &self.rest {
+            Some(factor) => factor.solve(&DVector::from_column_slice(&x.rest)).as_slice().to_vec(),
+            None => vec![0.0; x.rest.len()],
+        };
+        Unknowns { picture, rest }
+    }
+}
+
+/// The block of the normal equations for motion and shading.
+fn block(rows: &Rows, smooth: &Smoothness, knots: usize) -> DMatrix<f64> {
+    let count = knots * DEGREES + TERMS;
+    let parts: Vec<DMatrix<f64>> = rows
+        .parts()
+        .into_par_iter()
+        .map(|range| {
+            let mut sum = DMatrix::<f64>::zeros(count, count);
+            let mut entries: Vec<(usize, f64)> = Vec::new();
+            for r in range.filter(|&r| rows.weight[r] > 0.0) {
+                entries.clear();
+                rows.entries(knots, r, &mut |n, value| {
+                    if value != 0.0 {
+                        entries.push((n, value * f64::from(rows.weight[r])));
+                    }
+                });
+                for (k, &(a, va)) in entries.iter().enumerate() {
+                    for &(b, vb) in &entries[..=k] {
+                        sum[(a, b)] += va * vb;
+                    }
+                }
+            }
+            sum
+        })
+        .collect();
+    let mut sum = DMatrix::<f64>::zeros(count, count);
+    parts.iter().for_each(|part| sum += part);
+    let square = smooth.motion * smooth.motion;
+    motion_differences(knots, |a, b, c| {
+        for (m, fm) in [(a, 1.0), (b, -2.0), (c, 1.0)] {
+            for (n, fn_) in [(a, 1.0), (b, -2.0), (c, 1.0)] {
+                if n <= m {
+                    sum[(m, n)] += square * fm * fn_;
+                }
+            }
+        }
+    });
+    for n in 0..count {
+        let hold = smooth.rest[n];
+        if hold == 0.0 {
+            for m in 0..count {
+                sum[(n.max(m), n.min(m))] = 0.0;
+            }
+            sum[(n, n)] = 1.0;
+        } else {
+            sum[(n, n)] += hold * hold + smooth.rest_size[n] * smooth.rest_size[n] + 1e-12;
+        }
+        for m in 0..n {
+            sum[(m, n)] = sum[(n, m)];
+        }
+    }
+    sum
+}
+
+fn dot(a: &Unknowns, b: &Unknowns) -> f64 {
+    let picture: f64 = a.picture.iter().zip(&b.picture).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+    picture + a.rest.iter().zip(&b.rest).map(|(a, b)| a * b).sum::<f64>()
+}
+
+/// `x += by * step`.
+pub fn add(x: &mut Unknowns, by: f64, step: &Unknowns) {
+    x.picture.iter_mut().zip(&step.picture).for_each(|(x, step)| *x += by as f32 * step);
+    x.rest.iter_mut().zip(&step.rest).for_each(|(x, step)| *x += by * step);
+}
+
+/// Adds the weights of one instant to a stencil of `columns` columns whose corner is (`i0`, `j0`).
+#[inline]
+pub fn stamp(stencil: &mut [f32], columns: usize, corner: (usize, usize), at: (usize, usize), wx: &[f64; ORDER], wy: &[f64; ORDER], share: f64) {
+    let (di, dj) = (at.0 - corner.0, at.1 - corner.1);
+    for (row, wy) in wy.iter().enumerate() {
+        let line = &mut stencil[(dj + row) * columns + di..][..ORDER];
+        line.iter_mut().zip(wx).for_each(|(a, wx)| *a += (share * wy * wx) as f32);
+    }
+}

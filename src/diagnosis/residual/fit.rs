@@ -1,0 +1,146 @@
+//! Size and gain of an effect, by the residuals of events: Student-t noise with a threshold part and a part that grows with the slope.
+
+/// Degrees of freedom of the residuals' Student-t distribution.
+pub const NU: f64 = 3.0;
+
+/// Standard deviation of residuals: `a` natural-log units (threshold), and `b` seconds times the slope (stamps).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EventNoise {
+    /// Threshold part, natural-log units.
+    pub a: f64,
+    /// Stamp part, seconds.
+    pub b: f64,
+}
+
+impl EventNoise {
+    /// Scale of an event's residual.
+    #[inline]
+    pub fn sigma(&self, slope_per_s: f64) -> f64 {
+        libm::sqrt(self.a * self.a + self.b * self.b * slope_per_s * slope_per_s)
+    }
+
+    /// From residuals: robust scales in eight bins of slope, fitted by `a^2 + b^2 slope^2`; at least `least`.
+    pub fn estimate(residual: &[f64], slope_per_s: &[f64], least: f64) -> EventNoise {
+        const BINS: usize = 8;
+        let mut order: Vec<usize> = (0..residual.len()).collect();
+        order.sort_by(|&i, &j| slope_per_s[i].abs().total_cmp(&slope_per_s[j].abs()));
+        let mut points: Vec<(f64, f64)> = Vec::new();
+        for bin in order.chunks(residual.len().div_ceil(BINS).max(1)) {
+            let mut sizes: Vec<f64> = bin.iter().map(|&k| residual[k].abs()).collect();
+            let middle = sizes.len() / 2;
+            sizes.select_nth_unstable_by(middle, f64::total_cmp);
+            // The median of |t| with three degrees of freedom is 0.765 of its scale.
+            let scale = sizes[middle] / 0.765;
+            let slope = slope_per_s[bin[bin.len() / 2]];
+            points.push((slope * slope, scale * scale));
+        }
+        // Relative errors: weights of one over the variance's square, two rounds.
+        let (mut a2, mut b2) = (points.iter().map(|p| p.1).fold(f64::INFINITY, f64::min), 0.0);
+        for _ in 0..4 {
+            let (mut s, mut sx, mut sxx, mut sy, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+            for &(x, y) in &points {
+                let w = 1.0 / f64::max(a2 + b2 * x, 1e-12).powi(2);
+                s += w;
+                sx += w * x;
+                sxx += w * x * x;
+                sy += w * y;
+                sxy += w * x * y;
+            }
+            let determinant = s * sxx - sx * sx;
+            let slope = if determinant > 1e-12 * s * sxx { (s * sxy - sx * sy) / determinant } else { 0.0 };
+            b2 = slope.max(0.0);
+            a2 = ((sy - b2 * sx) / s).max(least * least);
+        }
+        EventNoise { a: libm::sqrt(a2), b: libm::sqrt(b2) }
+    }
+
+    /// Log density of residuals.
+    pub fn log_density(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
+        residual.iter().zip(slope_per_s).map(|(r, slope)| log_t(r / self.sigma(*slope)) - libm::log(self.sigma(*slope))).sum()
+    }
+}
+
+/// Log density of Student's t with three degrees of freedom.
+#[inline]
+fn log_t(z: f64) -> f64 {
+    const CONSTANT: f64 = -1.000_888_8;
+    CONSTANT - 0.5 * (NU + 1.0) * libm::log1p(z * z / NU)
+}
+
+/// One effect's column, fitted.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Fitted {
+    /// Its size, in units of the column's own.
+    pub size: f64,
+    /// Standard error by blocks.
+    pub error: f64,
+    /// Held-out gain, nats per event.
+    pub gain: f64,
+    /// Standard error of the gain, by blocks.
+    pub gain_error: f64,
+}
+
+/// Fits columns together by iteratively reweighted least squares; gives sizes and noise.
+pub fn fit(residual: &[f64], slope: &[f64], columns: &[&[f32]], least: f64, use_event: impl Fn(usize) -> bool) -> (Vec<f64>, EventNoise) {
+    let chosen: Vec<usize> = (0..residual.len()).filter(|&k| use_event(k)).collect();
+    let slopes: Vec<f64> = chosen.iter().map(|&k| slope[k]).collect();
+    let mut sizes = vec![0.0; columns.len()];
+    let left = |sizes: &[f64]| -> Vec<f64> {
+        chosen.iter().map(|&k| residual[k] + columns.iter().zip(sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>()).collect()
+    };
+    let mut noise = EventNoise::estimate(&left(&sizes), &slopes, least);
+    for _ in 0..8 {
+        let now = left(&sizes);
+        let n = columns.len();
+        let mut normal = nalgebra::DMatrix::<f64>::zeros(n, n);
+        let mut right = nalgebra::DVector::<f64>::zeros(n);
+        for ((&k, r), slope) in chosen.iter().zip(&now).zip(&slopes) {
+            let sigma = noise.sigma(*slope);
+            let z = r / sigma;
+            let weight = (NU + 1.0) / (NU + z * z) / (sigma * sigma);
+            for i in 0..n {
+                let a = f64::from(columns[i][k]);
+                right[i] -= weight * a * r;
+                for j in 0..=i {
+                    normal[(i, j)] += weight * a * f64::from(columns[j][k]);
+                }
+            }
+        }
+        for i in 0..n {
+            normal[(i, i)] *= 1.0 + 1e-9;
+            normal[(i, i)] += 1e-12;
+            for j in 0..i {
+                normal[(j, i)] = normal[(i, j)];
+            }
+        }
+        let Some(step) = normal.cholesky().map(|factor| factor.solve(&right)) else { break };
+        sizes.iter_mut().zip(step.iter()).for_each(|(size, step)| *size += step);
+        noise = EventNoise::estimate(&left(&sizes), &slopes, least);
+    }
+    (sizes, noise)
+}
+
+/// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to; size from all events.
+pub fn heldout(residual: &[f64], slope: &[f64], column: &[&[f32]], block: &[u32], least: f64) -> Fitted {
+    let blocks = block.iter().copied().max().map_or(0, |last| last as usize + 1);
+    let mut gains = vec![0.0; blocks];
+    let mut counts = vec![0.0; blocks];
+    let mut halves = [0.0; 2];
+    for half in 0..2_u32 {
+        let train = |k: usize| block[k] % 2 == half;
+        let (sizes, noise) = fit(residual, slope, column, least, train);
+        let (_, plain) = fit(residual, slope, &[], least, train);
+        halves[half as usize] = sizes[0];
+        for k in (0..residual.len()).filter(|&k| !train(k)) {
+            let left = residual[k] + column.iter().zip(&sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>();
+            let log = |noise: &EventNoise, r: f64| log_t(r / noise.sigma(slope[k])) - libm::log(noise.sigma(slope[k]));
+            gains[block[k] as usize] += log(&noise, left) - log(&plain, residual[k]);
+            counts[block[k] as usize] += 1.0;
+        }
+    }
+    let (sizes, _) = fit(residual, slope, column, least, |_| true);
+    let all: f64 = counts.iter().sum::<f64>().max(1.0);
+    let gain = gains.iter().sum::<f64>() / all;
+    let spread: f64 = gains.iter().zip(&counts).map(|(g, n)| (g - gain * n).powi(2)).sum();
+    Fitted { size: sizes[0], error: 0.5 * (halves[0] - halves[1]).abs(), gain, gain_error: libm::sqrt(spread) / all }
+}

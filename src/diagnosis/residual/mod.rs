@@ -1,0 +1,207 @@
+//! By how much every event missed its threshold when the scene is given, and what each effect would change of that.
+//!
+//! For an event of polarity p: e = V(t) - V_ref - p theta, with V the front end's answer to the pixel's light and V_ref what the reset law gives from the event before. Events stand
+//! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`crate::likelihood::conditional`]). An effect of frames changes the light that
+//! frames imply: [`through_frames`] takes it off.
+//!
+//! - [`light`]: the scene.
+//! - [`gate`]: which events count: those whose frames the scene predicts.
+//! - [`fit`]: size and gain of each effect.
+
+pub mod fit;
+pub mod gate;
+pub mod light;
+
+use crate::candidates::Trial;
+use crate::case::Case;
+use crate::likelihood::conditional::{Conditional, Look, Track, conditional};
+use crate::likelihood::view::Prepared;
+use crate::nominal::Nominal;
+use crate::scene::{SceneSetting, pixel_data};
+use light::Light;
+use photocurrent_core::{Exposure, Timestamp};
+use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
+use photocurrent_sensor::elementary::{exp, ln};
+use photocurrent_sensor::forward::neighbours::stand_in;
+use photocurrent_sensor::map::MapEvent;
+use rayon::prelude::*;
+
+/// Events of some pixels with their residuals, in order of pixel and time.
+#[derive(Clone, Debug, Default)]
+pub struct Residuals {
+    /// The pixel of each event.
+    pub pixel: Vec<u32>,
+    /// Its number among the recording's events of that pixel.
+    pub number: Vec<u32>,
+    /// When it fired, ns.
+    pub t_ns: Vec<i64>,
+    /// +1 or -1.
+    pub polarity: Vec<i8>,
+    /// Polarity of the event before, +1 or -1.
+    pub previous: Vec<i8>,
+    /// Time since the event before, ns.
+    pub since_ns: Vec<i64>,
+    /// Voltage less reference less signed threshold, natural-log units.
+    pub excess: Vec<f64>,
+    /// How fast the voltage moves, ln/s.
+    pub slope_per_s: Vec<f64>,
+    /// Log photocurrent.
+    pub log_light: Vec<f64>,
+}
+
+/// Which pixels are looked at, and the light of all.
+pub struct View<'a> {
+    /// The recording.
+    pub case: &'a Case,
+    /// The scene.
+    pub light: &'a Light,
+    /// Pixels, rising.
+    pub pixels: Vec<u32>,
+}
+
+impl View<'_> {
+    /// Residuals of the armed events behind the first of each pixel, for each trial; where a trial finds no answer an event keeps the first trial's.
+    ///
+    /// # Errors
+    /// When a trial's effects are not understood or cannot be combined.
+    pub fn residuals(&self, trials: &[Trial], keeps: impl Fn(usize, i64) -> bool + Sync) -> Result<(Residuals, Vec<Vec<f32>>), String> {
+        let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
+        let parts: Vec<(Residuals, Vec<Vec<f32>>)> = self.pixels.par_chunks(16).map(|pixels| self.part(pixels, &prepared, &keeps)).collect();
+        let mut all = Residuals::default();
+        let mut of_trials: Vec<Vec<f32>> = vec![Vec::new(); trials.len()];
+        for (part, values) in parts {
+            let Residuals { pixel, number, t_ns, polarity, previous, since_ns, excess, slope_per_s, log_light } = part;
+            all.pixel.extend(pixel);
+            all.number.extend(number);
+            all.t_ns.extend(t_ns);
+            all.polarity.extend(polarity);
+            all.previous.extend(previous);
+            all.since_ns.extend(since_ns);
+            all.excess.extend(excess);
+            all.slope_per_s.extend(slope_per_s);
+            all.log_light.extend(log_light);
+            of_trials.iter_mut().zip(values).for_each(|(all, values)| all.extend(values));
+        }
+        Ok((all, of_trials))
+    }
+
+    fn part(&self, pixels: &[u32], prepared: &[Prepared], keeps: &(impl Fn(usize, i64) -> bool + Sync)) -> (Residuals, Vec<Vec<f32>>) {
+        let (mut all, mut of_trials) = (Residuals::default(), vec![Vec::new(); prepared.len()]);
+        let mut out = Conditional::default();
+        let setting = SceneSetting::default();
+        let instants: Vec<i64> = (0..self.light.count).map(|k| self.light.instant(k)).collect();
+        for &pixel in pixels {
+            let pixel = pixel as usize;
+            let log: Vec<f64> = self.light.log[pixel].iter().map(|u| f64::from(*u)).collect();
+            if log.is_empty() {
+                continue;
+            }
+            let site = Nominal::site(self.case, pixel, 0);
+            let (events, _) = pixel_data(self.case, &prepared[0].nominal, &setting, pixel);
+            let mut kept: Vec<usize> = Vec::new();
+            let mut plain: Option<Track> = None;
+            for (n, prepared) in prepared.iter().enumerate() {
+                let seen = prepared.kernel().map(|kernel| self.mixed(kernel, pixel));
+                let changed = through_frames(self.case, prepared, &site, &instants, &log);
+                let track = match changed {
+                    Some((t, log)) => &Track::new(&t, &log, self.light.step_ns),
+                    None => &*plain.get_or_insert_with(|| Track::new(&instants, &log, self.light.step_ns)),
+                };
+                let seen = seen.filter(|seen| seen.len() == track.t_ns.len());
+                let look = Look { site, track, seen: seen.as_deref(), events: &events, frames: &[] };
+                conditional(&prepared.nominal, &prepared.effects, &look, &mut out);
+                if n == 0 {
+                    kept = (1..events.len()).filter(|&k| out.is_armed[k] && out.is_armed[k - 1] && keeps(pixel, events[k].t_in_ns) && keeps(pixel, events[k - 1].t_in_ns)).collect();
+                    for &k in &kept {
+                        self.push(&mut all, pixel, k, &events, &out, &log);
+                    }
+                }
+                of_trials[n].extend(kept.iter().map(|&k| out.excess[k] as f32));
+            }
+        }
+        (all, of_trials)
+    }
+
+    fn push(&self, all: &mut Residuals, pixel: usize, k: usize, events: &[MapEvent], out: &Conditional, log: &[f64]) {
+        let (event, before) = (&events[k], &events[k - 1]);
+        all.pixel.push(pixel as u32);
+        all.number.push(k as u32);
+        all.t_ns.push(event.t_in_ns);
+        all.polarity.push(event.polarity);
+        all.previous.push(before.polarity);
+        all.since_ns.push(event.t_in_ns - before.t_in_ns);
+        all.excess.push(out.excess[k]);
+        all.slope_per_s.push(out.slope_per_s[k]);
+        let at = ((event.t_in_ns - self.light.start_ns) / self.light.step_ns).clamp(0, log.len() as i64 - 1) as usize;
+        all.log_light.push(log[at]);
+    }
+
+    /// Log light that the event path sees where neighbours mix in.
+    fn mixed(&self, kernel: &Kernel, pixel: usize) -> Vec<f64> {
+        let (x, y) = self.case.place(pixel);
+        let (width, height) = (self.case.extent.width as usize, self.case.extent.height as usize);
+        let mut sum = vec![0.0; self.light.count];
+        for tap in &kernel.taps {
+            let neighbour = stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
+            let log = if self.light.log[neighbour].is_empty() { &self.light.log[pixel] } else { &self.light.log[neighbour] };
+            match kernel.domain {
+                Domain::Log => sum.iter_mut().zip(log).for_each(|(sum, u)| *sum += tap.weight * f64::from(*u)),
+                Domain::Linear => sum.iter_mut().zip(log).for_each(|(sum, u)| *sum += tap.weight * exp(f64::from(*u))),
+            }
+        }
+        if kernel.domain == Domain::Linear {
+            sum.iter_mut().for_each(|sum| *sum = ln(f64::max(*sum, f64::MIN_POSITIVE)));
+        }
+        sum
+    }
+}
+
+/// The light that frames imply when they were taken through effects: instants and log light; none where no effect touches frames.
+///
+/// The scene was fitted as if frames were exposed and read out as the description states. Through effects the same digital number, at the same stated exposure, stands for light
+/// of another instant and another size. Exposures overlap as the mean of a moving scene, so both are taken at the middle of an exposure.
+fn through_frames(case: &Case, prepared: &Prepared, site: &Site, instants: &[i64], log: &[f64]) -> Option<(Vec<i64>, Vec<f64>)> {
+    let frames = case.frames.as_ref()?;
+    let nominal = &prepared.nominal;
+    let effects: &[Box<dyn Effect>] = &prepared.effects;
+    let exposure_ns = frames.times.nominal_exposure_ns()?.max(1);
+    let period_ns = frames.times.mean_period_ns().map_or(exposure_ns, |period| period as i64);
+    let row = RowSite { y: site.y, height: site.height, frame: 1, row_time_ns: nominal.row_time_ns };
+    let stated = Exposure { start: Timestamp(-exposure_ns / 2), end: Timestamp(exposure_ns - exposure_ns / 2) };
+    let exposed = effects.iter().fold(stated, |exposure, effect| effect.exposure(&row, exposure));
+    let shift_ns = i64::midpoint(exposed.start.0, exposed.end.0) - i64::midpoint(stated.start.0, stated.end.0);
+    let (seconds, real_s) = (exposure_ns as f64 * 1e-9, f64::max((exposed.end.0 - exposed.start.0) as f64 * 1e-9, 1e-9));
+    let number = nominal.number;
+    let through = |charge: f64, previous_charge: f64| {
+        let reading = Reading { frame: 1, previous_charge, gain: number.gain, black_level: number.black_level, saturation: nominal.saturation_dn };
+        let read = effects.iter().fold(charge, |charge, effect| effect.charge(site, &reading, charge));
+        effects.iter().fold(number.of(read), |dn, effect| effect.dn(site, &reading, dn))
+    };
+    let some = exp(log[log.len() / 2]) * seconds;
+    let touches = [(some, some), (2.0 * some, some), (some, 3.0 * some)].iter().any(|&(charge, before)| (through(charge, before) - number.of(charge)).abs() > 1e-9 * number.of(charge).abs());
+    if !touches && shift_ns == 0 && exposed == stated {
+        return None;
+    }
+    let step_ns = instants.get(1).map_or(1, |next| next - instants[0]);
+    let back = (period_ns / step_ns.max(1)) as usize;
+    let light: Vec<f64> = log.iter().map(|u| exp(*u)).collect();
+    let mut found = Vec::with_capacity(log.len());
+    for k in 0..log.len() {
+        let charge = light[k] * seconds;
+        let before = light[k.saturating_sub(back)] * seconds;
+        let target = number.of(charge);
+        // A few secant steps: effects of frames are smooth and near the identity.
+        let (mut a, mut b) = (charge, charge * 1.05);
+        let mut fa = through(a, before) - target;
+        for _ in 0..4 {
+            let fb = through(b, before) - target;
+            if (fb - fa).abs() < 1e-12 {
+                break;
+            }
+            let next = b - fb * (b - a) / (fb - fa);
+            (a, fa, b) = (b, fb, if next.is_finite() { next.clamp(0.02 * charge, 50.0 * charge) } else { b });
+        }
+        found.push(ln(b / real_s));
+    }
+    Some((instants.iter().map(|t| t + shift_ns).collect(), found))
+}
