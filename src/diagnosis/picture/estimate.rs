@@ -20,6 +20,9 @@ const INSTANTS: [(f64, f64); 6] = [
     (0.932_469_514_203_152, 0.085_662_246_189_585),
 ];
 
+/// A fit that begins at a picture begins with this round.
+const REFITTED: usize = 3;
+
 /// How a picture is fitted.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureSetting {
@@ -37,6 +40,8 @@ pub struct PictureSetting {
     pub frame_share: f64,
     /// Residuals count half at this many standard deviations.
     pub robust: f64,
+    /// Frame noise may be this much smaller than it is first assumed.
+    pub least_misfit: f64,
     /// A further round is taken while the misfit falls by this share.
     pub gain: f64,
     /// Second differences of the picture that are always believed possible, as a share of its mean.
@@ -61,6 +66,7 @@ impl Default for PictureSetting {
             frame_dn: 1.0,
             frame_share: 0.005,
             robust: 4.0,
+            least_misfit: 0.2,
             gain: 0.05,
             least_roughness: 0.003,
             pooled: 0.1,
@@ -124,8 +130,29 @@ impl Picture {
         let motion = begin_motion(case, &poses, setting);
         let mut fit = Fit::new(case, nominal, setting, motion);
         fit.picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
-        fit.rounds();
+        fit.rounds(0);
         Ok(fit.picture)
+    }
+
+    /// Fits the frames of another recording of the same scene, from here on.
+    pub fn refit(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Picture {
+        let mut fit = Fit::new(case, nominal, setting, self.motion.clone());
+        fit.picture = Picture { report: Report { misfit: Vec::new(), ..self.report.clone() }, ..self.clone() };
+        fit.rounds(REFITTED);
+        fit.picture
+    }
+
+    /// The frames that this scene gives, DN as [frame][y][x]; NaN where it does not reach.
+    pub fn frames(&self, case: &Case) -> Vec<f32> {
+        let fitted = |(n, residual): (usize, &f32)| (case.dn(n / case.extent.pixels(), n % case.extent.pixels()) - f64::from(*residual)) as f32;
+        self.residual.iter().enumerate().map(fitted).collect()
+    }
+
+    /// Standard deviation that a frame value of `signal` DN above black was believed to have.
+    pub fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
+        let stated = nominal.stated_frame_sigma_dn(nominal.number.black_level + signal);
+        let (dn, share) = self.report.noise;
+        libm::sqrt(stated * stated + dn * dn + (share * signal) * (share * signal))
     }
 
     /// The photocurrent that falls on a pixel at an instant; `None` where the picture was never seen.
@@ -274,12 +301,17 @@ impl<'a> Fit<'a> {
         Fit { case, nominal, setting, picture, typical, scale: 1.0 }
     }
 
-    fn rounds(&mut self) {
+    /// From round `begin` on: the first one leaves motion alone, the second shading.
+    fn rounds(&mut self, begin: usize) {
         let knots = self.picture.motion.knots.len();
         let mut smooth = self.first_smoothness(knots);
-        let mut rows = self.lay(false);
+        let mut rows = self.lay(begin > 0);
+        if begin > 0 {
+            self.reweigh(&mut rows);
+            smooth = self.smoothness(knots);
+        }
         let mut best = self.cost(&rows, &smooth);
-        for round in 0..self.setting.rounds {
+        for round in begin..self.setting.rounds {
             let with_rest = round >= 1;
             let with_shading = round >= 2;
             let hold_motion = 1.0 / 2.0;
@@ -349,9 +381,7 @@ impl<'a> Fit<'a> {
     }
 
     fn sigma(&self, signal: f64) -> f64 {
-        let stated = self.nominal.stated_frame_sigma_dn(self.nominal.number.black_level + signal);
-        let (dn, share) = self.picture.report.noise;
-        libm::sqrt(stated * stated + dn * dn + (share * signal) * (share * signal))
+        self.picture.sigma(self.nominal, signal)
     }
 
     fn first_smoothness(&self, knots: usize) -> Smoothness {
@@ -404,7 +434,7 @@ impl<'a> Fit<'a> {
         }
         sizes.select_nth_unstable_by(middle, f64::total_cmp);
         let misfit = sizes[middle] / 0.6745;
-        self.scale = misfit.max(1.0);
+        self.scale = misfit.max(self.setting.least_misfit);
         for r in 0..rows.len() {
             let far = z[r] / (self.setting.robust * self.scale);
             rows.weight[r] = (1.0 / (self.sigma_of(rows, r) * self.scale * libm::sqrt(1.0 + far * far))) as f32;

@@ -89,6 +89,9 @@ pub fn fit(residual: &[f64], slope: &[f64], columns: &[&[f32]], least: f64, use_
         chosen.iter().map(|&k| residual[k] + columns.iter().zip(sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>()).collect()
     };
     let mut noise = EventNoise::estimate(&left(&sizes), &slopes, least);
+    if columns.is_empty() {
+        return (sizes, noise);
+    }
     for _ in 0..8 {
         let now = left(&sizes);
         let n = columns.len();
@@ -115,9 +118,37 @@ pub fn fit(residual: &[f64], slope: &[f64], columns: &[&[f32]], least: f64, use_
         }
         let Some(step) = normal.cholesky().map(|factor| factor.solve(&right)) else { break };
         sizes.iter_mut().zip(step.iter()).for_each(|(size, step)| *size += step);
+        if sizes.iter().zip(step.iter()).all(|(size, step)| step.abs() < 1e-3 * size.abs()) {
+            break;
+        }
         noise = EventNoise::estimate(&left(&sizes), &slopes, least);
     }
     (sizes, noise)
+}
+
+/// Held-out gain of residuals `left` over `before`, nats per event, and its standard error by blocks: noise is fitted to the other half of the blocks.
+pub fn gain_of(before: &[f64], left: &[f64], slope: &[f64], block: &[u32], least: f64) -> (f64, f64) {
+    let blocks = block.iter().copied().max().map_or(0, |last| last as usize + 1);
+    let (mut gains, mut counts) = (vec![0.0; blocks], vec![0.0; blocks]);
+    for half in 0..2_u32 {
+        let train = |k: usize| block[k] % 2 == half;
+        let noise = |residual: &[f64]| fit(residual, slope, &[], least, train).1;
+        let (with, plain) = (noise(left), noise(before));
+        for k in (0..before.len()).filter(|&k| !train(k)) {
+            let log = |noise: &EventNoise, r: f64| log_t(r / noise.sigma(slope[k])) - libm::log(noise.sigma(slope[k]));
+            gains[block[k] as usize] += log(&with, left[k]) - log(&plain, before[k]);
+            counts[block[k] as usize] += 1.0;
+        }
+    }
+    mean_of_blocks(&gains, &counts)
+}
+
+/// Mean per event and its standard error.
+fn mean_of_blocks(gains: &[f64], counts: &[f64]) -> (f64, f64) {
+    let all: f64 = counts.iter().sum::<f64>().max(1.0);
+    let gain = gains.iter().sum::<f64>() / all;
+    let spread: f64 = gains.iter().zip(counts).map(|(g, n)| (g - gain * n).powi(2)).sum();
+    (gain, libm::sqrt(spread) / all)
 }
 
 /// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to; size from all events.
@@ -139,8 +170,6 @@ pub fn heldout(residual: &[f64], slope: &[f64], column: &[&[f32]], block: &[u32]
         }
     }
     let (sizes, _) = fit(residual, slope, column, least, |_| true);
-    let all: f64 = counts.iter().sum::<f64>().max(1.0);
-    let gain = gains.iter().sum::<f64>() / all;
-    let spread: f64 = gains.iter().zip(&counts).map(|(g, n)| (g - gain * n).powi(2)).sum();
-    Fitted { size: sizes[0], error: 0.5 * (halves[0] - halves[1]).abs(), gain, gain_error: libm::sqrt(spread) / all }
+    let (gain, gain_error) = mean_of_blocks(&gains, &counts);
+    Fitted { size: sizes[0], error: 0.5 * (halves[0] - halves[1]).abs(), gain, gain_error }
 }

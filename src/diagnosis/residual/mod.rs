@@ -7,10 +7,14 @@
 //! - [`light`]: the scene.
 //! - [`gate`]: which events count: those whose frames the scene predicts.
 //! - [`fit`]: size and gain of each effect.
+//! - [`components`]: random effects.
+//! - [`moving`]: all of it on a moving picture.
 
+pub mod components;
 pub mod fit;
 pub mod gate;
 pub mod light;
+pub mod moving;
 
 use crate::candidates::Trial;
 use crate::case::Case;
