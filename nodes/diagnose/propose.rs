@@ -1,6 +1,7 @@
 //! `diagnose/propose`: which effects explain what the stated sensor leaves of a recording.
 //!
-//! Each road estimates the scene and asks every effect of the catalogue how much of the rest it explains: `refit` by estimating the light as a sensor with the effect must
+//! Each method estimates the scene and asks every effect of the catalogue how much of the rest it explains: `picture` by the residuals of events on a moving picture that frames
+//! alone state, and where that is evidence it decides; `refit` by estimating the light as a sensor with the effect must
 //! have seen it and simulating its events again, `likelihood` event by event and frame by frame with the light of the stated sensor, `synthesis` by putting the effect on the recording's own scene and comparing three hundred summaries. What direct tests found is in the description
 //! before. A road that cannot be made (too few events, say) is told, and the others go on.
 //!
@@ -23,7 +24,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Which roads are taken, `"refit"`, `"likelihood"` and `"synthesis"`, in any order; none gives what direct tests find alone.
+    /// Which roads are taken, `"picture"`, `"refit"`, `"likelihood"` and `"synthesis"`, in any order; none gives what direct tests find alone.
     pub roads: Vec<RoadName>,
     /// What roads take for known.
     pub amend: Amend,
@@ -33,7 +34,7 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Params {
-        Params { roads: vec![RoadName::Refit, RoadName::Likelihood, RoadName::Synthesis], amend: Amend::Findings, knowledge: None }
+        Params { roads: vec![RoadName::Picture, RoadName::Refit, RoadName::Likelihood, RoadName::Synthesis], amend: Amend::Findings, knowledge: None }
     }
 }
 
@@ -41,6 +42,8 @@ impl Default for Params {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RoadName {
+    /// A moving picture fitted to frames alone; where it predicts enough of them, it decides and the others are left out.
+    Picture,
     /// The light estimated anew as a sensor with each effect must have seen it.
     Refit,
     /// Event by event, frame value by frame value.
@@ -52,6 +55,7 @@ pub enum RoadName {
 impl RoadName {
     fn name(self) -> &'static str {
         match self {
+            RoadName::Picture => "picture",
             RoadName::Refit => "refit",
             RoadName::Likelihood => "likelihood",
             RoadName::Synthesis => "synthesis",
@@ -126,7 +130,7 @@ impl Node for DiagnosePropose {
     const DECL: Decl = Decl {
         kind: "diagnose/propose",
         about: "Asks every effect of the catalogue how much it explains of what the stated sensor leaves of a recording.",
-        revision: 8,
+        revision: 9,
         grain: Grain::Whole,
         draws: true,
         exports: false,

@@ -9,6 +9,7 @@ use crate::heldout::{Prediction, is_read_by_solver, predict, undone};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
 use crate::integrity::{Finding, Integrity, integrity};
 use crate::nominal::Nominal;
+use crate::pictured::PICTURE;
 use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
@@ -129,8 +130,14 @@ pub fn propose(case: &Case, setting: &Setting, integrity: &Integrity, roads: &[R
         match (road.run)(&amended, setting) {
             Ok(result) => {
                 proposed.ran.push(road.name.to_owned());
+                let decides = result.decides;
                 proposed.roads.push(result);
+                if decides {
+                    break;
+                }
             }
+            // A scene that is no moving picture is none for this method alone.
+            Err(_) if road.name == PICTURE => {}
             Err(why) => proposed.failed.push(format!("{}: {why}", road.name)),
         }
     }

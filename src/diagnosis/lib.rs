@@ -23,6 +23,7 @@
 //! - [`scenes`], [`train`]: made-up recordings, and what the recogniser learns from.
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
 //! - [`roads`]: the tests that estimate the scene, in one form.
+//! - [`picture`], [`residual`], [`pictured`]: a scene that frames alone state, residuals of events on it, and what they say.
 //! - [`contest`]: what refits propose, on pixels at which none of them looked.
 //! - [`verdict`]: one answer from all tests.
 //! - [`fitted`]: the description with what was found put in.
@@ -67,6 +68,7 @@ pub mod onnx;
 pub mod open;
 pub mod page;
 pub mod picture;
+pub mod pictured;
 pub mod proposer;
 pub mod record;
 pub mod refit;

@@ -137,6 +137,7 @@ mod tests {
             to_first_order: vec![proposal.clone()],
             second_to_first_order: vec![proposal],
             unexplained: Some(Unexplained { covariate: "row".into(), ..Unexplained::default() }),
+            decides: true,
             is_numerical: true,
             detectability: vec![Detectable {
                 id: "leak_events".into(),

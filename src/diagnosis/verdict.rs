@@ -90,6 +90,9 @@ pub struct Road {
     pub second_to_first_order: Vec<Proposal>,
     /// What takes away more than any candidate does, and is none.
     pub unexplained: Option<Unexplained>,
+    /// Does it decide alone, whatever the others say?
+    #[serde(default)]
+    pub decides: bool,
     /// Is an error of our own larger than anything that was found?
     pub is_numerical: bool,
     /// What could have been seen.
@@ -171,6 +174,9 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
     let mut claims: Vec<Claim> = integrity.findings.iter().filter_map(|finding| direct(case, nominal, finding)).collect();
     let known: Vec<&str> = claims.iter().map(|claim| claim.id).collect();
     let speaking: Vec<Road> = roads.iter().map(|road| without(case, nominal, road, &known)).collect();
+    if let Some(one) = speaking.iter().find(|road| road.decides) {
+        return decided(integrity, one, claims);
+    }
     // What shows without an estimate of the scene comes first.
     let shown = integrity.laws.first().map(|law| Unexplained::by(law, regular::score(law)));
     let unexplained = shown.or_else(|| speaking.iter().filter_map(|road| road.unexplained.clone()).find(|found| found.score >= 1.0));
@@ -202,6 +208,43 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
     };
     let unexplained = unexplained.filter(|_| verdict == Verdict::Unnamed);
     Answer { verdict, claims, unexplained }
+}
+
+/// The answer where one method decides alone, with what direct tests claim.
+fn decided(integrity: &Integrity, method: &Road, mut claims: Vec<Claim>) -> Answer {
+    let unexplained = integrity.laws.first().map(|law| Unexplained::by(law, regular::score(law)));
+    let first = if claims.is_empty() && unexplained.is_some() { None } else { measured(&method.name, &method.proposals) };
+    let second = first.as_ref().and_then(|first| {
+        let apart = |one: &&Proposal| !looks_like(first.id, &CANDIDATES[one.candidate]) && !first.also_possible.contains(&CANDIDATES[one.candidate].id);
+        let rest: Vec<Proposal> = method.second.iter().filter(apart).cloned().collect();
+        measured(&method.name, &rest)
+    });
+    claims.extend(first.into_iter().chain(second));
+    claims.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let verdict = match (&claims[..], &unexplained) {
+        ([], Some(_)) => Verdict::Unnamed,
+        ([], None) => Verdict::Consistent,
+        (claims, _) if claims.iter().any(|claim| !claim.also_possible.is_empty()) => Verdict::Ambiguous,
+        _ => Verdict::Named,
+    };
+    let unexplained = unexplained.filter(|_| verdict == Verdict::Unnamed);
+    Answer { verdict, claims, unexplained }
+}
+
+/// The best of a method's proposals that passed, with those that are not told apart from it.
+fn measured(method: &str, proposals: &[Proposal]) -> Option<Claim> {
+    let one = believed_most(proposals.iter().filter(|one| one.passed))?;
+    Some(Claim {
+        id: CANDIDATES[one.candidate].id,
+        also_possible: beside(one, proposals),
+        values: vec![(one.candidate, one.value, one.ci95)],
+        score: one.score,
+        belief: Some(one.probability),
+        found_by: vec![method.to_owned()],
+        heldout_nats: one.heldout_nats,
+        heldout_nats_per_event: one.heldout_nats_per_event,
+        finding: None,
+    })
 }
 
 /// What differs where a claim is hardly believed: where and over what the nearest effect would have it.

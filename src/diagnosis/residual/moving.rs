@@ -37,6 +37,8 @@ pub struct MovingSetting {
     pub step_ns: i64,
     /// About so many events are looked at.
     pub events: usize,
+    /// Of at most so many pixels.
+    pub pixels: usize,
     /// Fewer events than this are no evidence.
     pub least_events: usize,
     /// Nor is a smaller share of all events.
@@ -65,6 +67,7 @@ impl Default for MovingSetting {
             picture: PictureSetting::default(),
             step_ns: 100_000,
             events: 10_000,
+            pixels: 1_000,
             least_events: 500,
             least_share: 0.05,
             least_dn: 1.0,
@@ -256,7 +259,7 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
     if kept < setting.least_events || share < setting.least_share {
         return Err(format!("a moving picture predicts the frames around {kept} of {all} events; {} and {:.0} % are needed", setting.least_events, 100.0 * setting.least_share));
     }
-    let pixels = spread(case, &counted, setting.events);
+    let pixels = spread(case, &counted, setting.events, setting.pixels);
     let light = Light::of_picture(case, &picture, setting.step_ns);
     let seen = Seen { case, light, gate, pixels, setting, least };
     let stated = Trial::stated(nominal);
@@ -373,11 +376,12 @@ fn rank(
     Ok(ranked)
 }
 
-/// Pixels spread over the array whose events that count are about `events` in all.
-fn spread(case: &Case, counted: &[usize], events: usize) -> Vec<u32> {
+/// Pixels spread over the array, about `pixels` at most, whose events that count are about `events` in all at most.
+fn spread(case: &Case, counted: &[usize], events: usize, pixels: usize) -> Vec<u32> {
     let width = case.extent.width as usize;
     let all: usize = counted.iter().sum();
-    let step = (all / events.max(1)).max(1);
+    let lit = counted.iter().filter(|count| **count > 0).count();
+    let step = usize::max(all / events.max(1), lit / pixels.max(1)).max(1);
     // Another column from row to row, so that all columns are seen.
     let turn = (1..=step).find(|turn| step == 1 || (turn * turn > step && gcd(*turn, step) == 1)).unwrap_or(1);
     (0..counted.len()).filter(|&pixel| (pixel % width + turn * (pixel / width)) % step == 0 && counted[pixel] > 0).map(|pixel| pixel as u32).collect()

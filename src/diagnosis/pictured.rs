@@ -1,0 +1,137 @@
+//! What a moving picture says, in the form that [`crate::verdict`] joins ([`crate::residual::moving`]).
+//!
+//! A scene that frames alone state is evidence of another kind than a light that events helped to estimate: an effect cannot hide in it. So where enough events count, this method
+//! decides alone; what it does not see is not there, to the size that its own floor allows.
+//!
+//! The floor of a gain grows with what the control's residuals leave ([`Decision`]).
+
+use crate::candidates::CANDIDATES;
+use crate::case::Case;
+use crate::diagnose::Setting;
+use crate::nominal::Nominal;
+use crate::residual::moving::{Moving, MovingSetting, Ranked, moving};
+use crate::verdict::{Proposal, Road};
+
+/// The name of the method.
+pub const PICTURE: &str = "picture";
+
+/// From when on a gain is a finding. Values: docs/diagnosis.md, *The moving picture*.
+#[derive(Clone, Copy, Debug)]
+pub struct Decision {
+    /// Least gain of an effect beyond the control, nats an event.
+    pub least_gain: f64,
+    /// And as a multiple of the control's median absolute residual over the threshold: what the picture's own errors gain.
+    pub per_median: f64,
+    /// A second effect must gain this share of the first one's gain.
+    pub second_share: f64,
+    /// Effects are told apart by gains that differ by this share of the best.
+    pub softness: f64,
+    /// Least threshold noise beyond the control, as a share of the threshold.
+    pub least_noise: f64,
+    /// A random effect must gain this share of what a deterministic one does to be preferred.
+    pub random_share: f64,
+}
+
+impl Default for Decision {
+    fn default() -> Decision {
+        Decision { least_gain: 0.03, per_median: 3.0, second_share: 0.04, softness: 0.04, least_noise: 0.05, random_share: 1.0 }
+    }
+}
+
+/// Runs the method.
+///
+/// # Errors
+/// When the description does not state what the model needs, or the picture predicts too few of the frames.
+pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
+    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let found = moving(case, &nominal, &MovingSetting { seed: setting.seed, ..MovingSetting::default() })?;
+    Ok(method(&found, &nominal, &Decision::default()))
+}
+
+/// What was found as a method's word.
+pub fn method(found: &Moving, nominal: &Nominal, decision: &Decision) -> Road {
+    let floor = f64::max(decision.least_gain, decision.per_median * found.control_median);
+    let first = proposals(&found.ranked, &found.random, floor, nominal, decision);
+    let best = first.iter().filter(|one| one.passed).filter_map(|one| one.heldout_nats_per_event).fold(0.0, f64::max);
+    let floor_of_second = f64::max(floor, decision.second_share * best);
+    let second = proposals(&found.second, &found.random_second, floor_of_second, nominal, decision);
+    Road {
+        name: PICTURE.into(),
+        alarm: first.iter().any(|one| one.passed),
+        proposals: first,
+        second,
+        decides: true,
+        residual_left: Some(found.left[0] / f64::max(found.median, 1e-12)),
+        ..Road::default()
+    }
+}
+
+/// One proposal for each effect, by its best parameter; best first.
+fn proposals(ranked: &[Ranked], random: &[Ranked], floor: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
+    let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
+    let matters = |one: &&Ranked| match CANDIDATES[one.candidate].id {
+        "threshold_noise" => one.value > decision.least_noise * threshold,
+        _ => true,
+    };
+    let random = random.iter().filter(matters).map(|one| (one, decision.random_share));
+    let mut all: Vec<(&Ranked, f64)> = ranked.iter().map(|one| (one, 1.0)).chain(random).filter(|(one, _)| one.beyond() > 0.0).collect();
+    all.sort_by(|a, b| (b.1 * b.0.beyond()).total_cmp(&(a.1 * a.0.beyond())).then(a.0.candidate.cmp(&b.0.candidate)));
+    let best = all.first().map_or(1.0, |(one, share)| share * one.beyond());
+    let mut found: Vec<Proposal> = Vec::new();
+    for (one, share) in all {
+        let id = CANDIDATES[one.candidate].id;
+        if found.iter().any(|other| CANDIDATES[other.candidate].id == id) {
+            continue;
+        }
+        let gain = one.beyond();
+        let width = one.error / f64::max(one.strength.abs(), 1e-12);
+        // Blocks do not know of what all of them share: two parts in a hundred of the departure.
+        let nothing = CANDIDATES[one.candidate].nominal_value(nominal);
+        let error = 1.96 * libm::hypot(width, 0.02) * (one.value - nothing).abs();
+        found.push(Proposal {
+            candidate: one.candidate,
+            score: gain / floor,
+            probability: libm::exp((share * gain / best - 1.0) / decision.softness),
+            value: one.value,
+            ci95: (error > 0.0 && error.is_finite()).then_some([one.value - error, one.value + error]),
+            passed: gain > floor && one.is_exact,
+            heldout_nats: None,
+            heldout_nats_per_event: Some(gain),
+        });
+    }
+    let sum: f64 = found.iter().map(|one| one.probability).sum();
+    found.iter_mut().for_each(|one| one.probability /= f64::max(sum, 1e-300));
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+
+    fn ranked(id: &str, gain: f64, control_gain: f64) -> Ranked {
+        let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
+        Ranked { candidate, gain, control_gain, strength: 1.0, value: 1.0, is_exact: true, ..Ranked::default() }
+    }
+
+    #[test]
+    fn gains_count_from_the_control_and_over_a_floor_that_grows_with_its_residuals() {
+        let case = testing::case();
+        let nominal = Nominal::new(&case).unwrap();
+        let mut found = Moving { control_median: 0.01, ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Moving::default() };
+        let said = method(&found, &nominal, &Decision::default());
+        assert!(said.decides && said.alarm && said.proposals[0].passed && !said.proposals[1].passed);
+        assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
+        found.control_median = 0.2;
+        assert!(!method(&found, &nominal, &Decision::default()).alarm, "such residuals gain that much without an effect");
+    }
+
+    #[test]
+    fn alike_gains_share_their_probability() {
+        let case = testing::case();
+        let nominal = Nominal::new(&case).unwrap();
+        let found = Moving { ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)], ..Moving::default() };
+        let said = method(&found, &nominal, &Decision::default()).proposals;
+        assert!(said[0].probability < 0.6 && said[1].probability > 0.4 && said[2].probability < 0.01);
+    }
+}
