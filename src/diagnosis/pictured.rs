@@ -3,7 +3,7 @@
 //! A scene that frames alone state is evidence of another kind than a light that events helped to estimate: an effect cannot hide in it. So where enough events count, this method
 //! decides alone; what it does not see is not there, to the size that its own floor allows.
 //!
-//! The floor of a gain grows with what the control's residuals leave ([`Decision`]).
+//! The floor of a gain grows with the residuals that the best effect leaves ([`Decision`]).
 
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
@@ -20,7 +20,7 @@ pub const PICTURE: &str = "picture";
 pub struct Decision {
     /// Least gain of an effect beyond the control, nats an event.
     pub least_gain: f64,
-    /// And as a multiple of the control's median absolute residual over the threshold: what the picture's own errors gain.
+    /// And as a multiple of the median absolute residual over the threshold that the best effect leaves: what the picture's own errors gain.
     pub per_median: f64,
     /// A second effect must gain this share of the first one's gain.
     pub second_share: f64,
@@ -34,7 +34,7 @@ pub struct Decision {
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision { least_gain: 0.03, per_median: 3.0, second_share: 0.04, softness: 0.04, least_noise: 0.05, random_share: 1.0 }
+        Decision { least_gain: 0.03, per_median: 2.0, second_share: 0.04, softness: 0.04, least_noise: 0.05, random_share: 1.0 }
     }
 }
 
@@ -50,7 +50,7 @@ pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
 
 /// What was found as a method's word.
 pub fn method(found: &Moving, nominal: &Nominal, decision: &Decision) -> Road {
-    let floor = f64::max(decision.least_gain, decision.per_median * found.control_median);
+    let floor = f64::max(decision.least_gain, decision.per_median * found.left[0]);
     let first = proposals(&found.ranked, &found.random, floor, nominal, decision);
     let best = first.iter().filter(|one| one.passed).filter_map(|one| one.heldout_nats_per_event).fold(0.0, f64::max);
     let floor_of_second = f64::max(floor, decision.second_share * best);
@@ -118,11 +118,11 @@ mod tests {
     fn gains_count_from_the_control_and_over_a_floor_that_grows_with_its_residuals() {
         let case = testing::case();
         let nominal = Nominal::new(&case).unwrap();
-        let mut found = Moving { control_median: 0.01, ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Moving::default() };
+        let mut found = Moving { left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Moving::default() };
         let said = method(&found, &nominal, &Decision::default());
         assert!(said.decides && said.alarm && said.proposals[0].passed && !said.proposals[1].passed);
         assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
-        found.control_median = 0.2;
+        found.left = [0.3; 2];
         assert!(!method(&found, &nominal, &Decision::default()).alarm, "such residuals gain that much without an effect");
     }
 

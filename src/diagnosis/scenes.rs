@@ -4,6 +4,7 @@
 //! Everything follows from a seed. Light is analytic in place and time, so its size, length and number of pixels can be anything.
 //! Limits: grey, no flicker, no noise of the light; objects are opaque and bright or dark, edges are a pixel wide.
 
+use crate::candidates::Trial;
 use crate::case::{Case, CaseFrames, PixelEvents};
 use crate::nominal::Nominal;
 use crate::record::{Conditions, record};
@@ -154,6 +155,14 @@ impl MadeUp {
     /// # Errors
     /// Never for the sensors made here; the message of [`Nominal::new`] or [`record`] otherwise.
     pub fn recording(&self) -> Result<Case, String> {
+        self.recording_through(None)
+    }
+
+    /// The recording of this scene by a sensor that differs from the description.
+    ///
+    /// # Errors
+    /// When the effects of `trial` cannot be combined.
+    pub fn recording_through(&self, trial: Option<&Trial>) -> Result<Case, String> {
         let frames = FrameTimes::new(self.exposures.clone(), self.sensor.frames.row_time.map_or(0, Duration::ns)).map_err(|why| why.to_string())?;
         let dn = vec![f32::NAN; frames.len() * self.extent.pixels()];
         let blank = Case {
@@ -176,12 +185,14 @@ impl MadeUp {
             })
             .collect();
         let nominal = Nominal::new(&blank).map_err(|why| why.to_string())?;
+        let stated = Trial::stated(&nominal);
+        let trial = trial.unwrap_or(&stated);
         record(
             &blank,
-            &nominal,
+            &trial.nominal,
             &Sample::all(&blank, 6),
             &Scene::from_pixels(pixels),
-            &Default::default(),
+            &trial.effects,
             &Conditions { seed: self.seed, ..Conditions::default() },
         )
     }

@@ -214,12 +214,19 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
 fn decided(integrity: &Integrity, method: &Road, mut claims: Vec<Claim>) -> Answer {
     let unexplained = integrity.laws.first().map(|law| Unexplained::by(law, regular::score(law)));
     let first = if claims.is_empty() && unexplained.is_some() { None } else { measured(&method.name, &method.proposals) };
-    let second = first.as_ref().and_then(|first| {
-        let apart = |one: &&Proposal| !looks_like(first.id, &CANDIDATES[one.candidate]) && !first.also_possible.contains(&CANDIDATES[one.candidate].id);
+    if let Some(mut first) = first {
+        let apart = |one: &&Proposal| {
+            let id = CANDIDATES[one.candidate].id;
+            id == first.id || !looks_like(first.id, &CANDIDATES[one.candidate]) && !first.also_possible.contains(&id)
+        };
         let rest: Vec<Proposal> = method.second.iter().filter(apart).cloned().collect();
-        measured(&method.name, &rest)
-    });
-    claims.extend(first.into_iter().chain(second));
+        match measured(&method.name, &rest) {
+            // Another number of the same effect.
+            Some(second) if second.id == first.id => first.values.extend(second.values),
+            second => claims.extend(second),
+        }
+        claims.push(first);
+    }
     claims.sort_by(|a, b| b.score.total_cmp(&a.score));
     let verdict = match (&claims[..], &unexplained) {
         ([], Some(_)) => Verdict::Unnamed,
@@ -495,8 +502,8 @@ fn strongest(roads: &[Road], of: fn(&Road) -> &Vec<Proposal>, alone: f64) -> Opt
     Some(Claim { id, also_possible, values, score, belief: Some(best), found_by, heldout_nats: nats, heldout_nats_per_event: per_event, finding: None })
 }
 
-/// Does a value of a candidate differ from nothing by more than anybody would care about? Times: the larger of 2 us and a tenth of the stamp's width; thresholds,
-/// gains and light: 0.5 %; rates: 0.01 Hz a pixel; shares: 0.1 %.
+/// Does a value of a candidate differ from nothing by more than anybody would care about? Delays: the larger of 2 us and half of the stamp's width, as stamps may be rounded down; other
+/// times: the larger of 2 us and a tenth of the stamp's width; thresholds, gains and light: 0.5 %; rates: 0.01 Hz a pixel; shares: 0.1 %.
 pub fn is_material(case: &Case, nominal: &Nominal, candidate: &Candidate, value: f64) -> bool {
     let Some(decl) = candidate.parameter_decl() else { return true };
     if candidate.is_limit() {
@@ -505,19 +512,24 @@ pub fn is_material(case: &Case, nominal: &Nominal, candidate: &Candidate, value:
     let size = (value - candidate.nominal_value(nominal)).abs();
     let width_s = case.t_resolution_ns as f64 * 1e-9;
     let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
+    // Half a step of the stamps is no delay: they are rounded down.
+    let delay_s = f64::max(2e-6, 0.55 * width_s);
     match (candidate.id, decl.unit) {
         // A tenth of a stamp over the length of the recording.
         ("clock_drift", _) => size * seconds > f64::max(2e-6, 0.1 * width_s),
-        // Half a step of the stamps is no offset: they are rounded down.
-        ("clock_offset", _) => size > f64::max(2e-6, 0.5 * width_s),
+        ("clock_offset", _) => size > delay_s,
+        ("time_constant" | "second_pole", _) if matches!(candidate.parameter, "tau_0" | "tau") => size > delay_s,
+        // Half of it is a shift of the middle.
+        ("exposure_time", _) => size > 2.0 * delay_s,
         ("row_skew", _) if candidate.parameter == "per_row" => size * f64::from(case.extent.height) > f64::max(2e-6, 0.1 * width_s),
         ("row_time", _) => size * f64::from(case.extent.height) > 2e-6,
-        ("time_constant" | "second_pole", _) if candidate.parameter != "tau_0" && candidate.parameter != "tau" => size > 2e-6 * typical_light(case, nominal),
+        ("time_constant" | "second_pole", _) => size > delay_s * typical_light(case, nominal),
         ("threshold_drift", _) => size * seconds > 0.005,
         ("dark_current", _) => size > 0.005 * typical_light(case, nominal),
         ("black_level", _) => size > 0.005 * typical_dn(case, nominal),
         (_, Unit::Time) => size > f64::max(2e-6, 0.1 * width_s),
         (_, Unit::Rate) => size > 0.01,
+        ("threshold_scale" | "threshold_asymmetry" | "threshold_gradient" | "frame_nonlinearity", _) => size > 0.005,
         (_, Unit::Number("fraction")) => size > 0.001,
         (_, Unit::Number("ln")) => size > 0.005 * nominal.pixel.threshold_on,
         _ => size > 0.0,

@@ -22,12 +22,13 @@ fn main() {
         match moving(&case, &nominal, &MovingSetting::default()) {
             Ok(found) => {
                 println!(
-                    "{name} events {} share {:.2} median {:.3} left {:.3?} control {:.3} misfit {:.2} {:.1}s",
+                    "{name} events {} share {:.2} median {:.3} left {:.3?} control {:.3} white {:.2} misfit {:.2} {:.1}s",
                     found.events,
                     found.share,
                     found.median,
                     found.left,
                     found.control_median,
+                    found.white,
                     found.misfit,
                     begun.elapsed().as_secs_f64()
                 );
@@ -47,8 +48,8 @@ fn main() {
                     );
                 };
                 found.ranked.iter().take(5).for_each(|one| show("1", one));
-                found.random.iter().take(2).for_each(|one| show("r", one));
-                found.random_second.iter().take(2).for_each(|one| show("R", one));
+                found.random.iter().take(3).for_each(|one| show("r", one));
+                found.random_second.iter().take(3).for_each(|one| show("R", one));
                 found.second.iter().take(3).for_each(|one| show("2", one));
             }
             Err(why) => println!("{name} {why} {:.1}s", begun.elapsed().as_secs_f64()),

@@ -163,6 +163,12 @@ impl Picture {
         self.grid.value(&self.surface, px, py).map(|c| f64::max(c * shade, self.least))
     }
 
+    /// Where on the picture a pixel looks at an instant, pixels.
+    pub fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (f64, f64) {
+        let (x, y) = case.place(pixel);
+        apply(&self.motion.at(t_ns), f64::from(x) - self.centre.0, f64::from(y) - self.centre.1)
+    }
+
     /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time holds. `None` when it never saw the picture.
     pub fn log_light(&self, x: usize, y: usize, maps: &[Map]) -> Option<Vec<f64>> {
         let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
@@ -387,7 +393,14 @@ impl<'a> Fit<'a> {
     fn first_smoothness(&self, knots: usize) -> Smoothness {
         let n = self.picture.grid.len();
         let weight = (1.0 / (0.3 * self.typical)) as f32;
-        Smoothness { along_x: vec![weight; n], along_y: vec![weight; n], across: vec![weight; n], rest: vec![0.0; knots * DEGREES + TERMS], rest_size: vec![0.0; knots * DEGREES + TERMS], motion: 0.0 }
+        Smoothness {
+            along_x: vec![weight; n],
+            along_y: vec![weight; n],
+            across: vec![weight; n],
+            rest: vec![0.0; knots * DEGREES + TERMS],
+            rest_size: vec![0.0; knots * DEGREES + TERMS],
+            motion: 0.0,
+        }
     }
 
     /// Weights by the picture's own second differences: their mean square nearby, a share of the overall one, and what is always possible.

@@ -5,7 +5,6 @@
 use super::motion::{DEGREES, Map as Affine, RIGID, apply, derivatives, map_of, pose_of};
 use nalgebra::{SMatrix, SVector};
 
-
 /// What is searched.
 #[derive(Clone, Copy, Debug)]
 pub struct Search {

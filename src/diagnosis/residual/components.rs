@@ -1,13 +1,15 @@
 //! Random effects, read off the same residuals: each as a further part of their distribution, with its gain in nats an event, so that it stands beside effects that have a column.
 //!
-//! With u = polarity times residual over threshold: thresholds that differ from pixel to pixel move the mean of u of a pixel, refractory periods that differ move it in proportion
-//! to the slope; threshold noise and stamp noise widen it; an event without a crossing has any u between -2 and 0; after a lost event the next has a whole threshold more.
+//! With u = polarity times residual over threshold: thresholds that differ from pixel to pixel are a size of the threshold's column of each pixel's own, refractory periods that differ
+//! one of the refractory period's; threshold noise and stamp noise widen u; an event without a crossing has any u between -2 and 0; after a lost event the next has a whole
+//! threshold more.
 //!
-//! Sizes are counted from those of the control, which are what a regularised picture and the stated noise leave.
+//! What a picture gets wrong widens u as well, but alike in all pixels that see the same place of it. So only the share of the squares that other pixels at the same place of
+//! the picture do not share ([`white_share`]) counts as noise of pixels.
 
 use super::Residuals;
 use super::fit::{EventNoise, NU};
-use crate::candidates::{CANDIDATES, Scales};
+use crate::candidates::CANDIDATES;
 use crate::nominal::Nominal;
 
 /// One part of the distribution: its candidate, gain in nats an event, and size.
@@ -27,33 +29,76 @@ pub struct Ground<'a> {
     pub events: &'a Residuals,
     /// Their residuals, natural-log units, with whatever was found applied.
     pub residual: &'a [f64],
-    /// Blocks of held-out gains.
-    pub block: &'a [u32],
+    /// Columns of the threshold's scale and of the refractory period, natural-log units per strength.
+    pub columns: [&'a [f32]; 2],
+    /// Share of the squares that is noise of pixels, 0 to 1.
+    pub white: f64,
     /// Mean threshold, natural-log units.
     pub threshold: f64,
     /// Least threshold noise.
     pub least: f64,
 }
 
-/// Events of a pixel below this are too few for its own mean.
+/// Events of a pixel below this are too few for its own size.
 const LEAST_OF_PIXEL: usize = 4;
+/// And pixels below this for a spread of sizes.
+const LEAST_PIXELS: usize = 20;
+/// Where differences between pixels leave less than this share of the squares, they are what widens residuals, and not noise of single events.
+const MOST_LEFT: f64 = 0.5;
+/// Pairs of events below this are too few for a share.
+const LEAST_PAIRS: usize = 200;
+
+fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0 where too few do. `places` are those of the events on the picture, pixels.
+pub fn white_share(events: &Residuals, residual: &[f64], places: &[(f64, f64)], cell: f64) -> f64 {
+    let mut sizes: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
+    let most = 4.0 * median(&mut sizes);
+    let mut order: Vec<((i64, i64, i8), u32, usize)> = (0..residual.len())
+        .map(|k| {
+            let at = ((places[k].0 / cell).floor() as i64, (places[k].1 / cell).floor() as i64, events.polarity[k]);
+            (at, events.pixel[k], k)
+        })
+        .collect();
+    order.sort_unstable();
+    let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0);
+    for pair in order.windows(2).filter(|pair| pair[0].0 == pair[1].0 && pair[0].1 != pair[1].1) {
+        let (a, b) = (residual[pair[0].2].clamp(-most, most), residual[pair[1].2].clamp(-most, most));
+        products += a * b;
+        squares += 0.5 * (a * a + b * b);
+        pairs += 1;
+    }
+    if pairs < LEAST_PAIRS || squares == 0.0 { 0.0 } else { (1.0 - products / squares).clamp(0.0, 1.0) }
+}
 
 /// All parts of a recording.
 ///
 /// `noise`: of the plain distribution, usually the control's.
 pub fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     let find = |id: &str| CANDIDATES.iter().position(|candidate| candidate.id == id && candidate.is_random);
-    let own = ground.noise();
+    let own = EventNoise::estimate(ground.residual, &ground.events.slope_per_s, ground.least);
     let mut found = Vec::new();
     let mut push = |id: &str, (gain, size): (f64, f64)| {
         if let Some(candidate) = find(id) {
             found.push(Part { candidate, gain, size });
         }
     };
-    push("threshold_mismatch", ground.of_pixels(&own, |_| 1.0));
-    push("refractory_spread", ground.of_pixels(&own, |slope| slope.abs()));
-    push("threshold_noise", ground.wider(noise, &EventNoise { a: own.a, b: noise.b }, own.a));
-    push("timestamp_jitter", ground.wider(noise, &EventNoise { a: noise.a, b: own.b }, own.b));
+    let (mismatch, without_mismatch) = ground.of_pixels(&own, ground.columns[0], true);
+    let (spread, without_spread) = ground.of_pixels(&own, ground.columns[1], false);
+    push("threshold_mismatch", mismatch);
+    push("refractory_spread", spread);
+    // Noise of single events is what differences between pixels leave.
+    let rest = if mismatch.0 > spread.0 { &without_mismatch } else { &without_spread };
+    let slope_square = median(&mut ground.events.slope_per_s.iter().map(|slope| slope * slope).collect::<Vec<f64>>());
+    let left = EventNoise::estimate(rest, &ground.events.slope_per_s, ground.least);
+    let shared = libm::sqrt(1.0 - ground.white);
+    let is_of_pixels = left.a * left.a + left.b * left.b * slope_square < MOST_LEFT * (own.a * own.a + own.b * own.b * slope_square);
+    let before = if is_of_pixels { left } else { EventNoise { a: f64::max(noise.a, shared * left.a), b: f64::max(noise.b, shared * left.b) } };
+    push("threshold_noise", ground.wider(rest, &before, &EventNoise { a: left.a, b: before.b }, left.a));
+    push("timestamp_jitter", ground.wider(rest, &before, &EventNoise { a: before.a, b: left.b }, left.b));
     push("background_activity", ground.mixture(&own, &|u, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 }));
     push("event_loss", ground.mixture(&own, &|u, sigma| (1..=4).map(|n| 0.5_f64.powi(n) * density((u - f64::from(n)) / sigma) / sigma).sum()));
     found
@@ -66,10 +111,6 @@ fn density(z: f64) -> f64 {
 }
 
 impl Ground<'_> {
-    fn noise(&self) -> EventNoise {
-        EventNoise::estimate(self.residual, &self.events.slope_per_s, self.least)
-    }
-
     fn u(&self, k: usize) -> f64 {
         f64::from(self.events.polarity[k]) * self.residual[k] / self.threshold
     }
@@ -79,86 +120,80 @@ impl Ground<'_> {
     }
 
     /// Gain of a wider distribution, and its size.
-    fn wider(&self, before: &EventNoise, after: &EventNoise, size: f64) -> (f64, f64) {
-        let gain: f64 = (0..self.residual.len())
-            .map(|k| {
-                let (u, was, is) = (self.u(k), self.sigma(before, k), self.sigma(after, k));
-                libm::log(density(u / is) / is) - libm::log(density(u / was) / was)
-            })
-            .sum();
-        (gain / self.residual.len().max(1) as f64, size)
+    fn wider(&self, residual: &[f64], before: &EventNoise, after: &EventNoise, size: f64) -> (f64, f64) {
+        let slope = &self.events.slope_per_s;
+        let gain = after.log_density(residual, slope) - before.log_density(residual, slope);
+        (gain / residual.len().max(1) as f64, size)
     }
 
-    /// A mean of each pixel in proportion to `by` of the slope: gain of predicting each event from the others of its pixel, and the standard deviation over pixels.
-    fn of_pixels(&self, noise: &EventNoise, by: impl Fn(f64) -> f64) -> (f64, f64) {
+    /// A size of a column of each pixel's own, or of each of its polarities: gain of predicting each event from the others of its pixel, the standard deviation over pixels in strengths, and the
+    /// residuals with each pixel's size applied.
+    fn of_pixels(&self, noise: &EventNoise, column: &[f32], by_polarity: bool) -> ((f64, f64), Vec<f64>) {
         let n = self.residual.len();
-        let mut at = 0;
-        let mut pixels: Vec<(std::ops::Range<usize>, f64, f64)> = Vec::new();
-        while at < n {
-            let end = (at..n).find(|&k| self.events.pixel[k] != self.events.pixel[at]).unwrap_or(n);
-            if end - at >= LEAST_OF_PIXEL {
-                let (mut s, mut sx) = (0.0, 0.0);
-                for k in at..end {
-                    let (x, weight) = (by(self.events.slope_per_s[k]), self.weight(noise, k));
-                    s += weight * x * x;
-                    sx += weight * x * self.u(k);
-                }
-                if s > 0.0 {
-                    pixels.push((at..end, sx / s, s));
-                }
-            }
-            at = end;
+        let mut order: Vec<usize> = (0..n).collect();
+        let key = |k: usize| (self.events.pixel[k], if by_polarity { self.events.polarity[k] } else { 0 });
+        order.sort_by_key(|&k| (key(k), k));
+        let sized = |events: &[usize]| {
+            let (size, weight) = self.size(noise, column, events.iter().copied());
+            (events.len() >= LEAST_OF_PIXEL && weight > 0.0).then(|| (events.to_vec(), size, weight))
+        };
+        let pixels: Vec<(Vec<usize>, f64, f64)> = order.chunk_by(|&a, &b| key(a) == key(b)).filter_map(sized).collect();
+        let nothing = ((0.0, 0.0), self.residual.to_vec());
+        if pixels.len() < LEAST_PIXELS {
+            return nothing;
         }
-        if pixels.len() < 20 {
-            return (0.0, 0.0);
-        }
-        // Robust variance of the means beyond their own error, which is that of half of the events against the other half.
-        let mut squares: Vec<f64> = Vec::new();
-        let mut errors: Vec<f64> = Vec::new();
-        let mut means: Vec<f64> = pixels.iter().map(|pixel| pixel.1).collect();
-        means.sort_by(f64::total_cmp);
-        let middle = means[means.len() / 2];
-        for (range, mean, _) in &pixels {
-            squares.push((mean - middle).abs());
-            let half = |parity: usize| {
-                let (mut s, mut sx) = (0.0, 0.0);
-                for k in range.clone().filter(|k| k % 2 == parity) {
-                    let (x, weight) = (by(self.events.slope_per_s[k]), self.weight(noise, k));
-                    s += weight * x * x;
-                    sx += weight * x * self.u(k);
-                }
-                sx / f64::max(s, 1e-300)
-            };
-            errors.push(0.5 * (half(0) - half(1)).abs());
-        }
-        squares.sort_by(f64::total_cmp);
-        errors.sort_by(f64::total_cmp);
-        let (spread, error) = (1.4826 * squares[squares.len() / 2], 1.4826 * errors[errors.len() / 2]);
+        let mut sizes: Vec<f64> = pixels.iter().map(|pixel| pixel.1).collect();
+        let middle = median(&mut sizes);
+        // Robust variance of the sizes beyond their own error, which is that of half of the events against the other half.
+        let mut far: Vec<f64> = pixels.iter().map(|pixel| (pixel.1 - middle).abs()).collect();
+        let mut errors: Vec<f64> = pixels
+            .iter()
+            .map(|(events, ..)| {
+                let half = |parity: usize| self.size(noise, column, events.iter().copied().skip(parity).step_by(2)).0;
+                0.5 * (half(0) - half(1)).abs()
+            })
+            .collect();
+        let (spread, error) = (1.4826 * median(&mut far), 1.4826 * median(&mut errors));
         let variance = spread * spread - error * error;
         if variance <= 0.0 {
-            return (0.0, 0.0);
+            return nothing;
         }
-        let mut gain = 0.0;
-        for (range, mean, weight) in &pixels {
-            for k in range.clone() {
-                let (x, own) = (by(self.events.slope_per_s[k]), self.weight(noise, k));
+        let mut left = self.residual.to_vec();
+        let mut alike = self.residual.to_vec();
+        for (events, size, weight) in &pixels {
+            for &k in events {
+                let (x, own) = (f64::from(column[k]), self.weight(noise, k));
                 let rest = weight - own * x * x;
                 if rest <= 0.0 {
                     continue;
                 }
-                let others = (weight * mean - own * x * self.u(k)) / rest - middle;
-                let shrunk = others * variance / (variance + 1.0 / rest);
-                let (u, sigma) = (self.u(k) - middle * x, self.sigma(noise, k));
-                let now = libm::hypot(0.0, sigma);
-                gain += libm::log(density((u - shrunk * x) / now)) - libm::log(density(u / sigma));
+                let others = (weight * size + own * x * self.residual[k]) / rest - middle;
+                alike[k] = self.residual[k] + x * middle;
+                left[k] = alike[k] + x * others * variance / (variance + 1.0 / rest);
             }
         }
-        (gain / n as f64, libm::sqrt(variance))
+        // Each with the noise that it leaves; a size that all pixels share is no difference between them.
+        let density = |residual: &[f64]| {
+            let slope = &self.events.slope_per_s;
+            EventNoise::estimate(residual, slope, self.least).log_density(residual, slope)
+        };
+        (((density(&left) - density(&alike)) / n as f64, libm::sqrt(variance)), left)
+    }
+
+    /// The size of a column that some events of a pixel want, and its weight.
+    fn size(&self, noise: &EventNoise, column: &[f32], events: impl Iterator<Item = usize>) -> (f64, f64) {
+        let (mut weight, mut sum) = (0.0, 0.0);
+        for k in events {
+            let (x, own) = (f64::from(column[k]), self.weight(noise, k));
+            weight += own * x * x;
+            sum -= own * x * self.residual[k];
+        }
+        (sum / f64::max(weight, 1e-300), weight)
     }
 
     fn weight(&self, noise: &EventNoise, k: usize) -> f64 {
-        let sigma = self.sigma(noise, k);
-        let z = self.u(k) / sigma;
+        let sigma = noise.sigma(self.events.slope_per_s[k]);
+        let z = self.residual[k] / sigma;
         (NU + 1.0) / (NU + z * z) / (sigma * sigma)
     }
 
@@ -180,15 +215,19 @@ impl Ground<'_> {
     }
 }
 
-/// The parameter of a part's size beyond the control's, in the unit of its declaration.
-pub fn value(part: &Part, control: f64, scales: &Scales, nominal: &Nominal, events_per_pixel_s: f64) -> f64 {
+/// The parameter of a part's size beyond the control's, in the unit of its declaration. `strengths`: what one strength of the threshold's scale and of the refractory
+/// period are, as shares of the threshold and in seconds.
+pub fn value(part: &Part, control: f64, threshold: f64, strengths: (f64, f64), nominal: &Nominal, events_per_pixel_s: f64) -> f64 {
     let beyond = libm::sqrt(f64::max(part.size * part.size - control * control, 0.0));
     match CANDIDATES[part.candidate].id {
-        "threshold_mismatch" => beyond * scales.threshold,
-        // A fraction of the period, in log: standard deviation of u per slope is that of the period over the threshold.
-        "refractory_spread" => beyond * scales.threshold / f64::max(nominal.pixel.refractory_ns as f64 * 1e-9, 50e-6),
+        "threshold_mismatch" => beyond * strengths.0 * threshold,
+        // In log of the period.
+        "refractory_spread" => beyond * strengths.1 / f64::max(nominal.pixel.refractory_ns as f64 * 1e-9, LEAST_REFRACTORY_S),
         "background_activity" => f64::max(part.size - control, 0.0) * events_per_pixel_s,
         "event_loss" => f64::max(part.size - control, 0.0),
         _ => beyond,
     }
 }
+
+/// Where no refractory period is stated.
+const LEAST_REFRACTORY_S: f64 = 50e-6;

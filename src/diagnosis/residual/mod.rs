@@ -115,7 +115,9 @@ impl View<'_> {
                 let look = Look { site, track, seen: seen.as_deref(), events: &events, frames: &[] };
                 conditional(&prepared.nominal, &prepared.effects, &look, &mut out);
                 if n == 0 {
-                    kept = (1..events.len()).filter(|&k| out.is_armed[k] && out.is_armed[k - 1] && keeps(pixel, events[k].t_in_ns) && keeps(pixel, events[k - 1].t_in_ns)).collect();
+                    kept = (1..events.len())
+                        .filter(|&k| out.is_armed[k] && out.is_armed[k - 1] && keeps(pixel, events[k].t_in_ns) && keeps(pixel, events[k - 1].t_in_ns))
+                        .collect();
                     for &k in &kept {
                         self.push(&mut all, pixel, k, &events, &out, &log);
                     }
@@ -182,7 +184,9 @@ fn through_frames(case: &Case, prepared: &Prepared, site: &Site, instants: &[i64
         effects.iter().fold(number.of(read), |dn, effect| effect.dn(site, &reading, dn))
     };
     let some = exp(log[log.len() / 2]) * seconds;
-    let touches = [(some, some), (2.0 * some, some), (some, 3.0 * some)].iter().any(|&(charge, before)| (through(charge, before) - number.of(charge)).abs() > 1e-9 * number.of(charge).abs());
+    let touches = [(some, some), (2.0 * some, some), (some, 3.0 * some)]
+        .iter()
+        .any(|&(charge, before)| (through(charge, before) - number.of(charge)).abs() > 1e-9 * number.of(charge).abs());
     if !touches && shift_ns == 0 && exposed == stated {
         return None;
     }

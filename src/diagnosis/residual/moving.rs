@@ -12,12 +12,12 @@
 //!
 //! Limits: a scene without one motion leaves few events, and then this method abstains.
 
-use super::components::{Ground, parts, value as part_value};
+use super::components::{Ground, parts, value as part_value, white_share};
 use super::fit::{EventNoise, Fitted, gain_of, heldout};
 use super::gate::Gate;
 use super::light::Light;
 use super::{Residuals, View};
-use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
+use crate::candidates::{CANDIDATES, Candidate, Scales, Signs, Trial};
 use crate::case::{Case, CaseFrames};
 use crate::likelihood::view::Prepared;
 use crate::nominal::Nominal;
@@ -57,6 +57,8 @@ pub struct MovingSetting {
     pub refined: usize,
     /// In so many rounds.
     pub rounds: usize,
+    /// Events within one cell of the picture see the same of it, pixels.
+    pub cell: f64,
     /// Seed of the control.
     pub seed: u64,
 }
@@ -77,6 +79,7 @@ impl Default for MovingSetting {
             probe: 0.05,
             refined: 6,
             rounds: 3,
+            cell: 0.5,
             seed: 1,
         }
     }
@@ -123,6 +126,8 @@ pub struct Moving {
     pub median: f64,
     /// The same of the control.
     pub control_median: f64,
+    /// Share of the squares of residuals that is noise of pixels.
+    pub white: f64,
     /// Median absolute residual of frames, standard deviations.
     pub misfit: f64,
     /// Median absolute residual over the threshold with the first effect applied, and with both.
@@ -143,6 +148,8 @@ struct Seen<'a> {
     light: Light,
     gate: Gate,
     pixels: Vec<u32>,
+    /// For what needs pairs of pixels.
+    more: Vec<u32>,
     setting: &'a MovingSetting,
     least: f64,
 }
@@ -153,12 +160,25 @@ struct Table {
     block: Vec<u32>,
     base: Vec<f64>,
     fitted: Vec<(usize, Fitted)>,
+    /// Columns of the threshold's scale and of the refractory period.
+    columns: [Vec<f32>; 2],
 }
+
+/// Candidates whose columns each pixel may have a size of its own of.
+const OF_PIXELS: [(&str, &str); 2] = [("threshold_scale", "fraction"), ("refractory", "refractory")];
 
 impl Seen<'_> {
     fn evaluate(&self, trials: &[Trial]) -> Result<(Residuals, Vec<Vec<f32>>), String> {
         let view = View { case: self.case, light: &self.light, pixels: self.pixels.clone() };
         view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))
+    }
+
+    /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than are fitted.
+    fn white(&self, base: &Trial, picture: &Picture) -> Result<f64, String> {
+        let view = View { case: self.case, light: &self.light, pixels: self.more.clone() };
+        let (events, _) = view.residuals(std::slice::from_ref(base), |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+        let places: Vec<(f64, f64)> = events.pixel.iter().zip(&events.t_ns).map(|(pixel, t_ns)| picture.place(self.case, *pixel as usize, *t_ns)).collect();
+        Ok(white_share(&events, &events.excess, &places, self.setting.cell))
     }
 
     fn block_of(&self, pixel: usize) -> u32 {
@@ -167,12 +187,11 @@ impl Seen<'_> {
         (2 * (by * width.div_ceil(side) + bx) + (bx + by) % 2) as u32
     }
 
-    /// First-order fits of every effect on top of a trial.
-    fn table(&self, base: &Trial, scales: &Scales, without: &[&str]) -> Result<Table, String> {
+    /// First-order fits of every effect on top of a trial, but for one candidate.
+    fn table(&self, base: &Trial, scales: &Scales, without: Option<usize>) -> Result<Table, String> {
         // One that cannot be combined with what is there is no candidate.
         let can_be = |n: &usize| Prepared::new(self.case, &on_top(base, *n, self.probe(*n), scales)).is_ok();
-        let chosen: Vec<usize> =
-            (0..CANDIDATES.len()).filter(|&n| !CANDIDATES[n].is_random && !without.contains(&CANDIDATES[n].id)).filter(can_be).collect();
+        let chosen: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| !CANDIDATES[n].is_random && Some(n) != without).filter(can_be).collect();
         let mut trials = vec![base.clone()];
         trials.extend(chosen.iter().map(|&n| on_top(base, n, self.probe(n), scales)));
         let (events, values) = self.evaluate(&trials)?;
@@ -186,11 +205,21 @@ impl Seen<'_> {
                 (n, heldout(&base, &events.slope_per_s, &[&column], &block, self.least))
             })
             .collect();
-        Ok(Table { events, block, base, fitted })
+        let columns = OF_PIXELS.map(|(id, parameter)| {
+            let at = chosen.iter().position(|&n| CANDIDATES[n].id == id && CANDIDATES[n].parameter == parameter);
+            at.map_or_else(|| vec![0.0; base.len()], |at| self.column(chosen[at], &values[1 + at], &values[0]))
+        });
+        Ok(Table { events, block, base, fitted, columns })
     }
 
     fn probe(&self, candidate: usize) -> f64 {
-        if CANDIDATES[candidate].signs == Signs::Switch || CANDIDATES[candidate].is_limit() { 1.0 } else { self.setting.probe }
+        let kind = &CANDIDATES[candidate];
+        match kind.id {
+            // A blur grows with the square of its width.
+            "blur" => 10.0 * self.setting.probe,
+            _ if kind.signs == Signs::Switch || kind.is_limit() => 1.0,
+            _ => self.setting.probe,
+        }
     }
 
     fn column(&self, candidate: usize, with: &[f32], base: &[f32]) -> Vec<f32> {
@@ -257,19 +286,25 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
     let kept: usize = counted.iter().sum();
     let share = kept as f64 / all.max(1) as f64;
     if kept < setting.least_events || share < setting.least_share {
-        return Err(format!("a moving picture predicts the frames around {kept} of {all} events; {} and {:.0} % are needed", setting.least_events, 100.0 * setting.least_share));
+        return Err(format!(
+            "a moving picture predicts the frames around {kept} of {all} events; {} and {:.0} % are needed",
+            setting.least_events,
+            100.0 * setting.least_share
+        ));
     }
     let pixels = spread(case, &counted, setting.events, setting.pixels);
+    let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
     let light = Light::of_picture(case, &picture, setting.step_ns);
-    let seen = Seen { case, light, gate, pixels, setting, least };
+    let seen = Seen { case, light, gate, pixels, more, setting, least };
     let stated = Trial::stated(nominal);
-    let table = seen.table(&stated, &scales, &[])?;
+    let table = seen.table(&stated, &scales, None)?;
     let control_case = control(case, nominal, &picture, &seen, setting)?;
     let control_picture = picture.refit(&control_case, nominal, &setting.picture);
     let control_gate = Gate::new(&control_case, &control_picture.residual, setting.least_dn, setting.spread);
     let control_light = Light::of_picture(&control_case, &control_picture, setting.step_ns);
-    let control_seen = Seen { case: &control_case, light: control_light, gate: control_gate, pixels: seen.pixels.clone(), setting, least };
-    let control_table = control_seen.table(&stated, &scales, &[])?;
+    let control_seen =
+        Seen { case: &control_case, light: control_light, gate: control_gate, pixels: seen.pixels.clone(), more: seen.more.clone(), setting, least };
+    let control_table = control_seen.table(&stated, &scales, None)?;
     let ranked = rank(&seen, &stated, &table, &control_table, &scales, nominal, setting)?;
     let median = |values: &mut dyn Iterator<Item = f64>| {
         let mut sizes: Vec<f64> = values.map(f64::abs).collect();
@@ -278,20 +313,25 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
     };
     let base_median = median(&mut table.base.iter().copied());
     let rate = case.events.all().len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
-    let random = |table: &Table, residual: &[f64]| -> Vec<Ranked> {
-        let ground = |table: &'_ Table| EventNoise::estimate(&table.base, &table.events.slope_per_s, least);
-        let noise = ground(&control_table);
-        let of = |table: &Table, residual: &[f64]| {
-            parts(&Ground { events: &table.events, residual, block: &table.block, threshold: scales.threshold, least }, &noise)
+    let control_noise = EventNoise::estimate(&control_table.base, &control_table.events.slope_per_s, least);
+    let strengths = OF_PIXELS.map(|(id, parameter)| {
+        Candidate::find(id, parameter).map_or(0.0, |candidate| candidate.value(1.0, &scales, nominal) - candidate.value(0.0, &scales, nominal))
+    });
+    let control_white = control_seen.white(&stated, &control_picture)?;
+    let random = |base: &Trial, table: &Table| -> Result<Vec<Ranked>, String> {
+        let of = |table: &Table, columns: &[Vec<f32>; 2], white: f64| {
+            let columns = [&columns[0][..], &columns[1][..]];
+            parts(&Ground { events: &table.events, residual: &table.base, columns, white, threshold: scales.threshold, least }, &control_noise)
         };
-        let control = of(&control_table, &control_table.base);
-        let mut found: Vec<Ranked> = of(table, residual)
+        let found = of(table, &table.columns, seen.white(base, &picture)?);
+        let control = of(&control_table, &control_table.columns, control_white);
+        let mut found: Vec<Ranked> = found
             .iter()
             .zip(&control)
             .map(|(part, control)| Ranked {
                 candidate: part.candidate,
                 strength: part.size,
-                value: part_value(part, control.size, &scales, nominal, rate),
+                value: part_value(part, control.size, scales.threshold, (strengths[0], strengths[1]), nominal, rate),
                 gain: part.gain,
                 control_gain: control.gain.max(0.0),
                 control_strength: control.size,
@@ -300,18 +340,18 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
             })
             .collect();
         found.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate)));
-        found
+        Ok(found)
     };
-    let random_first = random(&table, &table.base);
+    let white = seen.white(&stated, &picture)?;
+    let random_first = random(&stated, &table)?;
     let mut random_second = Vec::new();
     let mut second = Vec::new();
     let mut left = [base_median; 2];
     if let Some(first) = ranked.first().filter(|first| first.is_exact && first.beyond() > 0.0) {
         let with = on_top(&stated, first.candidate, first.strength, &scales);
-        let without = [CANDIDATES[first.candidate].id];
-        let table = seen.table(&with, &scales, &without)?;
+        let table = seen.table(&with, &scales, Some(first.candidate))?;
         left = [median(&mut table.base.iter().copied()); 2];
-        random_second = random(&table, &table.base);
+        random_second = random(&with, &table)?;
         second = rank(&seen, &with, &table, &control_table, &scales, nominal, &MovingSetting { refined: 3, ..*setting })?;
         if let Some(other) = second.first().filter(|other| other.is_exact) {
             let (_, values) = seen.evaluate(&[stated.clone(), on_top(&with, other.candidate, other.strength, &scales)])?;
@@ -324,6 +364,7 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
         median: base_median,
         control_median: median(&mut control_table.base.iter().copied()),
         left,
+        white,
         misfit: picture.report.misfit.last().copied().unwrap_or(f64::NAN),
         ranked,
         second,
@@ -393,7 +434,10 @@ fn gcd(a: usize, b: usize) -> usize {
 
 /// The nominal sensor's recording of the fitted scene: events of the pixels that are looked at, and all frames with the noise that was found.
 fn control(case: &Case, nominal: &Nominal, picture: &Picture, seen: &Seen<'_>, setting: &MovingSetting) -> Result<Case, String> {
-    let sample = Sample::of_pixels(case, seen.pixels.iter().copied(), setting.block as u32);
+    let mut pixels: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
+    pixels.sort_unstable();
+    pixels.dedup();
+    let sample = Sample::of_pixels(case, pixels, setting.block as u32);
     let scene = Scene::from_pixels(sample.pixels.iter().map(|&pixel| {
         let log = &seen.light.log[pixel as usize];
         let known = !log.is_empty();
