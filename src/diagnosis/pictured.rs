@@ -26,7 +26,7 @@ pub struct Decision {
     pub second_share: f64,
     /// Effects are told apart by gains that differ by this share of the best.
     pub softness: f64,
-    /// Least threshold noise beyond the control, as a share of the threshold.
+    /// Least noise of single events beyond the control, of thresholds or of stamps at the median slope, as a share of the threshold.
     pub least_noise: f64,
     /// A random effect must gain this share of what a deterministic one does to be preferred.
     pub random_share: f64,
@@ -51,10 +51,10 @@ pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
 /// What was found as a method's word.
 pub fn method(found: &Moving, nominal: &Nominal, decision: &Decision) -> Road {
     let floor = f64::max(decision.least_gain, decision.per_median * found.left[0]);
-    let first = proposals(&found.ranked, &found.random, floor, nominal, decision);
+    let first = proposals(&found.ranked, &found.random, floor, found.slope_per_s, nominal, decision);
     let best = first.iter().filter(|one| one.passed).filter_map(|one| one.heldout_nats_per_event).fold(0.0, f64::max);
     let floor_of_second = f64::max(floor, decision.second_share * best);
-    let second = proposals(&found.second, &found.random_second, floor_of_second, nominal, decision);
+    let second = proposals(&found.second, &found.random_second, floor_of_second, found.slope_per_s, nominal, decision);
     Road {
         name: PICTURE.into(),
         alarm: first.iter().any(|one| one.passed),
@@ -67,10 +67,11 @@ pub fn method(found: &Moving, nominal: &Nominal, decision: &Decision) -> Road {
 }
 
 /// One proposal for each effect, by its best parameter; best first.
-fn proposals(ranked: &[Ranked], random: &[Ranked], floor: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
+fn proposals(ranked: &[Ranked], random: &[Ranked], floor: f64, slope_per_s: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
     let matters = |one: &&Ranked| match CANDIDATES[one.candidate].id {
         "threshold_noise" => one.value > decision.least_noise * threshold,
+        "timestamp_jitter" => one.value * slope_per_s > decision.least_noise * threshold,
         _ => true,
     };
     let random = random.iter().filter(matters).map(|one| (one, decision.random_share));

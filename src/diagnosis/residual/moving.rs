@@ -126,6 +126,8 @@ pub struct Moving {
     pub median: f64,
     /// The same of the control.
     pub control_median: f64,
+    /// Median slope of the voltage at the events, ln/s.
+    pub slope_per_s: f64,
     /// Share of the squares of residuals that is noise of pixels.
     pub white: f64,
     /// Median absolute residual of frames, standard deviations.
@@ -364,6 +366,7 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
         median: base_median,
         control_median: median(&mut control_table.base.iter().copied()),
         left,
+        slope_per_s: median(&mut table.events.slope_per_s.iter().copied()) * scales.threshold,
         white,
         misfit: picture.report.misfit.last().copied().unwrap_or(f64::NAN),
         ranked,
