@@ -28,13 +28,15 @@ pub struct Decision {
     pub softness: f64,
     /// Least noise of single events beyond the control, of thresholds or of stamps at the median slope, as a share of the threshold.
     pub least_noise: f64,
+    /// Where the control's median absolute residual over the threshold is larger, the method does not model this sensor, and abstains.
+    pub most_control: f64,
     /// A random effect must gain this share of what a deterministic one does to be preferred.
     pub random_share: f64,
 }
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision { least_gain: 0.03, per_median: 2.0, second_share: 0.04, softness: 0.04, least_noise: 0.05, random_share: 1.0 }
+        Decision { least_gain: 0.03, per_median: 2.0, second_share: 0.04, softness: 0.04, least_noise: 0.05, most_control: 0.15, random_share: 1.0 }
     }
 }
 
@@ -45,7 +47,14 @@ impl Default for Decision {
 pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
     let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
     let found = moving(case, &nominal, &MovingSetting { seed: setting.seed, ..MovingSetting::default() })?;
-    Ok(method(&found, &nominal, &Decision::default()))
+    let decision = Decision::default();
+    if found.control_median > decision.most_control {
+        return Err(format!(
+            "events of the nominal sensor on its own scene miss their thresholds by {:.2} of them: this sensor is not modelled well enough",
+            found.control_median
+        ));
+    }
+    Ok(method(&found, &nominal, &decision))
 }
 
 /// What was found as a method's word.

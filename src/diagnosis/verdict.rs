@@ -215,10 +215,8 @@ fn decided(integrity: &Integrity, method: &Road, mut claims: Vec<Claim>) -> Answ
     let unexplained = integrity.laws.first().map(|law| Unexplained::by(law, regular::score(law)));
     let first = if claims.is_empty() && unexplained.is_some() { None } else { measured(&method.name, &method.proposals) };
     if let Some(mut first) = first {
-        let apart = |one: &&Proposal| {
-            let id = CANDIDATES[one.candidate].id;
-            id == first.id || !looks_like(first.id, &CANDIDATES[one.candidate]) && !first.also_possible.contains(&id)
-        };
+        // It was fitted with the first one applied: what looks alike is told apart there.
+        let apart = |one: &&Proposal| !first.also_possible.contains(&CANDIDATES[one.candidate].id);
         let rest: Vec<Proposal> = method.second.iter().filter(apart).cloned().collect();
         match measured(&method.name, &rest) {
             // Another number of the same effect.

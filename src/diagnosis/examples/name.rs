@@ -29,7 +29,11 @@ fn main() {
         let amended = amend(&case, &integrity).unwrap();
         let amended_nominal = Nominal::new(&amended).unwrap();
         let found = moving(&amended, &amended_nominal, &MovingSetting::default());
-        let methods: Vec<_> = found.iter().map(|found| method(found, &amended_nominal, &Decision::default())).collect();
+        let methods: Vec<_> = found
+            .iter()
+            .filter(|found| found.control_median <= Decision::default().most_control)
+            .map(|found| method(found, &amended_nominal, &Decision::default()))
+            .collect();
         let answer = verdict(&case, &nominal, &integrity, &methods);
         let value = |candidate: &usize, value: &f64| (CANDIDATES[*candidate].json_key().0, serde_json::json!({"estimate": value}));
         let effects: Vec<_> = answer
