@@ -117,7 +117,12 @@ fn proposals(ranked: &[Ranked], random: &[Ranked], floor: f64, slope_per_s: f64,
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::candidates::{Scales, Signs, Trial};
+    use crate::scenes::MadeUp;
     use crate::testing;
+    use crate::verdict::is_material;
+    use photocurrent_core::Extent;
+    use photocurrent_core::random::Random;
 
     fn ranked(id: &str, gain: f64, control_gain: f64) -> Ranked {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
@@ -143,5 +148,37 @@ mod tests {
         let found = Moving { ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)], ..Moving::default() };
         let said = method(&found, &nominal, &Decision::default()).proposals;
         assert!(said[0].probability < 0.6 && said[1].probability > 0.4 && said[2].probability < 0.01);
+    }
+
+    /// Scenes and sensors that nothing was set on, each without an effect and with one of random kind and size:
+    /// `cargo test --release -p photocurrent-diagnosis made_up_scenes -- --ignored --nocapture`.
+    #[test]
+    #[ignore = "takes minutes"]
+    fn on_made_up_scenes_nothing_is_found_where_nothing_is_and_most_names_are_right() {
+        const SCENES: u64 = 12;
+        let (mut alarms, mut asked, mut right) = (Vec::new(), 0, 0);
+        for index in 0..SCENES {
+            let scene = MadeUp::new(11, index, Extent { width: 96, height: 72 }, 0.15);
+            let null = scene.recording().unwrap();
+            let nominal = Nominal::new(&null).unwrap();
+            let said = |case: &Case| -> Option<&'static str> {
+                let found = run(case, &Setting::default()).ok()?;
+                let passed = found.proposals.iter().filter(|one| one.passed && is_material(case, &nominal, &CANDIDATES[one.candidate], one.value));
+                Some(passed.map(|one| CANDIDATES[one.candidate].id).next().unwrap_or("nothing"))
+            };
+            alarms.extend(said(&null).filter(|id| *id != "nothing").map(|id| (index, id)));
+            let mut random = Random::new(11, &[index, 7]);
+            let chosen = &CANDIDATES[(random.uniform() * CANDIDATES.len() as f64) as usize % CANDIDATES.len()];
+            let size = 0.15 * libm::pow(10.0, random.uniform());
+            let strength = if chosen.signs == Signs::Both && random.uniform() < 0.5 { -size } else { size };
+            let trial = Trial::with(&nominal, chosen, strength, &Scales::of(&null, &nominal));
+            let Some(id) = scene.recording_through(Some(&trial)).ok().and_then(|case| said(&case)) else { continue };
+            eprintln!("{index}: {} at {strength:.2}, found {id}", chosen.label());
+            asked += 1;
+            right += usize::from(id == chosen.id);
+        }
+        eprintln!("{right} of {asked} names right; without an effect: {alarms:?}");
+        assert!(alarms.is_empty(), "{alarms:?}");
+        assert!(2 * right > asked, "{right} of {asked}");
     }
 }

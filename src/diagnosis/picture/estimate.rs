@@ -296,7 +296,7 @@ impl<'a> Fit<'a> {
         let typical = light.get(light.len() / 2).copied().unwrap_or(1.0).max(1e-9);
         let picture = Picture {
             grid,
-            surface: vec![typical as f32; grid.len()],
+            surface: vec![typical as f32; grid.coefficients()],
             motion,
             shading: [0.0; TERMS],
             least: 1e-3 * typical,
@@ -372,7 +372,7 @@ impl<'a> Fit<'a> {
 
     fn cost(&self, rows: &Rows, smooth: &Smoothness) -> f64 {
         let robust = self.setting.robust * self.scale;
-        let misfit: f64 = (0..rows.len())
+        let misfit: f64 = (0..rows.count())
             .map(|r| {
                 let z = f64::from(rows.residual[r]) / self.sigma_of(rows, r);
                 robust * robust * libm::log1p((z / robust) * (z / robust))
@@ -391,7 +391,7 @@ impl<'a> Fit<'a> {
     }
 
     fn first_smoothness(&self, knots: usize) -> Smoothness {
-        let n = self.picture.grid.len();
+        let n = self.picture.grid.coefficients();
         let weight = (1.0 / (0.3 * self.typical)) as f32;
         Smoothness {
             along_x: vec![weight; n],
@@ -439,7 +439,7 @@ impl<'a> Fit<'a> {
 
     /// Robust weights and the scale of the noise; gives the misfit.
     fn reweigh(&mut self, rows: &mut Rows) -> f64 {
-        let mut sizes: Vec<f64> = (0..rows.len()).map(|r| f64::from(rows.residual[r]).abs() / self.sigma_of(rows, r)).collect();
+        let mut sizes: Vec<f64> = (0..rows.count()).map(|r| f64::from(rows.residual[r]).abs() / self.sigma_of(rows, r)).collect();
         let z = sizes.clone();
         let middle = sizes.len() / 2;
         if sizes.is_empty() {
@@ -448,7 +448,7 @@ impl<'a> Fit<'a> {
         sizes.select_nth_unstable_by(middle, f64::total_cmp);
         let misfit = sizes[middle] / 0.6745;
         self.scale = misfit.max(self.setting.least_misfit);
-        for r in 0..rows.len() {
+        for r in 0..rows.count() {
             let far = z[r] / (self.setting.robust * self.scale);
             rows.weight[r] = (1.0 / (self.sigma_of(rows, r) * self.scale * libm::sqrt(1.0 + far * far))) as f32;
         }

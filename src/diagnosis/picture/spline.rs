@@ -40,7 +40,7 @@ impl Grid {
     }
 
     /// Number of coefficients.
-    pub fn len(&self) -> usize {
+    pub fn coefficients(&self) -> usize {
         self.width * self.height
     }
 
@@ -93,14 +93,14 @@ mod tests {
     #[test]
     fn a_line_is_reproduced_and_gradients_are_differences() {
         let grid = Grid::over((-3.0, -2.0), (4.0, 5.0), 0.7);
-        let line: Vec<f32> = (0..grid.len())
+        let line: Vec<f32> = (0..grid.coefficients())
             .map(|k| (2.0 + 0.5 * (grid.x0 + grid.pitch * (k % grid.width) as f64) - 0.25 * (grid.y0 + grid.pitch * (k / grid.width) as f64)) as f32)
             .collect();
         for (x, y) in [(-3.0, -2.0), (0.2, 1.3), (4.0, 5.0)] {
             assert!((grid.value(&line, x, y).unwrap() - (2.0 + 0.5 * x - 0.25 * y)).abs() < 1e-5);
         }
         assert_eq!(grid.value(&line, 9.0, 0.0), None);
-        let rough: Vec<f32> = (0..grid.len()).map(|k| libm::sin(1.7 * k as f64) as f32).collect();
+        let rough: Vec<f32> = (0..grid.coefficients()).map(|k| libm::sin(1.7 * k as f64) as f32).collect();
         let (x, y, step) = (0.31, 1.77, 1e-4);
         let difference = |dx: f64, dy: f64| (grid.value(&rough, x + dx, y + dy).unwrap() - grid.value(&rough, x - dx, y - dy).unwrap()) / (2.0 * step);
         let (gx, gy) = grid.gradient(&rough, x, y);

@@ -68,11 +68,11 @@ pub struct Smoothness {
 
 impl Rows {
     /// Number of rows.
-    pub fn len(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.residual.len()
     }
 
-    fn line<'a>(&'a self, r: usize) -> (usize, usize, &'a [f32]) {
+    fn line(&self, r: usize) -> (usize, usize, &[f32]) {
         let (corner, columns) = self.corner[r];
         (corner as usize, columns as usize, &self.stencil[self.first[r] as usize..self.first[r + 1] as usize])
     }
@@ -111,8 +111,8 @@ impl Rows {
     }
 
     fn parts(&self) -> Vec<std::ops::Range<usize>> {
-        let length = self.len().div_ceil(PARTS).max(1);
-        (0..PARTS).map(|n| (n * length).min(self.len())..((n + 1) * length).min(self.len())).collect()
+        let length = self.count().div_ceil(PARTS).max(1);
+        (0..PARTS).map(|n| (n * length).min(self.count())..((n + 1) * length).min(self.count())).collect()
     }
 
     /// Adds up `value(r)` times row r over all rows.
@@ -122,7 +122,7 @@ impl Rows {
             .parts()
             .into_par_iter()
             .map(|range| {
-                let mut sum = Unknowns { picture: vec![0.0; grid.len()], rest: vec![0.0; count] };
+                let mut sum = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; count] };
                 for r in range {
                     let value = value(r);
                     if value == 0.0 {
@@ -220,11 +220,11 @@ pub fn solve(rows: &Rows, grid: &Grid, smooth: &Smoothness, now: &Unknowns, knot
     };
     let precondition = Preconditioner::new(rows, grid, smooth, knots, with_rest);
     let mut residual = rows.transposed(grid, knots, with_rest, |r| rows.weight[r] * rows.weight[r] * rows.residual[r]);
-    let mut held = Unknowns { picture: vec![0.0; grid.len()], rest: vec![0.0; count] };
+    let mut held = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; count] };
     prior(now, &mut held);
     add(&mut residual, -1.0, &held);
     fixed(&mut residual);
-    let mut step = Unknowns { picture: vec![0.0; grid.len()], rest: vec![0.0; count] };
+    let mut step = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; count] };
     let mut z = precondition.apply(&residual);
     fixed(&mut z);
     let mut direction = z.clone();
@@ -264,7 +264,7 @@ impl Preconditioner {
             .parts()
             .into_par_iter()
             .map(|range| {
-                let mut sum = vec![0.0_f32; grid.len()];
+                let mut sum = vec![0.0_f32; grid.coefficients()];
                 for r in range {
                     let weight = rows.weight[r] * rows.weight[r];
                     let (corner, columns, stencil) = rows.line(r);
@@ -276,7 +276,7 @@ impl Preconditioner {
                 sum
             })
             .collect();
-        let mut picture = vec![0.0_f32; grid.len()];
+        let mut picture = vec![0.0_f32; grid.coefficients()];
         parts.iter().for_each(|part| picture.iter_mut().zip(part).for_each(|(a, b)| *a += b));
         differences(grid, smooth, |at, by, weight| at.iter().zip(by).for_each(|(&at, by)| picture[at] += by * by * weight * weight));
         picture.iter_mut().for_each(|d| *d = if *d > 0.0 { 1.0 / *d } else { 0.0 });

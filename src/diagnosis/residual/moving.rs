@@ -428,7 +428,7 @@ fn spread(case: &Case, counted: &[usize], events: usize, pixels: usize) -> Vec<u
     let step = usize::max(all / events.max(1), lit / pixels.max(1)).max(1);
     // Another column from row to row, so that all columns are seen.
     let turn = (1..=step).find(|turn| step == 1 || (turn * turn > step && gcd(*turn, step) == 1)).unwrap_or(1);
-    (0..counted.len()).filter(|&pixel| (pixel % width + turn * (pixel / width)) % step == 0 && counted[pixel] > 0).map(|pixel| pixel as u32).collect()
+    (0..counted.len()).filter(|&pixel| (pixel % width + turn * (pixel / width)).is_multiple_of(step) && counted[pixel] > 0).map(|pixel| pixel as u32).collect()
 }
 
 fn gcd(a: usize, b: usize) -> usize {
