@@ -30,13 +30,24 @@ pub struct Decision {
     pub least_noise: f64,
     /// Where the control's median absolute residual over the threshold is larger, the method does not model this sensor, and abstains.
     pub most_control: f64,
+    /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than this.
+    pub most_left: f64,
     /// A random effect must gain this share of what a deterministic one does to be preferred.
     pub random_share: f64,
 }
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision { least_gain: 0.03, per_median: 2.0, second_share: 0.04, softness: 0.04, least_noise: 0.05, most_control: 0.15, random_share: 1.0 }
+        Decision {
+            least_gain: 0.03,
+            per_median: 2.0,
+            second_share: 0.04,
+            softness: 0.04,
+            least_noise: 0.05,
+            most_control: 0.15,
+            most_left: 0.12,
+            random_share: 1.0,
+        }
     }
 }
 
@@ -54,7 +65,11 @@ pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
             found.control_median
         ));
     }
-    Ok(method(&found, &nominal, &decision))
+    let said = method(&found, &nominal, &decision);
+    if !said.alarm && found.left[0] > decision.most_left {
+        return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on a moving picture", found.left[0]));
+    }
+    Ok(said)
 }
 
 /// What was found as a method's word.
