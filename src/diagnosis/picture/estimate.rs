@@ -410,7 +410,7 @@ impl<'a> Fit<'a> {
         let c = &self.picture.surface;
         let least = (self.setting.least_roughness * self.typical) as f32;
         let field = |value: &dyn Fn(usize, usize) -> f32| -> Vec<f32> {
-            let square: Vec<f32> = (0..w * h).map(|k| value(k % w, k / w).powi(2)).collect();
+            let square: Vec<f32> = (0..w * h).map(|k| value(k % w, k / w)).map(|value| value * value).collect();
             let mean: f32 = square.iter().sum::<f32>() / square.len() as f32;
             let mut sorted = square.clone();
             let middle = sorted.len() / 2;

@@ -100,7 +100,12 @@ pub fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     push("threshold_noise", ground.wider(rest, &before, &EventNoise { a: left.a, b: before.b }, left.a));
     push("timestamp_jitter", ground.wider(rest, &before, &EventNoise { a: before.a, b: left.b }, left.b));
     push("background_activity", ground.mixture(&own, &|u, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 }));
-    push("event_loss", ground.mixture(&own, &|u, sigma| (1..=4).map(|n| 0.5_f64.powi(n) * density((u - f64::from(n)) / sigma) / sigma).sum()));
+    push(
+        "event_loss",
+        ground.mixture(&own, &|u, sigma| {
+            [0.5, 0.25, 0.125, 0.0625].iter().enumerate().map(|(n, share)| share * density((u - 1.0 - n as f64) / sigma) / sigma).sum()
+        }),
+    );
     found
 }
 

@@ -39,7 +39,8 @@ impl EventNoise {
         for _ in 0..4 {
             let (mut s, mut sx, mut sxx, mut sy, mut sxy) = (0.0, 0.0, 0.0, 0.0, 0.0);
             for &(x, y) in &points {
-                let w = 1.0 / f64::max(a2 + b2 * x, 1e-12).powi(2);
+                let variance = f64::max(a2 + b2 * x, 1e-12);
+                let w = 1.0 / (variance * variance);
                 s += w;
                 sx += w * x;
                 sxx += w * x * x;
@@ -147,7 +148,7 @@ pub fn gain_of(before: &[f64], left: &[f64], slope: &[f64], block: &[u32], least
 fn mean_of_blocks(gains: &[f64], counts: &[f64]) -> (f64, f64) {
     let all: f64 = counts.iter().sum::<f64>().max(1.0);
     let gain = gains.iter().sum::<f64>() / all;
-    let spread: f64 = gains.iter().zip(counts).map(|(g, n)| (g - gain * n).powi(2)).sum();
+    let spread: f64 = gains.iter().zip(counts).map(|(g, n)| (g - gain * n) * (g - gain * n)).sum();
     (gain, libm::sqrt(spread) / all)
 }
 
