@@ -120,7 +120,7 @@ fn streams_that_do_not_fit_are_refused_while_planning() {
     let node = offset::EstimateOffset::build(offset::Params::default()).unwrap();
     let odd = testing::captured(Extent { width: 50, height: 32 }, vec![Exposure::new(0, 1), Exposure::new(9, 10)], 0, |_, _, _| 1.0);
     let error = node.plan(&metas(&events, &odd)).unwrap_err();
-    assert!(error.message.contains("50x32") && error.message.contains("40x32") && error.hint.is_some(), "{error}");
+    assert!(error.message.contains("50 x 32") && error.message.contains("40 x 32") && error.hint.is_some(), "{error}");
     let day = 1_600_000_000_000_000_000;
     let late = frames.meta.times.exposures.iter().map(|exposure| exposure.delayed(day)).collect();
     let apart = testing::captured(EXTENT, late, 0, |_, _, _| 1.0);

@@ -264,7 +264,7 @@ fn begin_motion(case: &Case, poses: &[Map], setting: &PictureSetting) -> Motion 
 
 /// One instant of a row's exposure.
 #[derive(Clone, Copy)]
-struct Instant {
+struct Moment {
     map: Map,
     pose: Pose,
     knot: usize,
@@ -491,11 +491,11 @@ impl<'a> Fit<'a> {
         let exposure = times.exposure(l, y as u32);
         let (start, end) = (exposure.start.0, exposure.end.0);
         let seconds = (end - start) as f64 * 1e-9;
-        let instants: [Instant; 6] = INSTANTS.map(|(place, share)| {
+        let instants: [Moment; 6] = INSTANTS.map(|(place, share)| {
             let t_ns = i64::midpoint(start, end) + (0.5 * place * (end - start) as f64) as i64;
             let (knot, weights) = motion.weights(t_ns);
             let pose = motion.pose(t_ns);
-            Instant { map: map_of(&pose, motion.half), pose, knot, weights, share }
+            Moment { map: map_of(&pose, motion.half), pose, knot, weights, share }
         });
         let knot = instants[0].knot;
         let number = self.nominal.number;
