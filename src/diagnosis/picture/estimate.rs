@@ -52,6 +52,8 @@ pub struct PictureSetting {
     pub motion_weight: f64,
     /// Standard deviation of scale and shear, pixels at the array's edge.
     pub stretch: f64,
+    /// More frame values than this are not fitted: each takes some 300 bytes.
+    pub most_values: usize,
     /// How motion begins.
     pub search: Search,
 }
@@ -72,6 +74,7 @@ impl Default for PictureSetting {
             pooled: 0.1,
             motion_weight: 1.0,
             stretch: 3.0,
+            most_values: 2_000_000,
             search: Search::default(),
         }
     }
@@ -120,6 +123,10 @@ impl Picture {
             return Err(format!("a moving picture needs at least 8 x 8 pixels, the array has {}", case.extent));
         }
         let count = frames.times.len();
+        let values = count * width * height;
+        if values > setting.most_values {
+            return Err(format!("a moving picture is fitted to at most {} frame values, the recording has {values}", setting.most_values));
+        }
         let images = images(case, nominal);
         // Registration of neighbours, chained.
         let pairs: Vec<(Map, f64)> = (1..count).into_par_iter().map(|l| register(&images[l - 1], &images[l], &setting.search, None)).collect();
