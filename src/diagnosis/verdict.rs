@@ -362,18 +362,7 @@ fn beside(one: &Proposal, proposals: &[Proposal]) -> Vec<&'static str> {
 
 /// What all pixels say to first order: the best, with what explains as much.
 fn first_order(proposals: &[Proposal]) -> Option<Claim> {
-    let best = believed_most(proposals.iter().filter(|one| one.passed))?;
-    Some(Claim {
-        id: CANDIDATES[best.candidate].id,
-        also_possible: beside(best, proposals),
-        values: vec![(best.candidate, best.value, best.ci95)],
-        score: best.score,
-        belief: Some(best.probability),
-        found_by: vec![CLOSURES.into()],
-        heldout_nats: None,
-        heldout_nats_per_event: None,
-        finding: None,
-    })
+    Some(Claim { heldout_nats: None, heldout_nats_per_event: None, ..measured(CLOSURES, proposals)? })
 }
 
 /// The best of the refits, with those that are not told apart from it.

@@ -162,14 +162,6 @@ impl Picture {
         libm::sqrt(stated * stated + dn * dn + (share * signal) * (share * signal))
     }
 
-    /// The photocurrent that falls on a pixel at an instant; `None` where the picture was never seen.
-    pub fn light(&self, x: usize, y: usize, t_ns: i64) -> Option<f64> {
-        let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
-        let (px, py) = apply(&self.motion.at(t_ns), place.0, place.1);
-        let shade = shading::factor(&self.shading, &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half));
-        self.grid.value(&self.surface, px, py).map(|c| f64::max(c * shade, self.least))
-    }
-
     /// Where on the picture a pixel looks at an instant, pixels.
     pub fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (f64, f64) {
         let (x, y) = case.place(pixel);

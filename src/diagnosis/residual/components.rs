@@ -10,6 +10,7 @@
 use super::Residuals;
 use super::fit::{EventNoise, NU};
 use crate::candidates::CANDIDATES;
+use crate::integrity::median;
 use crate::nominal::Nominal;
 
 /// One part of the distribution: its candidate, gain in nats an event, and size.
@@ -47,11 +48,6 @@ const LEAST_PIXELS: usize = 20;
 const MOST_LEFT: f64 = 0.5;
 /// Pairs of events below this are too few for a share.
 const LEAST_PAIRS: usize = 200;
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied().unwrap_or(0.0)
-}
 
 /// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0 where too few do. `places` are those of the events on the picture, pixels.
 pub fn white_share(events: &Residuals, residual: &[f64], places: &[(f64, f64)], cell: f64) -> f64 {
