@@ -9,7 +9,9 @@ use crate::candidates::CANDIDATES;
 use crate::case::Case;
 use crate::diagnose::Setting;
 use crate::nominal::Nominal;
+use crate::picture::PictureSetting;
 use crate::residual::moving::{Moving, MovingSetting, Ranked, moving};
+use crate::residual::source::MovingPicture;
 use crate::verdict::{Proposal, Road};
 
 /// The name of the method.
@@ -57,7 +59,8 @@ impl Default for Decision {
 /// When the description does not state what the model needs, or the picture predicts too few of the frames.
 pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
     let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
-    let found = moving(case, &nominal, &MovingSetting { seed: setting.seed, ..MovingSetting::default() })?;
+    let source = MovingPicture::fit(case, &nominal, &PictureSetting::default())?;
+    let found = moving(case, &nominal, &source, &MovingSetting { seed: setting.seed, ..MovingSetting::default() })?;
     let decision = Decision::default();
     if found.control_median > decision.most_control {
         return Err(format!(

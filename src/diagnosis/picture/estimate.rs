@@ -149,12 +149,6 @@ impl Picture {
         fit.picture
     }
 
-    /// The frames that this scene gives, DN as [frame][y][x]; NaN where it does not reach.
-    pub fn frames(&self, case: &Case) -> Vec<f32> {
-        let fitted = |(n, residual): (usize, &f32)| (case.dn(n / case.extent.pixels(), n % case.extent.pixels()) - f64::from(*residual)) as f32;
-        self.residual.iter().enumerate().map(fitted).collect()
-    }
-
     /// Standard deviation that a frame value of `signal` DN above black was believed to have.
     pub fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
         let stated = nominal.stated_frame_sigma_dn(nominal.number.black_level + signal);

@@ -9,6 +9,7 @@
 
 use super::Residuals;
 use super::fit::{EventNoise, NU};
+use super::source::Cell;
 use crate::candidates::CANDIDATES;
 use crate::integrity::median;
 use crate::nominal::Nominal;
@@ -49,16 +50,11 @@ const MOST_LEFT: f64 = 0.5;
 /// Pairs of events below this are too few for a share.
 const LEAST_PAIRS: usize = 200;
 
-/// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0 where too few do. `places` are those of the events on the picture, pixels.
-pub fn white_share(events: &Residuals, residual: &[f64], places: &[(f64, f64)], cell: f64) -> f64 {
+/// Share of the squares of residuals that pixels at the same place of the picture do not share, 0 to 1; 0 where too few do. `cells`: what the events' pixels looked at.
+pub fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 {
     let mut sizes: Vec<f64> = residual.iter().map(|r| r.abs()).collect();
     let most = 4.0 * median(&mut sizes);
-    let mut order: Vec<((i64, i64, i8), u32, usize)> = (0..residual.len())
-        .map(|k| {
-            let at = ((places[k].0 / cell).floor() as i64, (places[k].1 / cell).floor() as i64, events.polarity[k]);
-            (at, events.pixel[k], k)
-        })
-        .collect();
+    let mut order: Vec<((Cell, i8), u32, usize)> = (0..residual.len()).map(|k| ((cells[k], events.polarity[k]), events.pixel[k], k)).collect();
     order.sort_unstable();
     let (mut products, mut squares, mut pairs) = (0.0, 0.0, 0);
     for pair in order.windows(2).filter(|pair| pair[0].0 == pair[1].0 && pair[0].1 != pair[1].1) {

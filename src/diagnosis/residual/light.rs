@@ -1,8 +1,6 @@
 //! The scene as every source of it states it: log photocurrent of pixels at steady instants.
 
 use crate::case::Case;
-use crate::picture::Picture;
-use rayon::prelude::*;
 
 /// Log photocurrent of an array at steady instants, natural-log units.
 #[derive(Clone, Debug)]
@@ -18,19 +16,14 @@ pub struct Light {
 }
 
 impl Light {
-    /// Of a moving picture, for every pixel of the array.
+    /// Instants over a recording, every `step_ns`, with no pixel's light known.
     ///
     /// # Panics
     /// When `step_ns` is not positive.
-    pub fn of_picture(case: &Case, picture: &Picture, step_ns: i64) -> Light {
+    pub fn blank(case: &Case, step_ns: i64) -> Light {
         assert!(step_ns > 0, "steps of light are positive");
         let count = ((case.span.1 - case.span.0) / step_ns + 2) as usize;
-        let maps: Vec<_> = (0..count).map(|k| picture.motion.at(case.span.0 + k as i64 * step_ns)).collect();
-        let of = |pixel: usize| {
-            let (x, y) = case.place(pixel);
-            picture.log_light(x as usize, y as usize, &maps).map_or_else(Vec::new, |log| log.iter().map(|u| *u as f32).collect())
-        };
-        Light { start_ns: case.span.0, step_ns, count, log: (0..case.extent.pixels()).into_par_iter().map(of).collect() }
+        Light { start_ns: case.span.0, step_ns, count, log: vec![Vec::new(); case.extent.pixels()] }
     }
 
     /// Instant number `k`, ns.

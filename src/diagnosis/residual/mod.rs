@@ -4,17 +4,18 @@
 //! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`crate::likelihood::conditional`]). An effect of frames changes the light that
 //! frames imply: [`through_frames`] takes it off.
 //!
-//! - [`light`]: the scene.
+//! - [`source`], [`light`]: the scene.
 //! - [`gate`]: which events count: those whose frames the scene predicts.
 //! - [`fit`]: size and gain of each effect.
 //! - [`components`]: random effects.
-//! - [`moving`]: all of it on a moving picture.
+//! - [`moving`]: all of it on one scene.
 
 pub mod components;
 pub mod fit;
 pub mod gate;
 pub mod light;
 pub mod moving;
+pub mod source;
 
 use crate::candidates::Trial;
 use crate::case::Case;

@@ -16,12 +16,12 @@ use super::components::{Ground, parts, value as part_value, white_share};
 use super::fit::{EventNoise, Fitted, gain_of, heldout};
 use super::gate::Gate;
 use super::light::Light;
+use super::source::{Cell, Source};
 use super::{Residuals, View};
 use crate::candidates::{CANDIDATES, Candidate, Scales, Signs, Trial};
 use crate::case::{Case, CaseFrames};
 use crate::likelihood::view::Prepared;
 use crate::nominal::Nominal;
-use crate::picture::{Picture, PictureSetting};
 use crate::record::{Conditions, Described, record};
 use crate::sample::Sample;
 use crate::scene::Scene;
@@ -31,8 +31,6 @@ use serde::{Deserialize, Serialize};
 /// How the method works.
 #[derive(Clone, Copy, Debug)]
 pub struct MovingSetting {
-    /// How the picture is fitted.
-    pub picture: PictureSetting,
     /// Light is sampled this often, ns.
     pub step_ns: i64,
     /// About so many events are looked at.
@@ -66,7 +64,6 @@ pub struct MovingSetting {
 impl Default for MovingSetting {
     fn default() -> MovingSetting {
         MovingSetting {
-            picture: PictureSetting::default(),
             step_ns: 100_000,
             events: 10_000,
             pixels: 1_000,
@@ -176,11 +173,12 @@ impl Seen<'_> {
     }
 
     /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than are fitted.
-    fn white(&self, base: &Trial, picture: &Picture) -> Result<f64, String> {
+    fn white(&self, base: &Trial, source: &dyn Source) -> Result<f64, String> {
         let view = View { case: self.case, light: &self.light, pixels: self.more.clone() };
         let (events, _) = view.residuals(std::slice::from_ref(base), |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
-        let places: Vec<(f64, f64)> = events.pixel.iter().zip(&events.t_ns).map(|(pixel, t_ns)| picture.place(self.case, *pixel as usize, *t_ns)).collect();
-        Ok(white_share(&events, &events.excess, &places, self.setting.cell))
+        let cell = |(pixel, t_ns): (&u32, &i64)| source.cell(self.case, *pixel as usize, *t_ns, self.setting.cell);
+        let cells: Vec<Cell> = events.pixel.iter().zip(&events.t_ns).map(cell).collect();
+        Ok(white_share(&events, &events.excess, &cells))
     }
 
     fn block_of(&self, pixel: usize) -> u32 {
@@ -277,11 +275,10 @@ fn is_physics(candidate: usize, strength: f64) -> bool {
 ///
 /// # Errors
 /// When there are too few frames, the picture predicts too few of the events' frames, or stated effects cannot be combined.
-pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result<Moving, String> {
+pub fn moving(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &MovingSetting) -> Result<Moving, String> {
     let scales = Scales::of(case, nominal);
-    let picture = Picture::fit(case, nominal, &setting.picture)?;
     let least = setting.least_noise * scales.threshold;
-    let gate = Gate::new(case, &picture.residual, setting.least_dn, setting.spread);
+    let gate = Gate::new(case, source.residual(), setting.least_dn, setting.spread);
     let all = case.events.all().len();
     let counted: Vec<usize> =
         (0..case.extent.pixels()).map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count()).collect();
@@ -289,21 +286,21 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
     let share = kept as f64 / all.max(1) as f64;
     if kept < setting.least_events || share < setting.least_share {
         return Err(format!(
-            "a moving picture predicts the frames around {kept} of {all} events; {} and {:.0} % are needed",
+            "the scene predicts the frames around {kept} of {all} events; {} and {:.0} % are needed",
             setting.least_events,
             100.0 * setting.least_share
         ));
     }
     let pixels = spread(case, &counted, setting.events, setting.pixels);
     let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
-    let light = Light::of_picture(case, &picture, setting.step_ns);
+    let light = source.light(case, setting.step_ns);
     let seen = Seen { case, light, gate, pixels, more, setting, least };
     let stated = Trial::stated(nominal);
     let table = seen.table(&stated, &scales, None)?;
-    let control_case = control(case, nominal, &picture, &seen, setting)?;
-    let control_picture = picture.refit(&control_case, nominal, &setting.picture);
-    let control_gate = Gate::new(&control_case, &control_picture.residual, setting.least_dn, setting.spread);
-    let control_light = Light::of_picture(&control_case, &control_picture, setting.step_ns);
+    let control_case = control(case, nominal, source, &seen, setting)?;
+    let control_source = source.refit(&control_case, nominal)?;
+    let control_gate = Gate::new(&control_case, control_source.residual(), setting.least_dn, setting.spread);
+    let control_light = control_source.light(&control_case, setting.step_ns);
     let control_seen =
         Seen { case: &control_case, light: control_light, gate: control_gate, pixels: seen.pixels.clone(), more: seen.more.clone(), setting, least };
     let control_table = control_seen.table(&stated, &scales, None)?;
@@ -319,13 +316,13 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
     let strengths = OF_PIXELS.map(|(id, parameter)| {
         Candidate::find(id, parameter).map_or(0.0, |candidate| candidate.value(1.0, &scales, nominal) - candidate.value(0.0, &scales, nominal))
     });
-    let control_white = control_seen.white(&stated, &control_picture)?;
+    let control_white = control_seen.white(&stated, control_source.as_ref())?;
     let random = |base: &Trial, table: &Table| -> Result<Vec<Ranked>, String> {
         let of = |table: &Table, columns: &[Vec<f32>; 2], white: f64| {
             let columns = [&columns[0][..], &columns[1][..]];
             parts(&Ground { events: &table.events, residual: &table.base, columns, white, threshold: scales.threshold, least }, &control_noise)
         };
-        let found = of(table, &table.columns, seen.white(base, &picture)?);
+        let found = of(table, &table.columns, seen.white(base, source)?);
         let control = of(&control_table, &control_table.columns, control_white);
         let mut found: Vec<Ranked> = found
             .iter()
@@ -344,7 +341,7 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
         found.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate)));
         Ok(found)
     };
-    let white = seen.white(&stated, &picture)?;
+    let white = seen.white(&stated, source)?;
     let random_first = random(&stated, &table)?;
     let mut random_second = Vec::new();
     let mut second = Vec::new();
@@ -368,7 +365,7 @@ pub fn moving(case: &Case, nominal: &Nominal, setting: &MovingSetting) -> Result
         left,
         slope_per_s: median(&mut table.events.slope_per_s.iter().copied()) * scales.threshold,
         white,
-        misfit: picture.report.misfit.last().copied().unwrap_or(f64::NAN),
+        misfit: source.misfit(),
         ranked,
         second,
         random: random_first,
@@ -436,7 +433,7 @@ fn gcd(a: usize, b: usize) -> usize {
 }
 
 /// The nominal sensor's recording of the fitted scene: events of the pixels that are looked at, and all frames with the noise that was found.
-fn control(case: &Case, nominal: &Nominal, picture: &Picture, seen: &Seen<'_>, setting: &MovingSetting) -> Result<Case, String> {
+fn control(case: &Case, nominal: &Nominal, source: &dyn Source, seen: &Seen<'_>, setting: &MovingSetting) -> Result<Case, String> {
     let mut pixels: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
     pixels.sort_unstable();
     pixels.dedup();
@@ -450,12 +447,11 @@ fn control(case: &Case, nominal: &Nominal, picture: &Picture, seen: &Seen<'_>, s
     let conditions = Conditions { seed: setting.seed, frame_share: 0.0, frame_dn: 0.0, is_mixed: false };
     let recorded = record(case, nominal, &sample, &scene, &Described::new(), &conditions)?;
     let mut random = Random::new(setting.seed, &[0xc0]);
-    let scale = picture.report.misfit.last().copied().unwrap_or(1.0);
-    let clean = picture.frames(case);
+    let clean = source.frames(case);
     let dn = clean
         .iter()
         .map(|dn| {
-            let sigma = scale * picture.sigma(nominal, f64::from(*dn) - nominal.number.black_level);
+            let sigma = source.sigma(nominal, f64::from(*dn) - nominal.number.black_level);
             let noisy = f64::from(*dn) + sigma * random.normal();
             noisy.min(nominal.saturation_dn) as f32
         })
