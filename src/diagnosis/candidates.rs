@@ -148,6 +148,7 @@ pub const CANDIDATES: &[Candidate] = &[
     both("frame_nonlinearity", "fraction", |_, _| 0.06),
     random("frame_gain_steps", "sigma", |_, _| 0.05),
     both("black_level", "black_level_dn", |scales, _| f64::max(0.12 * scales.signal_dn, 10.0)),
+    positive("frame_nonlinearity", "compression", |_, _| 0.15),
 ];
 
 const fn both(id: &'static str, parameter: &'static str, typical: fn(&Scales, &Nominal) -> f64) -> Candidate {

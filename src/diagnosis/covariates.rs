@@ -126,8 +126,10 @@ const SLOPE_NS: i64 = 100_000;
 /// What covariates are computed from.
 pub struct Surroundings<'a> {
     case: &'a Case,
-    sample: &'a Sample,
-    scene: &'a Scene,
+    /// Log photocurrent of a pixel at an instant; none where it is not known.
+    light: Box<dyn Fn(usize, i64) -> Option<f64> + Sync + 'a>,
+    /// Pixels whose light is known.
+    pixels: usize,
     /// Time constant: tau_0 and alpha, seconds.
     tau: (f64, f64),
     /// Events up to the start of each millisecond: of the array, and of each row.
@@ -139,6 +141,12 @@ pub struct Surroundings<'a> {
 impl<'a> Surroundings<'a> {
     /// Of a recording and its scene; `tau` is (tau_0, alpha) in seconds.
     pub fn new(case: &'a Case, sample: &'a Sample, scene: &'a Scene, tau: (f64, f64)) -> Surroundings<'a> {
+        let light = |pixel: usize, t_ns: i64| sample.place(pixel).filter(|&n| scene.is_known[n]).map(|n| scene.at(n, t_ns));
+        Surroundings::of(case, Box::new(light), sample.len(), tau)
+    }
+
+    /// Of a recording whose log photocurrent `light` says, by pixel and instant, for `pixels` of them.
+    pub fn of(case: &'a Case, light: Box<dyn Fn(usize, i64) -> Option<f64> + Sync + 'a>, pixels: usize, tau: (f64, f64)) -> Surroundings<'a> {
         let bins = usize::try_from((case.span.1 - case.span.0) / LOAD_NS + 2).unwrap_or(2);
         let mut array_load = vec![0; bins];
         let mut row_load = vec![vec![0; bins]; case.extent.height as usize];
@@ -150,7 +158,7 @@ impl<'a> Surroundings<'a> {
                 row_load[y as usize][bin] += 1;
             }
         }
-        Surroundings { case, sample, scene, tau, array_load, row_load, period_ns: None }
+        Surroundings { case, light, pixels, tau, array_load, row_load, period_ns: None }
     }
 
     /// With the period of a rhythm.
@@ -159,9 +167,9 @@ impl<'a> Surroundings<'a> {
         Surroundings { period_ns, ..self }
     }
 
-    /// Size of the array, and number of pixels of the sample.
+    /// Size of the array, and number of pixels whose light is known.
     pub fn size(&self) -> (Extent, usize) {
-        (self.case.extent, self.sample.len())
+        (self.case.extent, self.pixels)
     }
 
     /// The value for an event of `polarity` at `t_ns` in a pixel of the array; none where it is not defined (no event before, no neighbour in the sample).
@@ -251,8 +259,7 @@ impl<'a> Surroundings<'a> {
     }
 
     fn log_light(&self, pixel: usize, t_ns: i64) -> Option<f64> {
-        let n = self.sample.place(pixel).filter(|&n| self.scene.is_known[n])?;
-        Some(self.scene.at(n, t_ns))
+        (self.light)(pixel, t_ns)
     }
 
     fn slope(&self, pixel: usize, t_ns: i64) -> Option<f64> {

@@ -122,7 +122,7 @@ impl Knowledge {
             return Err("a null has another number of summaries than there are names".to_owned());
         }
         let biases = read_nulls(&mut reader)?;
-        if biases.nulls.iter().any(|null| null.deviation.len() != CANDIDATES.len() || null.context.len() != contexts) {
+        if biases.nulls.iter().any(|null| null.deviation.len() > CANDIDATES.len() || null.context.len() != contexts) {
             return Err("a null has another number of strengths than there are candidates in this catalogue; make it anew".to_owned());
         }
         let count = reader.number()?;

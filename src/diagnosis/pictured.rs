@@ -1,4 +1,4 @@
-//! What a moving picture says, in the form that [`crate::verdict`] joins ([`crate::residual::moving`]).
+//! What a moving picture says, in the form that [`crate::verdict`] joins ([`crate::residual::evidence`]).
 //!
 //! A scene that frames alone state is evidence of another kind than a light that events helped to estimate: an effect cannot hide in it. So where enough events count, this method
 //! decides alone; what it does not see is not there, to the size that its own floor allows.
@@ -10,7 +10,7 @@ use crate::case::Case;
 use crate::diagnose::Setting;
 use crate::nominal::Nominal;
 use crate::picture::PictureSetting;
-use crate::residual::moving::{Moving, MovingSetting, Ranked, moving};
+use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked, evidence};
 use crate::residual::source::MovingPicture;
 use crate::verdict::{Proposal, Road};
 
@@ -28,28 +28,15 @@ pub struct Decision {
     pub second_share: f64,
     /// Effects are told apart by gains that differ by this share of the best.
     pub softness: f64,
-    /// Least noise of single events beyond the control, of thresholds or of stamps at the median slope, as a share of the threshold.
-    pub least_noise: f64,
     /// Where the control's median absolute residual over the threshold is larger, the method does not model this sensor, and abstains.
     pub most_control: f64,
     /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than this.
     pub most_left: f64,
-    /// A random effect must gain this share of what a deterministic one does to be preferred.
-    pub random_share: f64,
 }
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision {
-            least_gain: 0.03,
-            per_median: 2.0,
-            second_share: 0.04,
-            softness: 0.04,
-            least_noise: 0.05,
-            most_control: 0.15,
-            most_left: 0.12,
-            random_share: 1.0,
-        }
+        Decision { least_gain: 0.03, per_median: 2.0, second_share: 0.04, softness: 0.04, most_control: 0.15, most_left: 0.12 }
     }
 }
 
@@ -60,7 +47,7 @@ impl Default for Decision {
 pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
     let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
     let source = MovingPicture::fit(case, &nominal, &PictureSetting::default())?;
-    let found = moving(case, &nominal, &source, &MovingSetting { seed: setting.seed, ..MovingSetting::default() })?;
+    let found = evidence(case, &nominal, &source, &EvidenceSetting { seed: setting.seed, ..EvidenceSetting::default() })?;
     let decision = Decision::default();
     if found.control_median > decision.most_control {
         return Err(format!(
@@ -76,12 +63,12 @@ pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
 }
 
 /// What was found as a method's word.
-pub fn method(found: &Moving, nominal: &Nominal, decision: &Decision) -> Road {
+pub fn method(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Road {
     let floor = f64::max(decision.least_gain, decision.per_median * found.left[0]);
-    let first = proposals(&found.ranked, &found.random, floor, found.slope_per_s, nominal, decision);
+    let first = proposals(&found.ranked, &found.random, floor, nominal, decision);
     let best = first.iter().filter(|one| one.passed).filter_map(|one| one.heldout_nats_per_event).fold(0.0, f64::max);
     let floor_of_second = f64::max(floor, decision.second_share * best);
-    let second = proposals(&found.second, &found.random_second, floor_of_second, found.slope_per_s, nominal, decision);
+    let second = proposals(&found.second, &found.random_second, floor_of_second, nominal, decision);
     Road {
         name: PICTURE.into(),
         alarm: first.iter().any(|one| one.passed),
@@ -94,19 +81,12 @@ pub fn method(found: &Moving, nominal: &Nominal, decision: &Decision) -> Road {
 }
 
 /// One proposal for each effect, by its best parameter; best first.
-fn proposals(ranked: &[Ranked], random: &[Ranked], floor: f64, slope_per_s: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
-    let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
-    let matters = |one: &&Ranked| match CANDIDATES[one.candidate].id {
-        "threshold_noise" => one.value > decision.least_noise * threshold,
-        "timestamp_jitter" => one.value * slope_per_s > decision.least_noise * threshold,
-        _ => true,
-    };
-    let random = random.iter().filter(matters).map(|one| (one, decision.random_share));
-    let mut all: Vec<(&Ranked, f64)> = ranked.iter().map(|one| (one, 1.0)).chain(random).filter(|(one, _)| one.beyond() > 0.0).collect();
-    all.sort_by(|a, b| (b.1 * b.0.beyond()).total_cmp(&(a.1 * a.0.beyond())).then(a.0.candidate.cmp(&b.0.candidate)));
-    let best = all.first().map_or(1.0, |(one, share)| share * one.beyond());
+fn proposals(ranked: &[Ranked], random: &[Ranked], floor: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
+    let mut all: Vec<&Ranked> = ranked.iter().chain(random).filter(|one| one.beyond() > 0.0).collect();
+    all.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate)));
+    let best = all.first().map_or(1.0, |one| one.beyond());
     let mut found: Vec<Proposal> = Vec::new();
-    for (one, share) in all {
+    for one in all {
         let id = CANDIDATES[one.candidate].id;
         if found.iter().any(|other| CANDIDATES[other.candidate].id == id) {
             continue;
@@ -119,7 +99,7 @@ fn proposals(ranked: &[Ranked], random: &[Ranked], floor: f64, slope_per_s: f64,
         found.push(Proposal {
             candidate: one.candidate,
             score: gain / floor,
-            probability: libm::exp((share * gain / best - 1.0) / decision.softness),
+            probability: libm::exp((gain / best - 1.0) / decision.softness),
             value: one.value,
             ci95: (error > 0.0 && error.is_finite()).then_some([one.value - error, one.value + error]),
             passed: gain > floor && one.is_exact,
@@ -151,7 +131,7 @@ mod tests {
     fn gains_count_from_the_control_and_over_a_floor_that_grows_with_its_residuals() {
         let case = testing::case();
         let nominal = Nominal::new(&case).unwrap();
-        let mut found = Moving { left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Moving::default() };
+        let mut found = Evidence { left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
         let said = method(&found, &nominal, &Decision::default());
         assert!(said.decides && said.alarm && said.proposals[0].passed && !said.proposals[1].passed);
         assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
@@ -163,7 +143,8 @@ mod tests {
     fn alike_gains_share_their_probability() {
         let case = testing::case();
         let nominal = Nominal::new(&case).unwrap();
-        let found = Moving { ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)], ..Moving::default() };
+        let found =
+            Evidence { ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)], ..Evidence::default() };
         let said = method(&found, &nominal, &Decision::default()).proposals;
         assert!(said[0].probability < 0.6 && said[1].probability > 0.4 && said[2].probability < 0.01);
     }

@@ -4,7 +4,7 @@ use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivativ
 use super::register::{Image, Search, register};
 use super::shading::{self, TERMS};
 use super::spline::{Grid, ORDER, weights};
-use super::system::{Rows, Smoothness, TOUCHED, Unknowns, add, roughness, solve, stamp};
+use super::system::{LANES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, roughness, solve, stamp};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use nalgebra::DMatrix;
@@ -20,20 +20,21 @@ const INSTANTS: [(f64, f64); 6] = [
     (0.932_469_514_203_152, 0.085_662_246_189_585),
 ];
 
-/// A fit that begins at a picture begins with this round.
-const REFITTED: usize = 3;
-
 /// How a picture is fitted.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureSetting {
     /// Distance of coefficients, pixels.
     pub pitch: f64,
+    /// And while motion is found, pixels.
+    pub coarse_pitch: f64,
     /// Shortest time between knots of the motion, ns.
     pub knot_ns: i64,
-    /// Rounds of Gauss-Newton at most.
-    pub rounds: usize,
+    /// Rounds of Gauss-Newton at most: on the coarse grid, and on the fine one.
+    pub rounds: (usize, usize),
+    /// And on each at least so many.
+    pub least_rounds: usize,
     /// Conjugate gradients in each.
-    pub steps: usize,
+    pub steps: (usize, usize),
     /// Standard deviation of frame values beyond what is stated, DN.
     pub frame_dn: f64,
     /// And as a share of the signal.
@@ -61,14 +62,16 @@ pub struct PictureSetting {
 impl Default for PictureSetting {
     fn default() -> PictureSetting {
         PictureSetting {
-            pitch: 0.7,
+            pitch: 0.55,
+            coarse_pitch: 1.3,
             knot_ns: 10_000_000,
-            rounds: 8,
-            steps: 40,
+            rounds: (5, 5),
+            least_rounds: 3,
+            steps: (40, 100),
             frame_dn: 1.0,
             frame_share: 0.005,
             robust: 4.0,
-            least_misfit: 0.2,
+            least_misfit: 0.02,
             gain: 0.05,
             least_roughness: 0.003,
             pooled: 0.1,
@@ -137,7 +140,9 @@ impl Picture {
         let motion = begin_motion(case, &poses, setting);
         let mut fit = Fit::new(case, nominal, setting, motion);
         fit.picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
-        fit.rounds(0);
+        fit.rounds(0, setting.rounds.0, setting.steps.0);
+        fit.refine();
+        fit.rounds(setting.rounds.0, setting.rounds.0 + setting.rounds.1, setting.steps.1);
         Ok(fit.picture)
     }
 
@@ -145,7 +150,7 @@ impl Picture {
     pub fn refit(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Picture {
         let mut fit = Fit::new(case, nominal, setting, self.motion.clone());
         fit.picture = Picture { report: Report { misfit: Vec::new(), ..self.report.clone() }, ..self.clone() };
-        fit.rounds(REFITTED);
+        fit.rounds(setting.rounds.0, setting.rounds.0 + setting.rounds.1, setting.steps.1);
         fit.picture
     }
 
@@ -278,7 +283,7 @@ struct Fit<'a> {
 impl<'a> Fit<'a> {
     fn new(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, motion: Motion) -> Fit<'a> {
         let centre = (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
-        let grid = cover(case, &motion, centre, setting.pitch);
+        let grid = cover(case, &motion, centre, setting.coarse_pitch);
         let mut light: Vec<f64> = Vec::new();
         for l in 0..case.frame_count() {
             let seconds = exposure_s(case, l, 0);
@@ -300,8 +305,22 @@ impl<'a> Fit<'a> {
         Fit { case, nominal, setting, picture, typical, scale: 1.0 }
     }
 
+    /// Lays the picture on the fine grid.
+    fn refine(&mut self) {
+        let fine = cover(self.case, &self.picture.motion, self.picture.centre, self.setting.pitch);
+        let Picture { grid, surface, .. } = &self.picture;
+        let edge = |at: f64, first: f64, count: usize| at.clamp(first + 1.001 * grid.pitch, first + (count as f64 - 3.001) * grid.pitch);
+        let value = |n: usize| {
+            let x = fine.x0 + (n % fine.width) as f64 * fine.pitch;
+            let y = fine.y0 + (n / fine.width) as f64 * fine.pitch;
+            grid.value(surface, edge(x, grid.x0, grid.width), edge(y, grid.y0, grid.height)).unwrap_or(self.typical) as f32
+        };
+        self.picture.surface = (0..fine.coefficients()).map(value).collect();
+        self.picture.grid = fine;
+    }
+
     /// From round `begin` on: the first one leaves motion alone, the second shading.
-    fn rounds(&mut self, begin: usize) {
+    fn rounds(&mut self, begin: usize, end: usize, steps: usize) {
         let knots = self.picture.motion.knots.len();
         let mut smooth = self.first_smoothness(knots);
         let mut rows = self.lay(begin > 0);
@@ -310,7 +329,7 @@ impl<'a> Fit<'a> {
             smooth = self.smoothness(knots);
         }
         let mut best = self.cost(&rows, &smooth);
-        for round in begin..self.setting.rounds {
+        for round in begin..end {
             let with_rest = round >= 1;
             let with_shading = round >= 2;
             let hold_motion = 1.0 / 2.0;
@@ -322,7 +341,7 @@ impl<'a> Fit<'a> {
             smooth.rest_size = (0..knots * DEGREES).map(|n| if n % DEGREES >= RIGID { stretch } else { 0.0 }).collect();
             smooth.rest_size.extend([1.0; TERMS]);
             let now = Unknowns { picture: self.picture.surface.clone(), rest: self.flat() };
-            let step = solve(&rows, &self.picture.grid, &smooth, &now, knots, with_rest, self.setting.steps);
+            let step = solve(&rows, &self.picture.grid, &smooth, &now, knots, with_rest, steps);
             let mut by = 1.0;
             let before = self.picture.clone();
             loop {
@@ -339,7 +358,7 @@ impl<'a> Fit<'a> {
             self.picture.report.misfit.push(misfit);
             smooth = self.smoothness(knots);
             best = self.cost(&rows, &smooth);
-            if round >= 4 && last.is_some_and(|last| misfit > (1.0 - self.setting.gain) * last) {
+            if round + 1 >= begin + self.setting.least_rounds && last.is_some_and(|last| misfit > (1.0 - self.setting.gain) * last) {
                 break;
             }
         }
@@ -470,8 +489,7 @@ impl<'a> Fit<'a> {
             rows.residual.extend(part.residual);
             rows.weight.extend(part.weight);
             rows.knot.extend(part.knot);
-            rows.by_pose.extend(part.by_pose);
-            rows.by_shading.extend(part.by_shading);
+            rows.by_rest.extend(part.by_rest);
             rows.signal.extend(part.signal);
             rows.index.extend(part.index);
         }
@@ -514,7 +532,9 @@ impl<'a> Fit<'a> {
             let located = located.map(Option::unwrap_or_default);
             let low = (located.iter().map(|at| at.0).min().unwrap_or(0), located.iter().map(|at| at.1).min().unwrap_or(0));
             let high = (located.iter().map(|at| at.0).max().unwrap_or(0), located.iter().map(|at| at.1).max().unwrap_or(0));
-            let (columns, lines) = (high.0 - low.0 + ORDER, high.1 - low.1 + ORDER);
+            let (columns, lines) = ((high.0 - low.0 + ORDER).next_multiple_of(LANES), high.1 - low.1 + ORDER);
+            // Padding stands within the grid.
+            let low = (low.0.min(grid.width - columns), low.1);
             let begun = rows.stencil.len();
             rows.stencil.resize(begun + columns * lines, 0.0);
             let stencil = &mut rows.stencil[begun..];
@@ -533,7 +553,7 @@ impl<'a> Fit<'a> {
                 // At least that much.
                 residual = f64::max(residual, 0.0);
             }
-            let mut by_pose = [[0.0_f32; DEGREES]; TOUCHED];
+            let mut by_rest = [0.0_f32; REST];
             if with_rest {
                 for instant in &instants {
                     let (px, py) = apply(&instant.map, place.0, place.1);
@@ -542,7 +562,7 @@ impl<'a> Fit<'a> {
                     for (n, weight) in instant.weights.iter().enumerate() {
                         let at = (instant.knot - knot + n).min(TOUCHED - 1);
                         let share = scale * instant.share * weight;
-                        by_pose[at].iter_mut().zip(by).for_each(|(sum, by)| *sum += (share * by) as f32);
+                        by_rest[at * DEGREES..][..DEGREES].iter_mut().zip(by).for_each(|(sum, by)| *sum += (share * by) as f32);
                     }
                 }
             }
@@ -551,8 +571,8 @@ impl<'a> Fit<'a> {
             rows.residual.push(residual as f32);
             rows.weight.push((1.0 / self.sigma(signal_dn)) as f32);
             rows.knot.push(knot as u32);
-            rows.by_pose.push(by_pose);
-            rows.by_shading.push(basis.map(|b| b as f32 * signal));
+            by_rest[TOUCHED * DEGREES..].iter_mut().zip(basis).for_each(|(by, b)| *by = b as f32 * signal);
+            rows.by_rest.push(by_rest);
             rows.signal.push(signal_dn as f32);
             rows.index.push((l * self.case.extent.pixels() + pixel) as u32);
         }
@@ -582,5 +602,8 @@ fn cover(case: &Case, motion: &Motion, centre: (f64, f64), pitch: f64) -> Grid {
         }
     }
     const MARGIN: f64 = 2.0;
-    Grid::over((low.0 - MARGIN, low.1 - MARGIN), (high.0 + MARGIN, high.1 + MARGIN), pitch)
+    let mut grid = Grid::over((low.0 - MARGIN, low.1 - MARGIN), (high.0 + MARGIN, high.1 + MARGIN), pitch);
+    // Lines of stencils are padded to whole lanes.
+    grid.width = grid.width.next_multiple_of(LANES);
+    grid
 }

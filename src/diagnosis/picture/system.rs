@@ -14,13 +14,17 @@ use rayon::prelude::*;
 pub const TOUCHED: usize = 6;
 /// Parts in which sums over rows are taken.
 const PARTS: usize = 8;
+/// Lines of stencils are padded to a multiple of this, so that they are added up side by side.
+pub const LANES: usize = 4;
+/// Derivatives of a row by everything but the picture: poses of the knots it touches, shading, and zeros up to whole lanes.
+pub const REST: usize = (TOUCHED * DEGREES + TERMS).next_multiple_of(LANES);
 
 /// Measurements, ready to be fitted.
 #[derive(Clone, Debug, Default)]
 pub struct Rows {
     /// Where the stencil of a row begins in `stencil`; one more than rows.
     pub first: Vec<u32>,
-    /// The first coefficient of a row's stencil, and its columns.
+    /// The first coefficient of a row's stencil, and its columns, a multiple of [`LANES`].
     pub corner: Vec<(u32, u32)>,
     /// Derivatives by coefficients, stencil after stencil, row-major.
     pub stencil: Vec<f32>,
@@ -30,10 +34,8 @@ pub struct Rows {
     pub weight: Vec<f32>,
     /// The first knot that the exposure touches.
     pub knot: Vec<u32>,
-    /// Derivatives by the poses of the knots from there on.
-    pub by_pose: Vec<[[f32; DEGREES]; TOUCHED]>,
-    /// Derivatives by the shading's terms.
-    pub by_shading: Vec<[f32; TERMS]>,
+    /// Derivatives by the poses of the knots from there on, then by the shading's terms.
+    pub by_rest: Vec<[f32; REST]>,
     /// The measured value above black, DN.
     pub signal: Vec<f32>,
     /// Which frame value it is: index as [frame][y][x].
@@ -77,37 +79,27 @@ impl Rows {
         (corner as usize, columns as usize, &self.stencil[self.first[r] as usize..self.first[r + 1] as usize])
     }
 
-    /// The derivative of row r along a step.
+    /// The derivative of row r along a step of the picture.
     #[inline]
-    fn along(&self, grid: &Grid, step: &Unknowns, knots: usize, r: usize, with_rest: bool) -> f32 {
+    fn along(&self, grid: &Grid, picture: &[f32], r: usize) -> f32 {
         let (corner, columns, stencil) = self.line(r);
-        let mut sum = 0.0_f32;
+        let mut sum = [0.0_f32; LANES];
         for (j, line) in stencil.chunks_exact(columns).enumerate() {
             let at = corner + j * grid.width;
-            sum += line.iter().zip(&step.picture[at..at + columns]).map(|(a, c)| a * c).sum::<f32>();
+            dot_lanes(&mut sum, line, &picture[at..at + columns]);
         }
-        if with_rest {
-            let mut rest = 0.0;
-            for (by, pose) in self.by_pose[r].iter().zip(step.rest[self.knot[r] as usize * DEGREES..knots * DEGREES].chunks_exact(DEGREES)) {
-                rest += by.iter().zip(pose).map(|(a, b)| f64::from(*a) * b).sum::<f64>();
-            }
-            let shading = &step.rest[knots * DEGREES..];
-            rest += self.by_shading[r].iter().zip(shading).map(|(a, b)| f64::from(*a) * b).sum::<f64>();
-            sum += rest as f32;
-        }
-        sum
+        sum.iter().sum()
     }
 
-    /// The entries of row r among the rest: index and derivative.
-    fn entries(&self, knots: usize, r: usize, with: &mut impl FnMut(usize, f64)) {
-        for (knot, by) in (self.knot[r] as usize..knots).zip(&self.by_pose[r]) {
-            for (d, value) in by.iter().enumerate() {
-                with(knot * DEGREES + d, f64::from(*value));
+    /// Numbers of the rest that the rows of a knot touch; none beyond the last knot and in the padding.
+    fn indices(&self, knots: usize, knot: usize) -> [Option<usize>; REST] {
+        std::array::from_fn(|n| {
+            if n < TOUCHED * DEGREES {
+                Some(knot * DEGREES + n).filter(|at| *at < knots * DEGREES)
+            } else {
+                Some(n - TOUCHED * DEGREES).filter(|term| *term < TERMS).map(|term| knots * DEGREES + term)
             }
-        }
-        for (n, value) in self.by_shading[r].iter().enumerate() {
-            with(knots * DEGREES + n, f64::from(*value));
-        }
+        })
     }
 
     fn parts(&self) -> Vec<std::ops::Range<usize>> {
@@ -115,27 +107,41 @@ impl Rows {
         (0..PARTS).map(|n| (n * length).min(self.count())..((n + 1) * length).min(self.count())).collect()
     }
 
-    /// Adds up `value(r)` times row r over all rows.
-    fn transposed(&self, grid: &Grid, knots: usize, with_rest: bool, value: impl Fn(usize) -> f32 + Sync) -> Unknowns {
+    /// Adds up `value(r, derivative of row r along a step)` times row r over all rows; without a step that derivative is zero.
+    fn transposed(&self, grid: &Grid, knots: usize, with_rest: bool, step: Option<&Unknowns>, value: impl Fn(usize, f32) -> f32 + Sync) -> Unknowns {
         let count = knots * DEGREES + TERMS;
         let parts: Vec<Unknowns> = self
             .parts()
             .into_par_iter()
             .map(|range| {
                 let mut sum = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; count] };
-                for r in range {
-                    let value = value(r);
-                    if value == 0.0 {
-                        continue;
+                let rows: Vec<usize> = range.collect();
+                // Rows of one knot stand together: the rest is gathered and added up once for all of them.
+                for run in rows.chunk_by(|&a, &b| self.knot[a] == self.knot[b]) {
+                    let indices = self.indices(knots, self.knot[run[0]] as usize);
+                    let along: [f32; REST] = indices.map(|at| at.zip(step).map_or(0.0, |(at, step)| step.rest[at] as f32));
+                    let mut of_rest = [0.0_f32; REST];
+                    for &r in run {
+                        let mut derivative = step.map_or(0.0, |step| self.along(grid, &step.picture, r));
+                        if with_rest && step.is_some() {
+                            let mut lanes = [0.0_f32; LANES];
+                            dot_lanes(&mut lanes, &self.by_rest[r], &along);
+                            derivative += lanes.iter().sum::<f32>();
+                        }
+                        let value = value(r, derivative);
+                        if value == 0.0 {
+                            continue;
+                        }
+                        let (corner, columns, stencil) = self.line(r);
+                        for (j, line) in stencil.chunks_exact(columns).enumerate() {
+                            let at = corner + j * grid.width;
+                            sum.picture[at..at + columns].iter_mut().zip(line).for_each(|(c, a)| *c += value * a);
+                        }
+                        if with_rest {
+                            of_rest.iter_mut().zip(&self.by_rest[r]).for_each(|(sum, a)| *sum += value * a);
+                        }
                     }
-                    let (corner, columns, stencil) = self.line(r);
-                    for (j, line) in stencil.chunks_exact(columns).enumerate() {
-                        let at = corner + j * grid.width;
-                        sum.picture[at..at + columns].iter_mut().zip(line).for_each(|(c, a)| *c += value * a);
-                    }
-                    if with_rest {
-                        self.entries(knots, r, &mut |n, a| sum.rest[n] += f64::from(value) * a);
-                    }
+                    indices.iter().zip(of_rest).filter_map(|(at, of)| Some(((*at)?, of))).for_each(|(at, of)| sum.rest[at] += f64::from(of));
                 }
                 sum
             })
@@ -147,6 +153,16 @@ impl Rows {
             sum.rest.iter_mut().zip(&part.rest).for_each(|(a, b)| *a += b);
         }
         sum
+    }
+}
+
+/// Adds products to side-by-side sums; both slices have whole lanes.
+#[inline]
+fn dot_lanes(sum: &mut [f32; LANES], a: &[f32], b: &[f32]) {
+    for (a, b) in a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0) {
+        for lane in 0..LANES {
+            sum[lane] += a[lane] * b[lane];
+        }
     }
 }
 
@@ -207,10 +223,7 @@ pub fn solve(rows: &Rows, grid: &Grid, smooth: &Smoothness, now: &Unknowns, knot
         out.rest.iter_mut().zip(&x.rest).zip(&smooth.rest_size).for_each(|((out, x), hold)| *out += hold * hold * x);
     };
     let normal = |x: &Unknowns| {
-        let mut out = rows.transposed(grid, knots, with_rest, |r| {
-            let weight = rows.weight[r];
-            if weight > 0.0 { weight * weight * rows.along(grid, x, knots, r, with_rest) } else { 0.0 }
-        });
+        let mut out = rows.transposed(grid, knots, with_rest, Some(x), |r, derivative| rows.weight[r] * rows.weight[r] * derivative);
         prior(x, &mut out);
         out.rest.iter_mut().zip(&x.rest).zip(&smooth.rest).for_each(|((out, x), hold)| *out += hold * hold * x);
         out
@@ -219,7 +232,7 @@ pub fn solve(rows: &Rows, grid: &Grid, smooth: &Smoothness, now: &Unknowns, knot
         x.rest.iter_mut().zip(&smooth.rest).filter(|(_, hold)| !with_rest || **hold == 0.0).for_each(|(x, _)| *x = 0.0);
     };
     let precondition = Preconditioner::new(rows, grid, smooth, knots, with_rest);
-    let mut residual = rows.transposed(grid, knots, with_rest, |r| rows.weight[r] * rows.weight[r] * rows.residual[r]);
+    let mut residual = rows.transposed(grid, knots, with_rest, None, |r, _| rows.weight[r] * rows.weight[r] * rows.residual[r]);
     let mut held = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; count] };
     prior(now, &mut held);
     add(&mut residual, -1.0, &held);
@@ -305,11 +318,9 @@ fn block(rows: &Rows, smooth: &Smoothness, knots: usize) -> DMatrix<f64> {
             let mut entries: Vec<(usize, f64)> = Vec::new();
             for r in range.filter(|&r| rows.weight[r] > 0.0) {
                 entries.clear();
-                rows.entries(knots, r, &mut |n, value| {
-                    if value != 0.0 {
-                        entries.push((n, value * f64::from(rows.weight[r])));
-                    }
-                });
+                let indices = rows.indices(knots, rows.knot[r] as usize);
+                let of_row = indices.iter().zip(&rows.by_rest[r]).filter(|(_, value)| **value != 0.0);
+                entries.extend(of_row.filter_map(|(at, value)| Some(((*at)?, f64::from(*value) * f64::from(rows.weight[r])))));
                 for (k, &(a, va)) in entries.iter().enumerate() {
                     for &(b, vb) in &entries[..=k] {
                         sum[(a, b)] += va * vb;

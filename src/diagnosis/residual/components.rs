@@ -8,14 +8,14 @@
 //! the picture do not share ([`white_share`]) counts as noise of pixels.
 
 use super::Residuals;
-use super::fit::{EventNoise, NU};
+use super::fit::{EventNoise, NU, fit};
 use super::source::Cell;
 use crate::candidates::CANDIDATES;
 use crate::integrity::median;
 use crate::nominal::Nominal;
 
 /// One part of the distribution: its candidate, gain in nats an event, and size.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Part {
     /// Number in [`CANDIDATES`].
     pub candidate: usize,
@@ -23,6 +23,8 @@ pub struct Part {
     pub gain: f64,
     /// Size: a standard deviation or a share, in the unit of the parts' own.
     pub size: f64,
+    /// Residuals without what it shifts; none where it only widens them.
+    pub left: Option<Vec<f64>>,
 }
 
 /// What parts are measured on.
@@ -39,6 +41,8 @@ pub struct Ground<'a> {
     pub threshold: f64,
     /// Least threshold noise.
     pub least: f64,
+    /// Least gain of the spread of delays, nats an event.
+    pub least_spread: f64,
 }
 
 /// Events of a pixel below this are too few for its own size.
@@ -73,31 +77,31 @@ pub fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     let find = |id: &str| CANDIDATES.iter().position(|candidate| candidate.id == id && candidate.is_random);
     let own = EventNoise::estimate(ground.residual, &ground.events.slope_per_s, ground.least);
     let mut found = Vec::new();
-    let mut push = |id: &str, (gain, size): (f64, f64)| {
+    let mut push = |id: &str, (gain, size): (f64, f64), left: Option<Vec<f64>>| {
         if let Some(candidate) = find(id) {
-            found.push(Part { candidate, gain, size });
+            found.push(Part { candidate, gain, size, left });
         }
     };
     let (mismatch, without_mismatch) = ground.of_pixels(&own, ground.columns[0], true);
     let (spread, without_spread) = ground.of_pixels(&own, ground.columns[1], false);
-    push("threshold_mismatch", mismatch);
-    push("refractory_spread", spread);
     // Noise of single events is what differences between pixels leave.
-    let rest = if mismatch.0 > spread.0 { &without_mismatch } else { &without_spread };
+    let rest = if mismatch.0 > spread.0 { without_mismatch.clone() } else { without_spread.clone() };
+    push("threshold_mismatch", mismatch, Some(without_mismatch));
+    push("refractory_spread", spread, Some(without_spread));
     let slope_square = median(&mut ground.events.slope_per_s.iter().map(|slope| slope * slope).collect::<Vec<f64>>());
-    let left = EventNoise::estimate(rest, &ground.events.slope_per_s, ground.least);
+    let left = EventNoise::estimate(&rest, &ground.events.slope_per_s, ground.least);
     let shared = libm::sqrt(1.0 - ground.white);
     let is_of_pixels = left.a * left.a + left.b * left.b * slope_square < MOST_LEFT * (own.a * own.a + own.b * own.b * slope_square);
     let before = if is_of_pixels { left } else { EventNoise { a: f64::max(noise.a, shared * left.a), b: f64::max(noise.b, shared * left.b) } };
-    push("threshold_noise", ground.wider(rest, &before, &EventNoise { a: left.a, b: before.b }, left.a));
-    push("timestamp_jitter", ground.wider(rest, &before, &EventNoise { a: before.a, b: left.b }, left.b));
-    push("background_activity", ground.mixture(&own, &|u, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 }));
-    push(
-        "event_loss",
-        ground.mixture(&own, &|u, sigma| {
-            [0.5, 0.25, 0.125, 0.0625].iter().enumerate().map(|(n, share)| share * density((u - 1.0 - n as f64) / sigma) / sigma).sum()
-        }),
-    );
+    push("threshold_noise", ground.wider(&rest, &before, &EventNoise { a: left.a, b: before.b }, left.a), None);
+    let of_stamps = ground.wider(&rest, &before, &EventNoise { a: before.a, b: left.b }, left.b);
+    match ground.late(noise).filter(|(of_comparators, _)| of_comparators.0 > of_stamps.0) {
+        Some((of_comparators, left)) => push("timestamp_jitter", of_comparators, Some(left)),
+        None => push("timestamp_jitter", of_stamps, None),
+    }
+    push("background_activity", ground.mixture(&own, &|u, _| if (-2.0..0.0).contains(&u) { 0.5 } else { 0.0 }), None);
+    let lost = |u: f64, sigma: f64| [0.5, 0.25, 0.125, 0.0625].iter().enumerate().map(|(n, share)| share * density((u - 1.0 - n as f64) / sigma) / sigma).sum();
+    push("event_loss", ground.mixture(&own, &lost), None);
     found
 }
 
@@ -121,6 +125,28 @@ impl Ground<'_> {
         let slope = &self.events.slope_per_s;
         let gain = after.log_density(residual, slope) - before.log_density(residual, slope);
         (gain / residual.len().max(1) as f64, size)
+    }
+
+    /// Comparators that answer late, each time by another delay: residuals grow with the slope, and so does their spread. Gain, the standard deviation of
+    /// the delay, seconds, and residuals without their mean delay; none where delays do not differ.
+    fn late(&self, noise: &EventNoise) -> Option<((f64, f64), Vec<f64>)> {
+        let slope = &self.events.slope_per_s;
+        let column: Vec<f32> = slope.iter().map(|slope| -*slope as f32).collect();
+        let (size, left) = fit(self.residual, slope, &[&column], self.least, |_| true);
+        if size[0] <= 0.0 {
+            return None;
+        }
+        let rest: Vec<f64> = self.residual.iter().zip(slope).map(|(residual, slope)| residual - size[0] * slope).collect();
+        let plain = EventNoise::estimate(self.residual, slope, self.least);
+        let jitter = f64::min(left.b, size[0]);
+        // Only what the spread adds is for this effect: a delay alone is another's.
+        let alone = EventNoise { a: f64::max(left.a, noise.a), b: noise.b };
+        let with = EventNoise { a: f64::max(left.a, noise.a), b: f64::max(left.b, noise.b) };
+        if with.log_density(&rest, slope) - alone.log_density(&rest, slope) < self.least_spread * rest.len() as f64 {
+            return None;
+        }
+        let gain = (with.log_density(&rest, slope) - plain.log_density(self.residual, slope)) / rest.len().max(1) as f64;
+        Some(((gain, jitter), rest))
     }
 
     /// A size of a column of each pixel's own, or of each of its polarities: gain of predicting each event from the others of its pixel, the standard deviation over pixels in strengths, and the

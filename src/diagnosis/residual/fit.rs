@@ -68,13 +68,13 @@ fn log_t(z: f64) -> f64 {
     CONSTANT - 0.5 * (NU + 1.0) * libm::log1p(z * z / NU)
 }
 
-/// One effect's column, fitted.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+/// Columns, fitted together.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Fitted {
-    /// Its size, in units of the column's own.
-    pub size: f64,
-    /// Standard error by blocks.
-    pub error: f64,
+    /// Sizes, each in units of its column's own.
+    pub size: Vec<f64>,
+    /// Standard errors: half of what two halves of the blocks differ by.
+    pub error: Vec<f64>,
     /// Held-out gain, nats per event.
     pub gain: f64,
     /// Standard error of the gain, by blocks.
@@ -157,20 +157,21 @@ pub fn heldout(residual: &[f64], slope: &[f64], column: &[&[f32]], block: &[u32]
     let blocks = block.iter().copied().max().map_or(0, |last| last as usize + 1);
     let mut gains = vec![0.0; blocks];
     let mut counts = vec![0.0; blocks];
-    let mut halves = [0.0; 2];
+    let mut halves = [Vec::new(), Vec::new()];
     for half in 0..2_u32 {
         let train = |k: usize| block[k] % 2 == half;
         let (sizes, noise) = fit(residual, slope, column, least, train);
         let (_, plain) = fit(residual, slope, &[], least, train);
-        halves[half as usize] = sizes[0];
         for k in (0..residual.len()).filter(|&k| !train(k)) {
             let left = residual[k] + column.iter().zip(&sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>();
             let log = |noise: &EventNoise, r: f64| log_t(r / noise.sigma(slope[k])) - libm::log(noise.sigma(slope[k]));
             gains[block[k] as usize] += log(&noise, left) - log(&plain, residual[k]);
             counts[block[k] as usize] += 1.0;
         }
+        halves[half as usize] = sizes;
     }
-    let (sizes, _) = fit(residual, slope, column, least, |_| true);
+    let (size, _) = fit(residual, slope, column, least, |_| true);
     let (gain, gain_error) = mean_of_blocks(&gains, &counts);
-    Fitted { size: sizes[0], error: 0.5 * (halves[0] - halves[1]).abs(), gain, gain_error }
+    let error = halves[0].iter().zip(&halves[1]).map(|(a, b)| 0.5 * (a - b).abs()).collect();
+    Fitted { size, error, gain, gain_error }
 }

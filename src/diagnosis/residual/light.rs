@@ -30,4 +30,13 @@ impl Light {
     pub fn instant(&self, k: usize) -> i64 {
         self.start_ns + k as i64 * self.step_ns
     }
+
+    /// Log photocurrent of a pixel at any instant, by straight lines; none where it is not known.
+    pub fn at(&self, pixel: usize, t_ns: i64) -> Option<f64> {
+        let log = self.log.get(pixel).filter(|log| !log.is_empty())?;
+        let place = ((t_ns - self.start_ns) as f64 / self.step_ns as f64).clamp(0.0, (log.len() - 1) as f64);
+        let k = (place as usize).min(log.len().saturating_sub(2));
+        let (a, b) = (f64::from(log[k]), f64::from(log[(k + 1).min(log.len() - 1)]));
+        Some(a + (b - a) * (place - k as f64))
+    }
 }

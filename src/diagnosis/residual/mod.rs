@@ -8,14 +8,19 @@
 //! - [`gate`]: which events count: those whose frames the scene predicts.
 //! - [`fit`]: size and gain of each effect.
 //! - [`components`]: random effects.
-//! - [`moving`]: all of it on one scene.
+//! - [`open`]: what no effect of the catalogue has.
+//! - [`control`]: what is found where nothing is.
+//! - [`evidence`]: all of it on one scene.
 
 pub mod components;
+pub mod control;
+pub mod evidence;
 pub mod fit;
 pub mod gate;
 pub mod light;
-pub mod moving;
+pub mod open;
 pub mod source;
+mod table;
 
 use crate::candidates::Trial;
 use crate::case::Case;
@@ -50,6 +55,8 @@ pub struct Residuals {
     pub excess: Vec<f64>,
     /// How fast the voltage moves, ln/s.
     pub slope_per_s: Vec<f64>,
+    /// And at the event before, from which the reference is.
+    pub slope_before_per_s: Vec<f64>,
     /// Log photocurrent.
     pub log_light: Vec<f64>,
 }
@@ -75,7 +82,7 @@ impl View<'_> {
         let mut all = Residuals::default();
         let mut of_trials: Vec<Vec<f32>> = vec![Vec::new(); trials.len()];
         for (part, values) in parts {
-            let Residuals { pixel, number, t_ns, polarity, previous, since_ns, excess, slope_per_s, log_light } = part;
+            let Residuals { pixel, number, t_ns, polarity, previous, since_ns, excess, slope_per_s, slope_before_per_s, log_light } = part;
             all.pixel.extend(pixel);
             all.number.extend(number);
             all.t_ns.extend(t_ns);
@@ -84,6 +91,7 @@ impl View<'_> {
             all.since_ns.extend(since_ns);
             all.excess.extend(excess);
             all.slope_per_s.extend(slope_per_s);
+            all.slope_before_per_s.extend(slope_before_per_s);
             all.log_light.extend(log_light);
             of_trials.iter_mut().zip(values).for_each(|(all, values)| all.extend(values));
         }
@@ -106,7 +114,7 @@ impl View<'_> {
             let mut kept: Vec<usize> = Vec::new();
             let mut plain: Option<Track> = None;
             for (n, prepared) in prepared.iter().enumerate() {
-                let seen = prepared.kernel().map(|kernel| self.mixed(kernel, pixel));
+                let seen = prepared.kernel().map(|kernel| self.mixed(kernel, prepared, pixel, &instants));
                 let changed = through_frames(self.case, prepared, &site, &instants, &log);
                 let track = match changed {
                     Some((t, log)) => &Track::new(&t, &log, self.light.step_ns),
@@ -139,21 +147,25 @@ impl View<'_> {
         all.since_ns.push(event.t_in_ns - before.t_in_ns);
         all.excess.push(out.excess[k]);
         all.slope_per_s.push(out.slope_per_s[k]);
+        all.slope_before_per_s.push(out.slope_per_s[k - 1]);
         let at = ((event.t_in_ns - self.light.start_ns) / self.light.step_ns).clamp(0, log.len() as i64 - 1) as usize;
         all.log_light.push(log[at]);
     }
 
-    /// Log light that the event path sees where neighbours mix in.
-    fn mixed(&self, kernel: &Kernel, pixel: usize) -> Vec<f64> {
+    /// Log light that the event path sees where neighbours mix in, each as its frames imply it.
+    fn mixed(&self, kernel: &Kernel, prepared: &Prepared, pixel: usize, instants: &[i64]) -> Vec<f64> {
         let (x, y) = self.case.place(pixel);
         let (width, height) = (self.case.extent.width as usize, self.case.extent.height as usize);
         let mut sum = vec![0.0; self.light.count];
         for tap in &kernel.taps {
             let neighbour = stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
-            let log = if self.light.log[neighbour].is_empty() { &self.light.log[pixel] } else { &self.light.log[neighbour] };
+            let neighbour = if self.light.log[neighbour].is_empty() { pixel } else { neighbour };
+            let log: Vec<f64> = self.light.log[neighbour].iter().map(|u| f64::from(*u)).collect();
+            let site = Nominal::site(self.case, neighbour, 0);
+            let log = through_frames(self.case, prepared, &site, instants, &log).map_or(log, |(_, log)| log);
             match kernel.domain {
-                Domain::Log => sum.iter_mut().zip(log).for_each(|(sum, u)| *sum += tap.weight * f64::from(*u)),
-                Domain::Linear => sum.iter_mut().zip(log).for_each(|(sum, u)| *sum += tap.weight * exp(f64::from(*u))),
+                Domain::Log => sum.iter_mut().zip(&log).for_each(|(sum, u)| *sum += tap.weight * u),
+                Domain::Linear => sum.iter_mut().zip(&log).for_each(|(sum, u)| *sum += tap.weight * exp(*u)),
             }
         }
         if kernel.domain == Domain::Linear {

@@ -1,0 +1,348 @@
+//! Which effects explain the events, on a scene that frames alone (or the user) state.
+//!
+//! 1. Events count where the scene predicts the frames around them ([`super::gate`]).
+//! 2. Every effect of the catalogue that has a size gets a column: what a small strength of it changes of every residual. It is fitted with its own noise and judged on
+//!    the half of the blocks that it was not fitted to ([`super::table`]).
+//! 3. The best are evaluated exactly, at their size, until it moves no more.
+//! 4. A control goes the same way ([`super::control`]): what it gains is what a regularised picture costs, and every gain and size is counted from there.
+//! 5. Random effects are parts of the residuals' distribution ([`super::components`]); what no effect has is free per bin of every covariate ([`super::open`]).
+//! 6. With the best one applied, all others are fitted again, its own size with them.
+
+use super::components::{Ground, Part, parts, value as part_value};
+use super::control::control;
+use super::fit::EventNoise;
+use super::gate::Gate;
+use super::open::{self, Open, OpenSetting};
+use super::source::Source;
+use super::table::{OF_PIXELS, Seen, Table, by_gain, median_share, on_top};
+use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
+use crate::case::Case;
+use crate::nominal::Nominal;
+use crate::rhythm::strongest_period_ns;
+use serde::{Deserialize, Serialize};
+
+/// How the method works.
+#[derive(Clone, Copy, Debug)]
+pub struct EvidenceSetting {
+    /// Light is sampled this often, ns.
+    pub step_ns: i64,
+    /// About so many events are looked at.
+    pub events: usize,
+    /// Of at most so many pixels.
+    pub pixels: usize,
+    /// Fewer events than this are no evidence.
+    pub least_events: usize,
+    /// Nor is a smaller share of all events.
+    pub least_share: f64,
+    /// A place is predicted when frames miss by less than this, DN, or by [`EvidenceSetting::spread`] median absolute deviations.
+    pub least_dn: f64,
+    /// See there.
+    pub spread: f64,
+    /// Side of the blocks for held-out gains, pixels.
+    pub block: usize,
+    /// Least threshold noise, as a share of the threshold.
+    pub least_noise: f64,
+    /// Strength of the finite differences, as a share of a usual one.
+    pub probe: f64,
+    /// So many of the best are evaluated exactly.
+    pub refined: usize,
+    /// In so many rounds for each size.
+    pub rounds: usize,
+    /// Less than this share of the best gain to first order is not worth it.
+    pub worth_refining: f64,
+    /// And of a second effect so many.
+    pub refined_second: usize,
+    /// A size that moves by less than this share stands.
+    pub still: f64,
+    /// Largest strength of a search.
+    pub most_strength: f64,
+    /// Least noise of single events that matters, of thresholds or of stamps at the median slope, as a share of the threshold.
+    pub least_event_noise: f64,
+    /// Least gain of a spread of delays in the comparator, nats an event.
+    pub least_spread: f64,
+    /// Events within one cell of the picture see the same of it, pixels.
+    pub cell: f64,
+    /// Seed of the control.
+    pub seed: u64,
+    /// How what is in no catalogue is looked for.
+    pub open: OpenSetting,
+    /// So many of it are told.
+    pub laws: usize,
+}
+
+impl Default for EvidenceSetting {
+    fn default() -> EvidenceSetting {
+        EvidenceSetting {
+            step_ns: 100_000,
+            events: 10_000,
+            pixels: 1_000,
+            least_events: 500,
+            least_share: 0.05,
+            least_dn: 1.0,
+            spread: 4.5,
+            block: 8,
+            least_noise: 1e-3,
+            probe: 0.05,
+            refined: 6,
+            rounds: 3,
+            worth_refining: 0.3,
+            refined_second: 4,
+            still: 0.003,
+            most_strength: 12.0,
+            least_event_noise: 0.015,
+            least_spread: 0.1,
+            cell: 0.5,
+            seed: 1,
+            open: OpenSetting::default(),
+            laws: 6,
+        }
+    }
+}
+
+/// One effect, as the events see it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Ranked {
+    /// Number in [`CANDIDATES`].
+    pub candidate: usize,
+    /// Its size, in strengths, less what the control finds.
+    pub strength: f64,
+    /// Standard error, strengths.
+    pub error: f64,
+    /// The parameter, in the unit of its declaration.
+    pub value: f64,
+    /// Held-out gain over the nominal sensor, nats per event.
+    pub gain: f64,
+    /// Its standard error.
+    pub gain_error: f64,
+    /// The same of the control.
+    pub control_gain: f64,
+    /// And the size that the control finds, strengths.
+    pub control_strength: f64,
+    /// Was it evaluated at its size?
+    pub is_exact: bool,
+    /// Strength of the first effect beside this one, of a second effect.
+    pub beside: Option<f64>,
+    /// Median absolute residual over the threshold that it leaves.
+    pub left: f64,
+}
+
+impl Ranked {
+    /// Held-out gain beyond the control's, nats per event.
+    pub fn beyond(&self) -> f64 {
+        self.gain - self.control_gain
+    }
+}
+
+/// What the method found.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Evidence {
+    /// Share of the events that counts.
+    pub share: f64,
+    /// Events looked at.
+    pub events: usize,
+    /// Median absolute residual over the threshold.
+    pub median: f64,
+    /// The same of the control.
+    pub control_median: f64,
+    /// Median slope of the voltage at the events, ln/s.
+    pub slope_per_s: f64,
+    /// Share of the squares of residuals that is noise of pixels.
+    pub white: f64,
+    /// Median absolute residual of frames, standard deviations.
+    pub misfit: f64,
+    /// Median absolute residual over the threshold with the first effect applied, and with both.
+    pub left: [f64; 2],
+    /// Of effects with a size, best first.
+    pub ranked: Vec<Ranked>,
+    /// With [`Evidence::first`] applied, best first.
+    pub second: Vec<Ranked>,
+    /// The best of all, if any gains anything.
+    pub first: Option<Ranked>,
+    /// Random effects with nothing applied, best first.
+    pub random: Vec<Ranked>,
+    /// And with [`Evidence::first`] applied.
+    pub random_second: Vec<Ranked>,
+    /// What no effect of the catalogue has, with nothing applied, best first.
+    pub open: Vec<Open>,
+    /// And with [`Evidence::first`] applied.
+    pub open_second: Vec<Open>,
+}
+
+/// Asks which effects explain the events of a recording.
+///
+/// # Errors
+/// When the scene predicts too few of the events' frames, or stated effects cannot be combined.
+pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &EvidenceSetting) -> Result<Evidence, String> {
+    let scales = Scales::of(case, nominal);
+    let least = setting.least_noise * scales.threshold;
+    let gate = Gate::new(case, source.residual(), setting.least_dn, setting.spread);
+    let all = case.events.all().len();
+    let counted: Vec<usize> =
+        (0..case.extent.pixels()).map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count()).collect();
+    let kept: usize = counted.iter().sum();
+    let share = kept as f64 / all.max(1) as f64;
+    if kept < setting.least_events || share < setting.least_share {
+        return Err(format!(
+            "the scene predicts the frames around {kept} of {all} events; {} and {:.0} % are needed",
+            setting.least_events,
+            100.0 * setting.least_share
+        ));
+    }
+    let pixels = spread(case, &counted, setting.events, setting.pixels);
+    let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
+    let light = source.light(case, setting.step_ns);
+    let mut seen = Seen { case, light, gate, pixels, more, setting, scales: &scales, least, own: Vec::new() };
+    let stated = Trial::stated(nominal);
+    let table = seen.table(&stated, None)?;
+
+    let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
+    simulated.sort_unstable();
+    simulated.dedup();
+    let control_case = control(case, nominal, source, &seen.light, &simulated, setting.block, setting.seed)?;
+    let control_source = source.refit(&control_case, nominal)?;
+    let control_gate = Gate::new(&control_case, control_source.residual(), setting.least_dn, setting.spread);
+    let control_light = control_source.light(&control_case, setting.step_ns);
+    let (pixels, more) = (seen.pixels.clone(), seen.more.clone());
+    let control_seen = Seen { case: &control_case, light: control_light, gate: control_gate, pixels, more, setting, scales: &scales, least, own: Vec::new() };
+    let control_table = control_seen.table(&stated, None)?;
+
+    let swing = (0..table.base.len()).map(|k| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * table.base[k]));
+    let frame_ns = case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
+    let period_ns = strongest_period_ns(swing, case.span, frame_ns);
+    let control_laws = control_seen.laws(&control_table, nominal, period_ns);
+    let laws = |seen: &Seen<'_>, table: &Table| -> Vec<Open> {
+        let mut found = seen.laws(table, nominal, period_ns);
+        open::beyond(&mut found, &control_laws);
+        found.truncate(setting.laws);
+        found
+    };
+    let mut slopes: Vec<f64> = table.events.slope_per_s.iter().map(|slope| slope.abs()).collect();
+    slopes.sort_by(f64::total_cmp);
+    let slope_per_s = slopes.get(slopes.len() / 2).copied().unwrap_or(0.0);
+    let control_ground = Chance::new(case, nominal, &control_table, control_seen.white(&stated, control_source.as_ref())?, slope_per_s, setting, &scales);
+
+    let ranked = seen.rank(&stated, &table, &control_table, None, setting.refined, nominal)?;
+    let white = seen.white(&stated, source)?;
+    let (random, of_chance) = control_ground.beyond(&table, white);
+    let open = laws(&seen, &table);
+    let base_median = median_share(&table.base, scales.threshold);
+    let found = |one: &&Ranked| one.is_exact && one.beyond() > 0.0;
+    let first = ranked.iter().find(found).into_iter().chain(random.iter().find(found)).min_by(|a, b| by_gain(a, b)).cloned();
+    let mut left = [base_median; 2];
+    let (mut second, mut random_second, mut open_second) = (Vec::new(), Vec::new(), Vec::new());
+    if let Some(first) = &first {
+        let is_random = CANDIDATES[first.candidate].is_random;
+        let strength = first.strength + first.control_strength;
+        let with = if is_random { stated.clone() } else { on_top(&stated, first.candidate, strength, &scales) };
+        let shifted = of_chance.iter().find(|part| is_random && part.candidate == first.candidate).and_then(|part| part.left.as_ref());
+        if let Some(left) = shifted {
+            // Each pixel with its own size, each event with its mean delay from here on.
+            seen.own = table.base.iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
+        }
+        let table = seen.table(&with, Some(first.candidate))?;
+        left = [median_share(&table.base, scales.threshold); 2];
+        let beside = (!is_random).then_some((first.candidate, strength));
+        second = seen.rank(&stated, &table, &control_table, beside, setting.refined_second, nominal)?;
+        let white = seen.white(&with, source)?;
+        random_second = control_ground.beyond(&table, white).0;
+        random_second.retain(|other| other.candidate != first.candidate);
+        open_second = laws(&seen, &table);
+        if let Some(other) = second.first().filter(|other| other.is_exact) {
+            left[1] = other.left;
+        }
+    }
+    Ok(Evidence {
+        share,
+        events: table.base.len(),
+        median: base_median,
+        control_median: median_share(&control_table.base, scales.threshold),
+        left,
+        slope_per_s,
+        white,
+        misfit: source.misfit(),
+        ranked,
+        first,
+        second,
+        random,
+        random_second,
+        open,
+        open_second,
+    })
+}
+
+/// Random effects, counted from what the control finds.
+struct Chance<'a> {
+    setting: &'a EvidenceSetting,
+    scales: &'a Scales,
+    nominal: &'a Nominal,
+    noise: EventNoise,
+    control: Vec<Part>,
+    slope_per_s: f64,
+    /// Events a second and a pixel.
+    rate: f64,
+    /// What one strength of [`OF_PIXELS`] is.
+    strengths: [f64; 2],
+}
+
+impl<'a> Chance<'a> {
+    fn new(case: &Case, nominal: &'a Nominal, control: &Table, white: f64, slope_per_s: f64, setting: &'a EvidenceSetting, scales: &'a Scales) -> Chance<'a> {
+        let least = setting.least_noise * scales.threshold;
+        let noise = EventNoise::estimate(&control.base, &control.events.slope_per_s, least);
+        let strengths = OF_PIXELS.map(|(id, parameter)| {
+            Candidate::find(id, parameter).map_or(0.0, |candidate| candidate.value(1.0, scales, nominal) - candidate.value(0.0, scales, nominal))
+        });
+        let rate = case.events.all().len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
+        let of_control = of_table(control, white, setting, scales.threshold, &noise);
+        Chance { setting, scales, nominal, noise, control: of_control, slope_per_s, rate, strengths }
+    }
+
+    /// Best first, and the parts themselves.
+    fn beyond(&self, table: &Table, white: f64) -> (Vec<Ranked>, Vec<Part>) {
+        let threshold = self.scales.threshold;
+        let parts = of_table(table, white, self.setting, threshold, &self.noise);
+        let matters = |one: &Ranked| match CANDIDATES[one.candidate].id {
+            "threshold_noise" => one.value > self.setting.least_event_noise * threshold,
+            "timestamp_jitter" => one.value * self.slope_per_s > self.setting.least_event_noise * threshold,
+            _ => true,
+        };
+        let mut found: Vec<Ranked> = parts
+            .iter()
+            .zip(&self.control)
+            .map(|(part, control)| Ranked {
+                candidate: part.candidate,
+                strength: part.size,
+                value: part_value(part, control.size, threshold, (self.strengths[0], self.strengths[1]), self.nominal, self.rate),
+                gain: part.gain,
+                control_gain: control.gain.max(0.0),
+                control_strength: control.size,
+                is_exact: true,
+                ..Ranked::default()
+            })
+            .filter(matters)
+            .collect();
+        found.sort_by(by_gain);
+        (found, parts)
+    }
+}
+
+fn of_table(table: &Table, white: f64, setting: &EvidenceSetting, threshold: f64, noise: &EventNoise) -> Vec<Part> {
+    let least = setting.least_noise * threshold;
+    let least_spread = setting.least_spread;
+    let columns = [&table.columns[0][..], &table.columns[1][..]];
+    parts(&Ground { events: &table.events, residual: &table.base, columns, white, threshold, least, least_spread }, noise)
+}
+
+/// Pixels spread over the array, about `pixels` at most, whose events that count are about `events` in all at most.
+fn spread(case: &Case, counted: &[usize], events: usize, pixels: usize) -> Vec<u32> {
+    let width = case.extent.width as usize;
+    let all: usize = counted.iter().sum();
+    let lit = counted.iter().filter(|count| **count > 0).count();
+    let step = usize::max(all / events.max(1), lit / pixels.max(1)).max(1);
+    // Another column from row to row, so that all columns are seen.
+    let turn = (1..=step).find(|turn| step == 1 || (turn * turn > step && gcd(*turn, step) == 1)).unwrap_or(1);
+    (0..counted.len()).filter(|&pixel| (pixel % width + turn * (pixel / width)).is_multiple_of(step) && counted[pixel] > 0).map(|pixel| pixel as u32).collect()
+}
+
+fn gcd(a: usize, b: usize) -> usize {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
