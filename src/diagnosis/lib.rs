@@ -61,6 +61,7 @@ pub mod light;
 pub mod likelihood;
 pub mod linear;
 pub mod locate;
+pub mod made;
 pub mod matching;
 pub mod mismatch;
 pub mod nominal;

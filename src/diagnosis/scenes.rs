@@ -40,6 +40,8 @@ pub struct MadeUp {
     resolution_ns: i64,
     extent: Extent,
     span: (i64, i64),
+    /// Electrons a digital number, and read noise, DN, of frames; nobody states it.
+    noise: Option<(f64, f64)>,
 }
 
 /// A smooth random surface between 0 and 1, of features of a size in pixels.
@@ -121,7 +123,13 @@ impl MadeUp {
             20_000
         };
         let contrast = between(0.8, 1.6);
-        MadeUp { motion, low, high, seed: seed.wrapping_mul(1009).wrapping_add(index), contrast, sensor, exposures, resolution_ns, extent, span }
+        MadeUp { motion, low, high, seed: seed.wrapping_mul(1009).wrapping_add(index), contrast, sensor, exposures, resolution_ns, extent, span, noise: None }
+    }
+
+    /// With frames of whole digital numbers that have shot noise of so many electrons a digital number, and read noise, DN; none of it is stated.
+    #[must_use]
+    pub fn with_frame_noise(self, noise: Option<(f64, f64)>) -> MadeUp {
+        MadeUp { noise, ..self }
     }
 
     /// Log photocurrent at a place and time, seconds.
@@ -187,14 +195,23 @@ impl MadeUp {
         let nominal = Nominal::new(&blank).map_err(|why| why.to_string())?;
         let stated = Trial::stated(&nominal);
         let trial = trial.unwrap_or(&stated);
-        record(
+        let mut recorded = record(
             &blank,
             &trial.nominal,
             &Sample::all(&blank, 6),
             &Scene::from_pixels(pixels),
             &trial.effects,
             &Conditions { seed: self.seed, ..Conditions::default() },
-        )
+        )?;
+        if let (Some((electrons, read_dn)), Some(frames)) = (self.noise, &mut recorded.frames) {
+            let mut random = Random::new(self.seed, &[0x7e]);
+            for dn in &mut frames.dn {
+                let signal = f64::max(f64::from(*dn) - nominal.number.black_level, 0.0);
+                let noisy = f64::from(*dn) + libm::sqrt(signal / electrons + read_dn * read_dn) * random.normal();
+                *dn = noisy.round().clamp(0.0, nominal.saturation_dn) as f32;
+            }
+        }
+        Ok(recorded)
     }
 }
 

@@ -4,10 +4,11 @@ use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivativ
 use super::register::{Image, Search, register};
 use super::shading::{self, TERMS};
 use super::spline::{Grid, ORDER, weights};
-use super::system::{LANES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, roughness, solve, stamp};
+use super::system::{LANES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use nalgebra::DMatrix;
+use photocurrent_core::random::Random;
 use rayon::prelude::*;
 
 /// Gauss-Legendre instants of an exposure (of -1 to 1) and their shares of the mean.
@@ -57,6 +58,10 @@ pub struct PictureSetting {
     pub most_values: usize,
     /// How motion begins.
     pub search: Search,
+    /// So many times the picture is fitted to what it leaves, from where it stands.
+    pub again: usize,
+    /// Seed of draws of what frames leave open.
+    pub seed: u64,
 }
 
 impl Default for PictureSetting {
@@ -79,6 +84,8 @@ impl Default for PictureSetting {
             stretch: 3.0,
             most_values: 2_000_000,
             search: Search::default(),
+            again: 5,
+            seed: 1,
         }
     }
 }
@@ -151,6 +158,24 @@ impl Picture {
         let mut fit = Fit::new(case, nominal, setting, self.motion.clone());
         fit.picture = Picture { report: Report { misfit: Vec::new(), ..self.report.clone() }, ..self.clone() };
         fit.rounds(setting.rounds.0, setting.rounds.0 + setting.rounds.1, setting.steps.1);
+        fit.picture
+    }
+
+    /// The same scene with what its frames leave open drawn at random: as good an explanation of the frames as the fitted one, and as rough as scenes are.
+    pub fn drawn(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting, seed: u64) -> Picture {
+        let mut fit = Fit::new(case, nominal, setting, self.motion.clone());
+        fit.picture = self.clone();
+        let knots = self.motion.knots.len();
+        let mut rows = fit.lay(false);
+        fit.reweigh(&mut rows);
+        let mut random = Random::new(seed, &[0xd4]);
+        let smooth = fit.smoothness(knots, None);
+        let open = draw(&rows, &self.grid, &smooth, knots, setting.steps.1, &mut random);
+        let smooth = fit.smoothness(knots, Some(&open));
+        let open = draw(&rows, &self.grid, &smooth, knots, setting.steps.1, &mut random);
+        fit.picture.surface.iter_mut().zip(&open).for_each(|(c, open)| *c += open);
+        let rows = fit.lay(false);
+        fit.keep_residuals(&rows);
         fit.picture
     }
 
@@ -326,7 +351,7 @@ impl<'a> Fit<'a> {
         let mut rows = self.lay(begin > 0);
         if begin > 0 {
             self.reweigh(&mut rows);
-            smooth = self.smoothness(knots);
+            smooth = self.smoothness(knots, None);
         }
         let mut best = self.cost(&rows, &smooth);
         for round in begin..end {
@@ -356,10 +381,22 @@ impl<'a> Fit<'a> {
             let misfit = self.reweigh(&mut rows);
             let last = self.picture.report.misfit.last().copied();
             self.picture.report.misfit.push(misfit);
-            smooth = self.smoothness(knots);
+            let open = (begin > 0).then(|| {
+                let mut random = Random::new(self.setting.seed, &[round as u64]);
+                draw(&rows, &self.picture.grid, &smooth, knots, steps, &mut random)
+            });
+            smooth = self.smoothness(knots, open.as_deref());
             best = self.cost(&rows, &smooth);
             if round + 1 >= begin + self.setting.least_rounds && last.is_some_and(|last| misfit > (1.0 - self.setting.gain) * last) {
                 break;
+            }
+        }
+        if begin > 0 {
+            for _ in 0..self.setting.again {
+                let step = again(&rows, &self.picture.grid, &smooth, knots, steps);
+                self.picture.surface.iter_mut().zip(&step).for_each(|(c, step)| *c += step);
+                rows = self.lay(false);
+                self.reweigh(&mut rows);
             }
         }
         self.keep_residuals(&rows);
@@ -415,14 +452,16 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Weights by the picture's own second differences: their mean square nearby, a share of the overall one, and what is always possible.
-    fn smoothness(&self, knots: usize) -> Smoothness {
+    /// Weights by the picture's own second differences: their mean square nearby, a share of the overall one, and what is always possible. `open` is a draw of what
+    /// measurements leave open of the picture: a fitted picture alone is smoother than the scene, and a little more so in every round.
+    fn smoothness(&self, knots: usize, open: Option<&[f32]>) -> Smoothness {
         let grid = &self.picture.grid;
         let (w, h) = (grid.width, grid.height);
         let c = &self.picture.surface;
         let least = (self.setting.least_roughness * self.typical) as f32;
-        let field = |value: &dyn Fn(usize, usize) -> f32| -> Vec<f32> {
-            let square: Vec<f32> = (0..w * h).map(|k| value(k % w, k / w)).map(|value| value * value).collect();
+        let field = |difference: &dyn Fn(&[f32], usize, usize) -> f32| -> Vec<f32> {
+            let square = |surface: &[f32], k: usize| difference(surface, k % w, k / w) * difference(surface, k % w, k / w);
+            let square: Vec<f32> = (0..w * h).map(|k| square(c, k) + open.map_or(0.0, |open| square(open, k))).collect();
             let mean: f32 = square.iter().sum::<f32>() / square.len() as f32;
             let mut sorted = square.clone();
             let middle = sorted.len() / 2;
@@ -442,10 +481,12 @@ impl<'a> Fit<'a> {
                 })
                 .collect()
         };
-        let at = |x: usize, y: usize| c[y * w + x];
-        let along_x = field(&|x, y| if x > 0 && x + 1 < w { at(x - 1, y) - 2.0 * at(x, y) + at(x + 1, y) } else { 0.0 });
-        let along_y = field(&|x, y| if y > 0 && y + 1 < h { at(x, y - 1) - 2.0 * at(x, y) + at(x, y + 1) } else { 0.0 });
-        let across = field(&|x, y| if x + 1 < w && y + 1 < h { at(x, y) - at(x + 1, y) - at(x, y + 1) + at(x + 1, y + 1) } else { 0.0 });
+        let along_x = field(&|c, x, y| if x > 0 && x + 1 < w { c[y * w + x - 1] - 2.0 * c[y * w + x] + c[y * w + x + 1] } else { 0.0 });
+        let along_y = field(&|c, x, y| if y > 0 && y + 1 < h { c[(y - 1) * w + x] - 2.0 * c[y * w + x] + c[(y + 1) * w + x] } else { 0.0 });
+        let across = field(&|c, x, y| {
+            let at = y * w + x;
+            if x + 1 < w && y + 1 < h { c[at] - c[at + 1] - c[at + w] + c[at + w + 1] } else { 0.0 }
+        });
         Smoothness { along_x, along_y, across, rest: vec![0.0; knots * DEGREES + TERMS], rest_size: vec![0.0; knots * DEGREES + TERMS], motion: 0.0 }
     }
 

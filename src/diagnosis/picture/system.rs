@@ -8,6 +8,7 @@ use super::motion::DEGREES;
 use super::shading::TERMS;
 use super::spline::{Grid, ORDER};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use photocurrent_core::random::Random;
 use rayon::prelude::*;
 
 /// Knots that one exposure may touch.
@@ -207,24 +208,53 @@ pub fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
 ///
 /// `with_rest`: motion and shading move too. `steps`: conjugate gradients at most.
 pub fn solve(rows: &Rows, grid: &Grid, smooth: &Smoothness, now: &Unknowns, knots: usize, with_rest: bool, steps: usize) -> Unknowns {
-    let count = knots * DEGREES + TERMS;
-    let prior = |x: &Unknowns, out: &mut Unknowns| {
-        differences(grid, smooth, |at, by, weight| {
-            let value: f32 = at.iter().zip(by).map(|(&at, by)| by * x.picture[at]).sum();
-            let pull = weight * weight * value;
-            at.iter().zip(by).for_each(|(&at, by)| out.picture[at] += by * pull);
-        });
-        motion_differences(knots, |a, b, c| {
-            let pull = smooth.motion * smooth.motion * (x.rest[a] - 2.0 * x.rest[b] + x.rest[c]);
-            out.rest[a] += pull;
-            out.rest[b] -= 2.0 * pull;
-            out.rest[c] += pull;
-        });
-        out.rest.iter_mut().zip(&x.rest).zip(&smooth.rest_size).for_each(|((out, x), hold)| *out += hold * hold * x);
-    };
+    let mut residual = rows.transposed(grid, knots, with_rest, None, |r, _| rows.weight[r] * rows.weight[r] * rows.residual[r]);
+    let mut held = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
+    pull(grid, smooth, knots, now, &mut held);
+    add(&mut residual, -1.0, &held);
+    conjugate_gradients(rows, grid, smooth, knots, with_rest, residual, steps)
+}
+
+/// The step of the picture that the residuals alone ask for, from where it stands: what smoothness took away, given back in part (twicing; Tukey, Exploratory Data Analysis, 1977;
+/// Osher et al., Multiscale Modeling and Simulation 4, 2005). Motion and shading are held.
+pub fn again(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, steps: usize) -> Vec<f32> {
+    let residual = rows.transposed(grid, knots, false, None, |r, _| rows.weight[r] * rows.weight[r] * rows.residual[r]);
+    conjugate_gradients(rows, grid, smooth, knots, false, residual, steps).picture
+}
+
+/// A random departure of the picture that measurements and smoothness leave open: a draw of a Gaussian with the posterior's covariance, motion and shading held.
+///
+/// By perturbation: random residuals with the noise of each row and random differences with the variance of each weight, fitted (Papandreou and Yuille, NIPS 2010).
+pub fn draw(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, steps: usize, random: &mut Random) -> Vec<f32> {
+    let noise: Vec<f32> = (0..rows.count()).map(|_| random.normal() as f32).collect();
+    let mut residual = rows.transposed(grid, knots, false, None, |r, _| rows.weight[r] * noise[r]);
+    differences(grid, smooth, |at, by, weight| {
+        let noise = weight * random.normal() as f32;
+        at.iter().zip(by).for_each(|(&at, by)| residual.picture[at] += by * noise);
+    });
+    conjugate_gradients(rows, grid, smooth, knots, false, residual, steps).picture
+}
+
+/// Adds the pull of smoothness, of the motion's smoothness and of sizes.
+fn pull(grid: &Grid, smooth: &Smoothness, knots: usize, x: &Unknowns, out: &mut Unknowns) {
+    differences(grid, smooth, |at, by, weight| {
+        let value: f32 = at.iter().zip(by).map(|(&at, by)| by * x.picture[at]).sum();
+        let pull = weight * weight * value;
+        at.iter().zip(by).for_each(|(&at, by)| out.picture[at] += by * pull);
+    });
+    motion_differences(knots, |a, b, c| {
+        let pull = smooth.motion * smooth.motion * (x.rest[a] - 2.0 * x.rest[b] + x.rest[c]);
+        out.rest[a] += pull;
+        out.rest[b] -= 2.0 * pull;
+        out.rest[c] += pull;
+    });
+    out.rest.iter_mut().zip(&x.rest).zip(&smooth.rest_size).for_each(|((out, x), hold)| *out += hold * hold * x);
+}
+
+fn conjugate_gradients(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, with_rest: bool, mut residual: Unknowns, steps: usize) -> Unknowns {
     let normal = |x: &Unknowns| {
         let mut out = rows.transposed(grid, knots, with_rest, Some(x), |r, derivative| rows.weight[r] * rows.weight[r] * derivative);
-        prior(x, &mut out);
+        pull(grid, smooth, knots, x, &mut out);
         out.rest.iter_mut().zip(&x.rest).zip(&smooth.rest).for_each(|((out, x), hold)| *out += hold * hold * x);
         out
     };
@@ -232,12 +262,8 @@ pub fn solve(rows: &Rows, grid: &Grid, smooth: &Smoothness, now: &Unknowns, knot
         x.rest.iter_mut().zip(&smooth.rest).filter(|(_, hold)| !with_rest || **hold == 0.0).for_each(|(x, _)| *x = 0.0);
     };
     let precondition = Preconditioner::new(rows, grid, smooth, knots, with_rest);
-    let mut residual = rows.transposed(grid, knots, with_rest, None, |r, _| rows.weight[r] * rows.weight[r] * rows.residual[r]);
-    let mut held = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; count] };
-    prior(now, &mut held);
-    add(&mut residual, -1.0, &held);
     fixed(&mut residual);
-    let mut step = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; count] };
+    let mut step = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
     let mut z = precondition.apply(&residual);
     fixed(&mut z);
     let mut direction = z.clone();

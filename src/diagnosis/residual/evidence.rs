@@ -74,8 +74,8 @@ impl Default for EvidenceSetting {
     fn default() -> EvidenceSetting {
         EvidenceSetting {
             step_ns: 100_000,
-            events: 10_000,
-            pixels: 1_000,
+            events: 6_000,
+            pixels: 500,
             least_events: 500,
             least_share: 0.05,
             least_dn: 1.0,
@@ -198,7 +198,10 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
     simulated.sort_unstable();
     simulated.dedup();
-    let control_case = control(case, nominal, source, &seen.light, &simulated, setting.block, setting.seed)?;
+    let drawn = source.drawn(case, nominal, setting.seed)?;
+    let true_scene = drawn.as_deref().unwrap_or(source);
+    let true_light = true_scene.light(case, setting.step_ns);
+    let control_case = control(case, nominal, true_scene, &true_light, &simulated, setting.block, setting.seed)?;
     let control_source = source.refit(&control_case, nominal)?;
     let control_gate = Gate::new(&control_case, control_source.residual(), setting.least_dn, setting.spread);
     let control_light = control_source.light(&control_case, setting.step_ns);

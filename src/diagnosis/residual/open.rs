@@ -1,0 +1,239 @@
+//! What no effect of the catalogue has: the threshold, the delay of stamps, or a rate without light, free in every bin of a covariate.
+//!
+//! With residuals that are small, looking for the unknown is a regression. Each bin gets a size of its own, judged on the blocks that it was not fitted to, and what one size for all
+//! bins would gain is taken off: that is an effect of the catalogue.
+
+use super::Residuals;
+use super::fit::{Fitted, heldout};
+use crate::covariates::{Covariate, Surroundings};
+use crate::law::{Law, Moved};
+use serde::{Deserialize, Serialize};
+
+/// How the open set is looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct OpenSetting {
+    /// Bins of a covariate that is a number on a scale.
+    pub bins: usize,
+    /// And of the phase of a rhythm or of frames, whose curves turn.
+    pub bins_of_phase: usize,
+    /// Fewer events in a bin have no size of their own.
+    pub least_in_bin: usize,
+}
+
+impl Default for OpenSetting {
+    fn default() -> OpenSetting {
+        OpenSetting { bins: 6, bins_of_phase: 8, least_in_bin: 60 }
+    }
+}
+
+/// A curve over a covariate, with its held-out gain beyond one size for all, nats an event.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Open {
+    /// The curve.
+    pub law: Law,
+    /// Gain beyond one size for all bins, nats an event.
+    pub gain: f64,
+    /// Its standard error by blocks.
+    pub gain_error: f64,
+    /// The same of the control.
+    pub control_gain: f64,
+}
+
+impl Open {
+    /// Held-out gain beyond the control's, nats an event.
+    pub fn beyond(&self) -> f64 {
+        self.gain - self.control_gain.max(0.0)
+    }
+}
+
+/// Takes what the control finds off, and sorts again, best first.
+pub fn beyond(found: &mut [Open], control: &[Open]) {
+    for one in found.iter_mut() {
+        let same = |other: &&Open| (other.law.covariate, other.law.moved) == (one.law.covariate, one.law.moved);
+        one.control_gain = control.iter().find(same).map_or(0.0, |other| other.gain);
+    }
+    found.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()));
+}
+
+/// Values of a covariate at every event and at the event before it; NaN where it has none.
+#[derive(Clone, Debug)]
+pub struct Laid {
+    /// What.
+    pub covariate: Covariate,
+    /// Of a rhythm, its period, ns.
+    pub period_ns: Option<i64>,
+    at: Vec<f64>,
+    before: Vec<f64>,
+}
+
+/// What is never asked: the polarity, which has effects of the catalogue, and the lag, which is slope and light.
+const LEFT_OUT: [Covariate; 2] = [Covariate::Polarity, Covariate::Lag];
+
+/// Lays every covariate over the events.
+pub fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Option<i64>) -> Vec<Laid> {
+    Covariate::ALL
+        .into_iter()
+        .filter(|covariate| !LEFT_OUT.contains(covariate) && (*covariate != Covariate::AcPhase || period_ns.is_some()))
+        .map(|covariate| {
+            let value = |k: usize, t_ns: i64, polarity: i8| surroundings.value(covariate, events.pixel[k] as usize, t_ns, polarity).unwrap_or(f64::NAN);
+            let at = (0..events.t_ns.len()).map(|k| value(k, events.t_ns[k], events.polarity[k])).collect();
+            let before = (0..events.t_ns.len()).map(|k| value(k, events.t_ns[k] - events.since_ns[k], events.previous[k])).collect();
+            Laid { covariate, period_ns: period_ns.filter(|_| covariate == Covariate::AcPhase), at, before }
+        })
+        .collect()
+}
+
+/// Every covariate with everything that may be moved, best first.
+///
+/// `residual`: natural-log units, by event; `block`: of each event; `threshold`: mean one, natural-log units; `least`: least noise.
+pub fn laws(events: &Residuals, residual: &[f64], block: &[u32], laid: &[Laid], threshold: f64, least: f64, setting: &OpenSetting) -> Vec<Open> {
+    let mut found: Vec<Open> = laid
+        .iter()
+        .flat_map(|laid| [Moved::Threshold, Moved::Stamps, Moved::Rate].into_iter().map(move |moved| (laid, moved)))
+        .filter_map(|(laid, moved)| law(events, residual, block, laid, moved, threshold, least, setting))
+        .collect();
+    found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+    found
+}
+
+fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: Moved, threshold: f64, least: f64, setting: &OpenSetting) -> Option<Open> {
+    // Events without a value keep what they have.
+    let bins = Bins::new(laid, setting)?;
+    let (of, of_before): (Vec<Option<usize>>, Vec<Option<usize>>) =
+        (laid.at.iter().map(|value| bins.of(*value)).collect(), laid.before.iter().map(|value| bins.of(*value)).collect());
+    let count = bins.count();
+    let column = |bin: Option<usize>| -> Vec<f32> {
+        let is_in = |at: Option<usize>| at.is_some_and(|at| bin.is_none_or(|bin| at == bin));
+        (0..residual.len())
+            .map(|k| {
+                let (here, before) = (f64::from(u8::from(is_in(of[k]))), f64::from(u8::from(is_in(of_before[k]))));
+                let change = match moved {
+                    Moved::Threshold | Moved::EventRate => here * f64::from(events.polarity[k]) * threshold,
+                    Moved::Stamps => here * events.slope_per_s[k] - before * events.slope_before_per_s[k],
+                    Moved::Rate => here * threshold * events.since_ns[k] as f64 * 1e-9,
+                };
+                -change as f32
+            })
+            .collect()
+    };
+    let slope = &events.slope_per_s;
+    let columns: Vec<Vec<f32>> = (0..count).map(|bin| column(Some(bin))).collect();
+    let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
+    let all: Fitted = heldout(residual, slope, &columns, block, least);
+    let one: Fitted = heldout(residual, slope, &[&column(None)], block, least);
+    let gain = all.gain - one.gain.max(0.0);
+    let value = &all.size;
+    let weight = |bin: usize| of.iter().filter(|at| **at == Some(bin)).count() as f64;
+    let mean = (0..count).map(|bin| weight(bin) * value[bin]).sum::<f64>() / f64::max((0..count).map(weight).sum(), 1.0);
+    let taken = 1.0 - libm::exp(-2.0 * gain.max(0.0));
+    let law = Law {
+        moved,
+        covariate: laid.covariate,
+        period_s: laid.period_ns.map(|period_ns| period_ns as f64 * 1e-9),
+        at: bins.middle(laid),
+        value: value.iter().map(|value| value - mean).collect(),
+        error: all.error.clone(),
+        taken,
+        significance: gain / f64::max(all.gain_error, 1e-9),
+        nats_per_change: gain,
+    };
+    Some(Open { law, gain, gain_error: all.gain_error, control_gain: 0.0 })
+}
+
+/// Bins of a covariate with about as many events each; classes are their own.
+struct Bins {
+    edges: Vec<f64>,
+}
+
+impl Bins {
+    fn new(laid: &Laid, setting: &OpenSetting) -> Option<Bins> {
+        let mut values: Vec<f64> = laid.at.iter().copied().filter(|value| value.is_finite()).collect();
+        values.sort_by(f64::total_cmp);
+        let is_phase = matches!(laid.covariate, Covariate::AcPhase | Covariate::FramePhase);
+        let most = if is_phase { setting.bins_of_phase } else { setting.bins };
+        let count = if laid.covariate.is_class() { values.len() } else { most.min(values.len() / setting.least_in_bin.max(1)) };
+        let mut edges: Vec<f64> = if laid.covariate.is_class() {
+            let mut classes = values.clone();
+            classes.dedup();
+            classes.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect()
+        } else {
+            (1..count).map(|bin| values[bin * values.len() / count]).collect()
+        };
+        edges.dedup();
+        // A bin below the first value is none.
+        edges.retain(|edge| values.first().is_some_and(|first| edge > first));
+        (!edges.is_empty()).then_some(Bins { edges })
+    }
+
+    fn count(&self) -> usize {
+        self.edges.len() + 1
+    }
+
+    fn of(&self, value: f64) -> Option<usize> {
+        value.is_finite().then(|| self.edges.partition_point(|edge| *edge <= value))
+    }
+
+    /// Mean of the covariate in each bin.
+    fn middle(&self, laid: &Laid) -> Vec<f64> {
+        let mut sums = vec![(0.0, 0.0); self.count()];
+        for value in &laid.at {
+            if let Some(bin) = self.of(*value) {
+                sums[bin] = (sums[bin].0 + value, sums[bin].1 + 1.0);
+            }
+        }
+        sums.iter().map(|(sum, count)| sum / f64::max(*count, 1.0)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::random::Random;
+
+    /// Events of an array of 8 x 8 blocks with residuals of noise 0.01.
+    fn events(count: usize) -> (Residuals, Vec<u32>, Vec<f64>) {
+        let mut random = Random::new(4, &[]);
+        let mut events = Residuals::default();
+        let mut residual = Vec::new();
+        for k in 0..count {
+            events.pixel.push((k % 4096) as u32);
+            events.t_ns.push(k as i64 * 1_000);
+            events.polarity.push(if random.uniform() < 0.5 { 1 } else { -1 });
+            events.previous.push(1);
+            events.since_ns.push(1_000_000 + (4e6 * random.uniform()) as i64);
+            events.slope_per_s.push(100.0 * random.normal());
+            events.slope_before_per_s.push(100.0 * random.normal());
+            residual.push(0.01 * random.normal());
+        }
+        let block = (0..count).map(|_| (random.uniform() * 64.0) as u32).collect();
+        (events, block, residual)
+    }
+
+    fn laid(at: Vec<f64>, covariate: Covariate) -> Laid {
+        Laid { covariate, period_ns: None, before: at.clone(), at }
+    }
+
+    #[test]
+    fn a_delay_of_odd_rows_is_found_with_its_size_and_nothing_else_is() {
+        let (events, block, mut residual) = events(8_000);
+        let row: Vec<f64> = events.pixel.iter().map(|pixel| f64::from(pixel / 64)).collect();
+        let parity: Vec<f64> = row.iter().map(|row| row % 2.0).collect();
+        for k in 0..residual.len() {
+            residual[k] += 2e-4 * parity[k] * (events.slope_per_s[k] - events.slope_before_per_s[k]);
+        }
+        let laid = [laid(parity, Covariate::RowParity), laid(row, Covariate::Row)];
+        let found = laws(&events, &residual, &block, &laid, 0.2, 1e-4, &OpenSetting::default());
+        assert_eq!((found[0].law.covariate, found[0].law.moved), (Covariate::RowParity, Moved::Stamps));
+        assert!((found[0].law.value[1] - found[0].law.value[0] - 2e-4).abs() < 5e-6, "{:?}", found[0].law.value);
+        assert!(found[1].gain < 0.2 * found[0].gain, "{:?}", found[1]);
+    }
+
+    #[test]
+    fn one_size_for_all_bins_is_no_law() {
+        let (events, block, mut residual) = events(8_000);
+        let row: Vec<f64> = events.pixel.iter().map(|pixel| f64::from(pixel / 64)).collect();
+        residual.iter_mut().zip(&events.polarity).for_each(|(residual, polarity)| *residual += 0.02 * f64::from(*polarity));
+        let found = laws(&events, &residual, &block, &[laid(row, Covariate::Row)], 0.2, 1e-4, &OpenSetting::default());
+        assert!(found.iter().all(|one| one.gain < 0.01), "{:?}", found[0]);
+    }
+}

@@ -1,0 +1,253 @@
+//! First-order fits of every effect on a scene, and exact ones of a few together.
+
+use super::components::white_share;
+use super::evidence::{EvidenceSetting, Ranked};
+use super::fit::{Fitted, gain_of, heldout};
+use super::gate::Gate;
+use super::light::Light;
+use super::open::{self, Open, lay};
+use super::source::{Cell, Source};
+use super::{Residuals, View};
+use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
+use crate::case::Case;
+use crate::covariates::Surroundings;
+use crate::likelihood::view::Prepared;
+use crate::nominal::Nominal;
+
+/// A recording with its scene, ready to be asked.
+pub(super) struct Seen<'a> {
+    pub case: &'a Case,
+    pub light: Light,
+    pub gate: Gate,
+    pub pixels: Vec<u32>,
+    /// For what needs pairs of pixels.
+    pub more: Vec<u32>,
+    pub setting: &'a EvidenceSetting,
+    pub scales: &'a Scales,
+    /// Least noise, natural-log units.
+    pub least: f64,
+    /// What each pixel's own size of a random effect takes off each residual; nothing, or of the stated sensor's events.
+    pub own: Vec<f32>,
+}
+
+/// One sensor and everything on top of it.
+pub(super) struct Table {
+    /// The sensor.
+    pub trial: Trial,
+    pub events: Residuals,
+    pub block: Vec<u32>,
+    pub base: Vec<f64>,
+    pub fitted: Vec<(usize, Fitted)>,
+    /// Columns of the threshold's scale and of the refractory period.
+    pub columns: [Vec<f32>; 2],
+}
+
+/// Sizes of some effects together, and their gain over a table's residuals.
+pub(super) struct Refined {
+    pub strength: Vec<f64>,
+    pub error: Vec<f64>,
+    pub gain: f64,
+    pub gain_error: f64,
+    /// Residuals that they leave.
+    pub left: Vec<f64>,
+}
+
+/// Candidates whose columns each pixel may have a size of its own of.
+pub(super) const OF_PIXELS: [(&str, &str); 2] = [("threshold_scale", "fraction"), ("refractory", "refractory")];
+
+impl Seen<'_> {
+    fn evaluate(&self, trials: &[Trial]) -> Result<(Residuals, Vec<Vec<f32>>), String> {
+        let view = View { case: self.case, light: &self.light, pixels: self.pixels.clone() };
+        let (events, mut values) = view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+        for of_trial in &mut values {
+            of_trial.iter_mut().zip(&self.own).for_each(|(value, own)| *value -= own);
+        }
+        Ok((events, values))
+    }
+
+    /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than are fitted.
+    pub fn white(&self, trial: &Trial, source: &dyn Source) -> Result<f64, String> {
+        let view = View { case: self.case, light: &self.light, pixels: self.more.clone() };
+        let (events, _) = view.residuals(std::slice::from_ref(trial), |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+        let cell = |(pixel, t_ns): (&u32, &i64)| source.cell(self.case, *pixel as usize, *t_ns, self.setting.cell);
+        let cells: Vec<Cell> = events.pixel.iter().zip(&events.t_ns).map(cell).collect();
+        Ok(white_share(&events, &events.excess, &cells))
+    }
+
+    /// What no effect of the catalogue has, on the residuals of a table; `period_ns`: of a rhythm, if one is known.
+    pub fn laws(&self, table: &Table, nominal: &Nominal, period_ns: Option<i64>) -> Vec<Open> {
+        let front_end = nominal.pixel.front_end;
+        let light = Box::new(|pixel: usize, t_ns: i64| self.light.at(pixel, t_ns));
+        let surroundings = Surroundings::of(self.case, light, self.case.extent.pixels(), (front_end.tau_0_s, front_end.alpha_s)).with_period(period_ns);
+        let laid = lay(&table.events, &surroundings, period_ns);
+        open::laws(&table.events, &table.base, &table.block, &laid, self.scales.threshold, self.least, &self.setting.open)
+    }
+
+    fn block_of(&self, pixel: usize) -> u32 {
+        let (width, side) = (self.case.extent.width as usize, self.setting.block);
+        let (bx, by) = (pixel % width / side, pixel / width / side);
+        (2 * (by * width.div_ceil(side) + bx) + (bx + by) % 2) as u32
+    }
+
+    /// First-order fits of every effect on top of a sensor, but for one candidate.
+    pub fn table(&self, trial: &Trial, without: Option<usize>) -> Result<Table, String> {
+        // One that cannot be combined with what is there is no candidate.
+        let can_be = |n: &usize| Prepared::new(self.case, &on_top(trial, *n, self.probe(*n), self.scales)).is_ok();
+        let chosen: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| !CANDIDATES[n].is_random && Some(n) != without).filter(can_be).collect();
+        let mut trials = vec![trial.clone()];
+        trials.extend(chosen.iter().map(|&n| on_top(trial, n, self.probe(n), self.scales)));
+        let (events, values) = self.evaluate(&trials)?;
+        let block: Vec<u32> = events.pixel.iter().map(|pixel| self.block_of(*pixel as usize)).collect();
+        let base = wide(&values[0]);
+        let fitted = chosen
+            .iter()
+            .zip(&values[1..])
+            .map(|(&n, with)| {
+                let column = self.column(n, with, &values[0]);
+                (n, heldout(&base, &events.slope_per_s, &[&column], &block, self.least))
+            })
+            .collect();
+        let columns = OF_PIXELS.map(|(id, parameter)| {
+            let at = chosen.iter().position(|&n| CANDIDATES[n].id == id && CANDIDATES[n].parameter == parameter);
+            at.map_or_else(|| vec![0.0; base.len()], |at| self.column(chosen[at], &values[1 + at], &values[0]))
+        });
+        Ok(Table { trial: trial.clone(), events, block, base, fitted, columns })
+    }
+
+    fn probe(&self, candidate: usize) -> f64 {
+        let kind = &CANDIDATES[candidate];
+        match kind.id {
+            // A blur grows with the square of its width.
+            "blur" => 10.0 * self.setting.probe,
+            _ if kind.signs == Signs::Switch || kind.is_limit() => 1.0,
+            _ => self.setting.probe,
+        }
+    }
+
+    fn column(&self, candidate: usize, with: &[f32], base: &[f32]) -> Vec<f32> {
+        let probe = self.probe(candidate) as f32;
+        with.iter().zip(base).map(|(with, base)| (with - base) / probe).collect()
+    }
+
+    /// Sizes of effects on top of a sensor by Gauss-Newton on their exact models, from first ones; their gain is that over the residuals of `table`.
+    pub fn refine(&self, trial: &Trial, table: &Table, which: &[usize], begin: &[f64]) -> Result<Refined, String> {
+        let put = |strengths: &[f64]| which.iter().zip(strengths).fold(trial.clone(), |trial, (&n, &strength)| on_top(&trial, n, strength, self.scales));
+        let is_free: Vec<bool> = which.iter().map(|&n| CANDIDATES[n].signs != Signs::Switch).collect();
+        let mut strength: Vec<f64> = (0..which.len()).map(|i| if is_free[i] { self.bounded(which[i], begin[i]) } else { 1.0 }).collect();
+        let mut error = vec![0.0; which.len()];
+        let free: Vec<usize> = (0..which.len()).filter(|&i| is_free[i]).collect();
+        let rounds = if free.is_empty() { 0 } else { self.setting.rounds * which.len() };
+        for _ in 0..rounds {
+            // Which events are looked at is the table's business.
+            let mut trials = vec![table.trial.clone(), put(&strength)];
+            let further: Vec<f64> = free.iter().map(|&i| self.setting.probe * f64::max(0.2, strength[i].abs())).collect();
+            for (&i, by) in free.iter().zip(&further) {
+                let mut moved = strength.clone();
+                moved[i] += by;
+                trials.push(put(&moved));
+            }
+            let (_, values) = self.evaluate(&trials)?;
+            let columns: Vec<Vec<f32>> =
+                further.iter().enumerate().map(|(n, by)| values[2 + n].iter().zip(&values[1]).map(|(a, b)| (a - b) / *by as f32).collect()).collect();
+            let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
+            let step = heldout(&wide(&values[1]), &table.events.slope_per_s, &columns, &table.block, self.least);
+            let mut is_still = true;
+            for (n, &i) in free.iter().enumerate() {
+                let most = 1.0 + strength[i].abs();
+                let next = self.bounded(which[i], strength[i] + step.size[n].clamp(-most, most));
+                is_still &= (next - strength[i]).abs() < self.setting.still * f64::max(strength[i].abs(), self.setting.probe);
+                (strength[i], error[i]) = (next, step.error[n]);
+            }
+            if is_still {
+                break;
+            }
+        }
+        let (_, values) = self.evaluate(&[table.trial.clone(), put(&strength)])?;
+        let left = wide(&values[1]);
+        let (gain, gain_error) = gain_of(&table.base, &left, &table.events.slope_per_s, &table.block, self.least);
+        Ok(Refined { strength, error, gain, gain_error, left })
+    }
+
+    /// Strengths that a search may reach, within physics.
+    fn bounded(&self, candidate: usize, strength: f64) -> f64 {
+        let most = self.setting.most_strength;
+        let least = if CANDIDATES[candidate].signs == Signs::Both { -most } else { 0.0 };
+        strength.clamp(least, most)
+    }
+
+    /// All effects on top of a table's sensor, best first; the best few are exact. With `beside`, an effect that the table's sensor has and its strength, both sizes are fitted together
+    /// on top of `bare`.
+    pub fn rank(
+        &self,
+        bare: &Trial,
+        table: &Table,
+        control: &Table,
+        beside: Option<(usize, f64)>,
+        refined: usize,
+        nominal: &Nominal,
+    ) -> Result<Vec<Ranked>, String> {
+        let mut ranked: Vec<Ranked> = table.fitted.iter().map(|(candidate, fitted)| self.first_order(*candidate, fitted, control, nominal)).collect();
+        ranked.sort_by(by_gain);
+        let best = ranked.first().map_or(0.0, Ranked::beyond);
+        for one in ranked.iter_mut().take(refined).filter(|one| one.beyond() > self.setting.worth_refining * best && one.beyond() > 0.0) {
+            let begin = one.strength + one.control_strength;
+            let found = match beside {
+                Some((other, strength)) => self.refine(bare, table, &[one.candidate, other], &[begin, strength])?,
+                None => self.refine(bare, table, &[one.candidate], &[begin])?,
+            };
+            let is_switch = CANDIDATES[one.candidate].signs == Signs::Switch;
+            one.strength = if is_switch { found.strength[0] } else { found.strength[0] - one.control_strength };
+            (one.error, one.gain, one.gain_error, one.is_exact) = (found.error[0], found.gain, found.gain_error, true);
+            one.value = CANDIDATES[one.candidate].value(one.strength, self.scales, nominal);
+            one.beside = beside.map(|_| found.strength[1]);
+            one.left = median_share(&found.left, self.scales.threshold);
+        }
+        ranked.sort_by(by_gain);
+        Ok(ranked)
+    }
+
+    fn first_order(&self, candidate: usize, fitted: &Fitted, control: &Table, nominal: &Nominal) -> Ranked {
+        let none = Fitted { size: vec![0.0], error: vec![0.0], ..Fitted::default() };
+        let control = control.fitted.iter().find(|(n, _)| *n == candidate).map_or(&none, |(_, fitted)| fitted);
+        let gain = |of: &Fitted| if is_physics(candidate, of.size[0]) { of.gain } else { 0.0 };
+        let strength = fitted.size[0] - control.size[0];
+        Ranked {
+            candidate,
+            strength,
+            error: fitted.error[0],
+            value: CANDIDATES[candidate].value(strength, self.scales, nominal),
+            gain: gain(fitted),
+            gain_error: fitted.gain_error,
+            control_gain: gain(control).max(0.0),
+            control_strength: control.size[0],
+            ..Ranked::default()
+        }
+    }
+}
+
+/// Best first.
+pub(super) fn by_gain(a: &Ranked, b: &Ranked) -> std::cmp::Ordering {
+    b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate))
+}
+
+fn wide(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|value| f64::from(*value)).collect()
+}
+
+/// Median absolute residual over the threshold.
+pub(super) fn median_share(residual: &[f64], threshold: f64) -> f64 {
+    let mut sizes: Vec<f64> = residual.iter().map(|residual| residual.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.get(sizes.len() / 2).copied().unwrap_or(f64::NAN) / threshold
+}
+
+/// A sensor with one more effect.
+pub(super) fn on_top(trial: &Trial, candidate: usize, strength: f64, scales: &Scales) -> Trial {
+    let mut trial = trial.clone();
+    CANDIDATES[candidate].put_on(&mut trial, strength, scales);
+    trial
+}
+
+fn is_physics(candidate: usize, strength: f64) -> bool {
+    CANDIDATES[candidate].signs == Signs::Both || strength > 0.0
+}
