@@ -39,6 +39,8 @@ pub enum Command {
     Diagnose(DiagnoseOptions),
     /// Make what a diagnosis knows beforehand, from recordings without an effect and made-up scenes
     Learn(LearnOptions),
+    /// Make the numbers of the diagnosis' decision anew, from made-up recordings, with cross-validation
+    Calibrate(CalibrateOptions),
     /// List the node kinds, or print the manual of one
     Nodes(NodesOptions),
     /// List what a sensor may do beyond the paper's model, or print the page of one effect
@@ -385,6 +387,28 @@ pub struct LearnOptions {
     pub steps: u64,
     /// Seed of everything random
     #[arg(long, value_name = "N", default_value_t = 1)]
+    pub seed: u64,
+    /// Say only what went wrong
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct CalibrateOptions {
+    /// Made-up recordings: with nothing, one effect, two, or what is in no catalogue; some six seconds each on two cores at 64x48
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
+    pub recordings: u64,
+    /// Size of the made-up arrays, pixels
+    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "64x48")]
+    pub size: String,
+    /// Parts of the cross-validation
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(2..))]
+    pub folds: u64,
+    /// Folder for decision.json; recordings that are in it already are not made again
+    #[arg(short, long, value_name = "FOLDER", default_value = "out/decision")]
+    pub out: PathBuf,
+    /// Seed of everything random
+    #[arg(long, value_name = "N", default_value_t = 7)]
     pub seed: u64,
     /// Say only what went wrong
     #[arg(short, long)]

@@ -55,7 +55,8 @@ pub fn learn(options: &LearnOptions) -> Done {
     Ok(0)
 }
 
-fn extent(size: &str) -> Result<Extent, Failure> {
+/// A size such as 96x72.
+pub fn extent(size: &str) -> Result<Extent, Failure> {
     let wrong = || usage(format!("--size {size}: expected WIDTHxHEIGHT in pixels, such as 96x72, each from 16 to 4096"));
     let (width, height) = size.split_once('x').ok_or_else(wrong)?;
     let number = |text: &str| text.parse::<u32>().ok().filter(|n| (16..=4096).contains(n)).ok_or_else(wrong);
@@ -107,7 +108,7 @@ fn null(path: &Path, seed: u64) -> Result<(Null, Null), Failure> {
 }
 
 /// Writes a file whole or not at all.
-fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+pub fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     let partial = path.with_extension("tmp");
     let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write it: {error}", path.display()));
     std::fs::write(&partial, bytes).map_err(failed)?;

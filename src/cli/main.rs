@@ -7,6 +7,7 @@
 
 mod args;
 mod cache;
+mod calibrate;
 mod case;
 mod check;
 mod common;
@@ -49,6 +50,7 @@ fn main() -> ExitCode {
         Command::Inspect(options) => inspect::inspect(options),
         Command::Diagnose(options) => diagnose::diagnose(options),
         Command::Learn(options) => learn::learn(options),
+        Command::Calibrate(options) => calibrate::calibrate(options),
         Command::Nodes(options) => nodes::nodes(options),
         Command::Effects(options) => effects::effects(options),
         Command::Schema => nodes::schema(),

@@ -23,7 +23,7 @@
 //! - [`scenes`], [`train`]: made-up recordings, and what the recogniser learns from.
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
 //! - [`roads`]: the tests that estimate the scene, in one form.
-//! - [`picture`], [`residual`], [`pictured`]: a scene that frames alone state, residuals of events on it, and what they say.
+//! - [`picture`], [`residual`], [`decide`]: a scene that frames alone state, residuals of events on it, and what they say.
 //! - [`contest`]: what refits propose, on pixels at which none of them looked.
 //! - [`verdict`]: one answer from all tests.
 //! - [`fitted`]: the description with what was found put in.
@@ -46,6 +46,7 @@ pub mod comparison;
 pub mod components;
 pub mod contest;
 pub mod covariates;
+pub mod decide;
 pub mod deviation;
 pub mod diagnose;
 pub mod differences;
@@ -69,7 +70,6 @@ pub mod onnx;
 pub mod open;
 pub mod page;
 pub mod picture;
-pub mod pictured;
 pub mod proposer;
 pub mod record;
 pub mod refit;

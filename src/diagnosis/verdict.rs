@@ -159,8 +159,8 @@ const BELIEVED: f64 = 4.0;
 const BESIDE: f64 = 2.0;
 /// Refits below this leave half of what differs.
 const HALF: f64 = 3.2;
-/// An effect with this share of the best refit's probability is told with it.
-const DOUBT: f64 = 0.25;
+/// An effect with this share of the best one's probability is told with it.
+pub const IN_SET_SHARE: f64 = 0.25;
 /// What is believed less than this is no name: a quarter of what a contest gives away.
 const NO_NAME: f64 = 0.2;
 /// The largest set that is told.
@@ -212,7 +212,7 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, roads: &[R
 
 /// The answer where one method decides alone, with what direct tests claim.
 fn decided(integrity: &Integrity, method: &Road, mut claims: Vec<Claim>) -> Answer {
-    let unexplained = integrity.laws.first().map(|law| Unexplained::by(law, regular::score(law)));
+    let unexplained = integrity.laws.first().map(|law| Unexplained::by(law, regular::score(law))).or_else(|| method.unexplained.clone());
     let first = if claims.is_empty() && unexplained.is_some() { None } else { measured(&method.name, &method.proposals) };
     if let Some(mut first) = first {
         // It was fitted with the first one applied: what looks alike is told apart there.
@@ -348,7 +348,7 @@ fn believed_most<'a>(proposals: impl Iterator<Item = &'a Proposal>) -> Option<&'
 
 /// Effects that are believed nearly as much as one, most first, whether they passed or not.
 fn beside(one: &Proposal, proposals: &[Proposal]) -> Vec<&'static str> {
-    let mut near: Vec<&Proposal> = proposals.iter().filter(|other| other.probability > DOUBT * one.probability).collect();
+    let mut near: Vec<&Proposal> = proposals.iter().filter(|other| other.probability > IN_SET_SHARE * one.probability).collect();
     near.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.candidate.cmp(&b.candidate)));
     let mut ids = vec![CANDIDATES[one.candidate].id];
     near.iter().map(|other| CANDIDATES[other.candidate].id).for_each(|id| {

@@ -60,6 +60,10 @@ pub struct PictureSetting {
     pub search: Search,
     /// So many times the picture is fitted to what it leaves, from where it stands.
     pub again: usize,
+    /// Conjugate gradients of each of these times, and of a draw.
+    pub again_steps: usize,
+    /// See there.
+    pub draw_steps: usize,
     /// Seed of draws of what frames leave open.
     pub seed: u64,
 }
@@ -85,6 +89,8 @@ impl Default for PictureSetting {
             most_values: 2_000_000,
             search: Search::default(),
             again: 5,
+            again_steps: 50,
+            draw_steps: 40,
             seed: 1,
         }
     }
@@ -170,9 +176,9 @@ impl Picture {
         fit.reweigh(&mut rows);
         let mut random = Random::new(seed, &[0xd4]);
         let smooth = fit.smoothness(knots, None);
-        let open = draw(&rows, &self.grid, &smooth, knots, setting.steps.1, &mut random);
+        let open = draw(&rows, &self.grid, &smooth, knots, setting.draw_steps, &mut random);
         let smooth = fit.smoothness(knots, Some(&open));
-        let open = draw(&rows, &self.grid, &smooth, knots, setting.steps.1, &mut random);
+        let open = draw(&rows, &self.grid, &smooth, knots, setting.draw_steps, &mut random);
         fit.picture.surface.iter_mut().zip(&open).for_each(|(c, open)| *c += open);
         let rows = fit.lay(false);
         fit.keep_residuals(&rows);
@@ -383,7 +389,7 @@ impl<'a> Fit<'a> {
             self.picture.report.misfit.push(misfit);
             let open = (begin > 0).then(|| {
                 let mut random = Random::new(self.setting.seed, &[round as u64]);
-                draw(&rows, &self.picture.grid, &smooth, knots, steps, &mut random)
+                draw(&rows, &self.picture.grid, &smooth, knots, self.setting.draw_steps, &mut random)
             });
             smooth = self.smoothness(knots, open.as_deref());
             best = self.cost(&rows, &smooth);
@@ -393,7 +399,7 @@ impl<'a> Fit<'a> {
         }
         if begin > 0 {
             for _ in 0..self.setting.again {
-                let step = again(&rows, &self.picture.grid, &smooth, knots, steps);
+                let step = again(&rows, &self.picture.grid, &smooth, knots, self.setting.again_steps);
                 self.picture.surface.iter_mut().zip(&step).for_each(|(c, step)| *c += step);
                 rows = self.lay(false);
                 self.reweigh(&mut rows);

@@ -3,7 +3,8 @@
 //! A scene that frames alone state is evidence of another kind than a light that events helped to estimate: an effect cannot hide in it. So where enough events count, this method
 //! decides alone; what it does not see is not there, to the size that its own floor allows.
 //!
-//! The floor of a gain grows with the residuals that the best effect leaves ([`Decision`]).
+//! - [`model`]: probabilities.
+//! - [`calibrate`]: where its numbers come from.
 
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
@@ -12,38 +13,43 @@ use crate::nominal::Nominal;
 use crate::picture::PictureSetting;
 use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked, evidence};
 use crate::residual::source::MovingPicture;
-use crate::verdict::{Proposal, Road};
+use crate::verdict::{Proposal, Road, Unexplained, is_material};
+use model::{Belief, Facts, Model, hypotheses};
+use serde::{Deserialize, Serialize};
+
+pub mod calibrate;
+pub mod model;
 
 /// The name of the method.
 pub const PICTURE: &str = "picture";
 
-/// From when on a gain is a finding. Values: docs/diagnosis.md, *The moving picture*.
-#[derive(Clone, Copy, Debug)]
+/// From when on something is said.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
-    /// Least gain of an effect beyond the control, nats an event.
-    pub least_gain: f64,
-    /// And as a multiple of the median absolute residual over the threshold that the best effect leaves: what the picture's own errors gain.
-    pub per_median: f64,
-    /// A second effect must gain this share of the first one's gain.
-    pub second_share: f64,
-    /// Effects are told apart by gains that differ by this share of the best.
-    pub softness: f64,
+    /// The model's numbers.
+    pub model: Model,
+    /// Something differs from this probability on.
+    pub least: f64,
+    /// And there is a second effect from this probability on.
+    pub least_second: f64,
     /// Where the control's median absolute residual over the threshold is larger, the method does not model this sensor, and abstains.
     pub most_control: f64,
     /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than this.
     pub most_left: f64,
+    /// Error of sizes that all blocks share, as a share of the departure.
+    pub shared_error: f64,
 }
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision { least_gain: 0.03, per_median: 2.0, second_share: 0.04, softness: 0.04, most_control: 0.15, most_left: 0.12 }
+        Decision { model: Model::default(), least: 0.8, least_second: 0.7, most_control: 0.15, most_left: 0.3, shared_error: 0.02 }
     }
 }
 
 /// Runs the method.
 ///
 /// # Errors
-/// When the description does not state what the model needs, or the picture predicts too few of the frames.
+/// When the description does not state what the model needs, or the scene predicts too few of the frames.
 pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
     let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
     let source = MovingPicture::fit(case, &nominal, &PictureSetting::default())?;
@@ -55,61 +61,56 @@ pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
             found.control_median
         ));
     }
-    let said = method(&found, &nominal, &decision);
+    let said = method(&found, &|one| is_material(case, &nominal, &CANDIDATES[one.candidate], one.value), &nominal, &decision);
     if !said.alarm && found.left[0] > decision.most_left {
-        return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on a moving picture", found.left[0]));
+        return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on this scene", found.left[0]));
     }
     Ok(said)
 }
 
-/// What was found as a method's word.
-pub fn method(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Road {
-    let floor = f64::max(decision.least_gain, decision.per_median * found.left[0]);
-    let first = proposals(&found.ranked, &found.random, floor, nominal, decision);
-    let best = first.iter().filter(|one| one.passed).filter_map(|one| one.heldout_nats_per_event).fold(0.0, f64::max);
-    let floor_of_second = f64::max(floor, decision.second_share * best);
-    let second = proposals(&found.second, &found.random_second, floor_of_second, nominal, decision);
+/// What was found as a method's word; `matters`: is a size worth a word?
+pub fn method(found: &Evidence, matters: &impl Fn(&Ranked) -> bool, nominal: &Nominal, decision: &Decision) -> Road {
+    let facts = Facts::of(found, matters);
+    let belief = decision.model.first(&facts);
+    let is_something = belief.something >= decision.least;
+    let first = proposals(&hypotheses(&found.ranked, &found.random, matters), &belief, belief.something / decision.least, nominal, decision);
+    let most = first.iter().map(|one| one.probability).fold(0.0, f64::max);
+    let is_unnamed = is_something && belief.unnamed > most;
+    let second = decision.model.second(&facts).map_or_else(Vec::new, |belief| {
+        let list = hypotheses(&found.second, &found.random_second, matters);
+        proposals(&list, &belief, belief.something / decision.least_second, nominal, decision)
+    });
+    let curve = found.open_second.first().or(found.open.first()).filter(|_| is_unnamed);
     Road {
         name: PICTURE.into(),
-        alarm: first.iter().any(|one| one.passed),
-        proposals: first,
-        second,
+        alarm: is_something,
+        proposals: if is_unnamed { Vec::new() } else { first },
+        second: if is_unnamed { Vec::new() } else { second },
+        unexplained: curve.map(|curve| Unexplained::by(&curve.law, belief.something / decision.least)),
         decides: true,
         residual_left: Some(found.left[0] / f64::max(found.median, 1e-12)),
         ..Road::default()
     }
 }
 
-/// One proposal for each effect, by its best parameter; best first.
-fn proposals(ranked: &[Ranked], random: &[Ranked], floor: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
-    let mut all: Vec<&Ranked> = ranked.iter().chain(random).filter(|one| one.beyond() > 0.0).collect();
-    all.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate)));
-    let best = all.first().map_or(1.0, |one| one.beyond());
-    let mut found: Vec<Proposal> = Vec::new();
-    for one in all {
-        let id = CANDIDATES[one.candidate].id;
-        if found.iter().any(|other| CANDIDATES[other.candidate].id == id) {
-            continue;
-        }
-        let gain = one.beyond();
+/// One proposal for each hypothesis, best first; `score`: how far over what is said something is.
+fn proposals(list: &[&Ranked], belief: &Belief, score: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
+    let one = |(one, probability): (&&Ranked, &f64)| {
         let width = one.error / f64::max(one.strength.abs(), 1e-12);
-        // Blocks do not know of what all of them share: two parts in a hundred of the departure.
         let nothing = CANDIDATES[one.candidate].nominal_value(nominal);
-        let error = 1.96 * libm::hypot(width, 0.02) * (one.value - nothing).abs();
-        found.push(Proposal {
+        let error = 1.96 * libm::hypot(width, decision.shared_error) * (one.value - nothing).abs();
+        Proposal {
             candidate: one.candidate,
-            score: gain / floor,
-            probability: libm::exp((gain / best - 1.0) / decision.softness),
+            score,
+            probability: *probability,
             value: one.value,
             ci95: (error > 0.0 && error.is_finite()).then_some([one.value - error, one.value + error]),
-            passed: gain > floor && one.is_exact,
+            passed: score >= 1.0,
             heldout_nats: None,
-            heldout_nats_per_event: Some(gain),
-        });
-    }
-    let sum: f64 = found.iter().map(|one| one.probability).sum();
-    found.iter_mut().for_each(|one| one.probability /= f64::max(sum, 1e-300));
-    found
+            heldout_nats_per_event: Some(one.beyond()),
+        }
+    };
+    list.iter().zip(&belief.each).map(one).collect()
 }
 
 #[cfg(test)]
@@ -127,25 +128,31 @@ mod tests {
         Ranked { candidate, gain, control_gain, strength: 1.0, value: 1.0, is_exact: true, ..Ranked::default() }
     }
 
-    #[test]
-    fn gains_count_from_the_control_and_over_a_floor_that_grows_with_its_residuals() {
+    fn said(found: &Evidence) -> Road {
         let case = testing::case();
-        let nominal = Nominal::new(&case).unwrap();
-        let mut found = Evidence { left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
-        let said = method(&found, &nominal, &Decision::default());
-        assert!(said.decides && said.alarm && said.proposals[0].passed && !said.proposals[1].passed);
+        method(found, &|_| true, &Nominal::new(&case).unwrap(), &Decision::default())
+    }
+
+    #[test]
+    fn gains_count_from_the_control() {
+        let found = Evidence { left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
+        let said = said(&found);
+        assert!(said.decides && said.alarm && said.proposals[0].passed);
         assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
-        found.left = [0.3; 2];
-        assert!(!method(&found, &nominal, &Decision::default()).alarm, "such residuals gain that much without an effect");
+        assert!(said.proposals[0].probability > 0.9);
+    }
+
+    #[test]
+    fn what_gains_next_to_nothing_is_no_finding() {
+        let found = Evidence { left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.004, 0.001)], ..Evidence::default() };
+        assert!(!said(&found).alarm);
     }
 
     #[test]
     fn alike_gains_share_their_probability() {
-        let case = testing::case();
-        let nominal = Nominal::new(&case).unwrap();
         let found =
             Evidence { ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)], ..Evidence::default() };
-        let said = method(&found, &nominal, &Decision::default()).proposals;
+        let said = said(&found).proposals;
         assert!(said[0].probability < 0.6 && said[1].probability > 0.4 && said[2].probability < 0.01);
     }
 

@@ -1,0 +1,89 @@
+//! `photocurrent calibrate`: the numbers of the diagnosis' decision, made anew from made-up recordings.
+
+use crate::args::CalibrateOptions;
+use crate::common::{Done, Failure};
+use crate::learn::{extent, write};
+use crate::terminal::say;
+use indicatif::{ProgressBar, ProgressStyle};
+use photocurrent_diagnosis::decide::Decision;
+use photocurrent_diagnosis::decide::calibrate::{Example, Validation, calibrate as model_of, example, validate};
+use photocurrent_diagnosis::decide::model::Model;
+use photocurrent_diagnosis::made::MadeSetting;
+use serde::Serialize;
+use std::io::IsTerminal;
+use std::path::Path;
+
+/// What is written.
+#[derive(Serialize)]
+struct Calibrated {
+    seed: u64,
+    size: String,
+    model: Model,
+    validation: Validation,
+}
+
+/// Makes recordings one by one, so that a stopped run goes on where it was, then model and validation.
+pub fn calibrate(options: &CalibrateOptions) -> Done {
+    let made = MadeSetting { extent: extent(&options.size)?, ..MadeSetting::default() };
+    let folder = options.out.join(format!("made-{}-{}", options.size, options.seed));
+    std::fs::create_dir_all(&folder).map_err(|error| Failure::other(format!("{}: cannot make the folder: {error}", folder.display())))?;
+    let bar = bar(options);
+    let mut examples = Vec::new();
+    for number in 0..options.recordings {
+        let path = folder.join(format!("{number:05}.json"));
+        // Effects that cannot be combined make no recording; the next number makes another.
+        examples.extend(match made_before(&path) {
+            Some(example) => Some(example),
+            None => example(options.seed, number, &made).ok().map(|one| kept(&path, one)).transpose()?,
+        });
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let decision = Decision::default();
+    let model = model_of(&examples.iter().collect::<Vec<&Example>>());
+    let validation = validate(&examples, options.folds as usize, &decision);
+    if !options.quiet {
+        tell(&validation);
+    }
+    let calibrated = Calibrated { seed: options.seed, size: options.size.clone(), model, validation };
+    let text = serde_json::to_string_pretty(&calibrated).map_err(|error| Failure::other(format!("decision.json cannot be written: {error}")))?;
+    write(&options.out.join("decision.json"), text.as_bytes())?;
+    if !options.quiet {
+        say!("{} recordings; the model is in {}", examples.len(), options.out.join("decision.json").display());
+    }
+    Ok(0)
+}
+
+fn made_before(path: &Path) -> Option<Example> {
+    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+}
+
+fn kept(path: &Path, example: Example) -> Result<Example, Failure> {
+    let text = serde_json::to_vec(&example).map_err(|error| Failure::other(format!("{}: {error}", path.display())))?;
+    write(path, &text)?;
+    Ok(example)
+}
+
+fn tell(found: &Validation) {
+    let share = |part: usize, of: usize| 100.0 * part as f64 / f64::max(of as f64, 1.0);
+    say!("cross-validated, {} recordings, {} of them without a scene:", found.recordings, found.abstained);
+    say!("  nothing    {:4}  something claimed in {} ({:.1} %)", found.nothing.0, found.nothing.1, share(found.nothing.1, found.nothing.0));
+    let (count, claimed, first, set) = found.one;
+    say!("  one        {count:4}  claimed {claimed}, first {first} ({:.0} %), in the set {set} ({:.0} %)", share(first, count), share(set, count));
+    let (count, both, f1) = found.two;
+    say!("  two        {count:4}  both {both} ({:.0} %), F1 {:.2}", share(both, count), f1 / f64::max(count as f64, 1.0));
+    let (count, unnamed, forced) = found.other;
+    say!("  no catalogue {count:2}  unnamed {unnamed} ({:.0} %), named {forced} ({:.0} %)", share(unnamed, count), share(forced, count));
+    for (from, to, claims, right) in found.reliability.iter().filter(|bin| bin.2 > 0) {
+        say!("  belief {from:.1} to {to:.1}: {right} of {claims} right");
+    }
+}
+
+fn bar(options: &CalibrateOptions) -> ProgressBar {
+    if options.quiet || !std::io::stderr().is_terminal() {
+        return ProgressBar::hidden();
+    }
+    let bar = ProgressBar::new(options.recordings);
+    bar.set_style(ProgressStyle::with_template("{bar:40} {pos}/{len} recordings, {eta} left").unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar
+}

@@ -1,0 +1,219 @@
+//! Numbers of the decision's model from recordings whose truth is known, with cross-validation.
+//!
+//! The two logistic functions by Newton's method with a weak prior; softness, offset and odds of what is in no catalogue by searching each in turn. Both maximise the likelihood of
+//! the truth. Every recording is judged by a model that did not see it.
+
+use super::Decision;
+use super::model::{Facts, Model, SECOND, SOMETHING, logistic};
+use crate::candidates::{CANDIDATES, Candidate, Scales};
+use crate::made::{Made, MadeSetting, Truth, made};
+use crate::nominal::Nominal;
+use crate::picture::PictureSetting;
+use crate::residual::evidence::{EvidenceSetting, Ranked, evidence};
+use crate::residual::source::MovingPicture;
+use crate::verdict::{IN_SET_SHARE as IN_SET, is_material};
+use nalgebra::{SMatrix, SVector};
+use serde::{Deserialize, Serialize};
+
+/// A recording with its truth, as the model sees it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Example {
+    /// What is wrong with it; sizes that nobody would care about are left out.
+    pub truth: Truth,
+    /// What the model looks at; none where the method abstained.
+    pub facts: Option<Facts>,
+}
+
+impl Example {
+    fn is_something(&self) -> bool {
+        !self.truth.effects.is_empty() || self.truth.other.is_some()
+    }
+
+    fn has(&self, id: &str) -> bool {
+        self.truth.effects.iter().any(|(other, ..)| other == id)
+    }
+}
+
+/// Makes recording number `index` of a seed and looks at it.
+///
+/// # Errors
+/// When the effects that were drawn cannot be combined.
+pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, String> {
+    let Made { case, mut truth } = made(seed, index, setting)?;
+    let nominal = Nominal::new(&case).map_err(|why| why.to_string())?;
+    let scales = Scales::of(&case, &nominal);
+    truth.effects.retain(|(id, parameter, strength)| {
+        Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*strength, &scales, &nominal)))
+    });
+    let matters = |one: &Ranked| is_material(&case, &nominal, &CANDIDATES[one.candidate], one.value);
+    let facts = MovingPicture::fit(&case, &nominal, &PictureSetting::default())
+        .and_then(|source| evidence(&case, &nominal, &source, &EvidenceSetting::default()))
+        .ok()
+        .map(|found| Facts::of(&found, matters));
+    Ok(Example { truth, facts })
+}
+
+/// Standard deviation of the logistic weights beforehand.
+const PRIOR: f64 = 3.0;
+
+fn newton<const N: usize>(examples: &[([f64; N], bool)]) -> [f64; N] {
+    let mut weights = SVector::<f64, N>::zeros();
+    for _ in 0..50 {
+        let mut gradient = -weights / (PRIOR * PRIOR);
+        let mut curvature = SMatrix::<f64, N, N>::identity() / (PRIOR * PRIOR);
+        for (facts, is_true) in examples {
+            let x = SVector::<f64, N>::from_column_slice(facts);
+            let p = logistic(weights.dot(&x));
+            gradient += x * (f64::from(u8::from(*is_true)) - p);
+            curvature += x * x.transpose() * (p * (1.0 - p));
+        }
+        let Some(step) = curvature.cholesky().map(|factor| factor.solve(&gradient)) else { break };
+        weights += step;
+        if step.norm() < 1e-9 {
+            break;
+        }
+    }
+    std::array::from_fn(|n| weights[n])
+}
+
+/// The model that makes the truth of these recordings most probable.
+pub fn calibrate(examples: &[&Example]) -> Model {
+    let seen: Vec<(&Example, &Facts)> = examples.iter().filter_map(|one| Some((*one, one.facts.as_ref()?))).collect();
+    let something: Vec<([f64; SOMETHING], bool)> = seen.iter().map(|(one, facts)| (facts.something, one.is_something())).collect();
+    // A second one is looked for where the first is right.
+    let is_right = |one: &Example, facts: &Facts| facts.first.first().is_some_and(|first| one.has(&first.0));
+    let second: Vec<([f64; SECOND], bool)> =
+        seen.iter().filter(|(one, facts)| is_right(one, facts)).filter_map(|(one, facts)| Some((facts.second?, one.truth.effects.len() > 1))).collect();
+    let mut model = Model { something: newton(&something), second: newton(&second), ..Model::default() };
+    let named: Vec<&(&Example, &Facts)> = seen.iter().filter(|(one, _)| one.is_something()).collect();
+    let fit = |model: &Model| -> f64 { named.iter().map(|(one, facts)| log_of_truth(model, one, facts)).sum::<f64>() - prior(model) };
+    let mut best = fit(&model);
+    let mut reach = 1.0;
+    for _ in 0..40 {
+        let mut is_better = false;
+        for n in 0..5 {
+            for by in [-reach, reach] {
+                let mut other = model;
+                match n {
+                    0 => other.softness *= libm::exp(0.5 * by),
+                    1 => other.random += by,
+                    _ => other.unnamed[n - 2] += by,
+                }
+                let likelihood = fit(&other);
+                if likelihood > best {
+                    (model, best, is_better) = (other, likelihood, true);
+                }
+            }
+        }
+        if !is_better {
+            reach *= 0.5;
+        }
+    }
+    model
+}
+
+/// Weak: a factor e of softness, three of log odds.
+fn prior(model: &Model) -> f64 {
+    let odds = model.unnamed.iter().chain([&model.random]).map(|odds| odds * odds).sum::<f64>() / (PRIOR * PRIOR);
+    let soft = libm::log(model.softness / Model::default().softness);
+    0.5 * (odds + soft * soft)
+}
+
+/// Log probability of one of the true names, given that something is there.
+fn log_of_truth(model: &Model, one: &Example, facts: &Facts) -> f64 {
+    let belief = model.first(facts);
+    let right = if one.truth.other.is_some() {
+        belief.unnamed
+    } else {
+        facts.first.iter().zip(&belief.each).filter(|(first, _)| one.has(&first.0)).map(|(_, p)| p).sum()
+    };
+    // What never was a hypothesis tells nothing of the model.
+    if right > 0.0 { libm::log(right.max(1e-4)) } else { 0.0 }
+}
+
+/// How a model does on recordings that it did not see.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Validation {
+    /// Recordings, and those where the method abstained.
+    pub recordings: usize,
+    /// See there.
+    pub abstained: usize,
+    /// Recordings with nothing, and those of them where something is claimed.
+    pub nothing: (usize, usize),
+    /// With one effect: how many, something claimed, it named first, it in the set.
+    pub one: (usize, usize, usize, usize),
+    /// With two: how many, both named and nothing else, and the sum of F1.
+    pub two: (usize, usize, f64),
+    /// In no catalogue: how many, unnamed, named with an effect.
+    pub other: (usize, usize, usize),
+    /// Reliability of what is claimed: belief from and to, claims, right ones.
+    pub reliability: Vec<(f64, f64, usize, usize)>,
+    /// Mean log probability of whether something differs.
+    pub log_something: f64,
+}
+
+/// Cross-validates in `folds` parts, with the claims that `decision` makes of probabilities.
+pub fn validate(examples: &[Example], folds: usize, decision: &Decision) -> Validation {
+    let mut sums = Validation { reliability: (0..5).map(|n| (0.2 * n as f64, 0.2 * (n + 1) as f64, 0, 0)).collect(), ..Validation::default() };
+    for fold in 0..folds {
+        let training: Vec<&Example> = examples.iter().enumerate().filter(|(n, _)| n % folds != fold).map(|(_, one)| one).collect();
+        let model = calibrate(&training);
+        examples.iter().enumerate().filter(|(n, _)| n % folds == fold).for_each(|(_, one)| judge(&model, one, decision, &mut sums));
+    }
+    sums.log_something /= f64::max((sums.recordings - sums.abstained) as f64, 1.0);
+    sums
+}
+
+fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validation) {
+    sums.recordings += 1;
+    let Some(facts) = &one.facts else {
+        sums.abstained += 1;
+        return;
+    };
+    let belief = model.first(facts);
+    sums.log_something += libm::log(f64::max(if one.is_something() { belief.something } else { 1.0 - belief.something }, 1e-9));
+    let claimed = belief.something >= decision.least;
+    let top = facts.first.iter().zip(&belief.each).max_by(|a, b| a.1.total_cmp(b.1));
+    let is_unnamed = top.is_none_or(|(_, p)| belief.unnamed > *p);
+    let first = top.filter(|_| claimed && !is_unnamed);
+    let set: Vec<&str> = first.map_or_else(Vec::new, |(_, most)| {
+        facts.first.iter().zip(&belief.each).filter(|(_, p)| **p > IN_SET * most).map(|((id, ..), _)| id.as_str()).collect()
+    });
+    let second = model
+        .second(facts)
+        .filter(|second| first.is_some() && second.something >= decision.least_second)
+        .and_then(|second| facts.beside.iter().zip(second.each).max_by(|a, b| a.1.total_cmp(&b.1)).map(|((id, ..), _)| id.as_str()))
+        .filter(|id| !set.contains(id));
+    let right = first.is_some_and(|((id, ..), _)| one.has(id));
+    if let Some((_, p)) = first {
+        let sure = belief.something * p;
+        if let Some(bin) = sums.reliability.iter_mut().find(|bin| sure <= bin.1) {
+            bin.2 += 1;
+            bin.3 += usize::from(right);
+        }
+    }
+    match (one.truth.other.is_some(), one.truth.effects.len()) {
+        (true, _) => {
+            sums.other.0 += 1;
+            sums.other.1 += usize::from(claimed && is_unnamed);
+            sums.other.2 += usize::from(first.is_some());
+        }
+        (_, 0) => {
+            sums.nothing.0 += 1;
+            sums.nothing.1 += usize::from(claimed);
+        }
+        (_, 1) => {
+            sums.one.0 += 1;
+            sums.one.1 += usize::from(claimed);
+            sums.one.2 += usize::from(right);
+            sums.one.3 += usize::from(set.iter().any(|id| one.has(id)));
+        }
+        _ => {
+            let said: Vec<&str> = first.map(|((id, ..), _)| id.as_str()).into_iter().chain(second).collect();
+            let hits = said.iter().filter(|id| one.has(id)).count();
+            sums.two.0 += 1;
+            sums.two.1 += usize::from(hits == 2);
+            sums.two.2 += if said.is_empty() { 0.0 } else { 2.0 * hits as f64 / (said.len() + 2) as f64 };
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! The one model of the decision: from what residuals say of every hypothesis to probabilities.
+//!
+//! - That something differs: a logistic function of the best gain, of what the best hypothesis leaves and of what the control leaves.
+//! - Which it is: gains relative to the best one, softly; random effects and what is in no catalogue with an offset of their own.
+//! - That there is a second one beside the first: a logistic function of its gain, alone and over the first one's.
+//!
+//! Its numbers are calibrated on made-up recordings ([`super::calibrate`]).
+
+use crate::candidates::CANDIDATES;
+use crate::residual::evidence::{Evidence, Ranked};
+use crate::residual::open::Open;
+use serde::{Deserialize, Serialize};
+
+/// Numbers of the model.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Model {
+    /// Log odds that something differs: constant, and weights of [`Facts::something`].
+    pub something: [f64; SOMETHING],
+    /// Log odds of a second effect: constant, and weights of [`Facts::second`].
+    pub second: [f64; SECOND],
+    /// A hypothesis whose gain is smaller than the best by this share is a factor e less probable.
+    pub softness: f64,
+    /// Log odds of a random effect over one with a size, at the same gain.
+    pub random: f64,
+    /// Log odds of what is in no catalogue over the best effect: constant, weight of the logarithm of the gain of the best curve beside that effect over the effect's own gain, and of
+    /// the gain of the best curve alone over that.
+    pub unnamed: [f64; 3],
+}
+
+/// Numbers of [`Model::something`].
+pub const SOMETHING: usize = 4;
+/// Numbers of [`Model::second`].
+pub const SECOND: usize = 4;
+
+impl Default for Model {
+    /// `photocurrent calibrate`, docs/diagnosis.md.
+    fn default() -> Model {
+        Model { something: [6.0, 1.8, -0.9, 0.0], second: [6.0, 1.5, 0.5, -0.9], softness: 0.06, random: 0.0, unnamed: [-1.0, 2.0, 2.0] }
+    }
+}
+
+/// Gains below this are nothing, nats an event.
+const LEAST_GAIN: f64 = 1e-3;
+/// And residuals, as shares of the threshold.
+const LEAST_LEFT: f64 = 3e-3;
+
+/// What the model looks at.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Facts {
+    /// 1, logarithms of the best gain, of what is left with it, and of what the control leaves.
+    pub something: [f64; SOMETHING],
+    /// 1, logarithms of the second gain, of it over the first, and of what is left; none where there is no second.
+    pub second: Option<[f64; SECOND]>,
+    /// Hypotheses, best first: catalogue id, gain over the best one's, is it random.
+    pub first: Vec<(String, f64, bool)>,
+    /// The same beside the first.
+    pub beside: Vec<(String, f64, bool)>,
+    /// Logarithms of the gains of curves over that of the best effect: beside it, and alone.
+    pub open: [f64; 2],
+}
+
+impl Facts {
+    /// Of evidence; `matters`: is a size worth a word?
+    pub fn of(found: &Evidence, matters: impl Fn(&Ranked) -> bool) -> Facts {
+        let first = hypotheses(&found.ranked, &found.random, &matters);
+        let second = hypotheses(&found.second, &found.random_second, &matters);
+        let gain = |list: &[&Ranked]| list.first().map_or(LEAST_GAIN, |one| one.beyond().max(LEAST_GAIN));
+        let (best, other) = (gain(&first), gain(&second));
+        let named = |list: &[&Ranked], best: f64| {
+            list.iter().map(|one| (CANDIDATES[one.candidate].id.to_owned(), one.beyond() / best, CANDIDATES[one.candidate].is_random)).collect()
+        };
+        let curve = |list: &[Open]| list.first().map_or(LEAST_GAIN, |one| one.beyond().max(LEAST_GAIN));
+        let ln_left = |left: f64| libm::log(f64::max(left, LEAST_LEFT));
+        Facts {
+            something: [1.0, libm::log(best), ln_left(found.left[0]), ln_left(found.control_median)],
+            second: (!second.is_empty()).then(|| [1.0, libm::log(other), libm::log(other / best), ln_left(found.left[0])]),
+            first: named(&first, best),
+            beside: named(&second, other),
+            open: [libm::log(curve(&found.open_second) / best), libm::log(curve(&found.open) / best)],
+        }
+    }
+}
+
+/// Each effect by its best parameter, best first: those that were fitted exactly and matter.
+pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked], matters: &impl Fn(&Ranked) -> bool) -> Vec<&'a Ranked> {
+    let mut all: Vec<&Ranked> = ranked.iter().chain(random).filter(|one| one.is_exact && one.beyond() > 0.0 && matters(one)).collect();
+    all.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate)));
+    let mut ids: Vec<&str> = Vec::new();
+    all.retain(|one| {
+        let id = CANDIDATES[one.candidate].id;
+        let is_new = !ids.contains(&id);
+        ids.push(id);
+        is_new
+    });
+    all
+}
+
+/// Probabilities of one place: that there is something, of each hypothesis, and of what is in no catalogue.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Belief {
+    /// That there is anything.
+    pub something: f64,
+    /// Of each hypothesis in its order, given that there is something.
+    pub each: Vec<f64>,
+    /// Of what is in no catalogue, given that there is something.
+    pub unnamed: f64,
+}
+
+impl Model {
+    /// What is believed of the first effect.
+    pub fn first(&self, facts: &Facts) -> Belief {
+        let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
+        self.belief(dot(&self.something, &facts.something), &facts.first, Some(odds))
+    }
+
+    /// And of one beside it.
+    pub fn second(&self, facts: &Facts) -> Option<Belief> {
+        Some(self.belief(dot(&self.second, facts.second.as_ref()?), &facts.beside, None))
+    }
+
+    fn belief(&self, log_odds: f64, list: &[(String, f64, bool)], unnamed: Option<f64>) -> Belief {
+        let score = |(_, share, is_random): &(String, f64, bool)| libm::exp((share - 1.0) / self.softness + if *is_random { self.random } else { 0.0 });
+        let each: Vec<f64> = list.iter().map(score).collect();
+        let unnamed = unnamed.map_or(0.0, |odds| libm::exp(odds.clamp(-50.0, 50.0)));
+        let sum = (each.iter().sum::<f64>() + unnamed).max(1e-300);
+        Belief { something: logistic(log_odds), each: each.iter().map(|one| one / sum).collect(), unnamed: unnamed / sum }
+    }
+}
+
+/// 1 / (1 + exp(-x)).
+pub fn logistic(x: f64) -> f64 {
+    1.0 / (1.0 + libm::exp(-x))
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
