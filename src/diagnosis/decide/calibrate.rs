@@ -217,3 +217,66 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::random::Random;
+
+    fn facts(gain: f64, share_of_other: f64) -> Facts {
+        Facts {
+            something: [1.0, libm::log(gain), -3.0, -3.5],
+            second: Some([1.0, libm::log(0.1 * gain), libm::log(0.1), -3.0]),
+            first: vec![("clock_offset".into(), 1.0, false), ("second_pole".into(), share_of_other, false)],
+            beside: vec![("leak_events".into(), 1.0, false)],
+            open: [-3.0, -2.0],
+        }
+    }
+
+    /// Recordings with an effect or without, whose gains say which by known odds.
+    fn examples(count: u64) -> Vec<Example> {
+        let mut random = Random::new(8, &[]);
+        (0..count)
+            .map(|_| {
+                let gain = libm::exp(-6.0 + 5.0 * random.uniform());
+                let is_something = random.uniform() < logistic(9.0 + 3.0 * libm::log(gain));
+                let truth = Truth { effects: if is_something { vec![("clock_offset".into(), "offset".into(), 1.0)] } else { Vec::new() }, ..Truth::default() };
+                Example { truth, facts: Some(facts(gain, 0.7)) }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn odds_that_recordings_were_made_with_are_found_again() {
+        let examples = examples(3_000);
+        let model = calibrate(&examples.iter().collect::<Vec<&Example>>());
+        for gain in [0.01, 0.05, 0.2] {
+            let (found, made) = (model.first(&facts(gain, 0.7)).something, logistic(9.0 + 3.0 * libm::log(gain)));
+            assert!((found - made).abs() < 0.06, "at {gain}: {found} is {made}");
+        }
+    }
+
+    #[test]
+    fn a_name_that_is_right_with_a_clear_lead_is_believed_and_one_without_is_not() {
+        let mut examples = examples(600);
+        // With a close second, either is as often right.
+        for (n, one) in examples.iter_mut().enumerate().filter(|(n, _)| n % 2 == 0) {
+            one.facts = Some(facts(0.5, 0.99));
+            let id = if n % 4 == 0 { "clock_offset" } else { "second_pole" };
+            one.truth.effects = vec![(id.into(), String::new(), 1.0)];
+        }
+        let model = calibrate(&examples.iter().collect::<Vec<&Example>>());
+        let (clear, close) = (model.first(&facts(0.5, 0.7)), model.first(&facts(0.5, 0.99)));
+        assert!(clear.each[0] > 0.8 && (0.35..0.65).contains(&close.each[0]), "{clear:?} {close:?}");
+    }
+
+    #[test]
+    fn what_was_not_seen_judges_and_claims_are_counted_by_kind() {
+        let mut examples = examples(500);
+        examples.push(Example { truth: Truth::default(), facts: None });
+        let found = validate(&examples, 5, &Decision::default());
+        assert_eq!((found.recordings, found.abstained), (501, 1));
+        assert_eq!(found.nothing.0 + found.one.0, 500);
+        assert!(found.one.2 > found.one.0 / 2 && found.nothing.1 < found.nothing.0 / 5, "{found:?}");
+    }
+}

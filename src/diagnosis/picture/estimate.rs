@@ -654,3 +654,69 @@ fn cover(case: &Case, motion: &Motion, centre: (f64, f64), pitch: f64) -> Grid {
     grid.width = grid.width.next_multiple_of(LANES);
     grid
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::MadeUp;
+    use photocurrent_core::Extent;
+
+    fn recording() -> Case {
+        // A texture that moves: the first made-up scene that is one.
+        MadeUp::new(21, 0, Extent { width: 24, height: 18 }, 0.05).recording().unwrap()
+    }
+
+    #[test]
+    fn derivatives_are_those_of_finite_steps() {
+        let case = recording();
+        let nominal = Nominal::new(&case).unwrap();
+        let setting = PictureSetting::default();
+        let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
+        let mut fit = Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting));
+        let mut random = Random::new(3, &[]);
+        let typical = fit.typical as f32;
+        fit.picture.surface.iter_mut().for_each(|c| *c += 0.2 * typical * random.normal() as f32);
+        fit.picture.shading.iter_mut().for_each(|term| *term = 0.02 * random.normal());
+        let rows = fit.lay(true);
+        assert!(rows.count() > 500);
+        let begun = fit.picture.clone();
+        let mut moved = |change: &dyn Fn(&mut Picture, f64)| -> Vec<f64> {
+            let by = 1e-4;
+            let at = |fit: &mut Fit<'_>, by: f64| {
+                fit.picture = begun.clone();
+                change(&mut fit.picture, by);
+                fit.lay(false).residual
+            };
+            let (more, less) = (at(&mut fit, by), at(&mut fit, -by));
+            // A residual falls as what is predicted rises.
+            more.iter().zip(&less).map(|(more, less)| -f64::from(more - less) / (2.0 * by)).collect()
+        };
+        let knots = begun.motion.knots.len();
+        for (knot, degree) in (0..knots).flat_map(|knot| (0..DEGREES).map(move |degree| (knot, degree))) {
+            let finite = moved(&|picture, by| picture.motion.knots[knot][degree] += by);
+            for (r, finite) in finite.iter().enumerate() {
+                let first = rows.knot[r] as usize;
+                let own = if (first..first + TOUCHED).contains(&knot) { f64::from(rows.by_rest[r][(knot - first) * DEGREES + degree]) } else { 0.0 };
+                assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "knot {knot}, degree {degree}, row {r}: {own} is {finite}");
+            }
+        }
+        for term in 0..TERMS {
+            let finite = moved(&|picture, by| picture.shading[term] += by);
+            for (r, finite) in finite.iter().enumerate() {
+                let own = f64::from(rows.by_rest[r][TOUCHED * DEGREES + term]);
+                assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "term {term}, row {r}: {own} is {finite}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_same_recording_gives_the_same_picture_with_any_number_of_threads() {
+        let case = recording();
+        let nominal = Nominal::new(&case).unwrap();
+        let of = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| Picture::fit(&case, &nominal, &PictureSetting::default()).unwrap().surface)
+        };
+        assert_eq!(of(1), of(2));
+    }
+}

@@ -405,3 +405,121 @@ pub fn stamp(stencil: &mut [f32], columns: usize, corner: (usize, usize), at: (u
         line.iter_mut().zip(wx).for_each(|(a, wx)| *a += (share * wy * wx) as f32);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::DMatrix;
+
+    /// Rows that see four by four coefficients of a picture each, at random places, with random weights and shading.
+    fn problem() -> (Rows, Grid, Smoothness, usize) {
+        let mut random = Random::new(5, &[]);
+        let grid = Grid { x0: 0.0, y0: 0.0, pitch: 1.0, width: 8, height: 6 };
+        let knots = 7;
+        let mut rows = Rows { first: vec![0], ..Rows::default() };
+        for r in 0..90 {
+            let (i, j) = ((random.uniform() * 4.9) as usize, (random.uniform() * 2.9) as usize);
+            rows.stencil.extend((0..16).map(|_| random.normal() as f32));
+            rows.first.push(rows.stencil.len() as u32);
+            rows.corner.push(((j * grid.width + i) as u32, 4));
+            rows.residual.push(random.normal() as f32);
+            rows.weight.push(0.5 + random.uniform() as f32);
+            rows.knot.push(r / 46);
+            rows.by_rest.push(std::array::from_fn(|n| if n < TOUCHED * DEGREES + TERMS { random.normal() as f32 } else { 0.0 }));
+        }
+        let rest = knots * DEGREES + TERMS;
+        let n = grid.coefficients();
+        let smooth =
+            Smoothness { along_x: vec![0.7; n], along_y: vec![0.9; n], across: vec![0.4; n], rest: vec![0.5; rest], rest_size: vec![0.3; rest], motion: 0.6 };
+        (rows, grid, smooth, knots)
+    }
+
+    /// The same problem with all its rows written out, of measurements and of what is held small; and its right side.
+    fn written_out(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize) -> (DMatrix<f64>, DVector<f64>) {
+        let (n, rest) = (grid.coefficients(), knots * DEGREES + TERMS);
+        let mut lines: Vec<(DVector<f64>, f64)> = Vec::new();
+        for r in 0..rows.count() {
+            let mut line = DVector::zeros(n + rest);
+            let (corner, columns, stencil) = rows.line(r);
+            for (k, a) in stencil.iter().enumerate() {
+                line[corner + k / columns * grid.width + k % columns] = f64::from(*a);
+            }
+            let indices = rows.indices(knots, rows.knot[r] as usize);
+            indices.iter().zip(&rows.by_rest[r]).for_each(|(at, a)| {
+                if let Some(at) = at {
+                    line[n + at] = f64::from(*a);
+                }
+            });
+            let weight = f64::from(rows.weight[r]);
+            lines.push((line * weight, f64::from(rows.residual[r]) * weight));
+        }
+        differences(grid, smooth, |at, by, weight| {
+            let mut line = DVector::zeros(n + rest);
+            at.iter().zip(by).for_each(|(&at, by)| line[at] += f64::from(by * weight));
+            lines.push((line, 0.0));
+        });
+        motion_differences(knots, |a, b, c| {
+            let mut line = DVector::zeros(n + rest);
+            (line[n + a], line[n + b], line[n + c]) = (smooth.motion, -2.0 * smooth.motion, smooth.motion);
+            lines.push((line, 0.0));
+        });
+        for k in 0..rest {
+            for hold in [smooth.rest[k], smooth.rest_size[k]] {
+                let mut line = DVector::zeros(n + rest);
+                line[n + k] = hold;
+                lines.push((line, 0.0));
+            }
+        }
+        let mut normal = DMatrix::zeros(n + rest, n + rest);
+        let mut right = DVector::zeros(n + rest);
+        for (line, value) in &lines {
+            normal += line * line.transpose();
+            right += line * *value;
+        }
+        (normal, right)
+    }
+
+    #[test]
+    fn the_step_is_that_of_all_rows_written_out() {
+        let (rows, grid, smooth, knots) = problem();
+        let (normal, right) = written_out(&rows, &grid, &smooth, knots);
+        let exact = normal.cholesky().unwrap().solve(&right);
+        let now = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
+        let found = solve(&rows, &grid, &smooth, &now, knots, true, 400);
+        let all: Vec<f64> = found.picture.iter().map(|c| f64::from(*c)).chain(found.rest.iter().copied()).collect();
+        all.iter().zip(exact.iter()).for_each(|(a, b)| assert!((a - b).abs() < 2e-3, "{a} is {b}"));
+    }
+
+    #[test]
+    fn draws_have_the_covariance_that_is_left_open() {
+        let (rows, grid, mut smooth, knots) = problem();
+        smooth.rest = vec![0.0; knots * DEGREES + TERMS];
+        let n = grid.coefficients();
+        let (normal, _) = written_out(&rows, &grid, &smooth, knots);
+        let open = normal.view((0, 0), (n, n)).clone_owned().cholesky().unwrap().inverse();
+        let mut random = Random::new(9, &[]);
+        const DRAWS: usize = 600;
+        let mut squares = vec![0.0; n];
+        for _ in 0..DRAWS {
+            let one = draw(&rows, &grid, &smooth, knots, 200, &mut random);
+            squares.iter_mut().zip(&one).for_each(|(sum, c)| *sum += f64::from(c * c) / DRAWS as f64);
+        }
+        // The mean over coefficients is good to a percent or two, each to a sixth (three standard deviations).
+        let ratio: Vec<f64> = squares.iter().enumerate().map(|(k, square)| square / open[(k, k)]).collect();
+        assert!((ratio.iter().sum::<f64>() / n as f64 - 1.0).abs() < 0.05, "{ratio:?}");
+        assert!(ratio.iter().all(|ratio| (0.75..1.3).contains(ratio)), "{ratio:?}");
+    }
+
+    #[test]
+    fn fitting_again_what_is_left_gives_back_what_smoothness_took() {
+        let (mut rows, grid, smooth, knots) = problem();
+        let mut random = Random::new(2, &[]);
+        let truth: Vec<f32> = (0..grid.coefficients()).map(|_| random.normal() as f32).collect();
+        rows.residual = (0..rows.count()).map(|r| rows.along(&grid, &truth, r)).collect();
+        let far = |picture: &[f32]| picture.iter().zip(&truth).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
+        let first = again(&rows, &grid, &smooth, knots, 200);
+        rows.residual = (0..rows.count()).map(|r| rows.residual[r] - rows.along(&grid, &first, r)).collect();
+        let second: Vec<f32> = again(&rows, &grid, &smooth, knots, 200).iter().zip(&first).map(|(a, b)| a + b).collect();
+        assert!(far(&second) < 0.5 * far(&first), "{} and {}", far(&second), far(&first));
+    }
+}
