@@ -10,7 +10,6 @@ use photocurrent_core::table::{Column, Score, TableMeta};
 use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, TrackSet};
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::light::{PRIORS, fit, fit_like, tracks, tracks_meta};
-use photocurrent_diagnosis::nominal::Nominal;
 use photocurrent_diagnosis::sample::Sample;
 use photocurrent_diagnosis::scene::SceneSetting;
 use photocurrent_sensor::map::{MapOptions, Noise};
@@ -122,7 +121,7 @@ params = { across = 2 }
 
     fn run(&self, input: In, _: &Context) -> Result<Out, NodeError> {
         let case = super::case(Some(&input.events), Some(&input.frames), &input.sensor)?;
-        let nominal = Nominal::new(&case)?;
+        let nominal = case.nominal()?;
         let usual = SceneSetting::default();
         let noise = Noise { event: self.params.event_sigma, ..usual.noise };
         let options = MapOptions { max_iterations: self.params.max_iterations, ..usual.options };

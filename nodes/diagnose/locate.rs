@@ -13,7 +13,6 @@ use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::covariates::Surroundings;
 use photocurrent_diagnosis::light::from_tracks;
 use photocurrent_diagnosis::locate::{Channel, Curve, Side, scan};
-use photocurrent_diagnosis::nominal::Nominal;
 use photocurrent_diagnosis::sample::Sample;
 use photocurrent_diagnosis::scene::Scene;
 use schemars::JsonSchema;
@@ -154,7 +153,7 @@ struct Lit {
 impl Lit {
     fn new(events: &EventStream, frames: &FrameSequence, sensor: &Sensor, tracks: &TrackSet) -> Result<Lit, NodeError> {
         let case = super::case(Some(events), Some(frames), sensor)?;
-        let front_end = Nominal::new(&case)?.pixel.front_end;
+        let front_end = case.nominal()?.pixel.front_end;
         let (sample, scene): (Sample, Scene) = from_tracks(&case, tracks).map_err(|error: DataError| NodeError::from(error))?;
         Ok(Lit { case, sample, scene, tau: (front_end.tau_0_s, front_end.alpha_s) })
     }

@@ -15,7 +15,6 @@ pub mod synthesize;
 use crate::spans::check_one_clock;
 use photocurrent_core::{DataType, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
 use photocurrent_diagnosis::case::{Case, CaseFrames, PixelEvents};
-use photocurrent_diagnosis::nominal::Nominal;
 use std::sync::Arc;
 
 /// The recording at the ports `events` and `frames`, in memory.
@@ -58,7 +57,7 @@ fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
         frames: frames.map(|frames| CaseFrames { times: frames.times.clone(), dn: Vec::new() }),
         sensor: (**sensor).clone(),
     };
-    Nominal::new(&empty).map_err(|error| error.blames(DataType::Sensor))?;
+    empty.nominal().map_err(|error| error.blames(DataType::Sensor))?;
     Ok(empty)
 }
 

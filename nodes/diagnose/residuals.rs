@@ -10,7 +10,6 @@ use photocurrent_core::table::{Column, Score, TableMeta};
 use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, TrackSet};
 use photocurrent_diagnosis::differences::{EventDifference, Fate, FrameDifference};
 use photocurrent_diagnosis::light::from_tracks;
-use photocurrent_diagnosis::nominal::Nominal;
 use photocurrent_diagnosis::residuals::{Residuals, residuals};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -96,7 +95,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let case = super::case(Some(&input.events), Some(&input.frames), &input.sensor)?;
-        let nominal = Nominal::new(&case)?;
+        let nominal = case.nominal()?;
         let (sample, scene) = from_tracks(&case, &input.tracks)?;
         let found = residuals(&case, &nominal, &sample, &scene, self.params.threshold_sigma, cx.seed()).map_err(NodeError::failed)?;
         let width = case.extent.width;

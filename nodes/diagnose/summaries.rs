@@ -9,7 +9,6 @@ use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{Context, Decl, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use photocurrent_diagnosis::deviation::{FULL, Prepared};
 use photocurrent_diagnosis::knowledge::Knowledge;
-use photocurrent_diagnosis::nominal::Nominal;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -89,7 +88,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let case = super::case(Some(&input.events), Some(&input.frames), &input.sensor)?;
         let knowledge = Knowledge::shipped().map_err(|why| NodeError::failed(format!("the knowledge that is built in cannot be read: {why}")))?;
-        let found = Prepared::new(&case, Nominal::new(&case)?, self.params.across, cx.seed()).map_err(NodeError::failed)?;
+        let found = Prepared::new(&case, case.nominal()?, self.params.across, cx.seed()).map_err(NodeError::failed)?;
         let z = if found.own.names == knowledge.names {
             knowledge.floor.level(&found.context).z(&found.deviation)
         } else {

@@ -8,7 +8,6 @@
 
 use photocurrent_core::{Context, Decl, EventStream, FrameScale, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, TrackSet};
 use photocurrent_diagnosis::light::from_tracks;
-use photocurrent_diagnosis::nominal::Nominal;
 use photocurrent_diagnosis::record::{Conditions, Described, record};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -103,7 +102,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let case = super::case(Some(&input.events), Some(&input.frames), &input.sensor)?;
         let (sample, scene) = from_tracks(&case, &input.tracks)?;
         let conditions = Conditions { seed: cx.seed(), frame_share: self.params.frame_share, frame_dn: self.params.frame_dn, ..Conditions::default() };
-        let recorded = record(&case, &Nominal::new(&case)?, &sample, &scene, &Described::new(), &conditions).map_err(NodeError::failed)?;
+        let recorded = record(&case, &case.nominal()?, &sample, &scene, &Described::new(), &conditions).map_err(NodeError::failed)?;
         let (events, frames) = recorded.streams()?;
         Ok(Out { events, frames: frames.unwrap_or(input.frames) })
     }

@@ -16,9 +16,8 @@ use photocurrent_core::{Colour, DataType, EventsMeta, Exposure, Extent, FrameSca
 use photocurrent_sensor::effects::{ArrayEvent, Effect, Site, from_description};
 use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_sensor::forward::neighbours::halo;
-use photocurrent_sensor::forward::{Chain, Fired, FrameReadout, LOG_STEP, LinearLight, Pixel, PixelNoise, read_frames, simulate};
-use photocurrent_sensor::front_end::FrontEnd;
-
+use photocurrent_sensor::forward::{Chain, Fired, FrameReadout, LinearLight, PixelNoise, read_frames, simulate};
+use photocurrent_sensor::model::Model;
 /// When frames are taken, and how late events come; stated by the node, not by the sensor.
 #[derive(Clone, Copy, Debug)]
 pub struct Timing {
@@ -62,12 +61,10 @@ pub struct Camera {
     pub events: EventsMeta,
     /// What its frames will look like.
     pub frames: FramesMeta,
-    pixel: Pixel,
-    sensor: Sensor,
+    model: Model,
     effects: Vec<Box<dyn Effect>>,
     /// Which of the effects couple all pixels.
     coupling: Vec<bool>,
-    capture: Capture,
     channel_gains: [f64; 3],
     span: TimeSpan,
     seed: u64,
@@ -104,35 +101,14 @@ impl Camera {
                 .blames(DataType::Sensor));
         }
         let coupling = effects.iter().map(|effect| effect.informed(&[]).is_some()).collect();
-        let pixel = Pixel {
-            front_end: FrontEnd {
-                tau_0_s: sensor.need(sensor.front_end.tau_0, "front_end.tau_0", who)?.seconds(),
-                alpha_s: sensor.need(sensor.front_end.alpha, "front_end.alpha", who)?.seconds(),
-            },
-            threshold_on: sensor.need(sensor.comparator.threshold_on, "comparator.threshold_on", who)?,
-            threshold_off: sensor.need(sensor.comparator.threshold_off, "comparator.threshold_off", who)?,
-            latency_ns: sensor.readout.latency_min.map_or(0, Duration::ns),
-            latency_spread_ns: timing.latency_spread.ns() as f64,
-            refractory_ns: sensor.need(sensor.readout.refractory, "readout.refractory", who)?.ns(),
-            log_step: LOG_STEP,
-        };
-        let row_time_ns = sensor.need(sensor.frames.row_time, "frames.row_time", who)?.ns();
+        let mut model = Model::of(sensor);
+        model.pixel.latency_spread_ns = timing.latency_spread.ns() as f64;
+        let row_time_ns = model.row_time_ns;
         let times = timing.frame_times(span, frames.height, row_time_ns)?;
         let frames = FramesMeta { extent: frames, colour, times, scale: FrameScale::Captured };
         let moved = crate::pixel_events::clock_offset(sensor)?.offset_ns;
         let events = EventsMeta { extent: events, span: Some(span.moved(moved)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
-        Ok(Camera {
-            events,
-            frames,
-            pixel,
-            sensor: sensor.clone(),
-            effects,
-            coupling,
-            capture: Capture::new(sensor, who)?,
-            channel_gains: channel_gains(sensor)?,
-            span,
-            seed,
-        })
+        Ok(Camera { events, frames, model, effects, coupling, channel_gains: channel_gains(sensor)?, span, seed })
     }
 
     /// Rows above and below whose light reaches a pixel through its effects.
@@ -174,9 +150,8 @@ impl Camera {
 
     /// Everything that pixel (x, y) fires in `seen`, the light of the event path: lost events, and those that leave after the end, too.
     pub fn fired(&self, x: u32, y: u32, seen: &LinearLight) -> Vec<Fired> {
-        let chain =
-            Chain { pixel: self.pixel, reset: self.sensor.comparator.reset, effects: &self.effects, tolerance: photocurrent_sensor::forward::TOLERANCE };
-        let mut noise = Noise { random: Random::new(self.seed, &[x.into(), y.into(), 1]), sigma: self.sensor.comparator.threshold_noise.unwrap_or(0.0) };
+        let chain = Chain { pixel: self.model.pixel, reset: self.model.reset, effects: &self.effects, tolerance: photocurrent_sensor::forward::TOLERANCE };
+        let mut noise = Noise { random: Random::new(self.seed, &[x.into(), y.into(), 1]), sigma: self.model.threshold_noise };
         simulate(&chain, &self.site(self.events.extent, x, y), seen, self.span.start.0, self.span.end.0, &mut noise)
     }
 
@@ -192,13 +167,13 @@ impl Camera {
 
     /// Frame values at `value` (`x * channels + channel`) of row `y`, from the light that it sees.
     pub fn frame_values(&self, value: u32, y: u32, light: &LinearLight) -> Vec<f64> {
-        let gain = gain_of(self.capture.scale.gain, &self.channel_gains, self.frames.colour, value, y);
-        let number = DigitalNumber { gain, ..self.capture.scale };
-        let readout = FrameReadout { number, saturation: self.capture.saturation_dn, row_time_ns: self.frames.times.row_time_ns };
+        let gain = gain_of(self.model.number.gain, &self.channel_gains, self.frames.colour, value, y);
+        let number = DigitalNumber { gain, ..self.model.number };
+        let readout = FrameReadout { number, saturation: self.model.saturation_dn, row_time_ns: self.frames.times.row_time_ns };
         let exposures: Vec<Exposure> = (0..self.frames.times.len()).map(|l| self.frames.times.exposure(l, y)).collect();
         let mut random = Random::new(self.seed, &[value.into(), y.into(), 2]);
         let site = self.site(self.frames.extent, value / self.frames.channels(), y);
-        read_frames(&readout, &self.effects, &site, light, &exposures).into_iter().map(|dn| self.capture.recorded(dn, &mut random)).collect()
+        read_frames(&readout, &self.effects, &site, light, &exposures).into_iter().map(|dn| recorded(&self.model, dn, &mut random)).collect()
     }
 }
 
@@ -217,28 +192,10 @@ impl PixelNoise for Noise {
 }
 
 /// From an exact digital number to a recorded one: shot noise, read noise, saturation, whole numbers.
-struct Capture {
-    scale: DigitalNumber,
-    saturation_dn: f64,
-    read_noise_dn: f64,
-    /// Electrons per DN; 0 = no shot noise.
-    electrons_per_dn: f64,
-}
-
-impl Capture {
-    fn new(sensor: &Sensor, who: &str) -> Result<Capture, NodeError> {
-        let frames = &sensor.frames;
-        let scale = DigitalNumber { black_level: frames.black_level_dn.unwrap_or(0.0), gain: sensor.need(frames.gain, "frames.gain", who)? };
-        let saturation_dn = frames.saturation_dn.unwrap_or(f64::INFINITY);
-        let electrons_per_dn = frames.full_well_e.unwrap_or(0.0) / (saturation_dn - scale.black_level);
-        Ok(Capture { scale, saturation_dn, read_noise_dn: frames.read_noise_dn.unwrap_or(0.0), electrons_per_dn })
-    }
-
-    fn recorded(&self, exact: f64, random: &mut Random) -> f64 {
-        // Photon counts are large enough for the normal limit of the Poisson law.
-        let electrons = (exact - self.scale.black_level).max(0.0);
-        let shot = if self.electrons_per_dn > 0.0 { (electrons / self.electrons_per_dn).sqrt() * random.normal() } else { 0.0 };
-        let read = self.read_noise_dn * random.normal();
-        (exact + shot + read).round().clamp(0.0, self.saturation_dn)
-    }
+fn recorded(model: &Model, exact: f64, random: &mut Random) -> f64 {
+    // Photon counts are large enough for the normal limit of the Poisson law.
+    let signal = (exact - model.number.black_level).max(0.0);
+    let shot = if model.dn_per_electron > 0.0 { (signal * model.dn_per_electron).sqrt() * random.normal() } else { 0.0 };
+    let read = model.read_noise_dn * random.normal();
+    (exact + shot + read).round().clamp(0.0, model.saturation_dn)
 }

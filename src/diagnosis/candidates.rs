@@ -317,7 +317,7 @@ mod tests {
     #[test]
     fn every_candidate_can_be_put_on_at_any_strength_and_read_back() {
         let case = testing::case();
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let scales = Scales::of(&case, &nominal);
         for candidate in CANDIDATES {
             for strength in [0.3, 1.0, 2.0, -0.5] {

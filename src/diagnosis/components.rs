@@ -181,7 +181,7 @@ mod tests {
     /// What a sensor with an effect records of a made-up scene, and by which variances it differs from the sensor without.
     fn found(effects: serde_json::Value) -> Vec<Component> {
         let case = MadeUp::new(1, 4, Extent { width: 72, height: 54 }, 0.15).recording().unwrap();
-        let (nominal, sample) = (Nominal::new(&case).unwrap(), Sample::all(&case, 4));
+        let (nominal, sample) = (case.nominal().unwrap(), Sample::all(&case, 4));
         let light = Band::scene(&case, &Band::all(&case, &nominal, &sample));
         let described =
             |effects: &serde_json::Value| effects.as_object().unwrap().iter().map(|(id, of)| (id.clone(), of.as_object().unwrap().clone())).collect();

@@ -3,7 +3,6 @@
 use super::*;
 use crate::candidates::{Candidate, Scales};
 use crate::case::Case;
-use crate::nominal::Nominal;
 use crate::testing;
 use serde_json::json;
 
@@ -25,7 +24,7 @@ fn leaking() -> Case {
 }
 
 fn judged(case: &Case, mut roads: Vec<Road>) -> Road {
-    let nominal = Nominal::new(case).unwrap();
+    let nominal = case.nominal().unwrap();
     let scales = Scales::of(case, &nominal);
     let ground = Ground::new(case, &nominal, &scales).unwrap();
     judge(ground.as_ref(), &mut roads).unwrap();

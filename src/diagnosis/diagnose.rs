@@ -94,7 +94,7 @@ pub fn diagnose(case: &Case, setting: &Setting, roads: &[RoadKind], mut tell: im
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
 pub fn check(case: &Case) -> Result<Integrity, NodeError> {
-    let nominal = Nominal::new(case)?;
+    let nominal = case.nominal()?;
     let mut integrity = integrity(case, Some(&nominal));
     // What the description states is no departure from it.
     integrity.findings.retain(|finding| !case.sensor.effects.contains_key(finding.id));
@@ -111,7 +111,7 @@ pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
 pub fn amend(case: &Case, integrity: &Integrity) -> Result<Case, NodeError> {
-    let nominal = Nominal::new(case)?;
+    let nominal = case.nominal()?;
     Ok(amended(case, &nominal, &Scales::of(case, &nominal), integrity))
 }
 
@@ -149,14 +149,14 @@ pub fn propose(case: &Case, setting: &Setting, integrity: &Integrity, roads: &[R
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
 pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, proposed: Proposed, mut tell: impl FnMut(&str)) -> Result<Diagnosis, NodeError> {
-    let nominal = Nominal::new(case)?;
+    let nominal = case.nominal()?;
     let scales = Scales::of(case, &nominal);
     let Proposed { roads: mut found, ran, mut failed } = proposed;
     let can_compare = can_compare(case, &integrity);
     let sample = can_compare.then(|| looked_at(case)).filter(|sample| !sample.is_empty());
     tell("contest");
     let amended = amended(case, &nominal, &scales, &integrity);
-    let amended_nominal = Nominal::new(&amended)?;
+    let amended_nominal = amended.nominal()?;
     let amended_scales = Scales::of(&amended, &amended_nominal);
     let mut told = |part: &str, why: String| failed.push(format!("{part}: {why}"));
     let ground = sample.as_ref().map_or(Ok(None), |_| Ground::new(&amended, &amended_nominal, &amended_scales));
@@ -252,7 +252,7 @@ fn after(
 ) -> Result<Option<Prediction>, NodeError> {
     let Some(changed) = changed else { return Ok(None) };
     let right = undone(case, values);
-    if right.is_none() && !is_read_by_solver(nominal, &Nominal::of(changed, case)?) {
+    if right.is_none() && !is_read_by_solver(nominal, &case.described(&changed)?) {
         return Ok(None);
     }
     predict(right.as_ref().unwrap_or(case), changed, sample, &setting.scene)

@@ -86,7 +86,7 @@ mod tests {
     #[test]
     fn a_smooth_scene_fires_its_events_again_and_one_prior_alone_does_worse() {
         let case = testing::case();
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let sample = Sample::all(&case, 4);
         let setting = SceneSetting::default();
         let found = faithful(&case, &nominal, &sample, &setting).unwrap();

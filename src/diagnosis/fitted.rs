@@ -98,7 +98,7 @@ mod tests {
 
     fn fitted_with(found: &[(&str, &str, f64)]) -> Sensor {
         let case = testing::case();
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let scales = Scales::of(&case, &nominal);
         let place = |id: &str, parameter: &str| CANDIDATES.iter().position(|one| one.id == id && one.parameter == parameter).unwrap();
         let found: Vec<(usize, f64)> = found.iter().map(|(id, parameter, value)| (place(id, parameter), *value)).collect();
@@ -147,7 +147,7 @@ mod tests {
     #[test]
     fn every_candidate_gives_a_description_that_loads() {
         let case = testing::case();
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let scales = Scales::of(&case, &nominal);
         for (which, candidate) in CANDIDATES.iter().enumerate() {
             let sensor = fitted(&testing::sensor(), &nominal, &scales, &[(which, candidate.value(1.0, &scales, &nominal))]);

@@ -41,7 +41,7 @@ impl Prediction {
 /// # Errors
 /// When the description does not state what the model needs.
 pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSetting) -> Result<Option<Prediction>, NodeError> {
-    let nominal = Nominal::of(sensor, case)?;
+    let nominal = case.described(&sensor)?;
     let Some(frames) = &case.frames else { return Ok(None) };
     let Some((rest, kept)) = kept_back(case) else { return Ok(None) };
     let scene = Scene::estimate(&rest, &nominal, sample, setting);

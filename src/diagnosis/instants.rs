@@ -64,7 +64,6 @@ impl Instants {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::nominal::Nominal;
     use crate::side::Side;
     use crate::testing;
 
@@ -72,7 +71,7 @@ mod tests {
     fn a_steady_rate_adds_as_much_as_a_drift_from_frame_to_frame() {
         let case = testing::case();
         let (sample, instants) = (Sample::all(&case, 4), Instants::new(&case).unwrap());
-        let side = Side::new(&case, &Nominal::new(&case).unwrap(), &sample);
+        let side = Side::new(&case, &case.nominal().unwrap(), &sample);
         let mut off = Vec::new();
         for change in &side.changes {
             let added: f64 = instants.added(change, 0.2).map(|(_, added)| added).sum();

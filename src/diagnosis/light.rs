@@ -136,7 +136,7 @@ mod tests {
     #[test]
     fn a_fit_like_another_has_its_pixels_priors_and_light() {
         let case = testing::case();
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let setting = SceneSetting::default();
         let found = fit(&case, &nominal, Sample::all(&case, 4), &setting).unwrap();
         let pixels: Vec<(u32, usize)> = found.sample.pixels.iter().copied().zip(found.priors.iter().copied()).collect();

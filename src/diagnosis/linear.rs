@@ -209,7 +209,7 @@ mod tests {
     use photocurrent_core::Extent;
 
     fn explained(case: &Case) -> Vec<Linear> {
-        let nominal = Nominal::new(case).unwrap();
+        let nominal = case.nominal().unwrap();
         Templates::new(case, &nominal, &Scales::of(case, &nominal), 0.0).unwrap().beside(&[])
     }
 
@@ -217,7 +217,7 @@ mod tests {
     fn small_effects_are_found_with_their_sizes() {
         const HIDDEN: f64 = 0.6;
         let case = MadeUp::new(1, 0, Extent { width: 48, height: 36 }, 0.15).recording().unwrap();
-        let (nominal, sample) = (Nominal::new(&case).unwrap(), Sample::all(&case, 4));
+        let (nominal, sample) = (case.nominal().unwrap(), Sample::all(&case, 4));
         let (scales, light) = (Scales::of(&case, &nominal), Band::scene(&case, &Band::all(&case, &nominal, &sample)));
         for (id, parameter) in [("black_level", "black_level_dn"), ("threshold_scale", "fraction"), ("threshold_gradient", "fraction"), ("clock_drift", "rate")]
         {

@@ -66,7 +66,7 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
     let scene = MadeUp::new(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise);
     let mut truth = Truth { is_noisy: noise.is_some(), ..Truth::default() };
     let plain = scene.recording()?;
-    let nominal = Nominal::new(&plain).map_err(|why| why.to_string())?;
+    let nominal = plain.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(&plain, &nominal);
     let kind = random.uniform();
     let [one, two, other] = setting.shares;

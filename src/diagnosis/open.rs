@@ -97,7 +97,7 @@ fn as_nominal(case: &Case, trial: &Trial) -> Result<Option<Nominal>, String> {
         return Ok(None);
     }
     let mut nominal = trial.nominal.clone();
-    let site = Nominal::site(case, 0, 1);
+    let site = case.site(0, 1);
     let mut model = FrontEndModel::plain(nominal.pixel.front_end);
     let mut thresholds = Thresholds { on: nominal.pixel.threshold_on, off: nominal.pixel.threshold_off };
     for effect in effects_of(case, &trial.effects)? {
@@ -307,7 +307,7 @@ mod tests {
     }
 
     fn found(case: &Case) -> Vec<Law> {
-        let nominal = Nominal::new(case).unwrap();
+        let nominal = case.nominal().unwrap();
         laws(case, &nominal, &Scales::of(case, &nominal), &[], 0.0).unwrap()
     }
 

@@ -56,7 +56,7 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, mo
         let pixel = sample.pixels[n] as usize;
         let own = linear(scene, n);
         let seen = kernel.as_ref().map_or_else(|| own.clone(), |kernel| mix(case, sample, scene, kernel, n));
-        let site = Nominal::site(case, pixel, conditions.seed);
+        let site = case.site(pixel, conditions.seed);
         let chain = Chain { pixel: nominal.pixel, reset: nominal.reset, effects, tolerance: TOLERANCE };
         let mut noise = Draws { random: Random::new(conditions.seed, &[pixel as u64, 1]), sigma: nominal.threshold_noise };
         let light = LinearLight::new(&seen.0, &seen.1);

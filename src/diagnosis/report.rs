@@ -331,7 +331,7 @@ mod tests {
     #[test]
     fn a_report_has_the_documented_fields_and_six_digits() {
         let case = testing::case();
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let leak = CANDIDATES.iter().find(|candidate| candidate.id == "leak_events").unwrap();
         let mut effect = EffectReport::of(&leak.decl(), location(), Evidence { statistic: 183.000_000_4, ..Evidence::default() });
         effect.put(leak, 1.0 / 3.0, Some([0.3, 0.4]), &nominal);

@@ -116,7 +116,7 @@ mod tests {
     /// The true light of a small recording, and what the stated sensor leaves of a recording with effects.
     fn left(effects: &Described) -> Digested {
         let case = testing::case_with(effects);
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         residuals(&case, &nominal, &Sample::all(&case, 4), &testing::scene(&case), None, 1).unwrap().digested()
     }
 

@@ -12,7 +12,6 @@ use crate::knowledge::Knowledge;
 use crate::law::{Law, Moved};
 use crate::likelihood::{self, Likelihood, LikelihoodSetting, likelihood};
 use crate::linear::Linear;
-use crate::nominal::Nominal;
 use crate::refit::{Explained, Refitted};
 use crate::report::{Detectable, NotTestable};
 use crate::search::{Search, SearchSetting, search};
@@ -42,14 +41,14 @@ fn run_synthesis(case: &Case, knowledge: &Knowledge, setting: &Setting) -> Resul
 }
 
 fn run_likelihood(case: &Case, setting: &Setting) -> Result<Road, String> {
-    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let nominal = case.nominal().map_err(|why| why.to_string())?;
     // Strengths are what refits are for.
     let setting = LikelihoodSetting { seed: setting.seed, refined: [5, 3, 0, 0], calibrated: 0, ..LikelihoodSetting::default() };
     Ok(from_likelihood(&likelihood(case, &nominal, &setting)?, &setting))
 }
 
 fn run_refit(case: &Case, biases: Option<&Floor>) -> Result<Road, String> {
-    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let nominal = case.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(case, &nominal);
     let biases = biases.map_or_else(Vec::new, |biases| biases.root_mean_square(&context_of(case, &nominal)));
     Ok(from_refit(&search(case, &nominal, &scales, &SearchSetting::default())?, &Biases(biases), &|candidate, strength| {

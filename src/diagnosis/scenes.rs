@@ -6,7 +6,6 @@
 
 use crate::candidates::Trial;
 use crate::case::{Case, CaseFrames, PixelEvents};
-use crate::nominal::Nominal;
 use crate::record::{Conditions, record};
 use crate::sample::Sample;
 use crate::scene::Scene;
@@ -161,7 +160,7 @@ impl MadeUp {
     /// The recording of this scene by this sensor, with nothing beyond the description.
     ///
     /// # Errors
-    /// Never for the sensors made here; the message of [`Nominal::new`] or [`record`] otherwise.
+    /// Never for the sensors made here; the message of [`Case::nominal`] or [`record`] otherwise.
     pub fn recording(&self) -> Result<Case, String> {
         self.recording_through(None)
     }
@@ -192,7 +191,7 @@ impl MadeUp {
                 (instants.clone(), light, true)
             })
             .collect();
-        let nominal = Nominal::new(&blank).map_err(|why| why.to_string())?;
+        let nominal = blank.nominal().map_err(|why| why.to_string())?;
         let stated = Trial::stated(&nominal);
         let trial = trial.unwrap_or(&stated);
         let mut recorded = record(

@@ -150,7 +150,7 @@ mod tests {
         let described = effects.as_object().unwrap().iter().map(|(id, of)| (id.clone(), of.as_object().unwrap().clone())).collect();
         let case = testing::case_with(&described);
         assert_eq!(case.extent, Extent { width: 12, height: 10 });
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let few = RefitSetting { followed: 4, finished: 2, ..RefitSetting::default() };
         let setting = SearchSetting { zones: (3, 2), side: 4, refit: few, ..SearchSetting::default() };
         search(&case, &nominal, &Scales::of(&case, &nominal), &setting).unwrap()

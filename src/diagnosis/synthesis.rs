@@ -11,7 +11,6 @@ use crate::deviation::{FULL, LEAN, Prepared};
 use crate::floor::Level;
 use crate::knowledge::Knowledge;
 use crate::matching::{best, misfit};
-use crate::nominal::Nominal;
 use serde::{Deserialize, Serialize};
 
 /// How a recording is recognised.
@@ -122,7 +121,7 @@ fn most(candidate: &Candidate) -> f64 {
 /// # Errors
 /// When its description does not state what the model needs, or the knowledge was made for other summaries.
 pub fn synthesis(case: &Case, knowledge: &Knowledge, setting: &SynthesisSetting) -> Result<Synthesis, String> {
-    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let nominal = case.nominal().map_err(|why| why.to_string())?;
     let full = Prepared::new(case, nominal.clone(), FULL, setting.seed)?;
     if full.own.names != knowledge.names {
         return Err("the knowledge of the diagnosis was made for other summaries; train it anew".to_owned());

@@ -1,7 +1,6 @@
 //! A small recording for tests: a sine of light that moves across an array, as the stated sensor records it.
 
 use crate::case::{Case, CaseFrames, PixelEvents};
-use crate::nominal::Nominal;
 use crate::record::{Conditions, Described, record};
 use crate::sample::Sample;
 use crate::scene::Scene;
@@ -54,5 +53,5 @@ pub fn case_with(effects: &Described) -> Case {
         sensor: sensor(),
     };
     let sample = Sample::all(&blank, 4);
-    record(&blank, &Nominal::new(&blank).unwrap(), &sample, &scene(&blank), effects, &Conditions::default()).unwrap()
+    record(&blank, &blank.nominal().unwrap(), &sample, &scene(&blank), effects, &Conditions::default()).unwrap()
 }

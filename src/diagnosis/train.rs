@@ -47,7 +47,7 @@ fn narrow(values: &[f64]) -> Vec<f32> {
 /// # Errors
 /// When its description does not state what the model needs.
 pub fn examples_of(case: &Case, setting: &TrainingSetting, number: u64) -> Result<Vec<Example>, String> {
-    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let nominal = case.nominal().map_err(|why| why.to_string())?;
     let full = Prepared::new(case, nominal.clone(), FULL, setting.seed)?;
     let prepared = Prepared::new(case, nominal, LEAN, setting.seed)?;
     let context = narrow(&full.context);
@@ -110,7 +110,7 @@ pub fn learn(names: &[String], examples: &[Example], more: &[Null], biases: &[Nu
 /// # Errors
 /// When its description does not state what the model needs.
 pub fn null_of(case: &Case, name: String, seed: u64) -> Result<Null, String> {
-    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let nominal = case.nominal().map_err(|why| why.to_string())?;
     let full = Prepared::new(case, nominal, FULL, seed)?;
     Ok(Null { name, context: narrow(&full.context), deviation: narrow(&full.deviation) })
 }
@@ -120,7 +120,7 @@ pub fn null_of(case: &Case, name: String, seed: u64) -> Result<Null, String> {
 /// # Errors
 /// When its description does not state what the model needs.
 pub fn bias_of(case: &Case, name: String) -> Result<Null, String> {
-    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let nominal = case.nominal().map_err(|why| why.to_string())?;
     let frame_noise = unstated_frame_noise(case, &nominal)?;
     let found = Templates::new(case, &nominal, &Scales::of(case, &nominal), frame_noise)?.beside(&[]);
     let mut strengths = vec![0.0; CANDIDATES.len()];

@@ -83,7 +83,7 @@ impl<'a> Under<'a> {
         );
         let pixels = (0..stated.len()).map(|n| {
             let (t, u) = stated.pixel(n);
-            let (factor, added) = self.seen(&Nominal::site(&self.case, sample.pixels[n] as usize, 1));
+            let (factor, added) = self.seen(&self.case.site(sample.pixels[n] as usize, 1));
             let own = |u: f64| {
                 let seen = libm::exp(u);
                 libm::log(f64::max(seen - added, LEAST_SHARE * seen) / factor)
@@ -108,7 +108,7 @@ impl<'a> Under<'a> {
     /// What the solver is told of a pixel, and what its intervals have of their own.
     fn told(&self, recorded: &Case, setting: &SceneSetting, pixel: usize) -> (Told, Vec<Since>) {
         let Trial { nominal, .. } = self.trial;
-        let site = Nominal::site(&self.case, pixel, 1);
+        let site = self.case.site(pixel, 1);
         let mut random = Random::new(0, &[]);
         let t_ns = i64::midpoint(recorded.span.0, recorded.span.1);
         let (factor, added) = self.seen(&site);
@@ -176,7 +176,7 @@ impl<'a> Under<'a> {
             return Vec::new();
         }
         let (told, since) = self.told(recorded, setting, pixel);
-        let (factor, added) = self.seen(&Nominal::site(&self.case, pixel, 1));
+        let (factor, added) = self.seen(&self.case.site(pixel, 1));
         let (t_ns, own) = scene.pixel(n);
         let log_light: Vec<f64> = own.iter().map(|u| libm::log(factor * libm::exp(*u) + added)).collect();
         let noise = BaseNoise { sigma, shared: false, background_hz: 0.0, stamp_width_ns: recorded.t_resolution_ns };
@@ -365,7 +365,7 @@ mod tests {
         let effects: std::collections::BTreeMap<_, _> =
             effects.as_object().unwrap().iter().map(|(id, of)| (id.clone(), of.as_object().unwrap().clone())).collect();
         let case = testing::case_with(&effects);
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let sample = Sample::all(&case, 4);
         let setting = SceneSetting::close();
         let priors = vec![Prior::Glide { per_s3: 1e7, nu: 4.0 }; sample.len()];

@@ -21,7 +21,7 @@ fn answer(roads: &[Road]) -> Answer {
 
 fn answer_with(integrity: &Integrity, roads: &[Road]) -> Answer {
     let case = testing::case();
-    let nominal = Nominal::new(&case).unwrap();
+    let nominal = case.nominal().unwrap();
     verdict(&case, &nominal, integrity, roads)
 }
 

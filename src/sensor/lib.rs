@@ -17,10 +17,13 @@
 //! - [`pooling`]: the light of an event pixel that lies on several frame pixels or colours.
 //! - [`exposure`]: row timing and the exposure integral of a frame, Eq. (5).
 //! - [`forward`]: light in, events and frame values out, for one pixel.
+//! - [`model`]: a description in numbers.
+//! - [`conditional`]: recorded events and frames of one pixel, seen through any effects, given its light.
 //! - [`residuals`]: measured minus predicted for a candidate photocurrent, with its Jacobian.
 //! - [`inverse`]: events and frames in, photocurrent out: the least-squares problem of Eq. (13).
 //! - [`map`]: the same with knots that are fine, the exact reset and a prior: the most probable light.
 //! - [`likelihood`]: how probable events are given light: residuals with an exact distribution.
+//! - [`undo`]: what effects did to measurements, taken off again.
 //! - [`estimate`]: what a file does not say and its own events and frames do: offset, exposure, row time, thresholds.
 //! - [`effects`]: non-idealities beyond the model above, one file each.
 //!
@@ -28,6 +31,7 @@
 //! ([`elementary`] and the `libm` crate instead). Keep it so; a method call such as `x.exp()` on an `f64` is the platform's.
 
 pub mod comparator;
+pub mod conditional;
 pub mod effects;
 pub mod elementary;
 pub mod estimate;
@@ -38,8 +42,10 @@ pub mod inverse;
 pub mod lanes;
 pub mod likelihood;
 pub mod map;
+pub mod model;
 pub mod pooling;
 pub mod readout;
 pub mod residuals;
 pub mod scalar;
+pub mod undo;
 pub mod wide;

@@ -9,7 +9,6 @@ use crate::file_kind::need_recording;
 use crate::terminal::{print, say};
 use photocurrent_diagnosis::diagnose::broken;
 use photocurrent_diagnosis::knowledge::Knowledge;
-use photocurrent_diagnosis::nominal::Nominal;
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::report::{Report, Verdict, short};
 use photocurrent_nodes::diagnose::confirm::UNFINISHED;
@@ -47,7 +46,7 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
         }
         Err(Unread::Other(failure)) => return Err(failure),
     };
-    Nominal::new(&case).map_err(|error| usage(format!("{}: {error}", options.recording.display())))?;
+    case.nominal().map_err(|error| usage(format!("{}: {error}", options.recording.display())))?;
     let beside = beside(&folder)?;
     let answered = match graph::run(options, &case, beside.path())? {
         Ok(answered) => answered,

@@ -33,7 +33,7 @@ fn claim(id: &'static str, parameter: &str, value: f64) -> Claim {
 }
 
 fn compared(case: &Case, claims: &[Claim]) -> Comparison {
-    let nominal = Nominal::new(case).unwrap();
+    let nominal = case.nominal().unwrap();
     Ground::new(case, &nominal, &Scales::of(case, &nominal)).unwrap().unwrap().compare(claims).unwrap()
 }
 
@@ -124,7 +124,7 @@ fn a_sound_recording_is_calibrated_and_threads_change_nothing() {
 fn what_a_search_finds_gives_back_the_light() {
     let case = recorded(json!({"threshold_scale": {"fraction": 0.3}}));
     let run = |case: &Case, _: &Setting| {
-        let nominal = Nominal::new(case).unwrap();
+        let nominal = case.nominal().unwrap();
         let few = RefitSetting { followed: 4, finished: 2, ..RefitSetting::default() };
         let setting = SearchSetting { zones: (3, 2), side: 4, refit: few, ..SearchSetting::default() };
         let scales = Scales::of(case, &nominal);
@@ -140,7 +140,7 @@ fn what_a_search_finds_gives_back_the_light() {
     // The true light is known here: root mean square error of the log light that the solver makes of the recording.
     let truth = testing::scene(&case);
     let error = |sensor: &Sensor| {
-        let light = Scene::estimate(&case, &Nominal::of(sensor, &case).unwrap(), &Sample::all(&case, 4), &SceneSetting::default());
+        let light = Scene::estimate(&case, &case.described(&sensor).unwrap(), &Sample::all(&case, 4), &SceneSetting::default());
         let squares = (0..case.extent.pixels()).flat_map(|n| (4..52).map(move |ms| (n, ms * 1_000_000))).map(|(n, t)| {
             let off = light.at(n, t) - truth.at(n, t);
             off * off

@@ -7,7 +7,6 @@ use super::Decision;
 use super::model::{Facts, Model, SECOND, SOMETHING, logistic};
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::made::{Made, MadeSetting, Truth, made};
-use crate::nominal::Nominal;
 use crate::picture::PictureSetting;
 use crate::residual::evidence::{EvidenceSetting, Ranked, evidence};
 use crate::residual::source::MovingPicture;
@@ -40,7 +39,7 @@ impl Example {
 /// When the effects that were drawn cannot be combined.
 pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, String> {
     let Made { case, mut truth } = made(seed, index, setting)?;
-    let nominal = Nominal::new(&case).map_err(|why| why.to_string())?;
+    let nominal = case.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(&case, &nominal);
     truth.effects.retain(|(id, parameter, strength)| {
         Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*strength, &scales, &nominal)))

@@ -51,7 +51,7 @@ impl Default for Decision {
 /// # Errors
 /// When the description does not state what the model needs, or the scene predicts too few of the frames.
 pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
-    let nominal = Nominal::new(case).map_err(|why| why.to_string())?;
+    let nominal = case.nominal().map_err(|why| why.to_string())?;
     let source = MovingPicture::fit(case, &nominal, &PictureSetting::default())?;
     let found = evidence(case, &nominal, &source, &EvidenceSetting { seed: setting.seed, ..EvidenceSetting::default() })?;
     let decision = Decision::default();
@@ -130,7 +130,7 @@ mod tests {
 
     fn said(found: &Evidence) -> Road {
         let case = testing::case();
-        method(found, &|_| true, &Nominal::new(&case).unwrap(), &Decision::default())
+        method(found, &|_| true, &case.nominal().unwrap(), &Decision::default())
     }
 
     #[test]
@@ -166,7 +166,7 @@ mod tests {
         for index in 0..SCENES {
             let scene = MadeUp::new(11, index, Extent { width: 96, height: 72 }, 0.15);
             let null = scene.recording().unwrap();
-            let nominal = Nominal::new(&null).unwrap();
+            let nominal = null.nominal().unwrap();
             let said = |case: &Case| -> Option<&'static str> {
                 let found = run(case, &Setting::default()).ok()?;
                 let passed = found.proposals.iter().filter(|one| one.passed && is_material(case, &nominal, &CANDIDATES[one.candidate], one.value));

@@ -3,7 +3,6 @@
 use super::Finding;
 use super::changes::findings;
 use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
-use crate::nominal::Nominal;
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
 
@@ -56,7 +55,7 @@ fn camera(late_ns: i64, blind_ns: i64) -> Case {
 }
 
 fn found(case: &Case) -> (Option<Finding>, Option<Finding>) {
-    let all = findings(case, &Nominal::new(case).unwrap(), &[]);
+    let all = findings(case, &case.nominal().unwrap(), &[]);
     let of = |id: &str| all.iter().find(|finding| finding.id == id).cloned();
     (of("clock_offset"), of("refractory"))
 }

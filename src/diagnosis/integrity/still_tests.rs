@@ -3,7 +3,6 @@
 use super::coupling::coupling;
 use super::still::{leak, still};
 use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
-use crate::nominal::Nominal;
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
 
@@ -50,7 +49,7 @@ fn any_time(random: &mut Random) -> i64 {
 }
 
 fn found(case: &Case) -> (usize, Option<super::Finding>, Option<super::Finding>) {
-    let nominal = Nominal::new(case).unwrap();
+    let nominal = case.nominal().unwrap();
     let still = still(case, &nominal, &[]);
     (still.len(), leak(case, &nominal, &still), coupling(case, &nominal, &still, &[]))
 }
@@ -100,7 +99,7 @@ fn a_leak_that_grows_with_the_light_is_the_lights() {
     let leak = leak.unwrap();
     assert_eq!(leak.id, "parasitic_leak");
     // 0.2 a threshold, one event in so many pixels and seconds for the mean light.
-    let nominal = Nominal::new(&case).unwrap();
+    let nominal = case.nominal().unwrap();
     let light = |row: f64| (80.0 + 40.0 * (1.0 + row) - nominal.number.black_level) / (nominal.number.gain * 500e-6);
     let mean = (0..HEIGHT).map(|row| light(row as f64)).sum::<f64>() / HEIGHT as f64;
     let rate = 150.0 / still as f64;

@@ -49,7 +49,7 @@ fn add(events: &mut Vec<Recorded>, random: &mut Random, count: usize, polarity: 
 }
 
 fn of(case: &Case) -> Integrity {
-    integrity(case, Nominal::new(case).ok().as_ref())
+    integrity(case, case.nominal().ok().as_ref())
 }
 
 fn only<'a>(found: &'a Integrity, id: &str) -> &'a Finding {
@@ -141,7 +141,7 @@ fn a_row_at_the_rim_is_held_against_nothing() {
 
 /// Frames every 10 ms that see what the events add up to, as a light would have it.
 fn with_its_frames(mut case: Case) -> Case {
-    let nominal = Nominal::new(&case).unwrap();
+    let nominal = case.nominal().unwrap();
     let times: Vec<i64> = (1..28).map(|l| l * 10_000_000).collect();
     let exposures = times.iter().map(|t| photocurrent_core::Exposure::new(*t, *t + 1_000)).collect();
     let step = |polarity: i8| if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };

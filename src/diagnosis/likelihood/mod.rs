@@ -9,7 +9,6 @@
 //! Limits: one pixel alone, so what needs neighbours (vignetting, shifts) is hardly seen; effects that act alike through events and frames stay a set; the bias that
 //! estimation has from scene to scene is a stated constant.
 
-pub mod conditional;
 pub mod features;
 pub mod pairs;
 pub mod score;

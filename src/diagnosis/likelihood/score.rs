@@ -6,11 +6,11 @@
 //!
 //! Source: score tests with nuisance parameters (efficient scores), C. R. Rao 1948; the nuisance is the pixel's light with its prior.
 
-use super::conditional::Conditional;
 use super::view::{Prepared, View};
 use crate::candidates::{CANDIDATES, Candidate, Scales, Signs, Trial};
 use crate::nominal::Nominal;
 use crate::scene::{Scene, SceneSetting, task};
+use photocurrent_sensor::conditional::Conditional;
 use photocurrent_sensor::effects::Stage;
 use photocurrent_sensor::map::{Column, MapWorkspace, Prior, Whitened, whiten};
 use rayon::prelude::*;

@@ -1,6 +1,5 @@
 //! Claims about the conditional model: against the solver's own residuals, and against simulated recordings with effects.
 
-use super::conditional::{Conditional, Look, Track, conditional};
 use super::features::{Bench, Metric};
 use super::view::{Prepared, View};
 use super::{LikelihoodSetting, likelihood};
@@ -11,12 +10,13 @@ use crate::record::Conditions;
 use crate::sample::Sample;
 use crate::scene::{Scene, SceneSetting, task};
 use crate::testing;
+use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
 use photocurrent_sensor::map::{Column, MapWorkspace, Whitened, whiten};
 
 #[test]
 fn without_effects_residuals_are_those_of_the_solver() {
     let case = testing::case();
-    let nominal = Nominal::new(&case).unwrap();
+    let nominal = case.nominal().unwrap();
     let sample = Sample::all(&case, 4);
     let setting = SceneSetting::default();
     let scene = Scene::estimate(&case, &nominal, &sample, &setting);
@@ -28,7 +28,7 @@ fn without_effects_residuals_are_those_of_the_solver() {
         let track = Track::new(t, u, i64::MAX / 4);
         let (events, frames) = &view.data[n];
         let mut seen = Conditional::default();
-        let site = Nominal::site(&case, sample.pixels[n] as usize, 0);
+        let site = case.site(sample.pixels[n] as usize, 0);
         conditional(&nominal, &[], &Look { site, track: &track, seen: None, events, frames }, &mut seen);
         let mut whitened = Whitened::default();
         whiten(&task(&case, &setting, &view.data[n], nominal.map_sensor(), &[]), u, Column::default(), &[], &mut MapWorkspace::default(), &mut whitened);
@@ -67,7 +67,7 @@ fn misses(case: &crate::case::Case, nominal: &Nominal, trial: &Trial) -> (f64, f
 #[test]
 fn events_of_an_effect_are_explained_by_the_same_effect_and_by_nothing_less() {
     let clean = testing::case();
-    let nominal = Nominal::new(&clean).unwrap();
+    let nominal = clean.nominal().unwrap();
     let scales = Scales::of(&clean, &nominal);
     let (mut tried, mut wrong) = (0, Vec::new());
     for candidate in CANDIDATES.iter().filter(|candidate| !candidate.is_random) {
@@ -97,7 +97,7 @@ fn small() -> LikelihoodSetting {
 #[test]
 fn a_leak_is_named_with_its_rate_and_a_clean_recording_raises_no_alarm() {
     let clean = testing::case();
-    let nominal = Nominal::new(&clean).unwrap();
+    let nominal = clean.nominal().unwrap();
     let nothing = likelihood(&clean, &nominal, &LikelihoodSetting { refined: [0; 4], calibrated: 0, ..small() }).unwrap();
     let scales = Scales::of(&clean, &nominal);
     let (candidate, kind) = CANDIDATES.iter().enumerate().find(|(_, kind)| kind.id == "leak_events").unwrap();
@@ -118,14 +118,14 @@ fn a_leak_is_named_with_its_rate_and_a_clean_recording_raises_no_alarm() {
 fn a_recording_without_events_is_refused_with_what_to_do() {
     let mut case = testing::case();
     case.events = PixelEvents::new(vec![Vec::new(); case.extent.pixels()]);
-    let why = likelihood(&case, &Nominal::new(&case).unwrap(), &small()).unwrap_err();
+    let why = likelihood(&case, &case.nominal().unwrap(), &small()).unwrap_err();
     assert!(why.contains("5 x 5 pixels") && why.contains("record more change"), "{why}");
 }
 
 #[test]
 fn features_are_the_same_bits_for_one_thread_and_three() {
     let case = testing::case();
-    let nominal = Nominal::new(&case).unwrap();
+    let nominal = case.nominal().unwrap();
     let (sample, scales, setting) = (Sample::all(&case, 4), Scales::of(&case, &nominal), small());
     let priors = vec![setting.scene.options.prior; sample.len()];
     let conditions = Conditions::default();

@@ -1,12 +1,12 @@
 //! The pixels of a sample ready to be seen through effects: their light cut into short steps, and the mixtures of neighbours' light.
 
-use super::conditional::{Conditional, Look, Track, at, conditional, frame_values};
 use crate::candidates::Trial;
 use crate::case::Case;
 use crate::nominal::Nominal;
 use crate::record::effects_of;
 use crate::sample::Sample;
 use crate::scene::{PixelData, Scene, SceneSetting, pixel_data};
+use photocurrent_sensor::conditional::{Conditional, Look, Track, at, conditional, frame_values};
 use photocurrent_sensor::effects::{Domain, Effect, Kernel, Site};
 use photocurrent_sensor::elementary::{exp, ln};
 use photocurrent_sensor::forward::neighbours::{joined, stand_in};
@@ -117,7 +117,7 @@ impl<'a> View<'a> {
 
     /// The place of pixel `n` of the sample.
     pub fn site(&self, n: usize) -> Site {
-        Nominal::site(self.case, self.sample.pixels[n] as usize, 0)
+        self.case.site(self.sample.pixels[n] as usize, 0)
     }
 
     /// Log light of the event path at the instants of a pixel's track: its own, and what neighbours change of it on the grid.

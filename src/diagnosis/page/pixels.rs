@@ -12,7 +12,7 @@ const FEWEST: usize = 5;
 
 /// Three pixels: from those that agree least with the description as stated, as usual, and best.
 pub fn examples(html: &mut String, case: &Case, found: &Comparison) {
-    let Ok(nominal) = Nominal::new(case) else { return };
+    let Ok(nominal) = case.nominal() else { return };
     let (before, sample) = (found.before(), &found.sample);
     let cost = |n: usize| before.by_pixel[n].events / f64::max(before.by_pixel[n].count, 1.0);
     let is_example = |n: &usize| before.light.is_known[*n] && case.events.of(sample.pixels[*n] as usize).len() >= FEWEST;

@@ -669,7 +669,7 @@ mod tests {
     #[test]
     fn derivatives_are_those_of_finite_steps() {
         let case = recording();
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let setting = PictureSetting::default();
         let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
         let mut fit = Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting));
@@ -712,7 +712,7 @@ mod tests {
     #[test]
     fn the_same_recording_gives_the_same_picture_with_any_number_of_threads() {
         let case = recording();
-        let nominal = Nominal::new(&case).unwrap();
+        let nominal = case.nominal().unwrap();
         let of = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| Picture::fit(&case, &nominal, &PictureSetting::default()).unwrap().surface)

@@ -1,7 +1,7 @@
 //! By how much every event missed its threshold when the scene is given, and what each effect would change of that.
 //!
 //! For an event of polarity p: e = V(t) - V_ref - p theta, with V the front end's answer to the pixel's light and V_ref what the reset law gives from the event before. Events stand
-//! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`crate::likelihood::conditional`]). An effect of frames changes the light that
+//! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that
 //! frames imply: [`through_frames`] takes it off.
 //!
 //! - [`source`], [`light`]: the scene.
@@ -24,12 +24,11 @@ mod table;
 
 use crate::candidates::Trial;
 use crate::case::Case;
-use crate::likelihood::conditional::{Conditional, Look, Track, conditional};
 use crate::likelihood::view::Prepared;
-use crate::nominal::Nominal;
 use crate::scene::{SceneSetting, pixel_data};
 use light::Light;
 use photocurrent_core::{Exposure, Timestamp};
+use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
 use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
 use photocurrent_sensor::forward::neighbours::stand_in;
@@ -109,7 +108,7 @@ impl View<'_> {
             if log.is_empty() {
                 continue;
             }
-            let site = Nominal::site(self.case, pixel, 0);
+            let site = self.case.site(pixel, 0);
             let (events, _) = pixel_data(self.case, &prepared[0].nominal, &setting, pixel);
             let mut kept: Vec<usize> = Vec::new();
             let mut plain: Option<Track> = None;
@@ -161,7 +160,7 @@ impl View<'_> {
             let neighbour = stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
             let neighbour = if self.light.log[neighbour].is_empty() { pixel } else { neighbour };
             let log: Vec<f64> = self.light.log[neighbour].iter().map(|u| f64::from(*u)).collect();
-            let site = Nominal::site(self.case, neighbour, 0);
+            let site = self.case.site(neighbour, 0);
             let log = through_frames(self.case, prepared, &site, instants, &log).map_or(log, |(_, log)| log);
             match kernel.domain {
                 Domain::Log => sum.iter_mut().zip(&log).for_each(|(sum, u)| *sum += tap.weight * u),

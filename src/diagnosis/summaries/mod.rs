@@ -72,7 +72,7 @@ pub fn names() -> Result<Vec<String>, String> {
     sensor.readout.refractory = Some(Duration::new(0));
     let events = PixelEvents::new([Vec::new()]);
     let case = Case { extent, span: (0, 1_000_000), events, has_t_in: true, t_resolution_ns: 1, frames: None, sensor };
-    let nominal = Nominal::new(&case).map_err(|why| why.to_string())?;
+    let nominal = case.nominal().map_err(|why| why.to_string())?;
     let sample = Sample::spread(&case, 1);
     let bands = Band::all(&case, &nominal, &sample);
     Ok(summaries(&View { case: &case, nominal: &nominal, sample: &sample, bands: &bands, scales: &Scales::of(&case, &nominal) }).names)
@@ -157,7 +157,7 @@ mod tests {
     use crate::testing;
 
     fn of(case: &Case) -> Summaries {
-        let nominal = Nominal::new(case).unwrap();
+        let nominal = case.nominal().unwrap();
         let sample = Sample::spread(case, 3);
         let bands = Band::all(case, &nominal, &sample);
         let scales = Scales::of(case, &nominal);

@@ -7,7 +7,7 @@
 //! Sources: Graca and Delbruck, "Unraveling the paradox of intensity-dependent DVS pixel noise" (2021); Hu, Liu, Delbruck 2021 (v2e).
 //! Limits: one rate in all light, although shot noise grows in the dark; no ON-OFF pairs. One-sided activity is `leak_events`.
 
-use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit};
+use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -51,6 +51,10 @@ impl Effect for BackgroundActivity {
 
     fn spontaneous(&self, _site: &Site, random: &mut Random, start_ns: i64, end_ns: i64, out: &mut Vec<Spontaneous>) {
         poisson(self.rate_hz, random, start_ns, end_ns, either, out);
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        Some(Chance::default())
     }
 }
 

@@ -283,6 +283,21 @@ pub struct ArrayEvent {
     pub event: PixelEvent,
 }
 
+/// What of an effect is drawn, so that nobody can take it off a measurement again: by how much measurements are believed less, and what is known all the same.
+#[derive(Default)]
+pub struct Chance {
+    /// Standard deviation of a pixel's own thresholds, natural-log units.
+    pub of_pixels: f64,
+    /// Standard deviation of the threshold of each event, natural-log units.
+    pub of_events: f64,
+    /// Standard deviation of a stamp, seconds.
+    pub of_stamps_s: f64,
+    /// Standard deviation of the values of a frame, as a share of the signal.
+    pub of_frames: f64,
+    /// The part of the effect that is no chance.
+    pub known: Option<Box<dyn Effect>>,
+}
+
 /// A non-ideality of the sensor. Every hook defaults to "nothing".
 ///
 /// `random` is a stream of this pixel, effect and hook that goes on from call to call. Times are true nanoseconds.
@@ -369,5 +384,10 @@ pub trait Effect: Send + Sync {
     /// The digital number, given what it would be without the effect.
     fn dn(&self, _site: &Site, _reading: &Reading, dn: f64) -> f64 {
         dn
+    }
+
+    /// What cannot be undone because it is drawn; none = the hooks above say it all, and [`crate::undo`] takes it off again.
+    fn chance(&self) -> Option<Chance> {
+        None
     }
 }

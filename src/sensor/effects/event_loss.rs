@@ -7,7 +7,7 @@
 //! Sources: manuals of event cameras (event rate control, overflow of FIFOs); Prophesee's knowledge base on back-pressure.
 //! Limits: each event is lost independently with one chance; real buffers lose whole microseconds or rows, above a rate.
 
-use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
+use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -51,6 +51,10 @@ impl Effect for EventLoss {
 
     fn keeps(&self, _site: &Site, random: &mut Random, _event: &PixelEvent) -> bool {
         random.uniform() >= self.fraction
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        Some(Chance::default())
     }
 }
 

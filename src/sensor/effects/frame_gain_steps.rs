@@ -9,7 +9,7 @@
 //! Source: automatic gain control as in any camera.
 //! Limits: factors are drawn independently (normal in the logarithm) and at a fixed pace; no dependence on the scene.
 
-use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit, row_random};
+use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit, row_random};
 
 /// The catalogue entry.
 pub const KIND: EffectKind = EffectKind {
@@ -74,6 +74,10 @@ impl Effect for FrameGainSteps {
 
     fn dn(&self, site: &Site, reading: &Reading, dn: f64) -> f64 {
         reading.black_level + (dn - reading.black_level) * self.factor(site.seed, reading.frame)
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        Some(Chance { of_frames: self.sigma, ..Chance::default() })
     }
 }
 

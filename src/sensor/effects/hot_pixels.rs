@@ -8,7 +8,7 @@
 //! Limits: one rate for all hot pixels; ON and OFF ones are equally frequent; dead pixels and those that fire in bursts are not here.
 
 use super::background_activity::{either, poisson};
-use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit};
+use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -74,6 +74,10 @@ impl Effect for HotPixels {
         if let Some(polarity) = self.polarity(site) {
             poisson(self.rate_hz, random, start_ns, end_ns, |_| polarity, out);
         }
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        Some(Chance::default())
     }
 }
 

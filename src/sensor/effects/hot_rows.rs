@@ -8,7 +8,7 @@
 //! Limits: pixels of a row fire independently, with both signs, at one rate; a row whose pixels fire together is not here.
 
 use super::background_activity::{either, poisson};
-use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit, row_random};
+use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit, row_random};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -100,6 +100,10 @@ impl Effect for HotRows {
         if self.is_hot(site.seed, site.y) {
             poisson(self.rate_hz, random, start_ns, end_ns, either, out);
         }
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        Some(Chance::default())
     }
 }
 

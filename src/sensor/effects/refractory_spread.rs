@@ -8,7 +8,7 @@
 //! Source: Pelgrom, Duinmaijer, Welbers, "Matching properties of MOS transistors" (1989), for the offsets.
 //! Limits: log-normal with the stated period as its median; constant in time and light.
 
-use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
+use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
 pub const KIND: EffectKind = EffectKind {
@@ -52,6 +52,10 @@ impl Effect for RefractorySpread {
     fn refractory_ns(&self, site: &Site, _i: f64, refractory_ns: i64) -> i64 {
         let factor = libm::exp(self.sigma * site.random(KIND.decl.id).normal());
         (refractory_ns as f64 * factor).round() as i64
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        Some(Chance::default())
     }
 }
 

@@ -7,7 +7,7 @@
 //! Sources: sensors that scan their rows; recordings in which all events of a row share a stamp.
 //! Limits: constant in time and load; the load is `readout_queue`, a wrong row time of the frames is `row_time`.
 
-use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit, row_random};
+use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit, row_random};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -77,6 +77,14 @@ impl Effect for RowSkew {
         let delay_ns = self.delay_ns(site.seed, site.y);
         event.t_in_ns += delay_ns;
         event.t_off_ns += delay_ns;
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        (self.sigma_ns > 0.0).then(|| Chance {
+            of_stamps_s: self.sigma_ns * 1e-9,
+            known: Some(Box::new(RowSkew { sigma_ns: 0.0, ..*self })),
+            ..Chance::default()
+        })
     }
 }
 

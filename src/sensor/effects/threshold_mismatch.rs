@@ -7,7 +7,7 @@
 //! Sources: Lichtsteiner, Posch, Delbruck 2008 (2.1 % contrast); Hu, Liu, Delbruck 2021 (v2e: sigma 0.03 on 0.2).
 //! Limits: normal, and no common part of ON and OFF; a pixel far out in the tail is a hot or a dead one.
 
-use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
+use super::{Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -53,6 +53,10 @@ impl Effect for ThresholdMismatch {
         let mut own = site.random(KIND.decl.id);
         thresholds.on += self.sigma * own.normal();
         thresholds.off += self.sigma * own.normal();
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        Some(Chance { of_pixels: self.sigma, ..Chance::default() })
     }
 }
 

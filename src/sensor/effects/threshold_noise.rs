@@ -8,7 +8,7 @@
 //! Limits: normal; one draw for both polarities, as with the description's `threshold_noise`. That a noisy voltage can cross by
 //! itself, in the dark or in a static scene, is `background_activity`.
 
-use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
+use super::{Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -54,6 +54,10 @@ impl Effect for ThresholdNoise {
         let change = self.sigma * random.normal();
         thresholds.on += change;
         thresholds.off += change;
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        Some(Chance { of_events: self.sigma, ..Chance::default() })
     }
 }
 

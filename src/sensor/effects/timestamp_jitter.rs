@@ -7,7 +7,7 @@
 //! Source: the latency measurements in Lichtsteiner, Posch, Delbruck 2008.
 //! Limits: normal, cut off at four sigma, so two events of a pixel more than eight sigma apart keep their order; nearer ones can change places.
 
-use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
+use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -60,6 +60,10 @@ impl Effect for TimestampJitter {
         let shift_ns = (self.sigma_ns * z).round() as i64;
         event.t_in_ns += shift_ns;
         event.t_off_ns += shift_ns;
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        Some(Chance { of_stamps_s: self.sigma_ns * 1e-9, ..Chance::default() })
     }
 }
 

@@ -6,7 +6,8 @@
 //! Sources: manuals of event cameras; recordings whose stamps are multiples of 100 us.
 //! Limits: a perfect clock that rounds down; a jagged (nonlinear) in-pixel converter is not here.
 
-use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
+use super::clock_offset::ClockOffset;
+use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -59,6 +60,12 @@ impl Effect for TimestampQuantization {
     fn stamp(&self, _site: &Site, _random: &mut Random, event: &mut PixelEvent) {
         event.t_in_ns = self.grid(event.t_in_ns);
         event.t_off_ns = self.grid(event.t_off_ns);
+    }
+
+    fn chance(&self) -> Option<Chance> {
+        // A stamp is the last instant of the grid: half a step early in the mean.
+        let early = ClockOffset { offset_ns: -self.step_ns / 2 };
+        (self.step_ns > 0).then(|| Chance { of_stamps_s: self.step_ns as f64 * 1e-9 / libm::sqrt(12.0), known: Some(Box::new(early)), ..Chance::default() })
     }
 }
 

@@ -10,17 +10,15 @@
 //! Limits: a stamp is taken off to first order; events that come without a crossing and lost ones have no place here; a pixel that an effect blinds beyond its next event
 //! takes its reference at that event.
 
-use crate::nominal::Nominal;
+use crate::comparator::signed_step;
+use crate::effects::{BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds};
+use crate::elementary::{exp, exp_m1, ln};
+use crate::exposure::log_linear_mean;
+use crate::map::{MapEvent, MapFrame};
+use crate::model::Model;
 use photocurrent_core::random::Random;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{Exposure, Timestamp};
-use photocurrent_sensor::comparator::signed_step;
-use photocurrent_sensor::effects::{
-    BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds,
-};
-use photocurrent_sensor::elementary::{exp, exp_m1, ln};
-use photocurrent_sensor::exposure::log_linear_mean;
-use photocurrent_sensor::map::{MapEvent, MapFrame};
 
 /// An event this soon after the blind time may be one that was held back, ns: as in the solver of the most probable light.
 const LATE_NS: i64 = 1_000;
@@ -114,35 +112,35 @@ enum Mark {
 }
 
 /// Sees a pixel through a sensor with effects.
-pub fn conditional(nominal: &Nominal, effects: &[Box<dyn Effect>], look: &Look<'_>, out: &mut Conditional) {
-    frame_values(nominal, effects, look, out);
+pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, out: &mut Conditional) {
+    frame_values(model, effects, look, out);
     let (site, track) = (&look.site, look.track);
     let changed = seen_light(effects, look);
     let seen: &[f64] = changed.as_deref().or(look.seen).unwrap_or(&track.log_light);
     let mut random = Random::new(0, &[]);
-    let mut model = FrontEndModel::plain(nominal.pixel.front_end);
-    let stated = Thresholds { on: nominal.pixel.threshold_on, off: nominal.pixel.threshold_off };
+    let mut front_end = FrontEndModel::plain(model.pixel.front_end);
+    let stated = Thresholds { on: model.pixel.threshold_on, off: model.pixel.threshold_off };
     let mut leak = Leak::default();
     let mut kicks: Vec<Kick> = Vec::new();
     let (start_ns, end_ns) = (track.t_ns[0], track.t_ns[track.t_ns.len() - 1]);
     for effect in effects {
-        effect.front_end(site, &mut model);
+        effect.front_end(site, &mut front_end);
         let more = effect.leak(site, &stated);
         leak.constant_per_s += more.constant_per_s;
         leak.per_photocurrent_per_s += more.per_photocurrent_per_s;
         effect.kicks(site, start_ns, end_ns, &mut kicks);
     }
     kicks.retain(|kick| kick.t_ns >= start_ns && kick.t_ns < end_ns);
-    let times = times(nominal, effects, look, seen, &mut random);
+    let times = times(model, effects, look, seen, &mut random);
     let mut marks: Vec<(i64, u8, Mark)> = kicks.iter().enumerate().map(|(n, kick)| (kick.t_ns, 1, Mark::Kick(n))).collect();
     for (k, time) in times.iter().enumerate() {
         marks.push((time.fired_ns, 3, Mark::Fire(k)));
-        if nominal.reset == Reset::Resample {
+        if model.reset == Reset::Resample {
             marks.push((time.latch_ns, if time.latch_ns > time.fired_ns { 2 } else { 4 }, Mark::Latch(k)));
         }
     }
     marks.sort_unstable_by_key(|(t, order, mark)| (*t, *order, matches!(mark, Mark::Fire(_))));
-    let mut walk = Walk { model, leak, track, seen, at: 0, t_ns: start_ns, now: seen[0], low: seen[0], second: seen[0], level: seen[0], drift: 0.0 };
+    let mut walk = Walk { model: front_end, leak, track, seen, at: 0, t_ns: start_ns, now: seen[0], low: seen[0], second: seen[0], level: seen[0], drift: 0.0 };
     let count = look.events.len();
     out.excess.clear();
     out.excess.resize(count, 0.0);
@@ -186,7 +184,7 @@ pub fn conditional(nominal: &Nominal, effects: &[Box<dyn Effect>], look: &Look<'
                 let last_event = Some(LastEvent { t_in_ns: t_ns, t_off_ns: time.left_ns, polarity: event.polarity, overshoot: 0.0 });
                 history = History { last_event, events: history.events + 1, burst_index };
                 (before, fired_value) = (reference, value);
-                if nominal.reset != Reset::Resample {
+                if model.reset != Reset::Resample {
                     // A reference that moves by one threshold is the voltage of the event, unless the event was held back.
                     let moved = if time.is_armed { value } else { reference + step };
                     (reference, thresholds) = reset(moved, moved, t_ns, before, &mut history);
@@ -197,17 +195,17 @@ pub fn conditional(nominal: &Nominal, effects: &[Box<dyn Effect>], look: &Look<'
 }
 
 /// Digital numbers of the frames; leaves what is said of events alone.
-pub fn frame_values(nominal: &Nominal, effects: &[Box<dyn Effect>], look: &Look<'_>, out: &mut Conditional) {
+pub fn frame_values(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, out: &mut Conditional) {
     let Look { site, track, .. } = look;
     let mut previous_charge = 0.0;
     out.dn.clear();
     for (frame, stated) in look.frames.iter().enumerate() {
-        let row = RowSite { y: site.y, height: site.height, frame, row_time_ns: nominal.row_time_ns };
+        let row = RowSite { y: site.y, height: site.height, frame, row_time_ns: model.row_time_ns };
         let stated = Exposure { start: Timestamp(stated.start_ns), end: Timestamp(stated.end_ns) };
         let exposed = effects.iter().fold(stated, |exposure, effect| effect.exposure(&row, exposure));
         let collected = track.collected_until(exposed.end.0) - track.collected_until(exposed.start.0);
-        let number = nominal.number;
-        let reading = Reading { frame, previous_charge, gain: number.gain, black_level: number.black_level, saturation: nominal.saturation_dn };
+        let number = model.number;
+        let reading = Reading { frame, previous_charge, gain: number.gain, black_level: number.black_level, saturation: model.saturation_dn };
         previous_charge = collected;
         let charge = effects.iter().fold(collected, |charge, effect| effect.charge(site, &reading, charge));
         out.dn.push(effects.iter().fold(number.of(charge), |dn, effect| effect.dn(site, &reading, dn)));
@@ -238,21 +236,21 @@ struct Times {
     is_armed: bool,
 }
 
-fn times(nominal: &Nominal, effects: &[Box<dyn Effect>], look: &Look<'_>, seen: &[f64], random: &mut Random) -> Vec<Times> {
+fn times(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, seen: &[f64], random: &mut Random) -> Vec<Times> {
     let (site, track) = (&look.site, look.track);
     let (first_ns, last_ns) = (track.t_ns[0], track.t_ns[track.t_ns.len() - 1]);
     let mut all: Vec<Times> = Vec::with_capacity(look.events.len());
     let (mut blind_until, mut before) = (i64::MIN, i64::MIN);
     for (k, event) in look.events.iter().enumerate() {
         // The rules of the solver of the most probable light.
-        let is_armed = match nominal.reset {
+        let is_armed = match model.reset {
             Reset::Resample => event.t_in_ns >= blind_until && event.t_in_ns > before,
             Reset::Advance | Reset::AdvanceLossy => {
                 let is_last = look.events.get(k + 1).is_none_or(|next| next.t_in_ns != event.t_in_ns);
-                is_last && (nominal.pixel.refractory_ns == 0 || event.t_in_ns > blind_until.saturating_add(LATE_NS))
+                is_last && (model.pixel.refractory_ns == 0 || event.t_in_ns > blind_until.saturating_add(LATE_NS))
             }
         };
-        blind_until = i64::max(blind_until, event.t_off_ns + nominal.pixel.refractory_ns);
+        blind_until = i64::max(blind_until, event.t_off_ns + model.pixel.refractory_ns);
         before = event.t_in_ns;
         let mut recorded = PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity };
         let stamp = recorded;
@@ -263,7 +261,7 @@ fn times(nominal: &Nominal, effects: &[Box<dyn Effect>], look: &Look<'_>, seen: 
         let hidden_ns: i64 = effects.iter().map(|effect| effect.latency(site, random, fired_ns).hidden_ns).sum();
         let left_ns = i64::max(2 * stamp.t_off_ns - recorded.t_off_ns + hidden_ns, fired_ns);
         let light = exp(at(&track.t_ns, seen, left_ns));
-        let refractory_ns = effects.iter().fold(nominal.pixel.refractory_ns, |refractory_ns, effect| effect.refractory_ns(site, light, refractory_ns));
+        let refractory_ns = effects.iter().fold(model.pixel.refractory_ns, |refractory_ns, effect| effect.refractory_ns(site, light, refractory_ns));
         if let Some(last) = all.last_mut()
             && is_armed
         {
@@ -278,7 +276,7 @@ fn times(nominal: &Nominal, effects: &[Box<dyn Effect>], look: &Look<'_>, seen: 
 }
 
 /// The value at an instant of what is linear between instants.
-pub(super) fn at(t_ns: &[i64], values: &[f64], instant: i64) -> f64 {
+pub fn at(t_ns: &[i64], values: &[f64], instant: i64) -> f64 {
     let after = t_ns.partition_point(|&t| t <= instant);
     match (after.checked_sub(1), t_ns.get(after)) {
         (None, _) => values[0],

@@ -1,0 +1,166 @@
+//! What effects did to the measurements of a pixel, taken off again, so that the stated sensor explains what is left.
+//!
+//! Every effect is asked by its own hooks, the ones the simulator asks: nothing here knows any effect.
+//!
+//! - Stamps: `recorded = stamp(true)` is solved to first order.
+//! - Frames: charge and digital number are monotone in the light, so the charge behind a value is found by secants, frame after frame with the charge of the one before;
+//!   exposures are those of the effect.
+//! - All that acts between light and comparator: given a first estimate of the light, the effects say by how much more or less than its threshold each event's step is than the
+//!   stated sensor would have it ([`crate::conditional`]); that is given to the solver as known ([`crate::map::MapProblem::beyond`]) and the light is solved again (defect
+//!   correction; Stetter, Numerische Mathematik 29, 1978).
+//!
+//! What is drawn cannot be undone: measurements are believed that much less ([`Chance`]).
+//!
+//! Limits: effects that mix neighbours' light, and those that depend on the load of the whole array, are left out and named in [`Undo::left_out`]; an event that a
+//! sudden kick fires passed its threshold by an unknown part of the kick, and is taken as if it had met it.
+
+use crate::conditional::{Conditional, Look, Track, conditional};
+use crate::effects::{Chance, Effect, PixelEvent, Reading, RowSite, Site};
+use crate::map::MapEvent;
+use crate::model::Model;
+use photocurrent_core::Exposure;
+use photocurrent_core::random::Random;
+
+/// The longest step of light, ns.
+const STEP_NS: i64 = 500_000;
+/// Steps are known to be further from their thresholds than this only where the first estimate is no use, natural-log units.
+const FURTHEST: f64 = 1.0;
+/// Secants for a charge, and how near they come, as a share.
+const SECANTS: usize = 12;
+const NEAR: f64 = 1e-10;
+
+/// A set of effects to be taken off.
+pub struct Undo {
+    effects: Vec<Box<dyn Effect>>,
+    /// Standard deviations that chance adds; `known` is empty.
+    pub chance: Chance,
+    /// Ids of effects about which nothing is done.
+    pub left_out: Vec<&'static str>,
+}
+
+/// A frame value without effects.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Undone {
+    /// When the row was really exposed.
+    pub exposure: Exposure,
+    /// What the stated sensor would have read, DN.
+    pub dn: f64,
+    /// How much that changes with the recorded value.
+    pub per_dn: f64,
+    /// Photocurrent times seconds.
+    pub charge: f64,
+}
+
+/// Memory that is kept from pixel to pixel.
+#[derive(Default)]
+pub struct Memory {
+    with: Conditional,
+    without: Conditional,
+}
+
+impl Undo {
+    /// Of the effects of a description ([`crate::effects::from_description`]).
+    pub fn new(effects: Vec<Box<dyn Effect>>) -> Undo {
+        let mut undo = Undo { effects: Vec::new(), chance: Chance::default(), left_out: Vec::new() };
+        let add = |sum: &mut f64, sigma: f64| *sum = libm::hypot(*sum, sigma);
+        for effect in effects {
+            if effect.kernel().is_some() || effect.informed(&[]).is_some() {
+                undo.left_out.push(effect.id());
+                continue;
+            }
+            let Some(Chance { of_pixels, of_events, of_stamps_s, of_frames, known }) = effect.chance() else {
+                undo.effects.push(effect);
+                continue;
+            };
+            if known.is_none() && [of_pixels, of_events, of_stamps_s, of_frames].iter().all(|sigma| *sigma == 0.0) {
+                undo.left_out.push(effect.id());
+            }
+            add(&mut undo.chance.of_pixels, of_pixels);
+            add(&mut undo.chance.of_events, of_events);
+            add(&mut undo.chance.of_stamps_s, of_stamps_s);
+            add(&mut undo.chance.of_frames, of_frames);
+            undo.effects.extend(known);
+        }
+        undo
+    }
+
+    /// Is there nothing to take off?
+    pub fn is_none(&self) -> bool {
+        self.effects.is_empty()
+    }
+
+    /// When an event really fired and left, its recorded stamps given.
+    pub fn event(&self, site: &Site, event: &MapEvent) -> MapEvent {
+        let mut random = Random::new(0, &[]);
+        let mut recorded = PixelEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns, polarity: event.polarity };
+        for effect in &self.effects {
+            effect.stamp(site, &mut random, &mut recorded);
+        }
+        let t_in_ns = 2 * event.t_in_ns - recorded.t_in_ns;
+        let hidden_ns: i64 = self.effects.iter().map(|effect| effect.latency(site, &mut random, t_in_ns).hidden_ns).sum();
+        MapEvent { t_in_ns, t_off_ns: i64::max(2 * event.t_off_ns - recorded.t_off_ns + hidden_ns, t_in_ns), ..*event }
+    }
+
+    /// A value of frame number `frame`, whose stated exposure is given; `previous_charge` is that of the frame before.
+    pub fn frame(&self, model: &Model, site: &Site, frame: usize, stated: Exposure, dn: f64, previous_charge: f64) -> Undone {
+        let row = RowSite { y: site.y, height: site.height, frame, row_time_ns: model.row_time_ns };
+        let exposure = self.effects.iter().fold(stated, |exposure, effect| effect.exposure(&row, exposure));
+        let number = model.number;
+        let reading = Reading { frame, previous_charge, gain: number.gain, black_level: number.black_level, saturation: model.saturation_dn };
+        let through = |charge: f64| {
+            let charge = self.effects.iter().fold(charge, |charge, effect| effect.charge(site, &reading, charge));
+            self.effects.iter().fold(number.of(charge), |dn, effect| effect.dn(site, &reading, dn))
+        };
+        // The stated sensor's own charge, and one a little more.
+        let unit = f64::max((dn - number.black_level).abs(), 1.0) / number.gain;
+        let (mut a, mut b) = ((dn - number.black_level) / number.gain, (dn - number.black_level) / number.gain + 0.05 * unit);
+        let (mut fa, mut fb) = (through(a) - dn, through(b) - dn);
+        for _ in 0..SECANTS {
+            let next = b - fb * (b - a) / (fb - fa);
+            if !next.is_finite() || (next - b).abs() <= NEAR * unit {
+                break;
+            }
+            (a, fa) = (b, fb);
+            b = next.clamp(b - 2.0 * unit, b + 2.0 * unit);
+            fb = through(b) - dn;
+        }
+        // Beyond what the effects can read, nothing is better than the value itself.
+        let charge = if fb.is_finite() && fb.abs() <= 1e-6 * f64::max(dn.abs(), 1.0) { b } else { (dn - number.black_level) / number.gain };
+        let step = 1e-3 * unit;
+        let slope = (through(charge + step) - through(charge - step)) / (2.0 * step * number.gain);
+        Undone { exposure, dn: number.of(charge), per_dn: if slope > 1e-3 { 1.0 / slope } else { 1.0 }, charge }
+    }
+
+    /// By how much each event's step is beyond its threshold, as the effects say at an estimate of the light: log light at instants, linear between.
+    ///
+    /// `recorded` are the events with their stamps as recorded, `events` the same without effects ([`Undo::event`]).
+    #[expect(clippy::too_many_arguments, reason = "one pixel, seen twice")]
+    pub fn beyond(
+        &self,
+        model: &Model,
+        site: &Site,
+        (t_ns, log_light): (&[i64], &[f64]),
+        recorded: &[MapEvent],
+        events: &[MapEvent],
+        memory: &mut Memory,
+        beyond: &mut Vec<f64>,
+    ) {
+        beyond.clear();
+        if events.is_empty() || t_ns.is_empty() {
+            return;
+        }
+        let track = Track::new(t_ns, log_light, STEP_NS);
+        let Memory { with, without } = memory;
+        let look = Look { site: *site, track: &track, seen: None, events: recorded, frames: &[] };
+        conditional(model, &self.effects, &look, with);
+        conditional(model, &[], &Look { events, ..look }, without);
+        beyond.extend((0..events.len()).map(|k| {
+            let by = without.excess[k] - with.excess[k];
+            if with.is_armed[k] && without.is_armed[k] && by.abs() < FURTHEST { by } else { 0.0 }
+        }));
+    }
+}
+
+#[cfg(test)]
+#[path = "undo_tests.rs"]
+mod tests;
