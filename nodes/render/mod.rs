@@ -1,4 +1,5 @@
 //! From photocurrent to pictures.
 
 pub mod demosaic;
+mod reading;
 pub mod rows;

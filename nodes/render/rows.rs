@@ -11,17 +11,21 @@
 //! Where the tracks carry standard deviations, `sigma` is that of every value, in DN: `gain x integral of sigma(t) i(t)`, with the standard deviation
 //! `sigma(t)` of `ln i`. That is exact for short exposures; over long ones, where errors average out, it is an upper bound.
 //!
+//! Frames `at` captured ones are what the described camera would have read there, its `[effects]` on frames included ([`super::reading`]); all others show the light.
+//!
 //! Limits: a pixel without any knot is unknown and comes out as NaN.
 
+use super::reading::Readout;
 use crate::co_located::{channel_gains, gain_of};
 use crate::held::{Exposures, HeldMeans, Knots, TILE, develop};
 use crate::reconstruct::in_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
 use crate::score::roi::Roi;
 use photocurrent_core::{
-    Between, Colour, Context, DataType, Decl, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor,
-    TrackBand, TrackSet, TracksMeta,
+    Between, Colour, Context, DataType, Decl, Exposure, Extent, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
+    Rows, Sensor, TrackBand, TrackSet, TracksMeta,
 };
+use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, LogLinearTrack};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -70,7 +74,7 @@ impl Node for RenderRows {
     const DECL: Decl = Decl {
         kind: "render/rows",
         about: "Frames from tracks: sharp, free of rolling shutter, at any rate and for any exposure.",
-        revision: 3,
+        revision: 4,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -94,6 +98,7 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         let tracks = inputs.tracks("tracks")?;
         let sensor = inputs.sensor("sensor")?;
         DigitalNumbers::new(sensor, tracks.colour)?;
+        Readout::new(sensor, FrameScale::Captured)?;
         let at = inputs.has("at").then(|| inputs.frames("at")).transpose()?;
         let frames = Meta::Frames(Arc::new(self.frames(tracks, at.map(|at| &**at), sensor)?));
         let why = || "the tracks carry no standard deviation (those of `method = \"map\"` do)".to_string();
@@ -109,13 +114,34 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         let Roi { x: left, y: top, .. } = self.params.roi.unwrap_or(Roi::whole(of.extent));
         let dn = DigitalNumbers::new(&input.sensor, of.colour)?;
         let band = tracks.read(Rows { start: top + cx.rows().start, end: top + cx.rows().end })?;
+        let readout = Readout::new(&input.sensor, meta.scale)?;
         let frames = in_rows(cx, meta.clone(), |row, frames| {
-            let exposures = Exposures::new((0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect());
-            let seconds: Vec<f64> = exposures.all().iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
             let first = (left * of.colour.channels(), top + row);
-            match of.between {
-                Between::Hold => render_held(&band, first, &exposures, &seconds, dn, frames),
-                Between::LogLinear => render_log_linear(&band, first, &exposures, &seconds, dn, frames),
+            let render = |exposures: Vec<Exposure>, frames: &mut [&mut [f32]]| {
+                let exposures = Exposures::new(exposures);
+                let seconds: Vec<f64> = exposures.all().iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
+                match of.between {
+                    Between::Hold => render_held(&band, first, &exposures, &seconds, dn, frames),
+                    Between::LogLinear => render_log_linear(&band, first, &exposures, &seconds, dn, frames),
+                }
+            };
+            let stated: Vec<Exposure> = (0..meta.times.len()).map(|frame| meta.times.exposure(frame, row)).collect();
+            let Some(readout) = &readout else {
+                render(stated, frames);
+                return Ok(());
+            };
+            let exposed: Vec<Exposure> =
+                stated.iter().enumerate().map(|(frame, exposure)| readout.exposure((first.1, of.extent.height), frame, *exposure)).collect();
+            let before: Vec<Exposure> = exposed.iter().map(|exposure| exposure.delayed(-exposure.length_ns())).collect();
+            let mut previous: Vec<Vec<f32>> = frames.iter().map(|values| vec![0.0; values.len()]).collect();
+            render(exposed, frames);
+            render(before, &mut previous.iter_mut().map(Vec::as_mut_slice).collect::<Vec<_>>());
+            for (frame, (values, before)) in frames.iter_mut().zip(&previous).enumerate() {
+                for (x, (value, before)) in values.iter_mut().zip(before).enumerate() {
+                    let at = first.0 + x as u32;
+                    let site = Site { x: at / of.colour.channels(), y: first.1, width: of.extent.width, height: of.extent.height, seed: 0 };
+                    *value = readout.read(dn.at(at, first.1), &site, frame, f64::from(*value), f64::from(*before)) as f32;
+                }
             }
             Ok(())
         })?;
@@ -244,7 +270,7 @@ mod tests {
     use super::*;
     use crate::sampling::Shutter;
     use photocurrent_core::quantity::{Duration, Rate};
-    use photocurrent_core::{FrameScale, Ports, TimeSpan, testing};
+    use photocurrent_core::{Ports, TimeSpan, testing};
 
     fn sensor() -> Arc<Sensor> {
         let mut sensor = Sensor::unknown("test");

@@ -6,7 +6,8 @@
 //!
 //! `method = "map"` asks for the most probable light ([`photocurrent_sensor::map`]): all frames and events of the pixel at once, with knots that are finer
 //! than the events, the exact reset and a prior. Silences in which events were evidently lost are not believed ([`photocurrent_sensor::map::losses`]).
-//! Nothing is cut into windows there, and its tracks are log-linear between knots.
+//! Nothing is cut into windows there, and its tracks are log-linear between knots. What the description's `[effects]` did to events and frames is taken off by the effects' own equations
+//! ([`photocurrent_sensor::undo`]); a note names those that cannot be.
 //!
 //! `method = "paper"` is Eq. (13), solved in [`photocurrent_sensor::inverse`], with the approximations that the paper makes. Frames are taken two by two, as in the paper: the pair (l, l+1) is solved with all events from the start of exposure l to
 //! the end of exposure l+1, and its answer counts until exposure l+1 starts. The first window reaches back to the recording's start, the
@@ -32,6 +33,8 @@ pub(crate) mod shares;
 mod stamps_tests;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod undo_tests;
 
 use crate::co_located::{CoLocated, values_of};
 use crate::compensate::readout::check_events;
@@ -47,9 +50,12 @@ use photocurrent_core::{
     Between, Colour, Context, Decl, EventStream, EventsMeta, Exposure, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet, Meta, Node,
     NodeError, PortMetas, Sensor, TimeSpan, TrackBand, TrackSet, TracksMeta,
 };
+use photocurrent_sensor::effects::from_description;
 use photocurrent_sensor::front_end::FrontEnd;
 use photocurrent_sensor::map::COARSEST;
+use photocurrent_sensor::model::Model as SensorModel;
 use photocurrent_sensor::residuals::Misfit;
+use photocurrent_sensor::undo::Undo;
 use rayon::prelude::*;
 use row::Recorded;
 use shares::Colours;
@@ -111,24 +117,24 @@ fn planes(status: Status, iterations: usize, cost: f64, misfit: &Misfit, excess:
 /// Everything about the sensor that one pixel's problem needs, checked once.
 pub(crate) struct Model {
     rule: StepRule,
-    front_end: FrontEnd,
+    /// The description in numbers; its front end and refractory period as the parameters have them.
+    sensor: SensorModel,
     refractory_s: f64,
-    refractory_ns: i64,
-    reset: Reset,
     clock_offset_ns: i64,
+    /// The description's `[effects]`, to be taken off the measurements; none for `method = "paper"`.
+    undo: Undo,
+    /// How often light is solved again with what they say.
+    undo_rounds: u32,
     /// Standard deviation of an event's stamp, from the width of its interval.
     stamp_sigma_s: f64,
     frame_noise: FrameNoise,
-    gain: f64,
-    black_level: f64,
-    saturation_dn: f64,
     plausible_range: f64,
 }
 
 impl Model {
     /// DN per photocurrent and second, and DN of darkness.
     pub(crate) fn frame_scale(&self) -> (f64, f64) {
-        (self.gain, self.black_level)
+        (self.sensor.number.gain, self.sensor.number.black_level)
     }
 
     /// The smaller threshold, natural-log units.
@@ -180,20 +186,34 @@ impl SolvePixel {
             }
         };
         sensor.need_all(&[StepRule::needs(sensor).as_slice(), &[("frames.gain", sensor.frames.gain.is_some())]].concat(), WHO)?;
+        let mut stated = SensorModel::of(sensor);
+        stated.pixel.front_end = front_end;
+        stated.pixel.refractory_ns = (refractory_s * 1e9).round() as i64;
+        let undo_rounds = self.params.undo_rounds();
+        let undo = if self.params.method == Method::Map && undo_rounds > 0 { undo(sensor)? } else { Undo::new(Vec::new()) };
+        let frame_share = libm::hypot(self.params.frame_noise.unwrap_or(FRAME_NOISE), undo.chance.of_frames);
         Ok(Model {
             rule: StepRule::from_sensor(sensor, events, Stamp::Best, WHO)?,
-            front_end,
             refractory_s,
-            refractory_ns: (refractory_s * 1e9).round() as i64,
-            reset: sensor.comparator.reset,
             clock_offset_ns: clock_offset(sensor)?.offset_ns,
+            undo,
+            undo_rounds,
             stamp_sigma_s: events.t_resolution_ns.unwrap_or(0) as f64 * 1e-9 / libm::sqrt(12.0),
-            frame_noise: FrameNoise::new(sensor, self.params.frame_noise.unwrap_or(FRAME_NOISE)),
-            gain: sensor.need(sensor.frames.gain, "frames.gain", WHO)?,
-            black_level: sensor.frames.black_level_dn.unwrap_or(0.0),
-            saturation_dn: sensor.frames.saturation_dn.unwrap_or(f64::INFINITY),
+            frame_noise: FrameNoise::new(&stated, frame_share),
+            sensor: stated,
             plausible_range: self.params.plausible_range,
         })
+    }
+
+    /// What is stated and not used here, as a sentence.
+    fn not_modelled(&self, sensor: &Sensor, model: &Model) -> Option<String> {
+        let mut used = sensor.clone();
+        if self.params.method == Method::Map {
+            // The reset law is modelled there, and effects are undone.
+            used.comparator.reset = Reset::Resample;
+            used.effects.retain(|id, _| model.undo_rounds == 0 || model.undo.left_out.contains(&id.as_str()));
+        }
+        left_out(&used)
     }
 
     /// Refuses a span in which even quiet pixels would have more knots than can be.
@@ -239,7 +259,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 12,
+        revision: 13,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -283,12 +303,7 @@ params = { method = "map" }
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let meta = self.tracks_meta(&input.events.meta, &input.frames.meta)?;
         let model = self.model(&input.sensor, &input.events.meta)?;
-        let mut used = (*input.sensor).clone();
-        if self.params.method == Method::Map {
-            // The reset law is modelled there.
-            used.comparator.reset = Reset::Resample;
-        }
-        if let Some(note) = left_out(&used) {
+        if let Some(note) = self.not_modelled(&input.sensor, &model) {
             cx.note(note);
         }
         let rows = cx.rows();
@@ -326,6 +341,13 @@ params = { method = "map" }
         report(&map, self.params.plausible_range, cx);
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(meta.clone()), TrackBand::concat(tracks)), map: MapSet::in_memory(Arc::new(map_meta(meta.extent)), map) })
     }
+}
+
+/// The effects of a description, to be undone; its clock offset is taken off with the stamps ([`StepRule`]).
+fn undo(sensor: &Sensor) -> Result<Undo, NodeError> {
+    let mut effects = from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
+    effects.retain(|effect| effect.id() != "clock_offset");
+    Ok(Undo::new(effects))
 }
 
 fn map_meta(extent: photocurrent_core::Extent) -> MapMeta {

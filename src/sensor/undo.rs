@@ -84,6 +84,11 @@ impl Undo {
         undo
     }
 
+    /// The effects that are taken off: their known parts.
+    pub fn known(&self) -> &[Box<dyn Effect>] {
+        &self.effects
+    }
+
     /// Is there nothing to take off?
     pub fn is_none(&self) -> bool {
         self.effects.is_empty()
@@ -101,13 +106,15 @@ impl Undo {
         MapEvent { t_in_ns, t_off_ns: i64::max(2 * event.t_off_ns - recorded.t_off_ns + hidden_ns, t_in_ns), ..*event }
     }
 
-    /// A value of frame number `frame`, whose stated exposure is given; `previous_charge` is that of the frame before.
-    pub fn frame(&self, model: &Model, site: &Site, frame: usize, stated: Exposure, dn: f64, previous_charge: f64) -> Undone {
+    /// A value of frame number `frame`, whose stated exposure is given; `before` is the charge of the last frame, and whether another one is missing in between: the missing one is
+    /// taken as half of each side.
+    pub fn frame(&self, model: &Model, site: &Site, frame: usize, stated: Exposure, dn: f64, before: (f64, bool)) -> Undone {
         let row = RowSite { y: site.y, height: site.height, frame, row_time_ns: model.row_time_ns };
         let exposure = self.effects.iter().fold(stated, |exposure, effect| effect.exposure(&row, exposure));
         let number = model.number;
-        let reading = Reading { frame, previous_charge, gain: number.gain, black_level: number.black_level, saturation: model.saturation_dn };
         let through = |charge: f64| {
+            let previous_charge = if before.1 { 0.5 * (before.0 + charge) } else { before.0 };
+            let reading = Reading { frame, previous_charge, gain: number.gain, black_level: number.black_level, saturation: model.saturation_dn };
             let charge = self.effects.iter().fold(charge, |charge, effect| effect.charge(site, &reading, charge));
             self.effects.iter().fold(number.of(charge), |dn, effect| effect.dn(site, &reading, dn))
         };

@@ -64,7 +64,7 @@ fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<MapEvent>, Vec<f64>),
     let mut previous_charge = 0.0;
     let mut end_ns = i64::MIN;
     let frame = |(l, dn): (usize, &f64)| {
-        let undone = undo.frame(model, &SITE, l, stated(l as i64), *dn, previous_charge);
+        let undone = undo.frame(model, &SITE, l, stated(l as i64), *dn, (previous_charge, false));
         previous_charge = undone.charge;
         let (start_ns, last_ns) = (i64::max(undone.exposure.start.0, end_ns), undone.exposure.end.0);
         end_ns = last_ns;
@@ -170,6 +170,6 @@ fn what_is_drawn_widens_and_what_mixes_neighbours_is_named() {
 fn a_value_beyond_what_an_effect_can_read_stays() {
     let (model, undo) = (model(), Undo::new(effects(json!({"frame_nonlinearity": {"compression": 0.5}}))));
     // A curve that ends at full scale times 1/k reads nothing above it.
-    let undone = undo.frame(&model, &SITE, 0, stated(0), 40_000.0, 0.0);
+    let undone = undo.frame(&model, &SITE, 0, stated(0), 40_000.0, (0.0, false));
     assert!(undone.dn.is_finite() && undone.per_dn > 0.0, "{undone:?}");
 }

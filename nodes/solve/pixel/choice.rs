@@ -4,10 +4,11 @@
 //! that solves a row reads its whole block, and one row around it. Pixels are looked at all over the block, so that
 //! the choice rests on many and costs less than the solution.
 
-use super::map::{RowSetting, problem};
+use super::map::{RowSetting, beyond, problem, with_beyond};
 use super::row::{Recorded, RowData};
 use super::{MAP_STEPS, Model, Params};
 use photocurrent_core::{NodeError, Rows};
+use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, estimate, frame_noise};
 use rayon::prelude::*;
@@ -50,6 +51,7 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
     let mut differences = Vec::new();
     let mut possible = 0;
     let mut sample: Vec<(Vec<MapEvent>, Vec<MapFrame>)> = Vec::new();
+    let mut recorded_events: Vec<(Site, Vec<MapEvent>)> = Vec::new();
     for row in rows.iter() {
         data.take(model, recorded, row, 0.0)?;
         let mut active = Vec::new();
@@ -65,10 +67,12 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
         // Spread over their number of events.
         active.sort_unstable();
         let taken = usize::min(active.len(), per_row);
-        sample.extend((0..taken).map(|n| {
+        for n in 0..taken {
             let (_, x) = active[(2 * n + 1) * active.len() / (2 * taken)];
-            (data.events_of(x).to_vec(), data.frames_of(x).to_vec())
-        }));
+            sample.push((data.events_of(x).to_vec(), data.frames_of(x).to_vec()));
+            let (site, events) = data.recorded_of(x);
+            recorded_events.push((site, events.to_vec()));
+        }
     }
     let span = (recorded.meta.span.start.0, recorded.meta.span.end.0);
     let max_iterations = usize::min(params.max_iterations as usize, MAP_STEPS);
@@ -79,6 +83,10 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
     }
     let mut group = MapGroup::default();
     let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, Noise::default())).collect();
+    let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options }).collect();
+    let looks: Vec<(Site, &[MapEvent])> = recorded_events.iter().map(|(site, events)| (*site, events.as_slice())).collect();
+    let beyond = beyond(model, &tasks, &looks, &mut group);
+    let problems: Vec<_> = with_beyond(&tasks, &beyond).into_iter().map(|task| task.problem).collect();
     // Or pixels that have lost events would choose for all.
     let lost = losses_of(&problems, &options, &mut group);
     let problems: Vec<_> = problems.into_iter().zip(&lost).map(|(problem, lost_before)| MapProblem { lost_before, ..problem }).collect();

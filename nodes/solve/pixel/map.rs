@@ -3,11 +3,13 @@
 use super::plausible::Plausible;
 use super::row::{Recorded, RowData};
 use super::{Model, Status, map_meta, planes};
-use photocurrent_core::{MapBand, NodeError, Rows, Sensor, TrackBand, TracksMeta};
+use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
+use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::estimate::Miss;
 use photocurrent_sensor::map::losses::{self, Plain};
-use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapSolution, MapStatus, MapTask, Noise, estimate};
+use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, estimate};
 use photocurrent_sensor::residuals::Misfit;
+use photocurrent_sensor::undo::Memory;
 
 /// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
 pub(super) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
@@ -30,11 +32,8 @@ pub(crate) struct FrameNoise {
 }
 
 impl FrameNoise {
-    pub fn new(sensor: &Sensor, share: f64) -> FrameNoise {
-        let above_black = sensor.frames.saturation_dn.unwrap_or(0.0) - sensor.frames.black_level_dn.unwrap_or(0.0);
-        let electrons = sensor.frames.full_well_e.unwrap_or(0.0);
-        let dn_per_electron = if electrons > 0.0 && above_black > 0.0 { above_black / electrons } else { 0.0 };
-        FrameNoise { read_dn: sensor.frames.read_noise_dn.unwrap_or(0.0), dn_per_electron, share }
+    pub fn new(sensor: &photocurrent_sensor::model::Model, share: f64) -> FrameNoise {
+        FrameNoise { read_dn: sensor.read_noise_dn, dn_per_electron: sensor.dn_per_electron, share }
     }
 
     /// Standard deviation of a value, `signal` DN above black, when `more_dn` is not stated.
@@ -110,6 +109,9 @@ impl RowSolver {
             MapTask { problem: MapProblem { hints, silence_sigma: off(problem.silence_sigma, 1.0), ..problem }, options }
         };
         let tasks: Vec<MapTask<'_>> = lit.iter().map(task).collect();
+        let recorded: Vec<(Site, &[MapEvent])> = lit.iter().map(|&x| data.recorded_of(x)).collect();
+        let beyond = beyond(model, &tasks, &recorded, group);
+        let tasks = with_beyond(&tasks, &beyond);
         let mut plain = vec![Plain::default(); tasks.len()];
         let mut put = |n: usize, solution: &MapSolution<'_>| {
             let begin = knots.len();
@@ -156,6 +158,8 @@ impl RowSolver {
     pub fn prediction_errors(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Vec<Hint>]) -> Vec<f64> {
         let RowSolver { group, data, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
+        let beyond = beyond(model, &[MapTask { problem, options: setting.options }], &[data.recorded_of(x)], group);
+        let problem = MapProblem { beyond: &beyond[0], ..problem };
         let problems: Vec<MapProblem<'_>> = hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
         estimate::prediction_errors(&problems, &setting.options, group)
     }
@@ -164,30 +168,51 @@ impl RowSolver {
     pub fn misses(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> Vec<Miss> {
         let RowSolver { group, data, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
-        estimate::misses(&[MapProblem { hints, ..problem }], &setting.options, group)
+        let beyond = beyond(model, &[MapTask { problem, options: setting.options }], &[data.recorded_of(x)], group);
+        estimate::misses(&[MapProblem { hints, beyond: &beyond[0], ..problem }], &setting.options, group)
     }
+}
+
+/// What effects add to the events of each problem ([`photocurrent_sensor::undo::Undo::beyond`]), at the light that solves it: found in rounds, each with what the one before found. Nothing
+/// where no effect is to be undone. `recorded`: the pixels, and their events with stamps as recorded.
+pub(super) fn beyond(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[MapEvent])], group: &mut MapGroup) -> Vec<Vec<f64>> {
+    let mut beyond: Vec<Vec<f64>> = vec![Vec::new(); tasks.len()];
+    if model.undo.is_none() {
+        return beyond;
+    }
+    let mut memory = Memory::default();
+    for _ in 0..model.undo_rounds {
+        let mut next = beyond.clone();
+        let mut now = with_beyond(tasks, &beyond);
+        now.iter_mut().for_each(|task| task.options.with_sigma = false);
+        group.solve(&now, |n, solution| {
+            let (site, recorded) = recorded[n];
+            let light = (solution.t_ns, solution.log_photocurrent);
+            if solution.status != MapStatus::Failed {
+                model.undo.beyond(&model.sensor, &site, light, recorded, tasks[n].problem.events, &mut memory, &mut next[n]);
+            }
+        });
+        beyond = next;
+    }
+    beyond
+}
+
+/// The problems with what is known of their events.
+pub(super) fn with_beyond<'a>(tasks: &[MapTask<'a>], beyond: &'a [Vec<f64>]) -> Vec<MapTask<'a>> {
+    tasks.iter().zip(beyond).map(|(task, beyond)| MapTask { problem: MapProblem { beyond, ..task.problem }, ..*task }).collect()
 }
 
 /// The problem of a pixel.
 pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], span: (i64, i64), noise: Noise) -> MapProblem<'a> {
-    let sensor = MapSensor {
-        front_end: model.front_end,
-        threshold_on: model.rule.threshold_on,
-        threshold_off: model.rule.threshold_off,
-        reset: model.reset,
-        refractory_ns: model.refractory_ns,
-        gain: model.gain,
-        black_level_dn: model.black_level,
-    };
     MapProblem {
         events,
         frames,
         hints: &[],
         start_ns: span.0,
         end_ns: span.1,
-        sensor,
-        noise,
-        stamp_sigma_s: model.stamp_sigma_s,
+        sensor: model.sensor.map_sensor(),
+        noise: Noise { threshold: libm::hypot(noise.threshold, model.undo.chance.of_pixels), ..noise },
+        stamp_sigma_s: libm::hypot(model.stamp_sigma_s, model.undo.chance.of_stamps_s),
         silence_sigma: SILENCE_SIGMA,
         lost_before: &[],
         beyond: &[],

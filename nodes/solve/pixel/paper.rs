@@ -135,14 +135,14 @@ impl RowSolver {
         let sample = |l: usize, dn: f64| FrameSample {
             start_s: seconds(exposures[l].start.0),
             end_s: seconds(exposures[l].end.0),
-            dn: share.dn(dn, model.black_level),
+            dn: share.dn(dn, model.sensor.number.black_level),
             weight: share.weight(params.weights().0),
         };
         let known = || window.frames.clone().map(|l| (l, f64::from(dn(l)))).filter(|(_, dn)| dn.is_finite());
-        self.samples.extend(known().filter(|(_, dn)| *dn < model.saturation_dn).map(|(l, dn)| sample(l, dn)));
+        self.samples.extend(known().filter(|(_, dn)| *dn < model.sensor.saturation_dn).map(|(l, dn)| sample(l, dn)));
         if self.samples.len() == first_sample {
             status = Status::Saturated;
-            self.samples.extend(known().map(|(l, _)| sample(l, model.saturation_dn)));
+            self.samples.extend(known().map(|(l, _)| sample(l, model.sensor.saturation_dn)));
         }
         if self.samples.len() == first_sample {
             status = Status::NoFrame;
@@ -176,10 +176,10 @@ impl RowSolver {
             steps: &self.steps[problem.knots.clone()],
             frames: &self.samples[problem.samples.clone()],
             evs_weight: params.weights().1,
-            front_end: model.front_end,
+            front_end: model.sensor.pixel.front_end,
             tau_rule,
-            black_level: model.black_level,
-            gain: model.gain,
+            black_level: model.sensor.number.black_level,
+            gain: model.sensor.number.gain,
         };
         self.log_photocurrent.clear();
         self.log_photocurrent.resize(self.t_s.len(), 0.0);

@@ -106,6 +106,10 @@ pub struct Params {
     /// For `map`: every knot of the tracks carries a standard deviation: what measurements and prior leave open, widened where frames that are kept back
     /// show that to be too little; absent = true.
     pub sigma: Option<bool>,
+    /// For `map`: how often the light is solved again with what the description's `[effects]` did to events at the light found before; 0 = `[effects]` are left as they are, in events
+    /// and frames; absent = 2. Without `[effects]` it says nothing.
+    #[schemars(range(max = 20))]
+    pub undo_rounds: Option<u32>,
     /// How the front end's delay is treated.
     pub front_end: FrontEndModel,
     /// For `paper`: how readout latency and refractory period are treated; absent = `slope`, which needs in-pixel times.
@@ -141,6 +145,7 @@ impl Default for Params {
             frame_noise: None,
             knot_spacing: None,
             sigma: None,
+            undo_rounds: None,
             front_end: FrontEndModel::LowPass,
             readout: None,
             tau_rule: None,
@@ -160,6 +165,9 @@ pub(crate) const FRAME_NOISE: f64 = 0.02;
 /// What `knot_spacing` is when nobody says.
 pub(crate) const KNOT_SPACING: Duration = Duration::new(250_000);
 
+/// What `undo_rounds` is when nobody says.
+const UNDO_ROUNDS: u32 = 2;
+
 /// What `plausible_range` is when nobody says.
 const PLAUSIBLE_RANGE: f64 = 3.0;
 
@@ -170,6 +178,10 @@ impl Params {
 
     pub(super) fn knot_spacing(&self) -> Duration {
         self.knot_spacing.unwrap_or(KNOT_SPACING)
+    }
+
+    pub(super) fn undo_rounds(&self) -> u32 {
+        self.undo_rounds.unwrap_or(UNDO_ROUNDS)
     }
 
     pub(super) fn readout(&self) -> ReadoutModel {
@@ -191,6 +203,7 @@ impl Params {
             ("frame_noise", self.frame_noise.is_some()),
             ("knot_spacing", self.knot_spacing.is_some()),
             ("sigma", self.sigma.is_some()),
+            ("undo_rounds", self.undo_rounds.is_some()),
         ];
         let of_paper = [
             ("readout", self.readout.is_some()),
@@ -242,7 +255,8 @@ mod tests {
     /// Every parameter with a value, beside each method: `method` accepts those of its own and the shared ones, and no others.
     #[test]
     fn each_parameter_is_read_by_one_method_or_by_both() {
-        let of_map = [("event_noise", json!(0.1)), ("frame_noise", json!(0.02)), ("knot_spacing", json!("250 us")), ("sigma", json!(true))];
+        let of_map =
+            [("event_noise", json!(0.1)), ("frame_noise", json!(0.02)), ("knot_spacing", json!("250 us")), ("sigma", json!(true)), ("undo_rounds", json!(1))];
         let of_paper = [
             ("readout", json!("slope")),
             ("tau_rule", json!("end")),

@@ -23,8 +23,8 @@ pub(crate) struct Plausible {
 impl Plausible {
     /// For a value whose frames read `dn` in exposures of so many seconds; what is not known (NaN) does not count.
     pub fn new(model: &Model, share: Share, frames: impl Iterator<Item = (f64, f64)>) -> Plausible {
-        let above = |dn: f64| f64::max(f64::min(dn, model.saturation_dn) - model.black_level, LEAST_FRAME_SIGMA_DN);
-        let light = frames.filter(|(dn, _)| dn.is_finite()).map(|(dn, seconds)| share.light(above(dn)) / (model.gain * seconds));
+        let above = |dn: f64| f64::max(f64::min(dn, model.sensor.saturation_dn) - model.sensor.number.black_level, LEAST_FRAME_SIGMA_DN);
+        let light = frames.filter(|(dn, _)| dn.is_finite()).map(|(dn, seconds)| share.light(above(dn)) / (model.sensor.number.gain * seconds));
         let brightest = light.fold(0.0, f64::max);
         Plausible { brightest, most: brightest * libm::exp(model.plausible_range) }
     }

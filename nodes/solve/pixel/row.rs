@@ -3,8 +3,9 @@
 use super::Model;
 use super::plausible::Plausible;
 use super::shares::{Colours, RowShares};
-use crate::co_located::CoLocatedEvents;
+use crate::co_located::{CoLocated, CoLocatedEvents};
 use photocurrent_core::{Exposure, FrameBlock, FrameTimes, NodeError, Rows, TracksMeta};
+use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::{MapEvent, MapFrame};
 
 /// An event is lone when none of its polarity fired this long before or after, in its pixel or in one of the eight around it, ns.
@@ -37,6 +38,36 @@ pub(crate) struct RowData {
     plausible: Vec<Plausible>,
     /// How much that changes, all in all: natural-log units squared.
     unrest: Vec<f64>,
+    places: Places,
+}
+
+/// Where the values of a row are.
+#[derive(Clone, Copy, Default)]
+struct Places {
+    row: u32,
+    values: u32,
+    height: u32,
+    channels: u32,
+    ratio: u32,
+}
+
+impl Places {
+    fn new(recorded: &Recorded<'_>, row: u32) -> Places {
+        let CoLocated { ratio, colour } = recorded.colours.lie;
+        let extent = recorded.meta.extent;
+        Places { row, values: extent.width, height: extent.height, channels: colour.channels(), ratio }
+    }
+
+    /// The pixel of value x.
+    fn pixel(&self, x: usize) -> Site {
+        Site { x: x as u32 / self.channels, y: self.row, width: self.values / self.channels, height: self.height, seed: 0 }
+    }
+
+    /// The event pixel of value x.
+    fn event(&self, x: usize) -> Site {
+        let Site { x, y, width, height, seed } = self.pixel(x);
+        Site { x: x / self.ratio, y: y / self.ratio, width: width / self.ratio, height: height / self.ratio, seed }
+    }
 }
 
 impl RowData {
@@ -47,10 +78,11 @@ impl RowData {
     pub fn take(&mut self, model: &Model, recorded: &Recorded<'_>, row: u32, frame_dn: f64) -> Result<(), NodeError> {
         let rows = recorded.rows;
         let width = recorded.meta.extent.width;
-        self.events.take(model, recorded.events, row, width)?;
+        self.places = Places::new(recorded, row);
+        self.events.take(model, recorded.events, &self.places)?;
         for (events, row) in [(&mut self.above, row.checked_sub(1)), (&mut self.below, row.checked_add(1))] {
             match row.filter(|row| rows.start <= *row && *row < rows.end) {
-                Some(row) => events.take(model, recorded.events, row, width)?,
+                Some(row) => events.take(model, recorded.events, &Places::new(recorded, row))?,
                 None => events.clear(),
             }
         }
@@ -87,6 +119,13 @@ impl RowData {
         self.events.of(x)
     }
 
+    /// Where the event pixel of value x is, and its events as recorded, in the order of [`RowData::events_of`].
+    pub fn recorded_of(&self, x: usize) -> (Site, &[MapEvent]) {
+        let range = self.events.first.get(x).copied().unwrap_or(0)..self.events.first.get(x + 1).copied().unwrap_or(0);
+        let recorded = self.events.recorded.get(range.clone()).unwrap_or(&self.events.all[range]);
+        (self.places.event(x), recorded)
+    }
+
     /// The frame values of pixel x.
     pub fn frames_of(&self, x: usize) -> &[MapFrame] {
         &self.frames[self.first_frame[x]..self.first_frame[x + 1]]
@@ -114,6 +153,8 @@ impl RowData {
         self.plausible.clear();
         self.unrest.clear();
         self.first_frame.clear();
+        let shortest_ns = exposures.windows(2).map(|pair| pair[1].start - pair[0].start).min().unwrap_or(0);
+        let is_missing = |l: usize| l > 0 && 2 * (exposures[l].start - exposures[l - 1].start) > 3 * shortest_ns;
         for x in 0..frames.row_values {
             self.first_frame.push(self.frames.len());
             let share = shares.of(x, 0..exposures.len());
@@ -124,13 +165,25 @@ impl RowData {
                 let relative = model.frame_noise.sigma_dn(above, frame_dn) / above;
                 relative * relative
             }));
+            let (mut previous_charge, mut over_ns) = (0.0, i64::MIN);
             for (l, exposure) in exposures.iter().enumerate() {
                 let dn = f64::from(frames.row(l, row)[x]);
                 if dn.is_finite() {
-                    let saturated = dn >= model.saturation_dn;
-                    let sigma_dn = share.sigma(model.frame_noise.sigma_dn(dn - model.black_level, frame_dn));
-                    let dn = share.dn(dn, model.black_level);
-                    self.frames.push(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated });
+                    let saturated = dn >= model.sensor.saturation_dn;
+                    let mut sigma_dn = share.sigma(model.frame_noise.sigma_dn(dn - model.sensor.number.black_level, frame_dn));
+                    let (mut exposure, mut dn) = (*exposure, dn);
+                    if !model.undo.is_none() {
+                        let undone = model.undo.frame(&model.sensor, &self.places.pixel(x), l, exposure, dn, (previous_charge, is_missing(l)));
+                        (exposure, dn, previous_charge) = (undone.exposure, undone.dn, undone.charge);
+                        sigma_dn *= undone.per_dn;
+                    }
+                    let dn = share.dn(dn, model.sensor.number.black_level);
+                    // Exposures stay apart, however long effects make them.
+                    let (start_ns, end_ns) = (i64::max(exposure.start.0, over_ns), exposure.end.0);
+                    if start_ns < end_ns {
+                        over_ns = end_ns;
+                        self.frames.push(MapFrame { start_ns, end_ns, dn, sigma_dn, saturated });
+                    }
                 }
             }
         }
@@ -142,20 +195,23 @@ impl RowData {
 #[derive(Default)]
 struct Events {
     all: Vec<MapEvent>,
+    /// The same with stamps as recorded; empty where no effect is undone.
+    recorded: Vec<MapEvent>,
     first: Vec<usize>,
 }
 
 impl Events {
     fn clear(&mut self) {
         self.all.clear();
+        self.recorded.clear();
         self.first.clear();
     }
 
-    fn take(&mut self, model: &Model, events: &CoLocatedEvents, row: u32, width: u32) -> Result<(), NodeError> {
+    fn take(&mut self, model: &Model, events: &CoLocatedEvents, places: &Places) -> Result<(), NodeError> {
         self.clear();
-        events.with_row(row, |events| {
-            let index = events.by_pixel(width);
-            for x in 0..width as usize {
+        events.with_row(places.row, |events| {
+            let index = events.by_pixel(places.values);
+            for x in 0..places.values as usize {
                 let begin = self.all.len();
                 self.first.push(begin);
                 self.all.extend(index.pixel(x).iter().map(|&k| {
@@ -164,6 +220,15 @@ impl Events {
                     MapEvent { t_in_ns, t_off_ns, polarity: if events.on[k] == 1 { 1 } else { -1 }, is_lone: false }
                 }));
                 self.all[begin..].sort_by_key(|event| event.t_in_ns);
+                if !model.undo.is_none() {
+                    let site = places.event(x);
+                    let mut pairs: Vec<(MapEvent, MapEvent)> = self.all[begin..].iter().map(|event| (model.undo.event(&site, event), *event)).collect();
+                    pairs.sort_by_key(|(event, _)| event.t_in_ns);
+                    for (slot, (event, recorded)) in self.all[begin..].iter_mut().zip(pairs) {
+                        *slot = event;
+                        self.recorded.push(recorded);
+                    }
+                }
             }
             self.first.push(self.all.len());
         })

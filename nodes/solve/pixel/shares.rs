@@ -50,7 +50,7 @@ impl Colours {
         let alone = ratio == 1 && colour.channels() == 1;
         let (mut own, mut seen) = (Vec::new(), Vec::new());
         let light = |l: usize, row: u32, value: usize| {
-            let above = f64::from(frames.row(l, row)[value]) - model.black_level;
+            let above = f64::from(frames.row(l, row)[value]) - model.sensor.number.black_level;
             above / gain_of(1.0, &self.gains, colour, value as u32, row)
         };
         for l in frames.frames.clone().filter(|_| !alone) {
