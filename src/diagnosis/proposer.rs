@@ -61,7 +61,7 @@ impl Default for NetSetting {
 pub fn labels() -> Vec<String> {
     let mut labels: Vec<String> = Vec::new();
     for candidate in CANDIDATES {
-        if labels.last().is_none_or(|last| last != candidate.id) {
+        if labels.iter().all(|label| label != candidate.id) {
             labels.push(candidate.id.to_owned());
         }
     }
