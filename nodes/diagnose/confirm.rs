@@ -13,10 +13,19 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Parameters of `diagnose/confirm`: none.
-#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+/// Parameters of `diagnose/confirm`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Params {}
+pub struct Params {
+    /// Are held-out frames and events predicted with the stated and the fitted description? It needs an estimate of the light; without it direct tests take a second.
+    pub proof: bool,
+}
+
+impl Default for Params {
+    fn default() -> Params {
+        Params { proof: true }
+    }
+}
 
 photocurrent_core::ports! {
     /// The recording, what is stated of its sensor, and what the stages before found.
@@ -50,13 +59,15 @@ photocurrent_core::ports! {
 pub const UNFINISHED: &str = "not finished: ";
 
 /// The node.
-pub struct DiagnoseConfirm;
+pub struct DiagnoseConfirm {
+    params: Params,
+}
 
 impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
         about: "Joins what direct tests and roads found: verdict, fitted description, proof on frames that were kept back, report.",
-        revision: 14,
+        revision: 15,
         grain: Grain::Whole,
         draws: true,
         exports: false,
@@ -83,8 +94,8 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     type In = In;
     type Out = Out;
 
-    fn build(_: Params) -> Result<Self, NodeError> {
-        Ok(DiagnoseConfirm)
+    fn build(params: Params) -> Result<Self, NodeError> {
+        Ok(DiagnoseConfirm { params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -100,7 +111,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
         let proposed = input.proposals.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
-        let setting = Setting { seed: cx.seed(), ..Setting::default() };
+        let setting = Setting { seed: cx.seed(), without_proof: !self.params.proof, ..Setting::default() };
         let found = confirm(&case, &setting, read_integrity(&input.integrity)?, proposed, |_| ())?;
         let text = found.report.to_json().map_err(|why| NodeError::failed(format!("the report cannot be written as JSON: {why}")))?;
         found.failed.iter().for_each(|why| cx.note(format!("{UNFINISHED}{why}")));

@@ -130,7 +130,7 @@ impl Node for DiagnosePropose {
     const DECL: Decl = Decl {
         kind: "diagnose/propose",
         about: "Asks every effect of the catalogue how much it explains of what the stated sensor leaves of a recording.",
-        revision: 9,
+        revision: 10,
         grain: Grain::Whole,
         draws: true,
         exports: false,

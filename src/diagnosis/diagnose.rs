@@ -6,9 +6,9 @@ use crate::comparison::{Comparison, Ground, Step};
 use crate::contest;
 use crate::decide::PICTURE;
 use crate::fitted::{fitted, put_beside};
-use crate::heldout::{Prediction, is_read_by_solver, predict, undone};
+use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
-use crate::integrity::{Finding, Integrity, integrity};
+use crate::integrity::{Finding, Integrity, TESTED, integrity};
 use crate::nominal::Nominal;
 use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
 use crate::sample::Sample;
@@ -26,6 +26,8 @@ pub struct Setting {
     pub seed: u64,
     /// How the light is estimated.
     pub scene: SceneSetting,
+    /// Are before and after not compared on what was held out?
+    pub without_proof: bool,
 }
 
 /// A test that estimates the scene: what it is called, and how it is run on a recording. The recording has what the direct tests found in its description.
@@ -153,7 +155,7 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     let scales = Scales::of(case, &nominal);
     let Proposed { roads: mut found, ran, mut failed } = proposed;
     let can_compare = can_compare(case, &integrity);
-    let sample = can_compare.then(|| looked_at(case)).filter(|sample| !sample.is_empty());
+    let sample = (can_compare && !setting.without_proof).then(|| looked_at(case)).filter(|sample| !sample.is_empty());
     tell("contest");
     let amended = amended(case, &nominal, &scales, &integrity);
     let amended_nominal = amended.nominal()?;
@@ -179,7 +181,10 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     }
     tell("proof");
     let predictions = match &sample {
-        Some(sample) => (predict(case, &case.sensor, sample, &setting.scene)?, after(case, &nominal, changed.as_ref(), &values, sample, setting)?),
+        Some(sample) => {
+            let of = |sensor: &Sensor| predict(case, sensor, sample, &setting.scene);
+            (of(&case.sensor)?, changed.as_ref().map(of).transpose()?.flatten())
+        }
         None => (None, None),
     };
     tell("comparison");
@@ -241,23 +246,6 @@ fn values_of(finding: &Finding) -> Vec<(usize, f64)> {
     finding.parameters.iter().filter_map(|(parameter, value)| Some((place(parameter)?, *value))).collect()
 }
 
-/// The kept frames with the fitted description; none when the solver can undo nothing of it.
-fn after(
-    case: &Case,
-    nominal: &Nominal,
-    changed: Option<&Sensor>,
-    values: &[(usize, f64)],
-    sample: &Sample,
-    setting: &Setting,
-) -> Result<Option<Prediction>, NodeError> {
-    let Some(changed) = changed else { return Ok(None) };
-    let right = undone(case, values);
-    if right.is_none() && !is_read_by_solver(nominal, &case.described(&changed)?) {
-        return Ok(None);
-    }
-    predict(right.as_ref().unwrap_or(case), changed, sample, &setting.scene)
-}
-
 fn report(
     case: &Case,
     nominal: &Nominal,
@@ -312,10 +300,6 @@ fn report(
     let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
     let first = roads.iter().find(|road| road.nats_per_event.is_some());
     let nats = first.and_then(|road| road.nats_per_event).filter(|_| !answer.claims.is_empty()).map(|(before, after)| BeforeAfter { before, after });
-    // What solve/pixel cannot undo, the comparison can.
-    let kept = comparison.and_then(|comparison| Some(BeforeAfter { before: comparison.before().kept_psnr_db?, after: comparison.after()?.kept_psnr_db? }));
-    let is_undone = comparison.is_some_and(|comparison| comparison.steps.iter().any(|step| step.id.is_some() && !step.is_random));
-    let psnr = psnr.or(kept.filter(|_| is_undone));
     let nats = apart.and_then(nats_of).or(nats);
     let ks = |step: &Step| step.calibration.as_ref().map(|calibration| calibration.ks);
     let calibration_ks = comparison.and_then(|comparison| Some(BeforeAfter { before: ks(comparison.before())?, after: ks(comparison.after()?)? }));
@@ -471,10 +455,6 @@ fn summary(integrity: &Integrity, answer: &Answer) -> String {
     }
 }
 
-/// Effects that a direct test looks for.
-const DIRECT: [&str; 8] =
-    ["timestamp_quantization", "timestamp_jitter", "readout_queue", "hot_rows", "hot_pixels", "background_activity", "event_loss", "frame_coupling"];
-
 fn not_testable(case: &Case, roads: &[Road]) -> Vec<NotTestable> {
     let mut found: Vec<NotTestable> = roads.iter().flat_map(|road| road.not_testable.iter().cloned()).collect();
     found.sort_by(|a, b| a.id.cmp(&b.id));
@@ -489,7 +469,7 @@ fn not_testable(case: &Case, roads: &[Road]) -> Vec<NotTestable> {
     } else {
         "it needs the scene, and no test that estimates the scene took part"
     };
-    let ids = catalogue().into_iter().map(|kind| kind.decl.id).filter(|id| !DIRECT.contains(id) || case.events.all().len() < FEWEST_EVENTS);
+    let ids = catalogue().into_iter().map(|kind| kind.decl.id).filter(|id| !TESTED.contains(id) || case.events.all().len() < FEWEST_EVENTS);
     ids.map(|id| NotTestable { id: id.to_owned(), why: why.to_owned() }).collect()
 }
 

@@ -1,18 +1,24 @@
 //! The loop closed: frames that are kept back, predicted from the events and the other frames, with the description as stated and with the fitted one.
 //!
-//! Every third frame is kept back, the light is estimated from what is left, and the kept frames are what the camera would read of it. Only what the solver can undo
-//! enters: the fields of the description, clocks and exposure times. Other effects change nothing here, and then nothing is told.
+//! Every third frame is kept back, the light is estimated from what is left as `solve/pixel` does with the description, effects undone, and the kept frames are what the camera would
+//! read of it.
 
-use crate::candidates::CANDIDATES;
-use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
+use crate::case::Case;
 use crate::nominal::Nominal;
 use crate::sample::Sample;
-use crate::scene::{Scene, SceneSetting};
-use photocurrent_core::{Exposure, FrameTimes, NodeError, Sensor};
-use photocurrent_sensor::exposure::DigitalNumber;
+use crate::scene::{Scene, SceneSetting, Told, pixel_data, task};
+use photocurrent_core::{NodeError, Sensor};
+use photocurrent_sensor::conditional::{Conditional, Look, Track, frame_values};
+use photocurrent_sensor::effects::from_description;
+use photocurrent_sensor::map::MapFrame;
+use photocurrent_sensor::undo::{Known, Memory, Undo};
 
 /// Of each three frames this one is kept back.
 const KEPT: usize = 1;
+/// Light is estimated again so often with what effects did to events.
+const ROUNDS: usize = 2;
+/// The longest step of light in a prediction, ns.
+const STEP_NS: i64 = 500_000;
 
 /// How well kept frames are predicted.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -36,27 +42,39 @@ impl Prediction {
     }
 }
 
-/// Predicts every third frame with a description; none with fewer than five frames, or when nothing can be predicted.
+/// Predicts every third frame with a description, its `[effects]` undone where the light is estimated ([`photocurrent_sensor::undo`]) and put on again where frames are read; none with
+/// fewer than five frames, or when nothing can be predicted.
 ///
 /// # Errors
-/// When the description does not state what the model needs.
+/// When the description does not state what the model needs, or its effects are not understood.
 pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSetting) -> Result<Option<Prediction>, NodeError> {
-    let nominal = case.described(&sensor)?;
+    let nominal = case.described(sensor)?;
+    let undo = Undo::new(from_description(&sensor.effects).map_err(NodeError::usage)?);
     let Some(frames) = &case.frames else { return Ok(None) };
     let Some((rest, kept)) = kept_back(case) else { return Ok(None) };
-    let scene = Scene::estimate(&rest, &nominal, sample, setting);
+    let scene = estimate(&rest, &nominal, &undo, sample, setting);
     let mut by_pixel = vec![f64::NAN; sample.len()];
     let mut by_frame = vec![(0.0, 0.0); kept.len()];
     let (mut sum, mut count, mut largest) = (0.0, 0.0, 0.0_f64);
+    let mut read = Conditional::default();
     for (n, &pixel) in sample.pixels.iter().enumerate().filter(|(n, _)| scene.is_known[*n]) {
         let (_, y) = case.place(pixel as usize);
+        let (t_ns, log_light) = scene.pixel(n);
+        let track = Track::new(t_ns, log_light, STEP_NS);
+        let stated = |l: usize| {
+            let exposure = frames.times.exposure(l, y);
+            MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn: 0.0, sigma_dn: 1.0, saturated: false }
+        };
+        let all: Vec<MapFrame> = (0..case.frame_count()).map(stated).collect();
+        let look = Look { site: case.site(pixel as usize, 0), track: &track, seen: None, events: &[], frames: &all };
+        frame_values(&nominal, undo.known(), &look, &mut read);
         let (mut own, mut values, mut level) = (0.0, 0.0, 0.0);
         for (slot, &frame) in kept.iter().enumerate() {
             let dn = case.dn(frame, pixel as usize);
             if !dn.is_finite() || dn >= nominal.saturation_dn {
                 continue;
             }
-            let off = expected_dn(&nominal.number, &scene, n, frames.times.exposure(frame, y)).min(nominal.saturation_dn) - dn;
+            let off = read.dn[frame].min(nominal.saturation_dn) - dn;
             let error = off * off;
             own += error;
             values += 1.0;
@@ -78,6 +96,36 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSet
     Ok(Some(Prediction { square_error: sum / count, peak_dn, by_pixel, by_frame, scene }))
 }
 
+/// The light of the pixels, effects undone.
+fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, setting: &SceneSetting) -> Scene {
+    let priors = vec![setting.options.prior; sample.len()];
+    let recorded = |n: usize| pixel_data(case, nominal, setting, sample.pixels[n] as usize);
+    let first = |n: usize| {
+        let site = case.site(sample.pixels[n] as usize, 0);
+        let (mut events, mut frames) = recorded(n);
+        events.iter_mut().for_each(|event| *event = undo.event(&site, event));
+        undo.frames(nominal, &site, &mut frames);
+        Told { data: (events, frames), sensor: nominal.map_sensor(), beyond: Vec::new() }
+    };
+    let solve = |told: &(dyn Fn(usize) -> Told + Sync)| {
+        Scene::estimate_from(sample, &priors, told, |told| task(case, setting, &told.data, told.sensor, &told.beyond), case.span.0)
+    };
+    let mut scene = solve(&first);
+    for _ in 0..if undo.is_none() { 0 } else { ROUNDS } {
+        let again = |n: usize| {
+            let mut told = first(n);
+            if scene.is_known[n] {
+                let (mut known, site) = (Known::default(), case.site(sample.pixels[n] as usize, 0));
+                undo.at_light(nominal, &site, scene.pixel(n), &recorded(n).0, &told.data.0, &mut known, &mut Memory::default());
+                (told.data.0, told.beyond) = (known.events, known.beyond);
+            }
+            told
+        };
+        scene = solve(&again);
+    }
+    scene
+}
+
 /// A recording without every third frame, and which of them are foretold: not the last one, which has no frame after it. None with fewer than five frames.
 pub fn kept_back(case: &Case) -> Option<(Case, Vec<usize>)> {
     let count = case.frame_count();
@@ -94,136 +142,30 @@ pub fn kept_back(case: &Case) -> Option<(Case, Vec<usize>)> {
     Some((rest, (KEPT..count - 1).step_by(3).collect()))
 }
 
-/// DN of an exposure: the light is log-linear between knots, and constant before the first and after the last.
-fn expected_dn(number: &DigitalNumber, scene: &Scene, n: usize, exposure: Exposure) -> f64 {
-    let (t, u) = scene.pixel(n);
-    let (start, end) = (exposure.start.0 as f64, exposure.end.0 as f64);
-    let mut charge = 0.0;
-    let mut add = |from: f64, to: f64, left: f64, right: f64| {
-        let (from, to) = (from.max(start), to.min(end));
-        if to > from {
-            // The integral of exp over a straight line; for a flat one the limit of it.
-            let rise = right - left;
-            let mean = if rise.abs() < 1e-6 { libm::exp(0.5 * (left + right)) } else { libm::exp(left) * libm::expm1(rise) / rise };
-            charge += mean * (to - from) * 1e-9;
-        }
-    };
-    let last = t.len() - 1;
-    add(f64::NEG_INFINITY, t[0] as f64, u[0], u[0]);
-    for k in 0..last {
-        // Cut to the exposure first: the mean of a part is not that of the whole.
-        let (a, b) = (t[k] as f64, t[k + 1] as f64);
-        let at = |instant: f64| u[k] + (u[k + 1] - u[k]) * ((instant - a) / (b - a)).clamp(0.0, 1.0);
-        add(a, b, at(start.max(a)), at(end.min(b)));
-    }
-    add(t[last] as f64, f64::INFINITY, u[last], u[last]);
-    number.of(charge)
-}
-
-/// The recording as a sensor without an effect of clocks or exposures would have recorded it: what is found is undone. None when nothing found is of that kind.
-pub fn undone(case: &Case, found: &[(usize, f64)]) -> Option<Case> {
-    let mut undone = case.clone();
-    let mut is_changed = false;
-    for (which, value) in found {
-        let ns = value * 1e9;
-        match CANDIDATES[*which].id {
-            "clock_offset" => moved(&mut undone, |t| t - ns.round() as i64),
-            "clock_drift" => moved(&mut undone, |t| (t as f64 / (1.0 + value)).round() as i64),
-            "row_time" => exposures(&mut undone, ns.round() as i64, 0),
-            "exposure_time" => {
-                let row_time_ns = undone.frames.as_ref().map_or(0, |frames| frames.times.row_time_ns);
-                exposures(&mut undone, row_time_ns, ns.round() as i64);
-            }
-            _ => continue,
-        }
-        is_changed = true;
-    }
-    is_changed.then_some(undone)
-}
-
-/// Other stamps.
-fn moved(case: &mut Case, time: impl Fn(i64) -> i64) {
-    let pixels: Vec<Vec<Recorded>> = (0..case.events.pixels())
-        .map(|pixel| case.events.of(pixel).iter().map(|event| Recorded { t_in_ns: time(event.t_in_ns), t_off_ns: time(event.t_off_ns), ..*event }).collect())
-        .collect();
-    case.events = PixelEvents::new(pixels);
-    // No event may fall out of the recording.
-    case.span = case.events.all().iter().fold(case.span, |span, event| (span.0.min(event.t_in_ns), span.1.max(event.t_off_ns)));
-}
-
-/// Another row time, and exposures that begin earlier.
-fn exposures(case: &mut Case, row_time_ns: i64, longer_ns: i64) {
-    let Some(frames) = &case.frames else { return };
-    let exposures =
-        frames.times.exposures.iter().map(|exposure| Exposure::new((exposure.start.0 - longer_ns).min(exposure.end.0 - 1), exposure.end.0)).collect();
-    // Exposures in order stay in order: all starts move alike.
-    if let Ok(times) = FrameTimes::new(exposures, row_time_ns) {
-        let dn = frames.dn.clone();
-        case.span.0 = case.span.0.min(times.exposures.first().map_or(case.span.0, |exposure| exposure.start.0));
-        case.frames = Some(CaseFrames { times, dn });
-    }
-}
-
-/// Does a fitted description differ from the stated one in what the solver reads?
-pub fn is_read_by_solver(stated: &Nominal, fitted: &Nominal) -> bool {
-    let key = |nominal: &Nominal| {
-        let pixel = nominal.pixel;
-        let number = nominal.number;
-        (
-            [pixel.front_end.tau_0_s, pixel.front_end.alpha_s, pixel.threshold_on, pixel.threshold_off, number.black_level, number.gain],
-            pixel.refractory_ns,
-            nominal.reset,
-        )
-    };
-    key(stated) != key(fitted)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::record::Described;
     use crate::testing;
 
-    fn position(id: &str) -> usize {
-        CANDIDATES.iter().position(|candidate| candidate.id == id).unwrap()
-    }
-
     #[test]
-    fn the_charge_of_an_exposure_is_that_of_a_fine_sum() {
-        let scene = Scene::from_pixels([(vec![1_000_000, 3_000_000, 4_000_000], vec![1.0, 2.5, 2.5], true)]);
-        let number = DigitalNumber { black_level: 7.0, gain: 1000.0 };
-        let exposure = Exposure::new(500_000, 4_700_000);
-        let light = |t: f64| {
-            let u = if t < 1e6 {
-                1.0
-            } else if t < 3e6 {
-                1.0 + 1.5 * (t - 1e6) / 2e6
-            } else {
-                2.5
-            };
-            libm::exp(u)
-        };
-        let steps = 42_000;
-        let sum: f64 = (0..steps).map(|k| light(5e5 + (f64::from(k) + 0.5) * 100.0) * 100e-9).sum();
-        let expected = 7.0 + 1000.0 * sum;
-        assert!((expected_dn(&number, &scene, 0, exposure) - expected).abs() < 1e-5 * expected);
-    }
-
-    #[test]
-    fn a_clock_that_is_set_right_predicts_kept_frames_better() {
-        let offset = serde_json::json!({"offset": "-700 us"});
-        let effects = [("clock_offset".to_owned(), offset.as_object().unwrap().clone())].into_iter().collect();
-        let case = testing::case_with(&effects);
-        let sample = Sample::all(&case, 4);
-        let setting = SceneSetting::default();
-        let before = predict(&case, &case.sensor, &sample, &setting).unwrap().unwrap();
-        let right = undone(&case, &[(position("clock_offset"), -700e-6)]).unwrap();
-        let after = predict(&right, &case.sensor, &sample, &setting).unwrap().unwrap();
-        assert!(after.psnr_db() > before.psnr_db() + 1.0, "{} {}", before.psnr_db(), after.psnr_db());
-    }
-
-    #[test]
-    fn what_the_solver_cannot_undo_changes_nothing() {
-        let case = testing::case();
-        assert!(undone(&case, &[(position("vignetting"), 0.3)]).is_none());
+    fn a_description_that_states_its_effects_predicts_kept_frames_better() {
+        for (id, parameters, gain_db) in [
+            ("clock_offset", serde_json::json!({"offset": "-700 us"}), 10.0),
+            ("second_pole", serde_json::json!({"tau": "2 ms"}), 10.0),
+            ("leak_events", serde_json::json!({"rate": "40 Hz"}), 2.0),
+            ("threshold_scale", serde_json::json!({"fraction": 0.3}), 5.0),
+            ("exposure_time", serde_json::json!({"difference": "1 ms"}), 8.0),
+            ("image_lag", serde_json::json!({"fraction": 0.2}), 5.0),
+        ] {
+            let effects: Described = [(id.to_owned(), parameters.as_object().unwrap().clone())].into_iter().collect();
+            let case = testing::case_with(&effects);
+            let sample = Sample::all(&case, 4);
+            let setting = SceneSetting::default();
+            let before = predict(&case, &case.sensor, &sample, &setting).unwrap().unwrap();
+            let right = Sensor { effects, ..case.sensor.clone() };
+            let after = predict(&case, &right, &sample, &setting).unwrap().unwrap();
+            assert!(after.psnr_db() > before.psnr_db() + gain_db, "{id}: {} {}", before.psnr_db(), after.psnr_db());
+        }
     }
 }

@@ -5,7 +5,7 @@
 //! - Stamps: `recorded = stamp(true)` is solved to first order.
 //! - Frames: charge and digital number are monotone in the light, so the charge behind a value is found by secants, frame after frame with the charge of the one before;
 //!   exposures are those of the effect.
-//! - All that acts between light and comparator: given a first estimate of the light, the effects say by how much more or less than its threshold each event's step is than the
+//! - All that acts between light and comparator: given a first estimate of the light, a slower front end is a delay of its events, and the effects say by how much more or less than its threshold each event's step is than the
 //!   stated sensor would have it ([`crate::conditional`]); that is given to the solver as known ([`crate::map::MapProblem::beyond`]) and the light is solved again (defect
 //!   correction; Stetter, Numerische Mathematik 29, 1978).
 //!
@@ -14,9 +14,10 @@
 //! Limits: effects that mix neighbours' light, and those that depend on the load of the whole array, are left out and named in [`Undo::left_out`]; an event that a
 //! sudden kick fires passed its threshold by an unknown part of the kick, and is taken as if it had met it.
 
-use crate::conditional::{Conditional, Look, Track, conditional};
-use crate::effects::{Chance, Effect, PixelEvent, Reading, RowSite, Site};
-use crate::map::MapEvent;
+use crate::conditional::{Conditional, Look, Track, at, conditional};
+use crate::effects::{Chance, Effect, FrontEndModel, PixelEvent, Reading, RowSite, Site};
+use crate::elementary::exp;
+use crate::map::{MapEvent, MapFrame};
 use crate::model::Model;
 use photocurrent_core::Exposure;
 use photocurrent_core::random::Random;
@@ -40,15 +41,24 @@ pub struct Undo {
 
 /// A frame value without effects.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Undone {
+struct Undone {
     /// When the row was really exposed.
-    pub exposure: Exposure,
+    exposure: Exposure,
     /// What the stated sensor would have read, DN.
-    pub dn: f64,
+    dn: f64,
     /// How much that changes with the recorded value.
-    pub per_dn: f64,
+    per_dn: f64,
     /// Photocurrent times seconds.
-    pub charge: f64,
+    charge: f64,
+}
+
+/// What is known of a pixel's events once its light is known, about.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Known {
+    /// The events as the stated front end would have fired them.
+    pub events: Vec<MapEvent>,
+    /// By how much each step is beyond its threshold ([`crate::map::MapProblem::beyond`]); empty = nothing.
+    pub beyond: Vec<f64>,
 }
 
 /// Memory that is kept from pixel to pixel.
@@ -108,7 +118,7 @@ impl Undo {
 
     /// A value of frame number `frame`, whose stated exposure is given; `before` is the charge of the last frame, and whether another one is missing in between: the missing one is
     /// taken as half of each side.
-    pub fn frame(&self, model: &Model, site: &Site, frame: usize, stated: Exposure, dn: f64, before: (f64, bool)) -> Undone {
+    fn frame(&self, model: &Model, site: &Site, frame: usize, stated: Exposure, dn: f64, before: (f64, bool)) -> Undone {
         let row = RowSite { y: site.y, height: site.height, frame, row_time_ns: model.row_time_ns };
         let exposure = self.effects.iter().fold(stated, |exposure, effect| effect.exposure(&row, exposure));
         let number = model.number;
@@ -138,30 +148,70 @@ impl Undo {
         Undone { exposure, dn: number.of(charge), per_dn: if slope > 1e-3 { 1.0 / slope } else { 1.0 }, charge }
     }
 
-    /// By how much each event's step is beyond its threshold, as the effects say at an estimate of the light: log light at instants, linear between.
+    /// The frame values of a pixel without effects, in order of time; a frame that is missing between two is taken as half of each side. Exposures that effects make longer end where
+    /// they end and begin where the one before ends.
+    pub fn frames(&self, model: &Model, site: &Site, frames: &mut Vec<MapFrame>) {
+        if self.is_none() {
+            return;
+        }
+        let shortest_ns = frames.windows(2).map(|pair| pair[1].start_ns - pair[0].start_ns).min().unwrap_or(0);
+        let (mut previous_charge, mut begun_ns, mut over_ns) = (0.0, i64::MIN, i64::MIN);
+        for (l, frame) in frames.iter_mut().enumerate() {
+            let stated = Exposure::new(frame.start_ns, frame.end_ns);
+            let is_missing = l > 0 && 2 * (frame.start_ns - begun_ns) > 3 * shortest_ns;
+            begun_ns = frame.start_ns;
+            let undone = self.frame(model, site, l, stated, frame.dn, (previous_charge, is_missing));
+            previous_charge = undone.charge;
+            let (start_ns, end_ns) = (i64::max(undone.exposure.start.0, over_ns), undone.exposure.end.0);
+            over_ns = end_ns;
+            *frame = MapFrame { start_ns, end_ns, dn: undone.dn, sigma_dn: frame.sigma_dn * undone.per_dn, ..*frame };
+        }
+        frames.retain(|frame| frame.start_ns < frame.end_ns);
+    }
+
+    /// What the effects say of the events at an estimate of the light (log light at instants, linear between): when the stated front end would have fired them, which is earlier where theirs
+    /// is slower, and by how much each step is then beyond its threshold.
     ///
-    /// `recorded` are the events with their stamps as recorded, `events` the same without effects ([`Undo::event`]).
-    #[expect(clippy::too_many_arguments, reason = "one pixel, seen twice")]
-    pub fn beyond(
+    /// `recorded` are the events with their stamps as recorded, `events` the same without effects ([`Undo::event`]); the new ones are in `known`.
+    pub fn at_light(
         &self,
         model: &Model,
         site: &Site,
         (t_ns, log_light): (&[i64], &[f64]),
         recorded: &[MapEvent],
         events: &[MapEvent],
+        known: &mut Known,
         memory: &mut Memory,
-        beyond: &mut Vec<f64>,
     ) {
-        beyond.clear();
+        known.beyond.clear();
+        known.events.clear();
+        known.events.extend_from_slice(events);
         if events.is_empty() || t_ns.is_empty() {
             return;
+        }
+        let mut front_end = FrontEndModel::plain(model.pixel.front_end);
+        self.effects.iter().for_each(|effect| effect.front_end(site, &mut front_end));
+        let stated = model.pixel.front_end;
+        let mut before_ns = i64::MIN;
+        for event in &mut known.events {
+            let per_light = exp(-at(t_ns, log_light, event.t_in_ns));
+            let (first, second) = (front_end.low_pass, front_end.second_pole);
+            let slower_s = first.tau_0_s - stated.tau_0_s
+                + (first.alpha_s - stated.alpha_s) * per_light
+                + second.map_or(0.0, |pole| pole.tau_s + pole.tau_light_s * per_light);
+            let slower_ns = (slower_s * 1e9).round() as i64;
+            // In the order in which they came.
+            let moved_ns = i64::max(event.t_in_ns - slower_ns, before_ns);
+            event.t_off_ns += moved_ns - event.t_in_ns;
+            event.t_in_ns = moved_ns;
+            before_ns = moved_ns + 1;
         }
         let track = Track::new(t_ns, log_light, STEP_NS);
         let Memory { with, without } = memory;
         let look = Look { site: *site, track: &track, seen: None, events: recorded, frames: &[] };
         conditional(model, &self.effects, &look, with);
-        conditional(model, &[], &Look { events, ..look }, without);
-        beyond.extend((0..events.len()).map(|k| {
+        conditional(model, &[], &Look { events: &known.events, ..look }, without);
+        known.beyond.extend((0..events.len()).map(|k| {
             let by = without.excess[k] - with.excess[k];
             if with.is_armed[k] && without.is_armed[k] && by.abs() < FURTHEST { by } else { 0.0 }
         }));

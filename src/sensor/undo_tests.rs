@@ -61,22 +61,18 @@ fn recorded(model: &Model, effects: &[Box<dyn Effect>]) -> (Vec<MapEvent>, Vec<f
 
 /// Root mean square error of the solved log light, away from the ends.
 fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<MapEvent>, Vec<f64>), rounds: usize) -> f64 {
-    let mut previous_charge = 0.0;
-    let mut end_ns = i64::MIN;
     let frame = |(l, dn): (usize, &f64)| {
-        let undone = undo.frame(model, &SITE, l, stated(l as i64), *dn, (previous_charge, false));
-        previous_charge = undone.charge;
-        let (start_ns, last_ns) = (i64::max(undone.exposure.start.0, end_ns), undone.exposure.end.0);
-        end_ns = last_ns;
-        MapFrame { start_ns, end_ns: last_ns, dn: undone.dn, sigma_dn: 0.01 * dn + 1.0, saturated: false }
+        let Exposure { start, end } = stated(l as i64);
+        MapFrame { start_ns: start.0, end_ns: end.0, dn: *dn, sigma_dn: 0.01 * dn + 1.0, saturated: false }
     };
-    let frames: Vec<MapFrame> = dn.iter().enumerate().map(frame).collect();
+    let mut frames: Vec<MapFrame> = dn.iter().enumerate().map(frame).collect();
+    undo.frames(model, &SITE, &mut frames);
     let events: Vec<MapEvent> = recorded.iter().map(|event| undo.event(&SITE, event)).collect();
-    let (mut beyond, mut memory, mut workspace) = (Vec::new(), Memory::default(), MapWorkspace::default());
+    let (mut known, mut memory, mut workspace) = (Known { events: events.clone(), ..Known::default() }, Memory::default(), MapWorkspace::default());
     let mut rms = f64::NAN;
     for _ in 0..=rounds {
         let problem = MapProblem {
-            events: &events,
+            events: &known.events,
             frames: &frames,
             hints: &[],
             start_ns: 0,
@@ -86,14 +82,14 @@ fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<MapEvent>, Vec<f64>),
             stamp_sigma_s: 0.0,
             silence_sigma: 0.03,
             lost_before: &[],
-            beyond: &beyond,
+            beyond: &known.beyond,
         };
         let found = solve(&problem, &MapOptions::default(), &mut workspace);
         let light = (found.t_ns.to_vec(), found.log_photocurrent.to_vec());
         let at = |t: i64| crate::conditional::at(&light.0, &light.1, t) - log_light(t);
         let squares: Vec<f64> = (20 * 20..220 * 20).map(|n| at(n * MS / 20)).map(|off| off * off).collect();
         rms = libm::sqrt(squares.iter().sum::<f64>() / squares.len() as f64);
-        undo.beyond(model, &SITE, (&light.0, &light.1), recorded, &events, &mut memory, &mut beyond);
+        undo.at_light(model, &SITE, (&light.0, &light.1), recorded, &events, &mut known, &mut memory);
     }
     rms
 }

@@ -4,7 +4,7 @@
 //! that solves a row reads its whole block, and one row around it. Pixels are looked at all over the block, so that
 //! the choice rests on many and costs less than the solution.
 
-use super::map::{RowSetting, beyond, problem, with_beyond};
+use super::map::{RowSetting, known, problem, with_known};
 use super::row::{Recorded, RowData};
 use super::{MAP_STEPS, Model, Params};
 use photocurrent_core::{NodeError, Rows};
@@ -85,8 +85,8 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
     let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, Noise::default())).collect();
     let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options }).collect();
     let looks: Vec<(Site, &[MapEvent])> = recorded_events.iter().map(|(site, events)| (*site, events.as_slice())).collect();
-    let beyond = beyond(model, &tasks, &looks, &mut group);
-    let problems: Vec<_> = with_beyond(&tasks, &beyond).into_iter().map(|task| task.problem).collect();
+    let known = known(model, &tasks, &looks, &mut group);
+    let problems: Vec<_> = with_known(&tasks, &known).into_iter().map(|task| task.problem).collect();
     // Or pixels that have lost events would choose for all.
     let lost = losses_of(&problems, &options, &mut group);
     let problems: Vec<_> = problems.into_iter().zip(&lost).map(|(problem, lost_before)| MapProblem { lost_before, ..problem }).collect();

@@ -9,7 +9,7 @@ use photocurrent_sensor::map::estimate::Miss;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, estimate};
 use photocurrent_sensor::residuals::Misfit;
-use photocurrent_sensor::undo::Memory;
+use photocurrent_sensor::undo::{Known, Memory};
 
 /// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
 pub(super) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
@@ -110,8 +110,8 @@ impl RowSolver {
         };
         let tasks: Vec<MapTask<'_>> = lit.iter().map(task).collect();
         let recorded: Vec<(Site, &[MapEvent])> = lit.iter().map(|&x| data.recorded_of(x)).collect();
-        let beyond = beyond(model, &tasks, &recorded, group);
-        let tasks = with_beyond(&tasks, &beyond);
+        let known = known(model, &tasks, &recorded, group);
+        let tasks = with_known(&tasks, &known);
         let mut plain = vec![Plain::default(); tasks.len()];
         let mut put = |n: usize, solution: &MapSolution<'_>| {
             let begin = knots.len();
@@ -158,8 +158,9 @@ impl RowSolver {
     pub fn prediction_errors(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Vec<Hint>]) -> Vec<f64> {
         let RowSolver { group, data, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
-        let beyond = beyond(model, &[MapTask { problem, options: setting.options }], &[data.recorded_of(x)], group);
-        let problem = MapProblem { beyond: &beyond[0], ..problem };
+        let task = [MapTask { problem, options: setting.options }];
+        let known = known(model, &task, &[data.recorded_of(x)], group);
+        let problem = with_known(&task, &known)[0].problem;
         let problems: Vec<MapProblem<'_>> = hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
         estimate::prediction_errors(&problems, &setting.options, group)
     }
@@ -168,38 +169,44 @@ impl RowSolver {
     pub fn misses(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> Vec<Miss> {
         let RowSolver { group, data, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
-        let beyond = beyond(model, &[MapTask { problem, options: setting.options }], &[data.recorded_of(x)], group);
-        estimate::misses(&[MapProblem { hints, beyond: &beyond[0], ..problem }], &setting.options, group)
+        let task = [MapTask { problem, options: setting.options }];
+        let known = known(model, &task, &[data.recorded_of(x)], group);
+        estimate::misses(&[MapProblem { hints, ..with_known(&task, &known)[0].problem }], &setting.options, group)
     }
 }
 
-/// What effects add to the events of each problem ([`photocurrent_sensor::undo::Undo::beyond`]), at the light that solves it: found in rounds, each with what the one before found. Nothing
-/// where no effect is to be undone. `recorded`: the pixels, and their events with stamps as recorded.
-pub(super) fn beyond(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[MapEvent])], group: &mut MapGroup) -> Vec<Vec<f64>> {
-    let mut beyond: Vec<Vec<f64>> = vec![Vec::new(); tasks.len()];
+/// What effects did to the events of each problem ([`photocurrent_sensor::undo::Undo::at_light`]), at the light that solves it: found in rounds, each with what the one before found.
+/// Empty where no effect is to be undone. `recorded`: the pixels, and their events with stamps as recorded.
+pub(super) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[MapEvent])], group: &mut MapGroup) -> Vec<Known> {
     if model.undo.is_none() {
-        return beyond;
+        return Vec::new();
     }
+    let of = |task: &MapTask<'_>| Known { events: task.problem.events.to_vec(), beyond: Vec::new() };
+    let mut known: Vec<Known> = tasks.iter().map(of).collect();
     let mut memory = Memory::default();
     for _ in 0..model.undo_rounds {
-        let mut next = beyond.clone();
-        let mut now = with_beyond(tasks, &beyond);
+        let mut next = known.clone();
+        let mut now = with_known(tasks, &known);
         now.iter_mut().for_each(|task| task.options.with_sigma = false);
         group.solve(&now, |n, solution| {
             let (site, recorded) = recorded[n];
             let light = (solution.t_ns, solution.log_photocurrent);
             if solution.status != MapStatus::Failed {
-                model.undo.beyond(&model.sensor, &site, light, recorded, tasks[n].problem.events, &mut memory, &mut next[n]);
+                model.undo.at_light(&model.sensor, &site, light, recorded, tasks[n].problem.events, &mut next[n], &mut memory);
             }
         });
-        beyond = next;
+        known = next;
     }
-    beyond
+    known
 }
 
 /// The problems with what is known of their events.
-pub(super) fn with_beyond<'a>(tasks: &[MapTask<'a>], beyond: &'a [Vec<f64>]) -> Vec<MapTask<'a>> {
-    tasks.iter().zip(beyond).map(|(task, beyond)| MapTask { problem: MapProblem { beyond, ..task.problem }, ..*task }).collect()
+pub(super) fn with_known<'a>(tasks: &[MapTask<'a>], known: &'a [Known]) -> Vec<MapTask<'a>> {
+    let of = |(n, task): (usize, &MapTask<'a>)| {
+        let problem = known.get(n).map_or(task.problem, |known| MapProblem { events: &known.events, beyond: &known.beyond, ..task.problem });
+        MapTask { problem, ..*task }
+    };
+    tasks.iter().enumerate().map(of).collect()
 }
 
 /// The problem of a pixel.

@@ -31,6 +31,8 @@ pub(crate) struct RowData {
     above: Events,
     below: Events,
     frames: Vec<MapFrame>,
+    /// Those of one value.
+    of_value: Vec<MapFrame>,
     first_frame: Vec<usize>,
     /// Light of a frame's value over that of its event pixel, in which its problem is posed.
     light_ratio: Vec<f64>,
@@ -153,8 +155,6 @@ impl RowData {
         self.plausible.clear();
         self.unrest.clear();
         self.first_frame.clear();
-        let shortest_ns = exposures.windows(2).map(|pair| pair[1].start - pair[0].start).min().unwrap_or(0);
-        let is_missing = |l: usize| l > 0 && 2 * (exposures[l].start - exposures[l - 1].start) > 3 * shortest_ns;
         for x in 0..frames.row_values {
             self.first_frame.push(self.frames.len());
             let share = shares.of(x, 0..exposures.len());
@@ -165,27 +165,17 @@ impl RowData {
                 let relative = model.frame_noise.sigma_dn(above, frame_dn) / above;
                 relative * relative
             }));
-            let (mut previous_charge, mut over_ns) = (0.0, i64::MIN);
-            for (l, exposure) in exposures.iter().enumerate() {
+            let black_level = model.sensor.number.black_level;
+            let of = |(l, exposure): (usize, &Exposure)| {
                 let dn = f64::from(frames.row(l, row)[x]);
-                if dn.is_finite() {
-                    let saturated = dn >= model.sensor.saturation_dn;
-                    let mut sigma_dn = share.sigma(model.frame_noise.sigma_dn(dn - model.sensor.number.black_level, frame_dn));
-                    let (mut exposure, mut dn) = (*exposure, dn);
-                    if !model.undo.is_none() {
-                        let undone = model.undo.frame(&model.sensor, &self.places.pixel(x), l, exposure, dn, (previous_charge, is_missing(l)));
-                        (exposure, dn, previous_charge) = (undone.exposure, undone.dn, undone.charge);
-                        sigma_dn *= undone.per_dn;
-                    }
-                    let dn = share.dn(dn, model.sensor.number.black_level);
-                    // Exposures stay apart, however long effects make them.
-                    let (start_ns, end_ns) = (i64::max(exposure.start.0, over_ns), exposure.end.0);
-                    if start_ns < end_ns {
-                        over_ns = end_ns;
-                        self.frames.push(MapFrame { start_ns, end_ns, dn, sigma_dn, saturated });
-                    }
-                }
-            }
+                let sigma_dn = share.sigma(model.frame_noise.sigma_dn(dn - black_level, frame_dn));
+                let saturated = dn >= model.sensor.saturation_dn;
+                dn.is_finite().then_some(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated })
+            };
+            self.of_value.clear();
+            self.of_value.extend(exposures.iter().enumerate().filter_map(of));
+            model.undo.frames(&model.sensor, &self.places.pixel(x), &mut self.of_value);
+            self.frames.extend(self.of_value.iter().map(|frame| MapFrame { dn: share.dn(frame.dn, black_level), ..*frame }));
         }
         self.first_frame.push(self.frames.len());
     }

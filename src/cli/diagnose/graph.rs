@@ -94,7 +94,7 @@ fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
         STAGES.iter().for_each(|stage| text += &format!("[nodes.{stage}.in]\nsensor = \"sensor\"\n"));
     }
     if options.direct {
-        text += "[nodes.propose.params]\nroads = []\n";
+        text += "[nodes.propose.params]\nroads = []\n[nodes.confirm.params]\nproof = false\n";
     }
     if let Some(knowledge) = &options.knowledge {
         text += &format!("[nodes.propose.params]\nknowledge = {}\n", quoted(knowledge)?);

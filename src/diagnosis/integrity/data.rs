@@ -43,6 +43,7 @@ pub fn broken(case: &Case) -> Vec<String> {
             ));
         }
     }
+    why.extend(apart(case));
     if let Some(frames) = &case.frames {
         let known: Vec<f32> = frames.dn.iter().copied().filter(|dn| dn.is_finite()).collect();
         let count = frames.dn.len().max(1);
@@ -75,6 +76,24 @@ pub fn broken(case: &Case) -> Vec<String> {
         }
     }
     why
+}
+
+/// Events and frames that share no time: their clocks have different zeros, and nothing of one can be compared with the other.
+fn apart(case: &Case) -> Option<String> {
+    let events = case.events.all();
+    let frames = case.frames.as_ref().and_then(|frames| frames.times.span(case.extent.height))?;
+    let first = events.iter().map(|event| event.t_off_ns).min()?;
+    let last = events.iter().map(|event| event.t_off_ns).max()?;
+    let seconds = |ns: i64| ns as f64 * 1e-9;
+    (last < frames.start.0 || first > frames.end.0).then(|| {
+        format!(
+            "events are stamped {:.6} to {:.6} s, frames are exposed {:.6} to {:.6} s: they share no time, so one of the clocks has another zero; move one of them, or state `effects.clock_offset`",
+            seconds(first),
+            seconds(last),
+            seconds(frames.start.0),
+            seconds(frames.end.0)
+        )
+    })
 }
 
 /// What there is too little of, a sentence each.

@@ -103,6 +103,22 @@ pub struct Integrity {
     pub masked: Vec<u32>,
 }
 
+/// Effects of the catalogue that a direct test looks for.
+pub const TESTED: [&str; 12] = [
+    "timestamp_quantization",
+    "timestamp_jitter",
+    "readout_queue",
+    "hot_rows",
+    "hot_pixels",
+    "background_activity",
+    "event_loss",
+    "frame_coupling",
+    "clock_offset",
+    "refractory",
+    "leak_events",
+    "parasitic_leak",
+];
+
 /// All direct tests of a recording; `nominal` is the description as stated, none when it lacks what the model needs.
 pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     let mut found = Integrity { broken: data::broken(case), lacking: data::lacking(case), ..Integrity::default() };

@@ -415,3 +415,13 @@ fn a_rhythm_common_to_all_pixels_is_the_lights_and_no_finding() {
     assert!((found.scene[0].frequency_hz - 100.0).abs() < 2.0, "{found:?}");
     assert!(of(&bursts(1000)).scene.is_empty());
 }
+
+#[test]
+fn clocks_that_share_no_time_are_broken_data_with_both_times_in_the_message() {
+    let mut case = crate::testing::case();
+    let moved = |event: &Recorded| Recorded { t_in_ns: event.t_in_ns + 5_000_000_000, t_off_ns: event.t_off_ns + 5_000_000_000, ..*event };
+    case.events = PixelEvents::new((0..case.events.pixels()).map(|pixel| case.events.of(pixel).iter().map(moved).collect()));
+    case.span = (0, 5_100_000_000);
+    let why = data::broken(&case);
+    assert!(why.len() == 1 && why[0].contains("share no time") && why[0].contains("frames are exposed 0.000000 to"), "{why:?}");
+}
