@@ -163,7 +163,7 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
     let _ = writeln!(html, "<tr><td>peak signal to noise</td><td class=\"n\">{:.2} dB</td><td class=\"n\">{fitted}</td></tr>", before.psnr_db());
     html.push_str("</table>\n");
     if after.is_none() && !report.effects.is_empty() {
-        html.push_str("<p class=\"note\">That solver cannot undo what was found, so the fitted description predicts the same; the table above has the light as the fitted sensor must have seen it.</p>\n");
+        html.push_str("<p class=\"note\">What was found has no number that a description could state, so there is no fitted one.</p>\n");
     }
     if let Some(sample) = &found.sample {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
