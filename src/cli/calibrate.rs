@@ -55,7 +55,8 @@ pub fn calibrate(options: &CalibrateOptions) -> Done {
 }
 
 fn made_before(path: &Path) -> Option<Example> {
-    serde_json::from_slice(&std::fs::read(path).ok()?).ok()
+    let Example { truth, found, .. } = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+    Some(Example::new(truth, found))
 }
 
 fn kept(path: &Path, example: Example) -> Result<Example, Failure> {

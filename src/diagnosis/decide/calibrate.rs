@@ -8,7 +8,7 @@ use super::model::{Facts, Model, SECOND, SOMETHING, logistic};
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::made::{Made, MadeSetting, Truth, made};
 use crate::picture::PictureSetting;
-use crate::residual::evidence::{EvidenceSetting, Ranked, evidence};
+use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked, evidence};
 use crate::residual::source::MovingPicture;
 use crate::verdict::{IN_SET_SHARE as IN_SET, is_material};
 use nalgebra::{SMatrix, SVector};
@@ -19,11 +19,20 @@ use serde::{Deserialize, Serialize};
 pub struct Example {
     /// What is wrong with it; sizes that nobody would care about are left out.
     pub truth: Truth,
-    /// What the model looks at; none where the method abstained.
+    /// What was found, less what does not matter, so that facts can be made anew without looking at the recording again; none where the method abstained.
+    pub found: Option<Evidence>,
+    /// What the model looks at.
+    #[serde(skip)]
     pub facts: Option<Facts>,
 }
 
 impl Example {
+    /// With facts from what was found.
+    pub fn new(truth: Truth, found: Option<Evidence>) -> Example {
+        let facts = found.as_ref().map(|found| Facts::of(found, |_| true));
+        Example { truth, found, facts }
+    }
+
     fn is_something(&self) -> bool {
         !self.truth.effects.is_empty() || self.truth.other.is_some()
     }
@@ -45,11 +54,16 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
         Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*strength, &scales, &nominal)))
     });
     let matters = |one: &Ranked| is_material(&case, &nominal, &CANDIDATES[one.candidate], one.value);
-    let facts = MovingPicture::fit(&case, &nominal, &PictureSetting::default())
+    let found = MovingPicture::fit(&case, &nominal, &PictureSetting::default())
         .and_then(|source| evidence(&case, &nominal, &source, &EvidenceSetting::default()))
         .ok()
-        .map(|found| Facts::of(&found, matters));
-    Ok(Example { truth, facts })
+        .map(|mut found| {
+            for list in [&mut found.ranked, &mut found.second, &mut found.random, &mut found.random_second] {
+                list.retain(matters);
+            }
+            found
+        });
+    Ok(Example::new(truth, found))
 }
 
 /// Standard deviation of the logistic weights beforehand.
@@ -90,13 +104,14 @@ pub fn calibrate(examples: &[&Example]) -> Model {
     let mut reach = 1.0;
     for _ in 0..40 {
         let mut is_better = false;
-        for n in 0..5 {
+        for n in 0..6 {
             for by in [-reach, reach] {
                 let mut other = model;
                 match n {
-                    0 => other.softness *= libm::exp(0.5 * by),
-                    1 => other.random += by,
-                    _ => other.unnamed[n - 2] += by,
+                    0 => other.softness[0] += 0.5 * by,
+                    1 => other.softness[1] += 0.25 * by,
+                    2 => other.random += by,
+                    _ => other.unnamed[n - 3] += by,
                 }
                 let likelihood = fit(&other);
                 if likelihood > best {
@@ -111,11 +126,12 @@ pub fn calibrate(examples: &[&Example]) -> Model {
     model
 }
 
-/// Weak: a factor e of softness, three of log odds.
+/// Weak: three of log odds; of the softness as much around what is usual.
 fn prior(model: &Model) -> f64 {
     let odds = model.unnamed.iter().chain([&model.random]).map(|odds| odds * odds).sum::<f64>() / (PRIOR * PRIOR);
-    let soft = libm::log(model.softness / Model::default().softness);
-    0.5 * (odds + soft * soft)
+    let usual = Model::default().softness;
+    let soft: f64 = model.softness.iter().zip(usual).map(|(soft, usual)| (soft - usual) * (soft - usual)).sum::<f64>() / (PRIOR * PRIOR);
+    0.5 * (odds + soft)
 }
 
 /// Log probability of one of the true names, given that something is there.
@@ -240,7 +256,7 @@ mod tests {
                 let gain = libm::exp(-6.0 + 5.0 * random.uniform());
                 let is_something = random.uniform() < logistic(9.0 + 3.0 * libm::log(gain));
                 let truth = Truth { effects: if is_something { vec![("clock_offset".into(), "offset".into(), 1.0)] } else { Vec::new() }, ..Truth::default() };
-                Example { truth, facts: Some(facts(gain, 0.7)) }
+                Example { truth, found: None, facts: Some(facts(gain, 0.7)) }
             })
             .collect()
     }
@@ -272,7 +288,7 @@ mod tests {
     #[test]
     fn what_was_not_seen_judges_and_claims_are_counted_by_kind() {
         let mut examples = examples(500);
-        examples.push(Example { truth: Truth::default(), facts: None });
+        examples.push(Example::new(Truth::default(), None));
         let found = validate(&examples, 5, &Decision::default());
         assert_eq!((found.recordings, found.abstained), (501, 1));
         assert_eq!(found.nothing.0 + found.one.0, 500);

@@ -18,8 +18,9 @@ pub struct Model {
     pub something: [f64; SOMETHING],
     /// Log odds of a second effect: constant, and weights of [`Facts::second`].
     pub second: [f64; SECOND],
-    /// A hypothesis whose gain is smaller than the best by this share is a factor e less probable.
-    pub softness: f64,
+    /// A hypothesis whose gain is smaller than the best by a share is a factor e less probable: logarithm of that share where the best gains 1 nat an event, and what it
+    /// grows by with the logarithm of the best gain. Small gains say little of which of them is right.
+    pub softness: [f64; 2],
     /// Log odds of a random effect over one with a size, at the same gain.
     pub random: f64,
     /// Log odds of what is in no catalogue over the best effect: constant, weight of the logarithm of the gain of the best curve beside that effect over the effect's own gain, and of
@@ -35,9 +36,12 @@ pub const SECOND: usize = 4;
 impl Default for Model {
     /// `photocurrent calibrate`, docs/diagnosis.md.
     fn default() -> Model {
-        Model { something: [6.0, 1.8, -0.9, 0.0], second: [6.0, 1.5, 0.5, -0.9], softness: 0.06, random: 0.0, unnamed: [-1.0, 2.0, 2.0] }
+        Model { something: [6.0, 1.8, -0.9, 0.0], second: [6.0, 1.5, 0.5, -0.9], softness: [-4.28, -1.93], random: 0.0, unnamed: [-1.0, 2.0, 2.0] }
     }
 }
+
+/// Logarithms between which a softness lies.
+const SOFTNESS: (f64, f64) = (-5.0, 2.0);
 
 /// Gains below this are nothing, nats an event.
 const LEAST_GAIN: f64 = 1e-3;
@@ -110,16 +114,19 @@ impl Model {
     /// What is believed of the first effect.
     pub fn first(&self, facts: &Facts) -> Belief {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
-        self.belief(dot(&self.something, &facts.something), &facts.first, Some(odds))
+        self.belief(dot(&self.something, &facts.something), facts.something[1], &facts.first, Some(odds))
     }
 
     /// And of one beside it.
     pub fn second(&self, facts: &Facts) -> Option<Belief> {
-        Some(self.belief(dot(&self.second, facts.second.as_ref()?), &facts.beside, None))
+        let second = facts.second.as_ref()?;
+        Some(self.belief(dot(&self.second, second), second[1], &facts.beside, None))
     }
 
-    fn belief(&self, log_odds: f64, list: &[(String, f64, bool)], unnamed: Option<f64>) -> Belief {
-        let score = |(_, share, is_random): &(String, f64, bool)| libm::exp((share - 1.0) / self.softness + if *is_random { self.random } else { 0.0 });
+    /// `ln_gain`: of the best hypothesis, nats an event.
+    fn belief(&self, log_odds: f64, ln_gain: f64, list: &[(String, f64, bool)], unnamed: Option<f64>) -> Belief {
+        let softness = libm::exp((self.softness[0] + self.softness[1] * ln_gain).clamp(SOFTNESS.0, SOFTNESS.1));
+        let score = |(_, share, is_random): &(String, f64, bool)| libm::exp((share - 1.0) / softness + if *is_random { self.random } else { 0.0 });
         let each: Vec<f64> = list.iter().map(score).collect();
         let unnamed = unnamed.map_or(0.0, |odds| libm::exp(odds.clamp(-50.0, 50.0)));
         let sum = (each.iter().sum::<f64>() + unnamed).max(1e-300);

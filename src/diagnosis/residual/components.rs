@@ -46,7 +46,7 @@ pub struct Ground<'a> {
 }
 
 /// Events of a pixel below this are too few for its own size.
-const LEAST_OF_PIXEL: usize = 4;
+const LEAST_OF_PIXEL: usize = 2;
 /// And pixels below this for a spread of sizes.
 const LEAST_PIXELS: usize = 20;
 /// Where differences between pixels leave less than this share of the squares, they are what widens residuals, and not noise of single events.
