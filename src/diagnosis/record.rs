@@ -17,6 +17,9 @@ use serde_json::{Map, Value};
 use std::cell::Cell;
 use std::collections::BTreeMap;
 
+/// Log light further from zero than this is no estimate: it is held there, as the solver does.
+const LOG_LIMIT: f64 = 40.0;
+
 /// The longest piece of log-linear light that counts as linear, natural-log units: they differ by an eighth of its square.
 const PIECE: f64 = 0.08;
 
@@ -136,16 +139,21 @@ fn on_grid(case: &Case, nominal: &Nominal, event: &PixelEvent) -> Recorded {
     Recorded { t_in_ns, t_off_ns, polarity: event.polarity }
 }
 
+/// Photocurrent of log light, positive and finite whatever an estimate ran to.
+fn photocurrent(log_light: f64) -> f64 {
+    libm::exp(if log_light.is_nan() { 0.0 } else { log_light.clamp(-LOG_LIMIT, LOG_LIMIT) })
+}
+
 /// Instants and photocurrent of a pixel of the scene, fine enough to be taken as linear.
 fn linear(scene: &Scene, n: usize) -> (Vec<i64>, Vec<f64>) {
     let (t, u) = scene.pixel(n);
-    let (mut instants, mut light) = (vec![t[0]], vec![libm::exp(u[0])]);
+    let (mut instants, mut light) = (vec![t[0]], vec![photocurrent(u[0])]);
     for k in 1..t.len() {
         let pieces = (((u[k] - u[k - 1]).abs() / PIECE).ceil() as i64).clamp(1, i64::max(1, (t[k] - t[k - 1]) / 1000));
         for piece in 1..=pieces {
             let share = piece as f64 / pieces as f64;
             instants.push(t[k - 1] + ((t[k] - t[k - 1]) as f64 * share) as i64);
-            light.push(libm::exp(u[k - 1] + (u[k] - u[k - 1]) * share));
+            light.push(photocurrent(u[k - 1] + (u[k] - u[k - 1]) * share));
         }
     }
     (instants, light)
@@ -209,5 +217,21 @@ impl PixelNoise for Draws {
     }
     fn threshold_offset(&mut self) -> f64 {
         if self.sigma == 0.0 { 0.0 } else { self.sigma * self.random.normal() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing;
+
+    #[test]
+    fn light_that_an_estimate_ran_away_with_is_recorded_all_the_same() {
+        let case = testing::case();
+        let sample = Sample::all(&case, 4);
+        let run_away = |n: usize| [f64::NEG_INFINITY, 1e6, f64::NAN, 800.0][n % 4];
+        let scene = Scene::from_pixels((0..sample.len()).map(|n| (vec![0, 30_000_000], vec![4.0, run_away(n)], true)));
+        let recorded = record(&case, &case.nominal().unwrap(), &sample, &scene, &Described::new(), &Conditions::default()).unwrap();
+        assert_eq!(recorded.events.pixels(), case.events.pixels());
     }
 }
