@@ -55,6 +55,8 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<diagnose::synthesize::DiagnoseSynthesize>(),
         Kind::of::<diagnose::residuals::DiagnoseResiduals>(),
         Kind::of::<diagnose::locate::DiagnoseLocate>(),
+        Kind::of::<diagnose::evidence::DiagnoseEvidence>(),
+        Kind::of::<diagnose::decide::DiagnoseDecide>(),
         Kind::of::<diagnose::propose::DiagnosePropose>(),
         Kind::of::<diagnose::confirm::DiagnoseConfirm>(),
         // What the user takes away.

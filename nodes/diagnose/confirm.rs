@@ -81,13 +81,17 @@ params = { path = "scene.h5" }
 kind = "diagnose/integrity"
 in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }
 
-[nodes.propose]
-kind = "diagnose/propose"
+[nodes.evidence]
+kind = "diagnose/evidence"
 in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor", integrity = "integrity.findings" }
+
+[nodes.decide]
+kind = "diagnose/decide"
+in   = { evidence = "evidence", sensor = "integrity.sensor" }
 
 [nodes.confirm]
 kind = "diagnose/confirm"
-in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor", integrity = "integrity.findings", proposals = "propose" }
+in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor", integrity = "integrity.findings", proposals = "decide" }
 "#,
     };
     type Params = Params;

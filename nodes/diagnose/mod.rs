@@ -4,6 +4,8 @@
 //! document with a kind. The wiring of a whole diagnosis is `pipelines/diagnose/recording.toml`; docs/diagnosis.md explains what the stages do.
 
 pub mod confirm;
+pub mod decide;
+pub mod evidence;
 pub mod fit;
 pub mod integrity;
 pub mod locate;
@@ -13,9 +15,35 @@ pub mod summaries;
 pub mod synthesize;
 
 use crate::spans::check_one_clock;
-use photocurrent_core::{DataType, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
+use photocurrent_core::{DataType, Diagnosis, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
 use photocurrent_diagnosis::case::{Case, CaseFrames, PixelEvents};
+use photocurrent_diagnosis::integrity::Integrity;
+use photocurrent_diagnosis::stages::read_integrity;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+/// What a method takes for known of what direct tests found.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Amend {
+    /// It is put into the description, and pixels that they exclude are left out.
+    #[default]
+    Findings,
+    /// Nothing: the recording and its description are as they are.
+    Nothing,
+}
+
+impl Amend {
+    /// Of a document of direct tests; without one nothing is known.
+    fn of(self, document: Option<&Diagnosis>) -> Result<Integrity, NodeError> {
+        let found = document.map(read_integrity).transpose()?.unwrap_or_default();
+        Ok(match self {
+            Amend::Findings => found,
+            Amend::Nothing => Integrity { findings: Vec::new(), masked: Vec::new(), ..found },
+        })
+    }
+}
 
 /// The recording at the ports `events` and `frames`, in memory.
 fn case(events: Option<&EventStream>, frames: Option<&FrameSequence>, sensor: &Sensor) -> Result<Case, NodeError> {

@@ -1,21 +1,21 @@
 //! `diagnose/propose`: which effects explain what the stated sensor leaves of a recording.
 //!
-//! Each method estimates the scene and asks every effect of the catalogue how much of the rest it explains: `picture` by the residuals of events on a moving picture that frames
-//! alone state, and where that is evidence it decides; `refit` by estimating the light as a sensor with the effect must
-//! have seen it and simulating its events again, `likelihood` event by event and frame by frame with the light of the stated sensor, `synthesis` by putting the effect on the recording's own scene and comparing three hundred summaries. What direct tests found is in the description
+//! Where a moving picture is evidence, its decision (`decided`) stands alone. Where it is none, each road estimates a scene of its own and asks every effect of the catalogue how much of
+//! the rest it explains: `refit` by estimating the light as a sensor with the effect must have seen it and simulating its events again, `likelihood` event by event and frame by frame with
+//! the light of the stated sensor, `synthesis` by putting the effect on the recording's own scene and comparing three hundred summaries. What direct tests found is in the description
 //! before. A road that cannot be made (too few events, say) is told, and the others go on.
 //!
 //! Limits: those of the roads, see docs/diagnosis.md. With too few events or frames for a scene there are no proposals.
 
+use super::Amend;
 use photocurrent_core::quantity::InputPath;
 use photocurrent_core::{
     Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FileRef, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor,
 };
 use photocurrent_diagnosis::diagnose::{Setting, propose};
-use photocurrent_diagnosis::integrity::Integrity;
 use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::roads;
-use photocurrent_diagnosis::stages::{read_integrity, write_proposals};
+use photocurrent_diagnosis::stages::{read_proposals, write_proposals};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -24,7 +24,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Which roads are taken, `"picture"`, `"refit"`, `"likelihood"` and `"synthesis"`, in any order; none gives what direct tests find alone.
+    /// Which roads are taken where a moving picture decides nothing, `"refit"`, `"likelihood"` and `"synthesis"`, in any order; none gives what direct tests find alone.
     pub roads: Vec<RoadName>,
     /// What roads take for known.
     pub amend: Amend,
@@ -34,7 +34,7 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Params {
-        Params { roads: vec![RoadName::Picture, RoadName::Refit, RoadName::Likelihood, RoadName::Synthesis], amend: Amend::Findings, knowledge: None }
+        Params { roads: vec![RoadName::Refit, RoadName::Likelihood, RoadName::Synthesis], amend: Amend::default(), knowledge: None }
     }
 }
 
@@ -42,8 +42,6 @@ impl Default for Params {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RoadName {
-    /// A moving picture fitted to frames alone; where it predicts enough of them, it decides and the others are left out.
-    Picture,
     /// The light estimated anew as a sensor with each effect must have seen it.
     Refit,
     /// Event by event, frame value by frame value.
@@ -55,23 +53,11 @@ pub enum RoadName {
 impl RoadName {
     fn name(self) -> &'static str {
         match self {
-            RoadName::Picture => "picture",
             RoadName::Refit => "refit",
             RoadName::Likelihood => "likelihood",
             RoadName::Synthesis => "synthesis",
         }
     }
-}
-
-/// What roads take for known.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Amend {
-    /// What direct tests found is put into the description, and pixels that they exclude are left out.
-    #[default]
-    Findings,
-    /// Nothing: roads see the recording and its description as they are.
-    Nothing,
 }
 
 photocurrent_core::ports! {
@@ -85,6 +71,8 @@ photocurrent_core::ports! {
         sensor: Arc<Sensor>,
         /// What direct tests saw, a diagnosis of kind `integrity`; without it nothing is amended.
         integrity: Option<Arc<Diagnosis>>,
+        /// What a moving picture decides, a diagnosis of kind `proposals`; where it decides, no road is taken.
+        decided: Option<Arc<Diagnosis>>,
     }
 }
 
@@ -130,7 +118,7 @@ impl Node for DiagnosePropose {
     const DECL: Decl = Decl {
         kind: "diagnose/propose",
         about: "Asks every effect of the catalogue how much it explains of what the stated sensor leaves of a recording.",
-        revision: 10,
+        revision: 11,
         grain: Grain::Whole,
         draws: true,
         exports: false,
@@ -173,17 +161,20 @@ params = { roads = ["likelihood"] }
         if inputs.has("integrity") {
             inputs.diagnosis("integrity")?.need(DiagnosisKind::Integrity, "integrity")?;
         }
+        if inputs.has("decided") {
+            inputs.diagnosis("decided")?.need(DiagnosisKind::Proposals, "decided")?;
+        }
         self.knowledge()?;
         Ok(vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Proposals }))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let decided = input.decided.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
+        if self.params.roads.is_empty() || decided.roads.iter().any(|road| road.decides) {
+            return Ok(Out { proposals: Arc::new(write_proposals(&decided)?) });
+        }
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
-        let found = input.integrity.map(|document| read_integrity(&document)).transpose()?.unwrap_or_default();
-        let known = match self.params.amend {
-            Amend::Findings => found,
-            Amend::Nothing => Integrity { findings: Vec::new(), masked: Vec::new(), ..found },
-        };
+        let known = self.params.amend.of(input.integrity.as_deref())?;
         let mut roads = roads::all(self.knowledge()?);
         roads.retain(|road| self.takes(road.name));
         cx.begin(roads.len() as u64, "roads");

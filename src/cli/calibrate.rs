@@ -9,6 +9,7 @@ use photocurrent_diagnosis::decide::Decision;
 use photocurrent_diagnosis::decide::calibrate::{Example, Validation, calibrate as model_of, example, validate};
 use photocurrent_diagnosis::decide::model::Model;
 use photocurrent_diagnosis::made::MadeSetting;
+use rayon::prelude::*;
 use serde::Serialize;
 use std::io::IsTerminal;
 use std::path::Path;
@@ -28,16 +29,18 @@ pub fn calibrate(options: &CalibrateOptions) -> Done {
     let folder = options.out.join(format!("made-{}-{}", options.size, options.seed));
     std::fs::create_dir_all(&folder).map_err(|error| Failure::other(format!("{}: cannot make the folder: {error}", folder.display())))?;
     let bar = bar(options);
-    let mut examples = Vec::new();
-    for number in 0..options.recordings {
+    let one = |number: u64| -> Result<Option<Example>, Failure> {
         let path = folder.join(format!("{number:05}.json"));
         // Effects that cannot be combined make no recording; the next number makes another.
-        examples.extend(match made_before(&path) {
+        let example = match made_before(&path) {
             Some(example) => Some(example),
             None => example(options.seed, number, &made).ok().map(|one| kept(&path, one)).transpose()?,
-        });
+        };
         bar.inc(1);
-    }
+        Ok(example)
+    };
+    let examples: Vec<Option<Example>> = (0..options.recordings).into_par_iter().map(one).collect::<Result<_, Failure>>()?;
+    let examples: Vec<Example> = examples.into_iter().flatten().collect();
     bar.finish_and_clear();
     let decision = Decision::default();
     let model = model_of(&examples.iter().collect::<Vec<&Example>>());

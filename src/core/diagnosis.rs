@@ -16,6 +16,8 @@ use std::fmt;
 pub enum DiagnosisKind {
     /// What shows without a scene.
     Integrity,
+    /// What the residuals on a scene say of every effect.
+    Evidence,
     /// What the tests that estimate the scene propose.
     Proposals,
     /// The answer: what `diagnosis.json` holds.
@@ -29,6 +31,7 @@ impl DiagnosisKind {
     pub fn name(self) -> &'static str {
         match self {
             DiagnosisKind::Integrity => "integrity",
+            DiagnosisKind::Evidence => "evidence",
             DiagnosisKind::Proposals => "proposals",
             DiagnosisKind::Report => "report",
             DiagnosisKind::Page => "page",

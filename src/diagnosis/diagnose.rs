@@ -4,7 +4,6 @@ use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::{Case, PixelEvents};
 use crate::comparison::{Comparison, Ground, Step};
 use crate::contest;
-use crate::decide::PICTURE;
 use crate::fitted::{fitted, put_beside};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
@@ -138,8 +137,6 @@ pub fn propose(case: &Case, setting: &Setting, integrity: &Integrity, roads: &[R
                     break;
                 }
             }
-            // A scene that is no moving picture is none for this method alone.
-            Err(_) if road.name == PICTURE => {}
             Err(why) => proposed.failed.push(format!("{}: {why}", road.name)),
         }
     }

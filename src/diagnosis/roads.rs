@@ -3,7 +3,6 @@
 use crate::candidates::{CANDIDATES, Scales};
 use crate::case::Case;
 use crate::covariates::Covariate;
-use crate::decide::{self, PICTURE};
 use crate::deviation::context_of;
 use crate::diagnose::{RoadKind, Setting};
 use crate::first_order::{self, ALONE, BESIDE, Biases, LARGEST};
@@ -21,9 +20,8 @@ use crate::verdict::{Proposal, Road, Unexplained};
 /// All roads, in the order in which they are run. Synthesis needs to know what recordings without an effect look like, and is left out without that knowledge.
 pub fn all(knowledge: Option<Knowledge>) -> Vec<RoadKind> {
     let biases = knowledge.as_ref().map(|knowledge| knowledge.biases.clone());
-    let picture = RoadKind::new(PICTURE, decide::run);
     let refit = RoadKind::new(REFIT, move |case, _| run_refit(case, biases.as_ref()));
-    let mut roads = vec![picture, refit, RoadKind::new("likelihood", run_likelihood)];
+    let mut roads = vec![refit, RoadKind::new("likelihood", run_likelihood)];
     roads.extend(knowledge.map(|knowledge| RoadKind::new(SYNTHESIS, move |case, setting| run_synthesis(case, &knowledge, setting))));
     roads
 }

@@ -2,7 +2,7 @@
 //! constants, reset laws, exposures and stamps over the ranges of cameras that such recordings are made with.
 //!
 //! Everything follows from a seed. Light is analytic in place and time, so its size, length and number of pixels can be anything.
-//! Limits: grey, no flicker, no noise of the light; objects are opaque and bright or dark, edges are a pixel wide.
+//! Limits: grey, no flicker, no noise of the light; objects are opaque and bright or dark.
 
 use crate::candidates::Trial;
 use crate::case::{Case, CaseFrames, PixelEvents};
@@ -34,6 +34,8 @@ pub struct MadeUp {
     high: f64,
     seed: u64,
     contrast: f64,
+    /// Width of edges, pixels, on either side.
+    edge: f64,
     sensor: Sensor,
     exposures: Vec<Exposure>,
     resolution_ns: i64,
@@ -122,7 +124,22 @@ impl MadeUp {
             20_000
         };
         let contrast = between(0.8, 1.6);
-        MadeUp { motion, low, high, seed: seed.wrapping_mul(1009).wrapping_add(index), contrast, sensor, exposures, resolution_ns, extent, span, noise: None }
+        // From edges that no picture of pixels holds to those that any does.
+        let edge = between(0.1, 0.9);
+        MadeUp {
+            motion,
+            low,
+            high,
+            seed: seed.wrapping_mul(1009).wrapping_add(index),
+            contrast,
+            edge,
+            sensor,
+            exposures,
+            resolution_ns,
+            extent,
+            span,
+            noise: None,
+        }
     }
 
     /// With frames of whole digital numbers that have shot noise of so many electrons a digital number, and read noise, DN; none of it is stated.
@@ -142,15 +159,14 @@ impl MadeUp {
                 let (dx, dy) = (x - centre.0, y - centre.1);
                 let radius = libm::sqrt(dx * dx + dy * dy);
                 let wave = libm::sin(spokes * (libm::atan2(dy, dx) - rate * t));
-                // Half a pixel of edge on either side.
-                let sharp = (wave * f64::max(radius, 1.0) / spokes / 0.7).clamp(-1.0, 1.0);
+                let sharp = (wave * f64::max(radius, 1.0) / spokes / self.edge).clamp(-1.0, 1.0);
                 0.5 + 0.5 * sharp
             }
             Motion::Discs { radius, shade, velocity, pitch, drift } => {
                 let ground = 0.5 + self.contrast * (texture(self.seed, x - drift.0 * t, y - drift.1 * t) - 0.5);
                 let wrap = |at: f64| (at / pitch - (at / pitch).floor() - 0.5) * pitch;
                 let (dx, dy) = (wrap(x - velocity.0 * t), wrap(y - velocity.1 * t));
-                let inside = (radius - libm::sqrt(dx * dx + dy * dy) + 0.5).clamp(0.0, 1.0);
+                let inside = (0.5 + 0.5 * (radius - libm::sqrt(dx * dx + dy * dy)) / self.edge).clamp(0.0, 1.0);
                 ground + (shade - ground) * inside
             }
         };

@@ -6,6 +6,7 @@
 use crate::candidates::CANDIDATES;
 use crate::diagnose::Proposed;
 use crate::integrity::{Finding, Heldout, Integrity};
+use crate::residual::evidence::Evidence;
 use photocurrent_core::{DataError, Diagnosis, DiagnosisKind};
 use photocurrent_sensor::effects::catalogue;
 use serde::de::Error;
@@ -38,6 +39,51 @@ pub fn read_integrity(document: &Diagnosis) -> Result<Integrity, DataError> {
     document.read()
 }
 
+/// What became of a scene.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Seen {
+    /// Nobody asked for one.
+    NotAsked,
+    /// It is no evidence, and why.
+    Nothing(String),
+    /// What residuals on it say.
+    Evidence(Box<Evidence>),
+}
+
+/// With the list of candidates that were asked.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct SeenOf {
+    candidates: Vec<String>,
+    seen: Seen,
+}
+
+/// Evidence as a document.
+///
+/// # Errors
+/// When a number is not finite.
+pub fn write_evidence(seen: &Seen) -> Result<Diagnosis, DataError> {
+    Diagnosis::of(DiagnosisKind::Evidence, &SeenOf { candidates: labels(), seen: seen.clone() })
+}
+
+/// Evidence from its document.
+///
+/// # Errors
+/// When the document is not one of [`write_evidence`], or was made with another list of candidates.
+pub fn read_evidence(document: &Diagnosis) -> Result<Seen, DataError> {
+    let read: SeenOf = document.read()?;
+    of_this_list(&read.candidates, "evidence", "diagnose/evidence")?;
+    Ok(read.seen)
+}
+
+/// Indices into [`CANDIDATES`] mean what they meant only with the same list.
+fn of_this_list(candidates: &[String], what: &str, node: &str) -> Result<(), DataError> {
+    if candidates == labels() {
+        return Ok(());
+    }
+    let (count, own) = (candidates.len(), CANDIDATES.len());
+    Err(DataError::new(format!("the {what} were made with another list of {count} candidates (this program has {own}); run {node} again")))
+}
+
 /// Proposals as a document.
 ///
 /// # Errors
@@ -52,14 +98,8 @@ pub fn write_proposals(proposed: &Proposed) -> Result<Diagnosis, DataError> {
 /// When the document is not one of [`write_proposals`], or was made with another list of candidates.
 pub fn read_proposals(document: &Diagnosis) -> Result<Proposed, DataError> {
     let read: Proposals = document.read()?;
-    if read.candidates == labels() {
-        return Ok(read.proposed);
-    }
-    Err(DataError::new(format!(
-        "the proposals were made with another list of {} candidates (this program has {}); run diagnose/propose again",
-        read.candidates.len(),
-        CANDIDATES.len()
-    )))
+    of_this_list(&read.candidates, "proposals", "diagnose/propose")?;
+    Ok(read.proposed)
 }
 
 #[derive(Deserialize)]
@@ -123,6 +163,17 @@ mod tests {
         for (was, is) in [("timestamp_quantization", "timestamp_quantisation"), ("\"step\"", "\"steps\""), ("\"both\"", "\"either\"")] {
             let other = Diagnosis::from_text(document.kind(), document.text().replacen(was, is, 1)).unwrap();
             assert!(read_integrity(&other).is_err(), "{is}");
+        }
+    }
+
+    #[test]
+    fn evidence_comes_back_and_so_does_why_there_is_none() {
+        let some = Evidence { share: 0.1 + 0.2, left: [1e-300, 2.0], ..Evidence::default() };
+        for seen in [Seen::Evidence(Box::new(some)), Seen::Nothing("no frames".into()), Seen::NotAsked] {
+            let document = write_evidence(&seen).unwrap();
+            assert_eq!(read_evidence(&document).unwrap(), seen);
+            let other = Diagnosis::from_text(document.kind(), document.text().replacen(&CANDIDATES[0].label(), "something_else", 1)).unwrap();
+            assert!(read_evidence(&other).unwrap_err().message.contains("another list"));
         }
     }
 

@@ -20,7 +20,7 @@ const WIRING: &str = include_str!("../../../pipelines/diagnose/recording.toml");
 const ANSWER: &str = "answer";
 
 /// The nodes that hold the recording against its description.
-const STAGES: [&str; 3] = ["integrity", "propose", "confirm"];
+const STAGES: [&str; 4] = ["integrity", "evidence", "propose", "confirm"];
 
 /// What came of it.
 pub struct Answered {
@@ -94,7 +94,7 @@ fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
         STAGES.iter().for_each(|stage| text += &format!("[nodes.{stage}.in]\nsensor = \"sensor\"\n"));
     }
     if options.direct {
-        text += "[nodes.propose.params]\nroads = []\n[nodes.confirm.params]\nproof = false\n";
+        text += "[nodes.evidence.params]\nscene = \"none\"\n[nodes.propose.params]\nroads = []\n[nodes.confirm.params]\nproof = false\n";
     }
     if let Some(knowledge) = &options.knowledge {
         text += &format!("[nodes.propose.params]\nknowledge = {}\n", quoted(knowledge)?);

@@ -5,10 +5,10 @@
 
 use super::Decision;
 use super::model::{Facts, Model, SECOND, SOMETHING, logistic};
-use crate::candidates::{CANDIDATES, Candidate, Scales};
+use crate::candidates::{Candidate, Scales};
 use crate::made::{Made, MadeSetting, Truth, made};
 use crate::picture::PictureSetting;
-use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked, evidence};
+use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
 use crate::residual::source::MovingPicture;
 use crate::verdict::{IN_SET_SHARE as IN_SET, is_material};
 use nalgebra::{SMatrix, SVector};
@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 pub struct Example {
     /// What is wrong with it; sizes that nobody would care about are left out.
     pub truth: Truth,
-    /// What was found, less what does not matter, so that facts can be made anew without looking at the recording again; none where the method abstained.
+    /// What was found, so that facts can be made anew without looking at the recording again; none where the method abstained.
     pub found: Option<Evidence>,
     /// What the model looks at.
     #[serde(skip)]
@@ -29,7 +29,7 @@ pub struct Example {
 impl Example {
     /// With facts from what was found.
     pub fn new(truth: Truth, found: Option<Evidence>) -> Example {
-        let facts = found.as_ref().map(|found| Facts::of(found, |_| true));
+        let facts = found.as_ref().map(Facts::of);
         Example { truth, found, facts }
     }
 
@@ -53,16 +53,8 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     truth.effects.retain(|(id, parameter, strength)| {
         Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*strength, &scales, &nominal)))
     });
-    let matters = |one: &Ranked| is_material(&case, &nominal, &CANDIDATES[one.candidate], one.value);
-    let found = MovingPicture::fit(&case, &nominal, &PictureSetting::default())
-        .and_then(|source| evidence(&case, &nominal, &source, &EvidenceSetting::default()))
-        .ok()
-        .map(|mut found| {
-            for list in [&mut found.ranked, &mut found.second, &mut found.random, &mut found.random_second] {
-                list.retain(matters);
-            }
-            found
-        });
+    let found =
+        MovingPicture::fit(&case, &nominal, &PictureSetting::default()).and_then(|source| evidence(&case, &nominal, &source, &EvidenceSetting::default())).ok();
     Ok(Example::new(truth, found))
 }
 
@@ -240,7 +232,8 @@ mod tests {
 
     fn facts(gain: f64, share_of_other: f64) -> Facts {
         Facts {
-            something: [1.0, libm::log(gain), -3.0, -3.5],
+            something: [1.0, libm::log(gain), -6.0, -3.0, -3.5],
+            best: libm::log(gain),
             second: Some([1.0, libm::log(0.1 * gain), libm::log(0.1), -3.0]),
             first: vec![("clock_offset".into(), 1.0, false), ("second_pole".into(), share_of_other, false)],
             beside: vec![("leak_events".into(), 1.0, false)],

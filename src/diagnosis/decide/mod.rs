@@ -7,13 +7,9 @@
 //! - [`calibrate`]: where its numbers come from.
 
 use crate::candidates::CANDIDATES;
-use crate::case::Case;
-use crate::diagnose::Setting;
 use crate::nominal::Nominal;
-use crate::picture::PictureSetting;
-use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked, evidence};
-use crate::residual::source::MovingPicture;
-use crate::verdict::{Proposal, Road, Unexplained, is_material};
+use crate::residual::evidence::{Evidence, Ranked};
+use crate::verdict::{Proposal, Road, Unexplained};
 use model::{Belief, Facts, Model, hypotheses};
 use serde::{Deserialize, Serialize};
 
@@ -46,38 +42,33 @@ impl Default for Decision {
     }
 }
 
-/// Runs the method.
+/// What a recording's evidence comes to.
 ///
 /// # Errors
-/// When the description does not state what the model needs, or the scene predicts too few of the frames.
-pub fn run(case: &Case, setting: &Setting) -> Result<Road, String> {
-    let nominal = case.nominal().map_err(|why| why.to_string())?;
-    let source = MovingPicture::fit(case, &nominal, &PictureSetting::default())?;
-    let found = evidence(case, &nominal, &source, &EvidenceSetting { seed: setting.seed, ..EvidenceSetting::default() })?;
-    let decision = Decision::default();
+/// When the scene does not explain what the nominal sensor records of it, or what is left has no name.
+pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<Road, String> {
     if found.control_median > decision.most_control {
         return Err(format!(
             "events of the nominal sensor on its own scene miss their thresholds by {:.2} of them: this sensor is not modelled well enough",
             found.control_median
         ));
     }
-    let said = method(&found, &|one| is_material(case, &nominal, &CANDIDATES[one.candidate], one.value), &nominal, &decision);
-    if !said.alarm && found.left[0] > decision.most_left {
+    if found.left[0] > decision.most_left {
         return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on this scene", found.left[0]));
     }
-    Ok(said)
+    Ok(method(found, nominal, decision))
 }
 
-/// What was found as a method's word; `matters`: is a size worth a word?
-pub fn method(found: &Evidence, matters: &impl Fn(&Ranked) -> bool, nominal: &Nominal, decision: &Decision) -> Road {
-    let facts = Facts::of(found, matters);
+/// What was found as a method's word.
+fn method(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Road {
+    let facts = Facts::of(found);
     let belief = decision.model.first(&facts);
     let is_something = belief.something >= decision.least;
-    let first = proposals(&hypotheses(&found.ranked, &found.random, matters), &belief, belief.something / decision.least, nominal, decision);
+    let first = proposals(&hypotheses(&found.ranked, &found.random), &belief, belief.something / decision.least, nominal, decision);
     let most = first.iter().map(|one| one.probability).fold(0.0, f64::max);
     let is_unnamed = is_something && belief.unnamed > most;
     let second = decision.model.second(&facts).map_or_else(Vec::new, |belief| {
-        let list = hypotheses(&found.second, &found.random_second, matters);
+        let list = hypotheses(&found.second, &found.random_second);
         proposals(&list, &belief, belief.something / decision.least_second, nominal, decision)
     });
     let curve = found.open_second.first().or(found.open.first()).filter(|_| is_unnamed);
@@ -116,21 +107,15 @@ fn proposals(list: &[&Ranked], belief: &Belief, score: f64, nominal: &Nominal, d
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::candidates::{Scales, Signs, Trial};
-    use crate::scenes::MadeUp;
     use crate::testing;
-    use crate::verdict::is_material;
-    use photocurrent_core::Extent;
-    use photocurrent_core::random::Random;
 
     fn ranked(id: &str, gain: f64, control_gain: f64) -> Ranked {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
-        Ranked { candidate, gain, control_gain, strength: 1.0, value: 1.0, is_exact: true, ..Ranked::default() }
+        Ranked { candidate, gain, control_gain, strength: 1.0, value: 1.0, is_exact: true, is_material: true, ..Ranked::default() }
     }
 
     fn said(found: &Evidence) -> Road {
-        let case = testing::case();
-        method(found, &|_| true, &case.nominal().unwrap(), &Decision::default())
+        method(found, &testing::case().nominal().unwrap(), &Decision::default())
     }
 
     #[test]
@@ -154,37 +139,5 @@ mod tests {
             Evidence { ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)], ..Evidence::default() };
         let said = said(&found).proposals;
         assert!(said[0].probability < 0.6 && said[1].probability > 0.4 && said[2].probability < 0.01);
-    }
-
-    /// Scenes and sensors that nothing was set on, each without an effect and with one of random kind and size:
-    /// `cargo test --release -p photocurrent-diagnosis made_up_scenes -- --ignored --nocapture`.
-    #[test]
-    #[ignore = "takes minutes"]
-    fn on_made_up_scenes_nothing_is_found_where_nothing_is_and_most_names_are_right() {
-        const SCENES: u64 = 12;
-        let (mut alarms, mut asked, mut right) = (Vec::new(), 0, 0);
-        for index in 0..SCENES {
-            let scene = MadeUp::new(11, index, Extent { width: 96, height: 72 }, 0.15);
-            let null = scene.recording().unwrap();
-            let nominal = null.nominal().unwrap();
-            let said = |case: &Case| -> Option<&'static str> {
-                let found = run(case, &Setting::default()).ok()?;
-                let passed = found.proposals.iter().filter(|one| one.passed && is_material(case, &nominal, &CANDIDATES[one.candidate], one.value));
-                Some(passed.map(|one| CANDIDATES[one.candidate].id).next().unwrap_or("nothing"))
-            };
-            alarms.extend(said(&null).filter(|id| *id != "nothing").map(|id| (index, id)));
-            let mut random = Random::new(11, &[index, 7]);
-            let chosen = &CANDIDATES[(random.uniform() * CANDIDATES.len() as f64) as usize % CANDIDATES.len()];
-            let size = 0.15 * libm::pow(10.0, random.uniform());
-            let strength = if chosen.signs == Signs::Both && random.uniform() < 0.5 { -size } else { size };
-            let trial = Trial::with(&nominal, chosen, strength, &Scales::of(&null, &nominal));
-            let Some(id) = scene.recording_through(Some(&trial)).ok().and_then(|case| said(&case)) else { continue };
-            eprintln!("{index}: {} at {strength:.2}, found {id}", chosen.label());
-            asked += 1;
-            right += usize::from(id == chosen.id);
-        }
-        eprintln!("{right} of {asked} names right; without an effect: {alarms:?}");
-        assert!(alarms.is_empty(), "{alarms:?}");
-        assert!(2 * right > asked, "{right} of {asked}");
     }
 }

@@ -29,14 +29,14 @@ pub struct Model {
 }
 
 /// Numbers of [`Model::something`].
-pub const SOMETHING: usize = 4;
+pub const SOMETHING: usize = 5;
 /// Numbers of [`Model::second`].
 pub const SECOND: usize = 4;
 
 impl Default for Model {
     /// `photocurrent calibrate`, docs/diagnosis.md.
     fn default() -> Model {
-        Model { something: [6.0, 1.8, -0.9, 0.0], second: [6.0, 1.5, 0.5, -0.9], softness: [-4.28, -1.93], random: 0.0, unnamed: [-1.0, 2.0, 2.0] }
+        Model { something: [3.0, 0.6, 0.3, 0.2, -0.1], second: [6.0, 1.5, 0.5, -0.9], softness: [-4.28, -1.93], random: 0.0, unnamed: [-1.0, 2.0, 2.0] }
     }
 }
 
@@ -51,8 +51,10 @@ const LEAST_LEFT: f64 = 3e-3;
 /// What the model looks at.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Facts {
-    /// 1, logarithms of the best gain, of what is left with it, and of what the control leaves.
+    /// 1, logarithms of the best gain of an effect with a size, of the best gain of a random one, of what is left, and of what the control leaves.
     pub something: [f64; SOMETHING],
+    /// Logarithm of the best gain of all.
+    pub best: f64,
     /// 1, logarithms of the second gain, of it over the first, and of what is left; none where there is no second.
     pub second: Option<[f64; SECOND]>,
     /// Hypotheses, best first: catalogue id, gain over the best one's, is it random.
@@ -64,30 +66,49 @@ pub struct Facts {
 }
 
 impl Facts {
-    /// Of evidence; `matters`: is a size worth a word?
-    pub fn of(found: &Evidence, matters: impl Fn(&Ranked) -> bool) -> Facts {
-        let first = hypotheses(&found.ranked, &found.random, &matters);
-        let second = hypotheses(&found.second, &found.random_second, &matters);
-        let gain = |list: &[&Ranked]| list.first().map_or(LEAST_GAIN, |one| one.beyond().max(LEAST_GAIN));
-        let (best, other) = (gain(&first), gain(&second));
-        let named = |list: &[&Ranked], best: f64| {
+    /// Of evidence.
+    pub fn of(found: &Evidence) -> Facts {
+        let first = hypotheses(&found.ranked, &found.random);
+        let second = hypotheses(&found.second, &found.random_second);
+        // What a size that does not matter explains needs no other explanation.
+        let small = explained_by_little(&found.ranked, &found.random);
+        let beside_small = explained_by_little(&found.second, &found.random_second);
+        let gain = |list: &[&Ranked], small: f64, kind: Option<bool>| {
+            let of_kind = |one: &&&Ranked| kind.is_none_or(|is_random| CANDIDATES[one.candidate].is_random == is_random);
+            list.iter().filter(of_kind).map(|one| one.beyond() - small).fold(LEAST_GAIN, f64::max)
+        };
+        let (best, other) = (gain(&first, small, None), gain(&second, beside_small, None));
+        let named = |list: &[&Ranked]| {
+            let best = list.first().map_or(LEAST_GAIN, |one| one.beyond().max(LEAST_GAIN));
             list.iter().map(|one| (CANDIDATES[one.candidate].id.to_owned(), one.beyond() / best, CANDIDATES[one.candidate].is_random)).collect()
         };
-        let curve = |list: &[Open]| list.first().map_or(LEAST_GAIN, |one| one.beyond().max(LEAST_GAIN));
+        let curve = |list: &[Open], small: f64| list.first().map_or(LEAST_GAIN, |one| (one.beyond() - small).max(LEAST_GAIN));
         let ln_left = |left: f64| libm::log(f64::max(left, LEAST_LEFT));
         Facts {
-            something: [1.0, libm::log(best), ln_left(found.left[0]), ln_left(found.control_median)],
+            something: [
+                1.0,
+                libm::log(gain(&first, small, Some(false))),
+                libm::log(gain(&first, small, Some(true))),
+                ln_left(found.left[0]),
+                ln_left(found.control_median),
+            ],
+            best: libm::log(best),
             second: (!second.is_empty()).then(|| [1.0, libm::log(other), libm::log(other / best), ln_left(found.left[0])]),
-            first: named(&first, best),
-            beside: named(&second, other),
-            open: [libm::log(curve(&found.open_second) / best), libm::log(curve(&found.open) / best)],
+            first: named(&first),
+            beside: named(&second),
+            open: [libm::log(curve(&found.open_second, beside_small) / best), libm::log(curve(&found.open, small) / best)],
         }
     }
 }
 
+/// The most that an effect of a size that does not matter gains, nats an event; at least 0.
+fn explained_by_little(ranked: &[Ranked], random: &[Ranked]) -> f64 {
+    ranked.iter().chain(random).filter(|one| one.is_exact && !one.is_material).map(Ranked::beyond).fold(0.0, f64::max)
+}
+
 /// Each effect by its best parameter, best first: those that were fitted exactly and matter.
-pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked], matters: &impl Fn(&Ranked) -> bool) -> Vec<&'a Ranked> {
-    let mut all: Vec<&Ranked> = ranked.iter().chain(random).filter(|one| one.is_exact && one.beyond() > 0.0 && matters(one)).collect();
+pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked]) -> Vec<&'a Ranked> {
+    let mut all: Vec<&Ranked> = ranked.iter().chain(random).filter(|one| one.is_exact && one.beyond() > 0.0 && one.is_material).collect();
     all.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate)));
     let mut ids: Vec<&str> = Vec::new();
     all.retain(|one| {
@@ -114,7 +135,7 @@ impl Model {
     /// What is believed of the first effect.
     pub fn first(&self, facts: &Facts) -> Belief {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
-        self.belief(dot(&self.something, &facts.something), facts.something[1], &facts.first, Some(odds))
+        self.belief(dot(&self.something, &facts.something), facts.best, &facts.first, Some(odds))
     }
 
     /// And of one beside it.

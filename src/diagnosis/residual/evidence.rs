@@ -19,6 +19,7 @@ use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use crate::rhythm::strongest_period_ns;
+use crate::verdict::is_material;
 use serde::{Deserialize, Serialize};
 
 /// How the method works.
@@ -124,6 +125,9 @@ pub struct Ranked {
     pub beside: Option<f64>,
     /// Median absolute residual over the threshold that it leaves.
     pub left: f64,
+    /// Is its size worth a word ([`is_material`])?
+    #[serde(default)]
+    pub is_material: bool,
 }
 
 impl Ranked {
@@ -254,6 +258,11 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
             left[1] = other.left;
         }
     }
+    let mark = |mut list: Vec<Ranked>| {
+        list.iter_mut().for_each(|one| one.is_material = is_material(case, nominal, &CANDIDATES[one.candidate], one.value));
+        list
+    };
+    let [ranked, second, random, random_second] = [ranked, second, random, random_second].map(mark);
     Ok(Evidence {
         share,
         events: table.base.len(),

@@ -1,0 +1,144 @@
+//! `diagnose/decide`: probabilities from evidence: that something differs from the stated sensor, which effect it is, whether there is a second one, or that it is in no catalogue.
+//!
+//! One small model with calibrated numbers, all of them parameters here; `photocurrent calibrate` makes them anew from made-up recordings. Evidence is cached by itself, so that another
+//! model or threshold is tried in no time.
+//!
+//! Source: docs/diagnosis.md, the moving picture. Limits: without evidence, or where what is left has no explanation, nothing is decided, and the proposals say why.
+
+use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_diagnosis::decide::model::{Model, SECOND, SOMETHING};
+use photocurrent_diagnosis::decide::{Decision, PICTURE, decide};
+use photocurrent_diagnosis::diagnose::Proposed;
+use photocurrent_diagnosis::nominal::Nominal;
+use photocurrent_diagnosis::stages::{Seen, read_evidence, write_proposals};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of `diagnose/decide`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// Something differs from this probability on.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub least: f64,
+    /// And there is a second effect from this probability on.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub least_second: f64,
+    /// Nothing is decided where events of the stated sensor on its own scene miss their thresholds by more than this share of them (median).
+    #[schemars(range(min = 0.0))]
+    pub most_control: f64,
+    /// Nor where more than this share is left with the best effect.
+    #[schemars(range(min = 0.0))]
+    pub most_left: f64,
+    /// Error of sizes that all blocks share, as a share of the departure.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub shared_error: f64,
+    /// Log odds that something differs: constant, and weights of the logarithms of the best gain with a size, of the best random one, of what is left, and of what the control leaves.
+    pub something: [f64; SOMETHING],
+    /// Log odds of a second effect: constant, and weights of the logarithms of its gain, of that over the first, and of what is left.
+    pub second: [f64; SECOND],
+    /// Logarithm of the share of the best gain by which an effect must fall short to be a factor e less probable, at a gain of 1 nat an event; and what it grows by with the logarithm of that gain.
+    pub softness: [f64; 2],
+    /// Log odds of a random effect over one with a size, at the same gain.
+    pub random: f64,
+    /// Log odds of what is in no catalogue: constant, and weights of the logarithms of the best curve's gain beside the best effect, and alone, over that effect's.
+    pub unnamed: [f64; 3],
+}
+
+impl Default for Params {
+    fn default() -> Params {
+        let Decision { model, least, least_second, most_control, most_left, shared_error } = Decision::default();
+        let Model { something, second, softness, random, unnamed } = model;
+        Params { least, least_second, most_control, most_left, shared_error, something, second, softness, random, unnamed }
+    }
+}
+
+photocurrent_core::ports! {
+    /// What the events say, and the description that they were held against.
+    pub struct In {
+        /// What residuals say of every effect, a diagnosis of kind `evidence`.
+        evidence: Arc<Diagnosis>,
+        /// The description, with what direct tests found.
+        sensor: Arc<Sensor>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// What may be missing.
+    pub struct Out {
+        /// What is proposed: a diagnosis of kind `proposals`; none where nothing is decided.
+        proposals: Arc<Diagnosis>,
+    }
+}
+
+/// The node.
+pub struct DiagnoseDecide {
+    decision: Decision,
+}
+
+impl Node for DiagnoseDecide {
+    const DECL: Decl = Decl {
+        kind: "diagnose/decide",
+        about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
+        revision: 1,
+        grain: Grain::Whole,
+        draws: false,
+        exports: false,
+        sources: &["docs/diagnosis.md, the moving picture"],
+        example: r#"
+[nodes.recording]
+kind   = "read/recording"
+params = { path = "scene.h5" }
+
+[nodes.integrity]
+kind = "diagnose/integrity"
+in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }
+
+[nodes.evidence]
+kind = "diagnose/evidence"
+in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor", integrity = "integrity.findings" }
+
+[nodes.decide]
+kind   = "diagnose/decide"
+in     = { evidence = "evidence", sensor = "integrity.sensor" }
+params = { least = 0.9 }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params) -> Result<Self, NodeError> {
+        let Params { least, least_second, most_control, most_left, shared_error, something, second, softness, random, unnamed } = params;
+        let model = Model { something, second, softness, random, unnamed };
+        Ok(DiagnoseDecide { decision: Decision { model, least, least_second, most_control, most_left, shared_error } })
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        inputs.diagnosis("evidence")?.need(DiagnosisKind::Evidence, "evidence")?;
+        inputs.sensor("sensor")?;
+        Ok(vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Proposals }))])
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let mut proposed = Proposed::default();
+        let decided = match read_evidence(&input.evidence)? {
+            Seen::NotAsked => None,
+            Seen::Nothing(why) => Some(Err(why)),
+            Seen::Evidence(found) => Some(decide(&found, &Nominal::of(&input.sensor), &self.decision)),
+        };
+        match decided {
+            None => {}
+            Some(Ok(said)) => {
+                proposed.ran.push(PICTURE.into());
+                proposed.roads.push(said);
+            }
+            Some(Err(why)) => {
+                cx.note(format!("nothing is decided: {why}"));
+                proposed.failed.push(format!("{PICTURE}: {why}"));
+            }
+        }
+        Ok(Out { proposals: Arc::new(write_proposals(&proposed)?) })
+    }
+}

@@ -1,0 +1,216 @@
+//! `diagnose/evidence`: which effects explain by how much the events of a recording miss their thresholds, on a scene that frames alone state.
+//!
+//! One moving picture is fitted to the frames; the stated sensor looks at it, and every event says by how much voltage less reference missed its threshold. Each effect of the
+//! catalogue is fitted to those residuals and judged on blocks of pixels that it was not fitted to; random effects are parts of their distribution; what no effect has is free per
+//! bin of every covariate. A control, the stated sensor on that scene with the noise that was found, goes the same way, and all gains and sizes count from there. What direct tests
+//! found is in the description before.
+//!
+//! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another (no single motion, no texture, too few frames) there is no evidence, and the
+//! document says why.
+
+use super::Amend;
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_diagnosis::diagnose::{amend, can_compare};
+use photocurrent_diagnosis::picture::PictureSetting;
+use photocurrent_diagnosis::residual::evidence::{EvidenceSetting, evidence};
+use photocurrent_diagnosis::residual::source::MovingPicture;
+use photocurrent_diagnosis::stages::{Seen, write_evidence};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Parameters of `diagnose/evidence`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// Where the scene is from.
+    pub scene: Scene,
+    /// What is taken for known.
+    pub amend: Amend,
+    /// Distance of the picture's coefficients, pixels.
+    #[schemars(range(min = 0.3, max = 4.0))]
+    pub pitch: f64,
+    /// Shortest time between knots of the picture's motion.
+    #[schemars(extend("x-min" = "1 ms", "x-max" = "1 s"))]
+    pub knot: Duration,
+    /// The picture is fitted so many times more to what it leaves.
+    #[schemars(range(max = 50))]
+    pub again: u32,
+    /// The scene is looked at this often.
+    #[schemars(extend("x-min" = "10 us", "x-max" = "10 ms"))]
+    pub step: Duration,
+    /// About so many events are looked at.
+    #[schemars(range(min = 500))]
+    pub events: u32,
+    /// Of at most so many pixels.
+    #[schemars(range(min = 20))]
+    pub pixels: u32,
+    /// Fewer events than this in places that frames predict are no evidence.
+    #[schemars(range(min = 100))]
+    pub least_events: u32,
+    /// Nor is a smaller share of all events.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub least_share: f64,
+    /// Side of the blocks that gains are held out by, pixels.
+    #[schemars(range(min = 2, max = 64))]
+    pub block: u32,
+    /// So many of the best effects are fitted exactly.
+    #[schemars(range(min = 1, max = 60))]
+    pub refined: u32,
+    /// And so many of a second effect beside the first.
+    #[schemars(range(min = 1, max = 60))]
+    pub refined_second: u32,
+    /// In so many rounds for each size.
+    #[schemars(range(min = 1, max = 20))]
+    pub rounds: u32,
+}
+
+impl Default for Params {
+    fn default() -> Params {
+        let (of, picture) = (EvidenceSetting::default(), PictureSetting::default());
+        Params {
+            scene: Scene::default(),
+            amend: Amend::default(),
+            pitch: picture.pitch,
+            knot: Duration::new(picture.knot_ns),
+            again: picture.again as u32,
+            step: Duration::new(of.step_ns),
+            events: of.events as u32,
+            pixels: of.pixels as u32,
+            least_events: of.least_events as u32,
+            least_share: of.least_share,
+            block: of.block as u32,
+            refined: of.refined as u32,
+            refined_second: of.refined_second as u32,
+            rounds: of.rounds as u32,
+        }
+    }
+}
+
+/// Where the scene is from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Scene {
+    /// A moving picture, fitted to frames alone.
+    #[default]
+    Picture,
+    /// Nowhere: nothing is looked at.
+    None,
+}
+
+photocurrent_core::ports! {
+    /// The recording, what is stated of its sensor, and what shows without a scene.
+    pub struct In {
+        /// The events.
+        events: Option<EventStream>,
+        /// The frames as captured, grey, of the events' pixels.
+        frames: Option<FrameSequence>,
+        /// The description as stated.
+        sensor: Arc<Sensor>,
+        /// What direct tests saw, a diagnosis of kind `integrity`; without it nothing is amended.
+        integrity: Option<Arc<Diagnosis>>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// What the events say.
+    pub struct Out {
+        /// What the residuals say of every effect, or why there are none: a diagnosis of kind `evidence`.
+        evidence: Arc<Diagnosis>,
+    }
+}
+
+/// The node.
+pub struct DiagnoseEvidence {
+    params: Params,
+}
+
+impl DiagnoseEvidence {
+    fn settings(&self, seed: u64) -> (PictureSetting, EvidenceSetting) {
+        let Params { scene: _, amend: _, pitch, knot, again, step, events, pixels, least_events, least_share, block, refined, refined_second, rounds } =
+            self.params.clone();
+        let picture = PictureSetting { pitch, knot_ns: knot.ns(), again: again as usize, ..PictureSetting::default() };
+        let of = EvidenceSetting {
+            step_ns: step.ns(),
+            events: events as usize,
+            pixels: pixels as usize,
+            least_events: least_events as usize,
+            least_share,
+            block: block as usize,
+            refined: refined as usize,
+            refined_second: refined_second as usize,
+            rounds: rounds as usize,
+            seed,
+            ..EvidenceSetting::default()
+        };
+        (picture, of)
+    }
+
+    fn look(&self, input: &In, cx: &Context) -> Result<Seen, NodeError> {
+        let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
+        let known = self.params.amend.of(input.integrity.as_deref())?;
+        if !can_compare(&case, &known) {
+            return Ok(Seen::Nothing("there is too little, or it is not sound enough, to estimate a scene".into()));
+        }
+        let case = amend(&case, &known)?;
+        let nominal = case.nominal()?;
+        let (picture, of) = self.settings(cx.seed());
+        let found = MovingPicture::fit(&case, &nominal, &picture).and_then(|source| evidence(&case, &nominal, &source, &of));
+        Ok(found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))))
+    }
+}
+
+impl Node for DiagnoseEvidence {
+    const DECL: Decl = Decl {
+        kind: "diagnose/evidence",
+        about: "Asks every effect of the catalogue how much it explains of what events miss their thresholds by, on a scene that frames alone state.",
+        revision: 1,
+        grain: Grain::Whole,
+        draws: true,
+        exports: false,
+        sources: &["docs/diagnosis.md, the moving picture"],
+        example: r#"
+[nodes.recording]
+kind   = "read/recording"
+params = { path = "scene.h5" }
+
+[nodes.integrity]
+kind = "diagnose/integrity"
+in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }
+
+[nodes.evidence]
+kind   = "diagnose/evidence"
+in     = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor", integrity = "integrity.findings" }
+params = { refined = 8 }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params) -> Result<Self, NodeError> {
+        Ok(DiagnoseEvidence { params })
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        super::check(inputs)?;
+        if inputs.has("integrity") {
+            inputs.diagnosis("integrity")?.need(DiagnosisKind::Integrity, "integrity")?;
+        }
+        Ok(vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Evidence }))])
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let seen = match self.params.scene {
+            Scene::None => Seen::NotAsked,
+            Scene::Picture => self.look(&input, cx)?,
+        };
+        match &seen {
+            Seen::NotAsked => {}
+            Seen::Nothing(why) => cx.note(format!("no moving picture: {why}")),
+            Seen::Evidence(found) => cx.note(format!("{} events on a moving picture, in places where {:.0} % of all are", found.events, 100.0 * found.share)),
+        }
+        Ok(Out { evidence: Arc::new(write_evidence(&seen)?) })
+    }
+}
