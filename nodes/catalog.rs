@@ -55,6 +55,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<diagnose::synthesize::DiagnoseSynthesize>(),
         Kind::of::<diagnose::residuals::DiagnoseResiduals>(),
         Kind::of::<diagnose::locate::DiagnoseLocate>(),
+        Kind::of::<diagnose::target::DiagnoseTarget>(),
         Kind::of::<diagnose::evidence::DiagnoseEvidence>(),
         Kind::of::<diagnose::decide::DiagnoseDecide>(),
         Kind::of::<diagnose::propose::DiagnosePropose>(),

@@ -5,16 +5,22 @@
 //! bin of every covariate. A control, the stated sensor on that scene with the noise that was found, goes the same way, and all gains and sizes count from there. What direct tests
 //! found is in the description before.
 //!
+//! With `light` the scene is known, and no picture is fitted: events are held against it, and frame values too, with a column of each effect of frames.
+//!
 //! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another (no single motion, no texture, too few frames) there is no evidence, and the
 //! document says why.
 
 use super::Amend;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{
+    Colour, Context, DataType, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Light, Meta, Node, NodeError, PortMetas,
+    Sensor,
+};
+use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::diagnose::{amend, can_compare};
 use photocurrent_diagnosis::picture::PictureSetting;
 use photocurrent_diagnosis::residual::evidence::{EvidenceSetting, evidence};
-use photocurrent_diagnosis::residual::source::MovingPicture;
+use photocurrent_diagnosis::residual::source::{Given, Knots, MovingPicture};
 use photocurrent_diagnosis::stages::{Seen, write_evidence};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -24,7 +30,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Where the scene is from.
+    /// Where the scene is from when no light is connected.
     pub scene: Scene,
     /// What is taken for known.
     pub amend: Amend,
@@ -52,6 +58,9 @@ pub struct Params {
     /// Nor is a smaller share of all events.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub least_share: f64,
+    /// Light that flickers by a larger share is no evidence: a picture does not flicker.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub most_flicker: f64,
     /// Side of the blocks that gains are held out by, pixels.
     #[schemars(range(min = 2, max = 64))]
     pub block: u32,
@@ -80,6 +89,7 @@ impl Default for Params {
             pixels: of.pixels as u32,
             least_events: of.least_events as u32,
             least_share: of.least_share,
+            most_flicker: 0.01,
             block: of.block as u32,
             refined: of.refined as u32,
             refined_second: of.refined_second as u32,
@@ -110,6 +120,8 @@ photocurrent_core::ports! {
         sensor: Arc<Sensor>,
         /// What direct tests saw, a diagnosis of kind `integrity`; without it nothing is amended.
         integrity: Option<Arc<Diagnosis>>,
+        /// Light that is known, of the array's pixels, grey: no picture is fitted then.
+        light: Option<Light>,
     }
 }
 
@@ -128,8 +140,23 @@ pub struct DiagnoseEvidence {
 
 impl DiagnoseEvidence {
     fn settings(&self, seed: u64) -> (PictureSetting, EvidenceSetting) {
-        let Params { scene: _, amend: _, pitch, knot, again, step, events, pixels, least_events, least_share, block, refined, refined_second, rounds } =
-            self.params.clone();
+        let Params {
+            scene: _,
+            amend: _,
+            pitch,
+            knot,
+            again,
+            step,
+            events,
+            pixels,
+            least_events,
+            least_share,
+            most_flicker: _,
+            block,
+            refined,
+            refined_second,
+            rounds,
+        } = self.params.clone();
         let picture = PictureSetting { pitch, knot_ns: knot.ns(), again: again as usize, ..PictureSetting::default() };
         let of = EvidenceSetting {
             step_ns: step.ns(),
@@ -156,15 +183,33 @@ impl DiagnoseEvidence {
         let case = amend(&case, &known)?;
         let nominal = case.nominal()?;
         let (picture, of) = self.settings(cx.seed());
+        if let Some(light) = &input.light {
+            let source = Given::new(&case, &nominal, knots(light, &case)?.into(), &picture);
+            return Ok(evidence(&case, &nominal, &source, &of).map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))));
+        }
+        if let Some(flicker) = known.scene.iter().find(|one| one.depth > self.params.most_flicker) {
+            return Ok(Seen::Nothing(format!("the light flickers at {:.0} Hz by {:.0} %", flicker.frequency_hz, 100.0 * flicker.depth)));
+        }
         let found = MovingPicture::fit(&case, &nominal, &picture).and_then(|source| evidence(&case, &nominal, &source, &of));
         Ok(found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))))
     }
 }
 
+/// The light of every pixel.
+fn knots(light: &Light, case: &Case) -> Result<Vec<Knots>, NodeError> {
+    let band = light.read(case.extent.rows())?;
+    let of = |pixel: usize| {
+        let (x, y) = case.place(pixel);
+        let series = band.pixel(x, y);
+        (series.t.to_vec(), series.photocurrent.iter().map(|i| f64::from(*i)).collect())
+    };
+    Ok((0..case.extent.pixels()).map(of).collect())
+}
+
 impl Node for DiagnoseEvidence {
     const DECL: Decl = Decl {
         kind: "diagnose/evidence",
-        about: "Asks every effect of the catalogue how much it explains of what events miss their thresholds by, on a scene that frames alone state.",
+        about: "Asks every effect of the catalogue how much it explains of what events miss their thresholds by, on a scene that frames alone state, or on known light.",
         revision: 1,
         grain: Grain::Whole,
         draws: true,
@@ -198,18 +243,23 @@ params = { refined = 8 }
         if inputs.has("integrity") {
             inputs.diagnosis("integrity")?.need(DiagnosisKind::Integrity, "integrity")?;
         }
+        if let Ok(light) = inputs.light("light") {
+            let extent = super::empty(inputs)?.extent;
+            if light.extent != extent || light.colour != Colour::Mono {
+                return Err(NodeError::usage(format!("the light is of {} pixels, {}, and the recording of {extent}, grey", light.extent, light.colour))
+                    .hint("make the light of the array's own pixels, without colours")
+                    .blames(DataType::Light));
+            }
+        }
         Ok(vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Evidence }))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let seen = match self.params.scene {
-            Scene::None => Seen::NotAsked,
-            Scene::Picture => self.look(&input, cx)?,
-        };
+        let seen = if self.params.scene == Scene::None && input.light.is_none() { Seen::NotAsked } else { self.look(&input, cx)? };
         match &seen {
             Seen::NotAsked => {}
-            Seen::Nothing(why) => cx.note(format!("no moving picture: {why}")),
-            Seen::Evidence(found) => cx.note(format!("{} events on a moving picture, in places where {:.0} % of all are", found.events, 100.0 * found.share)),
+            Seen::Nothing(why) => cx.note(format!("the scene is no evidence: {why}")),
+            Seen::Evidence(found) => cx.note(format!("{} events looked at, in places where {:.0} % of all are", found.events, 100.0 * found.share)),
         }
         Ok(Out { evidence: Arc::new(write_evidence(&seen)?) })
     }

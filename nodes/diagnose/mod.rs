@@ -13,6 +13,7 @@ pub mod propose;
 pub mod residuals;
 pub mod summaries;
 pub mod synthesize;
+pub mod target;
 
 use crate::spans::check_one_clock;
 use photocurrent_core::{DataType, Diagnosis, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};

@@ -173,7 +173,7 @@ const SAMPLED_NS: i64 = 20_000_000;
 
 impl Look {
     /// The light of a pixel's channel from one instant to another, as a share of white; times are counted from the first.
-    fn sample(&self, scene: &dyn Scene, channel: Option<usize>, (x, y): (f64, f64), start_ns: i64, end_ns: i64, white: f64) -> Vec<(i64, f64)> {
+    pub fn sample(&self, scene: &dyn Scene, channel: Option<usize>, (x, y): (f64, f64), start_ns: i64, end_ns: i64, white: f64) -> Vec<(i64, f64)> {
         let step = (LOOK_PX / scene.speed(x, y)).min(self.step.ns() as f64);
         let sampler = Sampler { end_ns: end_ns - start_ns, step_ns: step as i64, tolerance: self.tolerance, graze: self.graze };
         let still_until = |t: i64| scene.still_until(x, y, start_ns + t).saturating_sub(start_ns);

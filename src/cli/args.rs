@@ -334,6 +334,9 @@ pub struct DiagnoseOptions {
     /// The sensor description, TOML [default: the one in the recording]
     #[arg(short, long, value_name = "FILE")]
     pub sensor: Option<PathBuf>,
+    /// What the camera looked at, where that is known: a scene of `photocurrent nodes diagnose/target`, a TOML file with its parameters and with ranges of those that are to be fitted
+    #[arg(long, value_name = "FILE", conflicts_with = "direct")]
+    pub scene: Option<PathBuf>,
     /// Folder for diagnosis.json, sensor.fitted.toml and report.html [default: out/NAME of the recording]
     #[arg(short, long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,

@@ -173,6 +173,23 @@ impl MadeUp {
         libm::log(f64::max(self.low + (self.high - self.low) * shade.clamp(-0.1, 1.1), 2.0))
     }
 
+    /// Log photocurrent of every pixel at instants.
+    fn log_tracks(&self) -> Vec<(Vec<i64>, Vec<f64>)> {
+        let step_ns = 200_000;
+        let instants: Vec<i64> = (0..=self.span.1 / step_ns).map(|k| k * step_ns).collect();
+        let width = self.extent.width as usize;
+        let of = |pixel: usize| {
+            let (x, y) = ((pixel % width) as f64, (pixel / width) as f64);
+            (instants.clone(), instants.iter().map(|t| self.log_light(x, y, *t as f64 * 1e-9)).collect())
+        };
+        (0..self.extent.pixels()).into_par_iter().map(of).collect()
+    }
+
+    /// The light of every pixel: instants, ns, and photocurrent.
+    pub fn light(&self) -> Vec<(Vec<i64>, Vec<f64>)> {
+        self.log_tracks().into_iter().map(|(t, log)| (t, log.iter().map(|u| libm::exp(*u)).collect())).collect()
+    }
+
     /// The recording of this scene by this sensor, with nothing beyond the description.
     ///
     /// # Errors
@@ -197,16 +214,7 @@ impl MadeUp {
             frames: Some(CaseFrames { times: frames, dn }),
             sensor: self.sensor.clone(),
         };
-        let step_ns = 200_000;
-        let instants: Vec<i64> = (0..=self.span.1 / step_ns).map(|k| k * step_ns).collect();
-        let pixels: Vec<(Vec<i64>, Vec<f64>, bool)> = (0..self.extent.pixels())
-            .into_par_iter()
-            .map(|pixel| {
-                let (x, y) = blank.place(pixel);
-                let light = instants.iter().map(|t| self.log_light(f64::from(x), f64::from(y), *t as f64 * 1e-9)).collect();
-                (instants.clone(), light, true)
-            })
-            .collect();
+        let pixels = self.log_tracks().into_iter().map(|(t, log)| (t, log, true));
         let nominal = blank.nominal().map_err(|why| why.to_string())?;
         let stated = Trial::stated(&nominal);
         let trial = trial.unwrap_or(&stated);

@@ -61,6 +61,11 @@ impl Track {
         track
     }
 
+    /// Light collected in an exposure, photocurrent times seconds; constant light beyond either end.
+    pub fn collected_in(&self, exposure: Exposure) -> f64 {
+        self.collected_until(exposure.end.0) - self.collected_until(exposure.start.0)
+    }
+
     /// Light collected from the first instant to `t_ns`, photocurrent times seconds; constant light beyond either end.
     fn collected_until(&self, t_ns: i64) -> f64 {
         let (last, after) = (self.t_ns.len() - 1, self.t_ns.partition_point(|&t| t <= t_ns));
@@ -203,7 +208,7 @@ pub fn frame_values(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>,
         let row = RowSite { y: site.y, height: site.height, frame, row_time_ns: model.row_time_ns };
         let stated = Exposure { start: Timestamp(stated.start_ns), end: Timestamp(stated.end_ns) };
         let exposed = effects.iter().fold(stated, |exposure, effect| effect.exposure(&row, exposure));
-        let collected = track.collected_until(exposed.end.0) - track.collected_until(exposed.start.0);
+        let collected = track.collected_in(exposed);
         let number = model.number;
         let reading = Reading { frame, previous_charge, gain: number.gain, black_level: number.black_level, saturation: model.saturation_dn };
         previous_charge = collected;

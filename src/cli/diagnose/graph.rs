@@ -1,13 +1,15 @@
 //! The stages of `photocurrent diagnose` as the graph that they are: `pipelines/diagnose/recording.toml` with this recording, this description and this seed in it.
 
 use crate::args::DiagnoseOptions;
+use crate::case::usage;
 use crate::common::{Failure, failed_nodes};
 use crate::file_kind::{FileKind, Reader};
 use crate::progress::Watcher;
 use crate::run::stop_on_signal;
-use photocurrent_core::Digest;
+use photocurrent_core::{Digest, Node};
 use photocurrent_diagnosis::case::Case;
 use photocurrent_engine::{End, Options, Outcome, Plan, Selection};
+use photocurrent_nodes::diagnose::target::{DiagnoseTarget, Params as TargetParams};
 use photocurrent_store::Cache;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -93,6 +95,9 @@ fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
         text += &format!("[nodes.sensor]\nkind = \"read/sensor\"\nparams = {{ path = {} }}\n", quoted(sensor)?);
         STAGES.iter().for_each(|stage| text += &format!("[nodes.{stage}.in]\nsensor = \"sensor\"\n"));
     }
+    if let Some(scene) = &options.scene {
+        text += &target(scene, if options.sensor.is_some() { "sensor" } else { "recording.sensor" })?;
+    }
     if options.direct {
         text += "[nodes.evidence.params]\nscene = \"none\"\n[nodes.propose.params]\nroads = []\n[nodes.confirm.params]\nproof = false\n";
     }
@@ -100,6 +105,40 @@ fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
         text += &format!("[nodes.propose.params]\nknowledge = {}\n", quoted(knowledge)?);
     }
     Ok(text)
+}
+
+/// The node of a known target, whose parameters stand in a file.
+fn target(path: &Path, sensor: &str) -> Result<String, Failure> {
+    let name = path.display();
+    let text = std::fs::read_to_string(path).map_err(|error| usage(format!("{name}: cannot read the scene: {error}")))?;
+    let params: toml::Table = text.parse().map_err(|why| usage(format!("{name}: this is no TOML: {why}")))?;
+    let hint = "hint: `photocurrent nodes diagnose/target` lists the parameters";
+    let known = serde_json::to_value(TargetParams::default()).map_err(|why| Failure::other(why.to_string()))?;
+    if let Some(key) = unknown(&params, &known) {
+        let line = text.lines().position(|line| line.contains(key.rsplit('.').next().unwrap_or_default())).map_or(1, |line| line + 1);
+        return Err(usage(format!("{name}:{line}: `{key}` is no parameter of a known target\n  {hint}")));
+    }
+    let parsed: TargetParams = toml::from_str(&text).map_err(|why| usage(format!("{name}: {why}\n  {hint}")))?;
+    DiagnoseTarget::build(parsed).map_err(|why| usage(format!("{name}: {why}")))?;
+    let inputs: toml::Table = [("events", "recording.events"), ("frames", "recording.frames"), ("sensor", sensor)]
+        .map(|(port, from)| (port.to_owned(), toml::Value::from(from)))
+        .into_iter()
+        .collect();
+    let node = toml::toml! { kind = "diagnose/target" };
+    let node: toml::Table = node.into_iter().chain([("in".into(), inputs.into()), ("params".into(), params.into())]).collect();
+    let light = toml::toml! { in = { light = "target.light" } };
+    let nodes: toml::Table = [("target".to_owned(), node.into()), ("evidence".to_owned(), light.into())].into_iter().collect();
+    let all: toml::Table = [("nodes".to_owned(), nodes.into())].into_iter().collect();
+    toml::to_string(&all).map_err(|why| Failure::other(format!("{name}: {why}")))
+}
+
+/// The first key of a table that is none of what is known; what is free is named by whoever writes it.
+fn unknown(table: &toml::Table, known: &serde_json::Value) -> Option<String> {
+    table.iter().find_map(|(key, value)| match (value, known.get(key)) {
+        (_, None) => Some(key.clone()),
+        (toml::Value::Table(inner), Some(known)) if key != "free" => unknown(inner, known).map(|inner| format!("{key}.{inner}")),
+        _ => None,
+    })
 }
 
 /// A path as a manifest takes it, from the root: paths in it start from where it lies.

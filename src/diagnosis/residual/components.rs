@@ -8,7 +8,7 @@
 //! the picture do not share ([`white_share`]) counts as noise of pixels.
 
 use super::Residuals;
-use super::fit::{EventNoise, NU, fit};
+use super::fit::{EventNoise, NU, Rows, fit};
 use super::source::Cell;
 use crate::candidates::CANDIDATES;
 use crate::integrity::median;
@@ -132,7 +132,9 @@ impl Ground<'_> {
     fn late(&self, noise: &EventNoise) -> Option<((f64, f64), Vec<f64>)> {
         let slope = &self.events.slope_per_s;
         let column: Vec<f32> = slope.iter().map(|slope| -*slope as f32).collect();
-        let (size, left) = fit(self.residual, slope, &[&column], self.least, |_| true);
+        let rows = Rows { slope, block: &[], events: slope.len(), least: self.least };
+        let (size, left) = fit(self.residual, &rows, &[&column], |_| true);
+        let left = left.of_events();
         if size[0] <= 0.0 {
             return None;
         }

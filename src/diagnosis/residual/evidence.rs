@@ -11,7 +11,6 @@
 use super::components::{Ground, Part, parts, value as part_value};
 use super::control::control;
 use super::fit::EventNoise;
-use super::gate::Gate;
 use super::open::{self, Open, OpenSetting};
 use super::source::Source;
 use super::table::{OF_PIXELS, Seen, Table, by_gain, median_share, on_top};
@@ -179,7 +178,7 @@ pub struct Evidence {
 pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &EvidenceSetting) -> Result<Evidence, String> {
     let scales = Scales::of(case, nominal);
     let least = setting.least_noise * scales.threshold;
-    let gate = Gate::new(case, source.residual(), setting.least_dn, setting.spread);
+    let gate = source.gate(case, setting.least_dn, setting.spread);
     let all = case.events.all().len();
     let counted: Vec<usize> =
         (0..case.extent.pixels()).map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count()).collect();
@@ -195,7 +194,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let pixels = spread(case, &counted, setting.events, setting.pixels);
     let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
     let light = source.light(case, setting.step_ns);
-    let mut seen = Seen { case, light, gate, pixels, more, setting, scales: &scales, least, own: Vec::new() };
+    let mut seen = Seen { case, light, gate, pixels, more, setting, scales: &scales, least, is_known: source.is_known(), own: Vec::new() };
     let stated = Trial::stated(nominal);
     let table = seen.table(&stated, None)?;
 
@@ -207,13 +206,24 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let true_light = true_scene.light(case, setting.step_ns);
     let control_case = control(case, nominal, true_scene, &true_light, &simulated, setting.block, setting.seed)?;
     let control_source = source.refit(&control_case, nominal)?;
-    let control_gate = Gate::new(&control_case, control_source.residual(), setting.least_dn, setting.spread);
+    let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
     let control_light = control_source.light(&control_case, setting.step_ns);
     let (pixels, more) = (seen.pixels.clone(), seen.more.clone());
-    let control_seen = Seen { case: &control_case, light: control_light, gate: control_gate, pixels, more, setting, scales: &scales, least, own: Vec::new() };
+    let control_seen = Seen {
+        case: &control_case,
+        light: control_light,
+        gate: control_gate,
+        pixels,
+        more,
+        setting,
+        scales: &scales,
+        least,
+        is_known: source.is_known(),
+        own: Vec::new(),
+    };
     let control_table = control_seen.table(&stated, None)?;
 
-    let swing = (0..table.base.len()).map(|k| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * table.base[k]));
+    let swing = table.residual().iter().enumerate().map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
     let frame_ns = case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
     let period_ns = strongest_period_ns(swing, case.span, frame_ns);
     let control_laws = control_seen.laws(&control_table, nominal, period_ns);
@@ -232,7 +242,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let white = seen.white(&stated, source)?;
     let (random, of_chance) = control_ground.beyond(&table, white);
     let open = laws(&seen, &table);
-    let base_median = median_share(&table.base, scales.threshold);
+    let base_median = median_share(table.residual(), scales.threshold);
     let found = |one: &&Ranked| one.is_exact && one.beyond() > 0.0;
     let first = ranked.iter().find(found).into_iter().chain(random.iter().find(found)).min_by(|a, b| by_gain(a, b)).cloned();
     let mut left = [base_median; 2];
@@ -244,10 +254,10 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         let shifted = of_chance.iter().find(|part| is_random && part.candidate == first.candidate).and_then(|part| part.left.as_ref());
         if let Some(left) = shifted {
             // Each pixel with its own size, each event with its mean delay from here on.
-            seen.own = table.base.iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
+            seen.own = table.residual().iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
         }
         let table = seen.table(&with, Some(first.candidate))?;
-        left = [median_share(&table.base, scales.threshold); 2];
+        left = [median_share(table.residual(), scales.threshold); 2];
         let beside = (!is_random).then_some((first.candidate, strength));
         second = seen.rank(&stated, &table, &control_table, beside, setting.refined_second, nominal)?;
         let white = seen.white(&with, source)?;
@@ -265,9 +275,9 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let [ranked, second, random, random_second] = [ranked, second, random, random_second].map(mark);
     Ok(Evidence {
         share,
-        events: table.base.len(),
+        events: table.residual().len(),
         median: base_median,
-        control_median: median_share(&control_table.base, scales.threshold),
+        control_median: median_share(control_table.residual(), scales.threshold),
         left,
         slope_per_s,
         white,
@@ -299,7 +309,7 @@ struct Chance<'a> {
 impl<'a> Chance<'a> {
     fn new(case: &Case, nominal: &'a Nominal, control: &Table, white: f64, slope_per_s: f64, setting: &'a EvidenceSetting, scales: &'a Scales) -> Chance<'a> {
         let least = setting.least_noise * scales.threshold;
-        let noise = EventNoise::estimate(&control.base, &control.events.slope_per_s, least);
+        let noise = EventNoise::estimate(control.residual(), &control.events.slope_per_s, least);
         let strengths = OF_PIXELS.map(|(id, parameter)| {
             Candidate::find(id, parameter).map_or(0.0, |candidate| candidate.value(1.0, scales, nominal) - candidate.value(0.0, scales, nominal))
         });
@@ -340,8 +350,7 @@ impl<'a> Chance<'a> {
 fn of_table(table: &Table, white: f64, setting: &EvidenceSetting, threshold: f64, noise: &EventNoise) -> Vec<Part> {
     let least = setting.least_noise * threshold;
     let least_spread = setting.least_spread;
-    let columns = [&table.columns[0][..], &table.columns[1][..]];
-    parts(&Ground { events: &table.events, residual: &table.base, columns, white, threshold, least, least_spread }, noise)
+    parts(&Ground { events: &table.events, residual: table.residual(), columns: table.of_pixels(), white, threshold, least, least_spread }, noise)
 }
 
 /// Pixels spread over the array, about `pixels` at most, whose events that count are about `events` in all at most.

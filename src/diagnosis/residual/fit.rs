@@ -68,6 +68,61 @@ fn log_t(z: f64) -> f64 {
     CONSTANT - 0.5 * (NU + 1.0) * libm::log1p(z * z / NU)
 }
 
+/// What stands beside residuals: events first, then frame values (of a scene that does not hang on them), each kind with a noise of its own.
+#[derive(Clone, Copy, Debug)]
+pub struct Rows<'a> {
+    /// How fast the voltage moves at events, ln/s; how bright frame values are, DN.
+    pub slope: &'a [f64],
+    /// Block of pixels; the last bit is the half that it belongs to.
+    pub block: &'a [u32],
+    /// Rows before this one are events.
+    pub events: usize,
+    /// Least noise, natural-log units.
+    pub least: f64,
+}
+
+/// Least noise of frame values, DN: that of whole numbers.
+const LEAST_DN: f64 = 0.3;
+
+/// Noise of both kinds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Noise {
+    events: EventNoise,
+    frames: EventNoise,
+}
+
+impl Noise {
+    /// Of events.
+    pub fn of_events(&self) -> EventNoise {
+        self.events
+    }
+}
+
+impl Rows<'_> {
+    /// Of chosen rows, rising, with their residuals.
+    fn noise(&self, chosen: &[usize], residual: &[f64]) -> Noise {
+        let slopes: Vec<f64> = chosen.iter().map(|&k| self.slope[k]).collect();
+        let at = chosen.partition_point(|&k| k < self.events);
+        let events = EventNoise::estimate(&residual[..at], &slopes[..at], self.least);
+        let frames = if at < chosen.len() { EventNoise::estimate(&residual[at..], &slopes[at..], LEAST_DN) } else { events };
+        Noise { events, frames }
+    }
+
+    #[inline]
+    fn sigma(&self, noise: &Noise, k: usize) -> f64 {
+        if k < self.events { noise.events.sigma(self.slope[k]) } else { noise.frames.sigma(self.slope[k]) }
+    }
+
+    fn log(&self, noise: &Noise, k: usize, residual: f64) -> f64 {
+        let sigma = self.sigma(noise, k);
+        log_t(residual / sigma) - libm::log(sigma)
+    }
+
+    fn blocks(&self) -> usize {
+        self.block.iter().copied().max().map_or(0, |last| last as usize + 1)
+    }
+}
+
 /// Columns, fitted together.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Fitted {
@@ -82,14 +137,13 @@ pub struct Fitted {
 }
 
 /// Fits columns together by iteratively reweighted least squares; gives sizes and noise.
-pub fn fit(residual: &[f64], slope: &[f64], columns: &[&[f32]], least: f64, use_event: impl Fn(usize) -> bool) -> (Vec<f64>, EventNoise) {
-    let chosen: Vec<usize> = (0..residual.len()).filter(|&k| use_event(k)).collect();
-    let slopes: Vec<f64> = chosen.iter().map(|&k| slope[k]).collect();
+pub fn fit(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl Fn(usize) -> bool) -> (Vec<f64>, Noise) {
+    let chosen: Vec<usize> = (0..residual.len()).filter(|&k| use_row(k)).collect();
     let mut sizes = vec![0.0; columns.len()];
     let left = |sizes: &[f64]| -> Vec<f64> {
         chosen.iter().map(|&k| residual[k] + columns.iter().zip(sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>()).collect()
     };
-    let mut noise = EventNoise::estimate(&left(&sizes), &slopes, least);
+    let mut noise = rows.noise(&chosen, &left(&sizes));
     if columns.is_empty() {
         return (sizes, noise);
     }
@@ -98,8 +152,8 @@ pub fn fit(residual: &[f64], slope: &[f64], columns: &[&[f32]], least: f64, use_
         let n = columns.len();
         let mut normal = nalgebra::DMatrix::<f64>::zeros(n, n);
         let mut right = nalgebra::DVector::<f64>::zeros(n);
-        for ((&k, r), slope) in chosen.iter().zip(&now).zip(&slopes) {
-            let sigma = noise.sigma(*slope);
+        for (&k, r) in chosen.iter().zip(&now) {
+            let sigma = rows.sigma(&noise, k);
             let z = r / sigma;
             let weight = (NU + 1.0) / (NU + z * z) / (sigma * sigma);
             for i in 0..n {
@@ -122,23 +176,22 @@ pub fn fit(residual: &[f64], slope: &[f64], columns: &[&[f32]], least: f64, use_
         if sizes.iter().zip(step.iter()).all(|(size, step)| step.abs() < 1e-3 * size.abs()) {
             break;
         }
-        noise = EventNoise::estimate(&left(&sizes), &slopes, least);
+        noise = rows.noise(&chosen, &left(&sizes));
     }
     (sizes, noise)
 }
 
 /// Held-out gain of residuals `left` over `before`, nats per event, and its standard error by blocks: noise is fitted to the other half of the blocks.
-pub fn gain_of(before: &[f64], left: &[f64], slope: &[f64], block: &[u32], least: f64) -> (f64, f64) {
-    let blocks = block.iter().copied().max().map_or(0, |last| last as usize + 1);
+pub fn gain_of(before: &[f64], left: &[f64], rows: &Rows<'_>) -> (f64, f64) {
+    let blocks = rows.blocks();
     let (mut gains, mut counts) = (vec![0.0; blocks], vec![0.0; blocks]);
     for half in 0..2_u32 {
-        let train = |k: usize| block[k] % 2 == half;
-        let noise = |residual: &[f64]| fit(residual, slope, &[], least, train).1;
+        let train = |k: usize| rows.block[k] % 2 == half;
+        let noise = |residual: &[f64]| fit(residual, rows, &[], train).1;
         let (with, plain) = (noise(left), noise(before));
         for k in (0..before.len()).filter(|&k| !train(k)) {
-            let log = |noise: &EventNoise, r: f64| log_t(r / noise.sigma(slope[k])) - libm::log(noise.sigma(slope[k]));
-            gains[block[k] as usize] += log(&with, left[k]) - log(&plain, before[k]);
-            counts[block[k] as usize] += 1.0;
+            gains[rows.block[k] as usize] += rows.log(&with, k, left[k]) - rows.log(&plain, k, before[k]);
+            counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
     }
     mean_of_blocks(&gains, &counts)
@@ -152,25 +205,24 @@ fn mean_of_blocks(gains: &[f64], counts: &[f64]) -> (f64, f64) {
     (gain, libm::sqrt(spread) / all)
 }
 
-/// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to; size from all events.
-pub fn heldout(residual: &[f64], slope: &[f64], column: &[&[f32]], block: &[u32], least: f64) -> Fitted {
-    let blocks = block.iter().copied().max().map_or(0, |last| last as usize + 1);
+/// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to, nats an event; size from all rows.
+pub fn heldout(residual: &[f64], rows: &Rows<'_>, column: &[&[f32]]) -> Fitted {
+    let blocks = rows.blocks();
     let mut gains = vec![0.0; blocks];
     let mut counts = vec![0.0; blocks];
     let mut halves = [Vec::new(), Vec::new()];
     for half in 0..2_u32 {
-        let train = |k: usize| block[k] % 2 == half;
-        let (sizes, noise) = fit(residual, slope, column, least, train);
-        let (_, plain) = fit(residual, slope, &[], least, train);
+        let train = |k: usize| rows.block[k] % 2 == half;
+        let (sizes, noise) = fit(residual, rows, column, train);
+        let (_, plain) = fit(residual, rows, &[], train);
         for k in (0..residual.len()).filter(|&k| !train(k)) {
             let left = residual[k] + column.iter().zip(&sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>();
-            let log = |noise: &EventNoise, r: f64| log_t(r / noise.sigma(slope[k])) - libm::log(noise.sigma(slope[k]));
-            gains[block[k] as usize] += log(&noise, left) - log(&plain, residual[k]);
-            counts[block[k] as usize] += 1.0;
+            gains[rows.block[k] as usize] += rows.log(&noise, k, left) - rows.log(&plain, k, residual[k]);
+            counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
         halves[half as usize] = sizes;
     }
-    let (size, _) = fit(residual, slope, column, least, |_| true);
+    let (size, _) = fit(residual, rows, column, |_| true);
     let (gain, gain_error) = mean_of_blocks(&gains, &counts);
     let error = halves[0].iter().zip(&halves[1]).map(|(a, b)| 0.5 * (a - b).abs()).collect();
     Fitted { size, error, gain, gain_error }

@@ -28,7 +28,7 @@ use crate::likelihood::view::Prepared;
 use crate::scene::{SceneSetting, pixel_data};
 use light::Light;
 use photocurrent_core::{Exposure, Timestamp};
-use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
+use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional, frame_values};
 use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
 use photocurrent_sensor::forward::neighbours::stand_in;
@@ -68,6 +68,17 @@ pub struct View<'a> {
     pub light: &'a Light,
     /// Pixels, rising.
     pub pixels: Vec<u32>,
+    /// Does the scene stand without the frames? Otherwise it is what they imply, and effects of frames change it.
+    pub is_known: bool,
+}
+
+/// Frame values of some pixels, in order of pixel and time.
+#[derive(Clone, Debug, Default)]
+pub struct FrameValues {
+    /// The pixel of each.
+    pub pixel: Vec<u32>,
+    /// How bright it is recorded, DN above the black level.
+    pub signal_dn: Vec<f64>,
 }
 
 impl View<'_> {
@@ -97,6 +108,42 @@ impl View<'_> {
         Ok((all, of_trials))
     }
 
+    /// The frame values of the pixels, and for each trial what it leaves of them, DN: recorded less predicted. Saturated and unknown values are left out.
+    ///
+    /// # Errors
+    /// When a trial's effects are not understood or cannot be combined.
+    pub fn frames(&self, trials: &[Trial]) -> Result<(FrameValues, Vec<Vec<f32>>), String> {
+        let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
+        let instants: Vec<i64> = (0..self.light.count).map(|k| self.light.instant(k)).collect();
+        let of_pixel = |&pixel: &u32| {
+            let (mut values, mut left) = (FrameValues::default(), vec![Vec::new(); prepared.len()]);
+            let log: Vec<f64> = self.light.log[pixel as usize].iter().map(|u| f64::from(*u)).collect();
+            if log.is_empty() {
+                return (values, left);
+            }
+            let track = Track::new(&instants, &log, self.light.step_ns);
+            let (_, frames) = pixel_data(self.case, &prepared[0].nominal, &SceneSetting::default(), pixel as usize);
+            let look = Look { site: self.case.site(pixel as usize, 0), track: &track, seen: None, events: &[], frames: &frames };
+            let counts: Vec<usize> = (0..frames.len()).filter(|&l| !frames[l].saturated).collect();
+            values.pixel = vec![pixel; counts.len()];
+            values.signal_dn = counts.iter().map(|&l| frames[l].dn - prepared[0].nominal.number.black_level).collect();
+            let mut out = Conditional::default();
+            for (left, prepared) in left.iter_mut().zip(&prepared) {
+                frame_values(&prepared.nominal, &prepared.effects, &look, &mut out);
+                left.extend(counts.iter().map(|&l| (frames[l].dn - out.dn[l]) as f32));
+            }
+            (values, left)
+        };
+        let parts: Vec<(FrameValues, Vec<Vec<f32>>)> = self.pixels.par_iter().map(of_pixel).collect();
+        let (mut all, mut of_trials) = (FrameValues::default(), vec![Vec::new(); trials.len()]);
+        for (values, left) in parts {
+            all.pixel.extend(values.pixel);
+            all.signal_dn.extend(values.signal_dn);
+            of_trials.iter_mut().zip(left).for_each(|(all, left)| all.extend(left));
+        }
+        Ok((all, of_trials))
+    }
+
     fn part(&self, pixels: &[u32], prepared: &[Prepared], keeps: &(impl Fn(usize, i64) -> bool + Sync)) -> (Residuals, Vec<Vec<f32>>) {
         let (mut all, mut of_trials) = (Residuals::default(), vec![Vec::new(); prepared.len()]);
         let mut out = Conditional::default();
@@ -114,7 +161,7 @@ impl View<'_> {
             let mut plain: Option<Track> = None;
             for (n, prepared) in prepared.iter().enumerate() {
                 let seen = prepared.kernel().map(|kernel| self.mixed(kernel, prepared, pixel, &instants));
-                let changed = through_frames(self.case, prepared, &site, &instants, &log);
+                let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, &instants, &log) };
                 let track = match changed {
                     Some((t, log)) => &Track::new(&t, &log, self.light.step_ns),
                     None => &*plain.get_or_insert_with(|| Track::new(&instants, &log, self.light.step_ns)),
@@ -161,7 +208,8 @@ impl View<'_> {
             let neighbour = if self.light.log[neighbour].is_empty() { pixel } else { neighbour };
             let log: Vec<f64> = self.light.log[neighbour].iter().map(|u| f64::from(*u)).collect();
             let site = self.case.site(neighbour, 0);
-            let log = through_frames(self.case, prepared, &site, instants, &log).map_or(log, |(_, log)| log);
+            let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, instants, &log) };
+            let log = changed.map_or(log, |(_, log)| log);
             match kernel.domain {
                 Domain::Log => sum.iter_mut().zip(&log).for_each(|(sum, u)| *sum += tap.weight * u),
                 Domain::Linear => sum.iter_mut().zip(&log).for_each(|(sum, u)| *sum += tap.weight * exp(*u)),

@@ -4,7 +4,7 @@
 //! bins would gain is taken off: that is an effect of the catalogue.
 
 use super::Residuals;
-use super::fit::{Fitted, heldout};
+use super::fit::{Fitted, Rows, heldout};
 use crate::covariates::{Covariate, Surroundings};
 use crate::law::{Law, Moved};
 use serde::{Deserialize, Serialize};
@@ -116,11 +116,11 @@ fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: 
             })
             .collect()
     };
-    let slope = &events.slope_per_s;
+    let rows = Rows { slope: &events.slope_per_s, block, events: residual.len(), least };
     let columns: Vec<Vec<f32>> = (0..count).map(|bin| column(Some(bin))).collect();
     let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
-    let all: Fitted = heldout(residual, slope, &columns, block, least);
-    let one: Fitted = heldout(residual, slope, &[&column(None)], block, least);
+    let all: Fitted = heldout(residual, &rows, &columns);
+    let one: Fitted = heldout(residual, &rows, &[&column(None)]);
     let gain = all.gain - one.gain.max(0.0);
     let value = &all.size;
     let weight = |bin: usize| of.iter().filter(|at| **at == Some(bin)).count() as f64;

@@ -1,10 +1,15 @@
 //! The scene that residuals are taken on, whoever states it: a moving picture, patches of it, a known target.
 
+use super::gate::Gate;
 use super::light::Light;
 use crate::case::Case;
+use crate::integrity::median;
 use crate::nominal::Nominal;
 use crate::picture::{Picture, PictureSetting};
+use photocurrent_sensor::conditional::{Track, at};
+use photocurrent_sensor::elementary::ln;
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// What a pixel looks at: a part of the scene and a cell of it.
 pub type Cell = (u32, i64, i64);
@@ -16,6 +21,16 @@ pub trait Source: Sync {
 
     /// Log photocurrent of every pixel at steady instants; empty where it is not known.
     fn light(&self, case: &Case, step_ns: i64) -> Light;
+
+    /// Does it stand without the recording's frames? Then effects of frames show in their values; otherwise they show in the light that frames imply.
+    fn is_known(&self) -> bool {
+        false
+    }
+
+    /// Which events count.
+    fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
+        Gate::new(case, self.residual(), least_dn, spread)
+    }
 
     /// Residual of every frame value, DN as [frame][y][x]; NaN where it took no part.
     fn residual(&self) -> &[f32];
@@ -105,5 +120,161 @@ impl Source for MovingPicture {
 
     fn misfit(&self) -> f64 {
         self.picture.report.misfit.last().copied().unwrap_or(f64::NAN)
+    }
+}
+
+/// Light that is known from elsewhere: a target whose motion the user states, a simulated scene, given tracks.
+pub struct Given {
+    light: Arc<[Knots]>,
+    residual: Vec<f32>,
+    misfit: f64,
+    noise: (f64, f64),
+}
+
+/// The light of a pixel: instants, ns, and photocurrent, linear between; empty where it is not known.
+pub type Knots = (Vec<i64>, Vec<f64>);
+
+/// Frame values in a bin of brightness.
+const BIN: usize = 64;
+
+impl Given {
+    /// Of a recording; `light` has all its pixels. Frame values count as in `setting`.
+    pub fn new(case: &Case, nominal: &Nominal, light: Arc<[Knots]>, setting: &PictureSetting) -> Given {
+        let mut given = Given { light, residual: Vec::new(), misfit: 1.0, noise: (setting.frame_dn, setting.frame_share) };
+        given.look(case, nominal);
+        given
+    }
+
+    fn look(&mut self, case: &Case, nominal: &Nominal) {
+        let (pixels, count) = (case.extent.pixels(), case.frame_count());
+        let light = self.light(case, STEP_NS);
+        let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
+        let of = |pixel: usize| -> Vec<f32> {
+            let log: Vec<f64> = light.log[pixel].iter().map(|u| f64::from(*u)).collect();
+            let Some(times) = case.frames.as_ref().map(|frames| &frames.times).filter(|_| !log.is_empty()) else { return vec![f32::NAN; count] };
+            let track = Track::new(&instants, &log, STEP_NS);
+            let row = case.place(pixel).1;
+            (0..count)
+                .map(|l| {
+                    let dn = case.dn(l, pixel);
+                    let predicted = nominal.number.of(track.collected_in(times.exposure(l, row)));
+                    if dn >= nominal.saturation_dn { f32::NAN } else { (dn - predicted) as f32 }
+                })
+                .collect()
+        };
+        let found: Vec<Vec<f32>> = (0..pixels).into_par_iter().map(of).collect();
+        self.residual = (0..count * pixels).map(|k| found[k % pixels][k / pixels]).collect();
+        // Noise is how values of like brightness differ; what they have in common is an effect.
+        let signal = |k: usize| case.dn(k / pixels, k % pixels) - f64::from(self.residual[k]) - nominal.number.black_level;
+        let mut order: Vec<usize> = (0..self.residual.len()).filter(|&k| self.residual[k].is_finite()).collect();
+        order.sort_by(|&a, &b| signal(a).total_cmp(&signal(b)).then(a.cmp(&b)));
+        let mut shares: Vec<f64> = order
+            .chunks(BIN)
+            .map(|bin| {
+                let mut left: Vec<f64> = bin.iter().map(|&k| f64::from(self.residual[k])).collect();
+                let middle = median(&mut left);
+                left.iter_mut().for_each(|r| *r = (*r - middle).abs());
+                median(&mut left) / (0.6745 * self.assumed(nominal, signal(bin[bin.len() / 2])))
+            })
+            .collect();
+        self.misfit = if shares.is_empty() { 1.0 } else { median(&mut shares) };
+    }
+
+    fn assumed(&self, nominal: &Nominal, signal: f64) -> f64 {
+        let stated = nominal.stated_frame_sigma_dn(nominal.number.black_level + signal);
+        let (dn, share) = self.noise;
+        libm::sqrt(stated * stated + dn * dn + (share * signal) * (share * signal))
+    }
+}
+
+/// Light is looked at this often for frames, ns.
+const STEP_NS: i64 = 100_000;
+
+impl Source for Given {
+    fn name(&self) -> &'static str {
+        "given"
+    }
+
+    fn light(&self, case: &Case, step_ns: i64) -> Light {
+        let mut light = Light::blank(case, step_ns);
+        let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
+        let of = |(t, photocurrent): &Knots| -> Vec<f32> {
+            if t.is_empty() {
+                return Vec::new();
+            }
+            instants.iter().map(|&at_ns| ln(f64::max(at(t, photocurrent, at_ns), f64::MIN_POSITIVE)) as f32).collect()
+        };
+        light.log = self.light.par_iter().map(of).collect();
+        light
+    }
+
+    fn is_known(&self) -> bool {
+        true
+    }
+
+    fn gate(&self, _case: &Case, _least_dn: f64, _spread: f64) -> Gate {
+        Gate::open()
+    }
+
+    fn residual(&self) -> &[f32] {
+        &self.residual
+    }
+
+    fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
+        self.misfit * self.assumed(nominal, signal)
+    }
+
+    fn cell(&self, _case: &Case, pixel: usize, _t_ns: i64, _side: f64) -> Cell {
+        (pixel as u32, 0, 0)
+    }
+
+    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String> {
+        let mut given = Given { light: self.light.clone(), residual: Vec::new(), misfit: 1.0, noise: self.noise };
+        given.look(case, nominal);
+        Ok(Box::new(given))
+    }
+
+    fn drawn(&self, _case: &Case, _nominal: &Nominal, _seed: u64) -> Result<Option<Box<dyn Source>>, String> {
+        Ok(None)
+    }
+
+    fn misfit(&self) -> f64 {
+        self.misfit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::candidates::{CANDIDATES, Scales, Trial};
+    use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
+    use crate::scenes::MadeUp;
+    use photocurrent_core::Extent;
+
+    fn seen(scene: &MadeUp, effect: Option<(&str, &str, f64)>) -> (Evidence, Option<f64>) {
+        let nominal = scene.recording().unwrap().nominal().unwrap();
+        let scales = Scales::of(&scene.recording().unwrap(), &nominal);
+        let candidate = effect.map(|(id, parameter, strength)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), strength));
+        let trial = candidate.map(|(one, strength)| Trial::with(&nominal, one, strength, &scales));
+        let case = scene.recording_through(trial.as_ref()).unwrap();
+        let source = Given::new(&case, &nominal, scene.light().into(), &PictureSetting::default());
+        let truth = candidate.map(|(one, strength)| one.value(strength, &scales, &nominal));
+        (evidence(&case, &nominal, &source, &EvidenceSetting::default()).unwrap(), truth)
+    }
+
+    #[test]
+    fn on_known_light_effects_of_events_and_of_frames_come_first_with_their_size() {
+        // A texture and discs, by their numbers.
+        for index in 1..3 {
+            let scene = MadeUp::new(3, index, Extent { width: 32, height: 24 }, 0.15);
+            for effect in [("time_constant", "alpha", 1.0), ("black_level", "black_level_dn", 1.0)] {
+                let (found, truth) = seen(&scene, Some(effect));
+                let (best, truth) = (&found.ranked[0], truth.unwrap());
+                assert_eq!(CANDIDATES[best.candidate].id, effect.0, "scene {index}: {:?}", &found.ranked[..3]);
+                assert!((best.value / truth - 1.0).abs() < 0.005, "scene {index}, {}: {} is {truth}", effect.0, best.value);
+            }
+            let (found, _) = seen(&scene, None);
+            assert!(found.ranked[0].beyond() < 0.02 && found.left[0] < 0.02, "scene {index}: {:?}", found.ranked[0]);
+        }
     }
 }

@@ -2,12 +2,12 @@
 
 use super::components::white_share;
 use super::evidence::{EvidenceSetting, Ranked};
-use super::fit::{Fitted, gain_of, heldout};
+use super::fit::{Fitted, Rows, gain_of, heldout};
 use super::gate::Gate;
 use super::light::Light;
 use super::open::{self, Open, lay};
 use super::source::{Cell, Source};
-use super::{Residuals, View};
+use super::{FrameValues, Residuals, View};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::Case;
 use crate::covariates::Surroundings;
@@ -26,6 +26,8 @@ pub(super) struct Seen<'a> {
     pub scales: &'a Scales,
     /// Least noise, natural-log units.
     pub least: f64,
+    /// Does the scene stand without the frames? Then their values are looked at as well.
+    pub is_known: bool,
     /// What each pixel's own size of a random effect takes off each residual; nothing, or of the stated sensor's events.
     pub own: Vec<f32>,
 }
@@ -35,11 +37,32 @@ pub(super) struct Table {
     /// The sensor.
     pub trial: Trial,
     pub events: Residuals,
-    pub block: Vec<u32>,
-    pub base: Vec<f64>,
+    /// Slopes of events; behind them, of a known scene, brightness of frame values.
+    slope: Vec<f64>,
+    /// Blocks, likewise.
+    block: Vec<u32>,
+    /// Residuals, likewise.
+    base: Vec<f64>,
+    least: f64,
     pub fitted: Vec<(usize, Fitted)>,
     /// Columns of the threshold's scale and of the refractory period.
-    pub columns: [Vec<f32>; 2],
+    columns: [Vec<f32>; 2],
+}
+
+impl Table {
+    fn rows(&self) -> Rows<'_> {
+        Rows { slope: &self.slope, block: &self.block, events: self.events.pixel.len(), least: self.least }
+    }
+
+    /// Residuals of the events.
+    pub fn residual(&self) -> &[f64] {
+        &self.base[..self.events.pixel.len()]
+    }
+
+    /// Columns of the events that each pixel may have a size of its own of.
+    pub fn of_pixels(&self) -> [&[f32]; 2] {
+        self.columns.each_ref().map(|column| &column[..self.events.pixel.len()])
+    }
 }
 
 /// Sizes of some effects together, and their gain over a table's residuals.
@@ -48,7 +71,7 @@ pub(super) struct Refined {
     pub error: Vec<f64>,
     pub gain: f64,
     pub gain_error: f64,
-    /// Residuals that they leave.
+    /// Residuals of events that they leave.
     pub left: Vec<f64>,
 }
 
@@ -56,18 +79,27 @@ pub(super) struct Refined {
 pub(super) const OF_PIXELS: [(&str, &str); 2] = [("threshold_scale", "fraction"), ("refractory", "refractory")];
 
 impl Seen<'_> {
-    fn evaluate(&self, trials: &[Trial]) -> Result<(Residuals, Vec<Vec<f32>>), String> {
-        let view = View { case: self.case, light: &self.light, pixels: self.pixels.clone() };
+    fn evaluate(&self, trials: &[Trial]) -> Result<(Residuals, FrameValues, Vec<Vec<f32>>), String> {
+        let view = View { case: self.case, light: &self.light, pixels: self.pixels.clone(), is_known: self.is_known };
         let (events, mut values) = view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
         for of_trial in &mut values {
             of_trial.iter_mut().zip(&self.own).for_each(|(value, own)| *value -= own);
         }
-        Ok((events, values))
+        let mut frames = FrameValues::default();
+        if self.is_known {
+            let left;
+            (frames, left) = view.frames(trials)?;
+            values.iter_mut().zip(left).for_each(|(values, left)| values.extend(left));
+        }
+        Ok((events, frames, values))
     }
 
     /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than are fitted.
     pub fn white(&self, trial: &Trial, source: &dyn Source) -> Result<f64, String> {
-        let view = View { case: self.case, light: &self.light, pixels: self.more.clone() };
+        if self.is_known {
+            return Ok(1.0);
+        }
+        let view = View { case: self.case, light: &self.light, pixels: self.more.clone(), is_known: false };
         let (events, _) = view.residuals(std::slice::from_ref(trial), |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
         let cell = |(pixel, t_ns): (&u32, &i64)| source.cell(self.case, *pixel as usize, *t_ns, self.setting.cell);
         let cells: Vec<Cell> = events.pixel.iter().zip(&events.t_ns).map(cell).collect();
@@ -80,7 +112,7 @@ impl Seen<'_> {
         let light = Box::new(|pixel: usize, t_ns: i64| self.light.at(pixel, t_ns));
         let surroundings = Surroundings::of(self.case, light, self.case.extent.pixels(), (front_end.tau_0_s, front_end.alpha_s)).with_period(period_ns);
         let laid = lay(&table.events, &surroundings, period_ns);
-        open::laws(&table.events, &table.base, &table.block, &laid, self.scales.threshold, self.least, &self.setting.open)
+        open::laws(&table.events, table.residual(), &table.block[..table.events.pixel.len()], &laid, self.scales.threshold, self.least, &self.setting.open)
     }
 
     fn block_of(&self, pixel: usize) -> u32 {
@@ -96,22 +128,18 @@ impl Seen<'_> {
         let chosen: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| !CANDIDATES[n].is_random && Some(n) != without).filter(can_be).collect();
         let mut trials = vec![trial.clone()];
         trials.extend(chosen.iter().map(|&n| on_top(trial, n, self.probe(n), self.scales)));
-        let (events, values) = self.evaluate(&trials)?;
-        let block: Vec<u32> = events.pixel.iter().map(|pixel| self.block_of(*pixel as usize)).collect();
-        let base = wide(&values[0]);
-        let fitted = chosen
-            .iter()
-            .zip(&values[1..])
-            .map(|(&n, with)| {
-                let column = self.column(n, with, &values[0]);
-                (n, heldout(&base, &events.slope_per_s, &[&column], &block, self.least))
-            })
-            .collect();
-        let columns = OF_PIXELS.map(|(id, parameter)| {
+        let (events, frames, values) = self.evaluate(&trials)?;
+        let block: Vec<u32> = events.pixel.iter().chain(&frames.pixel).map(|pixel| self.block_of(*pixel as usize)).collect();
+        let slope: Vec<f64> = events.slope_per_s.iter().chain(&frames.signal_dn).copied().collect();
+        let mut table =
+            Table { trial: trial.clone(), events, slope, block, base: wide(&values[0]), least: self.least, fitted: Vec::new(), columns: Default::default() };
+        let fitted = |(&n, with): (&usize, &Vec<f32>)| (n, heldout(&table.base, &table.rows(), &[&self.column(n, with, &values[0])]));
+        table.fitted = chosen.iter().zip(&values[1..]).map(fitted).collect();
+        table.columns = OF_PIXELS.map(|(id, parameter)| {
             let at = chosen.iter().position(|&n| CANDIDATES[n].id == id && CANDIDATES[n].parameter == parameter);
-            at.map_or_else(|| vec![0.0; base.len()], |at| self.column(chosen[at], &values[1 + at], &values[0]))
+            at.map_or_else(|| vec![0.0; table.base.len()], |at| self.column(chosen[at], &values[1 + at], &values[0]))
         });
-        Ok(Table { trial: trial.clone(), events, block, base, fitted, columns })
+        Ok(table)
     }
 
     fn probe(&self, candidate: usize) -> f64 {
@@ -146,11 +174,11 @@ impl Seen<'_> {
                 moved[i] += by;
                 trials.push(put(&moved));
             }
-            let (_, values) = self.evaluate(&trials)?;
+            let (.., values) = self.evaluate(&trials)?;
             let columns: Vec<Vec<f32>> =
                 further.iter().enumerate().map(|(n, by)| values[2 + n].iter().zip(&values[1]).map(|(a, b)| (a - b) / *by as f32).collect()).collect();
             let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
-            let step = heldout(&wide(&values[1]), &table.events.slope_per_s, &columns, &table.block, self.least);
+            let step = heldout(&wide(&values[1]), &table.rows(), &columns);
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
                 let most = 1.0 + strength[i].abs();
@@ -162,9 +190,10 @@ impl Seen<'_> {
                 break;
             }
         }
-        let (_, values) = self.evaluate(&[table.trial.clone(), put(&strength)])?;
-        let left = wide(&values[1]);
-        let (gain, gain_error) = gain_of(&table.base, &left, &table.events.slope_per_s, &table.block, self.least);
+        let (.., values) = self.evaluate(&[table.trial.clone(), put(&strength)])?;
+        let mut left = wide(&values[1]);
+        let (gain, gain_error) = gain_of(&table.base, &left, &table.rows());
+        left.truncate(table.events.pixel.len());
         Ok(Refined { strength, error, gain, gain_error, left })
     }
 
