@@ -34,10 +34,12 @@ pub struct Params {
     /// Error of sizes that all blocks share, as a share of the departure.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub shared_error: f64,
-    /// Log odds that something differs: constant, and weights of the logarithms of the best gain with a size, of the best random one, of what is left, and of what the control leaves.
+    /// Log odds that something differs: constant, and weights of the logarithms of the best gain, of what is left over what the control leaves, and of their product.
     pub something: [f64; SOMETHING],
-    /// Log odds of a second effect: constant, and weights of the logarithms of its gain, of that over the first, and of what is left.
+    /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the first's.
     pub second: [f64; SECOND],
+    /// The logarithm of a random effect's gain counts less by this: such effects gain where the scene errs.
+    pub discount: f64,
     /// Logarithm of the share of the best gain by which an effect must fall short to be a factor e less probable, at a gain of 1 nat an event; and what it grows by with the logarithm of that gain.
     pub softness: [f64; 2],
     /// Log odds of a random effect over one with a size, at the same gain.
@@ -49,8 +51,8 @@ pub struct Params {
 impl Default for Params {
     fn default() -> Params {
         let Decision { model, least, least_second, most_control, most_left, shared_error } = Decision::default();
-        let Model { something, second, softness, random, unnamed } = model;
-        Params { least, least_second, most_control, most_left, shared_error, something, second, softness, random, unnamed }
+        let Model { something, second, discount, softness, random, unnamed } = model;
+        Params { least, least_second, most_control, most_left, shared_error, something, second, discount, softness, random, unnamed }
     }
 }
 
@@ -110,8 +112,8 @@ params = { least = 0.9 }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { least, least_second, most_control, most_left, shared_error, something, second, softness, random, unnamed } = params;
-        let model = Model { something, second, softness, random, unnamed };
+        let Params { least, least_second, most_control, most_left, shared_error, something, second, discount, softness, random, unnamed } = params;
+        let model = Model { something, second, discount, softness, random, unnamed };
         Ok(DiagnoseDecide { decision: Decision { model, least, least_second, most_control, most_left, shared_error } })
     }
 

@@ -42,6 +42,9 @@ pub fn calibrate(options: &CalibrateOptions) -> Done {
     let examples: Vec<Option<Example>> = (0..options.recordings).into_par_iter().map(one).collect::<Result<_, Failure>>()?;
     let examples: Vec<Example> = examples.into_iter().flatten().collect();
     bar.finish_and_clear();
+    let lines = examples.iter().map(|one| serde_json::to_string(&one.facts_alone())).collect::<Result<Vec<String>, _>>();
+    let lines = lines.map_err(|error| Failure::other(format!("examples.jsonl cannot be written: {error}")))?;
+    write(&options.out.join("examples.jsonl"), (lines.join("\n") + "\n").as_bytes())?;
     let decision = Decision::default();
     let model = model_of(&examples.iter().collect::<Vec<&Example>>());
     let validation = validate(&examples, options.folds as usize, &decision);
@@ -52,7 +55,8 @@ pub fn calibrate(options: &CalibrateOptions) -> Done {
     let text = serde_json::to_string_pretty(&calibrated).map_err(|error| Failure::other(format!("decision.json cannot be written: {error}")))?;
     write(&options.out.join("decision.json"), text.as_bytes())?;
     if !options.quiet {
-        say!("{} recordings; the model is in {}", examples.len(), options.out.join("decision.json").display());
+        let out = options.out.display();
+        say!("{} recordings; the model is in {out}/decision.json, what it was calibrated on in {out}/examples.jsonl", examples.len());
     }
     Ok(0)
 }

@@ -63,6 +63,9 @@ fn texture(seed: u64, x: f64, y: f64) -> f64 {
     (0..4).map(|n| SHARES[n] * surface(seed.wrapping_add(n as u64), x + 31.7 * n as f64, y - 17.3 * n as f64, SIZES[n])).sum()
 }
 
+/// The sharpest edges, pixels on either side.
+const SHARPEST: f64 = 0.35;
+
 impl MadeUp {
     /// Scene number `index` of a seed, on an array of an extent, for some seconds.
     pub fn new(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
@@ -124,8 +127,8 @@ impl MadeUp {
             20_000
         };
         let contrast = between(0.8, 1.6);
-        // From edges that no picture of pixels holds to those that any does.
-        let edge = between(0.1, 0.9);
+        // Pixels are not points and lenses are not perfect: no edge is sharper than about a third of a pixel on either side.
+        let edge = f64::max(between(0.1, 0.9), SHARPEST);
         MadeUp {
             motion,
             low,

@@ -1,6 +1,6 @@
 //! Numbers of the decision's model from recordings whose truth is known, with cross-validation.
 //!
-//! The two logistic functions by Newton's method with a weak prior; softness, offset and odds of what is in no catalogue by searching each in turn. Both maximise the likelihood of
+//! The two logistic functions by Newton's method with a weak prior, at the best of some discounts of random gains; softness, offset and odds of what is in no catalogue by searching each in turn. Both maximise the likelihood of
 //! the truth. Every recording is judged by a model that did not see it.
 
 use super::Decision;
@@ -19,10 +19,11 @@ use serde::{Deserialize, Serialize};
 pub struct Example {
     /// What is wrong with it; sizes that nobody would care about are left out.
     pub truth: Truth,
-    /// What was found, so that facts can be made anew without looking at the recording again; none where the method abstained.
+    /// What was found, so that facts can be made anew without looking at the recording again; none where the method abstained, or where only facts were kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub found: Option<Evidence>,
-    /// What the model looks at.
-    #[serde(skip)]
+    /// What the model looks at; none where the method abstained.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub facts: Option<Facts>,
 }
 
@@ -31,6 +32,12 @@ impl Example {
     pub fn new(truth: Truth, found: Option<Evidence>) -> Example {
         let facts = found.as_ref().map(Facts::of);
         Example { truth, found, facts }
+    }
+
+    /// Facts alone, to four digits behind the point: what a training set keeps.
+    #[must_use]
+    pub fn facts_alone(&self) -> Example {
+        Example { truth: self.truth.clone(), found: None, facts: self.facts.as_ref().map(Facts::rounded) }
     }
 
     fn is_something(&self) -> bool {
@@ -81,15 +88,33 @@ fn newton<const N: usize>(examples: &[([f64; N], bool)]) -> [f64; N] {
     std::array::from_fn(|n| weights[n])
 }
 
+/// Discounts of random gains that are tried, a quarter apart.
+const DISCOUNTS: usize = 13;
+
+/// Log probability of what is true.
+fn log_of<const N: usize>(examples: &[([f64; N], bool)], weights: &[f64; N]) -> f64 {
+    let odds = |facts: &[f64; N]| -> f64 { facts.iter().zip(weights).map(|(a, b)| a * b).sum() };
+    examples.iter().map(|(facts, is_true)| libm::log(f64::max(logistic(if *is_true { odds(facts) } else { -odds(facts) }), 1e-12))).sum()
+}
+
 /// The model that makes the truth of these recordings most probable.
 pub fn calibrate(examples: &[&Example]) -> Model {
     let seen: Vec<(&Example, &Facts)> = examples.iter().filter_map(|one| Some((*one, one.facts.as_ref()?))).collect();
-    let something: Vec<([f64; SOMETHING], bool)> = seen.iter().map(|(one, facts)| (facts.something, one.is_something())).collect();
     // A second one is looked for where the first is right.
     let is_right = |one: &Example, facts: &Facts| facts.first.first().is_some_and(|first| one.has(&first.0));
-    let second: Vec<([f64; SECOND], bool)> =
-        seen.iter().filter(|(one, facts)| is_right(one, facts)).filter_map(|(one, facts)| Some((facts.second?, one.truth.effects.len() > 1))).collect();
-    let mut model = Model { something: newton(&something), second: newton(&second), ..Model::default() };
+    let logistics = |discount: f64| {
+        let something: Vec<([f64; SOMETHING], bool)> = seen.iter().map(|(one, facts)| (facts.something(discount), one.is_something())).collect();
+        let second: Vec<([f64; SECOND], bool)> = seen
+            .iter()
+            .filter(|(one, facts)| is_right(one, facts))
+            .filter_map(|(one, facts)| Some((facts.second(discount)?, one.truth.effects.len() > 1)))
+            .collect();
+        let (of_something, of_second) = (newton(&something), newton(&second));
+        (log_of(&something, &of_something) + log_of(&second, &of_second), Model { something: of_something, second: of_second, discount, ..Model::default() })
+    };
+    let discounts = (0..DISCOUNTS).map(|n| 0.25 * n as f64);
+    let best = discounts.map(logistics).max_by(|a, b| a.0.total_cmp(&b.0));
+    let mut model = best.map_or_else(Model::default, |(_, model)| model);
     let named: Vec<&(&Example, &Facts)> = seen.iter().filter(|(one, _)| one.is_something()).collect();
     let fit = |model: &Model| -> f64 { named.iter().map(|(one, facts)| log_of_truth(model, one, facts)).sum::<f64>() - prior(model) };
     let mut best = fit(&model);
@@ -228,13 +253,14 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::decide::model::Gains;
     use photocurrent_core::random::Random;
 
     fn facts(gain: f64, share_of_other: f64) -> Facts {
         Facts {
-            something: [1.0, libm::log(gain), -6.0, -3.0, -3.5],
-            best: libm::log(gain),
-            second: Some([1.0, libm::log(0.1 * gain), libm::log(0.1), -3.0]),
+            gains: Gains { sized: libm::log(gain), random: -6.0 },
+            over_control: 0.5,
+            beside_gains: Some(Gains { sized: libm::log(0.1 * gain), random: -6.0 }),
             first: vec![("clock_offset".into(), 1.0, false), ("second_pole".into(), share_of_other, false)],
             beside: vec![("leak_events".into(), 1.0, false)],
             open: [-3.0, -2.0],

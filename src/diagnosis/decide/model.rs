@@ -1,6 +1,6 @@
 //! The one model of the decision: from what residuals say of every hypothesis to probabilities.
 //!
-//! - That something differs: a logistic function of the best gain, of what the best hypothesis leaves and of what the control leaves.
+//! - That something differs: a logistic function of the best gain and of what the best hypothesis leaves over what the control leaves.
 //! - Which it is: gains relative to the best one, softly; random effects and what is in no catalogue with an offset of their own.
 //! - That there is a second one beside the first: a logistic function of its gain, alone and over the first one's.
 //!
@@ -18,6 +18,8 @@ pub struct Model {
     pub something: [f64; SOMETHING],
     /// Log odds of a second effect: constant, and weights of [`Facts::second`].
     pub second: [f64; SECOND],
+    /// Random effects gain where the scene errs: their gain counts less by this, in its logarithm.
+    pub discount: f64,
     /// A hypothesis whose gain is smaller than the best by a share is a factor e less probable: logarithm of that share where the best gains 1 nat an event, and what it
     /// grows by with the logarithm of the best gain. Small gains say little of which of them is right.
     pub softness: [f64; 2],
@@ -29,14 +31,21 @@ pub struct Model {
 }
 
 /// Numbers of [`Model::something`].
-pub const SOMETHING: usize = 5;
+pub const SOMETHING: usize = 4;
 /// Numbers of [`Model::second`].
-pub const SECOND: usize = 4;
+pub const SECOND: usize = 3;
 
 impl Default for Model {
     /// `photocurrent calibrate`, docs/diagnosis.md.
     fn default() -> Model {
-        Model { something: [3.0, 0.6, 0.3, 0.2, -0.1], second: [6.0, 1.5, 0.5, -0.9], softness: [-4.28, -1.93], random: 0.0, unnamed: [-1.0, 2.0, 2.0] }
+        Model {
+            something: [3.6, 0.7, -0.2, -0.4],
+            second: [1.0, 0.4, 0.4],
+            discount: 1.0,
+            softness: [-3.97, -2.26],
+            random: 0.375,
+            unnamed: [-1.0, 0.781, 2.12],
+        }
     }
 }
 
@@ -48,15 +57,34 @@ const LEAST_GAIN: f64 = 1e-3;
 /// And residuals, as shares of the threshold.
 const LEAST_LEFT: f64 = 3e-3;
 
+/// Logarithms of the best gains of one place, nats an event: of effects with a size, and of random ones.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Gains {
+    /// Of effects with a size.
+    pub sized: f64,
+    /// Of random ones.
+    pub random: f64,
+}
+
+impl Gains {
+    fn best(&self) -> f64 {
+        f64::max(self.sized, self.random)
+    }
+
+    fn discounted(&self, discount: f64) -> f64 {
+        f64::max(self.sized, self.random - discount)
+    }
+}
+
 /// What the model looks at.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Facts {
-    /// 1, logarithms of the best gain of an effect with a size, of the best gain of a random one, of what is left, and of what the control leaves.
-    pub something: [f64; SOMETHING],
-    /// Logarithm of the best gain of all.
-    pub best: f64,
-    /// 1, logarithms of the second gain, of it over the first, and of what is left; none where there is no second.
-    pub second: Option<[f64; SECOND]>,
+    /// Of the first effect.
+    pub gains: Gains,
+    /// Logarithm of what the best effect leaves over what the control leaves: the scene errs by more than its control says.
+    pub over_control: f64,
+    /// Of one beside it; none where there is none.
+    pub beside_gains: Option<Gains>,
     /// Hypotheses, best first: catalogue id, gain over the best one's, is it random.
     pub first: Vec<(String, f64, bool)>,
     /// The same beside the first.
@@ -73,31 +101,54 @@ impl Facts {
         // What a size that does not matter explains needs no other explanation.
         let small = explained_by_little(&found.ranked, &found.random);
         let beside_small = explained_by_little(&found.second, &found.random_second);
-        let gain = |list: &[&Ranked], small: f64, kind: Option<bool>| {
-            let of_kind = |one: &&&Ranked| kind.is_none_or(|is_random| CANDIDATES[one.candidate].is_random == is_random);
-            list.iter().filter(of_kind).map(|one| one.beyond() - small).fold(LEAST_GAIN, f64::max)
+        let gain = |list: &[&Ranked], small: f64, is_random: bool| {
+            let of_kind = |one: &&&Ranked| CANDIDATES[one.candidate].is_random == is_random;
+            libm::log(list.iter().filter(of_kind).map(|one| one.beyond() - small).fold(LEAST_GAIN, f64::max))
         };
-        let (best, other) = (gain(&first, small, None), gain(&second, beside_small, None));
+        let gains = |list: &[&Ranked], small: f64| Gains { sized: gain(list, small, false), random: gain(list, small, true) };
+        let of_first = gains(&first, small);
+        let best = of_first.best();
         let named = |list: &[&Ranked]| {
             let best = list.first().map_or(LEAST_GAIN, |one| one.beyond().max(LEAST_GAIN));
             list.iter().map(|one| (CANDIDATES[one.candidate].id.to_owned(), one.beyond() / best, CANDIDATES[one.candidate].is_random)).collect()
         };
-        let curve = |list: &[Open], small: f64| list.first().map_or(LEAST_GAIN, |one| (one.beyond() - small).max(LEAST_GAIN));
+        let curve = |list: &[Open], small: f64| libm::log(list.first().map_or(LEAST_GAIN, |one| (one.beyond() - small).max(LEAST_GAIN)));
         let ln_left = |left: f64| libm::log(f64::max(left, LEAST_LEFT));
         Facts {
-            something: [
-                1.0,
-                libm::log(gain(&first, small, Some(false))),
-                libm::log(gain(&first, small, Some(true))),
-                ln_left(found.left[0]),
-                ln_left(found.control_median),
-            ],
-            best: libm::log(best),
-            second: (!second.is_empty()).then(|| [1.0, libm::log(other), libm::log(other / best), ln_left(found.left[0])]),
+            gains: of_first,
+            over_control: ln_left(found.left[0]) - ln_left(found.control_median),
+            beside_gains: (!second.is_empty()).then(|| gains(&second, beside_small)),
             first: named(&first),
             beside: named(&second),
-            open: [libm::log(curve(&found.open_second, beside_small) / best), libm::log(curve(&found.open, small) / best)],
+            open: [curve(&found.open_second, beside_small) - best, curve(&found.open, small) - best],
         }
+    }
+
+    /// To four digits behind the point.
+    pub(super) fn rounded(&self) -> Facts {
+        let round = |x: f64| (x * 1e4).round() * 1e-4;
+        let gains = |of: Gains| Gains { sized: round(of.sized), random: round(of.random) };
+        let list = |of: &[(String, f64, bool)]| of.iter().map(|(id, share, is_random)| (id.clone(), round(*share), *is_random)).collect();
+        Facts {
+            gains: gains(self.gains),
+            over_control: round(self.over_control),
+            beside_gains: self.beside_gains.map(gains),
+            first: list(&self.first),
+            beside: list(&self.beside),
+            open: self.open.map(round),
+        }
+    }
+
+    /// 1, the logarithm of the best gain, what is left over the control, and both together.
+    pub fn something(&self, discount: f64) -> [f64; SOMETHING] {
+        let best = self.gains.discounted(discount);
+        [1.0, best, self.over_control, best * self.over_control]
+    }
+
+    /// 1, the logarithm of the second gain, and of that over the first; none where there is no second.
+    pub fn second(&self, discount: f64) -> Option<[f64; SECOND]> {
+        let other = self.beside_gains?.discounted(discount);
+        Some([1.0, other, other - self.gains.discounted(discount)])
     }
 }
 
@@ -135,13 +186,13 @@ impl Model {
     /// What is believed of the first effect.
     pub fn first(&self, facts: &Facts) -> Belief {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
-        self.belief(dot(&self.something, &facts.something), facts.best, &facts.first, Some(odds))
+        self.belief(dot(&self.something, &facts.something(self.discount)), facts.gains.best(), &facts.first, Some(odds))
     }
 
     /// And of one beside it.
     pub fn second(&self, facts: &Facts) -> Option<Belief> {
-        let second = facts.second.as_ref()?;
-        Some(self.belief(dot(&self.second, second), second[1], &facts.beside, None))
+        let gains = facts.beside_gains?;
+        Some(self.belief(dot(&self.second, &facts.second(self.discount)?), gains.best(), &facts.beside, None))
     }
 
     /// `ln_gain`: of the best hypothesis, nats an event.
