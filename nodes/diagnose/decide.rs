@@ -34,7 +34,7 @@ pub struct Params {
     /// Error of sizes that all blocks share, as a share of the departure.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub shared_error: f64,
-    /// Log odds that something differs: constant, and weights of the logarithms of the best gain, of what is left over what the control leaves, and of their product.
+    /// Log odds that something differs: constant, and weight of the logarithm of what the best effect gains and a second one beside it.
     pub something: [f64; SOMETHING],
     /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the first's.
     pub second: [f64; SECOND],

@@ -259,7 +259,6 @@ mod tests {
     fn facts(gain: f64, share_of_other: f64) -> Facts {
         Facts {
             gains: Gains { sized: libm::log(gain), random: -6.0 },
-            over_control: 0.5,
             beside_gains: Some(Gains { sized: libm::log(0.1 * gain), random: -6.0 }),
             first: vec![("clock_offset".into(), 1.0, false), ("second_pole".into(), share_of_other, false)],
             beside: vec![("leak_events".into(), 1.0, false)],

@@ -38,7 +38,7 @@ pub struct Decision {
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision { model: Model::default(), least: 0.8, least_second: 0.7, most_control: 0.15, most_left: 0.3, shared_error: 0.02 }
+        Decision { model: Model::default(), least: 0.85, least_second: 0.7, most_control: 0.15, most_left: 0.3, shared_error: 0.02 }
     }
 }
 

@@ -1,6 +1,6 @@
 //! The one model of the decision: from what residuals say of every hypothesis to probabilities.
 //!
-//! - That something differs: a logistic function of the best gain and of what the best hypothesis leaves over what the control leaves.
+//! - That something differs: a logistic function of what the best effect gains and a second one beside it.
 //! - Which it is: gains relative to the best one, softly; random effects and what is in no catalogue with an offset of their own.
 //! - That there is a second one beside the first: a logistic function of its gain, alone and over the first one's.
 //!
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 /// Numbers of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Model {
-    /// Log odds that something differs: constant, and weights of [`Facts::something`].
+    /// Log odds that something differs: constant, and weight of the logarithm of the best gain ([`Facts::something`]).
     pub something: [f64; SOMETHING],
     /// Log odds of a second effect: constant, and weights of [`Facts::second`].
     pub second: [f64; SECOND],
@@ -31,21 +31,14 @@ pub struct Model {
 }
 
 /// Numbers of [`Model::something`].
-pub const SOMETHING: usize = 4;
+pub const SOMETHING: usize = 2;
 /// Numbers of [`Model::second`].
 pub const SECOND: usize = 3;
 
 impl Default for Model {
     /// `photocurrent calibrate`, docs/diagnosis.md.
     fn default() -> Model {
-        Model {
-            something: [3.6, 0.7, -0.2, -0.4],
-            second: [1.0, 0.4, 0.4],
-            discount: 1.0,
-            softness: [-3.97, -2.26],
-            random: 0.375,
-            unnamed: [-1.0, 0.781, 2.12],
-        }
+        Model { something: [2.25, 0.622], second: [0.861, 0.279, 0.386], discount: 0.0, softness: [-3.69, -1.81], random: 0.317, unnamed: [-1.24, 0.574, 2.08] }
     }
 }
 
@@ -54,8 +47,6 @@ const SOFTNESS: (f64, f64) = (-5.0, 2.0);
 
 /// Gains below this are nothing, nats an event.
 const LEAST_GAIN: f64 = 1e-3;
-/// And residuals, as shares of the threshold.
-const LEAST_LEFT: f64 = 3e-3;
 
 /// Logarithms of the best gains of one place, nats an event: of effects with a size, and of random ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -81,8 +72,6 @@ impl Gains {
 pub struct Facts {
     /// Of the first effect.
     pub gains: Gains,
-    /// Logarithm of what the best effect leaves over what the control leaves: the scene errs by more than its control says.
-    pub over_control: f64,
     /// Of one beside it; none where there is none.
     pub beside_gains: Option<Gains>,
     /// Hypotheses, best first: catalogue id, gain over the best one's, is it random.
@@ -113,10 +102,8 @@ impl Facts {
             list.iter().map(|one| (CANDIDATES[one.candidate].id.to_owned(), one.beyond() / best, CANDIDATES[one.candidate].is_random)).collect()
         };
         let curve = |list: &[Open], small: f64| libm::log(list.first().map_or(LEAST_GAIN, |one| (one.beyond() - small).max(LEAST_GAIN)));
-        let ln_left = |left: f64| libm::log(f64::max(left, LEAST_LEFT));
         Facts {
             gains: of_first,
-            over_control: ln_left(found.left[0]) - ln_left(found.control_median),
             beside_gains: (!second.is_empty()).then(|| gains(&second, beside_small)),
             first: named(&first),
             beside: named(&second),
@@ -131,7 +118,6 @@ impl Facts {
         let list = |of: &[(String, f64, bool)]| of.iter().map(|(id, share, is_random)| (id.clone(), round(*share), *is_random)).collect();
         Facts {
             gains: gains(self.gains),
-            over_control: round(self.over_control),
             beside_gains: self.beside_gains.map(gains),
             first: list(&self.first),
             beside: list(&self.beside),
@@ -139,10 +125,10 @@ impl Facts {
         }
     }
 
-    /// 1, the logarithm of the best gain, what is left over the control, and both together.
+    /// 1, and the logarithm of what the best effect gains and another beside it: some only show together.
     pub fn something(&self, discount: f64) -> [f64; SOMETHING] {
-        let best = self.gains.discounted(discount);
-        [1.0, best, self.over_control, best * self.over_control]
+        let beside = self.beside_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
+        [1.0, libm::log(libm::exp(self.gains.discounted(discount)) + beside)]
     }
 
     /// 1, the logarithm of the second gain, and of that over the first; none where there is no second.
