@@ -303,3 +303,64 @@ fn knowledge_is_made_from_nothing_and_a_stopped_run_goes_on_where_it_was() {
     assert_eq!(learn("2").code, 0);
     assert_eq!(std::fs::read(bench.path("made/knowledge.bin")).expect("knowledge"), bytes);
 }
+
+#[test]
+fn a_decision_is_calibrated_from_nothing_and_a_stopped_run_goes_on_where_it_was() {
+    let bench = Bench::new();
+    let calibrate = |count: &str| bench.run(&["calibrate", "--recordings", count, "--size", "24x18", "--folds", "2", "-o", "made"]);
+    let done = calibrate("2");
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let first = bench.path("made/made-24x18-7/00000.json");
+    let before = std::fs::metadata(&first).and_then(|of| of.modified()).expect("the first recording");
+    let done = calibrate("4");
+    says(&done, 0, &["cross-validated", "decision.json", "examples.jsonl"]);
+    assert_eq!(std::fs::metadata(&first).and_then(|of| of.modified()).expect("the first recording"), before);
+    let found: Value = serde_json::from_str(&read(&bench, "made/decision.json")).expect("JSON");
+    assert_eq!(found["validation"]["recordings"], 4);
+    assert_eq!(found["model"]["something"].as_array().map(Vec::len), Some(2));
+    assert_eq!(read(&bench, "made/examples.jsonl").lines().count(), 4);
+}
+
+/// A star on a bench, recorded by a sensor that is slower than its description.
+const STAR: &str = r#"
+format = 1
+[pipeline]
+seed = 1
+[nodes.actual]
+kind   = "read/sensor"
+params = { path = "SENSORS/hybrid.toml", change = { front_end = { alpha = "24 ms" } } }
+[nodes.scene]
+kind   = "simulate/scene"
+in     = { sensor = "actual" }
+params = { scene = "siemens_disk", siemens_disk = { speed = "292 rpm" }, width = 32, height = 24, duration = "80 ms" }
+[nodes.camera]
+kind = "simulate/sensor"
+in   = { light = "scene.light", sensor = "actual" }
+[nodes.file]
+kind = "write/recording"
+in   = { events = "camera.events", frames = "camera.frames" }
+"#;
+
+#[test]
+fn on_a_known_target_a_slower_front_end_has_its_name_and_size() {
+    let bench = Bench::new();
+    let sensors = support::root().join("data/sensors").display().to_string();
+    bench.write("star.toml", &STAR.replace("SENSORS", &sensors));
+    let done = bench.run(&["run", "star.toml", "--out", "star"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let target = "scene = \"siemens_disk\"\n[free]\n\"siemens_disk.speed\" = [\"270 rpm\", \"310 rpm\"]\nilluminance = [\"200 lx\", \"400 lx\"]\n";
+    bench.write("target.toml", target);
+    let sensor = format!("{sensors}/hybrid.toml");
+    let diagnose = |target: &str| bench.run(&["diagnose", "star/file/recording.h5", "--sensor", &sensor, "--scene", target, "-o", "found"]);
+    let done = diagnose("target.toml");
+    says(&done, 0, &["siemens_disk.speed = 29", "illuminance = "]);
+    let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");
+    assert_eq!(report["effects"][0]["id"], "time_constant", "{}", report["summary"]);
+    let alpha = report["effects"][0]["parameters"]["alpha_s"]["estimate"].as_f64().unwrap_or_else(|| panic!("{}", report["effects"][0]));
+    assert!((alpha / 24e-3 - 1.0).abs() < 0.05, "{alpha}");
+    bench.write("wrong.toml", "scene = \"siemens_disk\"\nsiemens_disk = { spoke = 8 }\n");
+    says(&diagnose("wrong.toml"), 2, &["wrong.toml:2", "`siemens_disk.spoke` is no parameter", "diagnose/target"]);
+    bench.write("range.toml", "scene = \"siemens_disk\"\nfree = { start = [\"2 ms\", \"1 ms\"] }\n");
+    says(&diagnose("range.toml"), 2, &["range.toml", "the range of `start`", "same unit"]);
+    says(&diagnose("none.toml"), 2, &["none.toml", "cannot read the scene"]);
+}

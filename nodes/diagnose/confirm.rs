@@ -19,11 +19,14 @@ use std::sync::Arc;
 pub struct Params {
     /// Are held-out frames and events predicted with the stated and the fitted description? It needs an estimate of the light; without it direct tests take a second.
     pub proof: bool,
+    /// What foretells frames that were kept back worse than the description as stated, by more than this, dB, is withdrawn.
+    #[schemars(range(min = 0.0))]
+    pub most_worse_db: f64,
 }
 
 impl Default for Params {
     fn default() -> Params {
-        Params { proof: true }
+        Params { proof: true, most_worse_db: Setting::default().most_worse_db }
     }
 }
 
@@ -67,7 +70,7 @@ impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
         about: "Joins what direct tests and roads found: verdict, fitted description, proof on frames that were kept back, report.",
-        revision: 15,
+        revision: 16,
         grain: Grain::Whole,
         draws: true,
         exports: false,
@@ -115,10 +118,13 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
         let proposed = input.proposals.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
-        let setting = Setting { seed: cx.seed(), without_proof: !self.params.proof, ..Setting::default() };
+        let setting = Setting { seed: cx.seed(), without_proof: !self.params.proof, most_worse_db: self.params.most_worse_db, ..Setting::default() };
         let found = confirm(&case, &setting, read_integrity(&input.integrity)?, proposed, |_| ())?;
         let text = found.report.to_json().map_err(|why| NodeError::failed(format!("the report cannot be written as JSON: {why}")))?;
         found.failed.iter().for_each(|why| cx.note(format!("{UNFINISHED}{why}")));
+        for id in &found.withdrawn {
+            cx.note(format!("{id} is withdrawn: with it, frames that were kept back are foretold worse by more than {} dB", self.params.most_worse_db));
+        }
         cx.note(format!("{}: {}", found.report.verdict.name(), found.report.summary));
         let page = cx.wants("page").then(|| Diagnosis::of(DiagnosisKind::Page, &page(&found.report, Some(&case), Some(&found)))).transpose()?;
         Ok(Out {

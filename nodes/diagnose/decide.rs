@@ -31,6 +31,9 @@ pub struct Params {
     /// Nor where more than this share is left with the best effect.
     #[schemars(range(min = 0.0))]
     pub most_left: f64,
+    /// And silence says nothing where more than this share is left: other methods are asked then.
+    #[schemars(range(min = 0.0))]
+    pub most_silent: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub shared_error: f64,
@@ -50,9 +53,9 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Params {
-        let Decision { model, least, least_second, most_control, most_left, shared_error } = Decision::default();
+        let Decision { model, least, least_second, most_control, most_left, most_silent, shared_error } = Decision::default();
         let Model { something, second, discount, softness, random, unnamed } = model;
-        Params { least, least_second, most_control, most_left, shared_error, something, second, discount, softness, random, unnamed }
+        Params { least, least_second, most_control, most_left, most_silent, shared_error, something, second, discount, softness, random, unnamed }
     }
 }
 
@@ -112,9 +115,9 @@ params = { least = 0.9 }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { least, least_second, most_control, most_left, shared_error, something, second, discount, softness, random, unnamed } = params;
+        let Params { least, least_second, most_control, most_left, most_silent, shared_error, something, second, discount, softness, random, unnamed } = params;
         let model = Model { something, second, discount, softness, random, unnamed };
-        Ok(DiagnoseDecide { decision: Decision { model, least, least_second, most_control, most_left, shared_error } })
+        Ok(DiagnoseDecide { decision: Decision { model, least, least_second, most_control, most_left, most_silent, shared_error } })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {

@@ -77,7 +77,12 @@ fn tell(found: &Validation) {
     say!("cross-validated, {} recordings, {} of them without a scene:", found.recordings, found.abstained);
     say!("  nothing    {:4}  something claimed in {} ({:.1} %)", found.nothing.0, found.nothing.1, share(found.nothing.1, found.nothing.0));
     let (count, claimed, first, set) = found.one;
-    say!("  one        {count:4}  claimed {claimed}, first {first} ({:.0} %), in the set {set} ({:.0} %)", share(first, count), share(set, count));
+    say!(
+        "  one        {count:4}  claimed {claimed}, first {first} ({:.0} %), in the set {set} ({:.0} %), a second one named in {}",
+        share(first, count),
+        share(set, count),
+        found.surplus
+    );
     let (count, both, f1) = found.two;
     say!("  two        {count:4}  both {both} ({:.0} %), F1 {:.2}", share(both, count), f1 / f64::max(count as f64, 1.0));
     let (count, unnamed, forced) = found.other;

@@ -19,7 +19,7 @@ use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
 use serde::{Deserialize, Serialize};
 
 /// How a diagnosis is made.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Setting {
     /// Seed of everything random.
     pub seed: u64,
@@ -27,6 +27,14 @@ pub struct Setting {
     pub scene: SceneSetting,
     /// Are before and after not compared on what was held out?
     pub without_proof: bool,
+    /// What foretells kept frames worse than the description as stated, by more than this, dB, is withdrawn.
+    pub most_worse_db: f64,
+}
+
+impl Default for Setting {
+    fn default() -> Setting {
+        Setting { seed: 0, scene: SceneSetting::default(), without_proof: false, most_worse_db: 0.5 }
+    }
 }
 
 /// A test that estimates the scene: what it is called, and how it is run on a recording. The recording has what the direct tests found in its description.
@@ -60,6 +68,8 @@ pub struct Diagnosis {
     pub roads: Vec<Road>,
     /// Roads that did not get to an end, and why.
     pub failed: Vec<String>,
+    /// Ids of effects that were withdrawn, as kept frames are foretold worse with them.
+    pub withdrawn: Vec<String>,
     /// Kept frames predicted as stated, and as fitted.
     pub predictions: (Option<Prediction>, Option<Prediction>),
     /// The pixels of the predictions.
@@ -171,19 +181,29 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
         answer.verdict = Verdict::Insufficient;
         integrity.lacking.extend(failed.iter().cloned());
     }
-    let values: Vec<(usize, f64)> = answer.claims.iter().flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value))).collect();
-    let mut changed = (!values.is_empty()).then(|| fitted(&case.sensor, &nominal, &scales, &values));
-    if let Some(changed) = &mut changed {
-        answer.claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| put_beside(&mut changed.effects, finding.id, &finding.parameters));
-    }
+    let of_claims = |claims: &[Claim]| description(case, &nominal, &scales, claims);
+    let mut changed = of_claims(&answer.claims);
     tell("proof");
-    let predictions = match &sample {
-        Some(sample) => {
-            let of = |sensor: &Sensor| predict(case, sensor, sample, &setting.scene);
-            (of(&case.sensor)?, changed.as_ref().map(of).transpose()?.flatten())
-        }
-        None => (None, None),
+    let foretold = |sensor: &Sensor| sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.scene));
+    let before = foretold(&case.sensor)?;
+    let mut after = changed.as_ref().map(&foretold).transpose()?.flatten();
+    let is_worse = |after: &Option<Prediction>| {
+        before.as_ref().zip(after.as_ref()).is_some_and(|(before, after)| after.psnr_db() < before.psnr_db() - setting.most_worse_db)
     };
+    let mut withdrawn = Vec::new();
+    if is_worse(&after) {
+        for claims in fewer(&answer.claims) {
+            changed = of_claims(&claims);
+            after = changed.as_ref().map(&foretold).transpose()?.flatten();
+            if claims.iter().all(|claim| claim.finding.is_some()) || !is_worse(&after) {
+                let is_left = |claim: &&Claim| claims.iter().all(|left| left.id != claim.id);
+                withdrawn.extend(answer.claims.iter().filter(is_left).map(|claim| claim.id.to_owned()));
+                answer.keep(claims);
+                break;
+            }
+        }
+    }
+    let predictions = (before, after);
     tell("comparison");
     // Roads look for the rest beside what direct tests found; the comparison is with the description as stated.
     let as_stated = without_masked(case, &integrity);
@@ -195,7 +215,23 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     });
     let stages = std::iter::once("integrity".to_owned()).chain(ran).collect();
     let report = report(case, &nominal, setting, &integrity, &found, &answer, changed.as_ref(), &predictions, comparison.as_ref(), stages);
-    Ok(Diagnosis { report, fitted: changed, integrity, roads: found, failed, predictions, sample, comparison })
+    Ok(Diagnosis { report, fitted: changed, integrity, roads: found, failed, withdrawn, predictions, sample, comparison })
+}
+
+/// The description with claims put in; none without claims.
+fn description(case: &Case, nominal: &Nominal, scales: &Scales, claims: &[Claim]) -> Option<Sensor> {
+    let values: Vec<(usize, f64)> = claims.iter().flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value))).collect();
+    let mut changed = (!values.is_empty()).then(|| fitted(&case.sensor, nominal, scales, &values))?;
+    claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| put_beside(&mut changed.effects, finding.id, &finding.parameters));
+    Some(changed)
+}
+
+/// Claims without one of those that an estimate of the scene made, the weakest left out first; at last without all of them. What direct tests found stays.
+fn fewer(claims: &[Claim]) -> Vec<Vec<Claim>> {
+    let estimated: Vec<&str> = claims.iter().filter(|claim| claim.finding.is_none()).map(|claim| claim.id).collect();
+    let without = |ids: &[&str]| claims.iter().filter(|claim| !ids.contains(&claim.id)).cloned().collect::<Vec<Claim>>();
+    let one_less = estimated.iter().rev().filter(|_| estimated.len() > 1).map(|id| without(&[*id]));
+    one_less.chain([without(&estimated)]).collect()
 }
 
 /// The pixels in which the proof is looked for: blocks spread over the array, or all of a small one.

@@ -143,6 +143,19 @@ pub struct Answer {
     pub unexplained: Option<Unexplained>,
 }
 
+impl Answer {
+    /// The answer with these claims only.
+    pub fn keep(&mut self, claims: Vec<Claim>) {
+        self.verdict = match (&claims[..], &self.unexplained) {
+            ([], Some(_)) => Verdict::Unnamed,
+            ([], None) => Verdict::Consistent,
+            (claims, _) if claims.iter().any(|claim| !claim.also_possible.is_empty()) => Verdict::Ambiguous,
+            _ => Verdict::Named,
+        };
+        self.claims = claims;
+    }
+}
+
 /// Direct tests, as one that found something.
 pub const DIRECT: &str = "direct";
 /// A road that stands alone while the other is silent must be so far over its alarm: noise of the frames that nobody stated brings one to seven and eight.
@@ -226,14 +239,10 @@ fn decided(integrity: &Integrity, method: &Road, mut claims: Vec<Claim>) -> Answ
         claims.push(first);
     }
     claims.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let verdict = match (&claims[..], &unexplained) {
-        ([], Some(_)) => Verdict::Unnamed,
-        ([], None) => Verdict::Consistent,
-        (claims, _) if claims.iter().any(|claim| !claim.also_possible.is_empty()) => Verdict::Ambiguous,
-        _ => Verdict::Named,
-    };
-    let unexplained = unexplained.filter(|_| verdict == Verdict::Unnamed);
-    Answer { verdict, claims, unexplained }
+    let mut answer = Answer { verdict: Verdict::Consistent, claims: Vec::new(), unexplained };
+    answer.keep(claims);
+    answer.unexplained = answer.unexplained.filter(|_| answer.verdict == Verdict::Unnamed);
+    answer
 }
 
 /// The best of a method's proposals that passed, with those that are not told apart from it.

@@ -174,6 +174,8 @@ pub struct Validation {
     pub nothing: (usize, usize),
     /// With one effect: how many, something claimed, it named first, it in the set.
     pub one: (usize, usize, usize, usize),
+    /// With one effect: a second one named beside it.
+    pub surplus: usize,
     /// With two: how many, both named and nothing else, and the sum of F1.
     pub two: (usize, usize, f64),
     /// In no catalogue: how many, unnamed, named with an effect.
@@ -239,6 +241,7 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
             sums.one.1 += usize::from(claimed);
             sums.one.2 += usize::from(right);
             sums.one.3 += usize::from(set.iter().any(|id| one.has(id)));
+            sums.surplus += usize::from(second.is_some());
         }
         _ => {
             let said: Vec<&str> = first.map(|((id, ..), _)| id.as_str()).into_iter().chain(second).collect();
@@ -277,6 +280,18 @@ mod tests {
                 Example { truth, found: None, facts: Some(facts(gain, 0.7)) }
             })
             .collect()
+    }
+
+    #[test]
+    fn the_built_in_numbers_are_those_of_the_training_set() {
+        let text = include_str!("../../../data/diagnosis/examples.jsonl");
+        let examples: Vec<Example> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+        let numbers = |model: Model| -> Vec<f64> {
+            let Model { something, second, discount, softness, random, unnamed } = model;
+            [&something[..], &second, &[discount], &softness, &[random], &unnamed].concat()
+        };
+        let (found, built_in) = (numbers(calibrate(&examples.iter().collect::<Vec<&Example>>())), numbers(Model::default()));
+        found.iter().zip(&built_in).for_each(|(a, b)| assert!((a - b).abs() < 0.02 * (1.0 + b.abs()), "{found:?} are {built_in:?}"));
     }
 
     #[test]

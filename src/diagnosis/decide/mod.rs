@@ -32,13 +32,15 @@ pub struct Decision {
     pub most_control: f64,
     /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than this.
     pub most_left: f64,
+    /// And silence says nothing where more than this is left: other methods are asked then.
+    pub most_silent: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
     pub shared_error: f64,
 }
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision { model: Model::default(), least: 0.85, least_second: 0.7, most_control: 0.15, most_left: 0.3, shared_error: 0.02 }
+        Decision { model: Model::default(), least: 0.85, least_second: 0.6, most_control: 0.15, most_left: 0.3, most_silent: 0.12, shared_error: 0.02 }
     }
 }
 
@@ -56,7 +58,11 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
     if found.left[0] > decision.most_left {
         return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on this scene", found.left[0]));
     }
-    Ok(method(found, nominal, decision))
+    let said = method(found, nominal, decision);
+    if !said.alarm && found.left[0] > decision.most_silent {
+        return Err(format!("events miss their thresholds by {:.2} of them on this scene: an effect of that size would not be seen", found.left[0]));
+    }
+    Ok(said)
 }
 
 /// What was found as a method's word.
@@ -131,6 +137,16 @@ mod tests {
     fn what_gains_next_to_nothing_is_no_finding() {
         let found = Evidence { left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.004, 0.001)], ..Evidence::default() };
         assert!(!said(&found).alarm);
+    }
+
+    #[test]
+    fn silence_counts_only_where_an_effect_would_be_seen() {
+        let nominal = testing::case().nominal().unwrap();
+        let of = |left: f64, gain: f64| Evidence { left: [left; 2], ranked: vec![ranked("clock_offset", gain, 0.0)], ..Evidence::default() };
+        let decided = |left: f64, gain: f64| decide(&of(left, gain), &nominal, &Decision::default()).map(|road| road.alarm);
+        assert_eq!((decided(0.05, 0.01), decided(0.2, 2.0)), (Ok(false), Ok(true)));
+        assert!(decided(0.2, 0.01).unwrap_err().contains("would not be seen"));
+        assert!(decided(0.4, 2.0).unwrap_err().contains("no effect explains it"));
     }
 
     #[test]

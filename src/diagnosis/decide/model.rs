@@ -38,7 +38,14 @@ pub const SECOND: usize = 3;
 impl Default for Model {
     /// `photocurrent calibrate`, docs/diagnosis.md.
     fn default() -> Model {
-        Model { something: [2.25, 0.622], second: [0.861, 0.279, 0.386], discount: 0.0, softness: [-3.69, -1.81], random: 0.317, unnamed: [-1.24, 0.574, 2.08] }
+        Model {
+            something: [2.4, 0.647],
+            second: [0.506, 0.048, 0.495],
+            discount: 0.0,
+            softness: [-3.49, -1.54],
+            random: -0.0894,
+            unnamed: [-0.86, 0.554, 1.57],
+        }
     }
 }
 
@@ -113,7 +120,7 @@ impl Facts {
 
     /// To four digits behind the point.
     pub(super) fn rounded(&self) -> Facts {
-        let round = |x: f64| (x * 1e4).round() * 1e-4;
+        let round = |x: f64| (x * 1e4).round() / 1e4;
         let gains = |of: Gains| Gains { sized: round(of.sized), random: round(of.random) };
         let list = |of: &[(String, f64, bool)]| of.iter().map(|(id, share, is_random)| (id.clone(), round(*share), *is_random)).collect();
         Facts {
