@@ -180,7 +180,7 @@ mod tests {
 
     /// What a sensor with an effect records of a made-up scene, and by which variances it differs from the sensor without.
     fn found(effects: serde_json::Value) -> Vec<Component> {
-        let case = MadeUp::new(1, 4, Extent { width: 72, height: 54 }, 0.15).recording().unwrap();
+        let case = MadeUp::new(1, 4, Extent { width: 72, height: 54 }, 0.15).with_edge(0.5).recording().unwrap();
         let (nominal, sample) = (case.nominal().unwrap(), Sample::all(&case, 4));
         let light = Band::scene(&case, &Band::all(&case, &nominal, &sample));
         let described =

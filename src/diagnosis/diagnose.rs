@@ -33,7 +33,7 @@ pub struct Setting {
 
 impl Default for Setting {
     fn default() -> Setting {
-        Setting { seed: 0, scene: SceneSetting::default(), without_proof: false, most_worse_db: 0.5 }
+        Setting { seed: 0, scene: SceneSetting::default(), without_proof: false, most_worse_db: 0.05 }
     }
 }
 

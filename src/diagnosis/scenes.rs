@@ -145,6 +145,12 @@ impl MadeUp {
         }
     }
 
+    /// With edges of a width, pixels on either side.
+    #[cfg(test)]
+    pub fn with_edge(self, edge: f64) -> MadeUp {
+        MadeUp { edge, ..self }
+    }
+
     /// With frames of whole digital numbers that have shot noise of so many electrons a digital number, and read noise, DN; none of it is stated.
     #[must_use]
     pub fn with_frame_noise(self, noise: Option<(f64, f64)>) -> MadeUp {
