@@ -1,3 +1,5 @@
+//! A star is found by what is free about it, and what cannot be free is refused.
+
 use super::*;
 use crate::simulate::scene::SimulateScene;
 use crate::simulate::sensor::SimulateSensor;

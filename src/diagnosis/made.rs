@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 /// What is wrong with a recording.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Truth {
+pub struct Fault {
     /// Effects of the catalogue: id, parameter, strength.
     pub effects: Vec<(String, String, f64)>,
     /// What is in no catalogue: the covariate it depends on.
@@ -29,7 +29,7 @@ pub struct Made {
     /// The recording.
     pub case: Case,
     /// What is wrong.
-    pub truth: Truth,
+    pub truth: Fault,
 }
 
 /// Effects that show without any scene and have tests of their own ([`crate::integrity`]).
@@ -64,7 +64,7 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
     let mut random = Random::new(seed, &[index, 0x3a]);
     let noise = (random.uniform() < setting.noisy).then(|| (3.0 + 17.0 * random.uniform(), 1.0 + 2.0 * random.uniform()));
     let scene = MadeUp::new(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise);
-    let mut truth = Truth { is_noisy: noise.is_some(), ..Truth::default() };
+    let mut truth = Fault { is_noisy: noise.is_some(), ..Fault::default() };
     let plain = scene.recording()?;
     let nominal = plain.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(&plain, &nominal);
@@ -161,7 +161,7 @@ mod tests {
     #[test]
     fn a_number_makes_one_recording_and_all_kinds_are_made() {
         let setting = MadeSetting { extent: Extent { width: 24, height: 16 }, duration_s: 0.05, ..MadeSetting::default() };
-        let truths: Vec<Truth> = (0..24).filter_map(|index| Some(made(3, index, &setting).ok()?.truth)).collect();
+        let truths: Vec<Fault> = (0..24).filter_map(|index| Some(made(3, index, &setting).ok()?.truth)).collect();
         assert!(truths.len() > 20);
         assert!(truths.iter().any(|one| one.other.is_some()));
         assert!((0..3).all(|count| truths.iter().any(|one| one.other.is_none() && one.effects.len() == count)), "{truths:?}");

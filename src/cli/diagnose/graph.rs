@@ -87,28 +87,57 @@ fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
         FileKind::Recording(Reader::Format(format)) => format!("read/{}", format.id),
         _ => "read/recording".into(),
     };
+    let mut all = toml::Table::new();
+    let mut put = |path: &str, value: toml::Value| lay(&mut all, path, value);
+    put("format", 1.into());
+    put("extends", "wiring.toml".into());
+    put("pipeline.seed", (options.seed as i64).into());
+    put("nodes.recording.kind", kind.into());
+    put("nodes.recording.params.path", quoted(&options.recording)?);
     // A description knows the row time of frames that do not state it.
-    let row_time = case.sensor.frames.row_time.map(|row_time| format!(", row_time = \"{row_time}\"")).unwrap_or_default();
-    let mut text = format!("format = 1\nextends = \"wiring.toml\"\n[pipeline]\nseed = {}\n", options.seed);
-    text += &format!("[nodes.recording]\nkind = \"{kind}\"\nparams = {{ path = {}{row_time} }}\n", quoted(&options.recording)?);
+    if let Some(row_time) = case.sensor.frames.row_time {
+        put("nodes.recording.params.row_time", row_time.to_string().into());
+    }
     if let Some(sensor) = &options.sensor {
-        text += &format!("[nodes.sensor]\nkind = \"read/sensor\"\nparams = {{ path = {} }}\n", quoted(sensor)?);
-        STAGES.iter().for_each(|stage| text += &format!("[nodes.{stage}.in]\nsensor = \"sensor\"\n"));
+        put("nodes.sensor.kind", "read/sensor".into());
+        put("nodes.sensor.params.path", quoted(sensor)?);
+        STAGES.iter().for_each(|stage| put(&format!("nodes.{stage}.in.sensor"), "sensor".into()));
     }
     if let Some(scene) = &options.scene {
-        text += &target(scene, if options.sensor.is_some() { "sensor" } else { "recording.sensor" })?;
+        put("nodes.target.kind", "diagnose/target".into());
+        let sensor = if options.sensor.is_some() { "sensor" } else { "recording.sensor" };
+        [("events", "recording.events"), ("frames", "recording.frames"), ("sensor", sensor)]
+            .into_iter()
+            .for_each(|(port, from)| put(&format!("nodes.target.in.{port}"), from.into()));
+        put("nodes.target.params", target(scene)?.into());
+        put("nodes.evidence.in.light", "target.light".into());
     }
     if options.direct {
-        text += "[nodes.evidence.params]\nscene = \"none\"\n[nodes.propose.params]\nroads = []\n[nodes.confirm.params]\nproof = false\n";
+        put("nodes.evidence.params.scene", "none".into());
+        put("nodes.propose.params.roads", toml::Value::Array(Vec::new()));
+        put("nodes.confirm.params.proof", false.into());
     }
     if let Some(knowledge) = &options.knowledge {
-        text += &format!("[nodes.propose.params]\nknowledge = {}\n", quoted(knowledge)?);
+        put("nodes.propose.params.knowledge", quoted(knowledge)?);
     }
-    Ok(text)
+    toml::to_string(&all).map_err(|why| Failure::other(format!("the manifest of the diagnosis cannot be written: {why}")))
 }
 
-/// The node of a known target, whose parameters stand in a file.
-fn target(path: &Path, sensor: &str) -> Result<String, Failure> {
+/// Puts a value at a path of tables, which are made.
+fn lay(table: &mut toml::Table, path: &str, value: toml::Value) {
+    match path.split_once('.') {
+        None => drop(table.insert(path.to_owned(), value)),
+        Some((first, rest)) => {
+            let inner = table.entry(first).or_insert_with(|| toml::Table::new().into());
+            if let toml::Value::Table(inner) = inner {
+                lay(inner, rest, value);
+            }
+        }
+    }
+}
+
+/// The parameters of a known target, from its file.
+fn target(path: &Path) -> Result<toml::Table, Failure> {
     let name = path.display();
     let text = std::fs::read_to_string(path).map_err(|error| usage(format!("{name}: cannot read the scene: {error}")))?;
     let params: toml::Table = text.parse().map_err(|why| usage(format!("{name}: this is no TOML: {why}")))?;
@@ -120,16 +149,7 @@ fn target(path: &Path, sensor: &str) -> Result<String, Failure> {
     }
     let parsed: TargetParams = toml::from_str(&text).map_err(|why| usage(format!("{name}: {why}\n  {hint}")))?;
     DiagnoseTarget::build(parsed).map_err(|why| usage(format!("{name}: {why}")))?;
-    let inputs: toml::Table = [("events", "recording.events"), ("frames", "recording.frames"), ("sensor", sensor)]
-        .map(|(port, from)| (port.to_owned(), toml::Value::from(from)))
-        .into_iter()
-        .collect();
-    let node = toml::toml! { kind = "diagnose/target" };
-    let node: toml::Table = node.into_iter().chain([("in".into(), inputs.into()), ("params".into(), params.into())]).collect();
-    let light = toml::toml! { in = { light = "target.light" } };
-    let nodes: toml::Table = [("target".to_owned(), node.into()), ("evidence".to_owned(), light.into())].into_iter().collect();
-    let all: toml::Table = [("nodes".to_owned(), nodes.into())].into_iter().collect();
-    toml::to_string(&all).map_err(|why| Failure::other(format!("{name}: {why}")))
+    Ok(params)
 }
 
 /// The first key of a table that is none of what is known; what is free is named by whoever writes it.
@@ -142,10 +162,10 @@ fn unknown(table: &toml::Table, known: &serde_json::Value) -> Option<String> {
 }
 
 /// A path as a manifest takes it, from the root: paths in it start from where it lies.
-fn quoted(path: &Path) -> Result<String, Failure> {
+fn quoted(path: &Path) -> Result<toml::Value, Failure> {
     let path = whole(path)?;
     let text = path.to_str().ok_or_else(|| Failure::other(format!("{}: the path is not UTF-8, as a manifest is", path.display())))?;
-    Ok(toml::Value::from(text).to_string())
+    Ok(toml::Value::from(text))
 }
 
 fn whole(path: &Path) -> Result<PathBuf, Failure> {

@@ -6,7 +6,7 @@
 use super::Decision;
 use super::model::{Facts, Model, SECOND, SOMETHING, logistic};
 use crate::candidates::{Candidate, Scales};
-use crate::made::{Made, MadeSetting, Truth, made};
+use crate::made::{Fault, Made, MadeSetting, made};
 use crate::picture::PictureSetting;
 use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
 use crate::residual::source::MovingPicture;
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Example {
     /// What is wrong with it; sizes that nobody would care about are left out.
-    pub truth: Truth,
+    pub truth: Fault,
     /// What was found, so that facts can be made anew without looking at the recording again; none where the method abstained, or where only facts were kept.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub found: Option<Evidence>,
@@ -29,7 +29,7 @@ pub struct Example {
 
 impl Example {
     /// With facts from what was found.
-    pub fn new(truth: Truth, found: Option<Evidence>) -> Example {
+    pub fn new(truth: Fault, found: Option<Evidence>) -> Example {
         let facts = found.as_ref().map(Facts::of);
         Example { truth, found, facts }
     }
@@ -276,7 +276,7 @@ mod tests {
             .map(|_| {
                 let gain = libm::exp(-6.0 + 5.0 * random.uniform());
                 let is_something = random.uniform() < logistic(9.0 + 3.0 * libm::log(gain));
-                let truth = Truth { effects: if is_something { vec![("clock_offset".into(), "offset".into(), 1.0)] } else { Vec::new() }, ..Truth::default() };
+                let truth = Fault { effects: if is_something { vec![("clock_offset".into(), "offset".into(), 1.0)] } else { Vec::new() }, ..Fault::default() };
                 Example { truth, found: None, facts: Some(facts(gain, 0.7)) }
             })
             .collect()
@@ -321,7 +321,7 @@ mod tests {
     #[test]
     fn what_was_not_seen_judges_and_claims_are_counted_by_kind() {
         let mut examples = examples(500);
-        examples.push(Example::new(Truth::default(), None));
+        examples.push(Example::new(Fault::default(), None));
         let found = validate(&examples, 5, &Decision::default());
         assert_eq!((found.recordings, found.abstained), (501, 1));
         assert_eq!(found.nothing.0 + found.one.0, 500);

@@ -1,13 +1,13 @@
 //! The rounds of the fit: registration, then picture, motion and shading together, with noise and smoothness estimated on the way.
 
-use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivatives, map_of, pose_of};
-use super::register::{Image, Search, register};
+use super::begin::{begin_motion, images};
+use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivatives, map_of};
+use super::register::{Search, register};
 use super::shading::{self, TERMS};
 use super::spline::{Grid, ORDER, weights};
 use super::system::{LANES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp};
 use crate::case::Case;
 use crate::nominal::Nominal;
-use nalgebra::DMatrix;
 use photocurrent_core::random::Random;
 use rayon::prelude::*;
 
@@ -221,74 +221,6 @@ impl Picture {
         }
         last.map(|_| log)
     }
-}
-
-/// Log frames; what is missing or dark is the median.
-fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
-    let pixels = case.extent.pixels();
-    let (width, height) = (case.extent.width as usize, case.extent.height as usize);
-    (0..case.frame_count())
-        .map(|l| {
-            let signal = |pixel: usize| case.dn(l, pixel) - nominal.number.black_level;
-            let mut known: Vec<f64> = (0..pixels).map(signal).filter(|s| s.is_finite() && *s > 0.0).collect();
-            known.sort_by(f64::total_cmp);
-            let middle = known.get(known.len() / 2).copied().unwrap_or(1.0);
-            let value = |pixel: usize| {
-                let s = signal(pixel);
-                libm::log(f64::max(if s.is_finite() { s } else { middle }, 0.02 * middle)) as f32
-            };
-            Image { width, height, values: (0..pixels).map(value).collect() }
-        })
-        .collect()
-}
-
-/// Splines through the poses of the frames.
-fn begin_motion(case: &Case, poses: &[Map], setting: &PictureSetting) -> Motion {
-    let (width, height) = (f64::from(case.extent.width), f64::from(case.extent.height));
-    let half = 0.5 * (f64::max(width, height) - 1.0);
-    let times = &case.frames.as_ref().expect("frames are there").times;
-    let period_ns = times.mean_period_ns().map_or(setting.knot_ns, |period| period as i64);
-    let knot_ns = i64::max(setting.knot_ns, period_ns * 6 / 5);
-    let mut motion = Motion::still(case.span, knot_ns, half);
-    let knots = motion.knots.len();
-    let mut normal = DMatrix::<f64>::zeros(knots, knots);
-    let mut right = DMatrix::<f64>::zeros(knots, DEGREES);
-    let mut turned = 0.0;
-    for (l, pose) in poses.iter().enumerate() {
-        let mut target: Pose = pose_of(pose, half);
-        // Turns go on where the angle starts again.
-        let whole = std::f64::consts::TAU * half;
-        target[2] += whole * ((turned - target[2]) / whole).round();
-        turned = target[2];
-        let exposure = times.exposure(l, case.extent.height / 2);
-        let (first, weights) = motion.weights(i64::midpoint(exposure.start.0, exposure.end.0));
-        for (a, wa) in weights.iter().enumerate() {
-            for (b, wb) in weights.iter().enumerate() {
-                normal[(first + a, first + b)] += wa * wb;
-            }
-            for (d, target) in target.iter().enumerate() {
-                right[(first + a, d)] += wa * target;
-            }
-        }
-    }
-    let hold = 1e-4;
-    for k in 1..knots - 1 {
-        for (m, fm) in [(k - 1, 1.0), (k, -2.0), (k + 1, 1.0)] {
-            for (n, fn_) in [(k - 1, 1.0), (k, -2.0), (k + 1, 1.0)] {
-                normal[(m, n)] += hold * fm * fn_;
-            }
-        }
-    }
-    for k in 0..knots {
-        normal[(k, k)] += 1e-12;
-    }
-    if let Some(factor) = normal.cholesky() {
-        let found = factor.solve(&right);
-        for (k, knot) in motion.knots.iter_mut().enumerate() {
-            *knot = std::array::from_fn(|d| found[(k, d)]);
-        }
-    }
-    motion
 }
 
 /// One instant of a row's exposure.

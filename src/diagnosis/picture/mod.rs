@@ -8,12 +8,14 @@
 //! - [`register`]: how one frame lies on the next; where the fit starts.
 //! - [`shading`]: the array's own shading.
 //! - [`system`]: the sparse least-squares problem.
+//! - [`begin`]: how motion begins.
 //! - [`estimate`]: the rounds.
 //!
 //! Sources: Lucas and Kanade, IJCAI 1981; Irani and Peleg, Improving Resolution by Image Registration, CVGIP 1991; Björck, Numerical Methods for Least Squares Problems, 1996.
 //!
 //! Limits: one affine motion; a surface that is sharper than its pitch is softened.
 
+pub mod begin;
 pub mod estimate;
 pub mod motion;
 pub mod register;
