@@ -96,7 +96,8 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
 fn is_drawn(candidate: usize) -> bool {
     let one = &CANDIDATES[candidate];
     let is_shown = SHOWN.contains(&one.id) && one.parameter != "compression";
-    !is_shown && !(one.id == "row_skew" && one.is_random) && one.parameter != "reset"
+    let is_like_another = one.parameter == "reset" || (one.id == "row_skew" && one.is_random);
+    !is_shown && !is_like_another
 }
 
 /// What stamps of what is in no catalogue may depend on.

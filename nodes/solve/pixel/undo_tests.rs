@@ -72,7 +72,7 @@ fn errors(recorded: &(Vec<Event>, FrameSequence), description: &Arc<Sensor>) -> 
     let (mut square, mut count) = (0.0, 0.0);
     for (x, y) in (0..EXTENT.height).flat_map(|y| (0..EXTENT.width).map(move |x| (x, y))) {
         let track = band.pixel(x, y);
-        let log: Vec<f64> = track.photocurrent.iter().map(|i| f64::from(*i).ln()).collect();
+        let log: Vec<f64> = track.photocurrent.iter().map(|i| libm::log(f64::from(*i))).collect();
         for t in (100..1050).map(|n| n * 100_000) {
             let off = photocurrent_sensor::conditional::at(track.t, &log, t) - log_light(x, y, t);
             square += off * off;

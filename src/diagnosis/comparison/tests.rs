@@ -140,7 +140,7 @@ fn what_a_search_finds_gives_back_the_light() {
     // The true light is known here: root mean square error of the log light that the solver makes of the recording.
     let truth = testing::scene(&case);
     let error = |sensor: &Sensor| {
-        let light = Scene::estimate(&case, &case.described(&sensor).unwrap(), &Sample::all(&case, 4), &SceneSetting::default());
+        let light = Scene::estimate(&case, &case.described(sensor).unwrap(), &Sample::all(&case, 4), &SceneSetting::default());
         let squares = (0..case.extent.pixels()).flat_map(|n| (4..52).map(move |ms| (n, ms * 1_000_000))).map(|(n, t)| {
             let off = light.at(n, t) - truth.at(n, t);
             off * off

@@ -3,8 +3,8 @@
 //! A scene that frames alone state is evidence of another kind than a light that events helped to estimate: an effect cannot hide in it. So where enough events count, this method
 //! decides alone; what it does not see is not there, to the size that its own floor allows.
 //!
-//! - [`model`]: probabilities.
-//! - [`calibrate`]: where its numbers come from.
+//! - `model`: probabilities.
+//! - `calibrate`: where its numbers come from.
 
 use crate::candidates::CANDIDATES;
 use crate::nominal::Nominal;
