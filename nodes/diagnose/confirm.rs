@@ -19,7 +19,7 @@ use std::sync::Arc;
 pub struct Params {
     /// Are held-out frames and events predicted with the stated and the fitted description? It needs an estimate of the light; without it direct tests take a second.
     pub proof: bool,
-    /// What foretells frames that were kept back worse than the description as stated, by more than this, dB, is withdrawn.
+    /// What predicts held-out frames worse than the description as stated, by more than this, dB, is withdrawn.
     #[schemars(range(min = 0.0))]
     pub most_worse_db: f64,
 }
@@ -123,7 +123,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let text = found.report.to_json().map_err(|why| NodeError::failed(format!("the report cannot be written as JSON: {why}")))?;
         found.failed.iter().for_each(|why| cx.note(format!("{UNFINISHED}{why}")));
         for id in &found.withdrawn {
-            cx.note(format!("{id} is withdrawn: with it, frames that were kept back are foretold worse by more than {} dB", self.params.most_worse_db));
+            cx.note(format!("{id} is withdrawn: with it, held-out frames are predicted worse by more than {} dB", self.params.most_worse_db));
         }
         cx.note(format!("{}: {}", found.report.verdict.name(), found.report.summary));
         let page = cx.wants("page").then(|| Diagnosis::of(DiagnosisKind::Page, &page(&found.report, Some(&case), Some(&found)))).transpose()?;

@@ -27,7 +27,7 @@ pub struct Setting {
     pub scene: SceneSetting,
     /// Are before and after not compared on what was held out?
     pub without_proof: bool,
-    /// What foretells kept frames worse than the description as stated, by more than this, dB, is withdrawn.
+    /// What predicts held-out frames worse than the description as stated, by more than this, dB, is withdrawn.
     pub most_worse_db: f64,
 }
 
@@ -68,7 +68,7 @@ pub struct Diagnosis {
     pub roads: Vec<Road>,
     /// Roads that did not get to an end, and why.
     pub failed: Vec<String>,
-    /// Ids of effects that were withdrawn, as kept frames are foretold worse with them.
+    /// Ids of effects that were withdrawn, as held-out frames are predicted worse with them.
     pub withdrawn: Vec<String>,
     /// Kept frames predicted as stated, and as fitted.
     pub predictions: (Option<Prediction>, Option<Prediction>),
@@ -184,9 +184,9 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     let of_claims = |claims: &[Claim]| description(case, &nominal, &scales, claims);
     let mut changed = of_claims(&answer.claims);
     tell("proof");
-    let foretold = |sensor: &Sensor| sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.scene));
-    let before = foretold(&case.sensor)?;
-    let mut after = changed.as_ref().map(&foretold).transpose()?.flatten();
+    let predicted = |sensor: &Sensor| sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.scene));
+    let before = predicted(&case.sensor)?;
+    let mut after = changed.as_ref().map(&predicted).transpose()?.flatten();
     let is_worse = |after: &Option<Prediction>| {
         before.as_ref().zip(after.as_ref()).is_some_and(|(before, after)| after.psnr_db() < before.psnr_db() - setting.most_worse_db)
     };
@@ -194,7 +194,7 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     if is_worse(&after) {
         for claims in fewer(&answer.claims) {
             changed = of_claims(&claims);
-            after = changed.as_ref().map(&foretold).transpose()?.flatten();
+            after = changed.as_ref().map(&predicted).transpose()?.flatten();
             if claims.iter().all(|claim| claim.finding.is_some()) || !is_worse(&after) {
                 let is_left = |claim: &&Claim| claims.iter().all(|left| left.id != claim.id);
                 withdrawn.extend(answer.claims.iter().filter(is_left).map(|claim| claim.id.to_owned()));
