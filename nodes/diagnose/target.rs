@@ -255,8 +255,7 @@ impl Fit<'_> {
             let (middle, half) = (0.5 * (one.start_ns + one.end_ns) as f64, 0.5 * (one.end_ns - one.start_ns) as f64);
             let mean: f64 = INSTANTS.iter().map(|(at, share)| share * seen.reflectance(one.x, one.y, (middle + half * at) as i64)).sum();
             let signal = number.gain * white * mean * (2e-9 * half);
-            let stated = self.nominal.stated_frame_sigma_dn(number.black_level + signal);
-            let sigma = libm::sqrt(stated * stated + FRAME_NOISE.0 * FRAME_NOISE.0 + FRAME_NOISE.1 * FRAME_NOISE.1 * signal * signal);
+            let sigma = self.nominal.frame_sigma_dn(signal, FRAME_NOISE);
             (one.dn - number.black_level - signal) / sigma
         };
         Some(measured.par_iter().with_min_len(256).map(of).collect())

@@ -79,6 +79,12 @@ impl Model {
         let signal = f64::max(dn - self.number.black_level, 0.0);
         libm::sqrt(self.read_noise_dn * self.read_noise_dn + self.dn_per_electron * signal)
     }
+
+    /// The same of a value `signal` DN above black, with `dn` and a `share` of the signal that nobody stated.
+    pub fn frame_sigma_dn(&self, signal: f64, (dn, share): (f64, f64)) -> f64 {
+        let stated = self.stated_frame_sigma_dn(self.number.black_level + signal);
+        libm::sqrt(stated * stated + dn * dn + (share * signal) * (share * signal))
+    }
 }
 
 #[cfg(test)]
@@ -95,5 +101,7 @@ mod tests {
         assert!(model.pixel.threshold_off.is_nan() && model.number.gain.is_nan());
         // 0.5 DN an electron: 200 DN of light have a variance of 100.
         assert!((model.stated_frame_sigma_dn(210.0) - libm::sqrt(9.0 + 100.0)).abs() < 1e-12);
+        let signal = 210.0 - model.number.black_level;
+        assert!((model.frame_sigma_dn(signal, (4.0, 0.1)) - libm::sqrt(9.0 + 100.0 + 16.0 + 0.01 * signal * signal)).abs() < 1e-12);
     }
 }

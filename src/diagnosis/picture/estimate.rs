@@ -187,9 +187,7 @@ impl Picture {
 
     /// Standard deviation that a frame value of `signal` DN above black was believed to have.
     pub fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
-        let stated = nominal.stated_frame_sigma_dn(nominal.number.black_level + signal);
-        let (dn, share) = self.report.noise;
-        libm::sqrt(stated * stated + dn * dn + (share * signal) * (share * signal))
+        nominal.frame_sigma_dn(signal, self.report.noise)
     }
 
     /// Where on the picture a pixel looks at an instant, pixels.

@@ -174,16 +174,10 @@ impl Given {
                 let mut left: Vec<f64> = bin.iter().map(|&k| f64::from(self.residual[k])).collect();
                 let middle = median(&mut left);
                 left.iter_mut().for_each(|r| *r = (*r - middle).abs());
-                median(&mut left) / (0.6745 * self.assumed(nominal, signal(bin[bin.len() / 2])))
+                median(&mut left) / (0.6745 * nominal.frame_sigma_dn(signal(bin[bin.len() / 2]), self.noise))
             })
             .collect();
         self.misfit = if shares.is_empty() { 1.0 } else { median(&mut shares) };
-    }
-
-    fn assumed(&self, nominal: &Nominal, signal: f64) -> f64 {
-        let stated = nominal.stated_frame_sigma_dn(nominal.number.black_level + signal);
-        let (dn, share) = self.noise;
-        libm::sqrt(stated * stated + dn * dn + (share * signal) * (share * signal))
     }
 }
 
@@ -221,7 +215,7 @@ impl Source for Given {
     }
 
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
-        self.misfit * self.assumed(nominal, signal)
+        self.misfit * nominal.frame_sigma_dn(signal, self.noise)
     }
 
     fn cell(&self, _case: &Case, pixel: usize, _t_ns: i64, _side: f64) -> Cell {
