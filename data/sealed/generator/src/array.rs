@@ -5,7 +5,7 @@
 
 use crate::front_end::FrontEnd;
 use crate::law::Law;
-use crate::light::{Light, NODE, Node, cubic_integral};
+use crate::light::{Light, Node, cubic_integral};
 use crate::random::Random;
 use crate::scene::Scene;
 use crate::sensor::{Physics, Reset};
@@ -18,6 +18,8 @@ pub struct Timing {
     pub end: f64,
     /// Is the whole array reset when the recording starts? Otherwise it has been running for some time.
     pub reset_at_start: bool,
+    /// Seconds between two nodes of light.
+    pub node: f64,
     /// Steps between two nodes of light.
     pub steps: usize,
     /// Exposure of row 0, and of row r later by r x the real row time.
@@ -88,28 +90,29 @@ struct Array<'a> {
 pub fn run(scene: &Scene, physics: &Physics, width: usize, height: usize, timing: &Timing, random: &mut Random) -> (Vec<Event>, Vec<Vec<f64>>) {
     let n = width * height;
     let burn_in = if timing.reset_at_start { 4e-3 } else { 20e-3 };
-    let first = ((timing.start - burn_in) / NODE).floor() as i64;
-    let last = (timing.end / NODE).ceil() as i64;
+    let spacing = timing.node;
+    let first = ((timing.start - burn_in) / spacing).floor() as i64;
+    let last = (timing.end / spacing).ceil() as i64;
     let mut light = Light::new(scene, physics, width, height);
     let mut nodes: [Node; 4] = std::array::from_fn(|_| light.node());
     for (k, node) in nodes.iter_mut().enumerate() {
-        light.fill((first + k as i64 - 1) as f64 * NODE, node);
+        light.fill((first + k as i64 - 1) as f64 * spacing, node);
     }
     let front = FrontEnd::settled(&nodes[1], physics, width);
     let mut array = Array::new(physics, width, height, timing, front, random);
     let mut charge = vec![vec![0.0; n]; timing.exposures.len()];
     let steps = timing.steps;
-    let h = NODE / steps as f64;
+    let h = spacing / steps as f64;
     for node in first..last {
-        let begin = node as f64 * NODE;
+        let begin = node as f64 * spacing;
         collect(&mut charge, &nodes, begin, physics, timing, width);
         array.look_around(&nodes[1]);
         for k in 0..steps {
             let [from, to] = [k, k + 1].map(|k| k as f64 / steps as f64);
-            array.advance([begin + from * NODE, begin + to * NODE], |front| front.step(&nodes, from, to, h, physics));
+            array.advance([begin + from * spacing, begin + to * spacing], |front| front.step(&nodes, from, to, h, physics));
         }
         nodes.rotate_left(1);
-        light.fill((node + 3) as f64 * NODE, &mut nodes[3]);
+        light.fill((node + 3) as f64 * spacing, &mut nodes[3]);
     }
     let mut events = array.events;
     events.retain(|event| !event.lost && event.t_in >= timing.start && event.t_in <= timing.end);
@@ -121,15 +124,15 @@ fn collect(charge: &mut [Vec<f64>], nodes: &[Node; 4], begin: f64, physics: &Phy
     for (charge, [start, end]) in charge.iter_mut().zip(&timing.exposures) {
         for (row, charge) in charge.chunks_exact_mut(width).enumerate() {
             let late = row as f64 * physics.sensor.row_time;
-            let from = ((start - physics.exposure_more + late - begin) / NODE).clamp(0.0, 1.0);
-            let to = ((end + late - begin) / NODE).clamp(0.0, 1.0);
+            let from = ((start - physics.exposure_more + late - begin) / timing.node).clamp(0.0, 1.0);
+            let to = ((end + late - begin) / timing.node).clamp(0.0, 1.0);
             if to <= from {
                 continue;
             }
             let weights = cubic_integral(from, to);
             for (x, charge) in charge.iter_mut().enumerate() {
                 let p = row * width + x;
-                *charge += NODE * (0..4).map(|k| weights[k] * nodes[k].frames[p]).sum::<f64>();
+                *charge += timing.node * (0..4).map(|k| weights[k] * nodes[k].frames[p]).sum::<f64>();
             }
         }
     }
@@ -203,7 +206,7 @@ impl<'a> Array<'a> {
     fn look_around(&mut self, node: &Node) {
         match self.physics.law {
             Some(Law::GlobalRate { memory, .. } | Law::RowRate { memory, .. }) => {
-                let decay = libm::exp(-NODE / memory);
+                let decay = libm::exp(-self.timing.node / memory);
                 self.global_rate *= decay;
                 self.row_rates.iter_mut().for_each(|rate| *rate *= decay);
             }

@@ -4,20 +4,21 @@ use crate::array::Timing;
 use crate::effect::{self, Setting, whole_ns};
 use crate::frames::Numbers;
 use crate::law::Law;
-use crate::plan::Entry;
+use crate::light::NODE;
+use crate::plan::{Entry, Kind, Plan};
 use crate::random::Random;
 use crate::scene::{Family, Grid, Scene};
 use crate::sensor::{Physics, Queue, Reset, Sensor};
+use crate::star::Target;
 use serde_json::{Value, json};
-
-pub const WIDTH: usize = 72;
-pub const HEIGHT: usize = 54;
 
 /// Steps between two nodes of light, 32 us apart: 4 us each.
 pub const STEPS: usize = 8;
 
 /// A recording before it is made.
 pub struct Draft {
+    /// Columns and rows.
+    pub size: [usize; 2],
     pub nominal: Sensor,
     pub physics: Physics,
     pub scene: Scene,
@@ -28,67 +29,68 @@ pub struct Draft {
     pub random: Random,
     /// Effects, scene and circumstances for the list of answers.
     pub answer: Value,
+    /// Strength of a single effect over the least that is drawn of it.
+    pub at_limit: Option<f64>,
+    /// What states the target, where it is known.
+    pub target: Option<String>,
 }
 
-/// Draws entry `index` of the plan.
+/// What is seen.
+struct Picture {
+    scene: Scene,
+    /// Typical photocurrent.
+    light: f64,
+    /// Events that are to be expected.
+    events: f64,
+    answer: Value,
+    target: Option<Target>,
+}
+
+/// Draws recording `index` of a plan.
 ///
 /// # Errors
 /// An effect or law that does not exist.
-pub fn draw(index: usize, entry: &Entry, seed: &str) -> Result<Draft, String> {
-    let mut random = Random::named(&format!("{seed}/{index}"));
+pub fn draw(plan: Plan, index: usize, seed: &str) -> Result<Draft, String> {
+    let entry = &plan.entries()[index];
+    let mut random = Random::named(&plan.seed(seed, index));
+    let size = size(plan, &mut random);
     let mut nominal = sensor(index, entry, &mut random);
-    let (timing, exposure, rate_hz) = timing(&mut random);
+    if plan == Plan::Target {
+        noise_of_frames(&mut nominal, index.is_multiple_of(2), &mut random);
+    }
+    let (timing, exposure, rate_hz) = timing(plan, &mut random);
     let duration = timing.end - timing.start;
-
-    let name = match entry.family {
-        "" => Family::NAMES[random.below(Family::NAMES.len())],
-        name => name,
+    let picture = match plan {
+        Plan::Short | Plan::Long => moving(plan, index, entry, &nominal, &timing, size, &mut random),
+        Plan::Target => target(&nominal, &timing, size, &mut random),
     };
-    let edge = if entry.condition == "fast" { 0.5 } else { random.between(0.7, 1.3) };
-    let family = Family::draw(name, &mut random, WIDTH as f64, HEIGHT as f64, edge);
-    let light = if entry.condition == "dim" { random.log_between(2.0, 6.0) } else { random.log_between(20.0, 200.0) };
-    let contrast = match entry.condition {
-        "fast" => 0.9,
-        "wide_range" => 1.5,
-        _ => random.between(0.5, 0.95),
-    };
-    let wants_light_range =
-        entry.effects.iter().any(|id| ["dark_current", "parasitic_leak", "refractory_light", "black_level"].contains(id)) || entry.law == Some("light");
-    let contrast = if wants_light_range { contrast.max(0.85) } else { contrast };
-    // Half a threshold from trough to crest: it moves events, and does not fire the whole array by itself.
-    let depth = 0.5 * (nominal.on + nominal.off) * random.between(0.2, 0.35);
-    let flicker = (entry.condition == "flicker").then(|| [depth, if index.is_multiple_of(2) { 100.0 } else { 120.0 }, random.between(0.0, 6.0)]);
-    let mut scene = Scene { family, mean: libm::log(light), contrast, pace: 1.0, flicker };
-    let target = match entry.condition {
-        "few_events" => random.between(3e3, 6e3),
-        "still_ground" | "dim" => random.between(15e3, 25e3),
-        "fast" => random.between(30e3, 40e3),
-        _ => random.between(36e3, 46e3),
-    };
-    let threshold = 0.5 * (nominal.on + nominal.off);
-    let pace = set_pace(&mut scene, &timing, threshold, target);
+    let Picture { scene, light, events, answer: seen, target } = picture;
 
     // The brightest pixel reads 85 % of full scale (a dim scene: 12 %); the time constant is what `sensor` says at the mean light.
-    let brightest = survey(&scene, &timing, threshold).1;
+    let brightest = survey(&scene, &timing, threshold(&nominal), size).1;
     let share = if entry.condition == "dim" { 0.12 } else { 0.85 };
     nominal.gain = (share * (nominal.saturation - nominal.black) / (brightest * exposure)).round();
     let slow = if entry.condition == "dim" { random.between(500e-6, 900e-6) } else { random.between(120e-6, 250e-6) };
     nominal.alpha = whole_ns(slow * light);
+    nominal.per_lux = target.as_ref().map_or(0.0, |target| target.per_lux);
 
     let mut physics = Physics::of(nominal.clone());
     if entry.condition == "shown_queue" {
-        physics.queue = Some(Queue { service: whole_ns(0.6 * duration / target), shown: true });
+        physics.queue = Some(Queue { service: whole_ns(0.6 * duration / events), shown: true });
     }
     let setting = Setting {
         light,
         period: timing.exposures[1][0] - timing.exposures[0][0],
         readout_phase: timing.exposures[0][1],
-        height: HEIGHT,
-        rate: target / duration,
+        width: size[0],
+        height: size[1],
+        rate: events / duration,
     };
-    let mut effects = Vec::new();
+    let (mut effects, mut at_limit) = (Vec::new(), None);
     for id in entry.effects {
-        effects.push(effect::conceal(id, &mut physics, &setting, &mut random)?);
+        let concealed = effect::conceal(id, &mut physics, &setting, &mut random)?;
+        effects.push(concealed.answer);
+        at_limit = concealed.at_limit.filter(|_| entry.kind == Kind::Single);
     }
     physics.law = entry.law.map(|name| law(name, &setting, &mut random)).transpose()?;
 
@@ -103,10 +105,7 @@ pub fn draw(index: usize, entry: &Entry, seed: &str) -> Result<Draft, String> {
     let answer = json!({
         "kind": entry.kind.name(),
         "condition": entry.condition,
-        "scene": {
-            "family": name, "light_middle": light, "contrast_ln": contrast, "pace": pace, "edge_px": edge,
-            "flicker": flicker.map(|[depth, frequency, _]| json!({ "depth": depth, "frequency_hz": frequency })),
-        },
+        "scene": seen,
         "recording": {
             "start_s": timing.start, "end_s": timing.end, "array_reset_at_start": timing.reset_at_start, "frame_rate_hz": rate_hz, "exposure_s": exposure,
             "frames": timing.exposures.len(), "whole_dn": numbers == Numbers::Whole, "t_resolution_ns": resolution, "t_in": has_t_in,
@@ -116,7 +115,78 @@ pub fn draw(index: usize, entry: &Entry, seed: &str) -> Result<Draft, String> {
         "sensor_nominal": nominal.answer(),
         "sensor_actual": physics.sensor.answer(),
     });
-    Ok(Draft { nominal, physics, scene, timing, numbers, resolution, has_t_in, random, answer })
+    let target = target.map(|target| target.file(&mut random));
+    Ok(Draft { size, nominal, physics, scene, timing, numbers, resolution, has_t_in, random, answer, at_limit, target })
+}
+
+/// Columns and rows.
+fn size(plan: Plan, random: &mut Random) -> [usize; 2] {
+    match plan {
+        Plan::Short => [72, 54],
+        Plan::Long => [96, 72],
+        Plan::Target => [[64, 48], [72, 54], [80, 60], [96, 72]][random.below(4)],
+    }
+}
+
+fn threshold(nominal: &Sensor) -> f64 {
+    0.5 * (nominal.on + nominal.off)
+}
+
+/// One of the fourteen families, at a pace that gives the events that are wanted.
+fn moving(plan: Plan, index: usize, entry: &Entry, nominal: &Sensor, timing: &Timing, size: [usize; 2], random: &mut Random) -> Picture {
+    let name = match entry.family {
+        "" => Family::NAMES[random.below(Family::NAMES.len())],
+        name => name,
+    };
+    let edge = if entry.condition == "fast" { 0.5 } else { random.between(0.7, 1.3) };
+    let family = Family::draw(name, random, size[0] as f64, size[1] as f64, edge);
+    let light = if entry.condition == "dim" { random.log_between(2.0, 6.0) } else { random.log_between(20.0, 200.0) };
+    let contrast = match entry.condition {
+        "fast" => 0.9,
+        "wide_range" => 1.5,
+        _ => random.between(0.5, 0.95),
+    };
+    let wants_light_range =
+        entry.effects.iter().any(|id| ["dark_current", "parasitic_leak", "refractory_light", "black_level"].contains(id)) || entry.law == Some("light");
+    let contrast = if wants_light_range { contrast.max(0.85) } else { contrast };
+    // Half a threshold from trough to crest: it moves events, and does not fire the whole array by itself.
+    let depth = 0.5 * (nominal.on + nominal.off) * random.between(0.2, 0.35);
+    let flicker = (entry.condition == "flicker").then(|| [depth, if index.is_multiple_of(2) { 100.0 } else { 120.0 }, random.between(0.0, 6.0)]);
+    let mut scene = Scene { family, mean: libm::log(light), contrast, pace: 1.0, flicker };
+    let events = match (plan, entry.condition) {
+        (Plan::Long, _) => random.between(230e3, 330e3),
+        (_, "few_events") => random.between(3e3, 6e3),
+        (_, "still_ground" | "dim") => random.between(15e3, 25e3),
+        (_, "fast") => random.between(30e3, 40e3),
+        _ => random.between(36e3, 46e3),
+    };
+    let pace = set_pace(&mut scene, timing, threshold(nominal), events, size);
+    let answer = json!({
+        "family": name, "light_middle": light, "contrast_ln": contrast, "pace": pace, "edge_px": edge,
+        "flicker": flicker.map(|[depth, frequency, _]| json!({ "depth": depth, "frequency_hz": frequency })),
+    });
+    Picture { scene, light, events, answer, target: None }
+}
+
+/// A star that turns as fast as the events want that are to come out.
+fn target(nominal: &Sensor, timing: &Timing, size: [usize; 2], random: &mut Random) -> Picture {
+    let mut target = Target::draw(random, size);
+    let events = random.log_between(80e3, 180e3);
+    let scene_of = |target: &Target| {
+        let family = Family::Star(target.star.clone());
+        Scene { family, mean: libm::log(target.white()), contrast: 1.0, pace: 1.0, flicker: None }
+    };
+    let pace = set_pace(&mut scene_of(&target), timing, threshold(nominal), events, size);
+    target.turn(pace, random);
+    let light = target.white() * libm::sqrt(target.star.dark * target.star.bright);
+    Picture { scene: scene_of(&target), light, events, answer: target.answer(pace), target: Some(target) }
+}
+
+/// Frames with photon and read noise, which is stated, or without any.
+fn noise_of_frames(nominal: &mut Sensor, noisy: bool, random: &mut Random) {
+    nominal.states_frame_noise = noisy;
+    nominal.read_noise = if noisy { (random.between(30.0, 150.0) * nominal.saturation / 1023.0).round() / 100.0 } else { 0.0 };
+    nominal.full_well = if noisy { random.between(8e3, 3e4).round() } else { 0.0 };
 }
 
 /// The described sensor, but for its gain and `alpha`, which belong to the light.
@@ -171,33 +241,42 @@ fn sensor(index: usize, entry: &Entry, random: &mut Random) -> Sensor {
         read_noise: if noisy { (read_noise * 100.0).round() / 100.0 } else { 0.0 },
         full_well: if noisy { full_well.round() } else { 0.0 },
         states_frame_noise,
+        per_lux: 0.0,
     }
 }
 
-/// Frames of 100 to 150 Hz over 0.12 to 0.15 s; also the exposure (s) and the rate (Hz).
-fn timing(random: &mut Random) -> (Timing, f64, f64) {
+/// Frames of 100 to 150 Hz over the plan's duration; also the exposure (s) and the rate (Hz).
+fn timing(plan: Plan, random: &mut Random) -> (Timing, f64, f64) {
     let rate = random.between(100.0, 150.0).round();
     let period = whole_ns(1.0 / rate);
     let exposure = (random.between(3e-3, 5e-3) * 1e6).round() / 1e6;
     let start = 2e-3;
-    let duration = random.between(0.12, 0.15);
+    let duration = match plan {
+        Plan::Short => random.between(0.12, 0.15),
+        Plan::Long => 1.0,
+        Plan::Target => random.between(0.15, 0.3),
+    };
     let first = whole_ns(start + random.between(0.2e-3, 1.5e-3));
-    // The last row of the last frame is exposed by the end: rows take 2.2 ms at most.
-    let count = ((duration - (first - start) - exposure - 2.3e-3) / period).floor() as usize + 1;
+    // The last row of the last frame is exposed by the end: 54 rows take 2.2 ms at most, 72 rows 2.9 ms.
+    let rows = if plan == Plan::Short { 2.3e-3 } else { 3.1e-3 };
+    let count = ((duration - (first - start) - exposure - rows) / period).floor() as usize + 1;
     let exposures = (0..count).map(|l| first + l as f64 * period).map(|t| [t, t + exposure]).collect();
     let reset_at_start = random.chance(0.8);
-    (Timing { start, end: start + duration, reset_at_start, steps: STEPS, exposures }, exposure, rate)
+    // The edges of a star are sharp: four times as many nodes, and steps as long as ever.
+    let finer = if plan == Plan::Target { 4 } else { 1 };
+    (Timing { start, end: start + duration, reset_at_start, node: NODE / finer as f64, steps: STEPS / finer, exposures }, exposure, rate)
 }
 
 /// How often the light itself moves by a threshold, over all pixels, and the brightest light.
-fn survey(scene: &Scene, timing: &Timing, threshold: f64) -> (f64, f64) {
-    let grid = Grid { left: 0.0, top: 0.0, columns: WIDTH, rows: HEIGHT };
-    let (mut reference, mut now) = (vec![0.0; WIDTH * HEIGHT], vec![0.0; WIDTH * HEIGHT]);
+fn survey(scene: &Scene, timing: &Timing, threshold: f64, [width, height]: [usize; 2]) -> (f64, f64) {
+    let grid = Grid { left: 0.0, top: 0.0, columns: width, rows: height };
+    let (mut reference, mut now) = (vec![0.0; width * height], vec![0.0; width * height]);
     let (mut count, mut brightest) = (0.0, f64::NEG_INFINITY);
-    let looks = 400;
+    // A recording of a second has as much to see in each half of a millisecond as a short one.
+    let looks = if timing.end - timing.start > 0.5 { 2000 } else { 400 };
     for k in 0..=looks {
         let t = timing.start + (timing.end - timing.start) * f64::from(k) / f64::from(looks);
-        scene.log_light(t, &grid, WIDTH as f64, HEIGHT as f64, &mut now);
+        scene.log_light(t, &grid, width as f64, height as f64, &mut now);
         if k == 0 {
             reference.copy_from_slice(&now);
         }
@@ -212,9 +291,9 @@ fn survey(scene: &Scene, timing: &Timing, threshold: f64) -> (f64, f64) {
 }
 
 /// Sets the scene's pace so that about `target` events are to be expected.
-fn set_pace(scene: &mut Scene, timing: &Timing, threshold: f64, target: f64) -> f64 {
+fn set_pace(scene: &mut Scene, timing: &Timing, threshold: f64, target: f64, size: [usize; 2]) -> f64 {
     for _ in 0..6 {
-        let expected = survey(scene, timing, threshold).0.max(1.0);
+        let expected = survey(scene, timing, threshold, size).0.max(1.0);
         scene.pace = (scene.pace * (target / expected).clamp(0.3, 3.0)).clamp(0.05, 8.0);
     }
     scene.pace
@@ -229,7 +308,7 @@ fn law(name: &str, setting: &Setting, random: &mut Random) -> Result<Law, String
         "fatigue" => Law::Fatigue { rise: random.log_between(0.06, 0.12), most: 5, gap: random.between(5e-3, 8e-3) },
         "column_block" => {
             let spread = random.log_between(0.07, 0.13);
-            let mut factors: Vec<f64> = (0..WIDTH / 8).map(|_| spread * random.normal()).collect();
+            let mut factors: Vec<f64> = (0..setting.width / 8).map(|_| spread * random.normal()).collect();
             let mean = factors.iter().sum::<f64>() / factors.len() as f64;
             factors.iter_mut().for_each(|f| *f += 1.0 - mean);
             Law::ColumnBlock { width: 8, factors }
@@ -241,7 +320,7 @@ fn law(name: &str, setting: &Setting, random: &mut Random) -> Result<Law, String
         "row_reset" => Law::RowReset { per_row: whole_ns(random.log_between(10e-6, 20e-6)) },
         "spatial_gradient" => Law::SpatialGradient { rise: random.log_between(0.15, 0.3), scale: 0.1 },
         "global_rate" => Law::GlobalRate { rise: random.log_between(0.2, 0.35), memory: random.between(1e-3, 2e-3), mean: setting.rate },
-        "row_rate" => Law::RowRate { rise: random.log_between(0.15, 0.3), memory: random.between(2e-3, 4e-3), mean: setting.rate / HEIGHT as f64 },
+        "row_rate" => Law::RowRate { rise: random.log_between(0.15, 0.3), memory: random.between(2e-3, 4e-3), mean: setting.rate / setting.height as f64 },
         "polarity_delay" => Law::PolarityDelay { delay: whole_ns(random.log_between(200e-6, 500e-6)) },
         "light" => Law::Light { rise: random.sign() * random.log_between(0.1, 0.2), middle: setting.light },
         "radius" => Law::Radius { rise: random.sign() * random.log_between(0.08, 0.16) },
@@ -255,23 +334,28 @@ fn law(name: &str, setting: &Setting, random: &mut Random) -> Result<Law, String
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::plan::{Kind, PLAN};
+    use crate::plan::PLAN;
 
     #[test]
     fn every_entry_of_the_plan_can_be_drawn() {
         // The survey of a scene is what takes time: one entry in eight, and every effect and law below.
-        for (index, entry) in PLAN.iter().enumerate().step_by(8) {
-            let draft = draw(index, entry, "test").expect("an entry of the plan");
-            assert_eq!(draft.answer["effects"].as_array().map(Vec::len), Some(entry.effects.len()));
-            assert_eq!(draft.answer["off_catalogue"].is_null(), entry.kind != Kind::OffCatalogue);
+        for plan in Plan::ALL {
+            for (index, entry) in plan.entries().iter().enumerate().step_by(8) {
+                let draft = draw(plan, index, "test").expect("an entry of the plan");
+                assert_eq!(draft.answer["effects"].as_array().map(Vec::len), Some(entry.effects.len()));
+                assert_eq!(draft.answer["off_catalogue"].is_null(), entry.kind != Kind::OffCatalogue);
+                assert_eq!(draft.target.is_some(), plan == Plan::Target);
+            }
         }
-        let setting = Setting { light: 50.0, period: 0.01, readout_phase: 0.0, height: HEIGHT, rate: 3e5 };
+        let setting = Setting { light: 50.0, period: 0.01, readout_phase: 0.0, width: 72, height: 54, rate: 3e5 };
         for entry in PLAN {
             let mut random = Random::named("strengths");
             let mut physics = Physics::of(Sensor { alpha: 1e-3, ..sensor(0, entry, &mut random) });
             for id in entry.effects {
-                let answer = effect::conceal(id, &mut physics, &setting, &mut random).expect("an effect of the plan");
-                for (key, value) in answer["parameters"].as_object().expect("an object") {
+                let concealed = effect::conceal(id, &mut physics, &setting, &mut random).expect("an effect of the plan");
+                assert_eq!(concealed.at_limit.is_none(), ["large_signal_front_end", "refractory:law"].contains(id), "{id}");
+                assert!(concealed.at_limit.is_none_or(|times| (1.0..7.0).contains(&times)), "{id}: {:?}", concealed.at_limit);
+                for (key, value) in concealed.answer["parameters"].as_object().expect("an object") {
                     assert!(
                         value["actual"] != value["nominal"] || ["full_scale_dn", "row_time_s", "phase_s", "every"].contains(&key.as_str()),
                         "{id}: {key} {value}"

@@ -13,6 +13,7 @@ pub struct Setting {
     pub light: f64,
     pub period: f64,
     pub readout_phase: f64,
+    pub width: usize,
     pub height: usize,
     /// Events a second that are expected of the whole array.
     pub rate: f64,
@@ -84,13 +85,28 @@ pub fn whole_ns(t: f64) -> f64 {
     (t * 1e9).round() / 1e9
 }
 
-/// Changes `physics` by the effect `id` (`id:variant` for another form of it) and gives its entry in the list of answers.
+/// An effect that was put in.
+pub struct Concealed {
+    /// Its entry in the list of answers.
+    pub answer: Value,
+    /// How many times as strong it is as the weakest that is ever drawn; none where strength is no number.
+    pub at_limit: Option<f64>,
+}
+
+/// Draws log-uniform in `low` .. `high`, and notes how far above `low` in `at_limit`.
+fn strength(random: &mut Random, at_limit: &mut Option<f64>, low: f64, high: f64) -> f64 {
+    let drawn = random.log_between(low, high);
+    *at_limit = Some(drawn / low);
+    drawn
+}
+
+/// Changes `physics` by the effect `id` (`id:variant` for another form of it) and says what it did.
 ///
 /// # Errors
 /// An id that is not in the catalogue.
-pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut Random) -> Result<Value, String> {
+pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut Random) -> Result<Concealed, String> {
     let mut parameters = Map::new();
-    let mut equation = None;
+    let (mut equation, mut at_limit) = (None, None);
     let mut say = |name: &str, actual: f64, nominal: f64, unit: &str| {
         parameters.insert(name.to_string(), json!({ "actual": actual, "nominal": nominal, "unit": unit }));
     };
@@ -98,30 +114,34 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
     let (plain, variant) = id.split_once(':').unwrap_or((id, ""));
     match plain {
         "dark_current" => {
-            physics.dark = setting.light * random.log_between(0.1, 0.35);
+            physics.dark = setting.light * strength(random, &mut at_limit, 0.1, 0.35);
             say("current", physics.dark, 0.0, "photocurrent");
         }
         "time_constant" if variant == "tau_0" => {
             let nominal = sensor.tau_0;
-            sensor.tau_0 = whole_ns(nominal + random.log_between(120e-6, 350e-6));
+            sensor.tau_0 = whole_ns(nominal + strength(random, &mut at_limit, 120e-6, 350e-6));
             say("tau_0_s", sensor.tau_0, nominal, "s");
         }
         "time_constant" => {
             let nominal = sensor.alpha;
-            sensor.alpha = whole_ns(nominal * if variant == "less" { random.between(0.3, 0.5) } else { random.log_between(1.8, 3.0) });
+            let (factor, limit) = if variant == "less" { (random.between(0.3, 0.5), 0.5) } else { (random.log_between(1.8, 3.0), 1.8) };
+            at_limit = Some((factor - 1.0) / (limit - 1.0));
+            sensor.alpha = whole_ns(nominal * factor);
             say("alpha_s", sensor.alpha, nominal, "s");
         }
         "second_pole" if variant == "light" => {
-            physics.second_light = whole_ns(setting.light * random.log_between(120e-6, 350e-6));
+            physics.second_light = whole_ns(setting.light * strength(random, &mut at_limit, 120e-6, 350e-6));
             say("tau_light_s", physics.second_light, 0.0, "s");
         }
         "second_pole" => {
-            physics.second_tau = whole_ns(random.log_between(100e-6, 400e-6));
+            physics.second_tau = whole_ns(strength(random, &mut at_limit, 100e-6, 400e-6));
             say("tau_s", physics.second_tau, 0.0, "s");
         }
         "large_signal_front_end" => physics.large_signal = true,
         "slew_limit" => {
+            // The slower the stronger.
             physics.fall = random.log_between(20.0, 45.0);
+            at_limit = Some(45.0 / physics.fall);
             say("fall", physics.fall, 1e9, "ln/s");
             if variant == "both" {
                 physics.rise = random.log_between(20.0, 45.0);
@@ -130,39 +150,40 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
         }
         "high_pass_front_end" => {
             physics.high_pass = whole_ns(random.log_between(15e-3, 60e-3));
+            at_limit = Some(60e-3 / physics.high_pass);
             say("tau_s", physics.high_pass, 1e6, "s");
         }
         "bandwidth_gradient" => {
-            physics.bandwidth_gradient = random.sign() * random.log_between(0.18, 0.3);
+            physics.bandwidth_gradient = random.sign() * strength(random, &mut at_limit, 0.18, 0.3);
             say("fraction", physics.bandwidth_gradient, 0.0, "fraction");
         }
         "threshold_scale" => {
-            let fraction = random.sign() * random.log_between(0.08, 0.25);
+            let fraction = random.sign() * strength(random, &mut at_limit, 0.08, 0.25);
             sensor.on *= 1.0 + fraction;
             sensor.off *= 1.0 + fraction;
             say("fraction", fraction, 0.0, "fraction");
         }
         "threshold_asymmetry" => {
-            let fraction = random.sign() * random.log_between(0.06, 0.18);
+            let fraction = random.sign() * strength(random, &mut at_limit, 0.06, 0.18);
             sensor.on *= 1.0 + fraction;
             sensor.off *= 1.0 - fraction;
             say("fraction", fraction, 0.0, "fraction");
         }
         "threshold_mismatch" => {
-            physics.mismatch = random.log_between(0.02, 0.05);
+            physics.mismatch = strength(random, &mut at_limit, 0.02, 0.05);
             say("sigma", physics.mismatch, 0.0, "ln");
         }
         "threshold_noise" => {
-            let sigma = random.log_between(0.02, 0.045);
+            let sigma = strength(random, &mut at_limit, 0.02, 0.045);
             sensor.threshold_noise = libm::sqrt(sensor.threshold_noise * sensor.threshold_noise + sigma * sigma);
             say("sigma", sigma, 0.0, "ln");
         }
         "threshold_drift" => {
-            physics.drift = random.sign() * random.log_between(0.6, 1.0);
+            physics.drift = random.sign() * strength(random, &mut at_limit, 0.6, 1.0);
             say("rate", physics.drift, 0.0, "1/s");
         }
         "threshold_gradient" => {
-            physics.gradient = random.sign() * random.log_between(0.08, 0.2);
+            physics.gradient = random.sign() * strength(random, &mut at_limit, 0.08, 0.2);
             say("fraction", physics.gradient, 0.0, "fraction");
         }
         "refractory" if variant == "law" => {
@@ -173,86 +194,90 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
             let nominal = sensor.refractory;
             let factor = random.log_between(4.0, 10.0);
             sensor.refractory = whole_ns((nominal * factor).clamp(300e-6, 1e-3));
+            at_limit = Some((sensor.refractory - nominal) / ((4.0 * nominal).clamp(300e-6, 1e-3) - nominal));
             say("refractory_s", sensor.refractory, nominal, "s");
         }
         "refractory_spread" => {
-            physics.refractory_spread = random.log_between(0.5, 0.9);
+            physics.refractory_spread = strength(random, &mut at_limit, 0.5, 0.9);
             say("sigma", physics.refractory_spread, 0.0, "ln");
         }
         "refractory_light" => {
-            physics.refractory_light = random.log_between(1.0, 4.0) / setting.light;
+            physics.refractory_light = strength(random, &mut at_limit, 1.0, 4.0) / setting.light;
             say("coefficient", physics.refractory_light, 0.0, "1/photocurrent");
         }
         "reset_memory" => {
-            physics.memory = if variant == "over" { -random.log_between(0.06, 0.1) } else { random.log_between(0.07, 0.2) };
+            physics.memory = if variant == "over" { -strength(random, &mut at_limit, 0.06, 0.1) } else { strength(random, &mut at_limit, 0.07, 0.2) };
             say("fraction", physics.memory, 0.0, "fraction");
         }
         "leak_events" => {
-            physics.leak = random.log_between(5.0, 25.0);
+            physics.leak = strength(random, &mut at_limit, 5.0, 25.0);
             say("rate_hz", physics.leak, 0.0, "Hz");
         }
         "parasitic_leak" => {
-            physics.parasitic = random.log_between(6.0, 25.0) * sensor.on / setting.light;
+            physics.parasitic = strength(random, &mut at_limit, 6.0, 25.0) * sensor.on / setting.light;
             say("coefficient", physics.parasitic, 0.0, "1/s per photocurrent");
         }
         "background_activity" => {
-            physics.background = random.log_between(5.0, 20.0);
+            physics.background = strength(random, &mut at_limit, 5.0, 20.0);
             say("rate_hz", physics.background, 0.0, "Hz");
         }
         "hot_pixels" => {
             physics.hot_share = random.log_between(0.004, 0.015);
             physics.hot_rate = random.log_between(300.0, 1200.0);
+            at_limit = Some(physics.hot_share * physics.hot_rate / (0.004 * 300.0));
             say("fraction", physics.hot_share, 0.0, "fraction");
             say("rate_hz", physics.hot_rate, 0.0, "Hz");
         }
         "hot_rows" => {
             let first = 3 + random.below(setting.height / 2 - 4);
             physics.hot_rows = vec![first, first + 2 + random.below(setting.height / 2 - 4)];
-            physics.hot_row_rate = random.log_between(60.0, 200.0);
+            physics.hot_row_rate = strength(random, &mut at_limit, 60.0, 200.0);
             say("rate_hz", physics.hot_row_rate, 0.0, "Hz");
             parameters.insert("rows".into(), json!({ "actual": physics.hot_rows, "nominal": [], "unit": "index" }));
         }
         "lateral_inhibition" => {
-            physics.lateral = random.log_between(0.15, 0.4);
+            physics.lateral = strength(random, &mut at_limit, 0.15, 0.4);
             say("fraction", physics.lateral, 0.0, "fraction");
         }
         "readout_queue" => {
             // In units of the mean time between two events of the array: a load of 0.5 to 0.8, with bursts above 1.
-            let service = whole_ns(random.between(0.5, 0.8) / setting.rate);
+            let load = random.between(0.5, 0.8);
+            at_limit = Some(load / 0.5);
+            let service = whole_ns(load / setting.rate);
             physics.queue = Some(Queue { service, shown: false });
             say("service_s", service, 0.0, "s");
         }
         "event_loss" => {
-            physics.loss = random.log_between(0.25, 0.5);
+            physics.loss = strength(random, &mut at_limit, 0.25, 0.5);
             say("fraction", physics.loss, 0.0, "fraction");
         }
         "timestamp_quantization" => {
-            physics.quantum = (random.log_between(200e-6, 1e-3) * 1e5).round() / 1e5;
+            physics.quantum = (strength(random, &mut at_limit, 200e-6, 1e-3) * 1e5).round() / 1e5;
             say("step_s", physics.quantum, 0.0, "s");
         }
         "timestamp_jitter" => {
-            physics.jitter = whole_ns(random.log_between(80e-6, 300e-6));
+            physics.jitter = whole_ns(strength(random, &mut at_limit, 80e-6, 300e-6));
             say("sigma_s", physics.jitter, 0.0, "s");
         }
         "clock_offset" => {
-            physics.clock_offset = whole_ns(random.sign() * random.log_between(0.2e-3, 0.8e-3));
+            physics.clock_offset = whole_ns(random.sign() * strength(random, &mut at_limit, 0.2e-3, 0.8e-3));
             say("offset_s", physics.clock_offset, 0.0, "s");
         }
         "clock_drift" => {
-            physics.clock_rate = random.sign() * random.log_between(0.005, 0.015);
+            physics.clock_rate = random.sign() * strength(random, &mut at_limit, 0.005, 0.015);
             say("rate", physics.clock_rate, 0.0, "fraction");
         }
         "row_skew" if variant == "rows" => {
-            physics.skew_sigma = whole_ns(random.log_between(150e-6, 400e-6));
+            physics.skew_sigma = whole_ns(strength(random, &mut at_limit, 150e-6, 400e-6));
             say("sigma_s", physics.skew_sigma, 0.0, "s");
         }
         "row_skew" => {
             // Towards late: the first rows' stamps stay as they are, and nothing comes before the recording's start.
-            physics.skew_per_row = whole_ns(random.log_between(6e-6, 20e-6));
+            physics.skew_per_row = whole_ns(strength(random, &mut at_limit, 6e-6, 20e-6));
             say("per_row_s", physics.skew_per_row, 0.0, "s");
         }
         "frame_coupling" => {
-            let step = random.sign() * random.log_between(0.4, 0.9) * sensor.on;
+            let step = random.sign() * strength(random, &mut at_limit, 0.4, 0.9) * sensor.on;
             let phase = whole_ns(setting.readout_phase.rem_euclid(setting.period));
             physics.coupling = Some([step, setting.period, phase, sensor.row_time]);
             say("step", step, 0.0, "ln");
@@ -261,52 +286,52 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
             say("row_time_s", sensor.row_time, 0.0, "s");
         }
         "misalignment" => {
-            let (size, angle) = (random.log_between(0.4, 1.0), random.between(0.0, 2.0 * std::f64::consts::PI));
+            let (size, angle) = (strength(random, &mut at_limit, 0.4, 1.0), random.between(0.0, 2.0 * std::f64::consts::PI));
             physics.shift = [size * libm::cos(angle), size * libm::sin(angle)];
             say("shift_x", physics.shift[0], 0.0, "px");
             say("shift_y", physics.shift[1], 0.0, "px");
         }
         "blur" => {
-            physics.blur = random.log_between(0.5, 1.0);
+            physics.blur = strength(random, &mut at_limit, 0.5, 1.0);
             say("sigma", physics.blur, 0.0, "px");
         }
         "crosstalk" => {
-            physics.crosstalk = random.log_between(0.15, 0.38);
+            physics.crosstalk = strength(random, &mut at_limit, 0.15, 0.38);
             say("fraction", physics.crosstalk, 0.0, "fraction");
         }
         "black_level" => {
             let nominal = sensor.black;
             // More in a sensor with more codes: the same share of full scale.
-            sensor.black = (nominal + random.log_between(25.0, 45.0) * (sensor.saturation / 1023.0)).round();
+            sensor.black = (nominal + strength(random, &mut at_limit, 25.0, 45.0) * (sensor.saturation / 1023.0)).round();
             say("black_level_dn", sensor.black, nominal, "DN");
         }
         "frame_nonlinearity" => {
-            physics.nonlinearity = random.sign() * random.log_between(0.025, 0.07);
+            physics.nonlinearity = random.sign() * strength(random, &mut at_limit, 0.025, 0.07);
             say("fraction", physics.nonlinearity, 0.0, "fraction");
             say("full_scale_dn", sensor.saturation, sensor.saturation, "DN");
         }
         "vignetting" => {
-            physics.falloff = random.log_between(0.2, 0.55);
+            physics.falloff = strength(random, &mut at_limit, 0.2, 0.55);
             say("falloff", physics.falloff, 0.0, "fraction");
         }
         "row_time" => {
             let nominal = sensor.row_time;
-            let change = random.log_between(8e-6, 18e-6);
+            let change = strength(random, &mut at_limit, 8e-6, 18e-6);
             sensor.row_time = whole_ns(nominal + if nominal > 20e-6 { -change } else { change });
             say("row_time_s", sensor.row_time, nominal, "s");
         }
         "exposure_time" => {
-            physics.exposure_more = whole_ns(random.sign() * random.log_between(0.3e-3, 0.9e-3));
+            physics.exposure_more = whole_ns(random.sign() * strength(random, &mut at_limit, 0.3e-3, 0.9e-3));
             say("difference_s", physics.exposure_more, 0.0, "s");
         }
         "frame_gain_steps" => {
-            physics.gain_sigma = random.log_between(0.03, 0.09);
+            physics.gain_sigma = strength(random, &mut at_limit, 0.03, 0.09);
             physics.gain_every = 1 + random.below(3);
             say("sigma", physics.gain_sigma, 0.0, "ln");
             say("every", physics.gain_every as f64, 1.0, "frames");
         }
         "image_lag" => {
-            physics.lag = random.log_between(0.04, 0.12);
+            physics.lag = strength(random, &mut at_limit, 0.04, 0.12);
             say("fraction", physics.lag, 0.0, "fraction");
         }
         _ => return Err(format!("effect `{id}`: no such id; the catalogue has {IDS:?}")),
@@ -317,5 +342,5 @@ pub fn conceal(id: &str, physics: &mut Physics, setting: &Setting, random: &mut 
     if let Some(equation) = equation {
         answer.insert("equation".into(), json!(equation));
     }
-    Ok(Value::Object(answer))
+    Ok(Concealed { answer: Value::Object(answer), at_limit })
 }

@@ -1,12 +1,12 @@
 //! Light at the event pixels and in the frames, at nodes in time and between them.
 //!
-//! The scene's formula is evaluated every 32 us; between nodes light is the cubic through the four nearest ones.
+//! The scene's formula is evaluated every 32 us, a star's every 8; between nodes light is the cubic through the four nearest ones.
 
 use crate::optics::{self, MARGIN};
 use crate::scene::{Grid, Scene};
 use crate::sensor::Physics;
 
-/// Seconds between two nodes.
+/// Seconds between two nodes, as a rule.
 pub const NODE: f64 = 32e-6;
 
 /// The weights of the nodes at -1, 0, 1, 2 for the cubic through them at `u` in 0 .. 1.

@@ -10,22 +10,25 @@ mod frames;
 mod front_end;
 mod law;
 mod light;
+mod lists;
 mod optics;
 mod plan;
 mod random;
 mod scene;
 mod sensor;
 mod stamps;
+mod star;
 #[cfg(test)]
 mod tests;
 mod texture;
 mod write;
 
 use digest::sha256_hex;
-use draw::{HEIGHT, WIDTH, draw};
-use plan::PLAN;
+use draw::draw;
+use lists::Edition;
+use plan::Plan;
 use serde_json::{Value, json};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -33,91 +36,105 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 /// Part of every seed where none is named: another one gives other recordings.
 const SEED: &str = "sealed physics, second edition";
 
-const USAGE: &str = "usage: sealed-generator --out FOLDER [--seed TEXT] [--threads N] [--only FIRST..LAST]
+const USAGE: &str = "usage: sealed-generator --out FOLDER [--plan short|long|target] [--seed TEXT] [--blind] [--threads N] [--only FIRST..LAST]
   writes FOLDER/*.h5 and FOLDER/README.md, and answers.json beside FOLDER; --seed makes other recordings of the same plan;
+  --plan long makes recordings of a second, --plan target such of a star that FOLDER/*.target.toml state; answers.json then lies in FOLDER;
+  --blind writes half of the answers to FOLDER/answers.json and the other half to FOLDER/answers-blind.json;
   --only makes some of the recordings and no lists";
 
 struct Options {
-    out: PathBuf,
-    seed: String,
+    edition: Edition,
     threads: usize,
     only: Option<std::ops::Range<usize>>,
 }
 
-fn options() -> Result<Options, String> {
-    let mut options = Options { out: PathBuf::new(), seed: SEED.to_owned(), threads: 2, only: None };
-    let mut words = std::env::args().skip(1);
+fn options(mut words: impl Iterator<Item = String>) -> Result<Options, String> {
+    let edition = Edition { plan: Plan::Short, seed: SEED.to_owned(), blind: false, out: PathBuf::new() };
+    let mut options = Options { edition, threads: 2, only: None };
     while let Some(word) = words.next() {
+        if word == "--blind" {
+            options.edition.blind = true;
+            continue;
+        }
         let value = words.next().ok_or_else(|| format!("{word}: no value\n{USAGE}"))?;
         let number = |text: &str| text.parse::<usize>().map_err(|_| format!("{word} {value}: `{text}` is not a whole number\n{USAGE}"));
         match word.as_str() {
-            "--out" => options.out = PathBuf::from(&value),
-            "--seed" => options.seed = value,
+            "--out" => options.edition.out = PathBuf::from(&value),
+            "--plan" => {
+                let plan = Plan::ALL.into_iter().find(|plan| plan.name() == value);
+                options.edition.plan = plan.ok_or_else(|| format!("{word} {value}: no such plan\n{USAGE}"))?;
+            }
+            "--seed" => options.edition.seed = value,
             "--threads" => options.threads = number(&value)?.max(1),
             "--only" => {
                 let (first, last) = value.split_once("..").ok_or_else(|| format!("{word} {value}: not of the form 3..7\n{USAGE}"))?;
-                options.only = Some(number(first)?..number(last)?.min(PLAN.len()));
+                options.only = Some(number(first)?..number(last)?);
             }
             _ => return Err(format!("{word}: no such option\n{USAGE}")),
         }
     }
-    if options.out.as_os_str().is_empty() {
+    if options.edition.out.as_os_str().is_empty() {
         return Err(format!("--out is missing\n{USAGE}"));
     }
     Ok(options)
 }
 
+/// The name of a recording without its ending.
+fn id(edition: &Edition, index: usize) -> String {
+    sha256_hex(format!("{}/name", edition.plan.seed(&edition.seed, index)).as_bytes())[..8].to_owned()
+}
+
 /// Makes one recording; gives its entry in the list of answers.
-fn make(index: usize, seed: &str, out: &Path) -> Result<Value, String> {
-    let mut draft = draw(index, &PLAN[index], seed)?;
-    let (events, charge) = array::run(&draft.scene, &draft.physics, WIDTH, HEIGHT, &draft.timing, &mut draft.random);
-    let frames = frames::digitise(&charge, &draft.physics, WIDTH, draft.numbers, &mut draft.random);
-    let stamped = stamps::stamp(&events, &draft.physics, WIDTH, HEIGHT, draft.resolution, &mut draft.random);
-    let name = format!("{}.h5", &sha256_hex(format!("{seed}/{index}/name").as_bytes())[..8]);
-    let path = out.join(&name);
+fn make(index: usize, edition: &Edition) -> Result<Value, String> {
+    let mut draft = draw(edition.plan, index, &edition.seed)?;
+    let [width, height] = draft.size;
+    let (events, charge) = array::run(&draft.scene, &draft.physics, width, height, &draft.timing, &mut draft.random);
+    let frames = frames::digitise(&charge, &draft.physics, width, draft.numbers, &mut draft.random);
+    let stamped = stamps::stamp(&events, &draft.physics, width, height, draft.resolution, &mut draft.random);
+    let id = id(edition, index);
+    let name = format!("{id}.h5");
+    let path = edition.out.join(&name);
     write::write(&path, &draft, &stamped, &frames)?;
+    if let Some(target) = &draft.target {
+        let path = edition.out.join(format!("{id}.target.toml"));
+        std::fs::write(&path, target).map_err(|error| format!("{}: cannot be written: {error}", path.display()))?;
+    }
     let bytes = std::fs::read(&path).map_err(|error| format!("{}: cannot be read back: {error}", path.display()))?;
-    let mut answer = json!({ "file": format!("recordings/{name}"), "sha256": sha256_hex(&bytes), "bytes": bytes.len(), "events": stamped.len() });
+    let mut answer = json!({ "file": edition.file(&name), "sha256": sha256_hex(&bytes), "bytes": bytes.len(), "events": stamped.len() });
+    if edition.plan == Plan::Target {
+        answer["width"] = width.into();
+        answer["height"] = height.into();
+    }
     if let (Some(answer), Some(rest)) = (answer.as_object_mut(), draft.answer.as_object()) {
         answer.extend(rest.clone());
+    }
+    if let Some(at_limit) = draft.at_limit.filter(|_| !edition.is_plain()) {
+        answer["at_limit"] = at_limit.into();
     }
     Ok(answer)
 }
 
-/// The list of recordings beside them; it says nothing about what they conceal.
-fn list(answers: &[Value]) -> String {
-    let mut rows: Vec<String> = answers
-        .iter()
-        .map(|answer| {
-            let file = answer["file"].as_str().unwrap_or_default().trim_start_matches("recordings/");
-            format!("| `{file}` | {} | {} | `{}` |\n", answer["bytes"], answer["events"], answer["sha256"].as_str().unwrap_or_default())
-        })
-        .collect();
-    rows.sort();
-    format!(
-        "# Recordings\n\nWritten by [the generator](../generator) together with the recordings; do not edit.\nWhat they are, how they are made and under which licence: [README.md](../README.md).\n\n| file | bytes | events | SHA-256 |\n| --- | --- | --- | --- |\n{}",
-        rows.concat()
-    )
-}
-
 fn all(options: &Options) -> Result<(), String> {
-    std::fs::create_dir_all(&options.out).map_err(|error| format!("{}: cannot be made: {error}", options.out.display()))?;
-    let range = options.only.clone().unwrap_or(0..PLAN.len());
-    let next = AtomicUsize::new(range.start);
+    let edition = &options.edition;
+    std::fs::create_dir_all(&edition.out).map_err(|error| format!("{}: cannot be made: {error}", edition.out.display()))?;
+    let most = edition.plan.entries().len();
+    let mut order: Vec<usize> = options.only.clone().unwrap_or(0..most).filter(|index| *index < most).collect();
+    if edition.blind {
+        // Neither what is told on the way nor the files' times show the order of the plan.
+        order.sort_by_key(|index| id(edition, *index));
+    }
+    let next = AtomicUsize::new(0);
     let made: Mutex<Vec<(usize, Result<Value, String>)>> = Mutex::new(Vec::new());
     std::thread::scope(|scope| {
         for _ in 0..options.threads {
             scope.spawn(|| {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    if index >= range.end {
-                        break;
-                    }
-                    let answer = make(index, &options.seed, &options.out);
+                while let Some(index) = order.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let answer = make(*index, edition);
+                    let mut made = made.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
                     if let Ok(answer) = &answer {
-                        eprintln!("{index:3} {} {} events, {} bytes", answer["file"], answer["events"], answer["bytes"]);
+                        eprintln!("{:3} of {} {} {} events, {} bytes", made.len() + 1, order.len(), answer["file"], answer["events"], answer["bytes"]);
                     }
-                    made.lock().unwrap_or_else(std::sync::PoisonError::into_inner).push((index, answer));
+                    made.push((*index, answer));
                 }
             });
         }
@@ -125,19 +142,11 @@ fn all(options: &Options) -> Result<(), String> {
     let mut made = made.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
     made.sort_by_key(|(index, _)| *index);
     let answers = made.into_iter().map(|(_, answer)| answer).collect::<Result<Vec<Value>, String>>()?;
-    if options.only.is_some() {
-        return Ok(());
-    }
-    let document = json!({ "schema": "photocurrent-sealed-answers/1", "seed": options.seed, "width": WIDTH, "height": HEIGHT, "recordings": answers });
-    let text = serde_json::to_string_pretty(&document).map_err(|error| format!("answers: {error}"))?;
-    let beside = options.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")).join("answers.json");
-    std::fs::write(&beside, text + "\n").map_err(|error| format!("{}: cannot be written: {error}", beside.display()))?;
-    let readme = options.out.join("README.md");
-    std::fs::write(&readme, list(&answers)).map_err(|error| format!("{}: cannot be written: {error}", readme.display()))
+    if options.only.is_some() { Ok(()) } else { lists::write(edition, &answers) }
 }
 
 fn main() -> ExitCode {
-    match options().and_then(|options| all(&options)) {
+    match options(std::env::args().skip(1)).and_then(|options| all(&options)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(message) => {
             eprintln!("{message}");

@@ -1,4 +1,45 @@
 //! Which recordings there are: their kind, what each conceals, and what its scene must be like.
+//!
+//! Three plans: many short recordings of 72 x 54 pixels, a few of a second, and recordings of a known target.
+
+/// A list of recordings that are made together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Plan {
+    /// 72 x 54 pixels, 0.12 to 0.15 s.
+    Short,
+    /// 96 x 72 pixels, 1 s.
+    Long,
+    /// A star that a file beside the recording states, 64 x 48 to 96 x 72 pixels, 0.15 to 0.3 s.
+    Target,
+}
+
+impl Plan {
+    pub const ALL: [Self; 3] = [Self::Short, Self::Long, Self::Target];
+
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Short => "short",
+            Self::Long => "long",
+            Self::Target => "target",
+        }
+    }
+
+    pub fn entries(self) -> &'static [Entry] {
+        match self {
+            Self::Short => PLAN,
+            Self::Long => LONG,
+            Self::Target => TARGET,
+        }
+    }
+
+    /// What the random numbers of recording `index` are named by; plans share none.
+    pub fn seed(self, seed: &str, index: usize) -> String {
+        match self {
+            Self::Short => format!("{seed}/{index}"),
+            Self::Long | Self::Target => format!("{seed}/{}/{index}", self.name()),
+        }
+    }
+}
 
 /// How a recording is to be judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,7 +106,11 @@ const fn unnamed(law: &'static str, family: &'static str) -> Entry {
     Entry { kind: Kind::OffCatalogue, effects: &[], law: Some(law), condition: "", family }
 }
 
-/// All recordings, in the order of their seeds. New ones go to the end, so that the others stay as they are.
+const fn star(entry: Entry) -> Entry {
+    Entry { family: "star", ..entry }
+}
+
+/// All short recordings, in the order of their seeds. New ones go to the end, so that the others stay as they are.
 pub const PLAN: &[Entry] = &[
     null("drift"),
     null("zoom"),
@@ -189,6 +234,50 @@ pub const PLAN: &[Entry] = &[
     unnamed("frame_kick", "shear"),
 ];
 
+/// The recordings of a second.
+pub const LONG: &[Entry] = &[
+    null("turntable"),
+    null("shake"),
+    null(""),
+    hard("wide_range", "shear"),
+    single(&["time_constant"]),
+    single(&["threshold_scale"]),
+    single(&["leak_events"]),
+    single(&["clock_offset"]),
+    single(&["image_lag"]),
+    pair(&["second_pole", "black_level"]),
+    pair(&["refractory", "misalignment"]),
+    unnamed("hysteresis", "discs"),
+];
+
+/// The recordings of a known target; frames of every second one have photon and read noise, which is stated.
+pub const TARGET: &[Entry] = &[
+    null("star"),
+    null("star"),
+    null("star"),
+    null("star"),
+    star(single(&["threshold_scale"])),
+    star(single(&["threshold_asymmetry"])),
+    star(single(&["time_constant"])),
+    star(single(&["second_pole"])),
+    star(single(&["refractory"])),
+    star(single(&["clock_offset"])),
+    star(single(&["leak_events"])),
+    star(single(&["dark_current"])),
+    star(single(&["black_level"])),
+    star(single(&["exposure_time"])),
+    star(single(&["row_time"])),
+    star(single(&["misalignment"])),
+    star(single(&["blur"])),
+    star(single(&["reset_memory"])),
+    star(single(&["image_lag"])),
+    star(single(&["vignetting"])),
+    star(pair(&["time_constant", "threshold_scale"])),
+    star(pair(&["leak_events", "black_level"])),
+    unnamed("hysteresis", "star"),
+    unnamed("light", "star"),
+];
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -208,6 +297,21 @@ mod tests {
         laws.sort_unstable();
         laws.dedup();
         assert!(laws.len() >= 10, "{laws:?}");
+    }
+
+    #[test]
+    fn the_plans_have_their_numbers_of_every_kind() {
+        let counts = |plan: Plan| {
+            let kinds = [Kind::Null, Kind::HardNull, Kind::Trap, Kind::Single, Kind::Pair, Kind::OffCatalogue];
+            kinds.map(|kind| plan.entries().iter().filter(|entry| entry.kind == kind).count())
+        };
+        assert_eq!(Plan::ALL.map(|plan| plan.entries().len()), [120, 12, 24]);
+        assert_eq!(counts(Plan::Long), [3, 1, 0, 5, 2, 1]);
+        assert_eq!(counts(Plan::Target), [4, 0, 0, 16, 2, 2]);
+        assert!(TARGET.iter().all(|entry| entry.family == "star"));
+        assert!(LONG.iter().chain(TARGET).flat_map(|entry| entry.effects).all(|id| IDS.contains(id)));
+        let names: std::collections::BTreeSet<String> = Plan::ALL.iter().flat_map(|plan| (0..plan.entries().len()).map(|k| plan.seed("s", k))).collect();
+        assert_eq!(names.len(), 156, "no two recordings share random numbers");
     }
 
     #[test]

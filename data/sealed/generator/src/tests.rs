@@ -1,14 +1,17 @@
 //! The whole chain against algebra: ramps, still scenes, balances, and steps of half the length.
 
 use crate::array::{Event, Timing, run};
-use crate::draw::STEPS;
+use crate::digest::sha256_hex;
+use crate::draw::{STEPS, draw};
 use crate::frames::{Numbers, digitise};
 use crate::law::Law;
 use crate::light::{Light, NODE, cubic};
+use crate::plan::Plan;
 use crate::random::Random;
-use crate::scene::{Family, Scene};
+use crate::scene::{Family, Grid, Scene};
 use crate::sensor::{Physics, Queue, Reset, Sensor};
 use crate::stamps::stamp;
+use crate::star::{Star, Target};
 
 const W: usize = 12;
 const H: usize = 9;
@@ -32,12 +35,13 @@ fn plain() -> Physics {
         read_noise: 0.0,
         full_well: 0.0,
         states_frame_noise: false,
+        per_lux: 0.0,
     })
 }
 
 fn timing(steps: usize) -> Timing {
     let exposures = (0..6).map(|l| 3e-3 + 8e-3 * f64::from(l)).map(|t| [t, t + 4e-3]).collect();
-    Timing { start: 2e-3, end: 60e-3, reset_at_start: true, steps, exposures }
+    Timing { start: 2e-3, end: 60e-3, reset_at_start: true, node: NODE, steps, exposures }
 }
 
 fn scene(family: Family) -> Scene {
@@ -268,4 +272,73 @@ fn laws_outside_the_catalogue_do_what_they_say() {
     // Decided 1 ms / sqrt(30) late, and the reset with it.
     let slow = events_of(&ramp(30.0), &with(Law::SlowComparator { strength: 1e-3, most: 1e-3 }), STEPS);
     assert!((gap(instants(&slow, 30)) - (0.2 / 30.0 + 105e-6 + 1e-3 / 30.0f64.sqrt())).abs() < 1e-9);
+}
+
+#[test]
+fn the_stored_edition_comes_out_as_it_is_stored() {
+    // The second recording of the stored edition, b7aea23d: the digest is of the values in that file.
+    let mut draft = draw(Plan::Short, 1, "sealed physics, second edition").expect("a recording of the plan");
+    let (events, charge) = run(&draft.scene, &draft.physics, 72, 54, &draft.timing, &mut draft.random);
+    let frames = digitise(&charge, &draft.physics, 72, draft.numbers, &mut draft.random);
+    let stamped = stamp(&events, &draft.physics, 72, 54, draft.resolution, &mut draft.random);
+    let mut bytes: Vec<u8> = stamped.iter().flat_map(|event| event.t.to_le_bytes()).collect();
+    bytes.extend(stamped.iter().flat_map(|event| ((event.pixel % 72) as u16).to_le_bytes()));
+    bytes.extend(stamped.iter().flat_map(|event| ((event.pixel / 72) as u16).to_le_bytes()));
+    bytes.extend(stamped.iter().map(|event| u8::from(event.on)));
+    bytes.extend(frames.iter().flatten().flat_map(|dn| dn.to_le_bytes()));
+    bytes.extend(draft.nominal.description().bytes());
+    assert_eq!(sha256_hex(&bytes), "3464ede121c88c6e7bf3c96b0d4b303bab8b16e88fbe03ec3790fd7a54135065");
+}
+
+#[test]
+fn a_star_is_lit_by_lux_times_what_a_lux_is_worth_times_reflectance() {
+    let mut target = Target::draw(&mut Random::named("star"), [64, 48]);
+    target.turn(0.8, &mut Random::named("turn"));
+    let Star { spokes, radius, dark, bright, centre, omega, start } = target.star.clone();
+    let scene = Scene { family: Family::Star(target.star.clone()), mean: libm::log(target.white()), contrast: 1.0, pace: 1.0, flicker: None };
+    let (mut seen, t) = (vec![0.0; 64 * 48], 0.123);
+    scene.log_light(t, &Grid { left: 0.0, top: 0.0, columns: 64, rows: 48 }, 64.0, 48.0, &mut seen);
+    let mut counted = [0; 3];
+    for (p, seen) in seen.iter().enumerate() {
+        let (dx, dy) = ((p % 64) as f64 - centre[0], (p / 64) as f64 - centre[1]);
+        let distance = dx.hypot(dy);
+        let turns = (dy.atan2(dx) - omega * (t + start)) / std::f64::consts::TAU;
+        let spoke = 2.0 * spokes * turns;
+        let to_edge = (spoke - spoke.round()).abs() * std::f64::consts::PI * distance / spokes;
+        let reflectance = match () {
+            () if distance > radius + 0.5 => 0.3,
+            // Further from an edge than half a pixel.
+            () if distance < radius - 0.5 && to_edge > 0.51 => [bright, dark][(spoke.floor() as i64).rem_euclid(2) as usize],
+            () => continue,
+        };
+        counted[if reflectance == bright { 0 } else { 1 + usize::from(reflectance == dark) }] += 1;
+        assert!((seen - libm::log(target.white() * reflectance)).abs() < 1e-9, "pixel {p}: {} for {reflectance}", libm::exp(*seen) / target.white());
+    }
+    assert!(counted.iter().all(|n| *n > 300), "{counted:?}");
+}
+
+#[test]
+fn light_of_a_star_between_nodes_is_that_of_the_formula() {
+    let physics = plain();
+    let target = Target::draw(&mut Random::named("star"), [96, 72]);
+    let scene = Scene { family: Family::Star(target.star.clone()), mean: libm::log(target.white()), contrast: 1.0, pace: 1.0, flicker: None };
+    let mut light = Light::new(&scene, &physics, 96, 72);
+    let mut nodes = [(); 4].map(|()| light.node());
+    let mut between = light.node();
+    let (mut worst, mut sum) = (0.0f64, 0.0);
+    for k in 0..20 {
+        let t = 5e-3 + 3e-3 * f64::from(k);
+        for (n, node) in nodes.iter_mut().enumerate() {
+            light.fill(t + (n as f64 - 1.0) * 0.25 * NODE, node);
+        }
+        light.fill(t + 0.125 * NODE, &mut between);
+        let weights = cubic(0.5);
+        for p in 0..96 * 72 {
+            let value: f64 = (0..4).map(|n| weights[n] * nodes[n].settled[p]).sum();
+            worst = worst.max((value - between.settled[p]).abs());
+            sum += (value - between.settled[p]).abs() / (20.0 * 96.0 * 72.0);
+        }
+    }
+    // The corners of the ramp that an edge makes, for some microseconds; everywhere else light is straight or still.
+    assert!(worst < 1e-2 && sum < 2e-6, "{worst} ln at most, {sum} ln on average");
 }

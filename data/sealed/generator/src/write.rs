@@ -1,6 +1,6 @@
 //! One recording as an HDF5 file of the form `photocurrent-recording/1`. The bytes depend on the content alone.
 
-use crate::draw::{Draft, HEIGHT, WIDTH};
+use crate::draw::Draft;
 use crate::frames::Numbers;
 use crate::stamps::Stamped;
 use hdf5::types::VarLenUnicode;
@@ -16,17 +16,18 @@ pub fn write(path: &Path, draft: &Draft, events: &[Stamped], frames: &[Vec<f64>]
 }
 
 fn layout(path: &Path, draft: &Draft, events: &[Stamped], frames: &[Vec<f64>]) -> hdf5::Result<()> {
+    let [width, height] = draft.size;
     let file = hdf5::File::create(path)?;
     let text = |value: &str| -> hdf5::Result<VarLenUnicode> { value.parse().map_err(|_| hdf5::Error::from("a text with a NUL character")) };
     file.new_attr::<VarLenUnicode>().create("format")?.write_scalar(&text("photocurrent-recording/1")?)?;
-    file.new_attr::<i64>().create("width")?.write_scalar(&(WIDTH as i64))?;
-    file.new_attr::<i64>().create("height")?.write_scalar(&(HEIGHT as i64))?;
+    file.new_attr::<i64>().create("width")?.write_scalar(&(width as i64))?;
+    file.new_attr::<i64>().create("height")?.write_scalar(&(height as i64))?;
 
     let group = file.create_group("events")?;
     group.new_attr::<i64>().create("t_resolution_ns")?.write_scalar(&draft.resolution)?;
-    let column = |of: fn(&Stamped) -> usize| events.iter().map(|event| of(event) as u16).collect::<Vec<u16>>();
-    dataset(&group, "x", &column(|event| event.pixel % WIDTH), &[events.len()])?;
-    dataset(&group, "y", &column(|event| event.pixel / WIDTH), &[events.len()])?;
+    let column = |of: &dyn Fn(&Stamped) -> usize| events.iter().map(|event| of(event) as u16).collect::<Vec<u16>>();
+    dataset(&group, "x", &column(&|event| event.pixel % width), &[events.len()])?;
+    dataset(&group, "y", &column(&|event| event.pixel / width), &[events.len()])?;
     dataset(&group, "p", &events.iter().map(|event| u8::from(event.on)).collect::<Vec<_>>(), &[events.len()])?;
     times(&group, "t", &events.iter().map(|event| event.t).collect::<Vec<_>>())?;
     if draft.has_t_in {
@@ -35,7 +36,7 @@ fn layout(path: &Path, draft: &Draft, events: &[Stamped], frames: &[Vec<f64>]) -
 
     let group = file.create_group("frames")?;
     group.new_attr::<i64>().create("row_time_ns")?.write_scalar(&((draft.nominal.row_time * 1e9).round() as i64))?;
-    let shape = [frames.len(), HEIGHT, WIDTH];
+    let shape = [frames.len(), height, width];
     match draft.numbers {
         Numbers::Whole => dataset(&group, "dn", &frames.iter().flatten().map(|dn| *dn as u16).collect::<Vec<_>>(), &shape)?,
         Numbers::Sixteenths => dataset(&group, "dn", &frames.iter().flatten().map(|dn| *dn as f32).collect::<Vec<_>>(), &shape)?,
