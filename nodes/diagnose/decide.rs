@@ -37,7 +37,7 @@ pub struct Params {
     /// Error of sizes that all blocks share, as a share of the departure.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub shared_error: f64,
-    /// Log odds that something differs: constant, and weight of the logarithm of what the best effect gains and a second one beside it.
+    /// Log odds that something differs: constant, and weights of the logarithms of what the best effect gains and a second one beside it, and of the share of the events that count.
     pub something: [f64; SOMETHING],
     /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the first's.
     pub second: [f64; SECOND],
@@ -86,7 +86,7 @@ impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
         about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,

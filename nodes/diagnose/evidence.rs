@@ -73,6 +73,9 @@ pub struct Params {
     /// In so many rounds for each size.
     #[schemars(range(min = 1, max = 20))]
     pub rounds: u32,
+    /// The picture may be softer than the scene by so many times what the control's is.
+    #[schemars(range(min = 0.0))]
+    pub softness: f64,
 }
 
 impl Default for Params {
@@ -94,6 +97,7 @@ impl Default for Params {
             refined: of.refined as u32,
             refined_second: of.refined_second as u32,
             rounds: of.rounds as u32,
+            softness: of.softness,
         }
     }
 }
@@ -156,6 +160,7 @@ impl DiagnoseEvidence {
             refined,
             refined_second,
             rounds,
+            softness,
         } = self.params.clone();
         let picture = PictureSetting { pitch, knot_ns: knot.ns(), again: again as usize, ..PictureSetting::default() };
         let of = EvidenceSetting {
@@ -168,6 +173,7 @@ impl DiagnoseEvidence {
             refined: refined as usize,
             refined_second: refined_second as usize,
             rounds: rounds as usize,
+            softness,
             seed,
             ..EvidenceSetting::default()
         };
@@ -210,7 +216,7 @@ impl Node for DiagnoseEvidence {
     const DECL: Decl = Decl {
         kind: "diagnose/evidence",
         about: "Asks every effect of the catalogue how much it explains of what events miss their thresholds by, on a scene that frames alone state, or on known light.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: true,
         exports: false,

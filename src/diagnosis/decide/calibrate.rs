@@ -266,6 +266,7 @@ mod tests {
             first: vec![("clock_offset".into(), 1.0, false), ("second_pole".into(), share_of_other, false)],
             beside: vec![("leak_events".into(), 1.0, false)],
             open: [-3.0, -2.0],
+            share: 0.0,
         }
     }
 

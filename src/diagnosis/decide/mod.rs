@@ -40,7 +40,7 @@ pub struct Decision {
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision { model: Model::default(), least: 0.85, least_second: 0.6, most_control: 0.15, most_left: 0.3, most_silent: 0.12, shared_error: 0.02 }
+        Decision { model: Model::default(), least: 0.9, least_second: 0.6, most_control: 0.15, most_left: 0.3, most_silent: 0.12, shared_error: 0.02 }
     }
 }
 
@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn gains_count_from_the_control() {
-        let found = Evidence { left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
+        let found = Evidence { share: 1.0, left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
         let said = said(&found);
         assert!(said.decides && said.alarm && said.proposals[0].passed);
         assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
@@ -135,14 +135,14 @@ mod tests {
 
     #[test]
     fn what_gains_next_to_nothing_is_no_finding() {
-        let found = Evidence { left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.004, 0.001)], ..Evidence::default() };
+        let found = Evidence { share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.004, 0.001)], ..Evidence::default() };
         assert!(!said(&found).alarm);
     }
 
     #[test]
     fn silence_counts_only_where_an_effect_would_be_seen() {
         let nominal = testing::case().nominal().unwrap();
-        let of = |left: f64, gain: f64| Evidence { left: [left; 2], ranked: vec![ranked("clock_offset", gain, 0.0)], ..Evidence::default() };
+        let of = |left: f64, gain: f64| Evidence { share: 1.0, left: [left; 2], ranked: vec![ranked("clock_offset", gain, 0.0)], ..Evidence::default() };
         let decided = |left: f64, gain: f64| decide(&of(left, gain), &nominal, &Decision::default()).map(|road| road.alarm);
         assert_eq!((decided(0.05, 0.01), decided(0.2, 2.0)), (Ok(false), Ok(true)));
         assert!(decided(0.2, 0.01).unwrap_err().contains("would not be seen"));
@@ -152,7 +152,7 @@ mod tests {
     #[test]
     fn alike_gains_share_their_probability() {
         let found =
-            Evidence { ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)], ..Evidence::default() };
+            Evidence { share: 1.0, ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)], ..Evidence::default() };
         let said = said(&found).proposals;
         assert!(said[0].probability < 0.6 && said[1].probability > 0.4 && said[2].probability < 0.01);
     }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 /// Numbers of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Model {
-    /// Log odds that something differs: constant, and weight of the logarithm of the best gain ([`Facts::something`]).
+    /// Log odds that something differs: constant, and weights of the logarithms of the best gain and of the share of the events that count ([`Facts::something`]).
     pub something: [f64; SOMETHING],
     /// Log odds of a second effect: constant, and weights of [`Facts::second`].
     pub second: [f64; SECOND],
@@ -31,7 +31,7 @@ pub struct Model {
 }
 
 /// Numbers of [`Model::something`].
-pub const SOMETHING: usize = 2;
+pub const SOMETHING: usize = 3;
 /// Numbers of [`Model::second`].
 pub const SECOND: usize = 3;
 
@@ -39,12 +39,12 @@ impl Default for Model {
     /// `photocurrent calibrate`, docs/diagnosis.md.
     fn default() -> Model {
         Model {
-            something: [2.4, 0.647],
-            second: [0.506, 0.048, 0.495],
-            discount: 0.0,
-            softness: [-3.49, -1.54],
-            random: -0.0894,
-            unnamed: [-0.86, 0.554, 1.57],
+            something: [3.213, 0.694, 0.644],
+            second: [1.718, 0.653, 0.0379],
+            discount: 1.5,
+            softness: [-1.888, -0.442],
+            random: 0.316,
+            unnamed: [-0.192, 0.795, 0.393],
         }
     }
 }
@@ -87,6 +87,8 @@ pub struct Facts {
     pub beside: Vec<(String, f64, bool)>,
     /// Logarithms of the gains of curves over that of the best effect: beside it, and alone.
     pub open: [f64; 2],
+    /// Logarithm of the share of the events that count: where the scene explains few of them, it may err in those as well.
+    pub share: f64,
 }
 
 impl Facts {
@@ -115,6 +117,7 @@ impl Facts {
             first: named(&first),
             beside: named(&second),
             open: [curve(&found.open_second, beside_small) - best, curve(&found.open, small) - best],
+            share: libm::log(found.share.clamp(LEAST_GAIN, 1.0)),
         }
     }
 
@@ -129,13 +132,14 @@ impl Facts {
             first: list(&self.first),
             beside: list(&self.beside),
             open: self.open.map(round),
+            share: round(self.share),
         }
     }
 
-    /// 1, and the logarithm of what the best effect gains and another beside it: some only show together.
+    /// 1, the logarithm of what the best effect gains and another beside it, as some only show together, and that of the share of the events that count.
     pub fn something(&self, discount: f64) -> [f64; SOMETHING] {
         let beside = self.beside_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
-        [1.0, libm::log(libm::exp(self.gains.discounted(discount)) + beside)]
+        [1.0, libm::log(libm::exp(self.gains.discounted(discount)) + beside), self.share]
     }
 
     /// 1, the logarithm of the second gain, and of that over the first; none where there is no second.

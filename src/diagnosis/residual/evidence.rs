@@ -62,6 +62,10 @@ pub struct EvidenceSetting {
     pub least_spread: f64,
     /// Events within one cell of the picture see the same of it, pixels.
     pub cell: f64,
+    /// Where the voltage moves slower than this share of the median, an event's time says no more than there.
+    pub least_slope: f64,
+    /// The picture may be softer than the scene by this many times what the control's is.
+    pub softness: f64,
     /// Seed of the control.
     pub seed: u64,
     /// How what is in no catalogue is looked for.
@@ -92,6 +96,8 @@ impl Default for EvidenceSetting {
             least_event_noise: 0.015,
             least_spread: 0.1,
             cell: 0.5,
+            least_slope: 0.1,
+            softness: 3.0,
             seed: 1,
             open: OpenSetting::default(),
             laws: 6,
@@ -151,6 +157,9 @@ pub struct Evidence {
     pub slope_per_s: f64,
     /// Share of the squares of residuals that is noise of pixels.
     pub white: f64,
+    /// How much too soft the picture may be and is found to be, as the size of a blur's column, 0 or below.
+    #[serde(default)]
+    pub softness: [f64; 2],
     /// Median absolute residual of frames, standard deviations.
     pub misfit: f64,
     /// Median absolute residual over the threshold with the first effect applied, and with both.
@@ -196,7 +205,6 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let light = source.light(case, setting.step_ns);
     let mut seen = Seen { case, light, gate, pixels, more, setting, scales: &scales, least, is_known: source.is_known(), own: Vec::new() };
     let stated = Trial::stated(nominal);
-    let table = seen.table(&stated, None)?;
 
     let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
     simulated.sort_unstable();
@@ -221,7 +229,14 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         is_known: source.is_known(),
         own: Vec::new(),
     };
-    let control_table = control_seen.table(&stated, None)?;
+    let mut control_table = control_seen.table(&stated, None, 0.0)?;
+    let softest = setting.softness * control_table.softness();
+    control_table.fit(softest);
+    let table = seen.table(&stated, None, softest)?;
+    let seen_events = table.residual().len();
+    if seen_events < setting.least_events / 5 {
+        return Err(format!("only {seen_events} of the events looked at follow another one that the scene explains as well; {} are needed", setting.least_events / 5));
+    }
 
     let swing = table.residual().iter().enumerate().map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
     let frame_ns = case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
@@ -254,9 +269,9 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         let shifted = of_chance.iter().find(|part| is_random && part.candidate == first.candidate).and_then(|part| part.left.as_ref());
         if let Some(left) = shifted {
             // Each pixel with its own size, each event with its mean delay from here on.
-            seen.own = table.residual().iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
+            seen.own = table.sharp().iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
         }
-        let table = seen.table(&with, Some(first.candidate))?;
+        let table = seen.table(&with, Some(first.candidate), softest)?;
         left = [median_share(table.residual(), scales.threshold); 2];
         let beside = (!is_random).then_some((first.candidate, strength));
         second = seen.rank(&stated, &table, &control_table, beside, setting.refined_second, nominal)?;
@@ -281,6 +296,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         left,
         slope_per_s,
         white,
+        softness: [softest, table.softness()],
         misfit: source.misfit(),
         ranked,
         first,
@@ -309,7 +325,7 @@ struct Chance<'a> {
 impl<'a> Chance<'a> {
     fn new(case: &Case, nominal: &'a Nominal, control: &Table, white: f64, slope_per_s: f64, setting: &'a EvidenceSetting, scales: &'a Scales) -> Chance<'a> {
         let least = setting.least_noise * scales.threshold;
-        let noise = EventNoise::estimate(control.residual(), &control.events.slope_per_s, least);
+        let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
         let strengths = OF_PIXELS.map(|(id, parameter)| {
             Candidate::find(id, parameter).map_or(0.0, |candidate| candidate.value(1.0, scales, nominal) - candidate.value(0.0, scales, nominal))
         });
@@ -350,7 +366,8 @@ impl<'a> Chance<'a> {
 fn of_table(table: &Table, white: f64, setting: &EvidenceSetting, threshold: f64, noise: &EventNoise) -> Vec<Part> {
     let least = setting.least_noise * threshold;
     let least_spread = setting.least_spread;
-    parts(&Ground { events: &table.events, residual: table.residual(), columns: table.of_pixels(), white, threshold, least, least_spread }, noise)
+    let [scale, refractory] = table.of_pixels();
+    parts(&Ground { events: &table.events, residual: table.sharp(), columns: [&scale, &refractory], white, threshold, least, least_spread }, noise)
 }
 
 /// Pixels spread over the array, about `pixels` at most, whose events that count are about `events` in all at most.

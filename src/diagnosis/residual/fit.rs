@@ -21,9 +21,11 @@ impl EventNoise {
 
     /// From residuals: robust scales in eight bins of slope, fitted by `a^2 + b^2 slope^2`; at least `least`.
     pub fn estimate(residual: &[f64], slope_per_s: &[f64], least: f64) -> EventNoise {
+        EventNoise::in_order(residual, slope_per_s, &by_slope(slope_per_s), least)
+    }
+
+    fn in_order(residual: &[f64], slope_per_s: &[f64], order: &[usize], least: f64) -> EventNoise {
         const BINS: usize = 8;
-        let mut order: Vec<usize> = (0..residual.len()).collect();
-        order.sort_by(|&i, &j| slope_per_s[i].abs().total_cmp(&slope_per_s[j].abs()));
         let mut points: Vec<(f64, f64)> = Vec::new();
         for bin in order.chunks(residual.len().div_ceil(BINS).max(1)) {
             let mut sizes: Vec<f64> = bin.iter().map(|&k| residual[k].abs()).collect();
@@ -61,6 +63,13 @@ impl EventNoise {
     }
 }
 
+/// Numbers of events by how fast the voltage moves.
+fn by_slope(slope_per_s: &[f64]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..slope_per_s.len()).collect();
+    order.sort_by(|&i, &j| slope_per_s[i].abs().total_cmp(&slope_per_s[j].abs()));
+    order
+}
+
 /// Log density of Student's t with three degrees of freedom.
 #[inline]
 fn log_t(z: f64) -> f64 {
@@ -79,6 +88,28 @@ pub struct Rows<'a> {
     pub events: usize,
     /// Least noise, natural-log units.
     pub least: f64,
+    /// What a picture that is too soft leaves, and how much of it may be taken off: fitted beside everything.
+    pub soft: Option<Soft<'a>>,
+}
+
+/// What a picture that is too soft leaves of each row, per size of its own; sizes lie between `most` and 0.
+#[derive(Clone, Copy, Debug)]
+pub struct Soft<'a> {
+    /// The column.
+    pub column: &'a [f32],
+    /// What it changes of the logarithm of each slope.
+    pub log_slope: &'a [f32],
+    /// At most so much, below 0.
+    pub most: f64,
+}
+
+/// An effect's column, and what it changes of the logarithm of each slope: both per size.
+#[derive(Clone, Debug, Default)]
+pub struct Column {
+    /// Of residuals.
+    pub of: Vec<f32>,
+    /// Of log slopes; nothing where it changes none.
+    pub log_slope: Vec<f32>,
 }
 
 /// Least noise of frame values, DN: that of whole numbers.
@@ -98,13 +129,29 @@ impl Noise {
     }
 }
 
+/// Chosen rows, rising, in the order of their slopes.
+struct Chosen {
+    rows: Vec<usize>,
+    slopes: Vec<f64>,
+    events: Vec<usize>,
+    frames: Vec<usize>,
+}
+
 impl Rows<'_> {
-    /// Of chosen rows, rising, with their residuals.
-    fn noise(&self, chosen: &[usize], residual: &[f64]) -> Noise {
-        let slopes: Vec<f64> = chosen.iter().map(|&k| self.slope[k]).collect();
-        let at = chosen.partition_point(|&k| k < self.events);
-        let events = EventNoise::estimate(&residual[..at], &slopes[..at], self.least);
-        let frames = if at < chosen.len() { EventNoise::estimate(&residual[at..], &slopes[at..], LEAST_DN) } else { events };
+    fn choose(&self, residual: &[f64], use_row: impl Fn(usize) -> bool) -> Chosen {
+        let rows: Vec<usize> = (0..residual.len()).filter(|&k| use_row(k)).collect();
+        let slopes: Vec<f64> = rows.iter().map(|&k| self.slope[k]).collect();
+        let at = rows.partition_point(|&k| k < self.events);
+        let (events, frames) = (by_slope(&slopes[..at]), by_slope(&slopes[at..]));
+        Chosen { rows, slopes, events, frames }
+    }
+
+    /// Of chosen rows, with their residuals.
+    fn noise(&self, chosen: &Chosen, residual: &[f64]) -> Noise {
+        let at = chosen.events.len();
+        let events = EventNoise::in_order(&residual[..at], &chosen.slopes[..at], &chosen.events, self.least);
+        let frames =
+            if chosen.frames.is_empty() { events } else { EventNoise::in_order(&residual[at..], &chosen.slopes[at..], &chosen.frames, LEAST_DN) };
         Noise { events, frames }
     }
 
@@ -136,14 +183,55 @@ pub struct Fitted {
     pub gain_error: f64,
 }
 
+/// Sizes and noise of a fit.
+struct Solved {
+    sizes: Vec<f64>,
+    /// Of [`Soft`].
+    soft: f64,
+    noise: Noise,
+}
+
 /// Fits columns together by iteratively reweighted least squares; gives sizes and noise.
 pub fn fit(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl Fn(usize) -> bool) -> (Vec<f64>, Noise) {
-    let chosen: Vec<usize> = (0..residual.len()).filter(|&k| use_row(k)).collect();
+    let found = solve(residual, rows, columns, use_row);
+    (found.sizes, found.noise)
+}
+
+fn solve(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl Fn(usize) -> bool) -> Solved {
+    let chosen = rows.choose(residual, use_row);
+    let Some(soft) = rows.soft.filter(|soft| soft.most < 0.0) else {
+        let (sizes, noise) = least_squares(residual, rows, columns, &chosen);
+        return Solved { sizes, soft: 0.0, noise };
+    };
+    let with: Vec<&[f32]> = columns.iter().copied().chain([soft.column]).collect();
+    let (mut sizes, noise) = least_squares(residual, rows, &with, &chosen);
+    let size = sizes.pop().unwrap_or(0.0);
+    if (soft.most..=0.0).contains(&size) {
+        return Solved { sizes, soft: size, noise };
+    }
+    let size = size.clamp(soft.most, 0.0);
+    let (sizes, noise) = least_squares(&soft.off(residual, size), rows, columns, &chosen);
+    Solved { sizes, soft: size, noise }
+}
+
+impl Soft<'_> {
+    /// Residuals with a size of it.
+    fn off(&self, residual: &[f64], size: f64) -> Vec<f64> {
+        residual.iter().zip(self.column).map(|(r, column)| r + size * f64::from(*column)).collect()
+    }
+}
+
+/// Residuals without what a picture that is too soft leaves.
+pub fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
+    rows.soft.map_or_else(|| residual.to_vec(), |soft| soft.off(residual, solve(residual, rows, &[], |_| true).soft))
+}
+
+fn least_squares(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], chosen: &Chosen) -> (Vec<f64>, Noise) {
     let mut sizes = vec![0.0; columns.len()];
     let left = |sizes: &[f64]| -> Vec<f64> {
-        chosen.iter().map(|&k| residual[k] + columns.iter().zip(sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>()).collect()
+        chosen.rows.iter().map(|&k| residual[k] + columns.iter().zip(sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>()).collect()
     };
-    let mut noise = rows.noise(&chosen, &left(&sizes));
+    let mut noise = rows.noise(chosen, &left(&sizes));
     if columns.is_empty() {
         return (sizes, noise);
     }
@@ -152,7 +240,7 @@ pub fn fit(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl 
         let n = columns.len();
         let mut normal = nalgebra::DMatrix::<f64>::zeros(n, n);
         let mut right = nalgebra::DVector::<f64>::zeros(n);
-        for (&k, r) in chosen.iter().zip(&now) {
+        for (&k, r) in chosen.rows.iter().zip(&now) {
             let sigma = rows.sigma(&noise, k);
             let z = r / sigma;
             let weight = (NU + 1.0) / (NU + z * z) / (sigma * sigma);
@@ -176,21 +264,37 @@ pub fn fit(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl 
         if sizes.iter().zip(step.iter()).all(|(size, step)| step.abs() < 1e-3 * size.abs()) {
             break;
         }
-        noise = rows.noise(&chosen, &left(&sizes));
+        noise = rows.noise(chosen, &left(&sizes));
     }
     (sizes, noise)
 }
 
-/// Held-out gain of residuals `left` over `before`, nats per event, and its standard error by blocks: noise is fitted to the other half of the blocks.
-pub fn gain_of(before: &[f64], left: &[f64], rows: &Rows<'_>) -> (f64, f64) {
+/// Residuals with the logarithm of the slope at each event: the density of an event's time is that of its residual times the slope. Frame values have none.
+#[derive(Clone, Copy, Debug)]
+pub struct Seen<'a> {
+    /// Residuals.
+    pub residual: &'a [f64],
+    /// Log slopes of the events.
+    pub log_slope: &'a [f32],
+}
+
+impl Seen<'_> {
+    fn log(&self, rows: &Rows<'_>, found: &Solved, k: usize) -> f64 {
+        let soft = rows.soft.map_or((0.0, 0.0), |soft| (f64::from(soft.column[k]), soft.log_slope.get(k).map_or(0.0, |log| f64::from(*log))));
+        let log_slope = self.log_slope.get(k).map_or(0.0, |log| f64::from(*log));
+        rows.log(&found.noise, k, self.residual[k] + found.soft * soft.0) + log_slope + found.soft * soft.1
+    }
+}
+
+/// Held-out gain of what is `left` over `before`, nats per event, and its standard error by blocks: noise is fitted to the other half of the blocks.
+pub fn gain_of(before: Seen<'_>, left: Seen<'_>, rows: &Rows<'_>) -> (f64, f64) {
     let blocks = rows.blocks();
     let (mut gains, mut counts) = (vec![0.0; blocks], vec![0.0; blocks]);
     for half in 0..2_u32 {
         let train = |k: usize| rows.block[k] % 2 == half;
-        let noise = |residual: &[f64]| fit(residual, rows, &[], train).1;
-        let (with, plain) = (noise(left), noise(before));
-        for k in (0..before.len()).filter(|&k| !train(k)) {
-            gains[rows.block[k] as usize] += rows.log(&with, k, left[k]) - rows.log(&plain, k, before[k]);
+        let (with, plain) = (solve(left.residual, rows, &[], train), solve(before.residual, rows, &[], train));
+        for k in (0..before.residual.len()).filter(|&k| !train(k)) {
+            gains[rows.block[k] as usize] += left.log(rows, &with, k) - before.log(rows, &plain, k);
             counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
     }
@@ -205,25 +309,116 @@ fn mean_of_blocks(gains: &[f64], counts: &[f64]) -> (f64, f64) {
     (gain, libm::sqrt(spread) / all)
 }
 
+/// Residuals with no column, fitted on either half of the blocks.
+pub struct Plain<'a> {
+    residual: &'a [f64],
+    rows: Rows<'a>,
+    halves: [Solved; 2],
+}
+
+impl<'a> Plain<'a> {
+    /// Of residuals.
+    pub fn new(residual: &'a [f64], rows: Rows<'a>) -> Plain<'a> {
+        let halves = [0_u32, 1].map(|half| solve(residual, &rows, &[], |k| rows.block[k] % 2 == half));
+        Plain { residual, rows, halves }
+    }
+}
+
 /// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to, nats an event; size from all rows.
-pub fn heldout(residual: &[f64], rows: &Rows<'_>, column: &[&[f32]]) -> Fitted {
+pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
+    let Plain { residual, rows, halves: plain } = plain;
     let blocks = rows.blocks();
     let mut gains = vec![0.0; blocks];
     let mut counts = vec![0.0; blocks];
     let mut halves = [Vec::new(), Vec::new()];
+    let of: Vec<&[f32]> = columns.iter().map(|column| &column.of[..]).collect();
+    let plain_seen = Seen { residual, log_slope: &[] };
     for half in 0..2_u32 {
         let train = |k: usize| rows.block[k] % 2 == half;
-        let (sizes, noise) = fit(residual, rows, column, train);
-        let (_, plain) = fit(residual, rows, &[], train);
+        let with = solve(residual, rows, &of, train);
+        let plain = &plain[half as usize];
+        let sum = |of: &dyn Fn(&Column) -> f64| columns.iter().zip(&with.sizes).map(|(column, size)| of(column) * size).sum::<f64>();
+        let mut left = residual.to_vec();
+        left.iter_mut().enumerate().for_each(|(k, left)| *left += sum(&|column| f64::from(column.of[k])));
+        let steeper: Vec<f32> = (0..rows.events).map(|k| sum(&|column| column.log_slope.get(k).map_or(0.0, |log| f64::from(*log))) as f32).collect();
+        let seen = Seen { residual: &left, log_slope: &steeper };
         for k in (0..residual.len()).filter(|&k| !train(k)) {
-            let left = residual[k] + column.iter().zip(&sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>();
-            gains[rows.block[k] as usize] += rows.log(&noise, k, left) - rows.log(&plain, k, residual[k]);
+            gains[rows.block[k] as usize] += seen.log(rows, &with, k) - plain_seen.log(rows, plain, k);
             counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
-        halves[half as usize] = sizes;
+        halves[half as usize] = with.sizes;
     }
-    let (size, _) = fit(residual, rows, column, |_| true);
+    let size = solve(residual, rows, &of, |_| true).sizes;
     let (gain, gain_error) = mean_of_blocks(&gains, &counts);
     let error = halves[0].iter().zip(&halves[1]).map(|(a, b)| 0.5 * (a - b).abs()).collect();
     Fitted { size, error, gain, gain_error }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::random::Random;
+
+    const EVENTS: usize = 4_000;
+
+    /// Slopes, blocks, noise of 0.02 and two columns that are partly alike.
+    fn problem() -> (Vec<f64>, Vec<u32>, Vec<f64>, [Vec<f32>; 2]) {
+        let mut random = Random::new(6, &[]);
+        let slope: Vec<f64> = (0..EVENTS).map(|_| 20.0 * (1.0 + random.uniform())).collect();
+        let block = (0..EVENTS as u32).map(|k| k % 32).collect();
+        let noise = (0..EVENTS).map(|_| 0.02 * random.normal()).collect();
+        let soft: Vec<f32> = (0..EVENTS).map(|_| random.normal() as f32).collect();
+        let alike = soft.iter().map(|soft| 0.8 * soft + 0.6 * random.normal() as f32).collect();
+        (slope, block, noise, [soft, alike])
+    }
+
+    fn rows<'a>(slope: &'a [f64], block: &'a [u32], soft: Option<Soft<'a>>) -> Rows<'a> {
+        Rows { slope, block, events: EVENTS, least: 1e-4, soft }
+    }
+
+    #[test]
+    fn what_a_soft_picture_leaves_is_no_gain_of_what_looks_like_it() {
+        let (slope, block, noise, [soft, alike]) = problem();
+        let flat = vec![0.0; EVENTS];
+        let residual: Vec<f64> = noise.iter().zip(&soft).map(|(noise, soft)| noise + 0.05 * f64::from(*soft)).collect();
+        let column = Column { of: alike, log_slope: Vec::new() };
+        let gain = |most: f64| {
+            let soft = Soft { column: &soft, log_slope: &flat, most };
+            heldout(&Plain::new(&residual, rows(&slope, &block, Some(soft))), &[&column])
+        };
+        let (without, with, half) = (gain(0.0), gain(-0.2), gain(-0.02));
+        assert!(without.gain > 0.3, "{without:?}");
+        assert!(with.gain.abs() < 0.01 && with.size[0].abs() < 0.003, "{with:?}");
+        assert!((0.05..without.gain).contains(&half.gain), "only as much is taken off as is allowed: {half:?}");
+        let left = without_softness(&residual, &rows(&slope, &block, Some(Soft { column: &soft, log_slope: &flat, most: -0.2 })));
+        left.iter().zip(&noise).for_each(|(left, noise)| assert!((left - noise).abs() < 0.01));
+    }
+
+    #[test]
+    fn too_much_blur_is_never_taken_for_softness() {
+        let (slope, block, noise, [soft, _]) = problem();
+        let flat = vec![0.0; EVENTS];
+        let residual: Vec<f64> = noise.iter().zip(&soft).map(|(noise, soft)| noise - 0.05 * f64::from(*soft)).collect();
+        let rows = rows(&slope, &block, Some(Soft { column: &soft, log_slope: &flat, most: -0.2 }));
+        assert_eq!(without_softness(&residual, &rows), residual);
+    }
+
+    #[test]
+    fn a_voltage_that_moves_faster_makes_the_same_residuals_more_probable() {
+        // The density of an event's time is that of its residual times the slope: half of the contrast, and half of the residuals, gain nothing.
+        let (slope, block, noise, _) = problem();
+        let rows = rows(&slope, &block, None);
+        let log = |by: f64| -> Vec<f32> { slope.iter().map(|slope| libm::log(by * slope) as f32).collect() };
+        let half: Vec<f64> = noise.iter().map(|noise| 0.5 * noise).collect();
+        let (full_log, half_log) = (log(1.0), log(0.5));
+        let before = Seen { residual: &noise, log_slope: &full_log };
+        let (gain, _) = gain_of(before, Seen { residual: &half, log_slope: &half_log }, &rows);
+        assert!(gain.abs() < 1e-4, "{gain}");
+        let (gain, _) = gain_of(before, Seen { residual: &noise, log_slope: &half_log }, &rows);
+        assert!((gain + libm::log(2.0)).abs() < 1e-4, "{gain}");
+        // To first order the same: a column that takes half of the residuals, and half of the slopes with it.
+        let column = Column { of: noise.iter().map(|noise| -0.5 * *noise as f32).collect(), log_slope: vec![-0.5; EVENTS] };
+        let found = heldout(&Plain::new(&noise, rows), &[&column]);
+        assert!((found.size[0] - 2.0).abs() < 0.1, "{found:?}");
+    }
 }

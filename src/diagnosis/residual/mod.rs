@@ -60,6 +60,15 @@ pub struct Residuals {
     pub log_light: Vec<f64>,
 }
 
+/// What a trial makes of each event.
+#[derive(Clone, Debug, Default)]
+pub struct OfTrial {
+    /// Its residual, natural-log units.
+    pub excess: Vec<f32>,
+    /// How fast the voltage moves there, ln/s.
+    pub slope_per_s: Vec<f32>,
+}
+
 /// Which pixels are looked at, and the light of all.
 pub struct View<'a> {
     /// The recording.
@@ -82,15 +91,15 @@ pub struct FrameValues {
 }
 
 impl View<'_> {
-    /// Residuals of the armed events behind the first of each pixel, for each trial; where a trial finds no answer an event keeps the first trial's.
+    /// Residuals of the armed events behind the first of each pixel, and what each trial makes of them.
     ///
     /// # Errors
     /// When a trial's effects are not understood or cannot be combined.
-    pub fn residuals(&self, trials: &[Trial], keeps: impl Fn(usize, i64) -> bool + Sync) -> Result<(Residuals, Vec<Vec<f32>>), String> {
+    pub fn residuals(&self, trials: &[Trial], keeps: impl Fn(usize, i64) -> bool + Sync) -> Result<(Residuals, Vec<OfTrial>), String> {
         let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
-        let parts: Vec<(Residuals, Vec<Vec<f32>>)> = self.pixels.par_chunks(16).map(|pixels| self.part(pixels, &prepared, &keeps)).collect();
+        let parts: Vec<(Residuals, Vec<OfTrial>)> = self.pixels.par_chunks(16).map(|pixels| self.part(pixels, &prepared, &keeps)).collect();
         let mut all = Residuals::default();
-        let mut of_trials: Vec<Vec<f32>> = vec![Vec::new(); trials.len()];
+        let mut of_trials: Vec<OfTrial> = vec![OfTrial::default(); trials.len()];
         for (part, values) in parts {
             let Residuals { pixel, number, t_ns, polarity, previous, since_ns, excess, slope_per_s, slope_before_per_s, log_light } = part;
             all.pixel.extend(pixel);
@@ -103,7 +112,10 @@ impl View<'_> {
             all.slope_per_s.extend(slope_per_s);
             all.slope_before_per_s.extend(slope_before_per_s);
             all.log_light.extend(log_light);
-            of_trials.iter_mut().zip(values).for_each(|(all, values)| all.extend(values));
+            for (all, values) in of_trials.iter_mut().zip(values) {
+                all.excess.extend(values.excess);
+                all.slope_per_s.extend(values.slope_per_s);
+            }
         }
         Ok((all, of_trials))
     }
@@ -144,8 +156,8 @@ impl View<'_> {
         Ok((all, of_trials))
     }
 
-    fn part(&self, pixels: &[u32], prepared: &[Prepared], keeps: &(impl Fn(usize, i64) -> bool + Sync)) -> (Residuals, Vec<Vec<f32>>) {
-        let (mut all, mut of_trials) = (Residuals::default(), vec![Vec::new(); prepared.len()]);
+    fn part(&self, pixels: &[u32], prepared: &[Prepared], keeps: &(impl Fn(usize, i64) -> bool + Sync)) -> (Residuals, Vec<OfTrial>) {
+        let (mut all, mut of_trials) = (Residuals::default(), vec![OfTrial::default(); prepared.len()]);
         let mut out = Conditional::default();
         let setting = SceneSetting::default();
         let instants: Vec<i64> = (0..self.light.count).map(|k| self.light.instant(k)).collect();
@@ -177,7 +189,8 @@ impl View<'_> {
                         self.push(&mut all, pixel, k, &events, &out, &log);
                     }
                 }
-                of_trials[n].extend(kept.iter().map(|&k| out.excess[k] as f32));
+                of_trials[n].excess.extend(kept.iter().map(|&k| out.excess[k] as f32));
+                of_trials[n].slope_per_s.extend(kept.iter().map(|&k| out.slope_per_s[k] as f32));
             }
         }
         (all, of_trials)

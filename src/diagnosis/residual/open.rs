@@ -4,7 +4,7 @@
 //! bins would gain is taken off: that is an effect of the catalogue.
 
 use super::Residuals;
-use super::fit::{Fitted, Rows, heldout};
+use super::fit::{Column, Fitted, Plain, Rows, heldout};
 use crate::covariates::{Covariate, Surroundings};
 use crate::law::{Law, Moved};
 use serde::{Deserialize, Serialize};
@@ -102,9 +102,9 @@ fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: 
     let (of, of_before): (Vec<Option<usize>>, Vec<Option<usize>>) =
         (laid.at.iter().map(|value| bins.of(*value)).collect(), laid.before.iter().map(|value| bins.of(*value)).collect());
     let count = bins.count();
-    let column = |bin: Option<usize>| -> Vec<f32> {
+    let column = |bin: Option<usize>| -> Column {
         let is_in = |at: Option<usize>| at.is_some_and(|at| bin.is_none_or(|bin| at == bin));
-        (0..residual.len())
+        let of = (0..residual.len())
             .map(|k| {
                 let (here, before) = (f64::from(u8::from(is_in(of[k]))), f64::from(u8::from(is_in(of_before[k]))));
                 let change = match moved {
@@ -114,13 +114,13 @@ fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: 
                 };
                 -change as f32
             })
-            .collect()
+            .collect();
+        Column { of, log_slope: Vec::new() }
     };
-    let rows = Rows { slope: &events.slope_per_s, block, events: residual.len(), least };
-    let columns: Vec<Vec<f32>> = (0..count).map(|bin| column(Some(bin))).collect();
-    let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
-    let all: Fitted = heldout(residual, &rows, &columns);
-    let one: Fitted = heldout(residual, &rows, &[&column(None)]);
+    let plain = Plain::new(residual, Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None });
+    let columns: Vec<Column> = (0..count).map(|bin| column(Some(bin))).collect();
+    let all: Fitted = heldout(&plain, &columns.iter().collect::<Vec<_>>());
+    let one: Fitted = heldout(&plain, &[&column(None)]);
     let gain = all.gain - one.gain.max(0.0);
     let value = &all.size;
     let weight = |bin: usize| of.iter().filter(|at| **at == Some(bin)).count() as f64;

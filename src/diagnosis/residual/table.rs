@@ -2,7 +2,7 @@
 
 use super::components::white_share;
 use super::evidence::{EvidenceSetting, Ranked};
-use super::fit::{Fitted, Rows, gain_of, heldout};
+use super::fit::{self, Column, Fitted, Plain, Rows, Soft, gain_of, heldout, without_softness};
 use super::gate::Gate;
 use super::light::Light;
 use super::open::{self, Open, lay};
@@ -12,7 +12,10 @@ use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::Case;
 use crate::covariates::Surroundings;
 use crate::likelihood::view::Prepared;
+use crate::integrity::median;
 use crate::nominal::Nominal;
+use photocurrent_sensor::elementary::ln;
+use std::borrow::Cow;
 
 /// A recording with its scene, ready to be asked.
 pub(super) struct Seen<'a> {
@@ -43,15 +46,59 @@ pub(super) struct Table {
     block: Vec<u32>,
     /// Residuals, likewise.
     base: Vec<f64>,
+    /// Residuals of the events without what a picture that is too soft leaves.
+    sharp: Vec<f64>,
+    /// Logarithms of the events' slopes.
+    log_slope: Vec<f32>,
     least: f64,
+    /// At most so much of the blur's column is taken off beside everything, below 0.
+    softest: f64,
+    /// Columns of the candidates.
+    columns: Vec<(usize, Column)>,
     pub fitted: Vec<(usize, Fitted)>,
-    /// Columns of the threshold's scale and of the refractory period.
-    columns: [Vec<f32>; 2],
+}
+
+/// What a picture that is too soft leaves looks like what too much blur in the event path would, with the other sign.
+const SOFTNESS: &str = "blur";
+
+/// What trials make of the rows.
+struct Evaluated {
+    events: Residuals,
+    frames: FrameValues,
+    /// Residuals for each trial: of events, then of frame values.
+    left: Vec<Vec<f32>>,
+    /// Logarithms of the events' slopes for each trial.
+    log_slope: Vec<Vec<f32>>,
 }
 
 impl Table {
-    fn rows(&self) -> Rows<'_> {
-        Rows { slope: &self.slope, block: &self.block, events: self.events.pixel.len(), least: self.least }
+    fn rows(&self, is_sharp: bool) -> Rows<'_> {
+        let soft = self.of(SOFTNESS, "").filter(|_| !is_sharp).map(|column| Soft { column: &column.of, log_slope: &column.log_slope, most: self.softest });
+        Rows { slope: &self.slope, block: &self.block, events: self.events.pixel.len(), least: self.least, soft }
+    }
+
+    /// The column of an effect's parameter, or of its first one.
+    fn of(&self, id: &str, parameter: &str) -> Option<&Column> {
+        let is_it = |n: usize| CANDIDATES[n].id == id && (parameter.is_empty() || CANDIDATES[n].parameter == parameter);
+        self.columns.iter().find(|(n, _)| is_it(*n)).map(|(_, column)| column)
+    }
+
+    /// Fits every column beside what a picture that is too soft leaves, `softest` of it at most.
+    pub fn fit(&mut self, softest: f64) {
+        self.softest = softest;
+        let plain = |is_sharp: bool| Plain::new(&self.base, self.rows(is_sharp));
+        let (soft, sharp) = (plain(false), plain(true));
+        let beside = |n: usize| if CANDIDATES[n].id == SOFTNESS { &sharp } else { &soft };
+        self.fitted = self.columns.iter().map(|(n, column)| (*n, heldout(beside(*n), &[column]))).collect();
+        let mut left = without_softness(&self.base, &self.rows(false));
+        left.truncate(self.events.pixel.len());
+        self.sharp = left;
+    }
+
+    /// How much too soft the picture is: the size of the blur's column that events have too little of, 0 or below.
+    pub fn softness(&self) -> f64 {
+        let size = |(_, fitted): &(usize, Fitted)| fitted.size[0];
+        self.fitted.iter().find(|(n, _)| CANDIDATES[*n].id == SOFTNESS).map_or(0.0, size).min(0.0)
     }
 
     /// Residuals of the events.
@@ -59,9 +106,23 @@ impl Table {
         &self.base[..self.events.pixel.len()]
     }
 
+    /// The same without what a picture that is too soft leaves.
+    pub fn sharp(&self) -> &[f64] {
+        &self.sharp
+    }
+
     /// Columns of the events that each pixel may have a size of its own of.
-    pub fn of_pixels(&self) -> [&[f32]; 2] {
-        self.columns.each_ref().map(|column| &column[..self.events.pixel.len()])
+    pub fn of_pixels(&self) -> [Cow<'_, [f32]>; 2] {
+        let events = self.events.pixel.len();
+        OF_PIXELS.map(|(id, parameter)| self.of(id, parameter).map_or_else(|| Cow::Owned(vec![0.0; events]), |column| Cow::Borrowed(&column.of[..events])))
+    }
+}
+
+impl Evaluated {
+    /// What a step `by` of one trial from another one changes, for each size.
+    fn column(&self, trial: usize, from: usize, by: f64) -> Column {
+        let change = |values: &[Vec<f32>]| values[trial].iter().zip(&values[from]).map(|(with, before)| (with - before) / by as f32).collect();
+        Column { of: change(&self.left), log_slope: change(&self.log_slope) }
     }
 }
 
@@ -79,19 +140,24 @@ pub(super) struct Refined {
 pub(super) const OF_PIXELS: [(&str, &str); 2] = [("threshold_scale", "fraction"), ("refractory", "refractory")];
 
 impl Seen<'_> {
-    fn evaluate(&self, trials: &[Trial]) -> Result<(Residuals, FrameValues, Vec<Vec<f32>>), String> {
+    fn evaluate(&self, trials: &[Trial]) -> Result<Evaluated, String> {
         let view = View { case: self.case, light: &self.light, pixels: self.pixels.clone(), is_known: self.is_known };
-        let (events, mut values) = view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
-        for of_trial in &mut values {
+        let (events, of_trials) = view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+        let mut slopes: Vec<f64> = events.slope_per_s.iter().map(|slope| slope.abs()).collect();
+        // A voltage that hardly moves says little of when an event comes.
+        let least = self.setting.least_slope * median(&mut slopes);
+        let log_slope = of_trials.iter().map(|of| of.slope_per_s.iter().map(|slope| ln(f64::max(f64::from(slope.abs()), least)) as f32).collect()).collect();
+        let mut left: Vec<Vec<f32>> = of_trials.into_iter().map(|of| of.excess).collect();
+        for of_trial in &mut left {
             of_trial.iter_mut().zip(&self.own).for_each(|(value, own)| *value -= own);
         }
         let mut frames = FrameValues::default();
         if self.is_known {
-            let left;
-            (frames, left) = view.frames(trials)?;
-            values.iter_mut().zip(left).for_each(|(values, left)| values.extend(left));
+            let of_frames;
+            (frames, of_frames) = view.frames(trials)?;
+            left.iter_mut().zip(of_frames).for_each(|(left, of_frames)| left.extend(of_frames));
         }
-        Ok((events, frames, values))
+        Ok(Evaluated { events, frames, left, log_slope })
     }
 
     /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than are fitted.
@@ -112,7 +178,7 @@ impl Seen<'_> {
         let light = Box::new(|pixel: usize, t_ns: i64| self.light.at(pixel, t_ns));
         let surroundings = Surroundings::of(self.case, light, self.case.extent.pixels(), (front_end.tau_0_s, front_end.alpha_s)).with_period(period_ns);
         let laid = lay(&table.events, &surroundings, period_ns);
-        open::laws(&table.events, table.residual(), &table.block[..table.events.pixel.len()], &laid, self.scales.threshold, self.least, &self.setting.open)
+        open::laws(&table.events, table.sharp(), &table.block[..table.events.pixel.len()], &laid, self.scales.threshold, self.least, &self.setting.open)
     }
 
     fn block_of(&self, pixel: usize) -> u32 {
@@ -121,24 +187,32 @@ impl Seen<'_> {
         (2 * (by * width.div_ceil(side) + bx) + (bx + by) % 2) as u32
     }
 
-    /// First-order fits of every effect on top of a sensor, but for one candidate.
-    pub fn table(&self, trial: &Trial, without: Option<usize>) -> Result<Table, String> {
+    /// First-order fits of every effect on top of a sensor, but for one candidate; beside a picture that is too soft by `softest` at most.
+    pub fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
         // One that cannot be combined with what is there is no candidate.
         let can_be = |n: &usize| Prepared::new(self.case, &on_top(trial, *n, self.probe(*n), self.scales)).is_ok();
         let chosen: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| !CANDIDATES[n].is_random && Some(n) != without).filter(can_be).collect();
         let mut trials = vec![trial.clone()];
         trials.extend(chosen.iter().map(|&n| on_top(trial, n, self.probe(n), self.scales)));
-        let (events, frames, values) = self.evaluate(&trials)?;
-        let block: Vec<u32> = events.pixel.iter().chain(&frames.pixel).map(|pixel| self.block_of(*pixel as usize)).collect();
-        let slope: Vec<f64> = events.slope_per_s.iter().chain(&frames.signal_dn).copied().collect();
-        let mut table =
-            Table { trial: trial.clone(), events, slope, block, base: wide(&values[0]), least: self.least, fitted: Vec::new(), columns: Default::default() };
-        let fitted = |(&n, with): (&usize, &Vec<f32>)| (n, heldout(&table.base, &table.rows(), &[&self.column(n, with, &values[0])]));
-        table.fitted = chosen.iter().zip(&values[1..]).map(fitted).collect();
-        table.columns = OF_PIXELS.map(|(id, parameter)| {
-            let at = chosen.iter().position(|&n| CANDIDATES[n].id == id && CANDIDATES[n].parameter == parameter);
-            at.map_or_else(|| vec![0.0; table.base.len()], |at| self.column(chosen[at], &values[1 + at], &values[0]))
-        });
+        let found = self.evaluate(&trials)?;
+        let block: Vec<u32> = found.events.pixel.iter().chain(&found.frames.pixel).map(|pixel| self.block_of(*pixel as usize)).collect();
+        let slope: Vec<f64> = found.events.slope_per_s.iter().chain(&found.frames.signal_dn).copied().collect();
+        let columns = chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, self.probe(n)))).collect();
+        let Evaluated { events, left, mut log_slope, .. } = found;
+        let mut table = Table {
+            trial: trial.clone(),
+            events,
+            slope,
+            block,
+            base: wide(&left[0]),
+            sharp: Vec::new(),
+            log_slope: std::mem::take(&mut log_slope[0]),
+            least: self.least,
+            softest,
+            columns,
+            fitted: Vec::new(),
+        };
+        table.fit(softest);
         Ok(table)
     }
 
@@ -152,11 +226,6 @@ impl Seen<'_> {
         }
     }
 
-    fn column(&self, candidate: usize, with: &[f32], base: &[f32]) -> Vec<f32> {
-        let probe = self.probe(candidate) as f32;
-        with.iter().zip(base).map(|(with, base)| (with - base) / probe).collect()
-    }
-
     /// Sizes of effects on top of a sensor by Gauss-Newton on their exact models, from first ones; their gain is that over the residuals of `table`.
     pub fn refine(&self, trial: &Trial, table: &Table, which: &[usize], begin: &[f64]) -> Result<Refined, String> {
         let put = |strengths: &[f64]| which.iter().zip(strengths).fold(trial.clone(), |trial, (&n, &strength)| on_top(&trial, n, strength, self.scales));
@@ -164,6 +233,7 @@ impl Seen<'_> {
         let mut strength: Vec<f64> = (0..which.len()).map(|i| if is_free[i] { self.bounded(which[i], begin[i]) } else { 1.0 }).collect();
         let mut error = vec![0.0; which.len()];
         let free: Vec<usize> = (0..which.len()).filter(|&i| is_free[i]).collect();
+        let rows = table.rows(which.iter().any(|&n| CANDIDATES[n].id == SOFTNESS));
         let rounds = if free.is_empty() { 0 } else { self.setting.rounds * which.len() };
         for _ in 0..rounds {
             // Which events are looked at is the table's business.
@@ -174,11 +244,9 @@ impl Seen<'_> {
                 moved[i] += by;
                 trials.push(put(&moved));
             }
-            let (.., values) = self.evaluate(&trials)?;
-            let columns: Vec<Vec<f32>> =
-                further.iter().enumerate().map(|(n, by)| values[2 + n].iter().zip(&values[1]).map(|(a, b)| (a - b) / *by as f32).collect()).collect();
-            let columns: Vec<&[f32]> = columns.iter().map(Vec::as_slice).collect();
-            let step = heldout(&wide(&values[1]), &table.rows(), &columns);
+            let found = self.evaluate(&trials)?;
+            let columns: Vec<Column> = further.iter().enumerate().map(|(n, by)| found.column(2 + n, 1, *by)).collect();
+            let step = heldout(&Plain::new(&wide(&found.left[1]), rows), &columns.iter().collect::<Vec<_>>());
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
                 let most = 1.0 + strength[i].abs();
@@ -190,9 +258,10 @@ impl Seen<'_> {
                 break;
             }
         }
-        let (.., values) = self.evaluate(&[table.trial.clone(), put(&strength)])?;
-        let mut left = wide(&values[1]);
-        let (gain, gain_error) = gain_of(&table.base, &left, &table.rows());
+        let found = self.evaluate(&[table.trial.clone(), put(&strength)])?;
+        let mut left = wide(&found.left[1]);
+        let before = fit::Seen { residual: &table.base, log_slope: &table.log_slope };
+        let (gain, gain_error) = gain_of(before, fit::Seen { residual: &left, log_slope: &found.log_slope[1] }, &rows);
         left.truncate(table.events.pixel.len());
         Ok(Refined { strength, error, gain, gain_error, left })
     }
