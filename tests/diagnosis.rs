@@ -317,7 +317,7 @@ fn a_decision_is_calibrated_from_nothing_and_a_stopped_run_goes_on_where_it_was(
     assert_eq!(std::fs::metadata(&first).and_then(|of| of.modified()).expect("the first recording"), before);
     let found: Value = serde_json::from_str(&read(&bench, "made/decision.json")).expect("JSON");
     assert_eq!(found["validation"]["recordings"], 4);
-    assert_eq!(found["model"]["something"].as_array().map(Vec::len), Some(2));
+    assert_eq!(found["model"]["something"].as_array().map(Vec::len), Some(3));
     assert_eq!(read(&bench, "made/examples.jsonl").lines().count(), 4);
 }
 

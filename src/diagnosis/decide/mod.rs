@@ -126,7 +126,8 @@ mod tests {
 
     #[test]
     fn gains_count_from_the_control() {
-        let found = Evidence { share: 1.0, left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
+        let found =
+            Evidence { share: 1.0, left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
         let said = said(&found);
         assert!(said.decides && said.alarm && said.proposals[0].passed);
         assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
@@ -151,9 +152,12 @@ mod tests {
 
     #[test]
     fn alike_gains_share_their_probability() {
-        let found =
-            Evidence { share: 1.0, ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)], ..Evidence::default() };
+        let found = Evidence {
+            share: 1.0,
+            ranked: vec![ranked("clock_offset", 1.0, 0.0), ranked("second_pole", 0.99, 0.0), ranked("blur", 0.5, 0.0)],
+            ..Evidence::default()
+        };
         let said = said(&found).proposals;
-        assert!(said[0].probability < 0.6 && said[1].probability > 0.4 && said[2].probability < 0.01);
+        assert!(said[0].probability < 0.6 && said[1].probability > 0.4 && said[2].probability < 0.05);
     }
 }

@@ -235,7 +235,10 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let table = seen.table(&stated, None, softest)?;
     let seen_events = table.residual().len();
     if seen_events < setting.least_events / 5 {
-        return Err(format!("only {seen_events} of the events looked at follow another one that the scene explains as well; {} are needed", setting.least_events / 5));
+        return Err(format!(
+            "only {seen_events} of the events looked at follow another one that the scene explains as well; {} are needed",
+            setting.least_events / 5
+        ));
     }
 
     let swing = table.residual().iter().enumerate().map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));

@@ -150,8 +150,7 @@ impl Rows<'_> {
     fn noise(&self, chosen: &Chosen, residual: &[f64]) -> Noise {
         let at = chosen.events.len();
         let events = EventNoise::in_order(&residual[..at], &chosen.slopes[..at], &chosen.events, self.least);
-        let frames =
-            if chosen.frames.is_empty() { events } else { EventNoise::in_order(&residual[at..], &chosen.slopes[at..], &chosen.frames, LEAST_DN) };
+        let frames = if chosen.frames.is_empty() { events } else { EventNoise::in_order(&residual[at..], &chosen.slopes[at..], &chosen.frames, LEAST_DN) };
         Noise { events, frames }
     }
 
