@@ -36,7 +36,7 @@ fn id(answer: &Value) -> &str {
 }
 
 /// The answers in two halves: in the order of the hashes of their names the odd places, which may be looked at first, and the even ones.
-/// Each half is in the order of names, so that it says nothing about the plan.
+/// Each half is in the order of names, so that the order does not give the plan away.
 pub fn halves(answers: &[Value]) -> [Vec<Value>; 2] {
     let mut ordered: Vec<&Value> = answers.iter().collect();
     ordered.sort_by_key(|answer| sha256(id(answer).as_bytes()));
@@ -48,7 +48,7 @@ pub fn halves(answers: &[Value]) -> [Vec<Value>; 2] {
     [half(0), half(1)]
 }
 
-/// The list of recordings beside them; it says nothing about what they conceal.
+/// The list of recordings beside them; it does not give away what they conceal.
 fn list(edition: &Edition, answers: &[Value]) -> String {
     let row = |answer: &Value| {
         format!("| `{}.h5` | {} | {} | `{}` |\n", id(answer), answer["bytes"], answer["events"], answer["sha256"].as_str().unwrap_or_default())
