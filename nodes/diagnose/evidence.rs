@@ -267,6 +267,10 @@ params = { refined = 8 }
             Seen::Nothing(why) => cx.note(format!("the scene is no evidence: {why}")),
             Seen::Evidence(found) => cx.note(format!("{} events looked at, in places where {:.0} % of all are", found.events, 100.0 * found.share)),
         }
-        Ok(Out { evidence: Arc::new(write_evidence(&seen)?) })
+        let written = match (write_evidence(&seen), &seen) {
+            (Err(_), Seen::Evidence(_)) => write_evidence(&Seen::Nothing("what events say on this scene is not finite".into())),
+            (written, _) => written,
+        };
+        Ok(Out { evidence: Arc::new(written?) })
     }
 }

@@ -240,6 +240,10 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
             setting.least_events / 5
         ));
     }
+    let control_events = control_table.residual().len();
+    if control_events < setting.least_events / 5 {
+        return Err(format!("only {control_events} events of the control count, the stated sensor on this scene; {} are needed", setting.least_events / 5));
+    }
 
     let swing = table.residual().iter().enumerate().map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
     let frame_ns = case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
