@@ -50,15 +50,9 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<estimate::exposure::EstimateExposure>(),
         // What the description leaves out.
         Kind::of::<diagnose::integrity::DiagnoseIntegrity>(),
-        Kind::of::<diagnose::fit::DiagnoseFit>(),
-        Kind::of::<diagnose::summaries::DiagnoseSummaries>(),
-        Kind::of::<diagnose::synthesize::DiagnoseSynthesize>(),
-        Kind::of::<diagnose::residuals::DiagnoseResiduals>(),
-        Kind::of::<diagnose::locate::DiagnoseLocate>(),
         Kind::of::<diagnose::target::DiagnoseTarget>(),
         Kind::of::<diagnose::evidence::DiagnoseEvidence>(),
         Kind::of::<diagnose::decide::DiagnoseDecide>(),
-        Kind::of::<diagnose::propose::DiagnosePropose>(),
         Kind::of::<diagnose::confirm::DiagnoseConfirm>(),
         // What the user takes away.
         Kind::of::<write::recording::WriteRecording>(),

@@ -2,10 +2,8 @@
 
 use crate::recordings;
 use crate::support::{self, Bench, Done, executed};
-use photocurrent_core::table::Column;
-use photocurrent_core::{Value as Artefact, testing};
-use photocurrent_diagnosis::knowledge::Knowledge;
-use photocurrent_store::{Cache, RecordingContent};
+use photocurrent_core::testing;
+use photocurrent_store::RecordingContent;
 use serde_json::Value;
 use std::collections::BTreeMap;
 
@@ -81,8 +79,6 @@ fn what_cannot_be_diagnosed_says_why() {
     recordings::write(&bench.path("plain.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
     says(&bench.run(&["diagnose", "plain.h5"]), 2, &["no sensor description", "--sensor"]);
     says(&bench.run(&["diagnose", "plain.h5", "--sensor", "none.toml"]), 2, &["none.toml", "cannot read"]);
-    bench.write("noise.bin", "nothing that anybody knows");
-    says(&bench.run(&["diagnose", "plain.h5", "--knowledge", "noise.bin"]), 2, &["noise.bin", "no knowledge"]);
     bench.write("empty.toml", "format = \"photocurrent-sensor/1\"\n");
     says(&bench.run(&["diagnose", "plain.h5", "--sensor", "empty.toml"]), 2, &["front_end.tau_0", "comparator.threshold_on", "frames.gain"]);
     assert!(!bench.path("out").exists(), "nothing is left behind");
@@ -154,63 +150,12 @@ fn a_cache_that_cannot_be_opened_is_told_and_the_answer_comes_all_the_same() {
     assert!(done.stdout.starts_with("insufficient"), "{}", done.stdout);
 }
 
-/// A small texture seen by a sensor that does more than its description says, and all stages that look at it.
-fn stages(effects: &str) -> String {
-    let sensor = support::root().join("data/sensors/hybrid.toml");
-    let stage = |name: &str, kind: &str, of: &str, more: &str| {
-        format!("[nodes.{name}]\nkind = \"diagnose/{kind}\"\nin = {{ events = \"{of}.events\", frames = \"{of}.frames\", sensor = \"stated\"{more} }}\n")
-    };
-    let parts = [
-        "format = 1\n[pipeline]\nseed = 1\nkeep = [\"fit.scores\", \"residuals.scores\", \"control_residuals.scores\"]\n".into(),
-        format!("[nodes.stated]\nkind = \"read/sensor\"\nparams = {{ path = {sensor:?} }}\n"),
-        format!("[nodes.actual]\nkind = \"read/sensor\"\nparams = {{ path = {sensor:?}, change = {{ effects = {{ {effects} }} }} }}\n"),
-        "[nodes.scene]\nkind = \"simulate/scene\"\nin = { sensor = \"stated\" }\n".into(),
-        "params = { scene = \"texture\", width = 48, height = 36, duration = \"60 ms\" }\n".into(),
-        "[nodes.recording]\nkind = \"simulate/sensor\"\nin = { light = \"scene.light\", sensor = \"actual\" }\n".into(),
-        stage("summaries", "summaries", "recording", ""),
-        stage("fit", "fit", "recording", ""),
-        stage("residuals", "residuals", "recording", ", tracks = \"fit.tracks\""),
-        stage("control", "synthesize", "recording", ", tracks = \"fit.tracks\""),
-        stage("control_fit", "fit", "control", ", like = \"fit.pixels\""),
-        stage("control_residuals", "residuals", "control", ", tracks = \"control_fit.tracks\""),
-        "[nodes.locate]\nkind = \"diagnose/locate\"\n[nodes.locate.in]\nevents = \"recording.events\"\nframes = \"recording.frames\"\n".into(),
-        "sensor = \"stated\"\ntracks = \"fit.tracks\"\nevent_residuals = \"residuals.events\"\nframe_residuals = \"residuals.frames\"\n".into(),
-        "control_events = \"control.events\"\ncontrol_frames = \"control.frames\"\ncontrol_tracks = \"control_fit.tracks\"\n".into(),
-        "control_event_residuals = \"control_residuals.events\"\ncontrol_frame_residuals = \"control_residuals.frames\"\n".into(),
-    ];
-    parts.concat()
-}
-
 /// The pooled scores of a run, by node and metric.
 fn scores(bench: &Bench, folder: &str) -> BTreeMap<(String, String), f64> {
     let text = read(bench, &format!("{folder}/metrics.pooled.jsonl"));
     let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).expect("a JSON object a line"));
     let text = |line: &Value, key: &str| line[key].as_str().expect("a text").to_string();
     lines.map(|line| ((text(&line, "node"), text(&line, "metric")), line["value"].as_f64().expect("a number"))).collect()
-}
-
-#[test]
-fn rows_that_are_stamped_late_leave_more_than_a_sound_sensor_does_and_their_control() {
-    let bench = Bench::new();
-    let run = |name: &str, effects: &str| {
-        let manifest = bench.write(&format!("{name}.toml"), &stages(effects)).display().to_string();
-        let outcome = bench.outcome(&[&manifest]);
-        assert_eq!(executed(&bench.outcome(&[&manifest])), [""; 0]);
-        (outcome, scores(&bench, &format!("out/{name}")))
-    };
-    let (outcome, late) = run("late", "row_skew = { per_row = \"100 us\" }");
-    let (_, sound) = run("sound", "row_skew = { per_row = \"0 us\" }");
-    for metric in ["frame_log_ratio", "extra", "missing"] {
-        let of = |scores: &BTreeMap<(String, String), f64>, node: &str| scores[&(node.to_string(), metric.to_string())];
-        assert!(of(&late, "residuals") > 1.1 * of(&sound, "residuals"), "{metric}: {late:?} {sound:?}");
-        assert!(of(&late, "residuals") > 1.1 * of(&late, "control_residuals"), "{metric}: {late:?}");
-    }
-    // Four channels over twenty covariates, less those that do not belong together or have too few values; the most significant first.
-    let digest = support::digests(&outcome)["locate.curves"].parse().expect("a digest");
-    let cache = Cache::open(&bench.path(".photocurrent")).expect("the cache");
-    let Artefact::Table(curves) = cache.load(&digest).expect("the curves") else { panic!("a table") };
-    let Some(Column::Numbers(p_values)) = curves.column("p_value") else { panic!("numbers") };
-    assert!(p_values.len() > 40 && p_values[0] <= 0.01 && p_values.is_sorted(), "{p_values:?}");
 }
 
 /// A fast texture, seen by a sensor that is blind for 50 us, and stated to be so for 700 us.
@@ -245,14 +190,9 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
     bench.outcome(&[&manifest]);
     let report: Value = serde_json::from_str(&read(&bench, "out/diagnosis/answer/diagnosis.json")).expect("JSON");
     assert_eq!(report["summary"], "refractory");
-    // Events, frames that were kept back, and intervals agree better after than before.
-    let better = |key: &str| {
-        let of = |when: &str| report["fit"][key][when].as_f64().unwrap_or_else(|| panic!("{key}.{when}"));
-        (of("before"), of("after"))
-    };
-    let (nats, psnr, ks) = (better("heldout_nats_per_event"), better("heldout_frame_psnr_db"), better("calibration_ks"));
-    assert!(nats.1 > nats.0 + 0.5 && psnr.1 > psnr.0 + 3.0 && ks.1 < 0.5 * ks.0, "{nats:?} {psnr:?} {ks:?}");
-    assert!(report["effects"][0]["evidence"]["heldout_nats_ci95"][0].as_f64() > Some(0.0), "{report}");
+    // Held-out frames agree better after than before.
+    let of = |when: &str| report["fit"]["heldout_frame_psnr_db"][when].as_f64().unwrap_or_else(|| panic!("{when} in {report}"));
+    assert!(of("after") > of("before") + 3.0, "{report}");
     // The description that was written is read, simulates, and solves.
     let solved = |name: &str| {
         format!(
@@ -281,27 +221,6 @@ fn direct_tests_alone_are_told_as_such() {
     assert_eq!(done.code, 0, "{}", done.stderr);
     let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");
     assert_eq!(report["provenance"]["stages"], serde_json::json!(["integrity"]));
-}
-
-#[test]
-fn knowledge_is_made_from_nothing_and_a_stopped_run_goes_on_where_it_was() {
-    let bench = Bench::new();
-    let learn = |scenes: &str| bench.run(&["learn", "--scenes", scenes, "--size", "24x18", "--strengths", "1", "--steps", "30", "-o", "made"]);
-    let done = learn("1");
-    assert_eq!(done.code, 0, "{}", done.stderr);
-    let folder = bench.path("made/scenes-24x18-1-1");
-    let first = std::fs::metadata(folder.join("00000.bin")).and_then(|of| of.modified()).expect("the first scene");
-    let done = learn("2");
-    says(&done, 0, &["2 scenes", "2 recordings without an effect"]);
-    assert_eq!(std::fs::metadata(folder.join("00000.bin")).and_then(|of| of.modified()).expect("the first scene"), first);
-    let bytes = std::fs::read(bench.path("made/knowledge.bin")).expect("knowledge");
-    let knowledge = Knowledge::from_bytes(&bytes).expect("knowledge of this catalogue");
-    assert_eq!((knowledge.floor.nulls.len(), knowledge.biases.nulls.len()), (2, 1));
-    let net = knowledge.net.as_ref().expect("a network");
-    assert_eq!(std::fs::read(bench.path("made/proposer.onnx")).expect("the network as a file"), net.to_onnx(), "the same network, rounded alike");
-    // Made again from the same scenes, it is the same.
-    assert_eq!(learn("2").code, 0);
-    assert_eq!(std::fs::read(bench.path("made/knowledge.bin")).expect("knowledge"), bytes);
 }
 
 #[test]

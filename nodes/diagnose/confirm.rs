@@ -1,6 +1,6 @@
-//! `diagnose/confirm`: one answer from direct tests and roads, the description with what was found put in, and the proof.
+//! `diagnose/confirm`: one answer from direct tests and from what was decided on a scene, the description with what was found put in, and the proof.
 //!
-//! The verdict joins what the stages before found; the fitted description is the stated one with the claimed effects; the proof predicts frames that were kept back,
+//! The verdict joins what the stages before found; the fitted description is the stated one with the claimed effects; the proof predicts held-out frames,
 //! as stated and as fitted. The report is what `diagnosis.json` holds, byte for byte.
 //!
 //! Limits: see docs/diagnosis.md. A page is made only when something takes it.
@@ -17,7 +17,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// Are held-out frames and events predicted with the stated and the fitted description? It needs an estimate of the light; without it direct tests take a second.
+    /// Are held-out frames predicted with the stated and the fitted description? It needs an estimate of the light; without it direct tests take a second.
     pub proof: bool,
     /// What predicts held-out frames worse than the description as stated, by more than this, dB, is withdrawn.
     #[schemars(range(min = 0.0))]
@@ -41,7 +41,7 @@ photocurrent_core::ports! {
         sensor: Arc<Sensor>,
         /// What direct tests saw, a diagnosis of kind `integrity`.
         integrity: Arc<Diagnosis>,
-        /// What the roads propose, a diagnosis of kind `proposals`; without it direct tests answer alone.
+        /// What is decided on a scene, a diagnosis of kind `proposals`; without it direct tests answer alone.
         proposals: Option<Arc<Diagnosis>>,
     }
 }
@@ -58,9 +58,6 @@ photocurrent_core::ports! {
     }
 }
 
-/// How a note begins that tells of a part which did not come to its end.
-pub const UNFINISHED: &str = "not finished: ";
-
 /// The node.
 pub struct DiagnoseConfirm {
     params: Params,
@@ -69,8 +66,8 @@ pub struct DiagnoseConfirm {
 impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
-        about: "Joins what direct tests and roads found: verdict, fitted description, proof on frames that were kept back, report.",
-        revision: 16,
+        about: "Joins what direct tests found and what was decided on a scene: verdict, fitted description, proof on held-out frames, report.",
+        revision: 17,
         grain: Grain::Whole,
         draws: true,
         exports: false,
@@ -112,16 +109,15 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
             inputs.diagnosis("proposals")?.need(DiagnosisKind::Proposals, "proposals")?;
         }
         let document = |kind| Meta::Diagnosis(Arc::new(DiagnosisMeta { kind }));
-        Ok(vec![document(DiagnosisKind::Report), document(DiagnosisKind::Page), super::foretold(sensor)])
+        Ok(vec![document(DiagnosisKind::Report), document(DiagnosisKind::Page), super::planned(sensor)])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
         let proposed = input.proposals.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
         let setting = Setting { seed: cx.seed(), without_proof: !self.params.proof, most_worse_db: self.params.most_worse_db, ..Setting::default() };
-        let found = confirm(&case, &setting, read_integrity(&input.integrity)?, proposed, |_| ())?;
+        let found = confirm(&case, &setting, read_integrity(&input.integrity)?, proposed)?;
         let text = found.report.to_json().map_err(|why| NodeError::failed(format!("the report cannot be written as JSON: {why}")))?;
-        found.failed.iter().for_each(|why| cx.note(format!("{UNFINISHED}{why}")));
         for id in &found.withdrawn {
             cx.note(format!("{id} is withdrawn: with it, held-out frames are predicted worse by more than {} dB", self.params.most_worse_db));
         }

@@ -7,7 +7,7 @@
 
 use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_diagnosis::decide::model::{Model, SECOND, SOMETHING};
-use photocurrent_diagnosis::decide::{Decision, PICTURE, decide};
+use photocurrent_diagnosis::decide::{Decision, decide};
 use photocurrent_diagnosis::diagnose::Proposed;
 use photocurrent_diagnosis::nominal::Nominal;
 use photocurrent_diagnosis::stages::{Seen, read_evidence, write_proposals};
@@ -31,7 +31,7 @@ pub struct Params {
     /// Nor where more than this share is left with the best effect.
     #[schemars(range(min = 0.0))]
     pub most_left: f64,
-    /// And silence says nothing where more than this share is left: other methods are asked then.
+    /// And silence says nothing where more than this share is left.
     #[schemars(range(min = 0.0))]
     pub most_silent: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
@@ -72,7 +72,7 @@ photocurrent_core::ports! {
 photocurrent_core::ports! {
     /// What may be missing.
     pub struct Out {
-        /// What is proposed: a diagnosis of kind `proposals`; none where nothing is decided.
+        /// What is decided, or why nothing is: a diagnosis of kind `proposals`.
         proposals: Arc<Diagnosis>,
     }
 }
@@ -86,7 +86,7 @@ impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
         about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -127,22 +127,16 @@ params = { least = 0.9 }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let mut proposed = Proposed::default();
-        let decided = match read_evidence(&input.evidence)? {
-            Seen::NotAsked => None,
-            Seen::Nothing(why) => Some(Err(why)),
-            Seen::Evidence(found) => Some(decide(&found, &Nominal::of(&input.sensor), &self.decision)),
+        let proposed = match read_evidence(&input.evidence)? {
+            Seen::NotAsked => Proposed::NotAsked,
+            Seen::Nothing(why) => Proposed::Nothing(why),
+            Seen::Evidence(found) => match decide(&found, &Nominal::of(&input.sensor), &self.decision) {
+                Ok(decided) => Proposed::Decided(Box::new(decided)),
+                Err(why) => Proposed::Nothing(why),
+            },
         };
-        match decided {
-            None => {}
-            Some(Ok(said)) => {
-                proposed.ran.push(PICTURE.into());
-                proposed.roads.push(said);
-            }
-            Some(Err(why)) => {
-                cx.note(format!("nothing is decided: {why}"));
-                proposed.failed.push(format!("{PICTURE}: {why}"));
-            }
+        if let Proposed::Nothing(why) = &proposed {
+            cx.note(format!("nothing is decided: {why}"));
         }
         Ok(Out { proposals: Arc::new(write_proposals(&proposed)?) })
     }

@@ -89,7 +89,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let sensor = super::check(inputs)?;
-        Ok(vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Integrity })), super::foretold(sensor)])
+        Ok(vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Integrity })), super::planned(sensor)])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {

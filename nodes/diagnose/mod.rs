@@ -1,18 +1,11 @@
 //! The stages of a diagnosis as nodes: where a recording and its description differ, and which physics is missing.
 //!
-//! Each stage calls one function of `photocurrent_diagnosis`; what passes between them is data that other nodes take too (events, frames, tracks, tables) or a
-//! document with a kind. The wiring of a whole diagnosis is `pipelines/diagnose/recording.toml`; docs/diagnosis.md explains what the stages do.
+//! Each stage calls one function of `photocurrent_diagnosis`; what passes between them is a document with a kind. The wiring of a whole diagnosis is `pipelines/diagnose/recording.toml`; docs/diagnosis.md explains what the stages do.
 
 pub mod confirm;
 pub mod decide;
 pub mod evidence;
-pub mod fit;
 pub mod integrity;
-pub mod locate;
-pub mod propose;
-pub mod residuals;
-pub mod summaries;
-pub mod synthesize;
 pub mod target;
 
 use crate::spans::check_one_clock;
@@ -24,7 +17,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// What a method takes for known of what direct tests found.
+/// What is taken for known of what direct tests found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Amend {
@@ -92,7 +85,7 @@ fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
 
 /// A description that is not known yet is planned as the stated one: who takes it needs most of its fields, and a diagnosis changes few. A node whose outputs look
 /// otherwise with the change (another row time, say) says so when it runs.
-fn foretold(sensor: &Arc<Sensor>) -> Meta {
+fn planned(sensor: &Arc<Sensor>) -> Meta {
     Meta::Sensor(sensor.clone())
 }
 

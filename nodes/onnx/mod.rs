@@ -101,24 +101,6 @@ mod tests {
         assert!((distance(&*network) - EXPECTED).abs() < 1e-5, "{}", distance(&*network));
     }
 
-    #[test]
-    fn the_proposer_of_a_diagnosis_runs_as_a_network_file_and_gives_the_same() {
-        use photocurrent_diagnosis::knowledge::Knowledge;
-        let net = Knowledge::shipped().unwrap().net.unwrap();
-        let network = load("proposer", net.to_onnx(), None).unwrap();
-        let inputs = net.layers[0].inputs;
-        let input: Vec<f32> = (0..inputs).map(|n| ((n * 7919) % 101) as f32 / 25.0 - 2.0).collect();
-        let given = network.run(&[("input", &Tensor { shape: vec![1, inputs], values: input.clone() })], "probability").unwrap();
-        let own = net.run(&input);
-        assert_eq!(given.values.len(), net.labels.len());
-        for (given, own) in given.values.iter().zip(&own) {
-            assert!((given - own).abs() < 1e-4, "{given} {own}");
-        }
-        // The file beside is the same network.
-        let shipped = std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/diagnosis/proposer.onnx")).unwrap();
-        assert_eq!(shipped, net.to_onnx());
-    }
-
     /// Where a library is there: `ORT_DYLIB_PATH=.../libonnxruntime.so cargo test -p photocurrent-nodes onnx -- --ignored`.
     #[test]
     #[ignore = "needs an ONNX Runtime library, named by ORT_DYLIB_PATH"]

@@ -37,8 +37,6 @@ pub enum Command {
     Inspect(InspectOptions),
     /// Say where a recording and the sensor description differ, and which physics is missing
     Diagnose(DiagnoseOptions),
-    /// Make what a diagnosis knows beforehand, from recordings without an effect and made-up scenes
-    Learn(LearnOptions),
     /// Make the numbers of the diagnosis' decision anew, from made-up recordings, with cross-validation
     Calibrate(CalibrateOptions),
     /// List the node kinds, or print the manual of one
@@ -341,11 +339,8 @@ pub struct DiagnoseOptions {
     #[arg(short, long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
     /// Only the tests that need no scene: a second, and blind for most effects
-    #[arg(long, conflicts_with = "knowledge")]
+    #[arg(long)]
     pub direct: bool,
-    /// What recordings without an effect look like, for recognition by synthesis [default: built in]
-    #[arg(long, value_name = "FILE")]
-    pub knowledge: Option<PathBuf>,
     /// Seed of everything random
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64))]
     pub seed: u64,
@@ -364,33 +359,6 @@ pub struct DiagnoseOptions {
     /// How progress is shown, on stderr
     #[arg(long, value_enum, default_value = "auto")]
     pub progress: ProgressStyle,
-    /// Say only what went wrong
-    #[arg(short, long)]
-    pub quiet: bool,
-}
-
-#[derive(ClapArgs)]
-pub struct LearnOptions {
-    /// Recordings known to have no effect that their description does not state (.h5); only their deviations are kept
-    pub nulls: Vec<PathBuf>,
-    /// Made-up scenes, each with every effect; a third of a minute each on one core at 96x72
-    #[arg(long, value_name = "N", default_value_t = 500, value_parser = clap::value_parser!(u64).range(1..))]
-    pub scenes: u64,
-    /// Strengths of each effect on each scene
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=100))]
-    pub strengths: u64,
-    /// Size of the made-up arrays, pixels
-    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "96x72")]
-    pub size: String,
-    /// Folder for knowledge.bin and proposer.onnx; scenes that are in it already are not made again
-    #[arg(short, long, value_name = "FOLDER", default_value = "out/knowledge")]
-    pub out: PathBuf,
-    /// Steps of the network's training
-    #[arg(long, value_name = "N", default_value_t = 3000)]
-    pub steps: u64,
-    /// Seed of everything random
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    pub seed: u64,
     /// Say only what went wrong
     #[arg(short, long)]
     pub quiet: bool,

@@ -1,10 +1,11 @@
 //! `photocurrent calibrate`: the numbers of the diagnosis' decision, made anew from made-up recordings.
 
 use crate::args::CalibrateOptions;
+use crate::case::usage;
 use crate::common::{Done, Failure};
-use crate::learn::{extent, write};
 use crate::terminal::say;
 use indicatif::{ProgressBar, ProgressStyle};
+use photocurrent_core::Extent;
 use photocurrent_diagnosis::decide::Decision;
 use photocurrent_diagnosis::decide::calibrate::{Example, Validation, calibrate as model_of, example, validate};
 use photocurrent_diagnosis::decide::model::Model;
@@ -99,4 +100,20 @@ fn bar(options: &CalibrateOptions) -> ProgressBar {
     let bar = ProgressBar::new(options.recordings);
     bar.set_style(ProgressStyle::with_template("{bar:40} {pos}/{len} recordings, {eta} left").unwrap_or_else(|_| ProgressStyle::default_bar()));
     bar
+}
+
+/// A size such as 96x72.
+fn extent(size: &str) -> Result<Extent, Failure> {
+    let wrong = || usage(format!("--size {size}: expected WIDTHxHEIGHT in pixels, such as 96x72, each from 16 to 4096"));
+    let (width, height) = size.split_once('x').ok_or_else(wrong)?;
+    let number = |text: &str| text.parse::<u32>().ok().filter(|n| (16..=4096).contains(n)).ok_or_else(wrong);
+    Ok(Extent { width: number(width)?, height: number(height)? })
+}
+
+/// Writes a file whole or not at all.
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    let partial = path.with_extension("tmp");
+    let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write it: {error}", path.display()));
+    std::fs::write(&partial, bytes).map_err(failed)?;
+    std::fs::rename(&partial, path).map_err(failed)
 }

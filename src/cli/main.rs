@@ -19,7 +19,6 @@ mod file_kind;
 mod graph;
 mod init;
 mod inspect;
-mod learn;
 mod nodes;
 mod parts;
 mod plan;
@@ -49,7 +48,6 @@ fn main() -> ExitCode {
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),
         Command::Diagnose(options) => diagnose::diagnose(options),
-        Command::Learn(options) => learn::learn(options),
         Command::Calibrate(options) => calibrate::calibrate(options),
         Command::Nodes(options) => nodes::nodes(options),
         Command::Effects(options) => effects::effects(options),

@@ -1,9 +1,7 @@
-//! A whole diagnosis: direct tests, roads, verdict, fitted description, proof, report; and its stages one by one ([`check`], [`propose`], [`confirm`]).
+//! A whole diagnosis: direct tests, what is decided on a scene, verdict, fitted description, proof, report; and its last two stages one by one ([`check`], [`confirm`]).
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::{Case, PixelEvents};
-use crate::comparison::{Comparison, Ground, Step};
-use crate::contest;
 use crate::fitted::{fitted, put_beside};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
@@ -12,20 +10,20 @@ use crate::nominal::Nominal;
 use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
-use crate::verdict::{Answer, Claim, Road, verdict};
+use crate::verdict::{Answer, Claim, DIRECT, Decided, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
 use serde::{Deserialize, Serialize};
 
-/// How a diagnosis is made.
+/// How a diagnosis is confirmed.
 #[derive(Clone, Copy, Debug)]
 pub struct Setting {
     /// Seed of everything random.
     pub seed: u64,
-    /// How the light is estimated.
+    /// How the light of held-out frames is estimated.
     pub scene: SceneSetting,
-    /// Are before and after not compared on what was held out?
+    /// Are held-out frames not predicted?
     pub without_proof: bool,
     /// What predicts held-out frames worse than the description as stated, by more than this, dB, is withdrawn.
     pub most_worse_db: f64,
@@ -34,24 +32,6 @@ pub struct Setting {
 impl Default for Setting {
     fn default() -> Setting {
         Setting { seed: 0, scene: SceneSetting::default(), without_proof: false, most_worse_db: 0.05 }
-    }
-}
-
-/// A test that estimates the scene: what it is called, and how it is run on a recording. The recording has what the direct tests found in its description.
-pub struct RoadKind {
-    /// `likelihood`, `synthesis`.
-    pub name: &'static str,
-    /// Runs it.
-    pub run: RunRoad,
-}
-
-/// Runs a road on a recording; an error is told, and the others go on.
-pub type RunRoad = Box<dyn Fn(&Case, &Setting) -> Result<Road, String>>;
-
-impl RoadKind {
-    /// A road by its name and what runs it.
-    pub fn new(name: &'static str, run: impl Fn(&Case, &Setting) -> Result<Road, String> + 'static) -> RoadKind {
-        RoadKind { name, run: Box::new(run) }
     }
 }
 
@@ -64,40 +44,36 @@ pub struct Diagnosis {
     pub fitted: Option<Sensor>,
     /// What direct tests saw.
     pub integrity: Integrity,
-    /// What each road found.
-    pub roads: Vec<Road>,
-    /// Roads that did not get to an end, and why.
-    pub failed: Vec<String>,
+    /// What was decided on a scene, or why nothing was.
+    pub proposed: Proposed,
     /// Ids of effects that were withdrawn, as held-out frames are predicted worse with them.
     pub withdrawn: Vec<String>,
-    /// Kept frames predicted as stated, and as fitted.
+    /// Held-out frames predicted as stated, and as fitted.
     pub predictions: (Option<Prediction>, Option<Prediction>),
     /// The pixels of the predictions.
     pub sample: Option<Sample>,
-    /// Events, before and after; none where there was too little to compare.
-    pub comparison: Option<Comparison>,
 }
 
-/// What the roads found.
+/// What is decided on a scene.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Proposed {
-    /// What each road found that came to its end.
-    pub roads: Vec<Road>,
-    /// Their names, in the order in which they were run.
-    pub ran: Vec<String>,
-    /// Roads that did not get to an end, and why.
-    pub failed: Vec<String>,
+pub enum Proposed {
+    /// Nobody asked.
+    #[default]
+    NotAsked,
+    /// The scene is no evidence, and why.
+    Nothing(String),
+    /// This.
+    Decided(Box<Decided>),
 }
 
-/// Diagnoses a recording: [`check`], [`propose`], [`confirm`]. `tell` hears the name of each stage as it begins.
-///
-/// # Errors
-/// When the description does not state what the model needs, or its effects are not understood.
-pub fn diagnose(case: &Case, setting: &Setting, roads: &[RoadKind], mut tell: impl FnMut(&str)) -> Result<Diagnosis, NodeError> {
-    tell("integrity");
-    let integrity = check(case)?;
-    let proposed = propose(case, setting, &integrity, roads, &mut tell)?;
-    confirm(case, setting, integrity, proposed, tell)
+impl Proposed {
+    /// What is decided; none where nothing is.
+    pub fn decided(&self) -> Option<&Decided> {
+        match self {
+            Proposed::Decided(decided) => Some(decided),
+            _ => None,
+        }
+    }
 }
 
 /// What the direct tests see, less what the description states.
@@ -117,7 +93,7 @@ pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
     integrity.broken.is_empty() && case.events.all().len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES
 }
 
-/// The recording with what direct tests found in its description, and without the pixels that they exclude, so that roads look for the rest.
+/// The recording with what direct tests found in its description, and without the pixels that they exclude: what is decided on a scene is the rest.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
@@ -126,64 +102,27 @@ pub fn amend(case: &Case, integrity: &Integrity) -> Result<Case, NodeError> {
     Ok(amended(case, &nominal, &Scales::of(case, &nominal), integrity))
 }
 
-/// Runs roads on the amended recording; none where there is too little to estimate a scene. `tell` hears the name of each as it begins.
+/// Joins what direct tests found and what was decided: verdict, fitted description, proof, report.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn propose(case: &Case, setting: &Setting, integrity: &Integrity, roads: &[RoadKind], mut tell: impl FnMut(&str)) -> Result<Proposed, NodeError> {
-    let mut proposed = Proposed::default();
-    if !can_compare(case, integrity) {
-        return Ok(proposed);
-    }
-    let amended = amend(case, integrity)?;
-    for road in roads {
-        tell(road.name);
-        match (road.run)(&amended, setting) {
-            Ok(result) => {
-                proposed.ran.push(road.name.to_owned());
-                let decides = result.decides;
-                proposed.roads.push(result);
-                if decides {
-                    break;
-                }
-            }
-            Err(why) => proposed.failed.push(format!("{}: {why}", road.name)),
-        }
-    }
-    Ok(proposed)
-}
-
-/// Joins what direct tests and roads found: verdict, fitted description, proof, report. `tell` hears the name of each stage as it begins.
-///
-/// # Errors
-/// When the description does not state what the model needs, or its effects are not understood.
-pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, proposed: Proposed, mut tell: impl FnMut(&str)) -> Result<Diagnosis, NodeError> {
+pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, proposed: Proposed) -> Result<Diagnosis, NodeError> {
     let nominal = case.nominal()?;
     let scales = Scales::of(case, &nominal);
-    let Proposed { roads: mut found, ran, mut failed } = proposed;
     let can_compare = can_compare(case, &integrity);
     let sample = (can_compare && !setting.without_proof).then(|| looked_at(case)).filter(|sample| !sample.is_empty());
-    tell("contest");
-    let amended = amended(case, &nominal, &scales, &integrity);
-    let amended_nominal = amended.nominal()?;
-    let amended_scales = Scales::of(&amended, &amended_nominal);
-    let mut told = |part: &str, why: String| failed.push(format!("{part}: {why}"));
-    let ground = sample.as_ref().map_or(Ok(None), |_| Ground::new(&amended, &amended_nominal, &amended_scales));
-    let ground = ground.unwrap_or_else(|why| {
-        told("comparison", why);
-        None
-    });
-    contest::judge(ground.as_ref(), &mut found).unwrap_or_else(|why| told("contest", why));
-    tell("verdict");
-    let mut answer = verdict(case, &nominal, &integrity, &found);
+    let mut answer = verdict(case, &nominal, &integrity, proposed.decided());
     // Silence of a test that could not be made says nothing.
-    if answer.verdict == Verdict::Consistent && (!can_compare || !failed.is_empty()) {
-        answer.verdict = Verdict::Insufficient;
-        integrity.lacking.extend(failed.iter().cloned());
+    if answer.verdict == Verdict::Consistent {
+        if let Proposed::Nothing(why) = &proposed {
+            answer.verdict = Verdict::Insufficient;
+            integrity.lacking.push(why.clone());
+        } else if !can_compare {
+            answer.verdict = Verdict::Insufficient;
+        }
     }
     let of_claims = |claims: &[Claim]| description(case, &nominal, &scales, claims);
     let mut changed = of_claims(&answer.claims);
-    tell("proof");
     let predicted = |sensor: &Sensor| sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.scene));
     let before = predicted(&case.sensor)?;
     let mut after = changed.as_ref().map(&predicted).transpose()?.flatten();
@@ -198,24 +137,14 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
             if claims.iter().all(|claim| claim.finding.is_some()) || !is_worse(&after) {
                 let is_left = |claim: &&Claim| claims.iter().all(|left| left.id != claim.id);
                 withdrawn.extend(answer.claims.iter().filter(is_left).map(|claim| claim.id.to_owned()));
-                answer.keep(claims);
+                answer.set(claims);
                 break;
             }
         }
     }
     let predictions = (before, after);
-    tell("comparison");
-    // Roads look for the rest beside what direct tests found; the comparison is with the description as stated.
-    let as_stated = without_masked(case, &integrity);
-    let ground = if integrity.findings.is_empty() { Ok(ground) } else { ground.map_or(Ok(None), |_| Ground::new(&as_stated, &nominal, &scales)) };
-    let compared = ground.and_then(|ground| ground.map(|ground| ground.compare(&answer.claims)).transpose());
-    let comparison = compared.unwrap_or_else(|why| {
-        failed.push(format!("comparison: {why}"));
-        None
-    });
-    let stages = std::iter::once("integrity".to_owned()).chain(ran).collect();
-    let report = report(case, &nominal, setting, &integrity, &found, &answer, changed.as_ref(), &predictions, comparison.as_ref(), stages);
-    Ok(Diagnosis { report, fitted: changed, integrity, roads: found, failed, withdrawn, predictions, sample, comparison })
+    let report = report(case, &nominal, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
+    Ok(Diagnosis { report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
 }
 
 /// The description with claims put in; none without claims.
@@ -260,7 +189,7 @@ fn without_masked(case: &Case, integrity: &Integrity) -> Case {
     rest
 }
 
-/// The recording with what direct tests found in its description, and without the pixels that they exclude, so that roads look for the rest.
+/// The recording with what direct tests found in its description, and without the pixels that they exclude, what is decided on a scene is the rest.
 pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
     let mut amended = without_masked(case, integrity);
     // Hot rows and pixels are out with their pixels.
@@ -284,45 +213,22 @@ fn report(
     nominal: &Nominal,
     setting: &Setting,
     integrity: &Integrity,
-    roads: &[Road],
+    proposed: &Proposed,
     answer: &Answer,
     changed: Option<&Sensor>,
     predictions: &(Option<Prediction>, Option<Prediction>),
-    comparison: Option<&Comparison>,
-    stages: Vec<String>,
 ) -> Report {
     let mut effects: Vec<EffectReport> = answer.claims.iter().map(|claim| effect(case, nominal, claim)).collect();
-    // What was measured apart from the pixels of the fit says more than what a fit says of itself.
-    let apart = comparison.filter(|comparison| comparison.is_apart && comparison.after().is_some());
-    for effect in &mut effects {
-        gained(effect, apart);
-    }
     if let Some(found) = &answer.unexplained {
         let mut location = everywhere(case, None);
         location.covariate.clone_from(&found.covariate);
-        // Of closures the gain is that of a change; of a rate of events that of an event.
         let is_direct = found.law.as_ref().is_some_and(|law| law.moved == crate::law::Moved::EventRate);
-        let (by, heldout_nats, per_event) = if is_direct {
-            (crate::verdict::DIRECT, found.nats * case.events.all().len() as f64, Some(found.nats))
-        } else {
-            (crate::roads::REFIT, found.nats, None)
-        };
-        let evidence = Evidence {
-            statistic: found.score,
-            heldout_nats: Some(heldout_nats),
-            heldout_nats_per_event: per_event,
-            found_by: vec![by.into()],
-            ..Evidence::default()
-        };
+        let by = if is_direct { DIRECT } else { proposed.decided().map_or(DIRECT, |decided| decided.name.as_str()) };
+        let evidence = Evidence { statistic: found.score, heldout_nats_per_event: Some(found.nats), found_by: vec![by.to_owned()], ..Evidence::default() };
         effects.push(EffectReport {
             id: "unnamed".into(),
-            also_possible: found.hardly.clone(),
-            plain: if found.hardly.is_empty() {
-                "something that no effect of the catalogue explains"
-            } else {
-                "something that differs, and for which no effect is believed enough to be its name"
-            }
-            .into(),
+            also_possible: Vec::new(),
+            plain: "something that no effect of the catalogue explains".into(),
             equation: found.equation.clone(),
             insertion: found.insertion.clone(),
             parameters: Default::default(),
@@ -331,30 +237,25 @@ fn report(
         });
     }
     let psnr = predictions.0.as_ref().zip(predictions.1.as_ref()).map(|(before, after)| BeforeAfter { before: before.psnr_db(), after: after.psnr_db() });
-    let first = roads.iter().find(|road| road.nats_per_event.is_some());
-    let nats = first.and_then(|road| road.nats_per_event).filter(|_| !answer.claims.is_empty()).map(|(before, after)| BeforeAfter { before, after });
-    let nats = apart.and_then(nats_of).or(nats);
-    let ks = |step: &Step| step.calibration.as_ref().map(|calibration| calibration.ks);
-    let calibration_ks = comparison.and_then(|comparison| Some(BeforeAfter { before: ks(comparison.before())?, after: ks(comparison.after()?)? }));
-    let mut detectability: Vec<_> = roads.iter().flat_map(|road| road.detectability.iter().cloned()).collect();
-    // The road that was asked first knows best.
-    let mut seen: Vec<(String, String)> = Vec::new();
-    detectability.retain(|one| {
-        let key = (one.id.clone(), one.parameter.clone());
-        let is_new = !seen.contains(&key);
-        seen.push(key);
-        is_new
-    });
+    let decided = proposed.decided();
+    let gained: f64 = answer.claims.iter().filter(|claim| claim.finding.is_none()).filter_map(|claim| claim.heldout_nats_per_event).sum();
+    let nats = decided.and_then(|decided| decided.nats_per_event).filter(|_| gained > 0.0).map(|before| BeforeAfter { before, after: before + gained });
+    // A second effect is fitted on top of the first, so the last one speaks for both.
+    let left = answer.claims.iter().rev().find_map(|claim| claim.ks);
+    let calibration_ks = decided.and_then(|decided| decided.ks).zip(left).map(|(before, after)| BeforeAfter { before, after });
     Report {
         schema: SCHEMA.to_owned(),
         verdict: answer.verdict,
         summary: summary(integrity, answer),
-        not_testable: not_testable(case, roads).into_iter().filter(|one| answer.claims.iter().all(|claim| claim.id != one.id)).collect(),
+        not_testable: not_testable(case, proposed, &answer.claims),
         next_experiment: crate::advice::next_experiments(case, answer, integrity),
-        residual_left: roads.iter().find_map(|road| road.residual_left).filter(|_| !answer.claims.is_empty()),
+        residual_left: decided.and_then(|decided| decided.residual_left).filter(|_| answer.claims.iter().any(|claim| claim.finding.is_none())),
         effects,
         fit: Fit { heldout_nats_per_event: nats, heldout_frame_psnr_db: psnr, calibration_ks },
-        detectability,
+        detectability: decided.map_or_else(Vec::new, |decided| {
+            let is_claimed = |id: &str| answer.claims.iter().any(|claim| claim.id == id);
+            decided.detectability.iter().filter(|one| !is_claimed(&one.id)).cloned().collect()
+        }),
         scene: integrity.scene.clone(),
         sensor_fitted: changed.map(|_| "sensor.fitted.toml".to_owned()),
         provenance: Provenance {
@@ -362,27 +263,9 @@ fn report(
             sensor_digest: DigestBuilder::new("photocurrent-diagnosis-sensor/1").text(&case.sensor.canonical_json()).finish().to_string(),
             seed: setting.seed,
             version: env!("CARGO_PKG_VERSION").to_owned(),
-            stages,
+            stages: std::iter::once("integrity".to_owned()).chain(decided.map(|decided| decided.name.clone())).collect(),
         },
     }
-}
-
-/// How well events of pixels to which nothing was fitted are foretold; none when no claim has events of its own.
-fn nats_of(comparison: &Comparison) -> Option<BeforeAfter> {
-    let is_told = comparison.steps.iter().any(|step| step.id.is_some() && !step.is_random);
-    is_told.then(|| BeforeAfter { before: comparison.before().nats_per_event(), after: comparison.after().map_or(f64::NAN, Step::nats_per_event) })
-}
-
-/// What an effect gains on events of pixels to which nothing was fitted.
-fn gained(effect: &mut EffectReport, comparison: Option<&Comparison>) {
-    // A direct test that has a gain of its own speaks of all pixels.
-    let has_own = effect.evidence.heldout_nats.is_some() && effect.evidence.found_by.iter().any(|by| by == "direct");
-    let Some(comparison) = comparison.filter(|_| !has_own) else { return };
-    let Some(at) = comparison.steps.iter().position(|step| step.id == Some(effect.id.as_str()) && !step.is_random) else { return };
-    let gain = comparison.gain(at - 1, at);
-    effect.evidence.heldout_nats = Some(gain.nats);
-    effect.evidence.heldout_nats_ci95 = Some(gain.nats_ci95);
-    effect.evidence.heldout_nats_per_event = Some(gain.nats_per_event);
 }
 
 /// The report of a recording that could not be read as one: its data contradict the format or themselves.
@@ -409,7 +292,7 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
         statistic: claim.score,
         p_value: None,
         heldout_nats: claim.heldout_nats,
-        heldout_nats_ci95: None,
+        heldout_nats_ci95: claim.heldout_nats_ci95,
         belief: claim.belief,
         heldout_nats_per_event: claim.heldout_nats_per_event,
         found_by: claim.found_by.clone(),
@@ -483,26 +366,22 @@ fn summary(integrity: &Integrity, answer: &Answer) -> String {
         Verdict::Insufficient => integrity.lacking.join("; "),
         Verdict::Consistent => "the recording agrees with the description as far as these tests see; detectability says how far that is".into(),
         Verdict::Unnamed => "the recording differs from the description, and no effect of the catalogue explains how".into(),
-        Verdict::Numerical => "what differs is an error of our own: light at knots twice as near takes away more of it than any effect does".into(),
+        Verdict::Numerical => "what differs is an error of our own".into(),
         Verdict::Named | Verdict::Ambiguous => answer.claims.iter().map(name).collect::<Vec<_>>().join(", and "),
     }
 }
 
-fn not_testable(case: &Case, roads: &[Road]) -> Vec<NotTestable> {
-    let mut found: Vec<NotTestable> = roads.iter().flat_map(|road| road.not_testable.iter().cloned()).collect();
-    found.sort_by(|a, b| a.id.cmp(&b.id));
-    found.dedup_by(|a, b| a.id == b.id);
-    if !roads.is_empty() {
-        return found;
-    }
-    let why = if case.frame_count() < FEWEST_FRAMES {
-        "it needs events and frames of the same scene, and there are not enough frames"
-    } else if case.events.all().len() < FEWEST_EVENTS {
-        "it needs events and frames of the same scene, and there are not enough events"
-    } else {
-        "it needs the scene, and no test that estimates the scene took part"
+/// What nothing was found out about.
+fn not_testable(case: &Case, proposed: &Proposed, claims: &[Claim]) -> Vec<NotTestable> {
+    let why = match proposed {
+        Proposed::Decided(_) => return Vec::new(),
+        _ if case.frame_count() < FEWEST_FRAMES => "it needs events and frames of the same scene, and there are not enough frames",
+        _ if case.events.all().len() < FEWEST_EVENTS => "it needs events and frames of the same scene, and there are not enough events",
+        Proposed::Nothing(why) => why,
+        Proposed::NotAsked => "it needs the scene, and no test that estimates the scene took part",
     };
-    let ids = catalogue().into_iter().map(|kind| kind.decl.id).filter(|id| !TESTED.contains(id) || case.events.all().len() < FEWEST_EVENTS);
+    let is_tested = |id: &str| TESTED.contains(&id) && case.events.all().len() >= FEWEST_EVENTS || claims.iter().any(|claim| claim.id == id);
+    let ids = catalogue().into_iter().map(|kind| kind.decl.id).filter(|id| !is_tested(id));
     ids.map(|id| NotTestable { id: id.to_owned(), why: why.to_owned() }).collect()
 }
 

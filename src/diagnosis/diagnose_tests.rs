@@ -1,17 +1,25 @@
-//! A whole diagnosis of small recordings, with roads that say what they are told.
+//! A whole diagnosis of small recordings, with something decided that is told beforehand.
 
 use super::*;
 use crate::testing;
 use crate::verdict::Proposal;
 
-fn quiet(case: &Case, roads: &[RoadKind]) -> Diagnosis {
-    diagnose(case, &Setting::default(), roads, |_| ()).unwrap()
+fn diagnosed(case: &Case, proposed: Proposed) -> Diagnosis {
+    confirm(case, &Setting::default(), check(case).unwrap(), proposed).unwrap()
 }
 
-fn clock(value: f64) -> Road {
+fn clock(value: f64) -> Proposed {
     let candidate = CANDIDATES.iter().position(|one| one.id == "clock_offset").unwrap();
-    let proposal = Proposal { candidate, score: 9.0, probability: 0.9, value, passed: true, ..Proposal::default() };
-    Road { name: "likelihood".into(), alarm: true, proposals: vec![proposal], nats_per_event: Some((-2.0, -1.5)), ..Road::default() }
+    let proposal =
+        Proposal { candidate, score: 1.1, probability: 0.9, value, passed: true, heldout_nats_per_event: Some(0.5), ks: Some(0.02), ..Proposal::default() };
+    Proposed::Decided(Box::new(Decided {
+        name: "picture".into(),
+        alarm: true,
+        proposals: vec![proposal],
+        nats_per_event: Some(-2.0),
+        ks: Some(0.2),
+        ..Decided::default()
+    }))
 }
 
 #[test]
@@ -19,7 +27,7 @@ fn a_named_effect_is_reported_fitted_and_proven() {
     let offset = serde_json::json!({"offset": "-700 us"});
     let effects = [("clock_offset".to_owned(), offset.as_object().unwrap().clone())].into_iter().collect();
     let case = testing::case_with(&effects);
-    let found = quiet(&case, &[RoadKind::new("likelihood", |_, _| Ok(clock(-700e-6)))]);
+    let found = diagnosed(&case, clock(-700e-6));
     let report = &found.report;
     assert_eq!(report.verdict, Verdict::Named);
     assert_eq!(report.effects[0].parameters["offset_s"].estimate, -700e-6);
@@ -27,50 +35,48 @@ fn a_named_effect_is_reported_fitted_and_proven() {
     assert!(found.fitted.unwrap().effects.contains_key("clock_offset"));
     let psnr = report.fit.heldout_frame_psnr_db.unwrap();
     assert!(psnr.after > psnr.before, "{psnr:?}");
-    let ks = report.fit.calibration_ks.unwrap();
-    assert!(ks.after < 0.5 * ks.before, "{ks:?}");
-    assert_eq!(report.provenance.stages, ["integrity", "likelihood"]);
+    assert_eq!(report.fit.heldout_nats_per_event, Some(BeforeAfter { before: -2.0, after: -1.5 }));
+    assert_eq!(report.fit.calibration_ks, Some(BeforeAfter { before: 0.2, after: 0.02 }));
+    assert_eq!(report.provenance.stages, ["integrity", "picture"]);
+}
+
+#[test]
+fn what_predicts_held_out_frames_worse_is_withdrawn() {
+    let found = diagnosed(&testing::case(), clock(3e-3));
+    assert_eq!((found.report.verdict, found.withdrawn), (Verdict::Consistent, vec!["clock_offset".to_owned()]));
 }
 
 #[test]
 fn a_sound_recording_is_consistent_and_says_what_was_not_tested() {
-    let found = quiet(&testing::case(), &[]);
+    let found = diagnosed(&testing::case(), Proposed::NotAsked);
     assert_eq!(found.report.verdict, Verdict::Consistent);
     assert!(found.report.effects.is_empty() && found.fitted.is_none());
-    assert!(found.report.fit.calibration_ks.is_none() && found.comparison.unwrap().after().is_none());
+    assert!(found.report.fit.calibration_ks.is_none());
     assert!(found.report.not_testable.iter().any(|one| one.id == "second_pole"));
     assert!(found.report.not_testable.iter().all(|one| one.id != "hot_rows"));
 }
 
 #[test]
-fn a_road_that_fails_is_told_and_the_others_go_on() {
-    let roads = [RoadKind::new("synthesis", |_, _| Err("no light".into())), RoadKind::new("likelihood", |_, _| Ok(clock(1e-3)))];
-    let found = quiet(&testing::case(), &roads);
-    assert_eq!(found.failed, ["synthesis: no light"]);
-    assert_eq!(found.report.provenance.stages, ["integrity", "likelihood"]);
-}
-
-#[test]
-fn silence_beside_a_test_that_could_not_be_made_is_not_consistency() {
-    let silent = || RoadKind::new("likelihood", |_, _| Ok(Road { name: "likelihood".into(), ..Road::default() }));
-    let failing = RoadKind::new("synthesis", |_, _| Err("too few events".into()));
-    assert_eq!(quiet(&testing::case(), &[silent()]).report.verdict, Verdict::Consistent);
-    let found = quiet(&testing::case(), &[failing, silent()]);
+fn silence_where_the_scene_is_no_evidence_is_not_consistency() {
+    let found = diagnosed(&testing::case(), Proposed::Nothing("too few events".into()));
     assert_eq!(found.report.verdict, Verdict::Insufficient);
     assert!(found.report.summary.contains("too few events"), "{}", found.report.summary);
+    assert!(found.report.not_testable.iter().all(|one| one.why == "too few events"));
+    let silent = Proposed::Decided(Box::new(Decided { name: "picture".into(), ..Decided::default() }));
+    assert_eq!(diagnosed(&testing::case(), silent).report.verdict, Verdict::Consistent);
 }
 
 #[test]
 fn events_alone_are_insufficient_unless_a_direct_test_speaks() {
     let alone = Case { frames: None, ..testing::case() };
-    let found = quiet(&alone, &[RoadKind::new("likelihood", |_, _| Ok(clock(1e-3)))]);
+    let found = diagnosed(&alone, Proposed::NotAsked);
     assert_eq!(found.report.verdict, Verdict::Insufficient);
     assert!(found.report.summary.contains("0 frames"), "{}", found.report.summary);
 }
 
 #[test]
 fn the_same_recording_gives_the_same_bytes() {
-    let run = || quiet(&testing::case(), &[RoadKind::new("likelihood", |_, _| Ok(clock(1e-3)))]).report.to_json().unwrap();
+    let run = || diagnosed(&testing::case(), clock(1e-3)).report.to_json().unwrap();
     assert_eq!(run(), run());
 }
 
@@ -80,7 +86,7 @@ fn an_effect_that_the_description_states_is_no_finding() {
     let effects: crate::record::Described = [("timestamp_quantization".to_owned(), step.as_object().unwrap().clone())].into_iter().collect();
     let mut case = testing::case_with(&effects);
     // The stated resolution is that of the recorder: 1 ns.
-    assert_eq!(quiet(&case, &[]).integrity.findings.iter().map(|finding| finding.id).collect::<Vec<_>>(), ["timestamp_quantization"]);
+    assert_eq!(diagnosed(&case, Proposed::NotAsked).integrity.findings.iter().map(|finding| finding.id).collect::<Vec<_>>(), ["timestamp_quantization"]);
     case.sensor.effects = effects;
-    assert!(quiet(&case, &[]).integrity.findings.is_empty());
+    assert!(diagnosed(&case, Proposed::NotAsked).integrity.findings.is_empty());
 }

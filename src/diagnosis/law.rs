@@ -58,8 +58,8 @@ pub struct Law {
     pub taken: f64,
     /// The same over its standard error from part to part of the array; of a rate of events, what its test measured.
     pub significance: f64,
-    /// Gain in the log of the likelihood of a change of closure, nats, on pixels that it was not fitted to; of a rate of events, over all events of the recording.
-    pub nats_per_change: f64,
+    /// Held-out gain in log-likelihood, nats an event.
+    pub nats_per_event: f64,
 }
 
 impl Law {

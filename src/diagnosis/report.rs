@@ -108,10 +108,10 @@ pub struct Evidence {
     /// The same per event.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heldout_nats_per_event: Option<f64>,
-    /// How far to believe that the effect is this one, 0 to 1: by the contest, or the share of the belief of the tests that found it, among the effects that they found enough for.
+    /// Probability that the effect is this one, given that there is something; absent for direct tests.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub belief: Option<f64>,
-    /// Which of the tests found it: `direct`, `refit`, `closures`, `likelihood`, `synthesis`.
+    /// What found it: `direct`, or the scene it was found on (`picture`, `patches`, `given`).
     pub found_by: Vec<String>,
 }
 

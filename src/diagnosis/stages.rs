@@ -12,7 +12,7 @@ use photocurrent_sensor::effects::catalogue;
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 
-/// What the roads propose, and the list of candidates that they chose from.
+/// What is decided, and the list of candidates that it is chosen from.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Proposals {
     candidates: Vec<String>,
@@ -98,7 +98,7 @@ pub fn write_proposals(proposed: &Proposed) -> Result<Diagnosis, DataError> {
 /// When the document is not one of [`write_proposals`], or was made with another list of candidates.
 pub fn read_proposals(document: &Diagnosis) -> Result<Proposed, DataError> {
     let read: Proposals = document.read()?;
-    of_this_list(&read.candidates, "proposals", "diagnose/propose")?;
+    of_this_list(&read.candidates, "proposals", "diagnose/decide")?;
     Ok(read.proposed)
 }
 
@@ -141,9 +141,9 @@ impl<'de> Deserialize<'de> for Finding {
 mod tests {
     use super::*;
     use crate::diagnose::check;
-    use crate::report::{Detectable, NotTestable, SceneProperty};
+    use crate::report::{Detectable, SceneProperty};
     use crate::testing;
-    use crate::verdict::{Proposal, Road, Unexplained};
+    use crate::verdict::{Decided, Proposal, Unexplained};
 
     #[test]
     fn what_direct_tests_saw_comes_back() {
@@ -180,16 +180,12 @@ mod tests {
     #[test]
     fn proposals_come_back_and_only_with_the_list_they_were_made_with() {
         let proposal = Proposal { candidate: 3, score: 1.0 / 3.0, ci95: Some([-1e-300, 2.0]), passed: true, heldout_nats: Some(0.1), ..Proposal::default() };
-        let road = Road {
-            name: "likelihood".into(),
+        let decided = Decided {
+            name: "picture".into(),
             alarm: true,
             proposals: vec![proposal.clone()],
-            second: vec![proposal.clone()],
-            to_first_order: vec![proposal.clone()],
-            second_to_first_order: vec![proposal],
+            second: vec![proposal],
             unexplained: Some(Unexplained { covariate: "row".into(), ..Unexplained::default() }),
-            decides: true,
-            is_numerical: true,
             detectability: vec![Detectable {
                 id: "leak_events".into(),
                 parameter: "rate_hz".into(),
@@ -198,15 +194,15 @@ mod tests {
                 minimal_detectable: 0.3,
                 unit: "Hz".into(),
             }],
-            not_testable: vec![NotTestable { id: "blur".into(), why: "dark".into() }],
-            nats_per_event: Some((-2.0, -1.5)),
+            nats_per_event: Some(-2.0),
+            ks: Some(0.1 + 0.2),
             residual_left: Some(0.25),
         };
-        let proposed = Proposed { roads: vec![road], ran: vec!["likelihood".into()], failed: vec!["synthesis: no light".into()] };
-        let document = write_proposals(&proposed).unwrap();
-        assert_eq!(read_proposals(&document).unwrap(), proposed);
-        let first = CANDIDATES[0].label();
-        let other = Diagnosis::from_text(document.kind(), document.text().replacen(&first, "something_else", 1)).unwrap();
-        assert!(read_proposals(&other).unwrap_err().message.contains("another list"));
+        for proposed in [Proposed::Decided(Box::new(decided)), Proposed::Nothing("no light".into()), Proposed::NotAsked] {
+            let document = write_proposals(&proposed).unwrap();
+            assert_eq!(read_proposals(&document).unwrap(), proposed);
+            let other = Diagnosis::from_text(document.kind(), document.text().replacen(&CANDIDATES[0].label(), "something_else", 1)).unwrap();
+            assert!(read_proposals(&other).unwrap_err().message.contains("another list"));
+        }
     }
 }

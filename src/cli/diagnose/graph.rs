@@ -22,7 +22,7 @@ const WIRING: &str = include_str!("../../../pipelines/diagnose/recording.toml");
 const ANSWER: &str = "answer";
 
 /// The nodes that hold the recording against its description.
-const STAGES: [&str; 4] = ["integrity", "evidence", "propose", "confirm"];
+const STAGES: [&str; 3] = ["integrity", "evidence", "confirm"];
 
 /// What came of it.
 pub struct Answered {
@@ -114,11 +114,7 @@ fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
     }
     if options.direct {
         put("nodes.evidence.params.scene", "none".into());
-        put("nodes.propose.params.roads", toml::Value::Array(Vec::new()));
         put("nodes.confirm.params.proof", false.into());
-    }
-    if let Some(knowledge) = &options.knowledge {
-        put("nodes.propose.params.knowledge", quoted(knowledge)?);
     }
     toml::to_string(&all).map_err(|why| Failure::other(format!("the manifest of the diagnosis cannot be written: {why}")))
 }

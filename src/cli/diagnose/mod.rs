@@ -8,10 +8,8 @@ use crate::common::{Done, Failure, human_seconds};
 use crate::file_kind::need_recording;
 use crate::terminal::{print, say};
 use photocurrent_diagnosis::diagnose::broken;
-use photocurrent_diagnosis::knowledge::Knowledge;
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::report::{Report, Verdict, short};
-use photocurrent_nodes::diagnose::confirm::UNFINISHED;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -30,7 +28,6 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     let started = Instant::now();
     let folder = options.out.clone().unwrap_or_else(|| Path::new("out").join(options.recording.file_stem().unwrap_or_default()));
     check_free(&folder)?;
-    check_knowledge(options)?;
     need_recording(&options.recording, "diagnose")?;
     // What is wrong with the input is told in the words of this command, before the graph begins.
     let case = match case::read(&options.recording, options.sensor.as_deref(), options.memory) {
@@ -58,11 +55,8 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     answered.warnings.iter().for_each(|why| say!("warning: {why}"));
     let told = first_line(&report);
     for (node, note) in answered.notes.iter().filter(|(_, note)| *note != told) {
-        // What did not come to its end has gone wrong, and is told to those who asked for quiet as well.
-        match note.strip_prefix(UNFINISHED) {
-            Some(what) => say!("warning: {what}"),
-            None if options.quiet => {}
-            None => say!("note: {node}: {note}"),
+        if !options.quiet {
+            say!("note: {node}: {note}");
         }
     }
     show(options, &report, &folder, started)?;
@@ -71,13 +65,6 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
 
 fn text(report: &Report) -> Result<String, Failure> {
     report.to_json().map_err(|why| Failure::other(format!("the report cannot be written as JSON: {why}")))
-}
-
-/// Refuses a file of knowledge that is none.
-fn check_knowledge(options: &DiagnoseOptions) -> Result<(), Failure> {
-    let Some(path) = &options.knowledge else { return Ok(()) };
-    let bytes = std::fs::read(path).map_err(|error| usage(format!("{}: cannot read the knowledge: {error}", path.display())))?;
-    Knowledge::from_bytes(&bytes).map(drop).map_err(|why| usage(format!("{}: this is no knowledge of the diagnosis: {why}", path.display())))
 }
 
 /// Refuses a folder that holds anything but an earlier report.

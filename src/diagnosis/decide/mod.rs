@@ -1,23 +1,20 @@
-//! What a moving picture says, in the form that [`crate::verdict`] joins ([`crate::residual::evidence`]).
+//! What events say on a scene ([`crate::residual::evidence`]), in the form that [`crate::verdict`] joins.
 //!
-//! A scene that frames alone state is evidence of another kind than a light that events helped to estimate: an effect cannot hide in it. So where enough events count, this method
-//! decides alone; what it does not see is not there, to the size that its own floor allows.
+//! An effect cannot hide in a scene that frames alone state: what is not seen there is not there, to the size that its own noise allows ([`limits`]).
 //!
 //! - `model`: probabilities.
 //! - `calibrate`: where its numbers come from.
 
-use crate::candidates::CANDIDATES;
+use crate::candidates::{CANDIDATES, Signs};
 use crate::nominal::Nominal;
+use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
-use crate::verdict::{Proposal, Road, Unexplained};
+use crate::verdict::{Decided, Proposal, Unexplained};
 use model::{Belief, Facts, Model, hypotheses};
 use serde::{Deserialize, Serialize};
 
 pub mod calibrate;
 pub mod model;
-
-/// The name of the method.
-pub const PICTURE: &str = "picture";
 
 /// From when on something is said.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,11 +25,11 @@ pub struct Decision {
     pub least: f64,
     /// And there is a second effect from this probability on.
     pub least_second: f64,
-    /// Where the control's median absolute residual over the threshold is larger, the method does not model this sensor, and abstains.
+    /// Where the control's median absolute residual over the threshold is larger, this sensor is not modelled, and nothing is decided.
     pub most_control: f64,
     /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than this.
     pub most_left: f64,
-    /// And silence says nothing where more than this is left: other methods are asked then.
+    /// And silence says nothing where more than this is left.
     pub most_silent: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
     pub shared_error: f64,
@@ -48,7 +45,7 @@ impl Default for Decision {
 ///
 /// # Errors
 /// When the scene does not explain what the nominal sensor records of it, or what is left has no name.
-pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<Road, String> {
+pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Result<Decided, String> {
     if found.control_median > decision.most_control {
         return Err(format!(
             "events of the nominal sensor on its own scene miss their thresholds by {:.2} of them: this sensor is not modelled well enough",
@@ -58,40 +55,67 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
     if found.left[0] > decision.most_left {
         return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on this scene", found.left[0]));
     }
-    let said = method(found, nominal, decision);
+    let said = said(found, nominal, decision);
     if !said.alarm && found.left[0] > decision.most_silent {
         return Err(format!("events miss their thresholds by {:.2} of them on this scene: an effect of that size would not be seen", found.left[0]));
     }
     Ok(said)
 }
 
-/// What was found as a method's word.
-fn method(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Road {
+fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
     let facts = Facts::of(found);
     let belief = decision.model.first(&facts);
     let is_something = belief.something >= decision.least;
-    let first = proposals(&hypotheses(&found.ranked, &found.random), &belief, belief.something / decision.least, nominal, decision);
+    let first = proposals(found, &hypotheses(&found.ranked, &found.random), &belief, belief.something / decision.least, nominal, decision);
     let most = first.iter().map(|one| one.probability).fold(0.0, f64::max);
     let is_unnamed = is_something && belief.unnamed > most;
     let second = decision.model.second(&facts).map_or_else(Vec::new, |belief| {
         let list = hypotheses(&found.second, &found.random_second);
-        proposals(&list, &belief, belief.something / decision.least_second, nominal, decision)
+        proposals(found, &list, &belief, belief.something / decision.least_second, nominal, decision)
     });
     let curve = found.open_second.first().or(found.open.first()).filter(|_| is_unnamed);
-    Road {
-        name: PICTURE.into(),
+    Decided {
+        name: found.scene.clone(),
         alarm: is_something,
         proposals: if is_unnamed { Vec::new() } else { first },
         second: if is_unnamed { Vec::new() } else { second },
         unexplained: curve.map(|curve| Unexplained::by(&curve.law, belief.something / decision.least)),
-        decides: true,
+        detectability: limits(found, nominal, decision),
+        nats_per_event: Some(found.nats_per_event),
+        ks: Some(found.ks),
         residual_left: Some(found.left[0] / f64::max(found.median, 1e-12)),
-        ..Road::default()
     }
 }
 
+/// What could have been seen of each effect that has a size: the size whose gain just says that something differs, and what was estimated.
+///
+/// A strength s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at which the model's probability is [`Decision::least`].
+pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<Detectable> {
+    let needed = decision.model.needed_gain(libm::log(decision.least / (1.0 - decision.least)), libm::log(found.share.max(1e-3)));
+    let has_limit = |one: &&Ranked| {
+        let kind = &CANDIDATES[one.candidate];
+        one.information > 0.0 && kind.signs != Signs::Switch && !kind.is_limit() && one.unit != 0.0
+    };
+    let one = |one: &Ranked| {
+        let kind = &CANDIDATES[one.candidate];
+        let (parameter, unit) = kind.json_key();
+        Detectable {
+            id: kind.id.to_owned(),
+            parameter,
+            estimate: Some(kind.nominal_value(nominal) + one.strength * one.unit),
+            standard_error: Some((one.error * one.unit).abs()),
+            minimal_detectable: (libm::sqrt(2.0 * needed / one.information) * one.unit).abs(),
+            unit: unit.to_owned(),
+        }
+    };
+    let mut limits: Vec<(usize, Detectable)> = found.ranked.iter().filter(has_limit).map(|ranked| (ranked.candidate, one(ranked))).collect();
+    limits.sort_by_key(|limit| limit.0);
+    limits.into_iter().map(|limit| limit.1).filter(|limit| limit.minimal_detectable.is_finite()).collect()
+}
+
 /// One proposal for each hypothesis, best first; `score`: how far over what is said something is.
-fn proposals(list: &[&Ranked], belief: &Belief, score: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
+fn proposals(found: &Evidence, list: &[&Ranked], belief: &Belief, score: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
+    let events = found.events as f64;
     let one = |(one, probability): (&&Ranked, &f64)| {
         let width = one.error / f64::max(one.strength.abs(), 1e-12);
         let nothing = CANDIDATES[one.candidate].nominal_value(nominal);
@@ -103,8 +127,10 @@ fn proposals(list: &[&Ranked], belief: &Belief, score: f64, nominal: &Nominal, d
             value: one.value,
             ci95: (error > 0.0 && error.is_finite()).then_some([one.value - error, one.value + error]),
             passed: score >= 1.0,
-            heldout_nats: None,
+            heldout_nats: Some(one.beyond() * events),
+            heldout_nats_ci95: (one.gain_error > 0.0).then(|| [-1.96, 1.96].map(|sigmas| (one.beyond() + sigmas * one.gain_error) * events)),
             heldout_nats_per_event: Some(one.beyond()),
+            ks: Some(one.ks).filter(|ks| *ks > 0.0),
         }
     };
     list.iter().zip(&belief.each).map(one).collect()
@@ -120,8 +146,8 @@ mod tests {
         Ranked { candidate, gain, control_gain, strength: 1.0, value: 1.0, is_exact: true, is_material: true, ..Ranked::default() }
     }
 
-    fn said(found: &Evidence) -> Road {
-        method(found, &testing::case().nominal().unwrap(), &Decision::default())
+    fn said(found: &Evidence) -> Decided {
+        super::said(found, &testing::case().nominal().unwrap(), &Decision::default())
     }
 
     #[test]
@@ -129,7 +155,7 @@ mod tests {
         let found =
             Evidence { share: 1.0, left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
         let said = said(&found);
-        assert!(said.decides && said.alarm && said.proposals[0].passed);
+        assert!(said.alarm && said.proposals[0].passed);
         assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
         assert!(said.proposals[0].probability > 0.9);
     }
@@ -144,7 +170,7 @@ mod tests {
     fn silence_counts_only_where_an_effect_would_be_seen() {
         let nominal = testing::case().nominal().unwrap();
         let of = |left: f64, gain: f64| Evidence { share: 1.0, left: [left; 2], ranked: vec![ranked("clock_offset", gain, 0.0)], ..Evidence::default() };
-        let decided = |left: f64, gain: f64| decide(&of(left, gain), &nominal, &Decision::default()).map(|road| road.alarm);
+        let decided = |left: f64, gain: f64| decide(&of(left, gain), &nominal, &Decision::default()).map(|said| said.alarm);
         assert_eq!((decided(0.05, 0.01), decided(0.2, 2.0)), (Ok(false), Ok(true)));
         assert!(decided(0.2, 0.01).unwrap_err().contains("would not be seen"));
         assert!(decided(0.4, 2.0).unwrap_err().contains("no effect explains it"));

@@ -149,6 +149,14 @@ impl Facts {
     }
 }
 
+impl Model {
+    /// The gain of one effect, nats an event, at which the log odds that something differs are `log_odds`, with the logarithm of the share of the events that count.
+    pub fn needed_gain(&self, log_odds: f64, share: f64) -> f64 {
+        let [constant, gain, of_share] = self.something;
+        libm::exp((log_odds - constant - of_share * share) / gain).max(LEAST_GAIN)
+    }
+}
+
 /// The most that an effect of a size that does not matter gains, nats an event; at least 0.
 fn explained_by_little(ranked: &[Ranked], random: &[Ranked]) -> f64 {
     ranked.iter().chain(random).filter(|one| one.is_exact && !one.is_material).map(Ranked::beyond).fold(0.0, f64::max)

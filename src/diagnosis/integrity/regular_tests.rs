@@ -52,7 +52,7 @@ fn events_that_stay_away_at_one_phase_of_every_row_are_told_with_that_phase() {
         // Of 13 bins around the dip, its four hold 0.3: 0.3 / (1 - 0.7 * 4 / 13) less 1, or near that.
         if (4e-3..5e-3).contains(at) { assert!((value + 0.62).abs() < 0.08, "{at} {value}") } else { assert!(*value > -0.1 && *value < 0.4, "{at} {value}") }
     }
-    assert!(law.error.iter().all(|error| *error < 0.05) && law.taken > 0.5 && law.nats_per_change > 0.01, "{law:?}");
+    assert!(law.error.iter().all(|error| *error < 0.05) && law.taken > 0.5 && law.nats_per_event > 0.01, "{law:?}");
 }
 
 #[test]
@@ -79,7 +79,7 @@ fn rows_that_differ_by_parity_are_told_with_their_share() {
     assert_eq!(law.covariate, Covariate::RowParity);
     // (1 - 0.8) / (1 + 0.8)
     assert!((law.value[0] - 0.111).abs() < 0.02 && (law.value[1] + law.value[0]).abs() < 1e-12, "{law:?}");
-    assert!(law.nats_per_change > 0.003 && law.error[0] < 0.02, "{law:?}");
+    assert!(law.nats_per_event > 0.003 && law.error[0] < 0.02, "{law:?}");
     // Some busy rows are no parity.
     let busy = waves(|row, _, _| if [6, 14, 22, 30].contains(&row) { 1.0 } else { 0.6 });
     assert_eq!(laws(&busy, &[]), []);

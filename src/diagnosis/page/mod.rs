@@ -1,16 +1,16 @@
 //! The report as one page of HTML that needs nothing beside it: text first, then pictures as inline SVG.
 //!
-//! The page says what `diagnosis.json` says, and shows what that cannot hold: events before and after (calibration, gain of each effect, where, when, and on what it depends), how strongly
-//! each candidate was supported, where and when kept frames disagree, and a few pixels with the description as stated and as fitted. The same diagnosis gives the same bytes.
+//! The page says what `diagnosis.json` says, and shows what that cannot hold: how strongly each candidate was supported, and where and when held-out frames disagree with the
+//! description as stated and as fitted. The same diagnosis gives the same bytes.
 
-mod comparison;
+mod curve;
 mod pixels;
 mod plot;
 mod svg;
 
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
-use crate::diagnose::Diagnosis;
+use crate::diagnose::{Diagnosis, Proposed};
 use crate::heldout::Prediction;
 use crate::law::Law;
 use crate::report::{EffectReport, Parameter, Report, Verdict, short as number};
@@ -33,16 +33,10 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
     head(&mut html, report);
     effects(&mut html, report);
     if let Some(law) = found.and_then(|found| unnamed(report, found)) {
-        comparison::unnamed(&mut html, law);
-    }
-    let compared = case.zip(found.and_then(|found| found.comparison.as_ref()));
-    if let Some((case, found)) = compared {
-        comparison::before_and_after(&mut html, case, found);
+        curve::unnamed(&mut html, law);
     }
     if let (Some(case), Some(found)) = (case, found) {
         proof(&mut html, report, case, found);
-    }
-    if let Some((case, found)) = compared {
         pixels::examples(&mut html, case, found);
     }
     if let Some(found) = found {
@@ -72,9 +66,9 @@ fn head(html: &mut String, report: &Report) {
 
 /// The curve of what is reported without a name.
 fn unnamed<'a>(report: &Report, found: &'a Diagnosis) -> Option<&'a Law> {
-    let is_told = report.effects.iter().any(|effect| effect.id == "unnamed");
-    let of_roads = || found.roads.iter().filter_map(|road| road.unexplained.as_ref()).find_map(|one| one.law.as_ref());
-    found.integrity.laws.first().or_else(of_roads).filter(|_| is_told)
+    let is_reported = report.effects.iter().any(|effect| effect.id == "unnamed");
+    let decided = || found.proposed.decided().and_then(|decided| decided.unexplained.as_ref()?.law.as_ref());
+    found.integrity.laws.first().or_else(decided).filter(|_| is_reported)
 }
 
 fn effects(html: &mut String, report: &Report) {
@@ -115,7 +109,7 @@ fn location(html: &mut String, effect: &EffectReport) {
     let _ = write!(text, "Found by: {}; {:.1} times its alarm.", evidence.found_by.join(", "), evidence.statistic);
     if let Some(nats) = evidence.heldout_nats {
         let interval = evidence.heldout_nats_ci95.map_or_else(String::new, |[low, high]| format!(" ({low:.0} to {high:.0})"));
-        let _ = write!(text, " On measurements kept back it gains {nats:.0} nats{interval}.");
+        let _ = write!(text, " On held-out events it gains {nats:.0} nats{interval}.");
     }
     let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
 }
@@ -130,13 +124,13 @@ fn scores(html: &mut String, found: &Diagnosis) {
         .map(|finding| Bar { label: finding.id.to_owned(), value: finding.statistic / finding.threshold, is_marked: true })
         .collect();
     let mut groups = vec![("direct tests".to_owned(), direct)];
-    for road in &found.roads {
+    if let Some(decided) = found.proposed.decided() {
         let bars = |all: &[Proposal]| {
-            all.iter().take(10).map(|one| Bar { label: CANDIDATES[one.candidate].label(), value: one.score, is_marked: one.passed }).collect()
+            all.iter().take(10).map(|one| Bar { label: CANDIDATES[one.candidate].label(), value: one.score * one.probability, is_marked: one.passed }).collect()
         };
-        groups.push((road.name.clone(), bars(&road.proposals)));
-        if !road.to_first_order.is_empty() {
-            groups.push(("closures of all pixels, to first order".to_owned(), bars(&road.to_first_order)));
+        groups.push((decided.name.clone(), bars(&decided.proposals)));
+        if !decided.second.is_empty() {
+            groups.push((format!("{}, beside the first", decided.name), bars(&decided.second)));
         }
     }
     for (name, group) in groups {
@@ -147,16 +141,16 @@ fn scores(html: &mut String, found: &Diagnosis) {
             html.push_str(&bars(&group));
         }
     }
-    for why in &found.failed {
-        let _ = writeln!(html, "<p>not finished: {}</p>", escaped(why));
+    if let Proposed::Nothing(why) = &found.proposed {
+        let _ = writeln!(html, "<p>The scene is no evidence: {}.</p>", escaped(why));
     }
 }
 
-/// Kept frames: before and after, where, when.
+/// Held-out frames: before and after, where, when.
 fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
     let Some(before) = &found.predictions.0 else { return };
-    html.push_str("<h2>Frames that were kept back</h2>\n");
-    html.push_str("<p>Every third frame is kept back and predicted from the events and the other frames, as <code>solve/pixel</code> would.</p>\n");
+    html.push_str("<h2>Held-out frames</h2>\n");
+    html.push_str("<p>Every third frame is held out and predicted from the events and the other frames, as <code>solve/pixel</code> would.</p>\n");
     html.push_str("<table><tr><th></th><th>as stated</th><th>as fitted</th></tr>\n");
     let after = found.predictions.1.as_ref();
     let fitted = after.map_or_else(|| "-".to_owned(), |after| format!("{:.2} dB", after.psnr_db()));
@@ -172,7 +166,7 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
             sample.pixels.iter().zip(&of.by_pixel).for_each(|(&pixel, value)| map[pixel as usize] = *value);
             map
         };
-        html.push_str("<h3>Where: error of a kept frame as a share of the pixel's mean</h3>\n");
+        html.push_str("<h3>Where: error of a held-out frame as a share of the pixel's mean</h3>\n");
         let all: Vec<Map> = std::iter::once(("as stated", map(before))).chain(after.map(|after| ("as fitted", map(after)))).collect();
         html.push_str(&maps(&all, width, height, "of the mean, and more; grey: not looked at"));
     }

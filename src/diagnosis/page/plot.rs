@@ -35,12 +35,7 @@ pub struct Plot {
 }
 
 impl Plot {
-    /// Axes that hold some points; coordinates that are not finite are left out.
-    pub fn new(points: impl Iterator<Item = (f64, f64)>, width: f64, height: f64) -> Plot {
-        Plot::with_rows(points, width, height, Scale::Linear, &[])
-    }
-
-    /// The same with a scale across, and with named rows of ticks under the axes.
+    /// Axes that hold some points (coordinates that are not finite are left out), with a scale across and named rows of ticks under the axes.
     pub fn with_rows(points: impl Iterator<Item = (f64, f64)>, width: f64, height: f64, scale: Scale, rows: &[&str]) -> Plot {
         let none = (f64::INFINITY, f64::NEG_INFINITY);
         let grow = |range: (f64, f64), value: f64| if value.is_finite() { (range.0.min(value), range.1.max(value)) } else { range };
@@ -103,18 +98,6 @@ impl Plot {
         }
         let dashes = dashes.map(|dashes| format!(" stroke-dasharray=\"{dashes}\"")).unwrap_or_default();
         let _ = write!(self.svg, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"{dashes}/>", path.trim_end());
-    }
-
-    /// A filled band between two curves over the same places: (x, lower, upper).
-    pub fn band(&mut self, points: &[(f64, f64, f64)], colour: &str) {
-        let mut path = String::new();
-        let there = points.iter().map(|&(x, low, _)| (x, low));
-        let back = points.iter().rev().map(|&(x, _, high)| (x, high));
-        for point in there.chain(back) {
-            let (x, y) = self.place((point.0, point.1.clamp(self.y.0, self.y.1)));
-            let _ = write!(path, "{x:.1},{y:.1} ");
-        }
-        let _ = write!(self.svg, "<polygon points=\"{}\" fill=\"{colour}\"/>", path.trim_end());
     }
 
     /// Points with bars of `error` up and down, moved across by `beside` pixels so that two sets stand beside each other.

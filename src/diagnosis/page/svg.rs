@@ -1,4 +1,4 @@
-//! Small charts as SVG text: bars, values with intervals, maps of pixels.
+//! Small charts as SVG text: bars, maps of pixels.
 
 use super::escaped;
 use crate::report::short;
@@ -36,42 +36,6 @@ pub fn bars(bars: &[Bar]) -> String {
     }
     let alarm = x(1.0);
     let _ = writeln!(svg, "<line x1=\"{alarm:.1}\" x2=\"{alarm:.1}\" y1=\"0\" y2=\"{height:.1}\" stroke=\"#b00020\" stroke-dasharray=\"4 3\"/></svg>");
-    svg
-}
-
-/// A range with an interval.
-pub struct Range {
-    /// Beside it.
-    pub label: String,
-    /// The value and its 95 % interval; none shows `note` alone.
-    pub value: Option<(f64, [f64; 2])>,
-    /// To the right of it.
-    pub note: String,
-}
-
-/// Values with intervals on one axis, in %, with a line at 0.
-pub fn ranges(rows: &[Range]) -> String {
-    const LEFT: f64 = 200.0;
-    const WIDTH: f64 = 260.0;
-    const ROW: f64 = 24.0;
-    let ends = rows.iter().filter_map(|row| row.value).flat_map(|(value, [low, high])| [value, low.max(-1.0), high.min(1.0)]);
-    let (least, most) = ends.fold((0.0_f64, 0.2_f64), |range, end| (range.0.min(end), range.1.max(end)));
-    let x = |value: f64| LEFT + WIDTH * (value.clamp(least, most) - least) / (most - least);
-    let height = ROW * rows.len() as f64 + 4.0;
-    let mut svg = open(LEFT + WIDTH + 230.0, height);
-    let _ = write!(svg, "<line x1=\"{0:.1}\" x2=\"{0:.1}\" y1=\"0\" y2=\"{height:.1}\" stroke=\"#787878\"/>", x(0.0));
-    for (row, of) in rows.iter().enumerate() {
-        let y = ROW * row as f64 + 13.0;
-        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>", LEFT - 10.0, y + 4.0, escaped(&of.label));
-        if let Some((value, [low, high])) = of.value {
-            let (from, to) = (x(low), x(high));
-            let colour = COLOURS[usize::from(low <= 0.0) * 3];
-            let _ = write!(svg, "<line x1=\"{from:.1}\" x2=\"{to:.1}\" y1=\"{y:.1}\" y2=\"{y:.1}\" stroke=\"{colour}\" stroke-width=\"2\"/>");
-            let _ = write!(svg, "<circle cx=\"{:.1}\" cy=\"{y:.1}\" r=\"4\" fill=\"{colour}\"/>", x(value));
-        }
-        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\">{}</text>", LEFT + WIDTH + 12.0, y + 4.0, escaped(&of.note));
-    }
-    svg.push_str("</svg>\n");
     svg
 }
 

@@ -120,6 +120,12 @@ pub struct Ranked {
     pub gain: f64,
     /// Its standard error.
     pub gain_error: f64,
+    /// Fisher information of an event about the strength: half of it times the strength's square is what a small one gains.
+    #[serde(default)]
+    pub information: f64,
+    /// What a strength of 1 adds to the parameter's nominal value, in the unit of its declaration.
+    #[serde(default)]
+    pub unit: f64,
     /// The same of the control.
     pub control_gain: f64,
     /// And the size that the control finds, strengths.
@@ -130,6 +136,9 @@ pub struct Ranked {
     pub beside: Option<f64>,
     /// Median absolute residual over the threshold that it leaves.
     pub left: f64,
+    /// Distance of what it leaves from the control's noise ([`EventNoise::distance`]); 0 where it was not evaluated exactly.
+    #[serde(default)]
+    pub ks: f64,
     /// Is its size worth a word ([`is_material`])?
     #[serde(default)]
     pub is_material: bool,
@@ -145,6 +154,12 @@ impl Ranked {
 /// What the method found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
+    /// The scene ([`Source::name`]).
+    #[serde(default)]
+    pub scene: String,
+    /// Held-out log-likelihood of an event's time with the description, nats (of a density per second).
+    #[serde(default)]
+    pub nats_per_event: f64,
     /// Share of the events that counts.
     pub share: f64,
     /// Events looked at.
@@ -153,6 +168,9 @@ pub struct Evidence {
     pub median: f64,
     /// The same of the control.
     pub control_median: f64,
+    /// Distance of the residuals from the control's noise ([`EventNoise::distance`]).
+    #[serde(default)]
+    pub ks: f64,
     /// Median slope of the voltage at the events, ln/s.
     pub slope_per_s: f64,
     /// Share of the squares of residuals that is noise of pixels.
@@ -296,10 +314,13 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     };
     let [ranked, second, random, random_second] = [ranked, second, random, random_second].map(mark);
     Ok(Evidence {
+        scene: source.name().to_owned(),
+        nats_per_event: table.nats_per_event,
         share,
         events: table.residual().len(),
         median: base_median,
         control_median: median_share(control_table.residual(), scales.threshold),
+        ks: control_table.noise.distance(table.sharp(), &table.events.slope_per_s),
         left,
         slope_per_s,
         white,

@@ -19,6 +19,15 @@ impl EventNoise {
         libm::sqrt(self.a * self.a + self.b * self.b * slope_per_s * slope_per_s)
     }
 
+    /// Largest distance of the residuals' probabilities under this noise from evenly spread ones (Kolmogorov and Smirnov).
+    pub fn distance(&self, residual: &[f64], slope_per_s: &[f64]) -> f64 {
+        let mut probability: Vec<f64> = residual.iter().zip(slope_per_s).map(|(r, slope)| probability_t(r / self.sigma(*slope))).collect();
+        probability.sort_by(f64::total_cmp);
+        let n = probability.len().max(1) as f64;
+        let off = |(k, p): (usize, &f64)| f64::max(p - k as f64 / n, (k + 1) as f64 / n - p);
+        probability.iter().enumerate().map(off).fold(0.0, f64::max)
+    }
+
     /// From residuals: robust scales in eight bins of slope, fitted by `a^2 + b^2 slope^2`; at least `least`.
     pub fn estimate(residual: &[f64], slope_per_s: &[f64], least: f64) -> EventNoise {
         EventNoise::in_order(residual, slope_per_s, &by_slope(slope_per_s), least)
@@ -75,6 +84,12 @@ fn by_slope(slope_per_s: &[f64]) -> Vec<usize> {
 fn log_t(z: f64) -> f64 {
     const CONSTANT: f64 = -1.000_888_8;
     CONSTANT - 0.5 * (NU + 1.0) * libm::log1p(z * z / NU)
+}
+
+/// Probability of no more than `z` under Student's t with three degrees of freedom.
+fn probability_t(z: f64) -> f64 {
+    let s = z / libm::sqrt(NU);
+    0.5 + (s / (1.0 + s * s) + libm::atan(s)) / std::f64::consts::PI
 }
 
 /// What stands beside residuals: events first, then frame values (of a scene that does not hang on them), each kind with a noise of its own.
@@ -180,6 +195,8 @@ pub struct Fitted {
     pub gain: f64,
     /// Standard error of the gain, by blocks.
     pub gain_error: f64,
+    /// Of one column, Fisher information of an event about its size: a small size gains half of this times its square, nats an event.
+    pub information: f64,
 }
 
 /// Sizes and noise of a fit.
@@ -323,8 +340,29 @@ impl<'a> Plain<'a> {
     }
 }
 
+impl Plain<'_> {
+    /// Held-out log-likelihood of an event's time, nats, of a density per second. `log_slope`: of the events.
+    pub fn nats_per_event(&self, log_slope: &[f32]) -> f64 {
+        let seen = Seen { residual: self.residual, log_slope };
+        let events = self.rows.events.min(self.residual.len());
+        let sum: f64 = (0..events).map(|k| seen.log(&self.rows, &self.halves[1 - (self.rows.block[k] % 2) as usize], k)).sum();
+        sum / events.max(1) as f64
+    }
+
+    /// Fisher information of an event about the size of a column, under Student's t.
+    pub fn information(&self, column: &Column) -> f64 {
+        let events = self.rows.events.min(self.residual.len());
+        let of = |k: usize| {
+            let z = f64::from(column.of[k]) / self.rows.sigma(&self.halves[0].noise, k);
+            (NU + 1.0) / (NU + 3.0) * z * z
+        };
+        (0..events).map(of).sum::<f64>() / events.max(1) as f64
+    }
+}
+
 /// Gain of columns over none, on the half of the blocks that sizes and noise were not fitted to, nats an event; size from all rows.
 pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
+    let whole = plain;
     let Plain { residual, rows, halves: plain } = plain;
     let blocks = rows.blocks();
     let mut gains = vec![0.0; blocks];
@@ -350,7 +388,8 @@ pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
     let size = solve(residual, rows, &of, |_| true).sizes;
     let (gain, gain_error) = mean_of_blocks(&gains, &counts);
     let error = halves[0].iter().zip(&halves[1]).map(|(a, b)| 0.5 * (a - b).abs()).collect();
-    Fitted { size, error, gain, gain_error }
+    let information = columns.first().map_or(0.0, |column| whole.information(column));
+    Fitted { size, error, gain, gain_error, information }
 }
 
 #[cfg(test)]

@@ -19,12 +19,12 @@ pub mod fit;
 pub mod gate;
 pub mod light;
 pub mod open;
+mod prepared;
 pub mod source;
 mod table;
 
 use crate::candidates::Trial;
 use crate::case::Case;
-use crate::likelihood::view::Prepared;
 use crate::scene::{SceneSetting, pixel_data};
 use light::Light;
 use photocurrent_core::{Exposure, Timestamp};
@@ -33,6 +33,7 @@ use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Sit
 use photocurrent_sensor::elementary::{exp, ln};
 use photocurrent_sensor::forward::neighbours::stand_in;
 use photocurrent_sensor::map::MapEvent;
+use prepared::Prepared;
 use rayon::prelude::*;
 
 /// Events of some pixels with their residuals, in order of pixel and time.

@@ -135,7 +135,7 @@ fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: 
         error: all.error.clone(),
         taken,
         significance: gain / f64::max(all.gain_error, 1e-9),
-        nats_per_change: gain,
+        nats_per_event: gain,
     };
     Some(Open { law, gain, gain_error: all.gain_error, control_gain: 0.0 })
 }

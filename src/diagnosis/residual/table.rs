@@ -2,17 +2,17 @@
 
 use super::components::white_share;
 use super::evidence::{EvidenceSetting, Ranked};
-use super::fit::{self, Column, Fitted, Plain, Rows, Soft, gain_of, heldout, without_softness};
+use super::fit::{self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, heldout, without_softness};
 use super::gate::Gate;
 use super::light::Light;
 use super::open::{self, Open, lay};
+use super::prepared::Prepared;
 use super::source::{Cell, Source};
 use super::{FrameValues, Residuals, View};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::Case;
 use crate::covariates::Surroundings;
 use crate::integrity::median;
-use crate::likelihood::view::Prepared;
 use crate::nominal::Nominal;
 use photocurrent_sensor::elementary::ln;
 use std::borrow::Cow;
@@ -55,6 +55,10 @@ pub(super) struct Table {
     softest: f64,
     /// Columns of the candidates.
     columns: Vec<(usize, Column)>,
+    /// Held-out log-likelihood of an event's time, nats.
+    pub nats_per_event: f64,
+    /// Noise of the events without what a picture that is too soft leaves.
+    pub noise: EventNoise,
     pub fitted: Vec<(usize, Fitted)>,
 }
 
@@ -89,9 +93,12 @@ impl Table {
         let plain = |is_sharp: bool| Plain::new(&self.base, self.rows(is_sharp));
         let (soft, sharp) = (plain(false), plain(true));
         let beside = |n: usize| if CANDIDATES[n].id == SOFTNESS { &sharp } else { &soft };
+        let nats_per_event = soft.nats_per_event(&self.log_slope);
         self.fitted = self.columns.iter().map(|(n, column)| (*n, heldout(beside(*n), &[column]))).collect();
         let mut left = without_softness(&self.base, &self.rows(false));
         left.truncate(self.events.pixel.len());
+        self.nats_per_event = nats_per_event;
+        self.noise = EventNoise::estimate(&left, &self.events.slope_per_s, self.least);
         self.sharp = left;
     }
 
@@ -210,6 +217,8 @@ impl Seen<'_> {
             least: self.least,
             softest,
             columns,
+            nats_per_event: 0.0,
+            noise: EventNoise { a: self.least, b: 0.0 },
             fitted: Vec::new(),
         };
         table.fit(softest);
@@ -299,6 +308,7 @@ impl Seen<'_> {
             one.value = CANDIDATES[one.candidate].value(one.strength, self.scales, nominal);
             one.beside = beside.map(|_| found.strength[1]);
             one.left = median_share(&found.left, self.scales.threshold);
+            one.ks = control.noise.distance(&found.left, &table.events.slope_per_s);
         }
         ranked.sort_by(by_gain);
         Ok(ranked)
@@ -316,6 +326,8 @@ impl Seen<'_> {
             value: CANDIDATES[candidate].value(strength, self.scales, nominal),
             gain: gain(fitted),
             gain_error: fitted.gain_error,
+            information: fitted.information,
+            unit: CANDIDATES[candidate].value(1.0, self.scales, nominal) - CANDIDATES[candidate].nominal_value(nominal),
             control_gain: gain(control).max(0.0),
             control_strength: control.size[0],
             ..Ranked::default()

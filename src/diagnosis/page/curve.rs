@@ -1,0 +1,68 @@
+//! The curve of what is reported without a name, over what it depends on.
+
+use super::plot::{Plot, Scale};
+use super::svg::COLOURS;
+use super::{escaped, number};
+use crate::covariates::Covariate;
+use crate::law::{Law, Moved};
+use std::fmt::Write;
+
+const GREY: &str = "#787878";
+
+/// The curve of what has no name.
+pub fn unnamed(html: &mut String, law: &Law) {
+    let (what, unit, factor) = match law.moved {
+        Moved::Stamps => ("how much later stamps are", "us", 1e6),
+        Moved::Threshold => ("how much higher thresholds are", "%", 100.0),
+        Moved::Rate => ("how many more ON than OFF events without light a pixel fires", "Hz", 1.0),
+        Moved::EventRate => ("how much more often events come", "%", 100.0),
+    };
+    let rhythm = law.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", number(1.0 / period_s)));
+    let (name, measured) = (escaped(law.covariate.name()), number(law.significance));
+    let against = if law.moved == Moved::EventRate { "than around" } else { "than described" };
+    let unit_of_strength =
+        if law.moved == Moved::EventRate && law.covariate == Covariate::FramePhase { "times the strength of chance" } else { "standard errors from nothing" };
+    let _ = writeln!(
+        html,
+        "<h2>The curve without a name</h2>\n<p class=\"note\">{what} {against}, over {name}{rhythm}; bars: 95 %. It is {measured} {unit_of_strength}, takes away {:.1} % of the squares \
+         and gains {} nats an event on events that it was not fitted to.</p>",
+        100.0 * law.taken,
+        number(law.nats_per_event)
+    );
+    let points: Vec<(f64, f64, f64)> = (0..law.at.len()).map(|k| (law.at[k], factor * law.value[k], 1.96 * factor * law.error[k])).collect();
+    html.push_str(&over(law.covariate, &points, unit));
+}
+
+/// Points with half lengths of their bars over a covariate, joined by a line, and a flat line at 0.
+fn over(covariate: Covariate, points: &[(f64, f64, f64)], unit: &str) -> String {
+    let ends = points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |ends, point| (ends.0.min(point.0), ends.1.max(point.0)));
+    // Intervals and loads lie over decades.
+    let is_of_a_clock = matches!(covariate, Covariate::Time | Covariate::FramePhase);
+    let scale = if !is_of_a_clock && ends.0 > 0.0 && ends.1 > 8.0 * ends.0 { Scale::Logarithmic } else { Scale::Linear };
+    // Room on both sides, so that points of a class do not stand on the axis.
+    let room = if scale == Scale::Linear { 0.06 * (ends.1 - ends.0) } else { 0.0 };
+    let rims = [(ends.0 - room, 0.0), (ends.1 + room, 0.0)];
+    let reach = points.iter().flat_map(|(at, value, bar)| [(*at, value - bar), (*at, value + bar)]);
+    let mut plot = Plot::with_rows(reach.chain(rims), 700.0, 230.0, scale, &[]);
+    plot.line(&rims, GREY, Some("4 3"));
+    plot.line(&points.iter().map(|(at, value, _)| (*at, *value)).collect::<Vec<_>>(), COLOURS[0], Some("1 3"));
+    plot.points(points, COLOURS[0], 0.0);
+    plot.name(COLOURS[0], "measured");
+    plot.close(&axis(covariate), unit)
+}
+
+/// A covariate with its unit, as the name of an axis.
+fn axis(covariate: Covariate) -> String {
+    let unit = match covariate {
+        Covariate::Time | Covariate::FramePhase | Covariate::TimeSinceLastEvent | Covariate::NeighbourEvent => ", s",
+        Covariate::AcPhase => ", periods",
+        Covariate::Photocurrent => ", ln",
+        Covariate::Slope => ", 1/s",
+        Covariate::Lag => ", ln units",
+        Covariate::SpatialGradient => ", 1/px",
+        Covariate::LocalRate | Covariate::RowRate | Covariate::GlobalRate => ", events in a millisecond",
+        Covariate::Radius => ", 1 = corner",
+        _ => "",
+    };
+    format!("{}{unit}", covariate.name())
+}

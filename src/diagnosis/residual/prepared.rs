@@ -1,0 +1,34 @@
+//! A trial ready to be evaluated: its effects built and told the load of the recording, and the mixture of neighbours that they make.
+
+use crate::candidates::Trial;
+use crate::case::Case;
+use crate::nominal::Nominal;
+use crate::record::effects_of;
+use photocurrent_sensor::effects::{Effect, Kernel};
+use photocurrent_sensor::forward::neighbours::joined;
+
+/// A trial with its effects built and told the load of the recording.
+pub struct Prepared {
+    /// The base fields.
+    pub nominal: Nominal,
+    /// The effects that the description states, and those of the trial.
+    pub effects: Vec<Box<dyn Effect>>,
+    kernel: Option<Kernel>,
+}
+
+impl Prepared {
+    /// The mixture of neighbours that the event path sees.
+    pub fn kernel(&self) -> Option<&Kernel> {
+        self.kernel.as_ref()
+    }
+
+    /// Of a trial on a recording.
+    ///
+    /// # Errors
+    /// When an effect or its parameters are not understood, or effects cannot be combined.
+    pub fn new(case: &Case, trial: &Trial) -> Result<Prepared, String> {
+        let effects = effects_of(case, &trial.effects)?;
+        let kernel = joined(&effects).map_err(|why| why.to_string())?;
+        Ok(Prepared { nominal: trial.nominal.clone(), effects, kernel })
+    }
+}
