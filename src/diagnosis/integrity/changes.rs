@@ -15,7 +15,7 @@ use crate::case::{Case, Recorded};
 use crate::nominal::Nominal;
 
 /// Exposures longer than this share of the period say too little.
-const LONGEST_EXPOSURE: f64 = 0.25;
+pub(super) const LONGEST_EXPOSURE: f64 = 0.25;
 /// As few changes say nothing.
 const FEWEST: usize = 1000;
 /// A frame value must be so many standard deviations of its noise above black.

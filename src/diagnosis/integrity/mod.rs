@@ -28,6 +28,7 @@ pub mod intervals;
 pub mod load;
 pub mod regular;
 pub mod stamps;
+pub mod steps;
 pub mod still;
 
 use crate::case::Case;
@@ -151,6 +152,7 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         found.findings.extend(still::leak(case, nominal, &still));
         found.findings.extend(coupling::coupling(case, nominal, &still, &found.masked));
         found.findings.extend(changes::findings(case, nominal, &found.masked));
+        found.findings.extend(steps::findings(case, nominal, &found.masked));
     }
     found.laws = regular::laws(case, &found.masked);
     if found.findings.iter().any(|finding| finding.id == "frame_coupling") {

@@ -25,7 +25,7 @@ pub use blur::{Unclear, exposure};
 pub use panel::{Centring, NOWHERE, Panel, Stretch};
 pub use place::{Displacement, FRAME_SIDE, Patch, REACH, SIDE, displacement};
 pub use shift::{Drift, Shift, drift, offset, row_time};
-pub use step::{Steps, thresholds};
+pub use step::{StepGains, Steps, step_gains, thresholds};
 
 /// A value with its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -9,6 +9,7 @@
 //! need not begin at zero, and its slope counts. The largest values may be saturated and are taken as unknown.
 
 use super::draw::estimate;
+use super::panel::ACROSS;
 use super::{Estimate, Panel};
 
 /// Smaller changes of the logarithm are left out: noise of frames would be taken for change without events.
@@ -154,4 +155,59 @@ fn huber(rows: &[Row]) -> Option<(Vec<f64>, f64)> {
         weights = left.iter().map(|left| if left.abs() <= HUBER * sigma { 1.0 } else { HUBER * sigma / left.abs() }).collect();
     }
     Some((weights, sigma))
+}
+
+/// What thresholds other than stated gain on the other half of the picture, nats.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepGains {
+    /// Of both thresholds larger or smaller by one factor.
+    pub scale: f64,
+    /// Of each threshold by itself, over that.
+    pub apart: f64,
+    /// Places between frames that were judged.
+    pub measured: usize,
+}
+
+/// Gains of other thresholds than `stated` (ON, OFF): events for a change of frames, fitted on half of the picture's parts and judged on the other, both ways, with normal errors whose
+/// size is that of the half that is fitted. None where too few bright places changed.
+pub fn step_gains(panel: &Panel, offset_ns: f64, stated: (f64, f64)) -> Option<StepGains> {
+    let Rows { up, down, .. } = rows(panel, offset_ns);
+    if up.len() < FEWEST || down.len() < FEWEST {
+        return None;
+    }
+    let ways = [(&up, huber(&up)?.0, 1.0 / stated.0), (&down, huber(&down)?.0, 1.0 / stated.1)];
+    let side = |row: &Row| ((row.unit % 4096) as usize / ACROSS + (row.unit % 4096) as usize % ACROSS) % 2;
+    let mut found = [0.0; 3];
+    for half in 0..2 {
+        // Weighted sums of the fitted half: 1, change, events, change squared, change times events.
+        let sums = |(rows, weights, _): &(&Vec<Row>, Vec<f64>, f64)| {
+            let mut total = [0.0; 5];
+            rows.iter().zip(weights).filter(|(row, _)| side(row) == half).for_each(|(row, weight)| add(&mut total, *weight, &products(row)));
+            total
+        };
+        let fitted = [sums(&ways[0]), sums(&ways[1])];
+        let centred = |[n, change, events, squares, products]: Sums| (products - change * events / n, squares - change * change / n);
+        let (up, down) = (centred(fitted[0]), centred(fitted[1]));
+        let factor = (ways[0].2 * up.0 + ways[1].2 * down.0) / (ways[0].2 * ways[0].2 * up.1 + ways[1].2 * ways[1].2 * down.1);
+        let slopes = [[ways[0].2, ways[1].2], [factor * ways[0].2, factor * ways[1].2], [up.0 / up.1, down.0 / down.1]];
+        for (found, slopes) in found.iter_mut().zip(slopes) {
+            for ((rows, weights, _), (slope, [n, change, events, ..])) in ways.iter().zip(slopes.into_iter().zip(fitted)) {
+                let none = (events - slope * change) / n;
+                let square = |row: &Row| (row.net - none - slope * row.change) * (row.net - none - slope * row.change);
+                let of = |which: usize| {
+                    let chosen = rows.iter().zip(weights).filter(move |(row, _)| side(row) == which);
+                    chosen.fold((0.0, 0.0), |(count, sum), (row, weight)| (count + weight, sum + weight * square(row)))
+                };
+                let variance = (of(half).1 / n).max(1e-12);
+                let (count, left) = of(1 - half);
+                *found -= 0.5 * (count * libm::log(variance) + left / variance);
+            }
+        }
+    }
+    let [stated, scaled, free] = found;
+    (stated.is_finite() && scaled.is_finite() && free.is_finite()).then_some(StepGains {
+        scale: scaled - stated,
+        apart: free - scaled,
+        measured: up.len() + down.len(),
+    })
 }
