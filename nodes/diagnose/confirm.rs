@@ -70,7 +70,7 @@ impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
         about: "Joins what direct tests and roads found: verdict, fitted description, proof on frames that were kept back, report.",
-        revision: 16,
+        revision: 17,
         grain: Grain::Whole,
         draws: true,
         exports: false,

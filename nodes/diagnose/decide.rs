@@ -86,7 +86,7 @@ impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
         about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -10,6 +10,7 @@ use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
 use crate::integrity::{Finding, Integrity, TESTED, integrity};
 use crate::nominal::Nominal;
 use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
+use crate::residual::located::{Located, answered, of_claim, of_unnamed};
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
 use crate::verdict::{Answer, Claim, Road, verdict};
@@ -76,6 +77,8 @@ pub struct Diagnosis {
     pub sample: Option<Sample>,
     /// Events, before and after; none where there was too little to compare.
     pub comparison: Option<Comparison>,
+    /// Where effects of the report are, by id; those that a method measured.
+    pub located: Vec<(String, Located)>,
 }
 
 /// What the roads found.
@@ -214,8 +217,9 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
         None
     });
     let stages = std::iter::once("integrity".to_owned()).chain(ran).collect();
+    let located = answered(&found, &answer);
     let report = report(case, &nominal, setting, &integrity, &found, &answer, changed.as_ref(), &predictions, comparison.as_ref(), stages);
-    Ok(Diagnosis { report, fitted: changed, integrity, roads: found, failed, withdrawn, predictions, sample, comparison })
+    Ok(Diagnosis { located, report, fitted: changed, integrity, roads: found, failed, withdrawn, predictions, sample, comparison })
 }
 
 /// The description with claims put in; none without claims.
@@ -292,6 +296,9 @@ fn report(
     stages: Vec<String>,
 ) -> Report {
     let mut effects: Vec<EffectReport> = answer.claims.iter().map(|claim| effect(case, nominal, claim)).collect();
+    for (effect, claim) in effects.iter_mut().zip(&answer.claims) {
+        of_claim(roads, claim).into_iter().for_each(|located| located.put(&mut effect.location));
+    }
     // What was measured apart from the pixels of the fit says more than what a fit says of itself.
     let apart = comparison.filter(|comparison| comparison.is_apart && comparison.after().is_some());
     for effect in &mut effects {
@@ -299,6 +306,7 @@ fn report(
     }
     if let Some(found) = &answer.unexplained {
         let mut location = everywhere(case, None);
+        of_unnamed(roads, found).into_iter().for_each(|located| located.put(&mut location));
         location.covariate.clone_from(&found.covariate);
         // Of closures the gain is that of a change; of a rate of events that of an event.
         let is_direct = found.law.as_ref().is_some_and(|law| law.moved == crate::law::Moved::EventRate);

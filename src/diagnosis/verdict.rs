@@ -13,6 +13,7 @@ use crate::integrity::{Finding, Integrity};
 use crate::law::Law;
 use crate::nominal::Nominal;
 use crate::report::{Detectable, NotTestable, Verdict};
+use crate::residual::located::Locations;
 use crate::roads::{CLOSURES, REFIT};
 use photocurrent_sensor::effects::{Unit, catalogue};
 use serde::{Deserialize, Serialize};
@@ -103,6 +104,9 @@ pub struct Road {
     pub nats_per_event: Option<(f64, f64)>,
     /// Share of the misfit that the first proposal leaves.
     pub residual_left: Option<f64>,
+    /// Where its answers are; empty where that was not measured.
+    #[serde(default)]
+    pub located: Locations,
 }
 
 /// A number of an effect with its interval: index into [`CANDIDATES`], value in the unit of the declaration.

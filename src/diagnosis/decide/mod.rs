@@ -9,6 +9,7 @@
 use crate::candidates::CANDIDATES;
 use crate::nominal::Nominal;
 use crate::residual::evidence::{Evidence, Ranked};
+use crate::residual::located::{Located, Locations};
 use crate::verdict::{Proposal, Road, Unexplained};
 use model::{Belief, Facts, Model, hypotheses};
 use serde::{Deserialize, Serialize};
@@ -86,8 +87,14 @@ fn method(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Road {
         unexplained: curve.map(|curve| Unexplained::by(&curve.law, belief.something / decision.least)),
         decides: true,
         residual_left: Some(found.left[0] / f64::max(found.median, 1e-12)),
+        located: Locations { first: located(&found.ranked), second: located(&found.second), unnamed: curve.and_then(|curve| curve.located.clone()) },
         ..Road::default()
     }
+}
+
+/// Where effects are, as far as that was measured.
+fn located(ranked: &[Ranked]) -> Vec<(usize, Located)> {
+    ranked.iter().filter_map(|one| Some((one.candidate, one.located.clone()?))).collect()
 }
 
 /// One proposal for each hypothesis, best first; `score`: how far over what is said something is.

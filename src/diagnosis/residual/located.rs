@@ -2,16 +2,18 @@
 //!
 //! Each event gains the log density of its residual with the effect less that without it, both under the noise that is left with the effect ([`super::fit::gains`]): an event that
 //! the effect changes nothing of gains nothing. The mean gain per event is then compared between parts of the array, of the time, of the light and of the polarities, with errors from
-//! blocks of pixels. A part is reported only where the rest gains next to nothing beside it ([`LocatedSetting::rest`]) and the two differ by many standard errors
-//! ([`LocatedSetting::certain`]); otherwise the whole range is.
+//! blocks of pixels. A part is reported only where the rest gains next to nothing compared with it ([`LocatedSetting::rest`]) and the two differ by many standard errors
+//! ([`LocatedSetting::certain`]), and still differ where the part is chosen on one half of the blocks and judged on the other; otherwise the whole range is.
 //!
 //! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate leaves out say nothing; random effects are not located.
 
 use super::open::Laid;
+use crate::candidates::CANDIDATES;
 use crate::case::Case;
 use crate::covariates::Covariate;
 use crate::law::Law;
 use crate::report::Location;
+use crate::verdict::{Answer, Claim, Road, Unexplained};
 use serde::{Deserialize, Serialize};
 
 /// When a part stands out, and how finely it is looked at.
@@ -21,6 +23,8 @@ pub struct LocatedSetting {
     pub rest: f64,
     /// And the two differ by so many standard errors.
     pub certain: f64,
+    /// By so many where the part is chosen on one half of the blocks and judged on the other.
+    pub certain_apart: f64,
     /// Fewer events are neither a part nor a rest.
     pub least_events: usize,
     /// A rim of the range with fewer events than this belongs to the part next to it.
@@ -33,8 +37,10 @@ pub struct LocatedSetting {
     pub significant: f64,
     /// And at least this share of the squares.
     pub least_explained: f64,
-    /// A covariate takes the place of the catalogue's own where it explains so many times as much.
+    /// Another covariate takes the place of the catalogue's own where it explains so many times as much.
     pub displaces: f64,
+    /// And at least this share of the squares: that much an effect that is everywhere varies by chance of the scene.
+    pub least_displacing: f64,
     /// A curve rises or falls where a straight line over its bins explains this share of it.
     pub straight: f64,
     /// Least side of the map's cells, pixels.
@@ -48,6 +54,7 @@ impl Default for LocatedSetting {
         LocatedSetting {
             rest: 0.1,
             certain: 4.0,
+            certain_apart: 2.5,
             least_events: 100,
             rim_events: 20,
             steps: 60,
@@ -55,7 +62,8 @@ impl Default for LocatedSetting {
             significant: 4.0,
             least_explained: 0.02,
             displaces: 2.0,
-            straight: 0.7,
+            least_displacing: 0.3,
+            straight: 0.5,
             cell: 4,
             cell_events: 12,
         }
@@ -80,8 +88,23 @@ pub struct Part<T> {
     pub range: [T; 2],
     /// Gain within.
     pub inside: Mean,
-    /// And of the rest; none where the part is the whole range.
+    /// And of the rest, in the parts of the other axes; none where the part is the whole range.
     pub outside: Option<Mean>,
+}
+
+/// A part that was found: first and last step, gain within and of the rest.
+struct Found {
+    first: usize,
+    last: usize,
+    inside: Mean,
+    outside: Mean,
+}
+
+impl<T> Part<T> {
+    fn of(found: Option<Found>, all: Mean, range: impl Fn(Option<&Found>) -> [T; 2]) -> Part<T> {
+        let (inside, outside) = found.as_ref().map_or((all, None), |found| (found.inside, Some(found.outside)));
+        Part { range: range(found.as_ref()), inside, outside }
+    }
 }
 
 /// Gain per event over something.
@@ -180,6 +203,30 @@ impl Locations {
     }
 }
 
+/// Where a claim is, as the method that made it measured; none for direct tests.
+pub fn of_claim<'a>(methods: &'a [Road], claim: &Claim) -> Option<&'a Located> {
+    let candidate = claim.values.first().filter(|_| claim.finding.is_none())?.0;
+    methods.iter().filter(|method| claim.found_by.contains(&method.name)).find_map(|method| {
+        // The best of the first list is the first effect; another one was measured with it applied.
+        let best = method.proposals.iter().filter(|one| one.passed).max_by(|a, b| a.probability.total_cmp(&b.probability));
+        let is_first = best.is_some_and(|best| CANDIDATES[best.candidate].id == claim.id);
+        method.located.of(candidate, !is_first).or_else(|| method.located.of(candidate, is_first))
+    })
+}
+
+/// Where what has no name is; none where it is not the curve that a method located.
+pub fn of_unnamed<'a>(methods: &'a [Road], found: &Unexplained) -> Option<&'a Located> {
+    let is_it = |method: &&Road| method.unexplained.as_ref().is_some_and(|own| own.law.is_some() && own.law == found.law);
+    methods.iter().find(is_it)?.located.unnamed.as_ref()
+}
+
+/// Where the effects of an answer are, by id.
+pub fn answered(methods: &[Road], answer: &Answer) -> Vec<(String, Located)> {
+    let claimed = answer.claims.iter().filter_map(|claim| Some((claim.id.to_owned(), of_claim(methods, claim)?.clone())));
+    let nameless = answer.unexplained.iter().filter_map(|found| Some(("unnamed".to_owned(), of_unnamed(methods, found)?.clone())));
+    claimed.chain(nameless).collect()
+}
+
 /// What gains are located on: events, or frame values.
 pub struct Ground<'a> {
     /// The recording.
@@ -221,8 +268,7 @@ impl Bins {
         };
         edges.dedup();
         edges.retain(|edge| sorted.first().is_some_and(|first| edge > first));
-        let of: Vec<Option<u32>> =
-            values.iter().map(|value| value.is_finite().then(|| edges.partition_point(|edge| *edge <= *value) as u32)).collect();
+        let of: Vec<Option<u32>> = values.iter().map(|value| value.is_finite().then(|| edges.partition_point(|edge| *edge <= *value) as u32)).collect();
         let mut sums = vec![(0.0, 0.0); edges.len() + 1];
         for (bin, value) in of.iter().zip(values).filter_map(|(bin, value)| Some(((*bin)?, value))) {
             let sum = &mut sums[bin as usize];
@@ -262,31 +308,23 @@ impl<'a> Ground<'a> {
         let light = Bins::new(self.log_light, setting.steps, false);
         let lit: Vec<usize> = light.of.iter().map(|bin| bin.unwrap_or(0) as usize).collect();
 
-        let (all, _) = self.means(&gains, |_| true);
-        let of_places = |part: Option<(usize, usize, Mean, Mean)>, size: u32| match part {
-            Some((first, last, inside, outside)) => Part { range: [first as u32, last as u32], inside, outside: Some(outside) },
-            None => Part { range: [0, size.saturating_sub(1)], inside: all, outside: None },
-        };
-        let rows = of_places(self.part(&gains, &row, case.extent.height as usize), case.extent.height);
-        let columns = of_places(self.part(&gains, &column, case.extent.width as usize), case.extent.width);
-        let time_ns = match self.part(&gains, &step, setting.steps) {
-            Some((first, last, inside, outside)) => {
-                let to = if last + 1 == setting.steps { end_ns } else { start_ns + (last as i64 + 1) * step_ns };
-                Part { range: [start_ns + first as i64 * step_ns, to], inside, outside: Some(outside) }
-            }
-            None => Part { range: [start_ns, end_ns], inside: all, outside: None },
-        };
-        let found = self.part(&gains, &lit, light.at.len());
-        let is_lit = |k: &usize| found.is_none_or(|(first, last, ..)| (first..=last).contains(&lit[*k]));
-        let ends = events.filter(is_lit).map(|k| self.log_light[k]).filter(|u| u.is_finite());
+        let (all, _) = self.means(&gains, &|_| true);
+        let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+        let is_within = |at: &[usize], found: &Option<Found>, k: usize| found.as_ref().is_none_or(|found| (found.first..=found.last).contains(&at[k]));
+        // Each axis on the part of those before it, so that a corner of the array stands out in both.
+        let mut rows = self.part(&gains, &row, height, &|_| true);
+        let columns = self.part(&gains, &column, width, &|k| is_within(&row, &rows, k));
+        if rows.is_none() && columns.is_some() {
+            rows = self.part(&gains, &row, height, &|k| is_within(&column, &columns, k));
+        }
+        let is_placed = |k: usize| is_within(&row, &rows, k) && is_within(&column, &columns, k);
+        let (placed, _) = self.means(&gains, &is_placed);
+        let time = self.part(&gains, &step, setting.steps, &is_placed);
+        let is_then = |k: usize| is_placed(k) && is_within(&step, &time, k);
+        let lit_part = self.part(&gains, &lit, light.at.len(), &is_then);
+        let ends = events.filter(|&k| is_within(&lit, &lit_part, k)).map(|k| self.log_light[k]).filter(|u| u.is_finite());
         let ends = ends.fold(None, |ends: Option<[f64; 2]>, u| Some(ends.map_or([u, u], |[low, high]| [f64::min(low, u), f64::max(high, u)])));
-        let (inside, outside) = found.map_or((all, None), |(.., inside, outside)| (inside, Some(outside)));
-        let log_light = Part { range: ends.unwrap_or([0.0; 2]), inside, outside };
-
-        let by_polarity = (!self.polarity.is_empty()).then(|| {
-            let (on, off) = self.means(&gains, |k| self.polarity[k] > 0);
-            [on, off]
-        });
+        let by_polarity = (!self.polarity.is_empty()).then(|| [1, -1].map(|sign| self.means(&gains, &|k| is_then(k) && self.polarity[k] == sign).0));
         let polarity = by_polarity.map_or("both", |[on, off]| {
             if self.stands_out(&on, &off) {
                 "on"
@@ -296,13 +334,18 @@ impl<'a> Ground<'a> {
                 "both"
             }
         });
+        let rows = Part::of(rows, all, |found| found.map_or([0, height.saturating_sub(1) as u32], |found| [found.first as u32, found.last as u32]));
+        let columns = Part::of(columns, all, |found| found.map_or([0, width.saturating_sub(1) as u32], |found| [found.first as u32, found.last as u32]));
+        let to_ns = |last: usize| if last + 1 == setting.steps { end_ns } else { start_ns + (last as i64 + 1) * step_ns };
+        let time_ns = Part::of(time, all, |found| found.map_or([start_ns, end_ns], |found| [start_ns + found.first as i64 * step_ns, to_ns(found.last)]));
+        let log_light = Part::of(lit_part, all, |_| ends.unwrap_or([0.0; 2]));
         let (covariate, found) = self.covariate(&gains, own);
         let over = found.map_or_else(Curve::default, |n| self.curve(&gains, &self.bins[n].1));
         let means: Vec<f64> = over.gain.iter().map(|mean| mean.gain).collect();
         let shape = found.map_or("flat", |n| if self.bins[n].1.is_class { "differs" } else { shape(&means, setting.straight) });
         let curve = |values: &[f64]| self.curve(&gains, &Bins::new(values, setting.bins, false));
         let map = self.map(&gains);
-        let pixels = self.pixels(&map, rows.range, columns.range, setting.rest * f64::max(rows.inside.gain, columns.inside.gain));
+        let pixels = self.pixels(&map, rows.range, columns.range, setting.rest * placed.gain);
         Located {
             all,
             by_polarity,
@@ -324,7 +367,7 @@ impl<'a> Ground<'a> {
     }
 
     /// Mean gain of the chosen events, and of the others.
-    fn means(&self, gains: &[f64], is_chosen: impl Fn(usize) -> bool) -> (Mean, Mean) {
+    fn means(&self, gains: &[f64], is_chosen: &dyn Fn(usize) -> bool) -> (Mean, Mean) {
         let blocks = self.block.iter().copied().max().map_or(0, |last| last as usize + 1);
         let mut sums = [vec![(0.0, 0.0); blocks], vec![(0.0, 0.0); blocks]];
         for (k, gain) in gains.iter().enumerate() {
@@ -342,48 +385,27 @@ impl<'a> Ground<'a> {
         part.events >= least && rest.events >= least && part.gain > 0.0 && rest.gain < self.setting.rest * part.gain && differ
     }
 
-    /// The contiguous part of an axis that holds the gain, first and last step, with the gains in it and of the rest. `at`: the step of each event. The part is the one whose mean
-    /// differs most from the rest's by the squares between them; none where it does not stand out.
-    fn part(&self, gains: &[f64], at: &[usize], steps: usize) -> Option<(usize, usize, Mean, Mean)> {
-        let mut sums = vec![(0.0, 0_usize); steps + 1];
-        for (gain, &step) in gains.iter().zip(at) {
-            sums[step + 1].0 += gain;
-            sums[step + 1].1 += 1;
+    /// The contiguous part of an axis that holds the gain of the events that are asked; none where it does not stand out, or where parts chosen on either half of the blocks do not on the
+    /// other half: the best of many parts differs from its rest by chance alone. `at`: the step of each event.
+    fn part(&self, gains: &[f64], at: &[usize], steps: usize, is_asked: &dyn Fn(usize) -> bool) -> Option<Found> {
+        let setting = self.setting;
+        let (first, last) = best(gains, at, steps, is_asked, setting.least_events, setting.rim_events)?;
+        let sides = |(first, last): (usize, usize), is_asked: &dyn Fn(usize) -> bool| {
+            [true, false].map(|wanted| self.means(gains, &|k| is_asked(k) && (first..=last).contains(&at[k]) == wanted).0)
+        };
+        let [inside, outside] = sides((first, last), is_asked);
+        let (mut differ, mut error) = (0.0, 0.0);
+        for half in 0..2_u32 {
+            let is_in = |k: usize| is_asked(k) && self.block[k] % 2 == half;
+            let chosen = best(gains, at, steps, &is_in, setting.least_events / 2, setting.rim_events / 2)?;
+            let [inside, outside] = sides(chosen, &|k| is_asked(k) && self.block[k] % 2 != half);
+            (differ, error) = (differ + inside.gain - outside.gain, libm::hypot(error, libm::hypot(inside.error, outside.error)));
         }
-        for step in 0..steps {
-            sums[step + 1] = (sums[step + 1].0 + sums[step].0, sums[step + 1].1 + sums[step].1);
-        }
-        let (all, count) = sums[steps];
-        let least = self.setting.least_events;
-        let mut best = (0.0, None);
-        for first in 0..steps {
-            for last in first..steps {
-                let (gain, events) = (sums[last + 1].0 - sums[first].0, sums[last + 1].1 - sums[first].1);
-                if events < least || count - events < least {
-                    continue;
-                }
-                let (inside, outside) = (events as f64, (count - events) as f64);
-                let differ = gain / inside - (all - gain) / outside;
-                let squares = inside * outside * differ * differ;
-                if differ > 0.0 && squares > best.0 {
-                    best = (squares, Some((first, last)));
-                }
-            }
-        }
-        let (mut first, mut last) = best.1?;
-        let rim = self.setting.rim_events;
-        if sums[first].1 < rim {
-            first = 0;
-        }
-        if count - sums[last + 1].1 < rim {
-            last = steps - 1;
-        }
-        let (inside, outside) = self.means(gains, |k| (first..=last).contains(&at[k]));
-        self.stands_out(&inside, &outside).then_some((first, last, inside, outside))
+        (differ > setting.certain_apart * error && self.stands_out(&inside, &outside)).then_some(Found { first, last, inside, outside })
     }
 
     fn curve(&self, gains: &[f64], bins: &Bins) -> Curve {
-        let of = |bin: usize| self.means(gains, |k| bins.of[k] == Some(bin as u32)).0;
+        let of = |bin: usize| self.means(gains, &|k| bins.of[k] == Some(bin as u32)).0;
         Curve { at: bins.at.clone(), gain: (0..bins.at.len()).map(of).collect() }
     }
 
@@ -395,11 +417,12 @@ impl<'a> Ground<'a> {
             asked.max_by(|a, b| explained[*a].total_cmp(&explained[*b]).then(b.cmp(a)))
         };
         let is_own = |covariate: Covariate| own.split('*').any(|factor| factor == covariate.name() || (factor == "dn" && covariate == Covariate::Photocurrent));
-        let (best, best_own) = (best_of(&|_| true), best_of(&is_own));
-        match (best, best_own) {
-            (None, _) => (own.to_owned(), None),
-            (Some(best), Some(of_own)) if explained[of_own] * self.setting.displaces >= explained[best] => (own.to_owned(), Some(of_own)),
-            (Some(best), _) => (self.bins[best].0.name().to_owned(), Some(best)),
+        let own_curve = best_of(&is_own);
+        let by_own = own_curve.map_or(0.0, |n| explained[n]);
+        let displaces = |n: &usize| explained[*n] >= self.setting.least_displacing && explained[*n] > self.setting.displaces * by_own;
+        match best_of(&|_| true).filter(displaces) {
+            Some(other) => (self.bins[other].0.name().to_owned(), Some(other)),
+            None => (own.to_owned(), own_curve),
         }
     }
 
@@ -477,6 +500,36 @@ impl<'a> Ground<'a> {
     }
 }
 
+/// The part of an axis whose mean gain differs most from the rest's, by the squares between the two; `least`: events on either side, `rim`: ends with fewer belong to it.
+fn best(gains: &[f64], at: &[usize], steps: usize, is_asked: &dyn Fn(usize) -> bool, least: usize, rim: usize) -> Option<(usize, usize)> {
+    let mut sums = vec![(0.0, 0_usize); steps + 1];
+    for k in (0..gains.len()).filter(|&k| is_asked(k)) {
+        sums[at[k] + 1].0 += gains[k];
+        sums[at[k] + 1].1 += 1;
+    }
+    for step in 0..steps {
+        sums[step + 1] = (sums[step + 1].0 + sums[step].0, sums[step + 1].1 + sums[step].1);
+    }
+    let (all, count) = sums[steps];
+    let mut best = (0.0, None);
+    for first in 0..steps {
+        for last in first..steps {
+            let (gain, events) = (sums[last + 1].0 - sums[first].0, sums[last + 1].1 - sums[first].1);
+            if events < least || count - events < least {
+                continue;
+            }
+            let (inside, outside) = (events as f64, (count - events) as f64);
+            let differ = gain / inside - (all - gain) / outside;
+            let squares = inside * outside * differ * differ;
+            if differ > 0.0 && squares > best.0 {
+                best = (squares, Some((first, last)));
+            }
+        }
+    }
+    let (first, last) = best.1?;
+    Some((if sums[first].1 < rim { 0 } else { first }, if count - sums[last + 1].1 < rim { steps - 1 } else { last }))
+}
+
 /// Mean of sums by block (sum, how many) and its standard error.
 fn mean(sums: &[(f64, f64)]) -> Mean {
     let (all, count) = sums.iter().fold((0.0, 0.0), |(all, count), sum| (all + sum.0, count + sum.1));
@@ -508,3 +561,7 @@ fn shape(gains: &[f64], straight: f64) -> &'static str {
         _ => "uneven",
     }
 }
+
+#[cfg(test)]
+#[path = "located_tests.rs"]
+mod tests;

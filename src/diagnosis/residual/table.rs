@@ -228,10 +228,7 @@ impl Seen<'_> {
         let (of_events, of_frames) = table.block.split_at(events.pixel.len());
         let on = (&events.pixel[..], &events.t_ns[..], &events.polarity[..]);
         let on_frames = || Ground::new(self.case, (&frames.pixel, &frames.t_ns, &[]), &frames.log_signal, of_frames, &laid[1], setting);
-        Places {
-            events: Ground::new(self.case, on, &events.log_light, of_events, &laid[0], setting),
-            frames: (!frames.pixel.is_empty()).then(on_frames),
-        }
+        Places { events: Ground::new(self.case, on, &events.log_light, of_events, &laid[0], setting), frames: (!frames.pixel.is_empty()).then(on_frames) }
     }
 
     /// What no effect of the catalogue has, on the residuals of a table.
