@@ -8,6 +8,7 @@ use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
 use crate::integrity::{Finding, Integrity, TESTED, integrity};
 use crate::nominal::Nominal;
 use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
+use crate::residual::located::{Located, answered, of_claim, of_unnamed};
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
 use crate::verdict::{Answer, Claim, DIRECT, Decided, verdict};
@@ -52,6 +53,8 @@ pub struct Diagnosis {
     pub predictions: (Option<Prediction>, Option<Prediction>),
     /// The pixels of the predictions.
     pub sample: Option<Sample>,
+    /// Where effects of the report are, by id; those that were measured.
+    pub located: Vec<(String, Located)>,
 }
 
 /// What is decided on a scene.
@@ -144,7 +147,8 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     }
     let predictions = (before, after);
     let report = report(case, &nominal, setting, &integrity, &proposed, &answer, changed.as_ref(), &predictions);
-    Ok(Diagnosis { report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
+    let located = answered(proposed.decided(), &answer);
+    Ok(Diagnosis { located, report, fitted: changed, integrity, proposed, withdrawn, predictions, sample })
 }
 
 /// The description with claims put in; none without claims.
@@ -219,8 +223,12 @@ fn report(
     predictions: &(Option<Prediction>, Option<Prediction>),
 ) -> Report {
     let mut effects: Vec<EffectReport> = answer.claims.iter().map(|claim| effect(case, nominal, claim)).collect();
+    for (effect, claim) in effects.iter_mut().zip(&answer.claims) {
+        of_claim(proposed.decided(), claim).into_iter().for_each(|located| located.put(&mut effect.location));
+    }
     if let Some(found) = &answer.unexplained {
         let mut location = everywhere(case, None);
+        of_unnamed(proposed.decided(), found).into_iter().for_each(|located| located.put(&mut location));
         location.covariate.clone_from(&found.covariate);
         let is_direct = found.law.as_ref().is_some_and(|law| law.moved == crate::law::Moved::EventRate);
         let by = if is_direct { DIRECT } else { proposed.decided().map_or(DIRECT, |decided| decided.name.as_str()) };

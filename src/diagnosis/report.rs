@@ -83,7 +83,7 @@ pub struct Location {
     pub shape: Option<String>,
     /// How many pixels.
     pub pixels: u64,
-    /// Which pixels, when not all (`y * width + x`, rising; at most [`MASK_LIMIT`]).
+    /// Which pixels a direct test names, when not all (`y * width + x`, rising; at most [`MASK_LIMIT`]).
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pixel_list: Vec<u32>,
 }

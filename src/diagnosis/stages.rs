@@ -142,6 +142,8 @@ mod tests {
     use super::*;
     use crate::diagnose::check;
     use crate::report::{Detectable, SceneProperty};
+    use crate::residual::evidence::Ranked;
+    use crate::residual::located::{Located, Locations};
     use crate::testing;
     use crate::verdict::{Decided, Proposal, Unexplained};
 
@@ -178,6 +180,15 @@ mod tests {
     }
 
     #[test]
+    fn evidence_that_was_stored_without_locations_is_read() {
+        let ranked = Ranked { candidate: 2, ..Ranked::default() };
+        let some = Evidence { ranked: vec![ranked], ..Evidence::default() };
+        let document = write_evidence(&Seen::Evidence(Box::new(some.clone()))).unwrap();
+        assert!(!document.text().contains("located"));
+        assert_eq!(read_evidence(&document).unwrap(), Seen::Evidence(Box::new(some)));
+    }
+
+    #[test]
     fn proposals_come_back_and_only_with_the_list_they_were_made_with() {
         let proposal = Proposal { candidate: 3, score: 1.0 / 3.0, ci95: Some([-1e-300, 2.0]), passed: true, heldout_nats: Some(0.1), ..Proposal::default() };
         let decided = Decided {
@@ -197,6 +208,7 @@ mod tests {
             nats_per_event: Some(-2.0),
             ks: Some(0.1 + 0.2),
             residual_left: Some(0.25),
+            located: Locations { first: vec![(3, Located { polarity: "on".into(), ..Located::default() })], ..Locations::default() },
         };
         for proposed in [Proposed::Decided(Box::new(decided)), Proposed::Nothing("no light".into()), Proposed::NotAsked] {
             let document = write_proposals(&proposed).unwrap();

@@ -12,6 +12,7 @@ use crate::integrity::{Finding, Integrity};
 use crate::law::Law;
 use crate::nominal::Nominal;
 use crate::report::{Detectable, Verdict};
+use crate::residual::located::Locations;
 use photocurrent_sensor::effects::{Unit, catalogue};
 use serde::{Deserialize, Serialize};
 
@@ -92,6 +93,9 @@ pub struct Decided {
     pub ks: Option<f64>,
     /// Share of the misfit that the first proposal leaves.
     pub residual_left: Option<f64>,
+    /// Where its answers are; empty where that was not measured.
+    #[serde(default)]
+    pub located: Locations,
 }
 
 /// A number of an effect with its interval: index into [`CANDIDATES`], value in the unit of the declaration.

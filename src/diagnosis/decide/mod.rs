@@ -9,6 +9,7 @@ use crate::candidates::{CANDIDATES, Signs};
 use crate::nominal::Nominal;
 use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
+use crate::residual::located::{Located, Locations};
 use crate::verdict::{Decided, Proposal, Unexplained};
 use model::{Belief, Facts, Model, hypotheses};
 use serde::{Deserialize, Serialize};
@@ -84,6 +85,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
         nats_per_event: Some(found.nats_per_event),
         ks: Some(found.ks),
         residual_left: Some(found.left[0] / f64::max(found.median, 1e-12)),
+        located: Locations { first: located(&found.ranked), second: located(&found.second), unnamed: curve.and_then(|curve| curve.located.clone()) },
     }
 }
 
@@ -111,6 +113,11 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
     let mut limits: Vec<(usize, Detectable)> = found.ranked.iter().filter(has_limit).map(|ranked| (ranked.candidate, one(ranked))).collect();
     limits.sort_by_key(|limit| limit.0);
     limits.into_iter().map(|limit| limit.1).filter(|limit| limit.minimal_detectable.is_finite()).collect()
+}
+
+/// Where effects are, as far as that was measured.
+fn located(ranked: &[Ranked]) -> Vec<(usize, Located)> {
+    ranked.iter().filter_map(|one| Some((one.candidate, one.located.clone()?))).collect()
 }
 
 /// One proposal for each hypothesis, best first; `score`: how far over what is said something is.

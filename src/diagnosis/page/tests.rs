@@ -4,6 +4,7 @@ use super::*;
 use crate::covariates::Covariate;
 use crate::diagnose::{Setting, broken, check, confirm};
 use crate::law::{Law, Moved};
+use crate::residual::located::{Ground, LocatedSetting, Locations};
 use crate::testing;
 use crate::verdict::{Decided, Proposal, Unexplained};
 
@@ -76,6 +77,44 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
     assert!(html.contains("The curve without a name") && html.contains("over row_parity"));
     let points = html.split("The curve without a name").nth(1).unwrap().split("</svg>").next().unwrap().matches("<circle").count();
     assert_eq!(points, 2);
+}
+
+#[test]
+fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
+    let leak = serde_json::json!({"rate": "25 Hz"});
+    let case = testing::case_with(&[("leak_events".to_owned(), leak.as_object().unwrap().clone())].into_iter().collect());
+    let (mut pixel, mut t_ns, mut polarity) = (Vec::new(), Vec::new(), Vec::new());
+    for at in 0..case.events.pixels() {
+        for event in case.events.of(at) {
+            pixel.push(at as u32);
+            t_ns.push(event.t_in_ns);
+            polarity.push(event.polarity);
+        }
+    }
+    let place = |k: usize| case.place(pixel[k] as usize);
+    let block: Vec<u32> = (0..pixel.len()).map(|k| 2 * (place(k).1 / 2 * 6 + place(k).0 / 2) + (place(k).0 / 2 + place(k).1 / 2) % 2).collect();
+    let light: Vec<f64> = t_ns.iter().map(|t| *t as f64 * 1e-9).collect();
+    let gains: Vec<f64> = (0..pixel.len()).map(|k| if place(k).0 < 6 { 1.0 + 0.1 * (k % 7) as f64 } else { 0.01 * (k % 7) as f64 - 0.02 }).collect();
+    let setting = LocatedSetting { least_events: 20, rim_events: 4, ..LocatedSetting::default() };
+    let located = Ground::new(&case, (&pixel, &t_ns, &polarity), &light, &block, &[], &setting).locate(&gains, "time_since_last_event");
+    assert_eq!(located.columns.range, [0, 5]);
+    let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
+    let proposal = Proposal { candidate, score: 1.1, probability: 0.9, value: 25.0, passed: true, ..Proposal::default() };
+    let decided = Decided { name: "picture".into(), alarm: true, proposals: vec![proposal], ..Decided::default() };
+    let with_place = Decided { located: Locations { first: vec![(candidate, located)], ..Locations::default() }, ..decided.clone() };
+    let found = diagnosed(&case, Proposed::Decided(Box::new(with_place)));
+    let place = &found.report.effects[0].location;
+    assert_eq!((place.columns, place.rows, &place.stream[..], place.shape.as_deref()), ([0, 5], [0, 9], "events", Some("flat")));
+    let html = page(&found.report, Some(&case), Some(&found));
+    is_sound(&html);
+    let part = html.split("Where it is").nth(1).unwrap().split("<h2>").next().unwrap();
+    for text in ["columns 0 to 5", "stroke-dasharray=\"6 3\"", ">row</text>", "log photocurrent</text>", "nats an event"] {
+        assert!(part.contains(text), "{text}");
+    }
+    // Nothing is placed that nobody measured.
+    let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
+    assert!(found.located.is_empty() && found.report.effects[0].location.shape.is_none());
+    assert!(!page(&found.report, Some(&case), Some(&found)).contains("Where it is"));
 }
 
 #[test]

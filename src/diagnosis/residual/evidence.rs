@@ -11,9 +11,10 @@
 use super::components::{Ground, Part, parts, value as part_value};
 use super::control::control;
 use super::fit::EventNoise;
-use super::open::{self, Open, OpenSetting};
+use super::located::{Located, LocatedSetting};
+use super::open::{self, Laid, Open, OpenSetting};
 use super::source::Source;
-use super::table::{OF_PIXELS, Seen, Table, by_gain, median_share, on_top};
+use super::table::{OF_PIXELS, Places, Seen, Table, by_gain, median_share, on_top};
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
 use crate::case::Case;
 use crate::nominal::Nominal;
@@ -68,6 +69,8 @@ pub struct EvidenceSetting {
     pub softness: f64,
     /// Seed of the control.
     pub seed: u64,
+    /// When a part of the recording stands out as the one that an effect is in.
+    pub located: LocatedSetting,
     /// How what is in no catalogue is looked for.
     pub open: OpenSetting,
     /// So many of it are told.
@@ -99,6 +102,7 @@ impl Default for EvidenceSetting {
             least_slope: 0.1,
             softness: 3.0,
             seed: 1,
+            located: LocatedSetting::default(),
             open: OpenSetting::default(),
             laws: 6,
         }
@@ -142,6 +146,9 @@ pub struct Ranked {
     /// Is its size worth a word ([`is_material`])?
     #[serde(default)]
     pub is_material: bool,
+    /// Where it is; of effects that were evaluated at their size.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub located: Option<Located>,
 }
 
 impl Ranked {
@@ -266,11 +273,14 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let swing = table.residual().iter().enumerate().map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
     let frame_ns = case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
     let period_ns = strongest_period_ns(swing, case.span, frame_ns);
-    let control_laws = control_seen.laws(&control_table, nominal, period_ns);
-    let laws = |seen: &Seen<'_>, table: &Table| -> Vec<Open> {
-        let mut found = seen.laws(table, nominal, period_ns);
+    let control_laws = control_seen.laws(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
+    let laws = |seen: &Seen<'_>, table: &Table, laid: &[Laid], places: &Places<'_>| -> Vec<Open> {
+        let mut found = seen.laws(table, laid);
         open::beyond(&mut found, &control_laws);
         found.truncate(setting.laws);
+        if let Some(best) = found.first_mut() {
+            seen.locate_law(table, laid, places, best);
+        }
         found
     };
     let mut slopes: Vec<f64> = table.events.slope_per_s.iter().map(|slope| slope.abs()).collect();
@@ -278,10 +288,12 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let slope_per_s = slopes.get(slopes.len() / 2).copied().unwrap_or(0.0);
     let control_ground = Chance::new(case, nominal, &control_table, control_seen.white(&stated, control_source.as_ref())?, slope_per_s, setting, &scales);
 
-    let ranked = seen.rank(&stated, &table, &control_table, None, setting.refined, nominal)?;
+    let laid = seen.lay(&table, nominal, period_ns);
+    let places = seen.places(&table, &laid);
+    let ranked = seen.rank(&stated, &table, &control_table, None, setting.refined, nominal, &places)?;
     let white = seen.white(&stated, source)?;
     let (random, of_chance) = control_ground.beyond(&table, white);
-    let open = laws(&seen, &table);
+    let open = laws(&seen, &table, &laid[0], &places);
     let base_median = median_share(table.residual(), scales.threshold);
     let found = |one: &&Ranked| one.is_exact && one.beyond() > 0.0;
     let first = ranked.iter().find(found).into_iter().chain(random.iter().find(found)).min_by(|a, b| by_gain(a, b)).cloned();
@@ -299,11 +311,13 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         let table = seen.table(&with, Some(first.candidate), softest)?;
         left = [median_share(table.residual(), scales.threshold); 2];
         let beside = (!is_random).then_some((first.candidate, strength));
-        second = seen.rank(&stated, &table, &control_table, beside, setting.refined_second, nominal)?;
+        let laid = seen.lay(&table, nominal, period_ns);
+        let places = seen.places(&table, &laid);
+        second = seen.rank(&stated, &table, &control_table, beside, setting.refined_second, nominal, &places)?;
         let white = seen.white(&with, source)?;
         random_second = control_ground.beyond(&table, white).0;
         random_second.retain(|other| other.candidate != first.candidate);
-        open_second = laws(&seen, &table);
+        open_second = laws(&seen, &table, &laid[0], &places);
         if let Some(other) = second.first().filter(|other| other.is_exact) {
             left[1] = other.left;
         }

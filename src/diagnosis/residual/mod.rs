@@ -10,6 +10,7 @@
 //! - [`components`]: random effects.
 //! - [`open`]: what no effect of the catalogue has.
 //! - [`control`]: what is found where nothing is.
+//! - [`located`]: where the gain of an effect is.
 //! - [`evidence`]: all of it on one scene.
 
 pub mod components;
@@ -18,6 +19,7 @@ pub mod evidence;
 pub mod fit;
 pub mod gate;
 pub mod light;
+pub mod located;
 pub mod open;
 mod prepared;
 pub mod source;
@@ -87,8 +89,12 @@ pub struct View<'a> {
 pub struct FrameValues {
     /// The pixel of each.
     pub pixel: Vec<u32>,
+    /// Middle of its exposure, ns.
+    pub t_ns: Vec<i64>,
     /// How bright it is recorded, DN above the black level.
     pub signal_dn: Vec<f64>,
+    /// The logarithm of that, 0 below one DN.
+    pub log_signal: Vec<f64>,
 }
 
 impl View<'_> {
@@ -139,7 +145,9 @@ impl View<'_> {
             let look = Look { site: self.case.site(pixel as usize, 0), track: &track, seen: None, events: &[], frames: &frames };
             let counts: Vec<usize> = (0..frames.len()).filter(|&l| !frames[l].saturated).collect();
             values.pixel = vec![pixel; counts.len()];
+            values.t_ns = counts.iter().map(|&l| i64::midpoint(frames[l].start_ns, frames[l].end_ns)).collect();
             values.signal_dn = counts.iter().map(|&l| frames[l].dn - prepared[0].nominal.number.black_level).collect();
+            values.log_signal = values.signal_dn.iter().map(|signal| ln(signal.max(1.0))).collect();
             let mut out = Conditional::default();
             for (left, prepared) in left.iter_mut().zip(&prepared) {
                 frame_values(&prepared.nominal, &prepared.effects, &look, &mut out);
@@ -151,7 +159,9 @@ impl View<'_> {
         let (mut all, mut of_trials) = (FrameValues::default(), vec![Vec::new(); trials.len()]);
         for (values, left) in parts {
             all.pixel.extend(values.pixel);
+            all.t_ns.extend(values.t_ns);
             all.signal_dn.extend(values.signal_dn);
+            all.log_signal.extend(values.log_signal);
             of_trials.iter_mut().zip(left).for_each(|(all, left)| all.extend(left));
         }
         Ok((all, of_trials))

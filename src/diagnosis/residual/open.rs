@@ -4,7 +4,8 @@
 //! bins would gain is taken off: that is an effect of the catalogue.
 
 use super::Residuals;
-use super::fit::{Column, Fitted, Plain, Rows, heldout};
+use super::fit::{self, Column, Fitted, Plain, Rows, Seen, heldout};
+use super::located::Located;
 use crate::covariates::{Covariate, Surroundings};
 use crate::law::{Law, Moved};
 use serde::{Deserialize, Serialize};
@@ -37,6 +38,9 @@ pub struct Open {
     pub gain_error: f64,
     /// The same of the control.
     pub control_gain: f64,
+    /// Where it is; of the best one alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub located: Option<Located>,
 }
 
 impl Open {
@@ -62,7 +66,7 @@ pub struct Laid {
     pub covariate: Covariate,
     /// Of a rhythm, its period, ns.
     pub period_ns: Option<i64>,
-    at: Vec<f64>,
+    pub(super) at: Vec<f64>,
     before: Vec<f64>,
 }
 
@@ -73,7 +77,7 @@ const LEFT_OUT: [Covariate; 2] = [Covariate::Polarity, Covariate::Lag];
 pub fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Option<i64>) -> Vec<Laid> {
     Covariate::ALL
         .into_iter()
-        .filter(|covariate| !LEFT_OUT.contains(covariate) && (*covariate != Covariate::AcPhase || period_ns.is_some()))
+        .filter(|covariate| *covariate != Covariate::AcPhase || period_ns.is_some())
         .map(|covariate| {
             let value = |k: usize, t_ns: i64, polarity: i8| surroundings.value(covariate, events.pixel[k] as usize, t_ns, polarity).unwrap_or(f64::NAN);
             let at = (0..events.t_ns.len()).map(|k| value(k, events.t_ns[k], events.polarity[k])).collect();
@@ -89,6 +93,7 @@ pub fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Optio
 pub fn laws(events: &Residuals, residual: &[f64], block: &[u32], laid: &[Laid], threshold: f64, least: f64, setting: &OpenSetting) -> Vec<Open> {
     let mut found: Vec<Open> = laid
         .iter()
+        .filter(|laid| !LEFT_OUT.contains(&laid.covariate))
         .flat_map(|laid| [Moved::Threshold, Moved::Stamps, Moved::Rate].into_iter().map(move |moved| (laid, moved)))
         .filter_map(|(laid, moved)| law(events, residual, block, laid, moved, threshold, least, setting))
         .collect();
@@ -96,31 +101,72 @@ pub fn laws(events: &Residuals, residual: &[f64], block: &[u32], laid: &[Laid], 
     found
 }
 
-fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: Moved, threshold: f64, least: f64, setting: &OpenSetting) -> Option<Open> {
-    // Events without a value keep what they have.
-    let bins = Bins::new(laid, setting)?;
-    let (of, of_before): (Vec<Option<usize>>, Vec<Option<usize>>) =
-        (laid.at.iter().map(|value| bins.of(*value)).collect(), laid.before.iter().map(|value| bins.of(*value)).collect());
-    let count = bins.count();
-    let column = |bin: Option<usize>| -> Column {
-        let is_in = |at: Option<usize>| at.is_some_and(|at| bin.is_none_or(|bin| at == bin));
-        let of = (0..residual.len())
-            .map(|k| {
-                let (here, before) = (f64::from(u8::from(is_in(of[k]))), f64::from(u8::from(is_in(of_before[k]))));
-                let change = match moved {
-                    Moved::Threshold | Moved::EventRate => here * f64::from(events.polarity[k]) * threshold,
-                    Moved::Stamps => here * events.slope_per_s[k] - before * events.slope_before_per_s[k],
-                    Moved::Rate => here * threshold * events.since_ns[k] as f64 * 1e-9,
-                };
-                -change as f32
-            })
-            .collect();
-        Column { of, log_slope: Vec::new() }
+/// Columns of what is moved in each bin of a covariate, and in all of them.
+struct Free {
+    bins: Bins,
+    /// The bin of each event.
+    of: Vec<Option<usize>>,
+    columns: Vec<Column>,
+    whole: Column,
+}
+
+impl Free {
+    fn new(events: &Residuals, laid: &Laid, moved: Moved, threshold: f64, setting: &OpenSetting) -> Option<Free> {
+        // Events without a value keep what they have.
+        let bins = Bins::new(laid, setting)?;
+        let (of, of_before): (Vec<Option<usize>>, Vec<Option<usize>>) =
+            (laid.at.iter().map(|value| bins.of(*value)).collect(), laid.before.iter().map(|value| bins.of(*value)).collect());
+        let column = |bin: Option<usize>| -> Column {
+            let is_in = |at: Option<usize>| at.is_some_and(|at| bin.is_none_or(|bin| at == bin));
+            let of = (0..of.len())
+                .map(|k| {
+                    let (here, before) = (f64::from(u8::from(is_in(of[k]))), f64::from(u8::from(is_in(of_before[k]))));
+                    let change = match moved {
+                        Moved::Threshold | Moved::EventRate => here * f64::from(events.polarity[k]) * threshold,
+                        Moved::Stamps => here * events.slope_per_s[k] - before * events.slope_before_per_s[k],
+                        Moved::Rate => here * threshold * events.since_ns[k] as f64 * 1e-9,
+                    };
+                    -change as f32
+                })
+                .collect();
+            Column { of, log_slope: Vec::new() }
+        };
+        let columns = (0..bins.count()).map(|bin| column(Some(bin))).collect();
+        let whole = column(None);
+        Some(Free { bins, of, columns, whole })
+    }
+}
+
+/// What each event gains by a curve over one size for all of its bins, nats ([`fit::gains`]).
+pub fn gains(
+    events: &Residuals,
+    residual: &[f64],
+    block: &[u32],
+    laid: &[Laid],
+    law: &Law,
+    threshold: f64,
+    least: f64,
+    setting: &OpenSetting,
+) -> Option<Vec<f64>> {
+    let laid = laid.iter().find(|laid| laid.covariate == law.covariate)?;
+    let free = Free::new(events, laid, law.moved, threshold, setting)?;
+    let rows = Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None };
+    let left = |columns: &[&Column]| -> Vec<f64> {
+        let of: Vec<&[f32]> = columns.iter().map(|column| &column.of[..]).collect();
+        let sizes = fit::fit(residual, &rows, &of, |_| true).0;
+        (0..residual.len()).map(|k| residual[k] + of.iter().zip(&sizes).map(|(column, size)| size * f64::from(column[k])).sum::<f64>()).collect()
     };
+    let (one, all) = (left(&[&free.whole]), left(&free.columns.iter().collect::<Vec<_>>()));
+    let seen = |residual| Seen { residual, log_slope: &[] };
+    Some(fit::gains(seen(&one), seen(&all), &rows))
+}
+
+fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: Moved, threshold: f64, least: f64, setting: &OpenSetting) -> Option<Open> {
+    let Free { bins, of, columns, whole } = Free::new(events, laid, moved, threshold, setting)?;
+    let count = bins.count();
     let plain = Plain::new(residual, Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None });
-    let columns: Vec<Column> = (0..count).map(|bin| column(Some(bin))).collect();
     let all: Fitted = heldout(&plain, &columns.iter().collect::<Vec<_>>());
-    let one: Fitted = heldout(&plain, &[&column(None)]);
+    let one: Fitted = heldout(&plain, &[&whole]);
     let gain = all.gain - one.gain.max(0.0);
     let value = &all.size;
     let weight = |bin: usize| of.iter().filter(|at| **at == Some(bin)).count() as f64;
@@ -137,7 +183,7 @@ fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: 
         significance: gain / f64::max(all.gain_error, 1e-9),
         nats_per_event: gain,
     };
-    Some(Open { law, gain, gain_error: all.gain_error, control_gain: 0.0 })
+    Some(Open { law, gain, gain_error: all.gain_error, control_gain: 0.0, located: None })
 }
 
 /// Bins of a covariate with about as many events each; classes are their own.

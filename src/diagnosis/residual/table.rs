@@ -2,18 +2,20 @@
 
 use super::components::white_share;
 use super::evidence::{EvidenceSetting, Ranked};
-use super::fit::{self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, heldout, without_softness};
+use super::fit::{self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, gains, heldout, without_softness};
 use super::gate::Gate;
 use super::light::Light;
-use super::open::{self, Open, lay};
+use super::located::{Ground, Located};
+use super::open::{self, Laid, Open, lay};
 use super::prepared::Prepared;
 use super::source::{Cell, Source};
 use super::{FrameValues, Residuals, View};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::Case;
-use crate::covariates::Surroundings;
+use crate::covariates::{Covariate, Surroundings};
 use crate::integrity::median;
 use crate::nominal::Nominal;
+use photocurrent_sensor::effects::Stage;
 use photocurrent_sensor::elementary::ln;
 use std::borrow::Cow;
 
@@ -40,6 +42,8 @@ pub(super) struct Table {
     /// The sensor.
     pub trial: Trial,
     pub events: Residuals,
+    /// Frame values, of a known scene.
+    frames: FrameValues,
     /// Slopes of events; behind them, of a known scene, brightness of frame values.
     slope: Vec<f64>,
     /// Blocks, likewise.
@@ -141,7 +145,40 @@ pub(super) struct Refined {
     pub gain_error: f64,
     /// Residuals of events that they leave.
     pub left: Vec<f64>,
+    /// What each row gains by them.
+    pub gains: Vec<f64>,
 }
+
+/// What gains are located on.
+pub(super) struct Places<'a> {
+    events: Ground<'a>,
+    /// Of a known scene.
+    frames: Option<Ground<'a>>,
+}
+
+impl Places<'_> {
+    /// Where the gains of an effect are: of events, or of frame values where the effect is one of frames and they were looked at.
+    fn locate(&self, gains: &[f64], candidate: usize) -> Located {
+        let decl = CANDIDATES[candidate].decl();
+        let (of_events, of_frames) = gains.split_at(self.events.pixel.len());
+        match &self.frames {
+            Some(frames) if decl.stage == Stage::Exposure => frames.locate(of_frames, decl.covariate),
+            _ => self.events.locate(of_events, decl.covariate),
+        }
+    }
+}
+
+/// What frame values may depend on.
+const OF_FRAMES: [Covariate; 8] = [
+    Covariate::Row,
+    Covariate::RowParity,
+    Covariate::Column,
+    Covariate::ColumnBlock,
+    Covariate::Radius,
+    Covariate::Time,
+    Covariate::Photocurrent,
+    Covariate::Slope,
+];
 
 /// Candidates whose columns each pixel may have a size of its own of.
 pub(super) const OF_PIXELS: [(&str, &str); 2] = [("threshold_scale", "fraction"), ("refractory", "refractory")];
@@ -179,13 +216,38 @@ impl Seen<'_> {
         Ok(white_share(&events, &events.excess, &cells))
     }
 
-    /// What no effect of the catalogue has, on the residuals of a table; `period_ns`: of a rhythm, if one is known.
-    pub fn laws(&self, table: &Table, nominal: &Nominal, period_ns: Option<i64>) -> Vec<Open> {
+    /// Covariates of the events of a table, and of its frame values; `period_ns`: of a rhythm, if one is known.
+    pub fn lay(&self, table: &Table, nominal: &Nominal, period_ns: Option<i64>) -> [Vec<Laid>; 2] {
         let front_end = nominal.pixel.front_end;
         let light = Box::new(|pixel: usize, t_ns: i64| self.light.at(pixel, t_ns));
         let surroundings = Surroundings::of(self.case, light, self.case.extent.pixels(), (front_end.tau_0_s, front_end.alpha_s)).with_period(period_ns);
-        let laid = lay(&table.events, &surroundings, period_ns);
-        open::laws(&table.events, table.sharp(), &table.block[..table.events.pixel.len()], &laid, self.scales.threshold, self.least, &self.setting.open)
+        let FrameValues { pixel, t_ns, .. } = table.frames.clone();
+        let count = pixel.len();
+        let values = Residuals { pixel, t_ns, polarity: vec![1; count], previous: vec![1; count], since_ns: vec![0; count], ..Residuals::default() };
+        let mut of_frames = if count > 0 { lay(&values, &surroundings, None) } else { Vec::new() };
+        of_frames.retain(|laid| OF_FRAMES.contains(&laid.covariate));
+        [lay(&table.events, &surroundings, period_ns), of_frames]
+    }
+
+    /// What gains over the residuals of a table are located on.
+    pub fn places<'t>(&'t self, table: &'t Table, laid: &[Vec<Laid>; 2]) -> Places<'t> {
+        let (events, frames, setting) = (&table.events, &table.frames, &self.setting.located);
+        let (of_events, of_frames) = table.block.split_at(events.pixel.len());
+        let on = (&events.pixel[..], &events.t_ns[..], &events.polarity[..]);
+        let on_frames = || Ground::new(self.case, (&frames.pixel, &frames.t_ns, &[]), &frames.log_signal, of_frames, &laid[1], setting);
+        Places { events: Ground::new(self.case, on, &events.log_light, of_events, &laid[0], setting), frames: (!frames.pixel.is_empty()).then(on_frames) }
+    }
+
+    /// What no effect of the catalogue has, on the residuals of a table.
+    pub fn laws(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
+        open::laws(&table.events, table.sharp(), &table.block[..table.events.pixel.len()], laid, self.scales.threshold, self.least, &self.setting.open)
+    }
+
+    /// Where the best of them is.
+    pub fn locate_law(&self, table: &Table, laid: &[Laid], places: &Places<'_>, best: &mut Open) {
+        let (events, block) = (&table.events, &table.block[..table.events.pixel.len()]);
+        let gains = open::gains(events, table.sharp(), block, laid, &best.law, self.scales.threshold, self.least, &self.setting.open);
+        best.located = gains.map(|gains| places.events.locate(&gains, best.law.covariate.name()).of_law(&best.law, &self.setting.located));
     }
 
     fn block_of(&self, pixel: usize) -> u32 {
@@ -205,10 +267,11 @@ impl Seen<'_> {
         let block: Vec<u32> = found.events.pixel.iter().chain(&found.frames.pixel).map(|pixel| self.block_of(*pixel as usize)).collect();
         let slope: Vec<f64> = found.events.slope_per_s.iter().chain(&found.frames.signal_dn).copied().collect();
         let columns = chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, self.probe(n)))).collect();
-        let Evaluated { events, left, mut log_slope, .. } = found;
+        let Evaluated { events, frames, left, mut log_slope } = found;
         let mut table = Table {
             trial: trial.clone(),
             events,
+            frames,
             slope,
             block,
             base: wide(&left[0]),
@@ -270,9 +333,11 @@ impl Seen<'_> {
         let found = self.evaluate(&[table.trial.clone(), put(&strength)])?;
         let mut left = wide(&found.left[1]);
         let before = fit::Seen { residual: &table.base, log_slope: &table.log_slope };
-        let (gain, gain_error) = gain_of(before, fit::Seen { residual: &left, log_slope: &found.log_slope[1] }, &rows);
+        let with = fit::Seen { residual: &left, log_slope: &found.log_slope[1] };
+        let (gain, gain_error) = gain_of(before, with, &rows);
+        let gains = gains(before, with, &rows);
         left.truncate(table.events.pixel.len());
-        Ok(Refined { strength, error, gain, gain_error, left })
+        Ok(Refined { strength, error, gain, gain_error, left, gains })
     }
 
     /// Strengths that a search may reach, within physics.
@@ -292,6 +357,7 @@ impl Seen<'_> {
         beside: Option<(usize, f64)>,
         refined: usize,
         nominal: &Nominal,
+        places: &Places<'_>,
     ) -> Result<Vec<Ranked>, String> {
         let mut ranked: Vec<Ranked> = table.fitted.iter().map(|(candidate, fitted)| self.first_order(*candidate, fitted, control, nominal)).collect();
         ranked.sort_by(by_gain);
@@ -309,6 +375,7 @@ impl Seen<'_> {
             one.beside = beside.map(|_| found.strength[1]);
             one.left = median_share(&found.left, self.scales.threshold);
             one.ks = control.noise.distance(&found.left, &table.events.slope_per_s);
+            one.located = Some(places.locate(&found.gains, one.candidate));
         }
         ranked.sort_by(by_gain);
         Ok(ranked)

@@ -1,0 +1,566 @@
+//! Where the gain of an effect is: rows, columns, time, light, polarity, and over which covariate it varies.
+//!
+//! Each event gains the log density of its residual with the effect less that without it, both under the noise that is left with the effect ([`super::fit::gains`]): an event that
+//! the effect changes nothing of gains nothing. The mean gain per event is then compared between parts of the array, of the time, of the light and of the polarities, with errors from
+//! blocks of pixels. A part is reported only where the rest gains next to nothing compared with it ([`LocatedSetting::rest`]) and the two differ by many standard errors
+//! ([`LocatedSetting::certain`]), and still differ where the part is chosen on one half of the blocks and judged on the other; otherwise the whole range is.
+//!
+//! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate leaves out say nothing; random effects are not located.
+
+use super::open::Laid;
+use crate::candidates::CANDIDATES;
+use crate::case::Case;
+use crate::covariates::Covariate;
+use crate::law::Law;
+use crate::report::Location;
+use crate::verdict::{Answer, Claim, Decided, Unexplained};
+use serde::{Deserialize, Serialize};
+
+/// When a part stands out, and how finely it is looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct LocatedSetting {
+    /// The rest gains at most this share of what the part gains, per event.
+    pub rest: f64,
+    /// And the two differ by so many standard errors.
+    pub certain: f64,
+    /// By so many where the part is chosen on one half of the blocks and judged on the other.
+    pub certain_apart: f64,
+    /// Fewer events are neither a part nor a rest.
+    pub least_events: usize,
+    /// A rim of the range with fewer events than this belongs to the part next to it.
+    pub rim_events: usize,
+    /// Steps of time and of light that a part is made of.
+    pub steps: usize,
+    /// Bins of curves and covariates.
+    pub bins: usize,
+    /// Gains vary over a covariate where it explains their squares, on blocks that its curve was not fitted to, by so many standard errors.
+    pub significant: f64,
+    /// And at least this share of the squares.
+    pub least_explained: f64,
+    /// Another covariate takes the place of the catalogue's own where it explains so many times as much.
+    pub displaces: f64,
+    /// And at least this share of the squares: that much an effect that is everywhere varies by chance of the scene.
+    pub least_displacing: f64,
+    /// A curve rises or falls where a straight line over its bins explains this share of it.
+    pub straight: f64,
+    /// Least side of the map's cells, pixels.
+    pub cell: usize,
+    /// Cells are so large that they hold about so many events.
+    pub cell_events: usize,
+}
+
+impl Default for LocatedSetting {
+    fn default() -> LocatedSetting {
+        LocatedSetting {
+            rest: 0.1,
+            certain: 4.0,
+            certain_apart: 2.5,
+            least_events: 100,
+            rim_events: 20,
+            steps: 60,
+            bins: 8,
+            significant: 4.0,
+            least_explained: 0.02,
+            displaces: 2.0,
+            least_displacing: 0.3,
+            straight: 0.5,
+            cell: 4,
+            cell_events: 12,
+        }
+    }
+}
+
+/// Gain per event, nats.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Mean {
+    /// The mean.
+    pub gain: f64,
+    /// Its standard error, by blocks of pixels.
+    pub error: f64,
+    /// Of how many events.
+    pub events: usize,
+}
+
+/// A part of an axis that the gain is in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Part<T> {
+    /// First and last.
+    pub range: [T; 2],
+    /// Gain within.
+    pub inside: Mean,
+    /// And of the rest, in the parts of the other axes; none where the part is the whole range.
+    pub outside: Option<Mean>,
+}
+
+/// A part that was found: first and last step, gain within and of the rest.
+struct Found {
+    first: usize,
+    last: usize,
+    inside: Mean,
+    outside: Mean,
+}
+
+impl<T> Part<T> {
+    fn of(found: Option<Found>, all: Mean, range: impl Fn(Option<&Found>) -> [T; 2]) -> Part<T> {
+        let (inside, outside) = found.as_ref().map_or((all, None), |found| (found.inside, Some(found.outside)));
+        Part { range: range(found.as_ref()), inside, outside }
+    }
+}
+
+/// Gain per event over something.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Curve {
+    /// Mean of it in each bin.
+    pub at: Vec<f64>,
+    /// Gain in each bin.
+    pub gain: Vec<Mean>,
+}
+
+/// Gain per event by place.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct GainMap {
+    /// Side of a cell, pixels.
+    pub side: usize,
+    /// Cells of a row.
+    pub across: usize,
+    /// Gain per event, row by row of cells, nats; 0 without events.
+    pub gain: Vec<f64>,
+    /// How many events.
+    pub events: Vec<u32>,
+}
+
+/// Where an effect is.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Located {
+    /// Gain of all events.
+    pub all: Mean,
+    /// Of ON events, and of OFF events; of frame values neither.
+    pub by_polarity: Option<[Mean; 2]>,
+    /// `on`, `off` or `both`.
+    pub polarity: String,
+    /// Rows.
+    pub rows: Part<u32>,
+    /// Columns.
+    pub columns: Part<u32>,
+    /// Time, ns.
+    pub time_ns: Part<i64>,
+    /// Log photocurrent (of frame values, log of digital numbers above black).
+    pub log_light: Part<f64>,
+    /// What the gain varies over, by the names of docs/formats.md.
+    pub covariate: String,
+    /// How: `rises`, `falls`, `peak`, `valley`, `uneven`, of classes `differs`, or `flat` where it does not.
+    pub shape: String,
+    /// The covariate of `over`.
+    pub curve_of: Option<Covariate>,
+    /// Gain over the covariate; empty where it does not vary.
+    pub over: Curve,
+    /// Gain over rows.
+    pub over_rows: Curve,
+    /// Over time, seconds since the start.
+    pub over_time: Curve,
+    /// Over the log photocurrent.
+    pub over_light: Curve,
+    /// Gain over the array.
+    pub map: GainMap,
+    /// Pixels of the part in whose surroundings events gain.
+    pub pixels: u64,
+}
+
+impl Located {
+    /// A location with what was measured; stream and pixel list stay.
+    pub fn put(&self, location: &mut Location) {
+        location.polarity.clone_from(&self.polarity);
+        (location.rows, location.columns, location.time_ns) = (self.rows.range, self.columns.range, self.time_ns.range);
+        location.covariate.clone_from(&self.covariate);
+        location.shape = Some(self.shape.clone());
+        location.pixels = self.pixels;
+    }
+
+    /// The same of a curve that has no name: the covariate and how it runs are the curve's own.
+    #[must_use]
+    pub fn of_law(self, law: &Law, setting: &LocatedSetting) -> Located {
+        let shape = if law.covariate.is_class() { "differs" } else { shape(&law.value, setting.straight) };
+        Located { covariate: law.covariate.name().to_owned(), shape: shape.to_owned(), ..self }
+    }
+}
+
+/// Locations of one method's answers.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Locations {
+    /// Of effects with nothing else applied, by their number in [`crate::candidates::CANDIDATES`].
+    pub first: Vec<(usize, Located)>,
+    /// Of effects with the best one applied.
+    pub second: Vec<(usize, Located)>,
+    /// Of what has no name.
+    pub unnamed: Option<Located>,
+}
+
+impl Locations {
+    /// Of an effect.
+    pub fn of(&self, candidate: usize, is_second: bool) -> Option<&Located> {
+        let list = if is_second { &self.second } else { &self.first };
+        list.iter().find(|(of, _)| *of == candidate).map(|(_, located)| located)
+    }
+}
+
+/// Where a claim is, as it was measured on the scene; none for direct tests.
+pub fn of_claim<'a>(decided: Option<&'a Decided>, claim: &Claim) -> Option<&'a Located> {
+    let candidate = claim.values.first().filter(|_| claim.finding.is_none())?.0;
+    let decided = decided?;
+    // The best of the first list is the first effect; another one was measured with it applied.
+    let best = decided.proposals.iter().filter(|one| one.passed).max_by(|a, b| a.probability.total_cmp(&b.probability));
+    let is_first = best.is_some_and(|best| CANDIDATES[best.candidate].id == claim.id);
+    decided.located.of(candidate, !is_first).or_else(|| decided.located.of(candidate, is_first))
+}
+
+/// Where what has no name is; none where it is not the curve that was located.
+pub fn of_unnamed<'a>(decided: Option<&'a Decided>, found: &Unexplained) -> Option<&'a Located> {
+    let is_it = |own: &Unexplained| own.law.is_some() && own.law == found.law;
+    decided.filter(|decided| decided.unexplained.as_ref().is_some_and(is_it))?.located.unnamed.as_ref()
+}
+
+/// Where the effects of an answer are, by id.
+pub fn answered(decided: Option<&Decided>, answer: &Answer) -> Vec<(String, Located)> {
+    let claimed = answer.claims.iter().filter_map(|claim| Some((claim.id.to_owned(), of_claim(decided, claim)?.clone())));
+    let nameless = answer.unexplained.iter().filter_map(|found| Some(("unnamed".to_owned(), of_unnamed(decided, found)?.clone())));
+    claimed.chain(nameless).collect()
+}
+
+/// What gains are located on: events, or frame values.
+pub struct Ground<'a> {
+    /// The recording.
+    pub case: &'a Case,
+    /// The pixel of each.
+    pub pixel: &'a [u32],
+    /// When, ns.
+    pub t_ns: &'a [i64],
+    /// +1 or -1; empty for frame values.
+    pub polarity: &'a [i8],
+    /// Log photocurrent, or log of the digital number above black.
+    pub log_light: &'a [f64],
+    /// Block of pixels of each; the last bit is its half.
+    pub block: &'a [u32],
+    bins: Vec<(Covariate, Bins)>,
+    setting: &'a LocatedSetting,
+}
+
+/// Values sorted into bins.
+struct Bins {
+    /// Mean value of each bin.
+    at: Vec<f64>,
+    /// The bin of each event; none without a value.
+    of: Vec<Option<u32>>,
+    is_class: bool,
+}
+
+impl Bins {
+    /// About as many events in each; values of a class are bins of their own.
+    fn new(values: &[f64], count: usize, is_class: bool) -> Bins {
+        let mut sorted: Vec<f64> = values.iter().copied().filter(|value| value.is_finite()).collect();
+        sorted.sort_by(f64::total_cmp);
+        let mut edges: Vec<f64> = if is_class {
+            let mut classes = sorted.clone();
+            classes.dedup();
+            classes.windows(2).map(|pair| 0.5 * (pair[0] + pair[1])).collect()
+        } else {
+            (1..count).filter_map(|bin| sorted.get(bin * sorted.len() / count).copied()).collect()
+        };
+        edges.dedup();
+        edges.retain(|edge| sorted.first().is_some_and(|first| edge > first));
+        let of: Vec<Option<u32>> = values.iter().map(|value| value.is_finite().then(|| edges.partition_point(|edge| *edge <= *value) as u32)).collect();
+        let mut sums = vec![(0.0, 0.0); edges.len() + 1];
+        for (bin, value) in of.iter().zip(values).filter_map(|(bin, value)| Some(((*bin)?, value))) {
+            let sum = &mut sums[bin as usize];
+            *sum = (sum.0 + value, sum.1 + 1.0);
+        }
+        Bins { at: sums.iter().map(|(sum, count)| sum / f64::max(*count, 1.0)).collect(), of, is_class }
+    }
+}
+
+impl<'a> Ground<'a> {
+    /// Of events or frame values; `laid`: their covariates.
+    pub fn new(
+        case: &'a Case,
+        (pixel, t_ns, polarity): (&'a [u32], &'a [i64], &'a [i8]),
+        log_light: &'a [f64],
+        block: &'a [u32],
+        laid: &[Laid],
+        setting: &'a LocatedSetting,
+    ) -> Ground<'a> {
+        let bins = laid.iter().map(|laid| (laid.covariate, Bins::new(&laid.at, setting.bins, laid.covariate.is_class()))).collect();
+        Ground { case, pixel, t_ns, polarity, log_light, block, bins, setting }
+    }
+
+    /// Where gains are, nats, one for each event; `own`: the covariate that the catalogue states for the effect.
+    pub fn locate(&self, gains: &[f64], own: &str) -> Located {
+        let gains: Vec<f64> = gains.iter().map(|gain| if gain.is_finite() { *gain } else { 0.0 }).collect();
+        let (case, setting) = (self.case, self.setting);
+        let place = |k: usize| case.place(self.pixel[k] as usize);
+        let events = 0..gains.len();
+        let row: Vec<usize> = events.clone().map(|k| place(k).1 as usize).collect();
+        let column: Vec<usize> = events.clone().map(|k| place(k).0 as usize).collect();
+        let wide = |values: &[usize]| -> Vec<f64> { values.iter().map(|value| *value as f64).collect() };
+        let (start_ns, end_ns) = case.span;
+        let step_ns = ((end_ns - start_ns) / setting.steps.max(1) as i64).max(1);
+        let step: Vec<usize> = self.t_ns.iter().map(|t| ((t - start_ns) / step_ns).clamp(0, setting.steps as i64 - 1) as usize).collect();
+        let seconds: Vec<f64> = self.t_ns.iter().map(|t| (t - start_ns) as f64 * 1e-9).collect();
+        let light = Bins::new(self.log_light, setting.steps, false);
+        let lit: Vec<usize> = light.of.iter().map(|bin| bin.unwrap_or(0) as usize).collect();
+
+        let (all, _) = self.means(&gains, &|_| true);
+        let (width, height) = (case.extent.width as usize, case.extent.height as usize);
+        let is_within = |at: &[usize], found: &Option<Found>, k: usize| found.as_ref().is_none_or(|found| (found.first..=found.last).contains(&at[k]));
+        // Each axis on the part of those before it, so that a corner of the array stands out in both.
+        let mut rows = self.part(&gains, &row, height, &|_| true);
+        let columns = self.part(&gains, &column, width, &|k| is_within(&row, &rows, k));
+        if rows.is_none() && columns.is_some() {
+            rows = self.part(&gains, &row, height, &|k| is_within(&column, &columns, k));
+        }
+        let is_placed = |k: usize| is_within(&row, &rows, k) && is_within(&column, &columns, k);
+        let (placed, _) = self.means(&gains, &is_placed);
+        let time = self.part(&gains, &step, setting.steps, &is_placed);
+        let is_then = |k: usize| is_placed(k) && is_within(&step, &time, k);
+        let lit_part = self.part(&gains, &lit, light.at.len(), &is_then);
+        let ends = events.filter(|&k| is_within(&lit, &lit_part, k)).map(|k| self.log_light[k]).filter(|u| u.is_finite());
+        let ends = ends.fold(None, |ends: Option<[f64; 2]>, u| Some(ends.map_or([u, u], |[low, high]| [f64::min(low, u), f64::max(high, u)])));
+        let by_polarity = (!self.polarity.is_empty()).then(|| [1, -1].map(|sign| self.means(&gains, &|k| is_then(k) && self.polarity[k] == sign).0));
+        let polarity = by_polarity.map_or("both", |[on, off]| {
+            if self.stands_out(&on, &off) {
+                "on"
+            } else if self.stands_out(&off, &on) {
+                "off"
+            } else {
+                "both"
+            }
+        });
+        let rows = Part::of(rows, all, |found| found.map_or([0, height.saturating_sub(1) as u32], |found| [found.first as u32, found.last as u32]));
+        let columns = Part::of(columns, all, |found| found.map_or([0, width.saturating_sub(1) as u32], |found| [found.first as u32, found.last as u32]));
+        let to_ns = |last: usize| if last + 1 == setting.steps { end_ns } else { start_ns + (last as i64 + 1) * step_ns };
+        let time_ns = Part::of(time, all, |found| found.map_or([start_ns, end_ns], |found| [start_ns + found.first as i64 * step_ns, to_ns(found.last)]));
+        let log_light = Part::of(lit_part, all, |_| ends.unwrap_or([0.0; 2]));
+        let (covariate, found) = self.covariate(&gains, own);
+        let over = found.map_or_else(Curve::default, |n| self.curve(&gains, &self.bins[n].1));
+        let means: Vec<f64> = over.gain.iter().map(|mean| mean.gain).collect();
+        let shape = found.map_or("flat", |n| if self.bins[n].1.is_class { "differs" } else { shape(&means, setting.straight) });
+        let curve = |values: &[f64]| self.curve(&gains, &Bins::new(values, setting.bins, false));
+        let map = self.map(&gains);
+        let pixels = self.pixels(&map, rows.range, columns.range, setting.rest * placed.gain);
+        Located {
+            all,
+            by_polarity,
+            polarity: polarity.to_owned(),
+            rows,
+            columns,
+            time_ns,
+            log_light,
+            covariate,
+            shape: shape.to_owned(),
+            curve_of: found.map(|n| self.bins[n].0),
+            over,
+            over_rows: curve(&wide(&row)),
+            over_time: curve(&seconds),
+            over_light: curve(self.log_light),
+            map,
+            pixels,
+        }
+    }
+
+    /// Mean gain of the chosen events, and of the others.
+    fn means(&self, gains: &[f64], is_chosen: &dyn Fn(usize) -> bool) -> (Mean, Mean) {
+        let blocks = self.block.iter().copied().max().map_or(0, |last| last as usize + 1);
+        let mut sums = [vec![(0.0, 0.0); blocks], vec![(0.0, 0.0); blocks]];
+        for (k, gain) in gains.iter().enumerate() {
+            let sum = &mut sums[usize::from(!is_chosen(k))][self.block[k] as usize];
+            *sum = (sum.0 + gain, sum.1 + 1.0);
+        }
+        let [chosen, others] = sums.map(|sums| mean(&sums));
+        (chosen, others)
+    }
+
+    /// Does one part hold the gain, and the rest next to none?
+    fn stands_out(&self, part: &Mean, rest: &Mean) -> bool {
+        let least = self.setting.least_events;
+        let differ = part.gain - rest.gain > self.setting.certain * libm::hypot(part.error, rest.error);
+        part.events >= least && rest.events >= least && part.gain > 0.0 && rest.gain < self.setting.rest * part.gain && differ
+    }
+
+    /// The contiguous part of an axis that holds the gain of the events that are asked; none where it does not stand out, or where parts chosen on either half of the blocks do not on the
+    /// other half: the best of many parts differs from its rest by chance alone. `at`: the step of each event.
+    fn part(&self, gains: &[f64], at: &[usize], steps: usize, is_asked: &dyn Fn(usize) -> bool) -> Option<Found> {
+        let setting = self.setting;
+        let (first, last) = best(gains, at, steps, is_asked, setting.least_events, setting.rim_events)?;
+        let sides = |(first, last): (usize, usize), is_asked: &dyn Fn(usize) -> bool| {
+            [true, false].map(|wanted| self.means(gains, &|k| is_asked(k) && (first..=last).contains(&at[k]) == wanted).0)
+        };
+        let [inside, outside] = sides((first, last), is_asked);
+        let (mut differ, mut error) = (0.0, 0.0);
+        for half in 0..2_u32 {
+            let is_in = |k: usize| is_asked(k) && self.block[k] % 2 == half;
+            let chosen = best(gains, at, steps, &is_in, setting.least_events / 2, setting.rim_events / 2)?;
+            let [inside, outside] = sides(chosen, &|k| is_asked(k) && self.block[k] % 2 != half);
+            (differ, error) = (differ + inside.gain - outside.gain, libm::hypot(error, libm::hypot(inside.error, outside.error)));
+        }
+        (differ > setting.certain_apart * error && self.stands_out(&inside, &outside)).then_some(Found { first, last, inside, outside })
+    }
+
+    fn curve(&self, gains: &[f64], bins: &Bins) -> Curve {
+        let of = |bin: usize| self.means(gains, &|k| bins.of[k] == Some(bin as u32)).0;
+        Curve { at: bins.at.clone(), gain: (0..bins.at.len()).map(of).collect() }
+    }
+
+    /// What the gain varies over by name, and the number of its curve; the catalogue's own where nothing explains much more.
+    fn covariate(&self, gains: &[f64], own: &str) -> (String, Option<usize>) {
+        let explained: Vec<f64> = self.bins.iter().map(|(_, bins)| self.explained(gains, bins)).collect();
+        let best_of = |is_asked: &dyn Fn(Covariate) -> bool| {
+            let asked = (0..self.bins.len()).filter(|n| is_asked(self.bins[*n].0) && explained[*n] > 0.0);
+            asked.max_by(|a, b| explained[*a].total_cmp(&explained[*b]).then(b.cmp(a)))
+        };
+        let is_own = |covariate: Covariate| own.split('*').any(|factor| factor == covariate.name() || (factor == "dn" && covariate == Covariate::Photocurrent));
+        let own_curve = best_of(&is_own);
+        let by_own = own_curve.map_or(0.0, |n| explained[n]);
+        let displaces = |n: &usize| explained[*n] >= self.setting.least_displacing && explained[*n] > self.setting.displaces * by_own;
+        match best_of(&|_| true).filter(displaces) {
+            Some(other) => (self.bins[other].0.name().to_owned(), Some(other)),
+            None => (own.to_owned(), own_curve),
+        }
+    }
+
+    /// Share of the squares of gains that a mean for each bin explains, on the half of the blocks that the means are not from; 0 where it is not significant.
+    fn explained(&self, gains: &[f64], bins: &Bins) -> f64 {
+        let blocks = self.block.iter().copied().max().map_or(0, |last| last as usize + 1);
+        if bins.at.len() < 2 {
+            return 0.0;
+        }
+        let (mut taken, mut counts, mut squares) = (vec![0.0; blocks], vec![0.0; blocks], 0.0);
+        for half in 0..2_u32 {
+            let mut sums = vec![(0.0, 0.0); bins.at.len() + 1];
+            let there = |k: usize| bins.of[k].map_or(bins.at.len(), |bin| bin as usize);
+            let (mut all, mut count) = (0.0, 0.0);
+            for k in (0..gains.len()).filter(|&k| self.block[k] % 2 == half) {
+                let sum = &mut sums[there(k)];
+                *sum = (sum.0 + gains[k], sum.1 + 1.0);
+                (all, count) = (all + gains[k], count + 1.0);
+            }
+            let middle = all / f64::max(count, 1.0);
+            for k in (0..gains.len()).filter(|&k| self.block[k] % 2 != half) {
+                let (sum, of) = sums[there(k)];
+                let own = if of > 0.0 { sum / of } else { middle };
+                let (far, left) = (gains[k] - middle, gains[k] - own);
+                taken[self.block[k] as usize] += far * far - left * left;
+                counts[self.block[k] as usize] += 1.0;
+                squares += far * far;
+            }
+        }
+        let sums: Vec<(f64, f64)> = taken.into_iter().zip(counts).collect();
+        let found = mean(&sums);
+        let share = found.gain * found.events as f64 / f64::max(squares, 1e-300);
+        if share >= self.setting.least_explained && found.gain > self.setting.significant * found.error { share } else { 0.0 }
+    }
+
+    fn map(&self, gains: &[f64]) -> GainMap {
+        let (width, height) = (self.case.extent.width as usize, self.case.extent.height as usize);
+        let share = gains.len().max(1) as f64 / (width * height).max(1) as f64;
+        let side = usize::max(self.setting.cell, libm::ceil(libm::sqrt(self.setting.cell_events as f64 / share)) as usize).max(1);
+        let (across, down) = (width.div_ceil(side), height.div_ceil(side));
+        let mut map = GainMap { side, across, gain: vec![0.0; across * down], events: vec![0; across * down] };
+        for (k, gain) in gains.iter().enumerate() {
+            let (x, y) = self.case.place(self.pixel[k] as usize);
+            let cell = y as usize / side * across + x as usize / side;
+            map.gain[cell] += gain;
+            map.events[cell] += 1;
+        }
+        map.gain.iter_mut().zip(&map.events).filter(|(_, events)| **events > 0).for_each(|(gain, events)| *gain /= f64::from(*events));
+        map
+    }
+
+    /// Pixels of a part around which (3 x 3 cells of the part) events gain more than `least`.
+    fn pixels(&self, map: &GainMap, rows: [u32; 2], columns: [u32; 2], least: f64) -> u64 {
+        let side = map.side;
+        let cells = |range: [u32; 2]| range[0] as usize / side..=range[1] as usize / side;
+        let within = |range: [u32; 2], cell: usize| {
+            let (from, to) = (usize::max(range[0] as usize, cell * side), usize::min(range[1] as usize, (cell + 1) * side - 1));
+            (to + 1).saturating_sub(from) as u64
+        };
+        let mut pixels = 0;
+        for row in cells(rows) {
+            for column in cells(columns) {
+                let near = |at: usize, range: [u32; 2]| usize::max(at.saturating_sub(1), *cells(range).start())..=usize::min(at + 1, *cells(range).end());
+                let around = near(row, rows).flat_map(|y| near(column, columns).map(move |x| y * map.across + x));
+                let (gain, events) = around.fold((0.0, 0.0), |(gain, events), cell| {
+                    let count = f64::from(map.events[cell]);
+                    (gain + count * map.gain[cell], events + count)
+                });
+                if events > 0.0 && gain > least * events {
+                    pixels += within(rows, row) * within(columns, column);
+                }
+            }
+        }
+        pixels
+    }
+}
+
+/// The part of an axis whose mean gain differs most from the rest's, by the squares between the two; `least`: events on either side, `rim`: ends with fewer belong to it.
+fn best(gains: &[f64], at: &[usize], steps: usize, is_asked: &dyn Fn(usize) -> bool, least: usize, rim: usize) -> Option<(usize, usize)> {
+    let mut sums = vec![(0.0, 0_usize); steps + 1];
+    for k in (0..gains.len()).filter(|&k| is_asked(k)) {
+        sums[at[k] + 1].0 += gains[k];
+        sums[at[k] + 1].1 += 1;
+    }
+    for step in 0..steps {
+        sums[step + 1] = (sums[step + 1].0 + sums[step].0, sums[step + 1].1 + sums[step].1);
+    }
+    let (all, count) = sums[steps];
+    let mut best = (0.0, None);
+    for first in 0..steps {
+        for last in first..steps {
+            let (gain, events) = (sums[last + 1].0 - sums[first].0, sums[last + 1].1 - sums[first].1);
+            if events < least || count - events < least {
+                continue;
+            }
+            let (inside, outside) = (events as f64, (count - events) as f64);
+            let differ = gain / inside - (all - gain) / outside;
+            let squares = inside * outside * differ * differ;
+            if differ > 0.0 && squares > best.0 {
+                best = (squares, Some((first, last)));
+            }
+        }
+    }
+    let (first, last) = best.1?;
+    Some((if sums[first].1 < rim { 0 } else { first }, if count - sums[last + 1].1 < rim { steps - 1 } else { last }))
+}
+
+/// Mean of sums by block (sum, how many) and its standard error.
+fn mean(sums: &[(f64, f64)]) -> Mean {
+    let (all, count) = sums.iter().fold((0.0, 0.0), |(all, count), sum| (all + sum.0, count + sum.1));
+    let gain = all / f64::max(count, 1.0);
+    let blocks = sums.iter().filter(|sum| sum.1 > 0.0).count() as f64;
+    let spread: f64 = sums.iter().map(|(sum, count)| (sum - gain * count) * (sum - gain * count)).sum();
+    // One block has no spread: its error is as large as the gain itself.
+    let error = if blocks > 1.0 { libm::sqrt(spread * blocks / (blocks - 1.0)) / count } else { gain.abs() };
+    Mean { gain, error, events: count as usize }
+}
+
+/// How a curve runs, in a word.
+fn shape(gains: &[f64], straight: f64) -> &'static str {
+    let count = gains.len() as f64;
+    let (middle, mean) = (0.5 * (count - 1.0), gains.iter().sum::<f64>() / f64::max(count, 1.0));
+    let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+    for (n, gain) in gains.iter().enumerate() {
+        let (x, y) = (n as f64 - middle, gain - mean);
+        (xx, xy, yy) = (xx + x * x, xy + x * y, yy + y * y);
+    }
+    if xy * xy >= straight * xx * yy {
+        return if xy > 0.0 { "rises" } else { "falls" };
+    }
+    let (least, most) = gains.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), gain| (f64::min(least, *gain), f64::max(most, *gain)));
+    let ends = [gains[0], gains[gains.len() - 1]].map(|gain| gain - 0.5 * (least + most));
+    match ends.map(|end| end < 0.0) {
+        [true, true] => "peak",
+        [false, false] => "valley",
+        _ => "uneven",
+    }
+}
+
+#[cfg(test)]
+#[path = "located_tests.rs"]
+mod tests;
