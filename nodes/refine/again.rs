@@ -6,6 +6,7 @@ use super::film::STEP_NS;
 use crate::co_located::CoLocated;
 use crate::solve::pixel::choice::Settings;
 use crate::solve::pixel::map::{RowSetting, RowSolver};
+use crate::solve::pixel::neighbours;
 use crate::solve::pixel::row::Recorded;
 use crate::solve::pixel::shares::Colours;
 use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
@@ -98,17 +99,22 @@ impl Solver {
 
     /// Takes a recording in, all rows of it.
     pub fn take_in(&self, meta: TracksMeta, events: &EventStream, frames: &FrameSequence, sensor: &Sensor, cx: &Context) -> Result<Again, NodeError> {
-        let model = self.node.model(sensor, &events.meta)?;
+        let mut model = self.node.model(sensor, &events.meta)?;
+        model.inform(events)?;
         let (rows, times) = (cx.rows(), &frames.meta.times);
         let colours = Colours::new(CoLocated::new(&events.meta, &frames.meta)?, sensor)?;
         let events = colours.lie.read(events, rows)?;
         let values = frames.read_rows(rows)?;
         let recorded = Recorded { meta: &meta, times, colours: &colours, rows, events: &events, frames: &values };
-        let settings = Settings::choose(self.node.params(), &model, &recorded, rows)?;
+        let known = neighbours::known(self.node.params(), &model, &recorded, rows, cx)?;
+        let settings = Settings::choose(self.node.params(), &model, &recorded, rows, known.as_ref())?;
         let prepare = |row: u32| -> Result<Row, NodeError> {
             let mut solver = RowSolver::default();
             let setting = *settings.of(row);
             solver.take(&model, &setting, &recorded, row)?;
+            if let Some(known) = &known {
+                solver.give(known.of(row).to_vec());
+            }
             cx.advance(1)?;
             Ok(Row { row, solver, setting })
         };

@@ -97,7 +97,7 @@ impl Node for RefinePicture {
     const DECL: Decl = Decl {
         kind: "refine/picture",
         about: "Solves tracks again with a moving picture of a few frames' time, and with what neighbouring pixels saw.",
-        revision: 7,
+        revision: 8,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -7,7 +7,8 @@
 //! `method = "map"` asks for the most probable light ([`photocurrent_sensor::map`]): all frames and events of the pixel at once, with knots that are finer
 //! than the events, the exact reset and a prior. Silences in which events were evidently lost are not believed ([`photocurrent_sensor::map::losses`]).
 //! Nothing is cut into windows there, and its tracks are log-linear between knots. What the description's `[effects]` did to events and frames is taken off by the effects' own equations
-//! ([`photocurrent_sensor::undo`]); a note names those that cannot be.
+//! ([`photocurrent_sensor::undo`]); a note names those that cannot be. Those that mix the photocurrent of neighbours take rounds over whole rows ([`neighbours`]), and those that depend on
+//! the load of the array the events of all its pixels, so that the recording is then solved in one piece.
 //!
 //! `method = "paper"` is Eq. (13), solved in [`photocurrent_sensor::inverse`], with the approximations that the paper makes. Frames are taken two by two, as in the paper: the pair (l, l+1) is solved with all events from the start of exposure l to
 //! the end of exposure l+1, and its answer counts until exposure l+1 starts. The first window reaches back to the recording's start, the
@@ -23,7 +24,10 @@
 pub(crate) mod choice;
 #[cfg(test)]
 mod colour_tests;
+#[cfg(test)]
+mod coupled_tests;
 pub(crate) mod map;
+pub(crate) mod neighbours;
 mod paper;
 mod params;
 mod plausible;
@@ -44,15 +48,16 @@ use choice::Settings;
 use map::FrameNoise;
 pub(crate) use params::{FRAME_NOISE, KNOT_SPACING};
 pub use params::{FirstKnot, FrontEndModel, Joint, Method, Params, Precision, ReadoutModel, TauChoice};
+use photocurrent_core::events::EventRow;
 use photocurrent_core::handle::Band;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{
     Between, Colour, Context, Decl, EventStream, EventsMeta, Exposure, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet, Meta, Node,
     NodeError, PortMetas, Sensor, TimeSpan, TrackBand, TrackSet, TracksMeta,
 };
-use photocurrent_sensor::effects::from_description;
+use photocurrent_sensor::effects::{Site, from_description};
 use photocurrent_sensor::front_end::FrontEnd;
-use photocurrent_sensor::map::COARSEST;
+use photocurrent_sensor::map::{COARSEST, MapEvent};
 use photocurrent_sensor::model::Model as SensorModel;
 use photocurrent_sensor::residuals::Misfit;
 use photocurrent_sensor::undo::Undo;
@@ -141,6 +146,35 @@ impl Model {
     pub(crate) fn threshold(&self) -> f64 {
         f64::min(self.rule.threshold_on, self.rule.threshold_off)
     }
+
+    /// Event `k` of a row as recorded, on the clock of the frames.
+    fn event(&self, row: &EventRow<'_>, k: usize) -> MapEvent {
+        let t_in_ns = self.rule.time(row, k);
+        let t_off_ns = i64::max(row.t[k] - self.clock_offset_ns, t_in_ns);
+        MapEvent { t_in_ns, t_off_ns, polarity: if row.on[k] == 1 { 1 } else { -1 }, is_lone: false }
+    }
+
+    /// Gives effects that depend on the load of the array the events of all its pixels.
+    ///
+    /// # Errors
+    /// When there are such effects and only some rows are at hand: the description was not known when the recording was cut into bands.
+    pub(crate) fn inform(&mut self, events: &EventStream) -> Result<(), NodeError> {
+        let Some(id) = self.undo.couples() else { return Ok(()) };
+        let extent = events.meta.extent;
+        if events.rows() != extent.rows() {
+            return Err(late_description(&format!("`effects.{id}` couples all pixels")));
+        }
+        let band = events.read(extent.rows())?;
+        let mut undo = std::mem::replace(&mut self.undo, Undo::new(Vec::new()));
+        let model: &Model = self;
+        let of_row = |y: u32| {
+            let row = band.row(y);
+            (0..row.len()).map(move |k| (Site { x: row.x[k].into(), y, width: extent.width, height: extent.height, seed: 0 }, model.event(&row, k)))
+        };
+        undo.inform(extent.rows().iter().flat_map(of_row));
+        self.undo = undo;
+        Ok(())
+    }
 }
 
 impl SolvePixel {
@@ -189,8 +223,9 @@ impl SolvePixel {
         let mut stated = SensorModel::of(sensor);
         stated.pixel.front_end = front_end;
         stated.pixel.refractory_ns = (refractory_s * 1e9).round() as i64;
-        let undo_rounds = self.params.undo_rounds();
-        let undo = if self.params.method == Method::Map && undo_rounds > 0 { undo(sensor)? } else { Undo::new(Vec::new()) };
+        let is_undone = self.params.method == Method::Map && self.params.undo_rounds != Some(0);
+        let undo = if is_undone { undo(sensor)? } else { Undo::new(Vec::new()) };
+        let undo_rounds = self.params.undo_rounds(undo.mixing().is_some());
         let frame_share = libm::hypot(self.params.frame_noise.unwrap_or(FRAME_NOISE), undo.chance.of_frames);
         Ok(Model {
             rule: StepRule::from_sensor(sensor, events, Stamp::Best, WHO)?,
@@ -259,7 +294,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 13,
+        revision: 14,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -295,34 +330,45 @@ params = { method = "map" }
     fn grain(&self, inputs: &PortMetas) -> Grain {
         // The rows of a block share an event pixel; the most probable light looks at whole blocks of rows.
         let lie = inputs.events("events").and_then(|events| CoLocated::new(events, inputs.frames("frames")?));
-        let blocks = if self.params.method == Method::Map { choice::HALO_ROWS } else { 0 };
-        let halo = blocks + lie.map_or(0, |lie| lie.ratio - 1);
+        let mut blocks = if self.params.method == Method::Map { choice::HALO_ROWS } else { 0 };
+        if let (Ok(lie), Ok(model)) = (&lie, inputs.events("events").and_then(|events| self.model(inputs.sensor("sensor")?, events))) {
+            if model.undo.couples().is_some() {
+                return Grain::Whole;
+            }
+            blocks = neighbours::halo(&model, *lie).unwrap_or(blocks);
+        }
+        let halo = blocks.saturating_add(lie.map_or(0, |lie| lie.ratio - 1));
         if halo > 0 { Grain::Row { halo } } else { Self::DECL.grain }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let meta = self.tracks_meta(&input.events.meta, &input.frames.meta)?;
-        let model = self.model(&input.sensor, &input.events.meta)?;
+        let mut model = self.model(&input.sensor, &input.events.meta)?;
+        model.inform(&input.events)?;
         if let Some(note) = self.not_modelled(&input.sensor, &model) {
             cx.note(note);
         }
         let rows = cx.rows();
-        cx.begin(rows.len() as u64, "rows");
         let colours = Colours::new(CoLocated::new(&input.events.meta, &input.frames.meta)?, &input.sensor)?;
         let (times, all) = (&input.frames.meta.times, meta.extent.rows());
         let at_hand = match self.params.method {
             Method::Paper => rows,
-            Method::Map => rows.with_halo(choice::HALO_ROWS, all),
+            Method::Map => rows.with_halo(neighbours::halo(&model, colours.lie).unwrap_or(choice::HALO_ROWS), all),
         };
+        if !input.events.rows().contains(colours.lie.event_rows(at_hand)) {
+            return Err(late_description("the description mixes the light of neighbouring pixels"));
+        }
         let events = colours.lie.read(&input.events, at_hand)?;
         let frames = input.frames.read_rows(at_hand.with_halo(colours.halo(), all))?;
         // To the solvers, every value of a row is a pixel.
         let wide = TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta.clone() };
         let recorded = Recorded { meta: &wide, times, colours: &colours, rows: at_hand, events: &events, frames: &frames };
+        let known = neighbours::known(&self.params, &model, &recorded, rows, cx)?;
         let settings = match self.params.method {
             Method::Paper => None,
-            Method::Map => Some(Settings::choose(&self.params, &model, &recorded, rows)?),
+            Method::Map => Some(Settings::choose(&self.params, &model, &recorded, rows, known.as_ref())?),
         };
+        cx.begin(rows.len() as u64, "rows");
         let solve_row = |(workspace, finer): &mut (paper::RowSolver, map::RowSolver), row: u32| -> Result<(TrackBand, MapBand), NodeError> {
             let (tracks, map) = match &settings {
                 None => {
@@ -330,7 +376,7 @@ params = { method = "map" }
                     let shares = colours.row(&model, &frames, row);
                     events.with_row(row, |events| workspace.row(&self.params, &model, &wide, row, events, &frames, &exposures, &shares))??
                 }
-                Some(settings) => finer.row(&model, settings.of(row), &recorded, row)?,
+                Some(settings) => finer.row(&model, settings.of(row), &recorded, row, known.as_ref())?,
             };
             cx.advance(1)?;
             Ok((tracks, of_pixels(map, &meta)))
@@ -341,6 +387,12 @@ params = { method = "map" }
         report(&map, self.params.plausible_range, cx);
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(meta.clone()), TrackBand::concat(tracks)), map: MapSet::in_memory(Arc::new(map_meta(meta.extent)), map) })
     }
+}
+
+/// A description that a node worked out is planned as the one that it was given: what reaches over rows may be in it only now.
+fn late_description(what: &str) -> NodeError {
+    NodeError::failed(format!("{what}, and that was not known when the recording was cut into row bands"))
+        .hint("write the description to a file and read it with read/sensor, or set `undo_rounds = 0`")
 }
 
 /// The effects of a description, to be undone; its clock offset is taken off with the stamps ([`StepRule`]).

@@ -2,6 +2,8 @@
 //!
 //! Every third frame is kept back, the light is estimated from what is left as `solve/pixel` does with the description, effects undone, and the kept frames are what the camera would
 //! read of it.
+//!
+//! Limit: the light of the sample's pixels alone is estimated, so effects that mix that of neighbours are not undone here.
 
 use crate::case::Case;
 use crate::nominal::Nominal;
@@ -11,7 +13,7 @@ use photocurrent_core::{NodeError, Sensor};
 use photocurrent_sensor::conditional::{Conditional, Look, Track, frame_values};
 use photocurrent_sensor::effects::from_description;
 use photocurrent_sensor::map::MapFrame;
-use photocurrent_sensor::undo::{Known, Memory, Undo};
+use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
 
 /// Of each three frames this one is kept back.
 const KEPT: usize = 1;
@@ -49,7 +51,11 @@ impl Prediction {
 /// When the description does not state what the model needs, or its effects are not understood.
 pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSetting) -> Result<Option<Prediction>, NodeError> {
     let nominal = case.described(sensor)?;
-    let undo = Undo::new(from_description(&sensor.effects).map_err(NodeError::usage)?);
+    let mut undo = Undo::new(from_description(&sensor.effects).map_err(NodeError::usage)?);
+    if undo.couples().is_some() {
+        let of_pixel = |pixel: usize| pixel_data(case, &nominal, setting, pixel).0.into_iter().map(move |event| (case.site(pixel, 0), event));
+        undo.inform((0..case.events.pixels()).flat_map(of_pixel));
+    }
     let Some(frames) = &case.frames else { return Ok(None) };
     let Some((rest, kept)) = kept_back(case) else { return Ok(None) };
     let scene = estimate(&rest, &nominal, &undo, sample, setting);
@@ -116,7 +122,9 @@ fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, settin
             let mut told = first(n);
             if scene.is_known[n] {
                 let (mut known, site) = (Known::default(), case.site(sample.pixels[n] as usize, 0));
-                undo.at_light(nominal, &site, scene.pixel(n), &recorded(n).0, &told.data.0, &mut known, &mut Memory::default());
+                let (t_ns, own) = scene.pixel(n);
+                let light = Estimate { t_ns, own, seen: None };
+                undo.at_light(nominal, &site, light, &recorded(n).0, &told.data.0, &mut known, &mut Memory::default());
                 (told.data.0, told.beyond) = (known.events, known.beyond);
             }
             told

@@ -282,12 +282,27 @@ fn times(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, seen: &[f6
 
 /// The value at an instant of what is linear between instants.
 pub fn at(t_ns: &[i64], values: &[f64], instant: i64) -> f64 {
-    let after = t_ns.partition_point(|&t| t <= instant);
+    between(t_ns, values, t_ns.partition_point(|&t| t <= instant), instant)
+}
+
+/// The same, where `after` is the first instant behind `instant`.
+fn between(t_ns: &[i64], values: &[f64], after: usize, instant: i64) -> f64 {
     match (after.checked_sub(1), t_ns.get(after)) {
         (None, _) => values[0],
         (Some(last), None) => values[last],
         (Some(k), Some(&next)) => values[k] + (values[after] - values[k]) * (instant - t_ns[k]) as f64 / (next - t_ns[k]) as f64,
     }
+}
+
+/// Appends the values at rising instants of what is linear between rising `t_ns`: [`at`] for each, in one pass.
+pub fn at_each(t_ns: &[i64], values: &[f64], instants: &[i64], out: &mut Vec<f64>) {
+    let mut after = 0;
+    out.extend(instants.iter().map(|&instant| {
+        while t_ns.get(after).is_some_and(|&t| t <= instant) {
+            after += 1;
+        }
+        between(t_ns, values, after, instant)
+    }));
 }
 
 /// The front end on its way through the light.

@@ -11,13 +11,20 @@
 //!
 //! What is drawn cannot be undone: measurements are believed that much less ([`Chance`]).
 //!
-//! Limits: effects that mix neighbours' light, and those that depend on the load of the whole array, are left out and named in [`Undo::left_out`]; an event that a
-//! sudden kick fires passed its threshold by an unknown part of the kick, and is taken as if it had met it.
+//! - Waits that depend on the load of the array: the recorded events of all pixels are the load ([`Undo::inform`]); before it is given, such effects stand in [`Undo::left_out`].
+//!
+//! - Photocurrent that neighbours mix in ([`crate::mixing`]): the voltage of the stated sensor follows the pixel's own estimate, that of the actual one what the event pixel sees of the
+//!   estimates of all ([`Estimate::seen`]). Each round multiplies what is wrong by what the kernel takes from the pixel itself, so a strong mixture of fine detail needs more rounds.
+//!
+//! Limits: effects of which everything is drawn, and kernels that act before and behind the logarithm at once, are left out and named in [`Undo::left_out`]; events that were lost are missing in the load;
+//! an event that a sudden kick fires passed its threshold by an unknown part of the kick, and is taken as if it had met it.
 
 use crate::conditional::{Conditional, Look, Track, at, conditional};
-use crate::effects::{Chance, Effect, FrontEndModel, PixelEvent, Reading, RowSite, Site};
+use crate::effects::{ArrayEvent, Chance, Effect, FrontEndModel, PixelEvent, Reading, RowSite, Site};
 use crate::elementary::exp;
+use crate::forward::neighbours::TwoDomains;
 use crate::map::{MapEvent, MapFrame};
+use crate::mixing::Mixing;
 use crate::model::Model;
 use photocurrent_core::Exposure;
 use photocurrent_core::random::Random;
@@ -33,6 +40,9 @@ const NEAR: f64 = 1e-10;
 /// A set of effects to be taken off.
 pub struct Undo {
     effects: Vec<Box<dyn Effect>>,
+    /// Effects that need the load of the array before they say anything.
+    coupled: Vec<Box<dyn Effect>>,
+    mixing: Option<Mixing>,
     /// Standard deviations that chance adds; `known` is empty.
     pub chance: Chance,
     /// Ids of effects about which nothing is done.
@@ -52,6 +62,17 @@ struct Undone {
     charge: f64,
 }
 
+/// An estimate of a pixel's log photocurrent at rising instants, linear between.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimate<'a> {
+    /// The instants, ns.
+    pub t_ns: &'a [i64],
+    /// Its own.
+    pub own: &'a [f64],
+    /// What its event pixel sees where neighbours mix in; none = its own.
+    pub seen: Option<&'a [f64]>,
+}
+
 /// What is known of a pixel's events once its light is known, about.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Known {
@@ -59,6 +80,9 @@ pub struct Known {
     pub events: Vec<MapEvent>,
     /// By how much each step is beyond its threshold ([`crate::map::MapProblem::beyond`]); empty = nothing.
     pub beyond: Vec<f64>,
+    /// Standard deviation over time of the pixel's own log photocurrent around what its event pixel sees, where neighbours mix in: without an event, the one may have moved so much
+    /// further than the other.
+    pub apart: f64,
 }
 
 /// Memory that is kept from pixel to pixel.
@@ -71,11 +95,17 @@ pub struct Memory {
 impl Undo {
     /// Of the effects of a description ([`crate::effects::from_description`]).
     pub fn new(effects: Vec<Box<dyn Effect>>) -> Undo {
-        let mut undo = Undo { effects: Vec::new(), chance: Chance::default(), left_out: Vec::new() };
+        let mut undo = Undo { effects: Vec::new(), coupled: Vec::new(), mixing: None, chance: Chance::default(), left_out: Vec::new() };
+        let mut mixing: Vec<Box<dyn Effect>> = Vec::new();
         let add = |sum: &mut f64, sigma: f64| *sum = libm::hypot(*sum, sigma);
         for effect in effects {
-            if effect.kernel().is_some() || effect.informed(&[]).is_some() {
+            if effect.kernel().is_some() {
+                mixing.push(effect);
+                continue;
+            }
+            if effect.informed(&[]).is_some() {
                 undo.left_out.push(effect.id());
+                undo.coupled.push(effect);
                 continue;
             }
             let Some(Chance { of_pixels, of_events, of_stamps_s, of_frames, known }) = effect.chance() else {
@@ -91,7 +121,41 @@ impl Undo {
             add(&mut undo.chance.of_frames, of_frames);
             undo.effects.extend(known);
         }
+        match Mixing::new(&mixing) {
+            Ok(joined) => undo.mixing = joined,
+            Err(TwoDomains) => undo.left_out.extend(mixing.iter().map(|effect| effect.id())),
+        }
+        // Ahead of the others, as in the chain: what else they do is asked like any other effect.
+        mixing.append(&mut undo.effects);
+        undo.effects = mixing;
         undo
+    }
+
+    /// How the photocurrent of neighbours is mixed where the effects do so; whoever solves gives it to [`Undo::at_light`], or it is ignored.
+    pub fn mixing(&self) -> Option<&Mixing> {
+        self.mixing.as_ref()
+    }
+
+    /// The id of an effect that needs [`Undo::inform`], if there is one.
+    pub fn couples(&self) -> Option<&'static str> {
+        self.coupled.first().map(|effect| effect.id())
+    }
+
+    /// Gives effects that depend on the load the events of the whole array, as recorded and in any order; from then on they are taken off as well. Does nothing the second time.
+    pub fn inform(&mut self, recorded: impl Iterator<Item = (Site, MapEvent)>) {
+        if self.coupled.is_empty() {
+            return;
+        }
+        let of = |(site, event): (Site, MapEvent)| {
+            let MapEvent { t_in_ns, t_off_ns, polarity, .. } = self.event(&site, &event);
+            ArrayEvent { x: site.x, y: site.y, event: PixelEvent { t_in_ns, t_off_ns, polarity } }
+        };
+        let mut load: Vec<ArrayEvent> = recorded.map(of).collect();
+        load.sort_unstable_by_key(|asked| (asked.event.t_off_ns, asked.event.t_in_ns, asked.y, asked.x));
+        for effect in std::mem::take(&mut self.coupled) {
+            self.left_out.retain(|id| *id != effect.id());
+            self.effects.push(effect.informed(&load).unwrap_or(effect));
+        }
     }
 
     /// The effects that are taken off: their known parts.
@@ -169,7 +233,7 @@ impl Undo {
         frames.retain(|frame| frame.start_ns < frame.end_ns);
     }
 
-    /// What the effects say of the events at an estimate of the light (log light at instants, linear between): when the stated front end would have fired them, which is earlier where theirs
+    /// What the effects say of the events at an estimate of the light: when the stated front end would have fired them, which is earlier where theirs
     /// is slower, and by how much each step is then beyond its threshold.
     ///
     /// `recorded` are the events with their stamps as recorded, `events` the same without effects ([`Undo::event`]); the new ones are in `known`.
@@ -177,7 +241,7 @@ impl Undo {
         &self,
         model: &Model,
         site: &Site,
-        (t_ns, log_light): (&[i64], &[f64]),
+        light: Estimate<'_>,
         recorded: &[MapEvent],
         events: &[MapEvent],
         known: &mut Known,
@@ -186,6 +250,8 @@ impl Undo {
         known.beyond.clear();
         known.events.clear();
         known.events.extend_from_slice(events);
+        let Estimate { t_ns, own, seen } = light;
+        known.apart = seen.map_or(0.0, |seen| apart(own, seen));
         if events.is_empty() || t_ns.is_empty() {
             return;
         }
@@ -194,11 +260,13 @@ impl Undo {
         let stated = model.pixel.front_end;
         let mut before_ns = i64::MIN;
         for event in &mut known.events {
-            let per_light = exp(-at(t_ns, log_light, event.t_in_ns));
+            let per_light = exp(-at(t_ns, own, event.t_in_ns));
+            let per_seen = seen.map_or(per_light, |seen| exp(-at(t_ns, seen, event.t_in_ns)));
             let (first, second) = (front_end.low_pass, front_end.second_pole);
             let slower_s = first.tau_0_s - stated.tau_0_s
                 + (first.alpha_s - stated.alpha_s) * per_light
-                + second.map_or(0.0, |pole| pole.tau_s + pole.tau_light_s * per_light);
+                + first.alpha_s * (per_seen - per_light)
+                + second.map_or(0.0, |pole| pole.tau_s + pole.tau_light_s * per_seen);
             let slower_ns = (slower_s * 1e9).round() as i64;
             // In the order in which they came.
             let moved_ns = i64::max(event.t_in_ns - slower_ns, before_ns);
@@ -206,16 +274,26 @@ impl Undo {
             event.t_in_ns = moved_ns;
             before_ns = moved_ns + 1;
         }
-        let track = Track::new(t_ns, log_light, STEP_NS);
+        let track = Track::new(t_ns, own, STEP_NS);
+        // To the event path, what it sees is the light.
+        let mixed = seen.map(|seen| Track::new(t_ns, seen, STEP_NS));
         let Memory { with, without } = memory;
-        let look = Look { site: *site, track: &track, seen: None, events: recorded, frames: &[] };
+        let look = Look { site: *site, track: mixed.as_ref().unwrap_or(&track), seen: None, events: recorded, frames: &[] };
         conditional(model, &self.effects, &look, with);
-        conditional(model, &[], &Look { events: &known.events, ..look }, without);
+        conditional(model, &[], &Look { track: &track, events: &known.events, ..look }, without);
         known.beyond.extend((0..events.len()).map(|k| {
             let by = without.excess[k] - with.excess[k];
             if with.is_armed[k] && without.is_armed[k] && by.abs() < FURTHEST { by } else { 0.0 }
         }));
     }
+}
+
+/// Standard deviation of the differences.
+fn apart(own: &[f64], seen: &[f64]) -> f64 {
+    let count = own.len() as f64;
+    let mean = own.iter().zip(seen).map(|(own, seen)| own - seen).sum::<f64>() / count;
+    let square = own.iter().zip(seen).map(|(own, seen)| (own - seen - mean) * (own - seen - mean)).sum::<f64>();
+    libm::sqrt(square / count)
 }
 
 #[cfg(test)]

@@ -89,7 +89,7 @@ fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<MapEvent>, Vec<f64>),
         let at = |t: i64| crate::conditional::at(&light.0, &light.1, t) - log_light(t);
         let squares: Vec<f64> = (20 * 20..220 * 20).map(|n| at(n * MS / 20)).map(|off| off * off).collect();
         rms = libm::sqrt(squares.iter().sum::<f64>() / squares.len() as f64);
-        undo.at_light(model, &SITE, (&light.0, &light.1), recorded, &events, &mut known, &mut memory);
+        undo.at_light(model, &SITE, Estimate { t_ns: &light.0, own: &light.1, seen: None }, recorded, &events, &mut known, &mut memory);
     }
     rms
 }
@@ -153,13 +153,45 @@ fn what_is_drawn_widens_and_what_mixes_neighbours_is_named() {
         "threshold_mismatch": {"sigma": 0.03}, "threshold_noise": {"sigma": 0.04}, "timestamp_jitter": {"sigma": "30 us"},
         "row_skew": {"per_row": "5 us", "sigma": "40 us"}, "blur": {"sigma": 0.7}, "readout_queue": {"service": "1 us"}, "event_loss": {"fraction": 0.1},
     })));
-    assert_eq!(undo.left_out, ["blur", "readout_queue", "event_loss"]);
+    assert_eq!((undo.left_out.as_slice(), undo.couples(), undo.mixing().is_some()), (["readout_queue", "event_loss"].as_slice(), Some("readout_queue"), true));
+    let both = Undo::new(effects(json!({"crosstalk": {"fraction": 0.1}, "lateral_inhibition": {"fraction": 0.1}})));
+    assert_eq!((both.left_out.as_slice(), both.mixing()), (["crosstalk", "lateral_inhibition"].as_slice(), None));
     let chance = &undo.chance;
     assert_eq!((chance.of_pixels, chance.of_events), (0.03, 0.04));
     assert!((chance.of_stamps_s - 50e-6).abs() < 1e-12);
     // The known part of the skew: 10 rows of 5 us.
     let event = MapEvent { t_in_ns: MS, t_off_ns: MS + 20_000, polarity: 1, is_lone: false };
     assert_eq!(undo.event(&SITE, &event), MapEvent { t_in_ns: MS - 50_000, t_off_ns: MS - 30_000, ..event });
+}
+
+#[test]
+fn waits_follow_from_the_load_without_what_effects_did_to_its_stamps() {
+    let mut undo = Undo::new(effects(json!({"readout_queue": {"service": "100 us"}, "row_skew": {"per_row": "60 us"}})));
+    // Rows 0 to 2 fire at once and are recorded 60 us after each other.
+    let event = |y: u32| {
+        (Site { y, ..SITE }, MapEvent { t_in_ns: MS + 60_000 * i64::from(y), t_off_ns: MS + 60_000 * i64::from(y) + 5_000, polarity: 1, is_lone: false })
+    };
+    let off_ns = |undo: &Undo| [0, 1, 2].map(|y| undo.event(&event(y).0, &event(y).1).t_off_ns - MS);
+    assert_eq!(off_ns(&undo), [5_000; 3]);
+    undo.inform((0..3).map(event));
+    assert_eq!(off_ns(&undo), [5_000, 105_000, 205_000]);
+    assert_eq!((undo.couples(), undo.left_out.len()), (None, 0));
+}
+
+#[test]
+fn what_the_event_pixel_sees_beyond_the_pixels_own_light_is_known_of_its_steps() {
+    let (model, undo) = (model(), Undo::new(effects(json!({"lateral_inhibition": {"fraction": 0.25}}))));
+    let t_ns: Vec<i64> = (0..=400).map(|n| n * MS / 4).collect();
+    let own: Vec<f64> = (0..=400).map(|n| 6.0 + 0.004 * f64::from(n)).collect();
+    // Neighbours that change alike leave three quarters of a change.
+    let seen: Vec<f64> = own.iter().map(|u| 0.75 * u).collect();
+    let events: Vec<MapEvent> = (1..10).map(|k| MapEvent { t_in_ns: 8 * k * MS, t_off_ns: 8 * k * MS + 5_000, polarity: 1, is_lone: false }).collect();
+    let (mut known, mut memory) = (Known::default(), Memory::default());
+    undo.at_light(&model, &SITE, Estimate { t_ns: &t_ns, own: &own, seen: Some(&seen) }, &events, &events, &mut known, &mut memory);
+    // 8 ms are 0.128 of its own, of which a quarter is missing; blind for 25 us of them, and slower where it is dark.
+    assert!(known.beyond[1..].iter().all(|beyond| (beyond - 0.25 * 0.128).abs() < 1e-3), "{:?}", known.beyond);
+    // A ramp by 1.6, of which a quarter is missing, has a standard deviation of its length over the root of 12.
+    assert!((known.apart - 0.25 * 1.6 / libm::sqrt(12.0)).abs() < 1e-3, "{}", known.apart);
 }
 
 #[test]

@@ -5,16 +5,18 @@
 //! the choice rests on many and costs less than the solution.
 
 use super::map::{RowSetting, known, problem, with_known};
+use super::neighbours::KnownOfRows;
 use super::row::{Recorded, RowData};
 use super::{MAP_STEPS, Model, Params};
 use photocurrent_core::{NodeError, Rows};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, estimate, frame_noise};
+use photocurrent_sensor::undo::Known;
 use rayon::prelude::*;
 
 /// Rows of a block.
-const BLOCK_ROWS: u32 = 16;
+pub(super) const BLOCK_ROWS: u32 = 16;
 /// So many rows around a band are read: the rest of its blocks, and one more for neighbours.
 pub(crate) const HALO_ROWS: u32 = BLOCK_ROWS;
 /// So many pixels of a block are looked at, at least.
@@ -27,13 +29,18 @@ pub(crate) struct Settings {
 }
 
 impl Settings {
-    /// Chooses the settings of `rows`. What is at hand includes their blocks.
-    pub fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -> Result<Settings, NodeError> {
+    /// Some rows and the rest of their blocks.
+    pub fn blocks_of(rows: Rows, all: Rows) -> Rows {
+        Rows { start: rows.start / BLOCK_ROWS * BLOCK_ROWS, end: rows.end.next_multiple_of(BLOCK_ROWS) }.intersect(all)
+    }
+
+    /// Chooses the settings of `rows`, with what is known of their events from neighbours, if that is the case. What is at hand includes their blocks.
+    pub fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, given: Option<&KnownOfRows>) -> Result<Settings, NodeError> {
         let first_block = rows.start / BLOCK_ROWS;
         let blocks = first_block..rows.end.div_ceil(BLOCK_ROWS).max(first_block);
         let of_block = |block: u32| {
             let rows = Rows { start: block * BLOCK_ROWS, end: (block + 1) * BLOCK_ROWS }.intersect(recorded.meta.extent.rows());
-            choose(params, model, recorded, rows)
+            choose(params, model, recorded, rows, given)
         };
         let of_blocks: Result<Vec<RowSetting>, NodeError> = blocks.into_par_iter().map(of_block).collect();
         Ok(Settings { first_block, of_blocks: of_blocks? })
@@ -45,13 +52,14 @@ impl Settings {
     }
 }
 
-fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -> Result<RowSetting, NodeError> {
+fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, given: Option<&KnownOfRows>) -> Result<RowSetting, NodeError> {
     let per_row = SAMPLED_PIXELS.div_ceil(rows.len());
     let mut data = RowData::default();
     let mut differences = Vec::new();
     let mut possible = 0;
     let mut sample: Vec<(Vec<MapEvent>, Vec<MapFrame>)> = Vec::new();
     let mut recorded_events: Vec<(Site, Vec<MapEvent>)> = Vec::new();
+    let mut given_of: Vec<Known> = Vec::new();
     for row in rows.iter() {
         data.take(model, recorded, row, 0.0)?;
         let mut active = Vec::new();
@@ -72,6 +80,7 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
             sample.push((data.events_of(x).to_vec(), data.frames_of(x).to_vec()));
             let (site, events) = data.recorded_of(x);
             recorded_events.push((site, events.to_vec()));
+            given_of.extend(given.map(|given| given.of(row)[x].clone()));
         }
     }
     let span = (recorded.meta.span.start.0, recorded.meta.span.end.0);
@@ -85,7 +94,7 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows) -
     let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, Noise::default())).collect();
     let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options }).collect();
     let looks: Vec<(Site, &[MapEvent])> = recorded_events.iter().map(|(site, events)| (*site, events.as_slice())).collect();
-    let known = known(model, &tasks, &looks, &mut group);
+    let known = if given.is_some() { given_of } else { known(model, &tasks, &looks, &mut group) };
     let problems: Vec<_> = with_known(&tasks, &known).into_iter().map(|task| task.problem).collect();
     // Or pixels that have lost events would choose for all.
     let lost = losses_of(&problems, &options, &mut group);

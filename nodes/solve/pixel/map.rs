@@ -1,5 +1,6 @@
 //! `method = "map"`: a row of pixels cut out of the recording, and their most probable light put together.
 
+use super::neighbours::KnownOfRows;
 use super::plausible::Plausible;
 use super::row::{Recorded, RowData};
 use super::{Model, Status, map_meta, planes};
@@ -9,7 +10,7 @@ use photocurrent_sensor::map::estimate::Miss;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, estimate};
 use photocurrent_sensor::residuals::Misfit;
-use photocurrent_sensor::undo::{Known, Memory};
+use photocurrent_sensor::undo::{Estimate, Known, Memory};
 
 /// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
 pub(super) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
@@ -63,21 +64,83 @@ pub(crate) struct RowSetting {
 pub(crate) struct RowSolver {
     group: MapGroup,
     data: RowData,
+    /// What is known of the events of every pixel of the row that was taken in; empty = to be worked out from each alone.
+    given: Vec<Known>,
     /// Knots of the pixels of the row with their standard deviations, in the order in which they were solved, and where each pixel's stand.
     knots: Vec<(i64, f32, f32)>,
     knots_of: Vec<std::ops::Range<usize>>,
 }
 
+/// Estimates of the pixels of a row.
+#[derive(Default)]
+pub(crate) struct RowLight {
+    t_ns: Vec<i64>,
+    log: Vec<f64>,
+    of: Vec<std::ops::Range<usize>>,
+    failed: Vec<bool>,
+}
+
+impl RowLight {
+    /// Of pixel x: log photocurrent at instants, linear between; empty where it has no frame.
+    pub fn of(&self, x: usize) -> (&[i64], &[f64]) {
+        (&self.t_ns[self.of[x].clone()], &self.log[self.of[x].clone()])
+    }
+
+    /// Is it the double-integral estimate?
+    pub fn has_failed(&self, x: usize) -> bool {
+        self.failed[x]
+    }
+}
+
 impl RowSolver {
-    /// Takes in a row and solves it.
-    pub fn row(&mut self, model: &Model, setting: &RowSetting, recorded: &Recorded<'_>, row: u32) -> Result<(TrackBand, MapBand), NodeError> {
+    /// Takes in a row and solves it, with what is known of its events from neighbours, if that is the case.
+    pub fn row(
+        &mut self,
+        model: &Model,
+        setting: &RowSetting,
+        recorded: &Recorded<'_>,
+        row: u32,
+        given: Option<&KnownOfRows>,
+    ) -> Result<(TrackBand, MapBand), NodeError> {
         self.take(model, setting, recorded, row)?;
+        if let Some(given) = given {
+            self.give(given.of(row).to_vec());
+        }
         Ok(self.solve(model, setting, recorded.meta, row, None))
     }
 
     /// Takes in a row.
     pub fn take(&mut self, model: &Model, setting: &RowSetting, recorded: &Recorded<'_>, row: u32) -> Result<(), NodeError> {
+        self.given.clear();
         self.data.take(model, recorded, row, setting.frame_dn)
+    }
+
+    /// What is known of the events of every pixel of the row that was taken in.
+    pub fn give(&mut self, known: Vec<Known>) {
+        self.given = known;
+    }
+
+    /// Estimates of the pixels of the row that was taken in, without more than what was given.
+    pub fn light(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta) -> RowLight {
+        let width = meta.extent.width as usize;
+        let RowSolver { group, data, given, knots, .. } = self;
+        let lit: Vec<usize> = (0..width).filter(|&x| !data.frames_of(x).is_empty()).collect();
+        let setting = RowSetting { options: MapOptions { with_sigma: false, ..setting.options }, ..*setting };
+        let tasks: Vec<MapTask<'_>> = lit.iter().map(|&x| task(model, &setting, data, x, &[])).collect();
+        let known: Vec<Known> = if given.is_empty() { Vec::new() } else { lit.iter().map(|&x| given[x].clone()).collect() };
+        let mut light = RowLight { of: vec![0..0; width], failed: vec![false; width], ..RowLight::default() };
+        group.solve(&with_known(&tasks, &known), |n, solution| {
+            let ratio = data.light_ratio(lit[n]);
+            knots.clear();
+            thin(&solution, ratio, 1.0, data.plausible(lit[n]), knots);
+            let begin = light.t_ns.len();
+            light.t_ns.extend(knots.iter().map(|(t, _, _)| t));
+            // As it was posed: in the photocurrent of the event pixel.
+            light.log.extend(knots.iter().map(|(_, i, _)| libm::log(f64::max(f64::from(*i) / ratio, f64::MIN_POSITIVE))));
+            light.of[lit[n]] = begin..light.t_ns.len();
+            light.failed[lit[n]] = solution.status == MapStatus::Failed;
+        });
+        light
     }
 
     /// What was taken in.
@@ -87,11 +150,11 @@ impl RowSolver {
 
     /// Solves the row that was taken in, with what is known from elsewhere for each of its pixels.
     pub fn solve(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta, row: u32, hints: Option<&[Vec<Hint>]>) -> (TrackBand, MapBand) {
-        let RowSetting { span, noise, options, sigma_factor, .. } = *setting;
+        let RowSetting { options, sigma_factor, .. } = *setting;
         let width = meta.extent.width as usize;
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
-        let RowSolver { group, data, knots, knots_of } = self;
+        let RowSolver { group, data, given, knots, knots_of } = self;
         // As it stays where a pixel has no frame.
         for (plane, value) in planes(Status::NoFrame, 0, 0.0, &Misfit::default(), 0.0).into_iter().enumerate() {
             map.row_mut(plane, row).fill(value);
@@ -100,17 +163,9 @@ impl RowSolver {
         knots_of.clear();
         knots_of.resize(width, 0..0);
         let lit: Vec<usize> = (0..width).filter(|&x| !data.frames_of(x).is_empty()).collect();
-        let task = |&x: &usize| {
-            let unrest = data.unrest(x);
-            let off = |sigma: f64, unit: f64| if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma };
-            let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
-            let problem = problem(model, data.events_of(x), data.frames_of(x), span, noise);
-            let hints = hints.map_or(&[] as &[Hint], |hints| hints[x].as_slice());
-            MapTask { problem: MapProblem { hints, silence_sigma: off(problem.silence_sigma, 1.0), ..problem }, options }
-        };
-        let tasks: Vec<MapTask<'_>> = lit.iter().map(task).collect();
-        let recorded: Vec<(Site, &[MapEvent])> = lit.iter().map(|&x| data.recorded_of(x)).collect();
-        let known = known(model, &tasks, &recorded, group);
+        let hints_of = |x: usize| hints.map_or(&[] as &[Hint], |hints| hints[x].as_slice());
+        let tasks: Vec<MapTask<'_>> = lit.iter().map(|&x| task(model, setting, data, x, hints_of(x))).collect();
+        let known = known_of(model, &tasks, &lit, data, given, group);
         let tasks = with_known(&tasks, &known);
         let mut plain = vec![Plain::default(); tasks.len()];
         let mut put = |n: usize, solution: &MapSolution<'_>| {
@@ -156,10 +211,10 @@ impl RowSolver {
     /// How badly hints, one set after the other, and its other measurements foretell the frames of a pixel that are kept back
     /// ([`estimate::prediction_errors`]).
     pub fn prediction_errors(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Vec<Hint>]) -> Vec<f64> {
-        let RowSolver { group, data, .. } = self;
+        let RowSolver { group, data, given, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
         let task = [MapTask { problem, options: setting.options }];
-        let known = known(model, &task, &[data.recorded_of(x)], group);
+        let known = known_of(model, &task, &[x], data, given, group);
         let problem = with_known(&task, &known)[0].problem;
         let problems: Vec<MapProblem<'_>> = hints.iter().map(|hints| MapProblem { hints, ..problem }).collect();
         estimate::prediction_errors(&problems, &setting.options, group)
@@ -167,12 +222,32 @@ impl RowSolver {
 
     /// How the frames of a pixel that are kept back are missed by hints and its other measurements ([`estimate::misses`]).
     pub fn misses(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> Vec<Miss> {
-        let RowSolver { group, data, .. } = self;
+        let RowSolver { group, data, given, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
         let task = [MapTask { problem, options: setting.options }];
-        let known = known(model, &task, &[data.recorded_of(x)], group);
+        let known = known_of(model, &task, &[x], data, given, group);
         estimate::misses(&[MapProblem { hints, ..with_known(&task, &known)[0].problem }], &setting.options, group)
     }
+}
+
+/// The problem of pixel x of a row.
+fn task<'a>(model: &Model, setting: &RowSetting, data: &'a RowData, x: usize, hints: &'a [Hint]) -> MapTask<'a> {
+    let RowSetting { span, noise, options, .. } = *setting;
+    let unrest = data.unrest(x);
+    let off = |sigma: f64, unit: f64| if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma };
+    let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
+    let problem = problem(model, data.events_of(x), data.frames_of(x), span, noise);
+    let silence_sigma = if data.has_event_pixel(x) { off(problem.silence_sigma, 1.0) } else { 0.0 };
+    MapTask { problem: MapProblem { hints, silence_sigma, ..problem }, options }
+}
+
+/// What was given of the events of pixels `lit` of a row, or what each alone says.
+fn known_of(model: &Model, tasks: &[MapTask<'_>], lit: &[usize], data: &RowData, given: &[Known], group: &mut MapGroup) -> Vec<Known> {
+    if !given.is_empty() {
+        return lit.iter().map(|&x| given[x].clone()).collect();
+    }
+    let recorded: Vec<(Site, &[MapEvent])> = lit.iter().map(|&x| data.recorded_of(x)).collect();
+    known(model, tasks, &recorded, group)
 }
 
 /// What effects did to the events of each problem ([`photocurrent_sensor::undo::Undo::at_light`]), at the light that solves it: found in rounds, each with what the one before found.
@@ -181,7 +256,7 @@ pub(super) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[M
     if model.undo.is_none() {
         return Vec::new();
     }
-    let of = |task: &MapTask<'_>| Known { events: task.problem.events.to_vec(), beyond: Vec::new() };
+    let of = |task: &MapTask<'_>| Known { events: task.problem.events.to_vec(), ..Known::default() };
     let mut known: Vec<Known> = tasks.iter().map(of).collect();
     let mut memory = Memory::default();
     for _ in 0..model.undo_rounds {
@@ -190,7 +265,7 @@ pub(super) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[M
         now.iter_mut().for_each(|task| task.options.with_sigma = false);
         group.solve(&now, |n, solution| {
             let (site, recorded) = recorded[n];
-            let light = (solution.t_ns, solution.log_photocurrent);
+            let light = Estimate { t_ns: solution.t_ns, own: solution.log_photocurrent, seen: None };
             if solution.status != MapStatus::Failed {
                 model.undo.at_light(&model.sensor, &site, light, recorded, tasks[n].problem.events, &mut next[n], &mut memory);
             }
@@ -203,7 +278,13 @@ pub(super) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[M
 /// The problems with what is known of their events.
 pub(super) fn with_known<'a>(tasks: &[MapTask<'a>], known: &'a [Known]) -> Vec<MapTask<'a>> {
     let of = |(n, task): (usize, &MapTask<'a>)| {
-        let problem = known.get(n).map_or(task.problem, |known| MapProblem { events: &known.events, beyond: &known.beyond, ..task.problem });
+        let problem = known.get(n).map_or(task.problem, |known| {
+            let silence_sigma = match task.problem.silence_sigma {
+                sigma if sigma > 0.0 && known.apart > 0.0 => libm::hypot(sigma, known.apart),
+                sigma => sigma,
+            };
+            MapProblem { events: &known.events, beyond: &known.beyond, silence_sigma, ..task.problem }
+        });
         MapTask { problem, ..*task }
     };
     tasks.iter().enumerate().map(of).collect()

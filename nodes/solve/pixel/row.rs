@@ -24,7 +24,7 @@ pub(crate) struct Recorded<'a> {
     pub frames: &'a FrameBlock,
 }
 
-/// The measurements of a row, pixel by pixel; kept from row to row for its memory.
+/// The measurements of a row, pixel by pixel: frame values, and the events of the event pixels that see it. Kept from row to row for its memory.
 #[derive(Default)]
 pub(crate) struct RowData {
     events: Events,
@@ -41,6 +41,9 @@ pub(crate) struct RowData {
     /// How much that changes, all in all: natural-log units squared.
     unrest: Vec<f64>,
     places: Places,
+    /// Those of the row of events that see this one, and the column there of value x: x plus this.
+    event_places: Places,
+    event_column: i64,
 }
 
 /// Where the values of a row are.
@@ -58,6 +61,11 @@ impl Places {
         let CoLocated { ratio, colour } = recorded.colours.lie;
         let extent = recorded.meta.extent;
         Places { row, values: extent.width, height: extent.height, channels: colour.channels(), ratio }
+    }
+
+    /// Values on an event pixel, side by side.
+    fn copies(&self) -> u32 {
+        self.ratio * self.channels
     }
 
     /// The pixel of value x.
@@ -81,10 +89,14 @@ impl RowData {
         let rows = recorded.rows;
         let width = recorded.meta.extent.width;
         self.places = Places::new(recorded, row);
-        self.events.take(model, recorded.events, &self.places)?;
-        for (events, row) in [(&mut self.above, row.checked_sub(1)), (&mut self.below, row.checked_add(1))] {
-            match row.filter(|row| rows.start <= *row && *row < rows.end) {
-                Some(row) => events.take(model, recorded.events, &Places::new(recorded, row))?,
+        // Where effects shift what the events see, those of another row belong to this one.
+        let (right, down) = model.undo.mixing().map_or((0, 0), |mixing| (mixing.columns_right(), mixing.rows_down()));
+        let event_row = i64::from(row) + i64::from(down) * i64::from(self.places.ratio);
+        self.event_column = i64::from(right) * i64::from(self.places.copies());
+        self.event_places = Places { row: u32::try_from(event_row).unwrap_or(u32::MAX), ..self.places };
+        for (events, row) in [(&mut self.events, event_row), (&mut self.above, event_row - 1), (&mut self.below, event_row + 1)] {
+            match u32::try_from(row).ok().filter(|row| rows.start <= *row && *row < rows.end) {
+                Some(row) => events.take(model, recorded.events, &Places { row, ..self.places })?,
                 None => events.clear(),
             }
         }
@@ -116,16 +128,34 @@ impl RowData {
         self.light_ratio.len()
     }
 
+    /// Which column of the events sees pixel x; none where it would lie beyond the array.
+    fn event_column(&self, x: usize) -> Option<usize> {
+        let column = usize::try_from(x as i64 + self.event_column).ok()?;
+        (column + 1 < self.events.first.len()).then_some(column)
+    }
+
+    /// Does an event pixel see pixel x? Else no event says nothing.
+    pub fn has_event_pixel(&self, x: usize) -> bool {
+        self.event_column(x).is_some()
+    }
+
     /// The events of pixel x, in order of in-pixel time.
     pub fn events_of(&self, x: usize) -> &[MapEvent] {
-        self.events.of(x)
+        self.event_column(x).map_or(&[], |column| self.events.of(column))
     }
 
     /// Where the event pixel of value x is, and its events as recorded, in the order of [`RowData::events_of`].
     pub fn recorded_of(&self, x: usize) -> (Site, &[MapEvent]) {
-        let range = self.events.first.get(x).copied().unwrap_or(0)..self.events.first.get(x + 1).copied().unwrap_or(0);
+        let Some(column) = self.event_column(x) else { return (self.places.event(x), &[]) };
+        let range = self.events.first[column]..self.events.first[column + 1];
         let recorded = self.events.recorded.get(range.clone()).unwrap_or(&self.events.all[range]);
-        (self.places.event(x), recorded)
+        (self.event_places.event(column), recorded)
+    }
+
+    /// Value and row of what lies in the event pixel of that column and row where value x lies in its own.
+    pub fn same_place(&self, x: usize, (column, row): (u32, u32)) -> (usize, u32) {
+        let (copies, ratio) = (self.places.copies(), self.places.ratio);
+        (column as usize * copies as usize + x % copies as usize, row * ratio + self.places.row % ratio)
     }
 
     /// The frame values of pixel x.
@@ -134,7 +164,8 @@ impl RowData {
     }
 
     fn mark_lone(&mut self, width: usize) {
-        for x in 0..width {
+        let columns = if self.events.first.is_empty() { 0 } else { width };
+        for x in 0..columns {
             for k in self.events.first[x]..self.events.first[x + 1] {
                 let event = self.events.all[k];
                 let columns = x.saturating_sub(1)..usize::min(x + 2, width);
@@ -204,11 +235,7 @@ impl Events {
             for x in 0..places.values as usize {
                 let begin = self.all.len();
                 self.first.push(begin);
-                self.all.extend(index.pixel(x).iter().map(|&k| {
-                    let t_in_ns = model.rule.time(&events, k);
-                    let t_off_ns = i64::max(events.t[k] - model.clock_offset_ns, t_in_ns);
-                    MapEvent { t_in_ns, t_off_ns, polarity: if events.on[k] == 1 { 1 } else { -1 }, is_lone: false }
-                }));
+                self.all.extend(index.pixel(x).iter().map(|&k| model.event(&events, k)));
                 self.all[begin..].sort_by_key(|event| event.t_in_ns);
                 if !model.undo.is_none() {
                     let site = places.event(x);

@@ -124,12 +124,12 @@ fn a_description_that_states_its_effects_gives_better_light_and_better_frames() 
 
 #[test]
 fn what_cannot_be_undone_is_named_and_without_rounds_nothing_is() {
-    let described = sensor("blur = { sigma = 0.7 }\nleak_events = { rate = \"1 Hz\" }\nthreshold_mismatch = { sigma = 0.02 }");
+    let described = sensor("event_loss = { fraction = 0.1 }\nleak_events = { rate = \"1 Hz\" }\nthreshold_mismatch = { sigma = 0.02 }");
     let note = |params: Params| {
         let node = SolvePixel { params };
         let meta = EventsMeta { extent: EXTENT, span: None, has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
         node.not_modelled(&described, &node.model(&described, &meta).unwrap()).unwrap()
     };
-    assert!(note(Params::default()).ends_with("not modelled here: effects.blur"));
-    assert!(note(Params { undo_rounds: Some(0), ..Params::default() }).ends_with("effects.blur, effects.leak_events, effects.threshold_mismatch"));
+    assert!(note(Params::default()).ends_with("not modelled here: effects.event_loss"));
+    assert!(note(Params { undo_rounds: Some(0), ..Params::default() }).ends_with("effects.event_loss, effects.leak_events, effects.threshold_mismatch"));
 }

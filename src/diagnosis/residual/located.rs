@@ -41,6 +41,8 @@ pub struct LocatedSetting {
     pub displaces: f64,
     /// And at least this share of the squares: that much an effect that is everywhere varies by chance of the scene.
     pub least_displacing: f64,
+    /// And where its lowest bin gains less than this share of what its highest gains.
+    pub uneven: f64,
     /// A curve rises or falls where a straight line over its bins explains this share of it.
     pub straight: f64,
     /// Least side of the map's cells, pixels.
@@ -63,6 +65,7 @@ impl Default for LocatedSetting {
             least_explained: 0.02,
             displaces: 2.0,
             least_displacing: 0.3,
+            uneven: 0.5,
             straight: 0.5,
             cell: 4,
             cell_events: 12,
@@ -418,11 +421,28 @@ impl<'a> Ground<'a> {
         let is_own = |covariate: Covariate| own.split('*').any(|factor| factor == covariate.name() || (factor == "dn" && covariate == Covariate::Photocurrent));
         let own_curve = best_of(&is_own);
         let by_own = own_curve.map_or(0.0, |n| explained[n]);
-        let displaces = |n: &usize| explained[*n] >= self.setting.least_displacing && explained[*n] > self.setting.displaces * by_own;
+        // Where every event gains about as much, what little it varies by says nothing of the effect.
+        let displaces = |n: &usize| {
+            explained[*n] >= self.setting.least_displacing && explained[*n] > self.setting.displaces * by_own && self.is_uneven(gains, &self.bins[*n].1)
+        };
         match best_of(&|_| true).filter(displaces) {
             Some(other) => (self.bins[other].0.name().to_owned(), Some(other)),
             None => (own.to_owned(), own_curve),
         }
+    }
+
+    /// Does some bin gain less than a share ([`LocatedSetting::uneven`]) of what the best one gains, per event?
+    fn is_uneven(&self, gains: &[f64], bins: &Bins) -> bool {
+        let mut sums = vec![(0.0, 0.0); bins.at.len()];
+        for (gain, bin) in gains.iter().zip(&bins.of) {
+            if let Some(bin) = bin {
+                let sum = &mut sums[*bin as usize];
+                *sum = (sum.0 + gain, sum.1 + 1.0);
+            }
+        }
+        let means = sums.iter().filter(|sum| sum.1 > 0.0).map(|sum| sum.0 / sum.1);
+        let (least, most) = means.fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), mean| (f64::min(least, mean), f64::max(most, mean)));
+        least < self.setting.uneven * most
     }
 
     /// Share of the squares of gains that a mean for each bin explains, on the half of the blocks that the means are not from; 0 where it is not significant.

@@ -31,9 +31,9 @@ use crate::scene::{SceneSetting, pixel_data};
 use light::Light;
 use photocurrent_core::{Exposure, Timestamp};
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional, frame_values};
-use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
+use photocurrent_sensor::effects::{Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
-use photocurrent_sensor::forward::neighbours::stand_in;
+use photocurrent_sensor::forward::neighbours::{mixed_log, stand_in};
 use photocurrent_sensor::map::MapEvent;
 use prepared::Prepared;
 use rayon::prelude::*;
@@ -226,23 +226,14 @@ impl View<'_> {
     fn mixed(&self, kernel: &Kernel, prepared: &Prepared, pixel: usize, instants: &[i64]) -> Vec<f64> {
         let (x, y) = self.case.place(pixel);
         let (width, height) = (self.case.extent.width as usize, self.case.extent.height as usize);
-        let mut sum = vec![0.0; self.light.count];
-        for tap in &kernel.taps {
+        mixed_log(kernel, self.light.count, |tap, out| {
             let neighbour = stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
             let neighbour = if self.light.log[neighbour].is_empty() { pixel } else { neighbour };
             let log: Vec<f64> = self.light.log[neighbour].iter().map(|u| f64::from(*u)).collect();
             let site = self.case.site(neighbour, 0);
             let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, instants, &log) };
-            let log = changed.map_or(log, |(_, log)| log);
-            match kernel.domain {
-                Domain::Log => sum.iter_mut().zip(&log).for_each(|(sum, u)| *sum += tap.weight * u),
-                Domain::Linear => sum.iter_mut().zip(&log).for_each(|(sum, u)| *sum += tap.weight * exp(*u)),
-            }
-        }
-        if kernel.domain == Domain::Linear {
-            sum.iter_mut().for_each(|sum| *sum = ln(f64::max(*sum, f64::MIN_POSITIVE)));
-        }
-        sum
+            out.extend(changed.map_or(log, |(_, log)| log));
+        })
     }
 }
 

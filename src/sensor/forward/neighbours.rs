@@ -4,6 +4,7 @@
 //! gives the values of the whole array when it carries [`halo`] rows more on each inner side.
 
 use crate::effects::{Domain, Effect, Kernel, Tap};
+use crate::elementary::{exp, ln};
 
 /// How many pixels away the light of the event path may come from.
 pub fn halo(effects: &[Box<dyn Effect>]) -> u32 {
@@ -63,6 +64,23 @@ pub fn mixed(kernel: &Kernel, light: impl Fn(&Tap) -> f64) -> f64 {
         Domain::Linear => kernel.taps.iter().map(|tap| tap.weight * light(tap)).sum(),
         Domain::Log => libm::exp(kernel.taps.iter().map(|tap| tap.weight * libm::log(light(tap))).sum()),
     }
+}
+
+/// The logarithm of the weighted sum at `count` instants; `log_light` appends the log light of a tap at each of them.
+pub fn mixed_log(kernel: &Kernel, count: usize, mut log_light: impl FnMut(&Tap, &mut Vec<f64>)) -> Vec<f64> {
+    let (mut sum, mut log) = (vec![0.0; count], Vec::with_capacity(count));
+    for tap in &kernel.taps {
+        log.clear();
+        log_light(tap, &mut log);
+        match kernel.domain {
+            Domain::Log => sum.iter_mut().zip(&log).for_each(|(sum, u)| *sum += tap.weight * u),
+            Domain::Linear => sum.iter_mut().zip(&log).for_each(|(sum, u)| *sum += tap.weight * exp(*u)),
+        }
+    }
+    if kernel.domain == Domain::Linear {
+        sum.iter_mut().for_each(|sum| *sum = ln(f64::max(*sum, f64::MIN_POSITIVE)));
+    }
+    sum
 }
 
 /// The weighted sum at every pixel.
