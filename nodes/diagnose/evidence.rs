@@ -5,7 +5,7 @@
 //! bin of every covariate. A control, the stated sensor on that scene with the noise that was found, goes the same way, and all gains and sizes count from there. What direct tests
 //! found is in the description before.
 //!
-//! With `light` the scene is known, and no picture is fitted: events are held against it, and frame values too, with a column of each effect of frames.
+//! With `light` or `tracks` the scene is known, and no picture is fitted: events are held against it, and frame values too, with a column of each effect of frames.
 //!
 //! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another (no single motion, no texture, too few frames) there is no evidence, and the
 //! document says why.
@@ -13,8 +13,8 @@
 use super::Amend;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Colour, Context, DataType, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Light, Meta, Node, NodeError, PortMetas,
-    Sensor,
+    Between, Colour, Context, DataType, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Light, Meta, Node, NodeError,
+    PortMetas, Sensor, TrackSet,
 };
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::diagnose::{amend, can_compare};
@@ -126,6 +126,8 @@ photocurrent_core::ports! {
         integrity: Option<Arc<Diagnosis>>,
         /// Light that is known, of the array's pixels, grey: no picture is fitted then.
         light: Option<Light>,
+        /// The same as tracks. Those that were solved from these very events have taken most of what a sensor does: they should come from elsewhere.
+        tracks: Option<TrackSet>,
     }
 }
 
@@ -189,8 +191,13 @@ impl DiagnoseEvidence {
         let case = amend(&case, &known)?;
         let nominal = case.nominal()?;
         let (picture, of) = self.settings(cx.seed());
-        if let Some(light) = &input.light {
-            let source = Given::new(&case, &nominal, knots(light, &case)?.into(), &picture);
+        let given = match (&input.light, &input.tracks) {
+            (Some(light), _) => Some(knots(light, &case)?),
+            (None, Some(tracks)) => Some(of_tracks(tracks, &case)?),
+            (None, None) => None,
+        };
+        if let Some(given) = given {
+            let source = Given::new(&case, &nominal, given.into(), &picture);
             return Ok(evidence(&case, &nominal, &source, &of).map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))));
         }
         if let Some(flicker) = known.scene.iter().find(|one| one.depth > self.params.most_flicker) {
@@ -208,6 +215,35 @@ fn knots(light: &Light, case: &Case) -> Result<Vec<Knots>, NodeError> {
         let (x, y) = case.place(pixel);
         let series = band.pixel(x, y);
         (series.t.to_vec(), series.photocurrent.iter().map(|i| f64::from(*i)).collect())
+    };
+    Ok((0..case.extent.pixels()).map(of).collect())
+}
+
+/// The light of every pixel as tracks have it, at even instants.
+fn of_tracks(tracks: &TrackSet, case: &Case) -> Result<Vec<Knots>, NodeError> {
+    /// Between them light is linear, ns.
+    const STEP_NS: usize = 100_000;
+    let band = tracks.read(case.extent.rows())?;
+    let is_held = tracks.meta.between == Between::Hold;
+    let instants: Vec<i64> = (case.span.0..=case.span.1).step_by(STEP_NS).collect();
+    let of = |pixel: usize| -> Knots {
+        let (x, y) = case.place(pixel);
+        let series = band.pixel(x, y);
+        let (t, light) = (series.t, series.photocurrent);
+        if t.is_empty() {
+            return (Vec::new(), Vec::new());
+        }
+        let at = |instant: i64| {
+            let after = t.partition_point(|knot| *knot <= instant);
+            let (before, next) = (after.saturating_sub(1), after.min(t.len() - 1));
+            let (from, to) = (f64::from(light[before]), f64::from(light[next]));
+            if is_held || before == next || t[before] > instant {
+                return from;
+            }
+            let share = (instant - t[before]) as f64 / (t[next] - t[before]) as f64;
+            from * libm::pow(to / from, share)
+        };
+        (instants.clone(), instants.iter().map(|instant| at(*instant)).collect())
     };
     Ok((0..case.extent.pixels()).map(of).collect())
 }
@@ -257,11 +293,22 @@ params = { refined = 8 }
                     .blames(DataType::Light));
             }
         }
+        if let Ok(tracks) = inputs.tracks("tracks") {
+            let extent = super::empty(inputs)?.extent;
+            if inputs.has("light") {
+                return Err(NodeError::usage("`light` and `tracks` are both connected").hint("connect one of them").blames(DataType::Tracks));
+            }
+            if tracks.extent != extent || tracks.colour != Colour::Mono {
+                return Err(NodeError::usage(format!("the tracks are of {} pixels, {}, and the recording of {extent}, grey", tracks.extent, tracks.colour))
+                    .hint("solve the array's own pixels, without colours")
+                    .blames(DataType::Tracks));
+            }
+        }
         Ok(vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Evidence }))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let seen = if self.params.scene == Scene::None && input.light.is_none() { Seen::NotAsked } else { self.look(&input, cx)? };
+        let seen = if self.params.scene == Scene::None && input.light.is_none() && input.tracks.is_none() { Seen::NotAsked } else { self.look(&input, cx)? };
         match &seen {
             Seen::NotAsked => {}
             Seen::Nothing(why) => cx.note(format!("the scene is no evidence: {why}")),
