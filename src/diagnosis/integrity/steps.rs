@@ -40,7 +40,7 @@ pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> 
     let Steps { on, off, measured, .. } = found;
     let ratios = (on.value / stated.0, off.value / stated.1);
     let (scale, asymmetry) = (0.5 * (ratios.0 + ratios.1) - 1.0, (ratios.0 - ratios.1) / (ratios.0 + ratios.1));
-    let is_off = !on.holds(stated.0) && !off.holds(stated.1) && (ratios.0 - 1.0) * (ratios.1 - 1.0) > 0.0;
+    let is_off = !(on.holds(stated.0) && off.holds(stated.1)) && (ratios.0 - 1.0) * (ratios.1 - 1.0) > 0.0;
     let one = |id: &'static str, fraction: f64, nats: f64| Finding {
         id,
         parameters: vec![("fraction", fraction)],
