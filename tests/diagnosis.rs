@@ -43,9 +43,10 @@ fn frames_alone_are_insufficient() {
 }
 
 /// A real camera. What was read off the clip otherwise: the camera's own triggers say that a readout of 260 rows takes 9.18 ms, 35.3 us a row, right after the exposure; no
-/// two events of a pixel and sign are closer than 0.97 ms; pixels that stand still have 2 to 4 ON events in a thousand seconds; events follow frames by milliseconds.
+/// two events of a pixel and sign are closer than 0.97 ms; pixels that stand still have 2 to 4 ON events in a thousand seconds; events follow frames by milliseconds; held-out
+/// frames are predicted best with smaller thresholds.
 #[test]
-fn a_davis_camera_couples_leaks_is_blind_and_late() {
+fn a_davis_camera_couples_leaks_is_blind_late_and_more_sensitive_than_stated() {
     let bench = Bench::new();
     let clip = support::root().join("data/recordings/davis346_traffic.aedat4");
     let sheet = support::root().join("data/sensors/davis346_sheet.toml");
@@ -60,12 +61,14 @@ fn a_davis_camera_couples_leaks_is_blind_and_late() {
         assert!(effect["evidence"]["heldout_nats"].as_f64().expect("a gain") > 30.0, "{effect}");
         effect["parameters"][key]["estimate"].as_f64().unwrap_or_else(|| panic!("{key} in {effect}"))
     };
-    assert_eq!(effects.len(), 4, "{}", report["summary"]);
+    assert_eq!(effects.len(), 5, "{}", report["summary"]);
     assert!((number("frame_coupling", "row_time_s") - 35.3e-6).abs() < 0.3e-6);
     assert!((0.0..1e-3).contains(&number("frame_coupling", "phase_s")));
     assert!((0.7e-3..1.4e-3).contains(&number("refractory", "refractory_s")));
     assert!((0.002..0.004).contains(&number("leak_events", "rate_hz")));
     assert!((1e-3..7e-3).contains(&number("clock_offset", "offset_s")));
+    // Thresholds of 0.25 to 0.35 for the stated 0.49 and 0.46 predict held-out frames best.
+    assert!((-0.45..-0.25).contains(&number("threshold_scale", "fraction")));
     let fitted = read(&bench, "found/sensor.fitted.toml");
     for part in ["[effects.frame_coupling]", "row_time", "[effects.leak_events]", "[effects.clock_offset]"] {
         assert!(fitted.contains(part), "`{part}` in\n{fitted}");
