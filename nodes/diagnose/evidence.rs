@@ -19,8 +19,10 @@ use photocurrent_core::{
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::diagnose::{amend, can_compare};
 use photocurrent_diagnosis::picture::PictureSetting;
+use photocurrent_diagnosis::picture::patches::PatchSetting;
 use photocurrent_diagnosis::residual::evidence::{EvidenceSetting, evidence};
-use photocurrent_diagnosis::residual::source::{Given, Knots, MovingPicture};
+use photocurrent_diagnosis::residual::mosaic::{MosaicSetting, scene};
+use photocurrent_diagnosis::residual::source::{Given, Knots, MovingPicture, Source};
 use photocurrent_diagnosis::stages::{Seen, write_evidence};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -76,11 +78,23 @@ pub struct Params {
     /// The picture may be softer than the scene by so many times what the control's is.
     #[schemars(range(min = 0.0))]
     pub softness: f64,
+    /// Side of the tiles that may have a picture of their own, pixels.
+    #[schemars(range(min = 4, max = 256))]
+    pub tile: u32,
+    /// Which is fitted to so many pixels around the tile as well.
+    #[schemars(range(min = 2, max = 64))]
+    pub margin: u32,
+    /// And to so many frames.
+    #[schemars(range(min = 3, max = 64))]
+    pub window: u32,
+    /// At most so many such pictures are fitted, those of tiles with the most events.
+    #[schemars(range(max = 100_000))]
+    pub most_parts: u32,
 }
 
 impl Default for Params {
     fn default() -> Params {
-        let (of, picture) = (EvidenceSetting::default(), PictureSetting::default());
+        let (of, picture, parts) = (EvidenceSetting::default(), PictureSetting::default(), MosaicSetting::default());
         Params {
             scene: Scene::default(),
             amend: Amend::default(),
@@ -98,6 +112,10 @@ impl Default for Params {
             refined_second: of.refined_second as u32,
             rounds: of.rounds as u32,
             softness: of.softness,
+            tile: parts.patches.side,
+            margin: parts.patches.margin,
+            window: parts.patches.frames as u32,
+            most_parts: parts.most_parts as u32,
         }
     }
 }
@@ -106,8 +124,10 @@ impl Default for Params {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Scene {
-    /// A moving picture, fitted to frames alone.
+    /// A moving picture, fitted to frames alone, and pictures of parts of the array for a few frames each where it does not predict them.
     #[default]
+    Parts,
+    /// One moving picture.
     Picture,
     /// Nowhere: nothing is looked at.
     None,
@@ -145,7 +165,7 @@ pub struct DiagnoseEvidence {
 }
 
 impl DiagnoseEvidence {
-    fn settings(&self, seed: u64) -> (PictureSetting, EvidenceSetting) {
+    fn settings(&self, seed: u64) -> (PictureSetting, MosaicSetting, EvidenceSetting) {
         let Params {
             scene: _,
             amend: _,
@@ -163,8 +183,15 @@ impl DiagnoseEvidence {
             refined_second,
             rounds,
             softness,
+            tile,
+            margin,
+            window,
+            most_parts,
         } = self.params.clone();
         let picture = PictureSetting { pitch, knot_ns: knot.ns(), again: again as usize, ..PictureSetting::default() };
+        let parts = MosaicSetting::default();
+        let patches = PatchSetting { side: tile, margin, frames: window as usize, ..parts.patches };
+        let parts = MosaicSetting { patches, most_parts: most_parts as usize, picture: PictureSetting { pitch, knot_ns: knot.ns(), ..parts.picture }, ..parts };
         let of = EvidenceSetting {
             step_ns: step.ns(),
             events: events as usize,
@@ -179,7 +206,7 @@ impl DiagnoseEvidence {
             seed,
             ..EvidenceSetting::default()
         };
-        (picture, of)
+        (picture, parts, of)
     }
 
     fn look(&self, input: &In, cx: &Context) -> Result<Seen, NodeError> {
@@ -190,7 +217,7 @@ impl DiagnoseEvidence {
         }
         let case = amend(&case, &known)?;
         let nominal = case.nominal()?;
-        let (picture, of) = self.settings(cx.seed());
+        let (picture, parts, of) = self.settings(cx.seed());
         let given = match (&input.light, &input.tracks) {
             (Some(light), _) => Some(knots(light, &case)?),
             (None, Some(tracks)) => Some(of_tracks(tracks, &case)?),
@@ -203,7 +230,11 @@ impl DiagnoseEvidence {
         if let Some(flicker) = known.scene.iter().find(|one| one.depth > self.params.most_flicker) {
             return Ok(Seen::Nothing(format!("the light flickers at {:.0} Hz by {:.0} %", flicker.frequency_hz, 100.0 * flicker.depth)));
         }
-        let found = MovingPicture::fit(&case, &nominal, &picture).and_then(|source| evidence(&case, &nominal, &source, &of));
+        let source = match self.params.scene {
+            Scene::Parts => scene(&case, &nominal, &picture, &parts),
+            _ => MovingPicture::fit(&case, &nominal, &picture).map(|source| Box::new(source) as Box<dyn Source>),
+        };
+        let found = source.and_then(|source| evidence(&case, &nominal, source.as_ref(), &of));
         Ok(found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))))
     }
 }

@@ -1,5 +1,5 @@
-//! Scenes and sensors made up for training: a drifting or shaken texture, a turning star, discs that fly over a slow texture; light, speed, thresholds, time
-//! constants, reset laws, exposures and stamps over the ranges of cameras that such recordings are made with.
+//! Scenes and sensors made up for training: a drifting or shaken texture, a turning star, discs that fly over a slow texture, a photograph that shakes, zooms and turns, a layer that moves
+//! before another one, a fan, a walking figure, a thrown ball, the last three before a still ground; light, speed, thresholds, time constants, reset laws, exposures and stamps over the ranges of cameras that such recordings are made with.
 //!
 //! Everything follows from a seed. Light is analytic in place and time, so its size, length and number of pixels can be anything.
 //! Limits: grey, no flicker, no noise of the light; objects are opaque and bright or dark.
@@ -24,6 +24,32 @@ enum Motion {
     Star { spokes: f64, rate: f64, centre: (f64, f64) },
     /// Discs of a radius and shade (0 to 1) at a velocity, over a texture that drifts.
     Discs { radius: f64, shade: f64, velocity: (f64, f64), pitch: f64, drift: (f64, f64) },
+    /// A texture with edges, shaken, turned and zoomed around the middle: amplitudes in px, rad and as a share, each with its frequency, Hz, and a drift, px/s.
+    Photograph { shake: (f64, f64), turn: (f64, f64), zoom: (f64, f64), drift: (f64, f64) },
+    /// Shapes of a size, px, with a texture of their own at a velocity, px/s, before a texture at another.
+    Layers { size: f64, front: (f64, f64), back: (f64, f64) },
+    /// Blades that turn, rad/s, within a radius around a centre before a still texture; half the angle of a blade.
+    Fan { blades: f64, rate: f64, centre: (f64, f64), radius: f64, half: f64, shade: f64 },
+    /// A figure of a height, px, that walks, px/s, so many steps a second, from a place on.
+    Figure { height: f64, speed: f64, steps_hz: f64, begin: (f64, f64), shade: f64 },
+    /// A ball of a radius with a texture, from a place with a velocity, px/s, falling, px/s^2, and turning, rad/s.
+    Ball { radius: f64, begin: (f64, f64), velocity: (f64, f64), fall: f64, rate: f64 },
+}
+
+impl Motion {
+    /// In a word.
+    fn name(&self) -> &'static str {
+        match self {
+            Motion::Texture { .. } => "texture",
+            Motion::Star { .. } => "star",
+            Motion::Discs { .. } => "discs",
+            Motion::Photograph { .. } => "photograph",
+            Motion::Layers { .. } => "layers",
+            Motion::Fan { .. } => "fan",
+            Motion::Figure { .. } => "figure",
+            Motion::Ball { .. } => "ball",
+        }
+    }
 }
 
 /// A made-up scene before a made-up sensor.
@@ -63,6 +89,13 @@ fn texture(seed: u64, x: f64, y: f64) -> f64 {
     (0..4).map(|n| SHARES[n] * surface(seed.wrapping_add(n as u64), x + 31.7 * n as f64, y - 17.3 * n as f64, SIZES[n])).sum()
 }
 
+/// Distance of a place from a line between two others.
+fn from_line(at: (f64, f64), a: (f64, f64), b: (f64, f64)) -> f64 {
+    let (dx, dy) = (b.0 - a.0, b.1 - a.1);
+    let along = (((at.0 - a.0) * dx + (at.1 - a.1) * dy) / f64::max(dx * dx + dy * dy, 1e-9)).clamp(0.0, 1.0);
+    libm::hypot(at.0 - a.0 - along * dx, at.1 - a.1 - along * dy)
+}
+
 /// The sharpest edges, pixels on either side.
 const SHARPEST: f64 = 0.35;
 
@@ -75,13 +108,38 @@ impl MadeUp {
         let angle = between(0.0, std::f64::consts::TAU);
         let sign = if between(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
         let (width, height) = (f64::from(extent.width), f64::from(extent.height));
-        let motion = if kind < 0.5 {
+        let motion = if kind < 0.3 {
             let speed = between(400.0, 1200.0);
             Motion::Texture { velocity: (speed * libm::cos(angle), speed * libm::sin(angle)), shake_px: between(0.5, 3.0), shake_hz: between(5.0, 15.0) }
-        } else if kind < 0.85 {
+        } else if kind < 0.5 {
             let rate = sign * between(1.5, 5.5) * std::f64::consts::TAU;
             let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
             Motion::Star { spokes: between(3.0, 6.0).floor(), rate, centre }
+        } else if kind < 0.64 {
+            let (share, hz) = (between(0.0, 1.0), between(3.0, 12.0));
+            let speed = between(100.0, 700.0);
+            Motion::Photograph {
+                shake: (between(1.0, 8.0), hz),
+                turn: (sign * between(0.02, 0.2), between(2.0, 8.0)),
+                zoom: (between(0.02, 0.12), between(2.0, 6.0)),
+                drift: (share * speed * libm::cos(angle), share * speed * libm::sin(angle)),
+            }
+        } else if kind < 0.72 {
+            let (front, back, turn) = (between(300.0, 1200.0), between(50.0, 500.0), between(0.5, 5.0));
+            let along = |speed: f64, angle: f64| (speed * libm::cos(angle), speed * libm::sin(angle));
+            Motion::Layers { size: between(12.0, 24.0), front: along(front, angle), back: along(back, angle + turn) }
+        } else if kind < 0.8 {
+            let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
+            let (blades, rate, radius) = (between(2.0, 6.0).floor(), sign * between(1.0, 9.0) * std::f64::consts::TAU, height * between(0.35, 0.6));
+            Motion::Fan { blades, rate, centre, radius, half: between(0.2, 0.45) * std::f64::consts::TAU / blades / 2.0, shade: if angle < 3.0 { 0.0 } else { 0.95 } }
+        } else if kind < 0.87 {
+            let tall = height * between(0.5, 0.9);
+            let begin = (width * between(0.2, 0.8), 0.5 * height + between(-3.0, 3.0));
+            Motion::Figure { height: tall, speed: sign * between(60.0, 400.0), steps_hz: between(1.5, 5.0), begin, shade: if angle < 4.0 { 0.0 } else { 0.95 } }
+        } else if kind < 0.93 {
+            let (radius, speed) = (height * between(0.12, 0.25), between(200.0, 900.0));
+            let begin = (0.5 * width - 0.3 * sign * width, height * between(0.35, 0.7));
+            Motion::Ball { radius, begin, velocity: (sign * speed, -between(0.0, 300.0)), fall: between(500.0, 4000.0), rate: sign * between(0.0, 25.0) }
         } else {
             let (speed, drift) = (between(700.0, 2300.0), between(80.0, 180.0));
             let shade = if sign > 0.0 { 1.1 } else { -0.05 };
@@ -178,8 +236,64 @@ impl MadeUp {
                 let inside = (0.5 + 0.5 * (radius - libm::sqrt(dx * dx + dy * dy)) / self.edge).clamp(0.0, 1.0);
                 ground + (shade - ground) * inside
             }
+            Motion::Photograph { shake, turn, zoom, drift } => {
+                let swing = |of: &(f64, f64), phase: f64| of.0 * libm::sin(std::f64::consts::TAU * of.1 * t + phase);
+                let (angle, scale) = (swing(turn, 0.3), libm::exp(swing(zoom, 1.1)));
+                let (c, s) = (scale * libm::cos(angle), scale * libm::sin(angle));
+                let (dx, dy) = (x - 0.5 * f64::from(self.extent.width), y - 0.5 * f64::from(self.extent.height));
+                let (u, v) = (c * dx - s * dy - drift.0 * t - swing(shake, 0.0), s * dx + c * dy - drift.1 * t - swing(shake, 1.9));
+                let shape = 0.5 + 0.5 * ((surface(self.seed ^ 0x51, u, v, 13.0) - 0.5) * 6.0 / self.edge).clamp(-1.0, 1.0);
+                0.5 + self.contrast * (0.6 * texture(self.seed, u, v) + 0.4 * shape - 0.5)
+            }
+            Motion::Layers { size, front, back } => {
+                let (u, v) = (x - front.0 * t, y - front.1 * t);
+                let inside = 0.5 + 0.5 * ((surface(self.seed ^ 0x52, u, v, *size) - 0.55) * 0.5 * size / self.edge).clamp(-1.0, 1.0);
+                let (near, far) = (texture(self.seed ^ 0x53, u, v), texture(self.seed, x - back.0 * t, y - back.1 * t));
+                0.5 + self.contrast * (far + (near - far) * inside - 0.5)
+            }
+            Motion::Fan { blades, rate, centre, radius, half, shade } => {
+                let (dx, dy) = (x - centre.0, y - centre.1);
+                let r = libm::hypot(dx, dy);
+                let pitch = std::f64::consts::TAU / blades;
+                let turned = (libm::atan2(dy, dx) - rate * t).rem_euclid(pitch) - 0.5 * pitch;
+                let depth = f64::min((half - turned.abs()) * f64::max(r, 1.0), f64::min(radius - r, r - 2.0));
+                self.before_ground(x, y, depth, *shade)
+            }
+            Motion::Figure { height, speed, steps_hz, begin, shade } => {
+                let hip = (begin.0 + speed * t, begin.1);
+                let (leg, swing) = (0.5 * height, 0.5 * libm::sin(std::f64::consts::TAU * steps_hz * t));
+                let foot = |angle: f64, length: f64, from: (f64, f64)| (from.0 + length * libm::sin(angle), from.1 + length * libm::cos(angle));
+                let neck = (hip.0, hip.1 - 0.3 * height);
+                let limb = |from: (f64, f64), angle: f64, length: f64, thick: f64| thick * height - from_line((x, y), from, foot(angle, length, from));
+                let parts = [
+                    limb(hip, swing, leg, 0.05),
+                    limb(hip, -swing, leg, 0.05),
+                    limb(neck, -swing, 0.35 * height, 0.035),
+                    limb(neck, swing, 0.35 * height, 0.035),
+                    0.09 * height - from_line((x, y), hip, neck),
+                    0.09 * height - libm::hypot(x - neck.0, y - neck.1 + 0.13 * height),
+                ];
+                self.before_ground(x, y, parts.into_iter().fold(f64::NEG_INFINITY, f64::max), *shade)
+            }
+            Motion::Ball { radius, begin, velocity, fall, rate } => {
+                let (dx, dy) = (x - begin.0 - velocity.0 * t, y - begin.1 - velocity.1 * t - 0.5 * fall * t * t);
+                let (c, s) = (libm::cos(rate * t), libm::sin(rate * t));
+                let own = 0.5 + self.contrast * (texture(self.seed ^ 0x54, c * dx + s * dy, c * dy - s * dx) - 0.5);
+                self.before_ground(x, y, radius - libm::hypot(dx, dy), own)
+            }
         };
         libm::log(f64::max(self.low + (self.high - self.low) * shade.clamp(-0.1, 1.1), 2.0))
+    }
+
+    /// A shade before a still texture, `depth` pixels within its outline.
+    fn before_ground(&self, x: f64, y: f64, depth: f64, shade: f64) -> f64 {
+        let ground = 0.5 + self.contrast * (texture(self.seed, x, y) - 0.5);
+        ground + (shade - ground) * (0.5 + 0.5 * depth / self.edge).clamp(0.0, 1.0)
+    }
+
+    /// What moves, in a word.
+    pub fn name(&self) -> &'static str {
+        self.motion.name()
     }
 
     /// Log photocurrent of every pixel at instants.

@@ -9,7 +9,7 @@ use crate::candidates::{Candidate, Scales};
 use crate::made::{Fault, Made, MadeSetting, made};
 use crate::picture::PictureSetting;
 use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
-use crate::residual::source::MovingPicture;
+use crate::residual::mosaic::{MosaicSetting, scene};
 use crate::verdict::{IN_SET_SHARE as IN_SET, is_material};
 use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
@@ -60,8 +60,8 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     truth.effects.retain(|(id, parameter, strength)| {
         Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*strength, &scales, &nominal)))
     });
-    let found =
-        MovingPicture::fit(&case, &nominal, &PictureSetting::default()).and_then(|source| evidence(&case, &nominal, &source, &EvidenceSetting::default())).ok();
+    let source = scene(&case, &nominal, &PictureSetting::default(), &MosaicSetting::default());
+    let found = source.and_then(|source| evidence(&case, &nominal, source.as_ref(), &EvidenceSetting::default())).ok();
     Ok(Example::new(truth, found))
 }
 

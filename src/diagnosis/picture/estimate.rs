@@ -54,6 +54,10 @@ pub struct PictureSetting {
     pub motion_weight: f64,
     /// Standard deviation of scale and shear, pixels at the array's edge.
     pub stretch: f64,
+    /// Is the array's shading fitted?
+    pub is_shaded: bool,
+    /// Where more than this share of frame values does not change, a scene that stands still is tried as well.
+    pub still: f64,
     /// More frame values than this are not fitted: each takes some 300 bytes.
     pub most_values: usize,
     /// How motion begins.
@@ -86,6 +90,8 @@ impl Default for PictureSetting {
             pooled: 0.1,
             motion_weight: 1.0,
             stretch: 3.0,
+            is_shaded: true,
+            still: 0.4,
             most_values: 2_000_000,
             search: Search::default(),
             again: 5,
@@ -150,26 +156,35 @@ impl Picture {
         for (pair, _) in &pairs {
             poses.push(compose(poses.last().expect("one is there"), pair));
         }
-        let motion = begin_motion(case, &poses, setting);
-        let mut fit = Fit::new(case, nominal, setting, motion);
-        fit.picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
-        fit.rounds(0, setting.rounds.0, setting.steps.0);
-        fit.refine();
-        fit.rounds(setting.rounds.0, setting.rounds.0 + setting.rounds.1, setting.steps.1);
-        Ok(fit.picture)
+        let mut begun = Fit::coarse(case, nominal, setting, &poses, None);
+        // Where much stands still, what registration followed may be the smaller part of it.
+        if unchanged(case, nominal, setting) > setting.still {
+            let still = Fit::coarse(case, nominal, setting, &vec![poses[0]; count], None);
+            if still.loss() < begun.loss() {
+                begun = still;
+            }
+        }
+        let mut picture = begun.fine();
+        picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
+        Ok(picture)
+    }
+
+    /// Fits a picture to the frame values that `counts` ([frame][y][x]; all of them without it), from poses of the frames on.
+    pub fn fit_from(case: &Case, nominal: &Nominal, setting: &PictureSetting, poses: &[Map], counts: Option<&[bool]>) -> Picture {
+        Fit::coarse(case, nominal, setting, poses, counts).fine()
     }
 
     /// Fits the frames of another recording of the same scene, from here on.
-    pub fn refit(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Picture {
-        let mut fit = Fit::new(case, nominal, setting, self.motion.clone());
+    pub fn refit(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting, counts: Option<&[bool]>) -> Picture {
+        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), counts);
         fit.picture = Picture { report: Report { misfit: Vec::new(), ..self.report.clone() }, ..self.clone() };
         fit.rounds(setting.rounds.0, setting.rounds.0 + setting.rounds.1, setting.steps.1);
         fit.picture
     }
 
     /// The same scene with what its frames leave open drawn at random: as good an explanation of the frames as the fitted one, and as rough as scenes are.
-    pub fn drawn(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting, seed: u64) -> Picture {
-        let mut fit = Fit::new(case, nominal, setting, self.motion.clone());
+    pub fn drawn(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting, counts: Option<&[bool]>, seed: u64) -> Picture {
+        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), counts);
         fit.picture = self.clone();
         let knots = self.motion.knots.len();
         let mut rows = fit.lay(false);
@@ -235,6 +250,8 @@ struct Fit<'a> {
     case: &'a Case,
     nominal: &'a Nominal,
     setting: &'a PictureSetting,
+    /// Which frame values are fitted; all of them without it.
+    counts: Option<&'a [bool]>,
     picture: Picture,
     /// What frame values of the fitted picture would be, over the signal's factor; kept for the weights.
     typical: f64,
@@ -242,7 +259,7 @@ struct Fit<'a> {
 }
 
 impl<'a> Fit<'a> {
-    fn new(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, motion: Motion) -> Fit<'a> {
+    fn new(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, motion: Motion, counts: Option<&'a [bool]>) -> Fit<'a> {
         let centre = (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
         let grid = cover(case, &motion, centre, setting.coarse_pitch);
         let mut light: Vec<f64> = Vec::new();
@@ -263,7 +280,35 @@ impl<'a> Fit<'a> {
             residual: Vec::new(),
             centre,
         };
-        Fit { case, nominal, setting, picture, typical, scale: 1.0 }
+        Fit { case, nominal, setting, counts, picture, typical, scale: 1.0 }
+    }
+
+    /// Fitted on the coarse grid, from poses of the frames on.
+    fn coarse(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, poses: &[Map], counts: Option<&'a [bool]>) -> Fit<'a> {
+        let mut fit = Fit::new(case, nominal, setting, begin_motion(case, poses, setting), counts);
+        fit.rounds(0, setting.rounds.0, setting.steps.0);
+        fit
+    }
+
+    /// And from there on the fine one.
+    fn fine(mut self) -> Picture {
+        let PictureSetting { rounds, steps, .. } = *self.setting;
+        self.refine();
+        self.rounds(rounds.0, rounds.0 + rounds.1, steps.1);
+        self.picture
+    }
+
+    /// What the picture leaves of the frames, robustly and on a scale that does not depend on it.
+    fn loss(&self) -> f64 {
+        let residual = self.picture.residual.iter().enumerate().filter(|(_, residual)| residual.is_finite());
+        let of = |(n, residual): (usize, &f32)| {
+            let pixels = self.case.extent.pixels();
+            let signal = f64::max(self.case.dn(n / pixels, n % pixels) - self.nominal.number.black_level, 0.0);
+            let z = f64::from(*residual) / (self.setting.robust * self.sigma(signal));
+            (libm::log1p(z * z), 1.0)
+        };
+        let (sum, count) = residual.map(of).fold((0.0, 0.0), |a, b| (a.0 + b.0, a.1 + b.1));
+        sum / f64::max(count, 1.0)
     }
 
     /// Lays the picture on the fine grid.
@@ -292,7 +337,7 @@ impl<'a> Fit<'a> {
         let mut best = self.cost(&rows, &smooth);
         for round in begin..end {
             let with_rest = round >= 1;
-            let with_shading = round >= 2;
+            let with_shading = self.setting.is_shaded && round >= 2;
             let hold_motion = 1.0 / 2.0;
             smooth.rest = vec![hold_motion; knots * DEGREES];
             smooth.rest.extend([if with_shading { 2.0 } else { 0.0 }; TERMS]);
@@ -358,6 +403,7 @@ impl<'a> Fit<'a> {
     fn cost(&self, rows: &Rows, smooth: &Smoothness) -> f64 {
         let robust = self.setting.robust * self.scale;
         let misfit: f64 = (0..rows.count())
+            .filter(|&r| rows.weight[r] > 0.0)
             .map(|r| {
                 let z = f64::from(rows.residual[r]) / self.sigma_of(rows, r);
                 robust * robust * libm::log1p((z / robust) * (z / robust))
@@ -428,8 +474,8 @@ impl<'a> Fit<'a> {
 
     /// Robust weights and the scale of the noise; gives the misfit.
     fn reweigh(&mut self, rows: &mut Rows) -> f64 {
-        let mut sizes: Vec<f64> = (0..rows.count()).map(|r| f64::from(rows.residual[r]).abs() / self.sigma_of(rows, r)).collect();
-        let z = sizes.clone();
+        let z: Vec<f64> = (0..rows.count()).map(|r| f64::from(rows.residual[r]).abs() / self.sigma_of(rows, r)).collect();
+        let mut sizes: Vec<f64> = z.iter().zip(&rows.weight).filter(|(_, weight)| **weight > 0.0).map(|(z, _)| *z).collect();
         let middle = sizes.len() / 2;
         if sizes.is_empty() {
             return 0.0;
@@ -438,6 +484,9 @@ impl<'a> Fit<'a> {
         let misfit = sizes[middle] / 0.6745;
         self.scale = misfit.max(self.setting.least_misfit);
         for r in 0..rows.count() {
+            if rows.weight[r] == 0.0 {
+                continue;
+            }
             let far = z[r] / (self.setting.robust * self.scale);
             rows.weight[r] = (1.0 / (self.sigma_of(rows, r) * self.scale * libm::sqrt(1.0 + far * far))) as f32;
         }
@@ -546,12 +595,14 @@ impl<'a> Fit<'a> {
             rows.first.push(rows.stencil.len() as u32);
             rows.corner.push((corner as u32, columns as u32));
             rows.residual.push(residual as f32);
-            rows.weight.push((1.0 / self.sigma(signal_dn)) as f32);
+            let index = l * self.case.extent.pixels() + pixel;
+            let is_fitted = self.counts.is_none_or(|counts| counts[index]);
+            rows.weight.push(if is_fitted { (1.0 / self.sigma(signal_dn)) as f32 } else { 0.0 });
             rows.knot.push(knot as u32);
             by_rest[TOUCHED * DEGREES..].iter_mut().zip(basis).for_each(|(by, b)| *by = b as f32 * signal);
             rows.by_rest.push(by_rest);
             rows.signal.push(signal_dn as f32);
-            rows.index.push((l * self.case.extent.pixels() + pixel) as u32);
+            rows.index.push(index as u32);
         }
         rows
     }
@@ -560,6 +611,12 @@ impl<'a> Fit<'a> {
 fn exposure_s(case: &Case, l: usize, y: u32) -> f64 {
     let exposure = case.frames.as_ref().expect("frames are there").times.exposure(l, y);
     f64::max((exposure.end.0 - exposure.start.0) as f64 * 1e-9, 1e-9)
+}
+
+/// The share of frame values that are those of the frame before, within a few standard deviations of one.
+fn unchanged(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> f64 {
+    let changes = super::patches::moving(case, nominal, (setting.frame_dn, setting.frame_share), setting.robust);
+    changes.iter().filter(|changes| !**changes).count() as f64 / changes.len().max(1) as f64
 }
 
 /// A grid over everything that the array sees during exposures.
@@ -602,7 +659,7 @@ mod tests {
         let nominal = case.nominal().unwrap();
         let setting = PictureSetting::default();
         let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
-        let mut fit = Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting));
+        let mut fit = Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting), None);
         let mut random = Random::new(3, &[]);
         let typical = fit.typical as f32;
         fit.picture.surface.iter_mut().for_each(|c| *c += 0.2 * typical * random.normal() as f32);

@@ -10,6 +10,7 @@
 //! - [`system`]: the sparse least-squares problem.
 //! - [`begin`]: how motion begins.
 //! - [`estimate`]: the rounds.
+//! - [`patches`]: parts of the array with a picture each.
 //!
 //! Sources: Lucas and Kanade, IJCAI 1981; Irani and Peleg, Improving Resolution by Image Registration, CVGIP 1991; Björck, Numerical Methods for Least Squares Problems, 1996.
 //!
@@ -18,6 +19,7 @@
 pub mod begin;
 pub mod estimate;
 pub mod motion;
+pub mod patches;
 pub mod register;
 pub mod shading;
 pub mod spline;

@@ -4,7 +4,7 @@
 //! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that
 //! frames imply: [`through_frames`] takes it off.
 //!
-//! - [`source`], [`light`]: the scene.
+//! - [`source`], [`mosaic`], [`light`]: the scene.
 //! - [`gate`]: which events count: those whose frames the scene predicts.
 //! - [`fit`]: size and gain of each effect.
 //! - [`components`]: random effects.
@@ -20,6 +20,7 @@ pub mod fit;
 pub mod gate;
 pub mod light;
 pub mod located;
+pub mod mosaic;
 pub mod open;
 mod prepared;
 pub mod source;

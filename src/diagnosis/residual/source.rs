@@ -79,6 +79,10 @@ impl MovingPicture {
     pub fn fit(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Result<MovingPicture, String> {
         Ok(MovingPicture { picture: Picture::fit(case, nominal, setting)?, setting: *setting })
     }
+
+    pub(super) fn copy(&self) -> MovingPicture {
+        MovingPicture { picture: self.picture.clone(), setting: self.setting }
+    }
 }
 
 impl Source for MovingPicture {
@@ -111,11 +115,11 @@ impl Source for MovingPicture {
     }
 
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String> {
-        Ok(Box::new(MovingPicture { picture: self.picture.refit(case, nominal, &self.setting), setting: self.setting }))
+        Ok(Box::new(MovingPicture { picture: self.picture.refit(case, nominal, &self.setting, None), setting: self.setting }))
     }
 
     fn drawn(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Source>>, String> {
-        Ok(Some(Box::new(MovingPicture { picture: self.picture.drawn(case, nominal, &self.setting, seed), setting: self.setting })))
+        Ok(Some(Box::new(MovingPicture { picture: self.picture.drawn(case, nominal, &self.setting, None, seed), setting: self.setting })))
     }
 
     fn misfit(&self) -> f64 {

@@ -1,0 +1,293 @@
+//! Parts of the array for a few frames each, every one with a picture and a motion of its own: for scenes that do not move as one.
+//!
+//! The array is cut into tiles and the recording into windows of frames that overlap. Around a tile a picture is fitted to the values that change from frame to frame, as what stands still
+//! belongs to something else; where it begins to move is a search for the one shift a frame that predicts the window best.
+//!
+//! Source: the piecewise view of optical flow (Black and Anandan, The Robust Estimation of Multiple Motions, CVIU 1996). Limits: what comes out from behind something else is seen by too few
+//! frames, and one patch has one motion.
+
+use super::estimate::{Picture, PictureSetting};
+use super::motion::Map;
+use crate::case::{Case, CaseFrames, PixelEvents};
+use crate::nominal::Nominal;
+use photocurrent_core::{Exposure, Extent, FrameTimes};
+use std::ops::Range;
+
+/// How the array and the recording are cut.
+#[derive(Clone, Copy, Debug)]
+pub struct PatchSetting {
+    /// Side of a tile, pixels.
+    pub side: u32,
+    /// A tile's picture is fitted to so many pixels around it as well.
+    pub margin: u32,
+    /// Frames of a window.
+    pub frames: usize,
+    /// Frame intervals that neighbouring windows share.
+    pub shared: usize,
+    /// Largest shift from frame to frame, pixels.
+    pub reach: i32,
+    /// What a shift by one pixel must gain of the mean difference of frames, as a share.
+    pub shift_cost: f64,
+    /// A value that changes by more than so many standard deviations moves.
+    pub moves: f64,
+    /// Fewer moving values than this are not fitted.
+    pub least_values: usize,
+    /// Fewer events in a tile and window are not worth a picture.
+    pub least_events: usize,
+}
+
+impl Default for PatchSetting {
+    fn default() -> PatchSetting {
+        PatchSetting { side: 12, margin: 6, frames: 5, shared: 1, reach: 12, shift_cost: 0.01, moves: 4.0, least_values: 200, least_events: 12 }
+    }
+}
+
+impl PatchSetting {
+    /// The tiles of an array: columns and rows.
+    pub fn tiles(&self, extent: Extent) -> Vec<(Range<u32>, Range<u32>)> {
+        let cut = |length: u32| -> Vec<Range<u32>> {
+            let count = u32::max(length / self.side.max(1), 1);
+            (0..count).map(|n| n * length / count..(n + 1) * length / count).collect()
+        };
+        cut(extent.height).into_iter().flat_map(|rows| cut(extent.width).into_iter().map(move |columns| (columns, rows.clone()))).collect()
+    }
+
+    /// The windows of so many frames.
+    pub fn windows(&self, count: usize) -> Vec<Range<usize>> {
+        let length = self.frames.clamp(3, count.max(3));
+        let step = (length - 1).saturating_sub(self.shared).max(1);
+        let last = count.saturating_sub(length);
+        let mut all: Vec<Range<usize>> = (0..last).step_by(step).map(|first| first..first + length).collect();
+        if count >= length {
+            all.push(last..last + length);
+        }
+        all
+    }
+}
+
+/// A part of the array, for some frames.
+#[derive(Clone, Debug)]
+pub struct Part {
+    /// Columns of the array that are fitted.
+    pub columns: Range<u32>,
+    /// Rows.
+    pub rows: Range<u32>,
+    /// Frames.
+    pub frames: Range<usize>,
+}
+
+impl Part {
+    /// Around a tile.
+    pub fn around(tile: &(Range<u32>, Range<u32>), frames: Range<usize>, extent: Extent, setting: &PatchSetting) -> Part {
+        let wider = |range: &Range<u32>, end: u32| range.start.saturating_sub(setting.margin)..(range.end + setting.margin).min(end);
+        Part { columns: wider(&tile.0, extent.width), rows: wider(&tile.1, extent.height), frames }
+    }
+
+    /// Size of the part.
+    pub fn extent(&self) -> Extent {
+        Extent { width: self.columns.end - self.columns.start, height: self.rows.end - self.rows.start }
+    }
+
+    /// The array's pixels of the part, row by row.
+    pub fn pixels(&self, width: u32) -> impl Iterator<Item = usize> + '_ {
+        self.rows.clone().flat_map(move |y| self.columns.clone().map(move |x| (y * width + x) as usize))
+    }
+
+    /// Its frames as a recording without events; times are those of the whole recording.
+    ///
+    /// # Panics
+    /// When the recording has no frames.
+    pub fn of(&self, case: &Case) -> Case {
+        let frames = case.frames.as_ref().expect("frames are there");
+        let times = &frames.times;
+        let exposures: Vec<Exposure> = self.frames.clone().map(|l| times.exposure(l, self.rows.start)).collect();
+        let pixels = case.extent.pixels();
+        let dn = self.frames.clone().flat_map(|l| self.pixels(case.extent.width).map(move |pixel| frames.dn[l * pixels + pixel])).collect();
+        let extent = self.extent();
+        let last = times.exposure(self.frames.end - 1, self.rows.end - 1).end.0;
+        let span = (exposures[0].start.0.min(times.exposure(self.frames.start, self.rows.end - 1).start.0), last);
+        let times = FrameTimes::new(exposures, times.row_time_ns).unwrap_or_else(|_| unreachable!("exposures of a recording are in order"));
+        Case {
+            extent,
+            span,
+            events: PixelEvents::new(vec![Vec::new(); extent.pixels()]),
+            has_t_in: case.has_t_in,
+            t_resolution_ns: case.t_resolution_ns,
+            frames: Some(CaseFrames { times, dn }),
+            sensor: case.sensor.clone(),
+        }
+    }
+}
+
+/// Which values of a recording's frames differ from the frame before or behind by more than `moves` standard deviations of one value.
+pub fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<bool> {
+    let (count, pixels) = (case.frame_count(), case.extent.pixels());
+    let differs = |l: usize, k: usize, pixel: usize| {
+        let (a, b) = (case.dn(l, pixel), case.dn(k, pixel));
+        let sigma = nominal.frame_sigma_dn(f64::max(0.5 * (a + b) - nominal.number.black_level, 0.0), noise);
+        (a - b).abs() > moves * sigma
+    };
+    (0..count * pixels)
+        .map(|n| {
+            let (l, pixel) = (n / pixels, n % pixels);
+            (l > 0 && differs(l, l - 1, pixel)) || (l + 1 < count && differs(l, l + 1, pixel))
+        })
+        .collect()
+}
+
+/// What stands still behind everything: the value that most frames have of a pixel, DN; NaN where fewer than half of them agree.
+pub fn ground(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<f64> {
+    let count = case.frame_count();
+    let of = |pixel: usize| {
+        let mut values: Vec<f64> = (0..count).map(|l| case.dn(l, pixel)).filter(|dn| dn.is_finite()).collect();
+        values.sort_by(f64::total_cmp);
+        let half = values.len().div_ceil(2);
+        // The shortest stretch of values that holds half of them.
+        let Some(first) = (0..values.len().saturating_sub(half - 1)).min_by(|a, b| (values[a + half - 1] - values[*a]).total_cmp(&(values[b + half - 1] - values[*b]))) else {
+            return f64::NAN;
+        };
+        let (low, high) = (values[first], values[first + half - 1]);
+        let sigma = nominal.frame_sigma_dn(f64::max(0.5 * (low + high) - nominal.number.black_level, 0.0), noise);
+        if high - low <= moves * sigma { values[first + half / 2] } else { f64::NAN }
+    };
+    (0..case.extent.pixels()).map(of).collect()
+}
+
+/// Which frame values belong to something that moves: those that are not the ground's, and where there is none those that change.
+pub fn foreground(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<bool> {
+    let (ground, pixels) = (ground(case, nominal, noise, moves), case.extent.pixels());
+    let changes = moving(case, nominal, noise, moves);
+    let of = |(n, changes): (usize, bool)| {
+        let (dn, still) = (case.dn(n / pixels, n % pixels), ground[n % pixels]);
+        if still.is_finite() {
+            let sigma = nominal.frame_sigma_dn(f64::max(still - nominal.number.black_level, 0.0), noise);
+            (dn - still).abs() > moves * sigma
+        } else {
+            changes
+        }
+    };
+    changes.into_iter().enumerate().map(of).collect()
+}
+
+/// A part with its picture.
+#[derive(Clone, Debug)]
+pub struct Patch {
+    /// Where and when.
+    pub part: Part,
+    /// Which of its frame values were fitted.
+    counts: Vec<bool>,
+    /// Its picture, in pixels from the part's centre.
+    pub picture: Picture,
+}
+
+impl Patch {
+    /// Fits a picture to a part of a recording; none where too little moves.
+    ///
+    /// `moves`: which frame values of the whole recording belong to something that moves ([`foreground`]).
+    pub fn fit(case: &Case, nominal: &Nominal, moves: &[bool], part: Part, setting: &PatchSetting, of_picture: &PictureSetting) -> Option<Patch> {
+        let own = part.of(case);
+        if own.extent.width.min(own.extent.height) < 8 || own.frame_count() < 3 {
+            return None;
+        }
+        let pixels = case.extent.pixels();
+        let mut counts: Vec<bool> = part.frames.clone().flat_map(|l| part.pixels(case.extent.width).map(move |pixel| moves[l * pixels + pixel])).collect();
+        counts.iter_mut().enumerate().for_each(|(n, counts)| *counts &= own.dn(n / own.extent.pixels(), n % own.extent.pixels()).is_finite());
+        if counts.iter().filter(|counts| **counts).count() < setting.least_values {
+            return None;
+        }
+        let shift = follow(&own, nominal, &counts, setting);
+        let poses: Vec<Map> = (0..own.frame_count()).map(|l| [l as f64 * shift.0, 1.0, 0.0, l as f64 * shift.1, 0.0, 1.0]).collect();
+        let picture = Picture::fit_from(&own, nominal, of_picture, &poses, Some(&counts));
+        Some(Patch { part, counts, picture })
+    }
+
+    /// Fits the frames of another recording of the same scene, from here on.
+    #[must_use]
+    pub fn refit(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting) -> Patch {
+        Patch { picture: self.picture.refit(&self.part.of(case), nominal, of_picture, Some(&self.counts)), ..self.clone() }
+    }
+
+    /// The same with what its frames leave open drawn at random.
+    #[must_use]
+    pub fn drawn(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting, seed: u64) -> Patch {
+        Patch { picture: self.picture.drawn(&self.part.of(case), nominal, of_picture, Some(&self.counts), seed), ..self.clone() }
+    }
+
+    /// Residual of a frame value of the array, DN; NaN where it took no part.
+    pub fn residual(&self, frame: usize, x: u32, y: u32) -> f32 {
+        let Part { columns, rows, frames } = &self.part;
+        if !(frames.contains(&frame) && columns.contains(&x) && rows.contains(&y)) {
+            return f32::NAN;
+        }
+        let extent = self.part.extent();
+        let pixel = ((y - rows.start) * extent.width + (x - columns.start)) as usize;
+        self.picture.residual[(frame - frames.start) * extent.pixels() + pixel]
+    }
+}
+
+/// The one shift from frame to frame, pixels, that predicts moving values best: where a value of the next frame was in the frame before, less where it is.
+fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSetting) -> (f64, f64) {
+    let images = super::begin::images(case, nominal);
+    let smooth: Vec<_> = images.iter().map(|image| image.smoothed(1)).collect();
+    let (w, h) = (case.extent.width as i32, case.extent.height as i32);
+    let pixels = case.extent.pixels();
+    let cost = |dx: i32, dy: i32| -> f64 {
+        let (mut sum, mut n, mut all) = (0.0, 0usize, 0usize);
+        for l in 1..smooth.len() {
+            let (before, now) = (&smooth[l - 1].values, &smooth[l].values);
+            for y in 0..h {
+                for x in 0..w {
+                    let at = (y * w + x) as usize;
+                    if !counts[l * pixels + at] {
+                        continue;
+                    }
+                    all += 1;
+                    let (i, j) = (x + dx, y + dy);
+                    if i >= 0 && j >= 0 && i < w && j < h {
+                        sum += f64::from((now[at] - before[(j * w + i) as usize]).abs());
+                        n += 1;
+                    }
+                }
+            }
+        }
+        if 2 * n < all || n == 0 { f64::INFINITY } else { sum / n as f64 * (1.0 + setting.shift_cost * libm::hypot(f64::from(dx), f64::from(dy))) }
+    };
+    let reach = setting.reach;
+    let side = (2 * reach + 1) as usize;
+    let costs: Vec<f64> = (0..side * side).map(|n| cost((n % side) as i32 - reach, (n / side) as i32 - reach)).collect();
+    let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(side * side / 2);
+    let (i, j) = (best % side, best / side);
+    // A parabola through three values along each axis.
+    let beyond = |n: usize, step: usize| -> f64 {
+        let is_inside = if step == 1 { n % side > 0 && n % side + 1 < side } else { n / side > 0 && n / side + 1 < side };
+        if !is_inside {
+            return 0.0;
+        }
+        let (a, b, c) = (costs[n - step], costs[n], costs[n + step]);
+        let bend = a - 2.0 * b + c;
+        if bend.is_finite() && bend > 0.0 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+    };
+    (i as f64 - f64::from(reach) + beyond(best, 1), j as f64 - f64::from(reach) + beyond(best, side))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_and_tiles_cover_everything() {
+        let setting = PatchSetting::default();
+        for count in 3..40 {
+            let windows = setting.windows(count);
+            // Every interval between two frames is within a window, and none is longer than the recording.
+            assert!((0..count - 1).all(|l| windows.iter().any(|window| window.contains(&l) && window.contains(&(l + 1)))), "{count}: {windows:?}");
+            assert!(windows.iter().all(|window| window.end <= count && window.len() >= 3), "{count}: {windows:?}");
+        }
+        for (width, height) in [(9, 8), (72, 54), (97, 71)] {
+            let extent = Extent { width, height };
+            let tiles = setting.tiles(extent);
+            let inside: u32 = tiles.iter().map(|(columns, rows)| columns.len() as u32 * rows.len() as u32).sum();
+            assert_eq!(inside, width * height);
+        }
+    }
+}

@@ -1,0 +1,408 @@
+//! A scene in parts: the moving picture where it predicts frames, and pictures of tiles of the array for a few frames each where it does not.
+//!
+//! Whether a tile is better off with a picture of its own is asked of frame values alone: those that change and that either predicts within the noise.
+
+use super::gate::Gate;
+use super::light::Light;
+use super::source::{Cell, MovingPicture, Source};
+use crate::case::Case;
+use crate::integrity::median;
+use crate::nominal::Nominal;
+use crate::picture::motion::apply;
+use crate::picture::patches::{Part, Patch, PatchSetting, foreground};
+use crate::picture::{Picture, PictureSetting};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// When parts are fitted, and which are believed.
+#[derive(Clone, Copy, Debug)]
+pub struct MosaicSetting {
+    /// How the array and the recording are cut.
+    pub patches: PatchSetting,
+    /// How the pictures of parts are fitted.
+    pub picture: PictureSetting,
+    /// The moving picture needs no help where the median of its residuals is below this, standard deviations as first assumed.
+    pub well: f64,
+    /// So many parts are tried first, those with the most events.
+    pub probes: usize,
+    /// Fewer of them than this share that are better mean that parts do not help.
+    pub helped: f64,
+    /// More parts than this are not fitted: those with the most events are.
+    pub most_parts: usize,
+    /// A part predicts at least this share of its tile's moving values.
+    pub least_predicted: f64,
+    /// And so much more than the moving picture.
+    pub better: f64,
+    /// A value is predicted that misses by less than this share of a threshold, or by [`MosaicSetting::spread`] usual residuals.
+    pub step: f64,
+    /// See there.
+    pub spread: f64,
+}
+
+impl Default for MosaicSetting {
+    fn default() -> MosaicSetting {
+        let picture = PictureSetting { rounds: (4, 4), steps: (30, 60), again: 3, again_steps: 40, draw_steps: 30, is_shaded: false, ..PictureSetting::default() };
+        MosaicSetting {
+            patches: PatchSetting::default(),
+            picture,
+            well: 2.0,
+            probes: 8,
+            helped: 0.4,
+            most_parts: 160,
+            least_predicted: 0.5,
+            better: 0.1,
+            step: 0.15,
+            spread: 4.5,
+        }
+    }
+}
+
+/// The moving picture, and pictures of parts where they are better.
+pub struct Mosaic {
+    whole: Option<MovingPicture>,
+    patches: Vec<Patch>,
+    /// The tile of each patch.
+    tile: Vec<usize>,
+    tiles: Vec<(Range<u32>, Range<u32>)>,
+    setting: MosaicSetting,
+    /// Which frame values belong to something that moves.
+    moves: Vec<bool>,
+    residual: Vec<f32>,
+    misfit: f64,
+    /// A value is predicted that misses by less, DN.
+    least_dn: f64,
+}
+
+/// Fits a scene to the frames of a recording: one picture, and pictures of parts where it does not predict them and they do.
+///
+/// # Errors
+/// When neither predicts anything, with the reason of [`Picture::fit`].
+pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting) -> Result<Box<dyn Source>, String> {
+    let whole = MovingPicture::fit(case, nominal, whole);
+    if case.frame_count() < 3 || case.extent.width.min(case.extent.height) < 8 {
+        return whole.map(|whole| Box::new(whole) as Box<dyn Source>);
+    }
+    let tiles = setting.patches.tiles(case.extent);
+    let mut found = Mosaic { whole: whole.as_ref().ok().map(MovingPicture::copy), patches: Vec::new(), tile: Vec::new(), tiles, setting: *setting, moves: foreground(case, nominal, (setting.picture.frame_dn, setting.picture.frame_share), setting.patches.moves), residual: Vec::new(), misfit: 1.0, least_dn: usual_step_dn(case, nominal, setting.step) };
+    let changes = found.moves.clone();
+    let needed = found.needed(case, nominal, &changes);
+    let fit = |list: &[(usize, Range<usize>)]| -> Vec<(usize, Patch)> {
+        let one = |(tile, frames): &(usize, Range<usize>)| {
+            let part = Part::around(&found.tiles[*tile], frames.clone(), case.extent, &setting.patches);
+            Some((*tile, Patch::fit(case, nominal, &changes, part, &setting.patches, &setting.picture)?))
+        };
+        list.par_iter().filter_map(one).collect()
+    };
+    let probes = setting.probes.min(needed.len());
+    let mut fitted = fit(&needed[..probes]);
+    let better = |fitted: &[(usize, Patch)]| found.better(case, nominal, &changes, fitted);
+    let helped = better(&fitted).iter().filter(|is| **is).count();
+    if helped == 0 || (helped as f64) < setting.helped * probes as f64 {
+        return whole.map(|whole| Box::new(whole) as Box<dyn Source>);
+    }
+    fitted.extend(fit(&needed[probes..]));
+    let is_better = better(&fitted);
+    for ((tile, patch), _) in fitted.into_iter().zip(is_better).filter(|(_, is)| *is) {
+        found.tile.push(tile);
+        found.patches.push(patch);
+    }
+    found.look(case);
+    Ok(Box::new(found))
+}
+
+impl Mosaic {
+    /// Tiles and windows with events whose moving values the moving picture does not predict, those with the most events first.
+    fn needed(&self, case: &Case, nominal: &Nominal, changes: &[bool]) -> Vec<(usize, Range<usize>)> {
+        let windows = self.setting.patches.windows(case.frame_count());
+        let mut needed: Vec<(usize, usize, Range<usize>)> = Vec::new();
+        let middle = |l: usize, y: u32| middle_ns(case, l, y);
+        for (n, tile) in self.tiles.iter().enumerate() {
+            for window in &windows {
+                let misses = self.whole.as_ref().map(|whole| usual(case, nominal, changes, tile, window, |l, x, y| of_picture(case, &whole.picture, l, x, y)));
+                if misses.is_some_and(|misses| misses < self.setting.well) {
+                    continue;
+                }
+                let within = |pixel: usize| {
+                    let (_, y) = case.place(pixel);
+                    let (from, to) = (middle(window.start, y), middle(window.end - 1, y));
+                    case.events.of(pixel).iter().filter(|event| (from..to).contains(&event.t_in_ns)).count()
+                };
+                let events: usize = pixels_of(case, tile).map(within).sum();
+                if events >= self.setting.patches.least_events {
+                    needed.push((events, n, window.clone()));
+                }
+            }
+        }
+        needed.sort_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(&b.1)).then(a.2.start.cmp(&b.2.start)));
+        needed.truncate(self.setting.most_parts);
+        needed.into_iter().map(|(_, tile, window)| (tile, window)).collect()
+    }
+
+    /// Which patches predict enough of the moving values of their tiles, and more than the moving picture.
+    fn better(&self, case: &Case, nominal: &Nominal, changes: &[bool], fitted: &[(usize, Patch)]) -> Vec<bool> {
+        let mut misses: Vec<f64> = fitted
+            .iter()
+            .map(|(tile, patch)| usual(case, nominal, changes, &self.tiles[*tile], &patch.part.frames, |l, x, y| patch.residual(l, x, y)))
+            .filter(|misses| misses.is_finite())
+            .collect();
+        misses.sort_by(f64::total_cmp);
+        // The quarter that does best knows the noise.
+        let noise = misses.get(misses.len() / 4).copied().unwrap_or(1.0);
+        let noise_dn = (self.setting.picture.frame_dn, self.setting.picture.frame_share);
+        let predicted = |tile: usize, frames: &Range<usize>, of: &dyn Fn(usize, u32, u32) -> f32| -> f64 {
+            let (mut good, mut all) = (0usize, 0usize);
+            for_moving(case, changes, &self.tiles[tile], frames, |l, pixel, x, y| {
+                let sigma = nominal.frame_sigma_dn(f64::max(case.dn(l, pixel) - nominal.number.black_level, 0.0), noise_dn);
+                all += 1;
+                good += usize::from(f64::from(of(l, x, y)).abs() <= f64::max(self.least_dn, self.setting.spread * noise * sigma));
+            });
+            good as f64 / all.max(1) as f64
+        };
+        fitted
+            .iter()
+            .map(|(tile, patch)| {
+                let own = predicted(*tile, &patch.part.frames, &|l, x, y| patch.residual(l, x, y));
+                let other = self.whole.as_ref().map_or(0.0, |whole| predicted(*tile, &patch.part.frames, &|l, x, y| of_picture(case, &whole.picture, l, x, y)));
+                own >= self.setting.least_predicted && own > other + self.setting.better
+            })
+            .collect()
+    }
+
+    /// Patches of a tile, in order of time.
+    fn of_tile(&self, tile: usize) -> Vec<(usize, &Patch)> {
+        let mut found: Vec<(usize, &Patch)> = self.patches.iter().enumerate().filter(|(n, _)| self.tile[*n] == tile).collect();
+        found.sort_by_key(|(_, patch)| patch.part.frames.start);
+        found
+    }
+
+    /// Works out residuals: of the picture that a place is predicted by, the worse one where two join.
+    fn look(&mut self, case: &Case) {
+        let pixels = case.extent.pixels();
+        let count = case.frame_count();
+        let mut residual = match &self.whole {
+            Some(whole) => whole.picture.residual.clone(),
+            None => vec![f32::NAN; count * pixels],
+        };
+        for (n, tile) in self.tiles.iter().enumerate() {
+            let patches = self.of_tile(n);
+            for l in 0..count {
+                let here: Vec<&Patch> = patches.iter().filter(|(_, patch)| patch.part.frames.contains(&l)).map(|(_, patch)| *patch).collect();
+                if here.is_empty() {
+                    continue;
+                }
+                // Intervals on both sides of the frame: where no patch has one, the moving picture does.
+                let is_covered = |k: usize| here.iter().any(|patch| patch.part.frames.contains(&k));
+                let is_joint = (l > 0 && !is_covered(l - 1)) || (l + 1 < count && !is_covered(l + 1));
+                for pixel in pixels_of(case, tile) {
+                    let (x, y) = case.place(pixel);
+                    let own = here.iter().map(|patch| patch.residual(l, x, y));
+                    let at = l * pixels + pixel;
+                    if !self.moves[at] && residual[at].is_finite() {
+                        // What stands still behind.
+                        continue;
+                    }
+                    let joint = is_joint.then_some(residual[at]);
+                    residual[at] = own.chain(joint).fold(0.0, worse);
+                }
+            }
+        }
+        self.residual = residual;
+        let mut misfits: Vec<f64> = self.patches.iter().filter_map(|patch| patch.picture.report.misfit.last().copied()).collect();
+        self.misfit = if misfits.is_empty() { self.whole.as_ref().map_or(1.0, Source::misfit) } else { median(&mut misfits) };
+    }
+
+    /// The picture that says most of a pixel at an instant: number of its patch, and of none the moving picture.
+    fn patch_at(&self, case: &Case, pixel: usize, t_ns: i64) -> Option<usize> {
+        let (x, y) = case.place(pixel);
+        let tile = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y))?;
+        let of = self.of_tile(tile);
+        let weighed = of.iter().map(|(n, patch)| (*n, weight(case, patch, y, t_ns)));
+        weighed.filter(|(_, weight)| *weight > 0.0).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(n, _)| n)
+    }
+}
+
+/// What a share of a threshold is of a usual frame value, DN.
+fn usual_step_dn(case: &Case, nominal: &Nominal, share: f64) -> f64 {
+    let mut signals: Vec<f64> = case.frames.iter().flat_map(|frames| frames.dn.iter().step_by(7)).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
+    signals.retain(|signal| *signal > 0.0);
+    let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
+    if signals.is_empty() { 0.0 } else { share * threshold * median(&mut signals) }
+}
+
+/// The larger of two residuals; NaN when one is.
+fn worse(a: f32, b: f32) -> f32 {
+    if a.is_nan() || b.is_nan() {
+        f32::NAN
+    } else if b.abs() > a.abs() {
+        b
+    } else {
+        a
+    }
+}
+
+fn middle_ns(case: &Case, l: usize, y: u32) -> i64 {
+    case.frames.as_ref().map_or(0, |frames| {
+        let exposure = frames.times.exposure(l, y);
+        i64::midpoint(exposure.start.0, exposure.end.0)
+    })
+}
+
+/// How much a patch says of an instant: nothing outside of its window, and most in its middle.
+fn weight(case: &Case, patch: &Patch, y: u32, t_ns: i64) -> f64 {
+    let frames = &patch.part.frames;
+    let (from, to) = (middle_ns(case, frames.start, y), middle_ns(case, frames.end - 1, y));
+    let t_ns = t_ns.clamp(middle_ns(case, 0, y), middle_ns(case, case.frame_count() - 1, y));
+    if !(from..=to).contains(&t_ns) || to <= from {
+        return 0.0;
+    }
+    let place = (t_ns - from) as f64 / (to - from) as f64;
+    f64::min(place, 1.0 - place) + 1e-3
+}
+
+fn pixels_of<'a>(case: &Case, tile: &'a (Range<u32>, Range<u32>)) -> impl Iterator<Item = usize> + use<'a> {
+    let width = case.extent.width;
+    let (columns, rows) = tile;
+    rows.clone().flat_map(move |y| columns.clone().map(move |x| (y * width + x) as usize))
+}
+
+fn of_picture(case: &Case, picture: &Picture, l: usize, x: u32, y: u32) -> f32 {
+    picture.residual[l * case.extent.pixels() + (y * case.extent.width + x) as usize]
+}
+
+fn for_moving(case: &Case, changes: &[bool], tile: &(Range<u32>, Range<u32>), frames: &Range<usize>, mut with: impl FnMut(usize, usize, u32, u32)) {
+    let pixels = case.extent.pixels();
+    for l in frames.clone() {
+        for pixel in pixels_of(case, tile).filter(|pixel| changes[l * pixels + pixel]) {
+            let (x, y) = case.place(pixel);
+            with(l, pixel, x, y);
+        }
+    }
+}
+
+/// Median residual of the moving values of a tile and window, standard deviations over 0.6745; infinite where most of them took no part.
+fn usual(
+    case: &Case,
+    nominal: &Nominal,
+    changes: &[bool],
+    tile: &(Range<u32>, Range<u32>),
+    frames: &Range<usize>,
+    of: impl Fn(usize, u32, u32) -> f32,
+) -> f64 {
+    let mut sizes: Vec<f64> = Vec::new();
+    for_moving(case, changes, tile, frames, |l, pixel, x, y| {
+        let sigma = nominal.frame_sigma_dn(f64::max(case.dn(l, pixel) - nominal.number.black_level, 0.0), (1.0, 0.005));
+        let size = f64::from(of(l, x, y)).abs() / sigma;
+        sizes.push(if size.is_finite() { size } else { f64::INFINITY });
+    });
+    if sizes.is_empty() { 0.0 } else { median(&mut sizes) / 0.6745 }
+}
+
+impl Source for Mosaic {
+    fn name(&self) -> &'static str {
+        "patches"
+    }
+
+    fn light(&self, case: &Case, step_ns: i64) -> Light {
+        let mut light = match &self.whole {
+            Some(whole) => whole.light(case, step_ns),
+            None => Light::blank(case, step_ns),
+        };
+        let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
+        let of_tile = |(n, tile): (usize, &(Range<u32>, Range<u32>))| -> Vec<(usize, Vec<f32>)> {
+            let patches = self.of_tile(n);
+            if patches.is_empty() {
+                return Vec::new();
+            }
+            let maps: Vec<Vec<_>> = patches.iter().map(|(_, patch)| instants.iter().map(|t| patch.picture.motion.at(*t)).collect()).collect();
+            let of = |pixel: usize| {
+                let (x, y) = case.place(pixel);
+                let mut sum = vec![0.0; instants.len()];
+                let mut weights = vec![0.0; instants.len()];
+                for ((_, patch), maps) in patches.iter().zip(&maps) {
+                    let share: Vec<f64> = instants.iter().map(|t| weight(case, patch, y, *t)).collect();
+                    let Some(first) = share.iter().position(|share| *share > 0.0) else { continue };
+                    let last = share.iter().rposition(|share| *share > 0.0).unwrap_or(first);
+                    let place = ((x - patch.part.columns.start) as usize, (y - patch.part.rows.start) as usize);
+                    let Some(log) = patch.picture.log_light(place.0, place.1, &maps[first..=last]) else { continue };
+                    for (k, log) in (first..=last).zip(log) {
+                        sum[k] += share[k] * log;
+                        weights[k] += share[k];
+                    }
+                }
+                let known: Vec<Option<f32>> = (0..instants.len())
+                    .map(|k| if weights[k] > 0.0 { Some((sum[k] / weights[k]) as f32) } else { light.log[pixel].get(k).copied() })
+                    .collect();
+                (pixel, filled(&known))
+            };
+            pixels_of(case, tile).map(of).collect()
+        };
+        let found: Vec<Vec<(usize, Vec<f32>)>> = self.tiles.par_iter().enumerate().map(of_tile).collect();
+        found.into_iter().flatten().for_each(|(pixel, log)| light.log[pixel] = log);
+        light
+    }
+
+    fn residual(&self) -> &[f32] {
+        &self.residual
+    }
+
+    fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
+        Gate::new(case, &self.residual, f64::max(least_dn, self.least_dn), spread)
+    }
+
+    fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
+        self.misfit * nominal.frame_sigma_dn(signal, (self.setting.picture.frame_dn, self.setting.picture.frame_share))
+    }
+
+    fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> Cell {
+        let Some(n) = self.patch_at(case, pixel, t_ns) else {
+            return self.whole.as_ref().map_or((0, pixel as i64, 0), |whole| whole.cell(case, pixel, t_ns, side));
+        };
+        let patch = &self.patches[n];
+        let (x, y) = case.place(pixel);
+        let extent = patch.part.extent();
+        let centre = (0.5 * (f64::from(extent.width) - 1.0), 0.5 * (f64::from(extent.height) - 1.0));
+        let place = (f64::from(x - patch.part.columns.start) - centre.0, f64::from(y - patch.part.rows.start) - centre.1);
+        let (x, y) = apply(&patch.picture.motion.at(t_ns), place.0, place.1);
+        (n as u32 + 1, (x / side).floor() as i64, (y / side).floor() as i64)
+    }
+
+    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String> {
+        let whole = self.whole.as_ref().map(|whole| MovingPicture { picture: whole.picture.refit(case, nominal, &whole.setting, None), setting: whole.setting });
+        let patches = self.patches.par_iter().map(|patch| patch.refit(case, nominal, &self.setting.picture)).collect();
+        Ok(Box::new(self.with(case, whole, patches)))
+    }
+
+    fn drawn(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Source>>, String> {
+        let draw = |whole: &MovingPicture| whole.picture.drawn(case, nominal, &whole.setting, None, seed);
+        let whole = self.whole.as_ref().map(|whole| MovingPicture { picture: draw(whole), setting: whole.setting });
+        let one = |(n, patch): (usize, &Patch)| patch.drawn(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64));
+        let patches = self.patches.par_iter().enumerate().map(one).collect();
+        Ok(Some(Box::new(self.with(case, whole, patches))))
+    }
+
+    fn misfit(&self) -> f64 {
+        self.misfit
+    }
+}
+
+impl Mosaic {
+    /// The same parts with other pictures.
+    fn with(&self, case: &Case, whole: Option<MovingPicture>, patches: Vec<Patch>) -> Mosaic {
+        let mut other = Mosaic { whole, patches, tile: self.tile.clone(), tiles: self.tiles.clone(), setting: self.setting, moves: self.moves.clone(), residual: Vec::new(), misfit: 1.0, least_dn: self.least_dn };
+        other.look(case);
+        other
+    }
+}
+
+/// Unknown values are the nearest known one before, or behind; nothing where none is known.
+fn filled(known: &[Option<f32>]) -> Vec<f32> {
+    let Some(first) = known.iter().flatten().next() else { return Vec::new() };
+    let mut last = *first;
+    known
+        .iter()
+        .map(|value| {
+            last = value.unwrap_or(last);
+            last
+        })
+        .collect()
+}
