@@ -2,10 +2,11 @@
 
 use super::begin::{begin_motion, images};
 use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivatives, map_of};
+use super::products;
 use super::register::{Search, register};
 use super::shading::{self, TERMS};
 use super::spline::{Grid, ORDER, weights};
-use super::system::{LANES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp};
+use super::system::{LANES, POSES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use photocurrent_core::random::Random;
@@ -80,7 +81,7 @@ impl Default for PictureSetting {
             knot_ns: 10_000_000,
             rounds: (5, 5),
             least_rounds: 3,
-            steps: (40, 100),
+            steps: (40, 50),
             frame_dn: 1.0,
             frame_share: 0.005,
             robust: 4.0,
@@ -95,8 +96,8 @@ impl Default for PictureSetting {
             most_values: 2_000_000,
             search: Search::default(),
             again: 5,
-            again_steps: 50,
-            draw_steps: 40,
+            again_steps: 30,
+            draw_steps: 25,
             seed: 1,
         }
     }
@@ -118,8 +119,12 @@ pub struct Report {
 pub struct Picture {
     /// Where its coefficients stand.
     pub grid: Grid,
-    /// The coefficients, in photocurrent units.
+    /// The coefficients, in photocurrent units; before a still ground behind them those of how much of it is hidden, times [`Picture::unit`].
     pub surface: Vec<f32>,
+    /// The still ground of every pixel, photocurrent, not finite where it is not known; empty where the picture is all there is.
+    pub ground: Vec<f32>,
+    /// Photocurrent that coefficients of what is hidden are in units of.
+    pub unit: f64,
     /// How it lies on the array.
     pub motion: Motion,
     /// The shading.
@@ -156,27 +161,28 @@ impl Picture {
         for (pair, _) in &pairs {
             poses.push(compose(poses.last().expect("one is there"), pair));
         }
-        let mut begun = Fit::coarse(case, nominal, setting, &poses, None);
         // Where much stands still, what registration followed may be the smaller part of it.
-        if unchanged(case, nominal, setting) > setting.still {
-            let still = Fit::coarse(case, nominal, setting, &vec![poses[0]; count], None);
-            if still.loss() < begun.loss() {
-                begun = still;
-            }
-        }
-        let mut picture = begun.fine();
+        let still = vec![poses[0]; count];
+        let motions = [&poses[..], &still[..]];
+        let tried = if unchanged(case, nominal, setting) > setting.still { &motions[..] } else { &motions[..1] };
+        let mut picture = Picture::fit_from(case, nominal, setting, tried, Begin::default());
         picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
         Ok(picture)
     }
 
-    /// Fits a picture to the frame values that `counts` ([frame][y][x]; all of them without it), from poses of the frames on.
-    pub fn fit_from(case: &Case, nominal: &Nominal, setting: &PictureSetting, poses: &[Map], counts: Option<&[bool]>) -> Picture {
-        Fit::coarse(case, nominal, setting, poses, counts).fine()
+    /// Fits a picture from the best of some motions on, each the poses of the frames.
+    ///
+    /// # Panics
+    /// Without any.
+    pub fn fit_from(case: &Case, nominal: &Nominal, setting: &PictureSetting, poses: &[&[Map]], begin: Begin<'_>) -> Picture {
+        let all = poses.iter().map(|poses| Fit::coarse(case, nominal, setting, poses, begin));
+        let best = all.min_by(|a, b| a.loss().total_cmp(&b.loss())).expect("motion begins somewhere");
+        best.fine()
     }
 
     /// Fits the frames of another recording of the same scene, from here on.
     pub fn refit(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting, counts: Option<&[bool]>) -> Picture {
-        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), counts);
+        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(counts));
         fit.picture = Picture { report: Report { misfit: Vec::new(), ..self.report.clone() }, ..self.clone() };
         fit.rounds(setting.rounds.0, setting.rounds.0 + setting.rounds.1, setting.steps.1);
         fit.picture
@@ -184,7 +190,7 @@ impl Picture {
 
     /// The same scene with what its frames leave open drawn at random: as good an explanation of the frames as the fitted one, and as rough as scenes are.
     pub fn drawn(&self, case: &Case, nominal: &Nominal, setting: &PictureSetting, counts: Option<&[bool]>, seed: u64) -> Picture {
-        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), counts);
+        let mut fit = Fit::new(case, nominal, setting, self.motion.clone(), self.begin(counts));
         fit.picture = self.clone();
         let knots = self.motion.knots.len();
         let mut rows = fit.lay(false);
@@ -195,9 +201,13 @@ impl Picture {
         let smooth = fit.smoothness(knots, Some(&open));
         let open = draw(&rows, &self.grid, &smooth, knots, setting.draw_steps, &mut random);
         fit.picture.surface.iter_mut().zip(&open).for_each(|(c, open)| *c += open);
-        let rows = fit.lay(false);
+        rows.look_at(&fit.picture.grid, &fit.picture.surface);
         fit.keep_residuals(&rows);
         fit.picture
+    }
+
+    fn begin<'a>(&'a self, counts: Option<&'a [bool]>) -> Begin<'a> {
+        Begin { counts, ground: (!self.ground.is_empty()).then_some(&self.ground[..]) }
     }
 
     /// Standard deviation that a frame value of `signal` DN above black was believed to have.
@@ -214,26 +224,32 @@ impl Picture {
     /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time holds. `None` when it never saw the picture.
     pub fn log_light(&self, x: usize, y: usize, maps: &[Map]) -> Option<Vec<f64>> {
         let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
+        let pixel = y * (2.0 * self.centre.0 + 1.0) as usize + x;
         let shade = shading::factor(&self.shading, &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half));
-        let mut last = None;
-        let mut log: Vec<f64> = Vec::with_capacity(maps.len());
-        let mut missing = 0;
-        for map in maps {
-            let (px, py) = apply(map, place.0, place.1);
-            let value = self.grid.value(&self.surface, px, py).map(|c| photocurrent_sensor::elementary::ln(f64::max(c * shade, self.least)));
-            match value.or(last) {
-                Some(value) => {
-                    if last.is_none() {
-                        log.extend(std::iter::repeat_n(value, missing));
-                    }
-                    last = Some(value);
-                    log.push(value);
-                }
-                None => missing += 1,
-            }
+        let (own, hidden) = self.surface.split_at(self.grid.coefficients());
+        let mut log = products::values(&self.grid, own, maps, place);
+        if let Some(ground) = self.ground.get(pixel).map(|ground| f64::from(*ground)) {
+            let hidden = products::values(&self.grid, hidden, maps, place);
+            log.iter_mut().zip(hidden).for_each(|(light, hidden)| *light += (1.0 - hidden / self.unit) * ground);
         }
-        last.map(|_| log)
+        products::logarithms(&mut log, shade, self.least);
+        let first = log.iter().copied().find(|value| !value.is_nan())?;
+        let mut last = first;
+        for value in &mut log {
+            last = if value.is_nan() { last } else { *value };
+            *value = last;
+        }
+        Some(log)
     }
+}
+
+/// What a fit begins with.
+#[derive(Clone, Copy, Default)]
+pub struct Begin<'a> {
+    /// Which frame values are fitted, [frame][y][x]; all of them without it.
+    pub counts: Option<&'a [bool]>,
+    /// The still ground behind the picture, photocurrent, for each pixel; not finite where it is not known.
+    pub ground: Option<&'a [f32]>,
 }
 
 /// One instant of a row's exposure.
@@ -250,7 +266,6 @@ struct Fit<'a> {
     case: &'a Case,
     nominal: &'a Nominal,
     setting: &'a PictureSetting,
-    /// Which frame values are fitted; all of them without it.
     counts: Option<&'a [bool]>,
     picture: Picture,
     /// What frame values of the fitted picture would be, over the signal's factor; kept for the weights.
@@ -259,7 +274,7 @@ struct Fit<'a> {
 }
 
 impl<'a> Fit<'a> {
-    fn new(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, motion: Motion, counts: Option<&'a [bool]>) -> Fit<'a> {
+    fn new(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, motion: Motion, begin: Begin<'a>) -> Fit<'a> {
         let centre = (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
         let grid = cover(case, &motion, centre, setting.coarse_pitch);
         let mut light: Vec<f64> = Vec::new();
@@ -272,7 +287,9 @@ impl<'a> Fit<'a> {
         let typical = light.get(light.len() / 2).copied().unwrap_or(1.0).max(1e-9);
         let picture = Picture {
             grid,
-            surface: vec![typical as f32; grid.coefficients()],
+            surface: if begin.ground.is_some() { vec![0.0; 2 * grid.coefficients()] } else { vec![typical as f32; grid.coefficients()] },
+            ground: begin.ground.map_or_else(Vec::new, <[f32]>::to_vec),
+            unit: typical,
             motion,
             shading: [0.0; TERMS],
             least: 1e-3 * typical,
@@ -280,12 +297,12 @@ impl<'a> Fit<'a> {
             residual: Vec::new(),
             centre,
         };
-        Fit { case, nominal, setting, counts, picture, typical, scale: 1.0 }
+        Fit { case, nominal, setting, counts: begin.counts, picture, typical, scale: 1.0 }
     }
 
     /// Fitted on the coarse grid, from poses of the frames on.
-    fn coarse(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, poses: &[Map], counts: Option<&'a [bool]>) -> Fit<'a> {
-        let mut fit = Fit::new(case, nominal, setting, begin_motion(case, poses, setting), counts);
+    fn coarse(case: &'a Case, nominal: &'a Nominal, setting: &'a PictureSetting, poses: &[Map], begin: Begin<'a>) -> Fit<'a> {
+        let mut fit = Fit::new(case, nominal, setting, begin_motion(case, poses, setting), begin);
         fit.rounds(0, setting.rounds.0, setting.steps.0);
         fit
     }
@@ -314,14 +331,16 @@ impl<'a> Fit<'a> {
     /// Lays the picture on the fine grid.
     fn refine(&mut self) {
         let fine = cover(self.case, &self.picture.motion, self.picture.centre, self.setting.pitch);
-        let Picture { grid, surface, .. } = &self.picture;
+        let Picture { grid, surface, ground, .. } = &self.picture;
+        let outside = if ground.is_empty() { self.typical } else { 0.0 };
         let edge = |at: f64, first: f64, count: usize| at.clamp(first + 1.001 * grid.pitch, first + (count as f64 - 3.001) * grid.pitch);
-        let value = |n: usize| {
+        let value = |surface: &[f32], n: usize| {
             let x = fine.x0 + (n % fine.width) as f64 * fine.pitch;
             let y = fine.y0 + (n / fine.width) as f64 * fine.pitch;
-            grid.value(surface, edge(x, grid.x0, grid.width), edge(y, grid.y0, grid.height)).unwrap_or(self.typical) as f32
+            grid.value(surface, edge(x, grid.x0, grid.width), edge(y, grid.y0, grid.height)).unwrap_or(outside) as f32
         };
-        self.picture.surface = (0..fine.coefficients()).map(value).collect();
+        let layers = surface.chunks_exact(grid.coefficients());
+        self.picture.surface = layers.flat_map(|surface| (0..fine.coefficients()).map(move |n| (surface, n))).map(|(surface, n)| value(surface, n)).collect();
         self.picture.grid = fine;
     }
 
@@ -373,10 +392,12 @@ impl<'a> Fit<'a> {
             }
         }
         if begin > 0 {
+            let mut step = Vec::new();
             for _ in 0..self.setting.again {
-                let step = again(&rows, &self.picture.grid, &smooth, knots, self.setting.again_steps);
+                // What measurements hardly hold asks for much the same every time.
+                step = again(&rows, &self.picture.grid, &smooth, knots, self.setting.again_steps, &step);
                 self.picture.surface.iter_mut().zip(&step).for_each(|(c, step)| *c += step);
-                rows = self.lay(false);
+                rows.look_at(&self.picture.grid, &self.picture.surface);
                 self.reweigh(&mut rows);
             }
         }
@@ -422,7 +443,7 @@ impl<'a> Fit<'a> {
     }
 
     fn first_smoothness(&self, knots: usize) -> Smoothness {
-        let n = self.picture.grid.coefficients();
+        let n = self.picture.surface.len();
         let weight = (1.0 / (0.3 * self.typical)) as f32;
         Smoothness {
             along_x: vec![weight; n],
@@ -439,9 +460,10 @@ impl<'a> Fit<'a> {
     fn smoothness(&self, knots: usize, open: Option<&[f32]>) -> Smoothness {
         let grid = &self.picture.grid;
         let (w, h) = (grid.width, grid.height);
-        let c = &self.picture.surface;
         let least = (self.setting.least_roughness * self.typical) as f32;
-        let field = |difference: &dyn Fn(&[f32], usize, usize) -> f32| -> Vec<f32> {
+        let layers = self.picture.surface.chunks_exact(w * h).enumerate().map(|(n, c)| (c, open.map(|open| &open[n * w * h..(n + 1) * w * h])));
+        let layers: Vec<(&[f32], Option<&[f32]>)> = layers.collect();
+        let of_layer = |(c, open): (&[f32], Option<&[f32]>), difference: &dyn Fn(&[f32], usize, usize) -> f32| -> Vec<f32> {
             let square = |surface: &[f32], k: usize| difference(surface, k % w, k / w) * difference(surface, k % w, k / w);
             let square: Vec<f32> = (0..w * h).map(|k| square(c, k) + open.map_or(0.0, |open| square(open, k))).collect();
             let mean: f32 = square.iter().sum::<f32>() / square.len() as f32;
@@ -463,6 +485,7 @@ impl<'a> Fit<'a> {
                 })
                 .collect()
         };
+        let field = |difference: &dyn Fn(&[f32], usize, usize) -> f32| -> Vec<f32> { layers.iter().flat_map(|layer| of_layer(*layer, difference)).collect() };
         let along_x = field(&|c, x, y| if x > 0 && x + 1 < w { c[y * w + x - 1] - 2.0 * c[y * w + x] + c[y * w + x + 1] } else { 0.0 });
         let along_y = field(&|c, x, y| if y > 0 && y + 1 < h { c[(y - 1) * w + x] - 2.0 * c[y * w + x] + c[(y + 1) * w + x] } else { 0.0 });
         let across = field(&|c, x, y| {
@@ -510,20 +533,27 @@ impl<'a> Fit<'a> {
         for part in parts {
             let begun = rows.stencil.len() as u32;
             rows.first.extend(part.first.iter().skip(1).map(|at| at + begun));
+            rows.unit.extend(part.unit);
+            rows.measured.extend(part.measured);
+            rows.is_saturated.extend(part.is_saturated);
+            rows.touched.extend(part.touched);
             rows.corner.extend(part.corner);
             rows.stencil.extend(part.stencil);
             rows.residual.extend(part.residual);
             rows.weight.extend(part.weight);
             rows.knot.extend(part.knot);
             rows.by_rest.extend(part.by_rest);
+            rows.rest_unit.extend(part.rest_unit);
             rows.signal.extend(part.signal);
             rows.index.extend(part.index);
+            rows.behind.extend(part.behind);
         }
         rows
     }
 
     fn lay_row(&self, l: usize, y: usize, with_rest: bool) -> Rows {
-        let Picture { grid, surface, motion, shading: terms, centre, .. } = &self.picture;
+        let Picture { grid, surface, ground, unit: of_hidden, motion, shading: terms, centre, .. } = &self.picture;
+        let (surface, hidden) = surface.split_at(grid.coefficients());
         let times = &self.case.frames.as_ref().expect("frames are there").times;
         let exposure = times.exposure(l, y as u32);
         let (start, end) = (exposure.start.0, exposure.end.0);
@@ -537,11 +567,14 @@ impl<'a> Fit<'a> {
         let knot = instants[0].knot;
         let number = self.nominal.number;
         let factor = number.gain * seconds;
+        let touched = instants.iter().map(|instant| (instant.knot - knot + ORDER).min(TOUCHED)).max().unwrap_or(TOUCHED) as u8;
         let mut rows = Rows { first: vec![0], ..Rows::default() };
+        let mut stencil: Vec<f32> = Vec::new();
         for x in 0..self.case.extent.width as usize {
             let pixel = y * self.case.extent.width as usize + x;
             let dn = self.case.dn(l, pixel);
-            if !dn.is_finite() {
+            let behind = ground.get(pixel).map(|ground| f64::from(*ground));
+            if !dn.is_finite() || behind.is_some_and(|ground| !ground.is_finite()) {
                 continue;
             }
             let place = (x as f64 - centre.0, y as f64 - centre.1);
@@ -561,21 +594,30 @@ impl<'a> Fit<'a> {
             let (columns, lines) = ((high.0 - low.0 + ORDER).next_multiple_of(LANES), high.1 - low.1 + ORDER);
             // Padding stands within the grid.
             let low = (low.0.min(grid.width - columns), low.1);
-            let begun = rows.stencil.len();
-            rows.stencil.resize(begun + columns * lines, 0.0);
-            let stencil = &mut rows.stencil[begun..];
+            stencil.clear();
+            stencil.resize(columns * lines, 0.0);
             for ((i, j, f, g), instant) in located.iter().zip(&instants) {
-                stamp(stencil, columns, low, (*i, *j), &weights(*f), &weights(*g), scale * instant.share);
+                stamp(&mut stencil, columns, low, (*i, *j), &weights(*f), &weights(*g), scale * instant.share);
             }
             let corner = low.1 * grid.width + low.0;
-            let signal: f32 = stencil
-                .chunks_exact(columns)
-                .enumerate()
-                .map(|(j, line)| line.iter().zip(&surface[corner + j * grid.width..]).map(|(a, c)| a * c).sum::<f32>())
-                .sum();
-            let mut residual = dn - number.black_level - f64::from(signal);
+            let along = |surface: &[f32]| -> f32 {
+                stencil
+                    .chunks_exact(columns)
+                    .enumerate()
+                    .map(|(j, line)| line.iter().zip(&surface[corner + j * grid.width..]).map(|(a, c)| a * c).sum::<f32>())
+                    .sum()
+            };
+            // A ground that nothing hides is no matter of the fit.
+            let (mut signal, mut still) = (along(surface), 0.0);
+            if let Some(ground) = behind {
+                signal -= (ground / of_hidden) as f32 * along(hidden);
+                still = scale * ground;
+                rows.behind.push((ground / of_hidden) as f32);
+            }
+            let mut residual = dn - number.black_level - still - f64::from(signal);
             let signal_dn = f64::max(dn - number.black_level, 0.0);
-            if dn >= self.nominal.saturation_dn {
+            let is_saturated = dn >= self.nominal.saturation_dn;
+            if is_saturated {
                 // At least that much.
                 residual = f64::max(residual, 0.0);
             }
@@ -583,24 +625,30 @@ impl<'a> Fit<'a> {
             if with_rest {
                 for instant in &instants {
                     let (px, py) = apply(&instant.map, place.0, place.1);
-                    let (gx, gy) = grid.gradient(surface, px, py);
+                    let (mut gx, mut gy) = grid.gradient(surface, px, py);
+                    if let Some(ground) = behind {
+                        let (hx, hy) = grid.gradient(hidden, px, py);
+                        (gx, gy) = (gx - ground / of_hidden * hx, gy - ground / of_hidden * hy);
+                    }
                     let by = derivatives(&instant.map, &instant.pose, motion.half, place.0, place.1).map(|(dx, dy)| gx * dx + gy * dy);
                     for (n, weight) in instant.weights.iter().enumerate() {
                         let at = (instant.knot - knot + n).min(TOUCHED - 1);
                         let share = scale * instant.share * weight;
-                        by_rest[at * DEGREES..][..DEGREES].iter_mut().zip(by).for_each(|(sum, by)| *sum += (share * by) as f32);
+                        by_rest[POSES + at * DEGREES..][..DEGREES].iter_mut().zip(by).for_each(|(sum, by)| *sum += (share * by) as f32);
                     }
                 }
             }
-            rows.first.push(rows.stencil.len() as u32);
-            rows.corner.push((corner as u32, columns as u32));
+            rows.push_stencil(corner as u32, columns as u32, &stencil);
+            rows.measured.push((dn - number.black_level - still) as f32);
+            rows.is_saturated.push(is_saturated);
+            rows.touched.push(touched);
             rows.residual.push(residual as f32);
             let index = l * self.case.extent.pixels() + pixel;
             let is_fitted = self.counts.is_none_or(|counts| counts[index]);
             rows.weight.push(if is_fitted { (1.0 / self.sigma(signal_dn)) as f32 } else { 0.0 });
             rows.knot.push(knot as u32);
-            by_rest[TOUCHED * DEGREES..].iter_mut().zip(basis).for_each(|(by, b)| *by = b as f32 * signal);
-            rows.by_rest.push(by_rest);
+            by_rest[..TERMS].iter_mut().zip(basis).for_each(|(by, b)| *by = b as f32 * (signal + still as f32));
+            rows.push_rest(&by_rest);
             rows.signal.push(signal_dn as f32);
             rows.index.push(index as u32);
         }
@@ -659,7 +707,7 @@ mod tests {
         let nominal = case.nominal().unwrap();
         let setting = PictureSetting::default();
         let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
-        let mut fit = Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting), None);
+        let mut fit = Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting), Begin::default());
         let mut random = Random::new(3, &[]);
         let typical = fit.typical as f32;
         fit.picture.surface.iter_mut().for_each(|c| *c += 0.2 * typical * random.normal() as f32);
@@ -683,14 +731,14 @@ mod tests {
             let finite = moved(&|picture, by| picture.motion.knots[knot][degree] += by);
             for (r, finite) in finite.iter().enumerate() {
                 let first = rows.knot[r] as usize;
-                let own = if (first..first + TOUCHED).contains(&knot) { f64::from(rows.by_rest[r][(knot - first) * DEGREES + degree]) } else { 0.0 };
+                let own = if (first..first + TOUCHED).contains(&knot) { f64::from(rows.rest_of(r)[POSES + (knot - first) * DEGREES + degree]) } else { 0.0 };
                 assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "knot {knot}, degree {degree}, row {r}: {own} is {finite}");
             }
         }
         for term in 0..TERMS {
             let finite = moved(&|picture, by| picture.shading[term] += by);
             for (r, finite) in finite.iter().enumerate() {
-                let own = f64::from(rows.by_rest[r][TOUCHED * DEGREES + term]);
+                let own = f64::from(rows.rest_of(r)[term]);
                 assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "term {term}, row {r}: {own} is {finite}");
             }
         }

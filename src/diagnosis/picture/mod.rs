@@ -8,6 +8,7 @@
 //! - [`register`]: how one frame lies on the next; where the fit starts.
 //! - [`shading`]: the array's own shading.
 //! - [`system`]: the sparse least-squares problem.
+//! - [`products`]: what solving it spends its time in.
 //! - [`begin`]: how motion begins.
 //! - [`estimate`]: the rounds.
 //! - [`patches`]: parts of the array with a picture each.
@@ -20,9 +21,10 @@ pub mod begin;
 pub mod estimate;
 pub mod motion;
 pub mod patches;
+mod products;
 pub mod register;
 pub mod shading;
 pub mod spline;
 pub mod system;
 
-pub use estimate::{Picture, PictureSetting, Report};
+pub use estimate::{Begin, Picture, PictureSetting, Report};

@@ -6,7 +6,7 @@
 //! Source: the piecewise view of optical flow (Black and Anandan, The Robust Estimation of Multiple Motions, CVIU 1996). Limits: what comes out from behind something else is seen by too few
 //! frames, and one patch has one motion.
 
-use super::estimate::{Picture, PictureSetting};
+use super::estimate::{Begin, Picture, PictureSetting};
 use super::motion::Map;
 use crate::case::{Case, CaseFrames, PixelEvents};
 use crate::nominal::Nominal;
@@ -183,8 +183,8 @@ pub struct Patch {
 impl Patch {
     /// Fits a picture to a part of a recording; none where too little moves.
     ///
-    /// `moves`: which frame values of the whole recording belong to something that moves ([`foreground`]).
-    pub fn fit(case: &Case, nominal: &Nominal, moves: &[bool], part: Part, setting: &PatchSetting, of_picture: &PictureSetting) -> Option<Patch> {
+    /// `moves`: which frame values of the whole recording belong to something that moves ([`foreground`]); `ground`: the still ground of its pixels, photocurrent, where there is one.
+    pub fn fit(case: &Case, nominal: &Nominal, moves: &[bool], ground: Option<&[f32]>, part: Part, setting: &PatchSetting, of_picture: &PictureSetting) -> Option<Patch> {
         let own = part.of(case);
         if own.extent.width.min(own.extent.height) < 8 || own.frame_count() < 3 {
             return None;
@@ -197,7 +197,12 @@ impl Patch {
         }
         let shift = follow(&own, nominal, &counts, setting);
         let poses: Vec<Map> = (0..own.frame_count()).map(|l| [l as f64 * shift.0, 1.0, 0.0, l as f64 * shift.1, 0.0, 1.0]).collect();
-        let picture = Picture::fit_from(&own, nominal, of_picture, &poses, Some(&counts));
+        let ground: Option<Vec<f32>> = ground.map(|ground| part.pixels(case.extent.width).map(|pixel| ground[pixel]).collect());
+        if ground.is_some() {
+            // What stands still is explained as well.
+            counts.fill(true);
+        }
+        let picture = Picture::fit_from(&own, nominal, of_picture, &[&poses], Begin { counts: Some(&counts), ground: ground.as_deref() });
         Some(Patch { part, counts, picture })
     }
 
@@ -226,7 +231,7 @@ impl Patch {
 }
 
 /// The one shift from frame to frame, pixels, that predicts moving values best: where a value of the next frame was in the frame before, less where it is.
-fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSetting) -> (f64, f64) {
+pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSetting) -> (f64, f64) {
     let images = super::begin::images(case, nominal);
     let smooth: Vec<_> = images.iter().map(|image| image.smoothed(1)).collect();
     let (w, h) = (case.extent.width as i32, case.extent.height as i32);

@@ -98,6 +98,17 @@ pub struct FrameValues {
     pub log_signal: Vec<f64>,
 }
 
+/// Pixels that are looked at by one thread at a time.
+const CHUNK: usize = 16;
+
+/// Which events are looked at.
+enum Chosen<'a, K> {
+    /// Armed ones, by the first trial, where this keeps them.
+    By(&'a K),
+    /// These.
+    Before(&'a Residuals),
+}
+
 impl View<'_> {
     /// Residuals of the armed events behind the first of each pixel, and what each trial makes of them.
     ///
@@ -105,7 +116,7 @@ impl View<'_> {
     /// When a trial's effects are not understood or cannot be combined.
     pub fn residuals(&self, trials: &[Trial], keeps: impl Fn(usize, i64) -> bool + Sync) -> Result<(Residuals, Vec<OfTrial>), String> {
         let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
-        let parts: Vec<(Residuals, Vec<OfTrial>)> = self.pixels.par_chunks(16).map(|pixels| self.part(pixels, &prepared, &keeps)).collect();
+        let parts: Vec<(Residuals, Vec<OfTrial>)> = self.pixels.par_chunks(CHUNK).map(|pixels| self.part(pixels, &prepared, &Chosen::By(&keeps))).collect();
         let mut all = Residuals::default();
         let mut of_trials: Vec<OfTrial> = vec![OfTrial::default(); trials.len()];
         for (part, values) in parts {
@@ -126,6 +137,24 @@ impl View<'_> {
             }
         }
         Ok((all, of_trials))
+    }
+
+    /// What each trial makes of events of the view's pixels that were chosen before.
+    ///
+    /// # Errors
+    /// When a trial's effects are not understood or cannot be combined.
+    pub fn of_events(&self, trials: &[Trial], events: &Residuals) -> Result<Vec<OfTrial>, String> {
+        let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
+        let chosen: Chosen<'_, fn(usize, i64) -> bool> = Chosen::Before(events);
+        let parts: Vec<Vec<OfTrial>> = self.pixels.par_chunks(CHUNK).map(|pixels| self.part(pixels, &prepared, &chosen).1).collect();
+        let mut of_trials: Vec<OfTrial> = vec![OfTrial::default(); trials.len()];
+        for part in parts {
+            for (all, values) in of_trials.iter_mut().zip(part) {
+                all.excess.extend(values.excess);
+                all.slope_per_s.extend(values.slope_per_s);
+            }
+        }
+        Ok(of_trials)
     }
 
     /// The frame values of the pixels, and for each trial what it leaves of them, DN: recorded less predicted. Saturated and unknown values are left out.
@@ -168,7 +197,7 @@ impl View<'_> {
         Ok((all, of_trials))
     }
 
-    fn part(&self, pixels: &[u32], prepared: &[Prepared], keeps: &(impl Fn(usize, i64) -> bool + Sync)) -> (Residuals, Vec<OfTrial>) {
+    fn part(&self, pixels: &[u32], prepared: &[Prepared], chosen: &Chosen<'_, impl Fn(usize, i64) -> bool + Sync>) -> (Residuals, Vec<OfTrial>) {
         let (mut all, mut of_trials) = (Residuals::default(), vec![OfTrial::default(); prepared.len()]);
         let mut out = Conditional::default();
         let setting = SceneSetting::default();
@@ -182,6 +211,14 @@ impl View<'_> {
             let site = self.case.site(pixel, 0);
             let (events, _) = pixel_data(self.case, &prepared[0].nominal, &setting, pixel);
             let mut kept: Vec<usize> = Vec::new();
+            if let Chosen::Before(events) = chosen {
+                let from = events.pixel.partition_point(|of| (*of as usize) < pixel);
+                let to = events.pixel.partition_point(|of| (*of as usize) <= pixel);
+                kept.extend(events.number[from..to].iter().map(|number| *number as usize));
+                if kept.is_empty() {
+                    continue;
+                }
+            }
             let mut plain: Option<Track> = None;
             for (n, prepared) in prepared.iter().enumerate() {
                 let seen = prepared.kernel().map(|kernel| self.mixed(kernel, prepared, pixel, &instants));
@@ -193,7 +230,7 @@ impl View<'_> {
                 let seen = seen.filter(|seen| seen.len() == track.t_ns.len());
                 let look = Look { site, track, seen: seen.as_deref(), events: &events, frames: &[] };
                 conditional(&prepared.nominal, &prepared.effects, &look, &mut out);
-                if n == 0 {
+                if let (0, Chosen::By(keeps)) = (n, chosen) {
                     kept = (1..events.len())
                         .filter(|&k| out.is_armed[k] && out.is_armed[k - 1] && keeps(pixel, events[k].t_in_ns) && keeps(pixel, events[k - 1].t_in_ns))
                         .collect();

@@ -8,9 +8,11 @@ use super::source::{Cell, MovingPicture, Source};
 use crate::case::Case;
 use crate::integrity::median;
 use crate::nominal::Nominal;
-use crate::picture::motion::apply;
-use crate::picture::patches::{Part, Patch, PatchSetting, foreground};
-use crate::picture::{Picture, PictureSetting};
+use crate::picture::begin::images;
+use crate::picture::motion::{Map, apply, compose};
+use crate::picture::patches::{Part, Patch, PatchSetting, follow, foreground, ground};
+use crate::picture::register::register;
+use crate::picture::{Begin, Picture, PictureSetting};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -29,6 +31,8 @@ pub struct MosaicSetting {
     pub helped: f64,
     /// More parts than this are not fitted: those with the most events are.
     pub most_parts: usize,
+    /// There is a still ground where more than this share of the pixels have the same value in half of the frames.
+    pub still: f64,
     /// A part predicts at least this share of its tile's moving values.
     pub least_predicted: f64,
     /// And so much more than the moving picture.
@@ -49,6 +53,7 @@ impl Default for MosaicSetting {
             probes: 8,
             helped: 0.4,
             most_parts: 160,
+            still: 0.4,
             least_predicted: 0.5,
             better: 0.1,
             step: 0.15,
@@ -78,18 +83,30 @@ pub struct Mosaic {
 /// # Errors
 /// When neither predicts anything, with the reason of [`Picture::fit`].
 pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting) -> Result<Box<dyn Source>, String> {
-    let whole = MovingPicture::fit(case, nominal, whole);
+    let of_whole = whole;
+    let mut whole = MovingPicture::fit(case, nominal, of_whole);
     if case.frame_count() < 3 || case.extent.width.min(case.extent.height) < 8 {
         return whole.map(|whole| Box::new(whole) as Box<dyn Source>);
     }
     let tiles = setting.patches.tiles(case.extent);
-    let mut found = Mosaic { whole: whole.as_ref().ok().map(MovingPicture::copy), patches: Vec::new(), tile: Vec::new(), tiles, setting: *setting, moves: foreground(case, nominal, (setting.picture.frame_dn, setting.picture.frame_share), setting.patches.moves), residual: Vec::new(), misfit: 1.0, least_dn: usual_step_dn(case, nominal, setting.step) };
+    let noise = (setting.picture.frame_dn, setting.picture.frame_share);
+    let moves = foreground(case, nominal, noise, setting.patches.moves);
+    let ground = light_of_ground(case, nominal, &ground(case, nominal, noise, setting.patches.moves));
+    let ground = (ground.iter().filter(|ground| ground.is_finite()).count() as f64 > setting.still * ground.len() as f64).then_some(ground);
+    if let Some(ground) = &ground {
+        let before = before_ground(case, nominal, of_whole, &moves, ground, setting);
+        let misses = |picture: &Picture| usual(case, nominal, &moves, &(0..case.extent.width, 0..case.extent.height), &(0..case.frame_count()), |l, x, y| of_picture(case, picture, l, x, y));
+        if whole.as_ref().map_or(f64::INFINITY, |whole| misses(&whole.picture)) > misses(&before) {
+            whole = Ok(MovingPicture { picture: before, setting: *of_whole });
+        }
+    }
+    let mut found = Mosaic { whole: whole.as_ref().ok().map(MovingPicture::copy), patches: Vec::new(), tile: Vec::new(), tiles, setting: *setting, moves, residual: Vec::new(), misfit: 1.0, least_dn: usual_step_dn(case, nominal, setting.step) };
     let changes = found.moves.clone();
     let needed = found.needed(case, nominal, &changes);
     let fit = |list: &[(usize, Range<usize>)]| -> Vec<(usize, Patch)> {
         let one = |(tile, frames): &(usize, Range<usize>)| {
             let part = Part::around(&found.tiles[*tile], frames.clone(), case.extent, &setting.patches);
-            Some((*tile, Patch::fit(case, nominal, &changes, part, &setting.patches, &setting.picture)?))
+            Some((*tile, Patch::fit(case, nominal, &changes, ground.as_deref(), part, &setting.patches, &setting.picture)?))
         };
         list.par_iter().filter_map(one).collect()
     };
@@ -108,6 +125,26 @@ pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &M
     }
     found.look(case);
     Ok(Box::new(found))
+}
+
+/// The photocurrent of a still ground from its values, DN.
+fn light_of_ground(case: &Case, nominal: &Nominal, ground: &[f64]) -> Vec<f32> {
+    let seconds = case.frames.as_ref().and_then(|frames| frames.times.nominal_exposure_ns()).map_or(1.0, |ns| ns as f64 * 1e-9);
+    ground.iter().map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * seconds)) as f32).collect()
+}
+
+/// One picture that moves before a still ground, turning and shifting as neighbouring frames do, or shifting steadily.
+fn before_ground(case: &Case, nominal: &Nominal, of_picture: &PictureSetting, moves: &[bool], ground: &[f32], setting: &MosaicSetting) -> Picture {
+    let count = case.frame_count();
+    let images = images(case, nominal);
+    let pairs: Vec<Map> = (1..count).into_par_iter().map(|l| register(&images[l - 1], &images[l], &of_picture.search, None).0).collect();
+    let mut chained: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
+    for pair in &pairs {
+        chained.push(compose(chained.last().expect("one is there"), pair));
+    }
+    let shift = follow(case, nominal, moves, &setting.patches);
+    let steady: Vec<Map> = (0..count).map(|l| [l as f64 * shift.0, 1.0, 0.0, l as f64 * shift.1, 0.0, 1.0]).collect();
+    Picture::fit_from(case, nominal, of_picture, &[&chained, &steady], Begin { counts: None, ground: Some(ground) })
 }
 
 impl Mosaic {
