@@ -9,9 +9,11 @@
 //!
 //! - [`effect`]: the hooks, and what passes through them.
 //! - [`parameters`]: the declaration, and reading parameters from a description.
+//! - [`sought`]: what a diagnosis must know of an effect.
 
 pub mod effect;
 pub mod parameters;
+pub mod sought;
 
 pub mod background_activity;
 pub mod bandwidth_gradient;
