@@ -277,7 +277,7 @@ impl fmt::Display for Size {
             Size::Times(size, of) => write!(f, "({size}) x {}", of.text()),
             Size::Over(size @ Size::Larger(..), of) => write!(f, "({size}) / {}", of.text()),
             Size::Over(size, of) => write!(f, "{size} / {}", of.text()),
-            Size::Larger(one, other) => write!(f, "larger of {one} and {other}"),
+            Size::Larger(one, other) => write!(f, "the larger of {one} and {other}"),
         }
     }
 }

@@ -81,7 +81,7 @@ fn sizes_follow_their_measures_and_say_how() {
     };
     let size = Size::Over(&Size::Of(12.0, Measure::Threshold), Measure::Light);
     assert_eq!((size.at(&measure), size.to_string().as_str()), (0.96, "12 x threshold / median photocurrent"));
-    assert_eq!((DELAY.at(&measure), DELAY.to_string().as_str()), (0.55 * 20e-6, "larger of 0.000002 and 0.55 x width of a stamp"));
+    assert_eq!((DELAY.at(&measure), DELAY.to_string().as_str()), (0.55 * 20e-6, "the larger of 0.000002 and 0.55 x width of a stamp"));
     assert_eq!(Size::Times(&SHARE, Measure::Rows).at(&measure), 0.004);
 }
 
