@@ -31,4 +31,5 @@ pub use catalog::catalogue;
 /// The effects that a sensor description states, held against the catalogue.
 pub use photocurrent_sensor::effects::from_description as read_effects;
 /// What a sensor may do beyond the paper's model, for those who list it.
+pub use photocurrent_sensor::effects::sought::{Grows, Search, Signs, Size, Sought};
 pub use photocurrent_sensor::effects::{EffectDecl, ParameterDecl, Unit, catalogue as effects};

@@ -5,7 +5,7 @@ use crate::common::{Done, Failure};
 use crate::tables::draw;
 use crate::terminal::{print, print_json, say};
 use photocurrent_core::document::Problem;
-use photocurrent_nodes::{EffectDecl, ParameterDecl, Unit, effects as catalogue};
+use photocurrent_nodes::{EffectDecl, Grows, ParameterDecl, Search, Signs, Size, Sought, Unit, effects as catalogue};
 use serde_json::{Value, json};
 use std::fmt::Write;
 
@@ -68,9 +68,10 @@ fn manual(all: &[EffectDecl]) -> String {
             }
             text.push('\n');
         }
+        let sought = sought(decl, "; ");
         let _ = writeln!(
             text,
-            "Shows as: {} (on `{}`).\nConfused with: {}.\nSource: {}.",
+            "Shows as: {} (on `{}`).\nA diagnosis looks for: {sought}.\nConfused with: {}.\nSource: {}.",
             decl.signature,
             decl.covariate,
             decl.confused_with.join(", "),
@@ -78,6 +79,27 @@ fn manual(all: &[EffectDecl]) -> String {
         );
     }
     text
+}
+
+/// By what a diagnosis looks for an effect.
+fn sought(decl: &EffectDecl, between: &str) -> String {
+    match decl.search {
+        Search::For(numbers) => numbers.iter().map(|one| number(decl, one)).collect::<Vec<_>>().join(between),
+        Search::Not(why) => format!("nothing, {why}"),
+    }
+}
+
+/// A number that a diagnosis looks for, with its usual size and the one from which it matters.
+fn number(decl: &EffectDecl, sought: &Sought) -> String {
+    let name = if sought.parameter.is_empty() { "the effect" } else { sought.parameter };
+    let Some(unit) = decl.parameter(sought.parameter).map(|parameter| parameter.unit.text()) else { return name.to_owned() };
+    let sign = if sought.signs == Signs::Both { "of either sign, " } else { "" };
+    let matters = match sought.material {
+        _ if sought.grows == Grows::AsItFalls => String::new(),
+        Size::Fixed(0.0) => String::new(),
+        size => format!(", matters beyond {size}"),
+    };
+    format!("{name} ({unit}), {sign}usually {}{matters}", sought.typical)
 }
 
 fn page(decl: &EffectDecl) -> String {
@@ -94,9 +116,10 @@ fn page(decl: &EffectDecl) -> String {
             let _ = writeln!(text, "      plausible {} to {} {}", parameter.plausible.0, parameter.plausible.1, parameter.unit.text());
         }
     }
+    let sought = sought(decl, "\n               ");
     let _ = write!(
         text,
-        "\nshows as:      {} (on {})\nconfused with: {}\nsource:        {}\n",
+        "\nshows as:      {} (on {})\nsought:        {sought}\nconfused with: {}\nsource:        {}\n",
         decl.signature,
         decl.covariate,
         decl.confused_with.join(", "),

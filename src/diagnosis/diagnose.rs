@@ -5,7 +5,7 @@ use crate::case::{Case, PixelEvents};
 use crate::fitted::{fitted, put_beside};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
-use crate::integrity::{Finding, Integrity, TESTED, integrity};
+use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
 use crate::nominal::Nominal;
 use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
 use crate::residual::located::{Located, answered, of_claim, of_unnamed};
@@ -197,11 +197,11 @@ fn without_masked(case: &Case, integrity: &Integrity) -> Case {
 pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
     let mut amended = without_masked(case, integrity);
     // Hot rows and pixels are out with their pixels.
-    let rest = integrity.findings.iter().filter(|finding| !matches!(finding.id, "hot_rows" | "hot_pixels"));
+    let rest = integrity.findings.iter().filter(|finding| !hot::IDS.contains(&finding.id));
     let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
     amended.sensor = fitted(&case.sensor, nominal, scales, &values);
     rest.for_each(|finding| put_beside(&mut amended.sensor.effects, finding.id, &finding.parameters));
-    if let Some(step) = values.iter().find(|(which, _)| CANDIDATES[*which].id == "timestamp_quantization").map(|(_, step)| *step) {
+    if let Some(step) = values.iter().find(|(which, _)| CANDIDATES[*which].id == stamps::GRID).map(|(_, step)| *step) {
         amended.t_resolution_ns = (step * 1e9).round() as i64;
     }
     amended
@@ -310,7 +310,7 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
     for (candidate, value, ci95) in &claim.values {
         effect.put(&CANDIDATES[*candidate], *value, *ci95, nominal);
     }
-    if claim.values.iter().any(|(candidate, ..)| CANDIDATES[*candidate].parameter == "reset") {
+    if claim.values.iter().any(|(candidate, ..)| CANDIDATES[*candidate].is_reset()) {
         effect.equation = "the reference moves by one threshold at each event, or is taken anew, other than stated (comparator.reset)".into();
     }
     if let Some(finding) = &claim.finding {

@@ -9,8 +9,8 @@ use crate::record::Described;
 use crate::report::six_digits;
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
-use photocurrent_sensor::effects::{Unit, catalogue};
-use serde_json::json;
+use photocurrent_sensor::effects::catalogue;
+use photocurrent_sensor::effects::sought::Field;
 
 /// A description with effects put in; each is an index into [`CANDIDATES`] with a value in the unit of its declaration.
 pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usize, f64)]) -> Sensor {
@@ -36,14 +36,8 @@ pub fn put_beside(effects: &mut Described, id: &str, numbers: &[(&'static str, f
     let Some(stated) = effects.get_mut(id) else { return };
     let Some(decl) = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == id) else { return };
     for (name, value) in numbers.iter().filter(|(name, _)| Candidate::find(id, name).is_none()) {
-        let value = six_digits(*value);
-        let written = match decl.parameters.iter().find(|parameter| parameter.name == *name).map(|parameter| parameter.unit) {
-            Some(Unit::Time) => json!(format!("{} ns", (value * 1e9).round())),
-            Some(Unit::Rate) => json!(format!("{value} Hz")),
-            Some(_) => json!(value),
-            None => continue,
-        };
-        stated.insert((*name).to_owned(), written);
+        let Some(parameter) = decl.parameter(name) else { continue };
+        stated.insert((*name).to_owned(), parameter.unit.written(six_digits(*value)));
     }
 }
 
@@ -62,27 +56,23 @@ pub fn with_findings(fitted: &Sensor, found: &[(String, Vec<String>)]) -> String
 fn put_in_field(sensor: &mut Sensor, nominal: &Nominal, candidate: &Candidate, value: f64) -> bool {
     let duration = |seconds: f64| Some(Duration::new((seconds * 1e9).round().max(0.0) as i64));
     let (on, off) = (sensor.comparator.threshold_on.unwrap_or(0.0), sensor.comparator.threshold_off.unwrap_or(0.0));
-    match (candidate.id, candidate.parameter) {
-        ("time_constant", "tau_0") => sensor.front_end.tau_0 = duration(value),
-        ("time_constant", "alpha") => sensor.front_end.alpha = duration(value),
-        ("threshold_scale", _) => {
+    let Some(field) = candidate.sought.field else { return false };
+    match field {
+        Field::Tau0 => sensor.front_end.tau_0 = duration(value),
+        Field::Alpha => sensor.front_end.alpha = duration(value),
+        Field::Thresholds { off: sign } => {
             sensor.comparator.threshold_on = Some(six_digits(on * (1.0 + value)));
-            sensor.comparator.threshold_off = Some(six_digits(off * (1.0 + value)));
+            sensor.comparator.threshold_off = Some(six_digits(off * (1.0 + sign * value)));
         }
-        ("threshold_asymmetry", _) => {
-            sensor.comparator.threshold_on = Some(six_digits(on * (1.0 + value)));
-            sensor.comparator.threshold_off = Some(six_digits(off * (1.0 - value)));
-        }
-        ("threshold_noise", _) => sensor.comparator.threshold_noise = Some(six_digits(value)),
-        ("refractory", "refractory") => sensor.readout.refractory = duration(value),
-        ("refractory", "reset") => {
+        Field::ThresholdNoise => sensor.comparator.threshold_noise = Some(six_digits(value)),
+        Field::Refractory => sensor.readout.refractory = duration(value),
+        Field::Reset => {
             let mut trial = Trial::stated(nominal);
             candidate.put_on(&mut trial, 1.0, &Scales::default());
             sensor.comparator.reset = trial.nominal.reset;
         }
-        ("black_level", _) => sensor.frames.black_level_dn = Some(value),
-        ("row_time", _) => sensor.frames.row_time = duration(value),
-        _ => return false,
+        Field::BlackLevel => sensor.frames.black_level_dn = Some(value),
+        Field::RowTime => sensor.frames.row_time = duration(value),
     }
     true
 }
@@ -94,6 +84,7 @@ mod tests {
     use photocurrent_core::document::Source;
     use photocurrent_core::sensor::Reset;
     use photocurrent_sensor::effects::from_description;
+    use serde_json::json;
     use std::path::Path;
 
     fn fitted_with(found: &[(&str, &str, f64)]) -> Sensor {

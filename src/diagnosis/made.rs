@@ -32,9 +32,6 @@ pub struct Made {
     pub truth: Fault,
 }
 
-/// Effects that show without any scene and have tests of their own ([`crate::integrity`]).
-const SHOWN: [&str; 7] = ["hot_pixels", "hot_rows", "timestamp_quantization", "frame_coupling", "readout_queue", "frame_gain_steps", "frame_nonlinearity"];
-
 /// How recordings are made.
 #[derive(Clone, Copy, Debug)]
 pub struct MadeSetting {
@@ -77,7 +74,7 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
     }
     let count = if kind < other + two { 2 } else { usize::from(kind < other + two + one) };
     let mut trial = Trial::stated(&nominal);
-    let choice: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| is_drawn(n)).collect();
+    let choice: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| CANDIDATES[n].sought.is_made).collect();
     while truth.effects.len() < count {
         let candidate = &CANDIDATES[choice[(random.uniform() * choice.len() as f64) as usize % choice.len()]];
         let (from, to) = setting.strengths;
@@ -90,14 +87,6 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
     }
     let case = if count == 0 { plain } else { scene.recording_through(Some(&trial))? };
     Ok(Made { case, truth })
-}
-
-/// Is a candidate one that recordings are made with? Frames whose digital numbers bend are made by their second parameter, which is what sensors do.
-fn is_drawn(candidate: usize) -> bool {
-    let one = &CANDIDATES[candidate];
-    let is_shown = SHOWN.contains(&one.id) && one.parameter != "compression";
-    let is_like_another = one.parameter == "reset" || (one.id == "row_skew" && one.is_random);
-    !is_shown && !is_like_another
 }
 
 /// What stamps of what is in no catalogue may depend on.

@@ -5,7 +5,7 @@
 //!
 //! An effect is named only when it matters ([`is_material`]), not only when it is certain: in a million events a microsecond is a hundred standard deviations.
 
-use crate::candidates::{CANDIDATES, Candidate};
+use crate::candidates::{CANDIDATES, Candidate, Scales, Signs};
 use crate::case::Case;
 use crate::integrity::regular;
 use crate::integrity::{Finding, Integrity};
@@ -13,7 +13,8 @@ use crate::law::Law;
 use crate::nominal::Nominal;
 use crate::report::{Detectable, Verdict};
 use crate::residual::located::Locations;
-use photocurrent_sensor::effects::{Unit, catalogue};
+use photocurrent_sensor::effects::catalogue;
+use photocurrent_sensor::effects::sought::Measure;
 use serde::{Deserialize, Serialize};
 
 /// What is thought of one candidate.
@@ -242,9 +243,9 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
         .iter()
         .filter_map(|(parameter, value)| Some((CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == *parameter)?, *value, None)))
         .collect();
-    // Events that are counted where nothing moves are certain however few they are; the limits are for what is fitted.
-    let is_counted = finding.id == "leak_events";
-    let matters = is_counted || values.is_empty() || values.iter().any(|(candidate, value, _)| is_material(case, nominal, &CANDIDATES[*candidate], *value));
+    // Events that are counted are certain however few they are; the limits are for what is fitted.
+    let is_material = |(candidate, value, _): &Valued| CANDIDATES[*candidate].sought.is_counted || is_material(case, nominal, &CANDIDATES[*candidate], *value);
+    let matters = values.is_empty() || values.iter().any(is_material);
     matters.then(|| Claim {
         id: finding.id,
         also_possible: Vec::new(),
@@ -275,38 +276,21 @@ fn looks_like(known: &str, candidate: &Candidate) -> bool {
     known == candidate.id || confused(known).contains(&candidate.id) || confused(candidate.id).contains(&known)
 }
 
-/// Does a value of a candidate differ from nothing by more than anybody would care about? Delays: the larger of 2 us and half of the stamp's width, as stamps may be rounded down; other
-/// times: the larger of 2 us and a tenth of the stamp's width; thresholds, gains and light: 0.5 %; rates: 0.01 Hz a pixel; shares: 0.1 %.
+/// Does a value of a candidate differ from nothing by more than anybody would care about? From which size on, the effect's file says; a switch and a limit always do.
 pub fn is_material(case: &Case, nominal: &Nominal, candidate: &Candidate, value: f64) -> bool {
-    let Some(decl) = candidate.parameter_decl() else { return true };
-    if candidate.is_limit() {
+    if candidate.signs == Signs::Switch || candidate.is_limit() {
         return true;
     }
-    let size = (value - candidate.nominal_value(nominal)).abs();
-    let width_s = case.t_resolution_ns as f64 * 1e-9;
-    let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
-    // Half a step of the stamps is no delay: they are rounded down.
-    let delay_s = f64::max(2e-6, 0.55 * width_s);
-    match (candidate.id, decl.unit) {
-        // A tenth of a stamp over the length of the recording.
-        ("clock_drift", _) => size * seconds > f64::max(2e-6, 0.1 * width_s),
-        ("clock_offset", _) => size > delay_s,
-        ("time_constant" | "second_pole", _) if matches!(candidate.parameter, "tau_0" | "tau") => size > delay_s,
-        // Half of it is a shift of the middle.
-        ("exposure_time", _) => size > 2.0 * delay_s,
-        ("row_skew", _) if candidate.parameter == "per_row" => size * f64::from(case.extent.height) > f64::max(2e-6, 0.1 * width_s),
-        ("row_time", _) => size * f64::from(case.extent.height) > 2e-6,
-        ("time_constant" | "second_pole", _) => size > delay_s * typical_light(case, nominal),
-        ("threshold_drift", _) => size * seconds > 0.005,
-        ("dark_current", _) => size > 0.005 * typical_light(case, nominal),
-        ("black_level", _) => size > 0.005 * typical_dn(case, nominal),
-        (_, Unit::Time) => size > f64::max(2e-6, 0.1 * width_s),
-        (_, Unit::Rate) => size > 0.01,
-        ("threshold_scale" | "threshold_asymmetry" | "threshold_gradient" | "frame_nonlinearity", _) => size > 0.005,
-        (_, Unit::Number("fraction")) => size > 0.001,
-        (_, Unit::Number("ln")) => size > 0.005 * nominal.pixel.threshold_on,
-        _ => size > 0.0,
-    }
+    let measure = |measure: Measure| match measure {
+        Measure::Light => typical_light(case, nominal),
+        Measure::Signal => typical_dn(case, nominal),
+        Measure::Threshold => nominal.pixel.threshold_on,
+        Measure::Duration => (case.span.1 - case.span.0) as f64 * 1e-9,
+        Measure::StampWidth => case.t_resolution_ns as f64 * 1e-9,
+        Measure::Rows => f64::from(case.extent.height),
+        other => Scales::of(case, nominal).measure(other, nominal),
+    };
+    (value - candidate.nominal_value(nominal)).abs() > candidate.sought.material.at(&measure)
 }
 
 fn typical_dn(case: &Case, nominal: &Nominal) -> f64 {

@@ -7,6 +7,8 @@ use super::{Finding, median};
 use crate::case::Case;
 use crate::nominal::Nominal;
 
+/// The effects that are found here; their pixels are excluded.
+pub const IDS: [&str; 2] = ["hot_rows", "hot_pixels"];
 /// A row must have this many standard deviations of counting more events in its median pixel than the rows around it.
 const ROW_SIGMAS: f64 = 1.6;
 /// In this share of its pixels it must be more than both.
@@ -65,7 +67,7 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>) -> (Option<Finding>, Vec<u32
     let rate = excess / hot.len() as f64 / seconds;
     let share = hot.len() as f64 / height as f64;
     let finding = Finding {
-        id: "hot_rows",
+        id: IDS[0],
         parameters: vec![("fraction", share), ("rate", rate)],
         statistic: strongest,
         threshold: ROW_SIGMAS,
@@ -123,7 +125,7 @@ pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> 
     let seen = format!("{} pixels fire about {rate:.0} times a second more than those around them, all the time", hot.len());
     let polarity = polarity(case, &hot);
     Some(Finding {
-        id: "hot_pixels",
+        id: IDS[1],
         parameters: vec![("fraction", share), ("rate", rate)],
         statistic: strongest,
         threshold: PIXEL_SIGMAS,

@@ -133,7 +133,7 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     found.findings.extend(pixels);
     found.masked = masked;
     let tight = stamps::findings(case, &stream);
-    let on_grid = tight.iter().any(|finding| finding.id == "timestamp_quantization");
+    let on_grid = tight.iter().any(|finding| finding.id == stamps::GRID);
     found.findings.extend(tight);
     // Stamps on a coarse grid have no interval below its step.
     let says_more = |finding: &Finding| !(on_grid && finding.id == "refractory");

@@ -3,6 +3,8 @@
 use super::{Finding, Stream, quantile};
 use crate::case::Case;
 
+/// A grid that is coarser than stated: the recording is then looked at with stamps of its width.
+pub const GRID: &str = "timestamp_quantization";
 /// This share of the stamps must sit on a grid.
 const GRID_SHARE: f64 = 0.98;
 /// A grid or gap counts from this multiple of the stated resolution on.
@@ -24,7 +26,7 @@ pub fn findings(case: &Case, stream: &Stream) -> Vec<Finding> {
     let grid = (1..=5).find_map(|part| on_grid(&unique, gap / f64::from(part)));
     if let Some((step, on_it)) = grid.filter(|(step, _)| *step > COARSER * stated) {
         found.push(Finding {
-            id: "timestamp_quantization",
+            id: GRID,
             parameters: vec![("step", step * 1e-9)],
             statistic: step / stated,
             threshold: COARSER,

@@ -70,6 +70,11 @@ pub fn white_share(events: &Residuals, residual: &[f64], cells: &[Cell]) -> f64 
     if pairs < LEAST_PAIRS || squares == 0.0 { 0.0 } else { (1.0 - products / squares).clamp(0.0, 1.0) }
 }
 
+/// The effects that are differences between pixels, in the order of [`Ground::columns`].
+pub const SPREADS: [&str; 2] = [MISMATCH, SPREAD];
+const MISMATCH: &str = "threshold_mismatch";
+const SPREAD: &str = "refractory_spread";
+
 /// All parts of a recording.
 ///
 /// `noise`: of the plain distribution, usually the control's.
@@ -86,8 +91,8 @@ pub fn parts(ground: &Ground<'_>, noise: &EventNoise) -> Vec<Part> {
     let (spread, without_spread) = ground.of_pixels(&own, ground.columns[1], false);
     // Noise of single events is what differences between pixels leave.
     let rest = if mismatch.0 > spread.0 { without_mismatch.clone() } else { without_spread.clone() };
-    push("threshold_mismatch", mismatch, Some(without_mismatch));
-    push("refractory_spread", spread, Some(without_spread));
+    push(MISMATCH, mismatch, Some(without_mismatch));
+    push(SPREAD, spread, Some(without_spread));
     let slope_square = median(&mut ground.events.slope_per_s.iter().map(|slope| slope * slope).collect::<Vec<f64>>());
     let left = EventNoise::estimate(&rest, &ground.events.slope_per_s, ground.least);
     let shared = libm::sqrt(1.0 - ground.white);
@@ -245,9 +250,9 @@ impl Ground<'_> {
 pub fn value(part: &Part, control: f64, threshold: f64, strengths: (f64, f64), nominal: &Nominal, events_per_pixel_s: f64) -> f64 {
     let beyond = libm::sqrt(f64::max(part.size * part.size - control * control, 0.0));
     match CANDIDATES[part.candidate].id {
-        "threshold_mismatch" => beyond * strengths.0 * threshold,
+        MISMATCH => beyond * strengths.0 * threshold,
         // In log of the period.
-        "refractory_spread" => beyond * strengths.1 / f64::max(nominal.pixel.refractory_ns as f64 * 1e-9, LEAST_REFRACTORY_S),
+        SPREAD => beyond * strengths.1 / f64::max(nominal.pixel.refractory_ns as f64 * 1e-9, LEAST_REFRACTORY_S),
         "background_activity" => f64::max(part.size - control, 0.0) * events_per_pixel_s,
         "event_loss" => f64::max(part.size - control, 0.0),
         _ => beyond,

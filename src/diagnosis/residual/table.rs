@@ -1,6 +1,6 @@
 //! First-order fits of every effect on a scene, and exact ones of a few together.
 
-use super::components::white_share;
+use super::components::{SPREADS, white_share};
 use super::evidence::{EvidenceSetting, Ranked};
 use super::fit::{self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, gains, heldout, without_softness};
 use super::gate::Gate;
@@ -16,8 +16,10 @@ use crate::covariates::{Covariate, Surroundings};
 use crate::integrity::median;
 use crate::nominal::Nominal;
 use photocurrent_sensor::effects::Stage;
+use photocurrent_sensor::effects::sought::Grows;
 use photocurrent_sensor::elementary::ln;
 use std::borrow::Cow;
+use std::sync::LazyLock;
 
 /// A recording with its scene, ready to be asked.
 pub(super) struct Seen<'a> {
@@ -184,8 +186,11 @@ const OF_FRAMES: [Covariate; 8] = [
     Covariate::Slope,
 ];
 
-/// Candidates whose columns each pixel may have a size of its own of.
-pub(super) const OF_PIXELS: [(&str, &str); 2] = [("threshold_scale", "fraction"), ("refractory", "refractory")];
+/// Candidates whose columns each pixel may have a size of its own of: what [`SPREADS`] spread.
+pub(super) static OF_PIXELS: LazyLock<[(&str, &str); 2]> = LazyLock::new(|| {
+    let spread_of = |id: &str| CANDIDATES.iter().filter(|one| one.id == id).find_map(|one| one.sought.spread_of);
+    SPREADS.map(|id| spread_of(id).unwrap_or_else(|| unreachable!("{id} spreads sizes")))
+});
 
 impl Seen<'_> {
     /// What trials make of events: those of a table, or those that count by the first trial.
@@ -305,11 +310,12 @@ impl Seen<'_> {
 
     fn probe(&self, candidate: usize) -> f64 {
         let kind = &CANDIDATES[candidate];
-        match kind.id {
-            // A blur grows with the square of its width.
-            "blur" => 10.0 * self.setting.probe,
-            _ if kind.signs == Signs::Switch || kind.is_limit() => 1.0,
-            _ => self.setting.probe,
+        match kind.sought.grows {
+            // So little of it would hardly show.
+            Grows::WithSquare => 10.0 * self.setting.probe,
+            Grows::AsItFalls => 1.0,
+            Grows::Linearly if kind.signs == Signs::Switch => 1.0,
+            Grows::Linearly => self.setting.probe,
         }
     }
 

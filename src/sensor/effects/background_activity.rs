@@ -7,6 +7,7 @@
 //! Sources: Graca and Delbruck, "Unraveling the paradox of intensity-dependent DVS pixel noise" (2021); Hu, Liu, Delbruck 2021 (v2e).
 //! Limits: one rate in all light, although shot noise grows in the dark; no ON-OFF pairs. One-sided activity is `leak_events`.
 
+use super::sought::{RATE, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit};
 use photocurrent_core::random::Random;
 
@@ -29,6 +30,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "static pixels fire both signs at exponentially distributed intervals; some intervals are far shorter than the light allows",
         confused_with: &["leak_events", "hot_pixels", "hot_rows", "threshold_noise", "flicker of the scene"],
         source: "Graca and Delbruck 2021; Hu, Liu, Delbruck 2021",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(6.0), material: RATE, ..Sought::random("rate") }]),
     },
     build,
 };

@@ -9,6 +9,7 @@
 //! Source: voltage drop along bias lines, textbook.
 //! Limits: linear and along columns only; the centre column keeps the stated time constant.
 
+use super::sought::{SHARE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -30,6 +31,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "events of fast edges early at one side and late at the other, more so in the dark",
         confused_with: &["time_constant", "threshold_gradient", "misalignment"],
         source: "voltage drop along bias lines",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.5), material: SHARE, ..Sought::both("fraction") }]),
     },
     build,
 };

@@ -9,6 +9,7 @@
 //! Source: EMVA 1288, dark signal.
 //! Limits: one value for all pixels and frames.
 
+use super::sought::{Field, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -30,6 +31,13 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames differ by the same DN at every light; in the dark frames show less contrast than events (more, when it is below the stated one)",
         confused_with: &["dark_current", "frame_nonlinearity", "image_lag"],
         source: "EMVA 1288",
+        apart: &[],
+        search: Search::For(&[Sought {
+            typical: Size::Larger(&Size::Of(0.12, Measure::Signal), &Size::Fixed(10.0)),
+            material: Size::Of(0.005, Measure::Signal),
+            field: Some(Field::BlackLevel),
+            ..Sought::both("black_level_dn")
+        }]),
     },
     build,
 };

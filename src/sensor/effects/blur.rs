@@ -9,6 +9,7 @@
 //! Source: Lindeberg, "Scale-space for discrete signals" (1990).
 //! Limits: the same for all pixels and directions; a blur that both paths share cannot be seen and is not meant here.
 
+use super::sought::{Grows, Search, Size, Sought};
 use super::{Domain, Effect, EffectDecl, EffectKind, Kernel, ParameterDecl, Parameters, Stage, Tap, Unit};
 
 /// Parts of the kernel below this are left out; the rest is scaled to the sum 1.
@@ -33,6 +34,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames differ from what events predict in proportion to the curvature of the image",
         confused_with: &["crosstalk", "lateral_inhibition", "misalignment"],
         source: "Lindeberg 1990 (the discrete Gaussian)",
+        apart: &[("crosstalk", "a slanted sharp edge: blur widens it to both sides by its sigma, crosstalk adds a fixed share of the next pixel only")],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.8), grows: Grows::WithSquare, ..Sought::positive("sigma") }]),
     },
     build,
 };

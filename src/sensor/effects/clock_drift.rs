@@ -6,6 +6,7 @@
 //! Source: tolerance of quartz oscillators; two clocks that are not locked to each other.
 //! Limits: constant rate, no error at time zero; a constant error is `clock_offset`.
 
+use super::sought::{Measure, Search, Size, Sought, TIME};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 
@@ -28,6 +29,12 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames differ from what events predict in proportion to their rate of change, by more and more as time goes on",
         confused_with: &["clock_offset", "time_constant", "threshold_drift"],
         source: "tolerance of quartz oscillators",
+        apart: &[("clock_offset", "a recording four times as long: a drift grows with it")],
+        search: Search::For(&[Sought {
+            typical: Size::Over(&Size::Fixed(0.75e-3), Measure::Duration),
+            material: Size::Over(&TIME, Measure::Duration),
+            ..Sought::both("rate")
+        }]),
     },
     build,
 };

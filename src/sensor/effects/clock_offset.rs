@@ -7,6 +7,7 @@
 //! (two free-running parts matched by hand). Confused with: a mean readout latency (which no event stamp
 //! precedes) and a wrong row time (which grows along the rows). Limits: constant; a drift is another effect.
 
+use super::sought::{DELAY, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 
@@ -29,6 +30,12 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames differ from what events predict in proportion to their rate of change, with one delay for all pixels",
         confused_with: &["misalignment", "row_time", "time_constant"],
         source: "two clocks; the same constant for every event",
+        apart: &[
+            ("time_constant", "the same scene in brighter light: the delay of a time constant shrinks, an offset stays"),
+            ("second_pole", "the same scene at twice the speed, and in brighter light: an offset changes with neither"),
+            ("misalignment", "the same scene moving the other way: a shift changes its sign in time, an offset does not"),
+        ],
+        search: Search::For(&[Sought { typical: Size::Fixed(500e-6), material: DELAY, ..Sought::both("offset") }]),
     },
     build,
 };

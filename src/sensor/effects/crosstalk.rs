@@ -6,6 +6,7 @@
 //! Source: textbooks on image sensors, such as Nakamura (2006).
 //! Limits: the same for all pixels; only the events' excess over the frames is meant: crosstalk that both share cannot be seen.
 
+use super::sought::{SHARE, Search, Size, Sought};
 use super::{Domain, Effect, EffectDecl, EffectKind, Kernel, ParameterDecl, Parameters, Stage, Tap, Unit};
 
 /// The catalogue entry.
@@ -27,6 +28,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames differ from what events predict in proportion to pixel minus mean of neighbours; dark pixels beside bright ones fire too early",
         confused_with: &["blur", "lateral_inhibition", "dark_current"],
         source: "Nakamura 2006",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.25), material: SHARE, ..Sought::positive("fraction") }]),
     },
     build,
 };

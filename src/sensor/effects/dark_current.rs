@@ -7,6 +7,7 @@
 //! Confused with: a black level of the frames (which compresses the frames' contrast instead). Limits: constant; it doubles
 //! every 8 to 10 K.
 
+use super::sought::{Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -28,6 +29,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "log contrast is i / (i + current) of the frames, both polarities alike; latency saturates in the dark",
         confused_with: &["black_level", "threshold_scale"],
         source: "McReynolds, Graca and Delbruck 2024, arXiv 2404.07656",
+        apart: &[("black_level", "a frame with the lens covered: it reads the black level")],
+        search: Search::For(&[Sought { typical: Size::Of(0.15, Measure::Light), material: Size::Of(0.005, Measure::Light), ..Sought::positive("current") }]),
     },
     build,
 };

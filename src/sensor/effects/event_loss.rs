@@ -7,6 +7,7 @@
 //! Sources: manuals of event cameras (event rate control, overflow of FIFOs); Prophesee's knowledge base on back-pressure.
 //! Limits: each event is lost independently with one chance; real buffers lose whole microseconds or rows, above a rate.
 
+use super::sought::{SHARE, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 
@@ -29,6 +30,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "the change between two events is a whole multiple of the threshold: a comb at one, two, three thresholds",
         confused_with: &["refractory", "threshold_scale", "readout_queue"],
         source: "manuals of event cameras; Prophesee knowledge base",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.4), material: SHARE, ..Sought::random("fraction") }]),
     },
     build,
 };

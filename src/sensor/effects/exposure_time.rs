@@ -9,8 +9,12 @@
 //! Source: EMVA 1288 on exposure time as set and as real.
 //! Limits: the same for all rows and frames; an exposure that would end before it starts collects nothing.
 
+use super::sought::{Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, RowSite, Stage, Unit};
 use photocurrent_core::Exposure;
+
+/// Twice [`super::sought::DELAY`]: half of a difference is a shift of the middle.
+const MATTERS: Size = Size::Larger(&Size::Fixed(4e-6), &Size::Of(1.1, Measure::StampWidth));
 
 /// The catalogue entry.
 pub const KIND: EffectKind = EffectKind {
@@ -31,6 +35,12 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames are off by a factor that depends on the exposure length, and by a delay of half the difference",
         confused_with: &["frame_gain_steps", "clock_offset", "image_lag"],
         source: "EMVA 1288",
+        apart: &[
+            ("black_level", "the same scene with half the exposure: a black level stays"),
+            ("frame_nonlinearity", "the same scene with half the exposure: only a nonlinearity changes the ratio of bright to dark"),
+            ("image_lag", "a lamp that is switched off: lag leaves a trace in the next frame"),
+        ],
+        search: Search::For(&[Sought { typical: Size::Of(0.12, Measure::Exposure), material: MATTERS, ..Sought::both("difference") }]),
     },
     build,
 };

@@ -11,6 +11,7 @@
 //! Source: substrate and supply coupling between the frame and event circuits of DAVIS pixels; Brandli et al. (2014).
 //! Limits: strictly periodic, instantaneous, equal for all pixels of a row.
 
+use super::sought::{Measure, SPREAD, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, Kick, KickTarget, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -51,6 +52,14 @@ pub const KIND: EffectKind = EffectKind {
         signature: "too many events right after each frame readout, of one sign, then of the other; nothing in the frames",
         confused_with: &["flicker at the frame rate", "background_activity", "row_skew"],
         source: "Brandli et al. 2014 (DAVIS)",
+        apart: &[],
+        search: Search::For(&[Sought {
+            typical: Size::Of(0.4, Measure::Threshold),
+            material: SPREAD,
+            beside: &[("period", Size::Of(1.0, Measure::FramePeriod)), ("phase", Size::Of(1.0, Measure::FramePhase))],
+            is_made: false,
+            ..Sought::both("step")
+        }]),
     },
     build,
 };

@@ -9,6 +9,7 @@
 //! Source: automatic gain control as in any camera.
 //! Limits: factors are drawn independently (normal in the logarithm) and at a fixed pace; no dependence on the scene.
 
+use super::sought::{SPREAD, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit, row_random};
 
 /// The catalogue entry.
@@ -40,6 +41,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "all pixels of a frame are off by one factor, another one some frames later; events show nothing",
         confused_with: &["exposure_time", "image_lag", "flicker that the frames alone sample"],
         source: "automatic gain control",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.05), material: SPREAD, is_made: false, ..Sought::random("sigma") }]),
     },
     build,
 };

@@ -13,7 +13,11 @@
 //! Source: EMVA 1288, linearity error.
 //! Limits: one curve for all pixels; beyond dark and full scale it goes on as a straight line.
 
+use super::sought::{GAIN, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit};
+
+/// Full scale of what is sought: over the range that is used, as the rest of it says nothing.
+const FULL_SCALE: &[(&str, Size)] = &[("full_scale_dn", Size::Of(1.0, Measure::LargestDn))];
 
 /// The catalogue entry.
 pub const KIND: EffectKind = EffectKind {
@@ -52,6 +56,11 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frame residuals follow one smooth curve in DN, zero at dark and full scale, the same at every exposure time",
         confused_with: &["black_level", "threshold_scale", "dark_current"],
         source: "EMVA 1288",
+        apart: &[("black_level", "a series of exposures of a static scene: a straight line that misses zero, or a curve")],
+        search: Search::For(&[
+            Sought { typical: Size::Fixed(0.06), material: GAIN, beside: FULL_SCALE, is_made: false, ..Sought::both("fraction") },
+            Sought { typical: Size::Fixed(0.15), material: GAIN, beside: FULL_SCALE, comes_last: true, ..Sought::positive("compression") },
+        ]),
     },
     build,
 };

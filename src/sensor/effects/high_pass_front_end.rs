@@ -10,6 +10,7 @@
 //! Source: the high-pass bias (`bias_hpf`) of Prophesee sensors; Graca, Zhou, McReynolds and Delbruck, SciDVS (2024).
 //! Limits: linear, one pole, the same for all pixels.
 
+use super::sought::{Grows, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// From here on the high-pass is none: no recording is that long.
@@ -34,6 +35,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "events of slow changes are missing or late, ON and OFF alike; fast edges are untouched",
         confused_with: &["threshold_scale", "leak_events", "refractory"],
         source: "bias_hpf of Prophesee sensors; Graca et al. 2024 (SciDVS)",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.04), grows: Grows::AsItFalls, ..Sought::positive("tau") }]),
     },
     build,
 };

@@ -8,6 +8,7 @@
 //! Limits: one rate for all hot pixels; ON and OFF ones are equally frequent; dead pixels and those that fire in bursts are not here.
 
 use super::background_activity::{either, poisson};
+use super::sought::{SHARE, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit};
 use photocurrent_core::random::Random;
 
@@ -40,6 +41,14 @@ pub const KIND: EffectKind = EffectKind {
         signature: "single pixels fire at a high rate all the time, events of one sign, their neighbours do not",
         confused_with: &["hot_rows", "background_activity", "threshold_mismatch", "a blinking light in the scene"],
         source: "Lichtsteiner, Posch, Delbruck 2008",
+        apart: &[],
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.005),
+            material: SHARE,
+            beside: &[("rate", Size::Fixed(200.0))],
+            is_made: false,
+            ..Sought::random("fraction")
+        }]),
     },
     build,
 };

@@ -8,6 +8,7 @@
 //! Limits: pixels of a row fire independently, with both signs, at one rate; a row whose pixels fire together is not here.
 
 use super::background_activity::{either, poisson};
+use super::sought::{SHARE, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Spontaneous, Stage, Unit, row_random};
 use photocurrent_core::random::Random;
 
@@ -48,6 +49,14 @@ pub const KIND: EffectKind = EffectKind {
         signature: "whole rows fire at a high rate all the time, both signs, the rows beside them do not",
         confused_with: &["hot_pixels", "background_activity", "a horizontal edge in the scene"],
         source: "counts per row of recordings; no published rate",
+        apart: &[],
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.03),
+            material: SHARE,
+            beside: &[("rate", Size::Fixed(60.0))],
+            is_made: false,
+            ..Sought::random("fraction")
+        }]),
     },
     build,
 };

@@ -10,6 +10,7 @@
 //! Limits: linear. The simulator knows the frame before by its light alone, so the ghost lasts one frame; the ghost's own ghost, `fraction^2`,
 //! is left out. The first frame has no predecessor.
 
+use super::sought::{SHARE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -31,6 +32,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frame residuals are proportional to the DN of the frame before, at the same light now",
         confused_with: &["exposure_time", "black_level", "clock_offset"],
         source: "Fossum and Hondongwa 2014",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.08), material: SHARE, ..Sought::positive("fraction") }]),
     },
     build,
 };

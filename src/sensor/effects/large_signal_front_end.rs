@@ -11,6 +11,7 @@
 //! Source: Graca and Delbruck, large-signal equations of the event pixel, arXiv 2505.07386 (2025).
 //! Limits: the time constant stays that of Eq. (3), `tau_0` included, although only its part `alpha / i` has this form.
 
+use super::sought::{Search, Sought};
 use super::{Drive, Effect, EffectDecl, EffectKind, FrontEndModel, Parameters, Site, Stage};
 
 /// The catalogue entry.
@@ -25,6 +26,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "the voltage is low by a parabola in the lag: ON late and OFF early, growing with contrast, speed and darkness",
         confused_with: &["threshold_asymmetry", "time_constant", "slew_limit"],
         source: "Graca and Delbruck 2025 (arXiv 2505.07386)",
+        apart: &[],
+        search: Search::For(&[Sought::switch("")]),
     },
     build,
 };

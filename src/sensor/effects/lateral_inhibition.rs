@@ -11,6 +11,7 @@
 //! Limits: the surround is that of the settled voltages, without a delay of its own; the simulated pixel gets `exp` of the difference as its
 //! photocurrent, so time constants follow that and not the pixel's own light; at the array's edge the nearest pixel stands in.
 
+use super::sought::{SHARE, Search, Size, Sought};
 use super::{Domain, Effect, EffectDecl, EffectKind, Kernel, ParameterDecl, Parameters, Stage, Tap, Unit};
 
 /// The catalogue entry.
@@ -32,6 +33,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "a change of the whole field makes too few events; beside an edge events of the other sign",
         confused_with: &["threshold_scale", "crosstalk", "blur"],
         source: "Delbruck et al. 2022",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.4), material: SHARE, ..Sought::positive("fraction") }]),
     },
     build,
 };

@@ -7,6 +7,7 @@
 //! Source: Nozaki and Delbruck, "Temperature and parasitic photocurrent effects in dynamic vision sensors" (2017).
 //! Limits: constant; the part that grows with light is `parasitic_leak`.
 
+use super::sought::{RATE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, Leak, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 
 /// The catalogue entry.
@@ -28,6 +29,12 @@ pub const KIND: EffectKind = EffectKind {
         signature: "static pixels fire ON at a regular pace; elsewhere ON is early and OFF late, linear in the time since the last event",
         confused_with: &["parasitic_leak", "threshold_asymmetry", "slow brightening of the scene"],
         source: "Nozaki and Delbruck 2017",
+        apart: &[
+            ("parasitic_leak", "a static scene in dim and in bright light: only a parasitic leak fires more in bright light"),
+            ("threshold_asymmetry", "a static scene: a leak fires without motion, an asymmetry does not"),
+            ("background_activity", "a static scene: a leak fires ON only and regularly, noise both signs and irregularly"),
+        ],
+        search: Search::For(&[Sought { typical: Size::Fixed(12.0), material: RATE, is_counted: true, ..Sought::positive("rate") }]),
     },
     build,
 };

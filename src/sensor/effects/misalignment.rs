@@ -11,6 +11,7 @@
 //! Limits: a translation, no rotation or scale; between pixels bilinear interpolation softens the image, at half a pixel by a sigma of
 //! half a pixel; beyond the array's edge the nearest pixel stands in.
 
+use super::sought::{Search, Size, Sought};
 use super::{Domain, Effect, EffectDecl, EffectKind, Kernel, ParameterDecl, Parameters, Stage, Tap, Unit};
 
 const SHIFT_X: ParameterDecl = ParameterDecl {
@@ -41,6 +42,11 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames differ from what events predict in proportion to the gradient along one direction of the image",
         confused_with: &["clock_offset", "row_time", "blur"],
         source: "geometry",
+        apart: &[],
+        search: Search::For(&[
+            Sought { typical: Size::Fixed(0.6), ..Sought::both("shift_x") },
+            Sought { typical: Size::Fixed(0.6), ..Sought::both("shift_y") },
+        ]),
     },
     build,
 };

@@ -2,16 +2,18 @@
 //!
 //! An effect lives in one place so that the simulator can add it, the solver can undo it and the diagnosis
 //! can name it. Each file says what the effect is, how it enters, its parameters with unit and plausible
-//! range, what it is confused with, and its source, once for people and once as an [`EffectDecl`].
+//! range, what it is confused with, its source, and by which numbers a diagnosis looks for it, once for people and once as an [`EffectDecl`].
 //!
 //! To add one: write a file like [`leak_events`] (a `KIND`, a `build`, an `impl Effect` with the hooks it needs), and add its line
 //! to the modules and to [`catalogue`], at its place in the chain.
 //!
 //! - [`effect`]: the hooks, and what passes through them.
 //! - [`parameters`]: the declaration, and reading parameters from a description.
+//! - [`sought`]: what a diagnosis must know of an effect.
 
 pub mod effect;
 pub mod parameters;
+pub mod sought;
 
 pub mod background_activity;
 pub mod bandwidth_gradient;

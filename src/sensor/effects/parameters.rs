@@ -4,6 +4,7 @@
 //! declaration says which; reading, limits and messages all follow from it, so that an effect's file holds physics only.
 
 use super::effect::Effect;
+use super::sought::Search;
 use photocurrent_core::document::nearest;
 use photocurrent_core::quantity::Dimension;
 use serde_json::{Map, Value};
@@ -75,6 +76,15 @@ impl Unit {
             Unit::Number(_) | Unit::Indices => "",
         }
     }
+
+    /// A value in the unit of [`Unit::text`] as a description states it: times in whole nanoseconds.
+    pub fn written(self, value: f64) -> Value {
+        match self {
+            Unit::Time => Value::from(format!("{} ns", (value * 1e9).round())),
+            Unit::Rate => Value::from(format!("{value} Hz")),
+            Unit::Number(_) | Unit::Indices => Value::from(value),
+        }
+    }
 }
 
 /// One parameter of an effect. Values are in the unit of [`Unit::text`].
@@ -115,6 +125,17 @@ pub struct EffectDecl {
     pub confused_with: &'static [&'static str],
     /// Where it is described.
     pub source: &'static str,
+    /// Ids of what looks alike, and what to record next to tell the two apart; each pair stands with one of them.
+    pub apart: &'static [(&'static str, &'static str)],
+    /// By which numbers a diagnosis looks for it.
+    pub search: Search,
+}
+
+impl EffectDecl {
+    /// What a parameter says about itself; none when the effect has no such parameter.
+    pub fn parameter(&self, name: &str) -> Option<ParameterDecl> {
+        self.parameters.iter().find(|parameter| parameter.name == name).copied()
+    }
 }
 
 /// An effect of the catalogue: its declaration, and how to make one.
@@ -152,7 +173,7 @@ impl Parameters {
     pub fn read(decl: &EffectDecl, given: &Map<String, Value>) -> Result<Parameters, String> {
         let mut read = Parameters { effect: decl.id, values: BTreeMap::new(), lists: BTreeMap::new() };
         for (key, value) in given {
-            let Some(parameter) = decl.parameters.iter().find(|parameter| parameter.name == key) else {
+            let Some(parameter) = decl.parameter(key) else {
                 return Err(unknown_key(decl, key));
             };
             let wrong = |what: String| format!("`effects.{}.{key}`: {what}", decl.id);

@@ -5,6 +5,7 @@
 //! Source: Nozaki and Delbruck 2017. The photocurrent is that of the light, without dark current.
 //! Limits: proportional; the storage node's own spectral response is not modelled.
 
+use super::sought::{Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, Leak, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 
 /// The catalogue entry.
@@ -26,6 +27,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "as leak_events, with a rate that grows with the photocurrent",
         confused_with: &["leak_events", "threshold_asymmetry"],
         source: "Nozaki and Delbruck 2017",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Over(&Size::Of(12.0, Measure::Threshold), Measure::Light), ..Sought::positive("coefficient") }]),
     },
     build,
 };

@@ -11,6 +11,7 @@
 //! Limits: the load is that of a pass before; `simulate/sensor` repeats passes until no wait changes. In a load a pixel's events that would
 //! come while an earlier one still waits are left out, since the pixel is blind. Of requests at the same nanosecond the lower row goes first, then the lower column.
 
+use super::sought::{Measure, Search, Size, Sought, TIME};
 use super::{ArrayEvent, Effect, EffectDecl, EffectKind, Latency, ParameterDecl, Parameters, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 use std::collections::HashMap;
@@ -34,6 +35,13 @@ pub const KIND: EffectKind = EffectKind {
         signature: "after an event under load a pixel has missed change in proportion to slope times wait; nothing at low load, a sharp rise near 1 / service",
         confused_with: &["refractory", "clock_offset", "row_skew", "event_loss"],
         source: "Lindley 1952; Prophesee knowledge base",
+        apart: &[("clock_offset", "the same scene at a tenth of the event rate: a queue vanishes, an offset stays")],
+        search: Search::For(&[Sought {
+            typical: Size::Over(&Size::Fixed(0.6), Measure::EventRate),
+            material: TIME,
+            is_made: false,
+            ..Sought::positive("service")
+        }]),
     },
     build,
 };

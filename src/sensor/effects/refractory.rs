@@ -6,7 +6,11 @@
 //! Source: Section 3; set by a bias current, so it varies with temperature. Absolute value.
 //! Confused with: reset memory (an error that does not grow with the slope) and a readout latency that stamps do not show.
 
+use super::sought::{Field, Search, Size, Sought, TIME};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
+
+/// A refractory period where none is stated, seconds: what spread and light act on.
+pub const SOME_REFRACTORY_S: f64 = 50e-6;
 
 /// The catalogue entry.
 pub const KIND: EffectKind = EffectKind {
@@ -27,6 +31,15 @@ pub const KIND: EffectKind = EffectKind {
         signature: "every event but the first of a burst is off by (true - stated) dV/dt; intervals have another shortest length",
         confused_with: &["reset_memory", "second_pole", "readout_queue"],
         source: "Section 3",
+        apart: &[
+            ("refractory_light", "the same scene in twice the light: only one of the blind times changes"),
+            ("refractory_spread", "a fast blinking lamp over the whole array: each pixel shows its own blind time"),
+            ("reset_memory", "the same scene at three times the speed: the blind time matters three times as much, the memory as before"),
+        ],
+        search: Search::For(&[
+            Sought { typical: Size::Fixed(250e-6), material: TIME, field: Some(Field::Refractory), ..Sought::both("refractory") },
+            Sought { field: Some(Field::Reset), is_made: false, ..Sought::switch("reset") },
+        ]),
     },
     build,
 };

@@ -9,6 +9,8 @@
 //! at the reset switch. That it acts on the refractory node in the same way is our assumption, and so is the form.
 //! Limits: the light when the event leaves holds for the whole period; the stated period is that of darkness.
 
+use super::refractory::{self, SOME_REFRACTORY_S};
+use super::sought::{Companion, Measure, PutOn, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -30,9 +32,21 @@ pub const KIND: EffectKind = EffectKind {
         signature: "after each event pixels are off in proportion to the slope, by more in one end of the light range; the shortest interval falls with light",
         confused_with: &["refractory", "time_constant", "parasitic_leak"],
         source: "after the parasitic photocurrent of Nozaki and Delbruck 2017; the form is assumed",
+        apart: &[],
+        search: Search::For(&[Sought {
+            typical: Size::Over(&Size::Fixed(1.0), Measure::Light),
+            companion: Some(Companion { id: refractory::KIND.decl.id, parameter: "refractory", seconds: period }),
+            ..Sought::positive("coefficient")
+        }]),
     },
     build,
 };
+
+/// What an engineer meets is a period that grows in the dark beyond the stated one, seconds; the stated one is what it comes down to in bright light.
+fn period(put_on: &PutOn) -> Option<f64> {
+    let bright = f64::max(put_on.model.pixel.refractory_ns as f64 * 1e-9, SOME_REFRACTORY_S);
+    Some(bright * (1.0 + 4.0 * put_on.strength.max(0.0)) * (1.0 + put_on.value * put_on.light))
+}
 
 fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
     Ok(Box::new(RefractoryLight { coefficient: parameters.need("coefficient")? }))

@@ -8,6 +8,8 @@
 //! Source: Pelgrom, Duinmaijer, Welbers, "Matching properties of MOS transistors" (1989), for the offsets.
 //! Limits: log-normal with the stated period as its median; constant in time and light.
 
+use super::refractory::{self, SOME_REFRACTORY_S};
+use super::sought::{Companion, PutOn, SPREAD, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -29,9 +31,21 @@ pub const KIND: EffectKind = EffectKind {
         signature: "after each event a pixel is off by an amount of its own times the slope; the shortest interval between events differs from pixel to pixel",
         confused_with: &["threshold_mismatch", "threshold_noise", "refractory"],
         source: "Pelgrom, Duinmaijer, Welbers 1989",
+        apart: &[],
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.9),
+            material: SPREAD,
+            companion: Some(Companion { id: refractory::KIND.decl.id, parameter: "refractory", seconds: period }),
+            spread_of: Some((refractory::KIND.decl.id, "refractory")),
+            ..Sought::random("sigma")
+        }]),
     },
     build,
 };
+
+fn period(put_on: &PutOn) -> Option<f64> {
+    (put_on.model.pixel.refractory_ns == 0).then_some(SOME_REFRACTORY_S)
+}
 
 fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
     Ok(Box::new(RefractorySpread { sigma: parameters.need("sigma")? }))

@@ -6,6 +6,7 @@
 //! Source: charge injection and incomplete settling of the reset switch. Confused with: a wrong refractory period (whose error grows
 //! with the slope) and a second pole (which delays the first event of a burst only).
 
+use super::sought::{SHARE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 
@@ -28,6 +29,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "after the same polarity events come early, after the opposite one late, by fraction x threshold",
         confused_with: &["refractory", "second_pole", "time_constant"],
         source: "Lichtsteiner, Posch and Delbruck 2008 (reset switch)",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.3), material: SHARE, ..Sought::both("fraction") }]),
     },
     build,
 };

@@ -7,6 +7,7 @@
 //! Sources: sensors that scan their rows; recordings in which all events of a row share a stamp.
 //! Limits: constant in time and load; the load is `readout_queue`, a wrong row time of the frames is `row_time`.
 
+use super::sought::{Measure, Search, Size, Sought, TIME};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit, row_random};
 use photocurrent_core::random::Random;
 
@@ -39,6 +40,11 @@ pub const KIND: EffectKind = EffectKind {
         signature: "events come late by an amount linear in the row (or of the row's own), the same in a row at all times and slopes",
         confused_with: &["row_time", "clock_offset", "readout_queue"],
         source: "sensors that scan their rows",
+        apart: &[],
+        search: Search::For(&[
+            Sought { typical: Size::Fixed(8e-6), material: Size::Over(&TIME, Measure::Rows), ..Sought::both("per_row") },
+            Sought { typical: Size::Fixed(150e-6), material: TIME, is_made: false, ..Sought::random("sigma") },
+        ]),
     },
     build,
 };

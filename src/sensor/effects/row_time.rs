@@ -10,6 +10,7 @@
 //! Source: the paper, Section 4.1 (rolling shutter).
 //! Limits: linear in the row.
 
+use super::sought::{Field, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, RowSite, Stage, Unit};
 use photocurrent_core::Exposure;
 
@@ -32,6 +33,13 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames differ from what events predict in proportion to row times rate of change",
         confused_with: &["clock_offset", "row_skew", "misalignment"],
         source: "the paper, Section 4.1",
+        apart: &[],
+        search: Search::For(&[Sought {
+            typical: Size::Larger(&Size::Of(0.5, Measure::RowTime), &Size::Fixed(5e-6)),
+            material: Size::Over(&Size::Fixed(2e-6), Measure::Rows),
+            field: Some(Field::RowTime),
+            ..Sought::both("row_time")
+        }]),
     },
     build,
 };

@@ -7,6 +7,7 @@
 //! Source: Graca and Delbruck, "Unraveling the paradox of intensity-dependent DVS pixel noise" (2021).
 //! Limits: real poles only, so no ringing.
 
+use super::sought::{DELAY, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, SecondPole, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -38,6 +39,11 @@ pub const KIND: EffectKind = EffectKind {
         signature: "the first event after a sharp edge is late, the later ones are not; independent of light when tau dominates",
         confused_with: &["time_constant", "reset_memory", "refractory"],
         source: "Graca and Delbruck 2021, arXiv 2109.08640",
+        apart: &[("time_constant", "a step of light of known instant (a flashing lamp): a second pole delays the rise, a time constant only slows it")],
+        search: Search::For(&[
+            Sought { typical: Size::Fixed(150e-6), material: DELAY, ..Sought::positive("tau") },
+            Sought { typical: Size::Of(150e-6, Measure::Light), material: Size::Times(&DELAY, Measure::Light), ..Sought::positive("tau_light") },
+        ]),
     },
     build,
 };

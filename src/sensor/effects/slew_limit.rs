@@ -9,6 +9,7 @@
 //! Source: textbook behaviour of a bias-limited source follower, as in Lichtsteiner, Posch and Delbruck (2008).
 //! Limits: a hard limit, the same for all pixels and independent of light.
 
+use super::sought::{Grows, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// From here on a limit is none: a factor e within a nanosecond.
@@ -35,6 +36,11 @@ pub const KIND: EffectKind = EffectKind {
         signature: "no residual up to a knee in |dV/dt|, then events ever later; usually of one polarity",
         confused_with: &["refractory", "large_signal_front_end", "readout_queue"],
         source: "Lichtsteiner, Posch and Delbruck 2008",
+        apart: &[],
+        search: Search::For(&[
+            Sought { typical: Size::Of(1.0, Measure::Slope), grows: Grows::AsItFalls, ..Sought::positive("rise") },
+            Sought { typical: Size::Of(1.0, Measure::Slope), grows: Grows::AsItFalls, ..Sought::positive("fall") },
+        ]),
     },
     build,
 };

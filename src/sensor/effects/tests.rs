@@ -1,5 +1,6 @@
 //! The catalogue as a whole: ids, declarations, reading.
 
+use super::sought::{DELAY, Field, Measure, SHARE, Search, Signs, Size};
 use super::*;
 use photocurrent_core::sensor::EFFECT_IDS;
 use serde_json::json;
@@ -29,6 +30,59 @@ fn every_declaration_is_complete_and_its_plausible_values_are_allowed() {
             assert!(parameter.null.is_none_or(|null| null >= parameter.allowed.0 && null <= parameter.allowed.1), "{}.{}", decl.id, parameter.name);
         }
     }
+}
+
+#[test]
+fn every_effect_is_sought_by_numbers_of_its_own_or_says_why_it_is_not() {
+    for EffectKind { decl, .. } in catalogue() {
+        match decl.search {
+            Search::Not(why) => assert!(!why.is_empty(), "{}", decl.id),
+            Search::For(numbers) => assert!(!numbers.is_empty(), "{}", decl.id),
+        }
+        for sought in decl.search.numbers() {
+            let is_number = decl.parameter(sought.parameter).is_some_and(|parameter| parameter.unit != Unit::Indices);
+            assert_eq!(is_number, sought.signs != Signs::Switch, "{}.{}", decl.id, sought.parameter);
+            // A description's own value means nothing where a number has no null.
+            let has_field = sought.field.is_some_and(|field| field != Field::Reset);
+            let null = decl.parameter(sought.parameter).map_or(Some(0.0), |parameter| parameter.null);
+            assert!(null.is_some() || has_field, "{}.{}", decl.id, sought.parameter);
+            for (name, _) in sought.beside {
+                assert!(decl.parameter(name).is_some() && decl.search.numbers().iter().all(|other| other.parameter != *name), "{}.{name}", decl.id);
+            }
+            let others = sought.companion.map(|companion| (companion.id, companion.parameter)).into_iter().chain(sought.spread_of);
+            for (id, parameter) in others {
+                let other = catalogue().into_iter().find(|kind| kind.decl.id == id).expect("in the catalogue").decl;
+                assert!(id != decl.id && other.parameter(parameter).is_some(), "{}: {id}.{parameter}", decl.id);
+            }
+        }
+    }
+}
+
+#[test]
+fn pairs_that_a_further_recording_tells_apart_are_of_the_catalogue_and_stand_once() {
+    let mut pairs: Vec<[&str; 2]> = Vec::new();
+    for EffectKind { decl, .. } in catalogue() {
+        for (other, what) in decl.apart {
+            assert!(EFFECT_IDS.contains(other) && *other != decl.id && !what.is_empty(), "{} {other}", decl.id);
+            let mut pair = [decl.id, *other];
+            pair.sort_unstable();
+            assert!(!pairs.contains(&pair), "{pair:?} twice");
+            pairs.push(pair);
+        }
+    }
+}
+
+#[test]
+fn sizes_follow_their_measures_and_say_how() {
+    let measure = |of: Measure| match of {
+        Measure::Light => 50.0,
+        Measure::StampWidth => 20e-6,
+        _ => 4.0,
+    };
+    let size = Size::Over(&Size::Of(12.0, Measure::Threshold), Measure::Light);
+    assert_eq!((size.at(&measure), size.to_string().as_str()), (0.96, "12 x threshold / median photocurrent"));
+    assert_eq!((DELAY.at(&measure), DELAY.to_string().as_str()), (0.55 * 20e-6, "the larger of 0.000002 and 0.55 x width of a stamp"));
+    assert_eq!(Size::Times(&SHARE, Measure::Rows).at(&measure), 0.004);
 }
 
 #[test]

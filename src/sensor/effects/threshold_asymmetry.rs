@@ -5,6 +5,7 @@
 //!
 //! Source: separate comparator biases; v2e's defaults differ by 20 %. Limits: constant over the array.
 
+use super::sought::{Field, GAIN, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 use photocurrent_core::random::Random;
 
@@ -27,6 +28,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "ON events are late and rare, OFF events early and frequent; the sum of signed steps grows with activity",
         confused_with: &["leak_events", "large_signal_front_end", "threshold_scale"],
         source: "Hu, Liu and Delbruck, v2e (2021)",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.15), material: GAIN, field: Some(Field::Thresholds { off: -1.0 }), ..Sought::both("fraction") }]),
     },
     build,
 };

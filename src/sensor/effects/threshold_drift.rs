@@ -9,6 +9,7 @@
 //! Limits: linear in time, counted from the recording's zero; a threshold is taken at the reset, so one that is held for a time T is
 //! behind by `rate x T`. The factor never falls below 0.05: at zero a pixel would fire without end.
 
+use super::sought::{GAIN, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 use photocurrent_core::random::Random;
 
@@ -31,6 +32,12 @@ pub const KIND: EffectKind = EffectKind {
         signature: "events count for more contrast as time goes on: the voltage at firing is off by an amount linear in time, same sense for ON and OFF",
         confused_with: &["threshold_scale", "leak_events", "dark_current", "a change of illumination"],
         source: "Nozaki and Delbruck 2017; Graca, McReynolds, Delbruck 2023",
+        apart: &[],
+        search: Search::For(&[Sought {
+            typical: Size::Over(&Size::Fixed(0.2), Measure::Duration),
+            material: Size::Over(&GAIN, Measure::Duration),
+            ..Sought::both("rate")
+        }]),
     },
     build,
 };

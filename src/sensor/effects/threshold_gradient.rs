@@ -6,6 +6,7 @@
 //! Source: Pelgrom, Duinmaijer, Welbers, "Matching properties of MOS transistors" (1989): the part of a mismatch that depends on distance.
 //! Limits: linear in the column; nothing along the rows. The fine-grained part is `threshold_mismatch`.
 
+use super::sought::{GAIN, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 use photocurrent_core::random::Random;
 
@@ -28,6 +29,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "events count for more contrast on one side of the array than on the other, linear in the column, same sense for ON and OFF",
         confused_with: &["bandwidth_gradient", "vignetting", "threshold_scale"],
         source: "Pelgrom, Duinmaijer, Welbers 1989",
+        apart: &[("bandwidth_gradient", "the same scene in brighter light: a bandwidth matters less, a threshold as before")],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.2), material: GAIN, ..Sought::both("fraction") }]),
     },
     build,
 };

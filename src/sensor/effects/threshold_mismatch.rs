@@ -7,7 +7,8 @@
 //! Sources: Lichtsteiner, Posch, Delbruck 2008 (2.1 % contrast); Hu, Liu, Delbruck 2021 (v2e: sigma 0.03 on 0.2).
 //! Limits: normal, and no common part of ON and OFF; a pixel far out in the tail is a hot or a dead one.
 
-use super::{Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
+use super::sought::{Measure, SPREAD, Search, Size, Sought};
+use super::{Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit, threshold_scale};
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
@@ -29,6 +30,16 @@ pub const KIND: EffectKind = EffectKind {
         signature: "each pixel is early or late by an amount of its own, white over the array and the same in both halves of a recording",
         confused_with: &["threshold_noise", "refractory_spread", "misalignment", "hot_pixels"],
         source: "Lichtsteiner, Posch, Delbruck 2008; Hu, Liu, Delbruck 2021",
+        apart: &[
+            ("threshold_noise", "the same scene again: mismatch repeats in each pixel, noise does not"),
+            ("refractory_spread", "the same scene at a third of the speed: a blind time matters a third as much, a threshold as before"),
+        ],
+        search: Search::For(&[Sought {
+            typical: Size::Of(0.17, Measure::Threshold),
+            material: SPREAD,
+            spread_of: Some((threshold_scale::KIND.decl.id, "fraction")),
+            ..Sought::random("sigma")
+        }]),
     },
     build,
 };

@@ -8,6 +8,7 @@
 //! Limits: normal; one draw for both polarities, as with the description's `threshold_noise`. That a noisy voltage can cross by
 //! itself, in the dark or in a static scene, is `background_activity`.
 
+use super::sought::{Field, Measure, SPREAD, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 use photocurrent_core::random::Random;
 
@@ -30,6 +31,13 @@ pub const KIND: EffectKind = EffectKind {
         signature: "event times scatter by sigma / slope, independent from event to event; static pixels stay silent",
         confused_with: &["threshold_mismatch", "timestamp_jitter", "background_activity", "refractory_spread"],
         source: "Joubert et al. 2021",
+        apart: &[],
+        search: Search::For(&[Sought {
+            typical: Size::Of(0.08, Measure::Threshold),
+            material: SPREAD,
+            field: Some(Field::ThresholdNoise),
+            ..Sought::random("sigma")
+        }]),
     },
     build,
 };

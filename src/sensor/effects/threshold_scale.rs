@@ -5,6 +5,7 @@
 //!
 //! Source: bias settings drift with temperature and from chip to chip. Confused with: a frame gamma (only the product of both shows).
 
+use super::sought::{Field, GAIN, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 use photocurrent_core::random::Random;
 
@@ -27,6 +28,13 @@ pub const KIND: EffectKind = EffectKind {
         signature: "the contrast between frames is 1 + fraction times what the events add up to",
         confused_with: &["frame_nonlinearity", "threshold_asymmetry", "dark_current"],
         source: "Lichtsteiner, Posch and Delbruck 2008",
+        apart: &[
+            ("lateral_inhibition", "a large even surface that grows brighter: without a surround that differs there is nothing to inhibit"),
+            ("dark_current", "the same scene in twice the light: a dark current matters half as much, a threshold as before"),
+            ("black_level", "a frame with the lens covered: it reads the black level"),
+            ("threshold_drift", "a recording four times as long: a drift grows with it"),
+        ],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.2), material: GAIN, field: Some(Field::Thresholds { off: 1.0 }), ..Sought::both("fraction") }]),
     },
     build,
 };

@@ -5,6 +5,7 @@
 //! Source: Eq. (3); both depend on bias and temperature. Absolute values: what is not given stays as stated.
 //! Confused with: a clock offset (the same delay for frames and events at every light) and a second pole.
 
+use super::sought::{DELAY, Field, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -22,6 +23,16 @@ pub const KIND: EffectKind = EffectKind {
         signature: "events follow edges late when the true value is larger, in proportion to 1 / i for alpha",
         confused_with: &["second_pole", "clock_offset", "reset_memory"],
         source: "Eq. (3)",
+        apart: &[],
+        search: Search::For(&[
+            Sought { typical: Size::Fixed(150e-6), material: DELAY, field: Some(Field::Tau0), ..Sought::both("tau_0") },
+            Sought {
+                typical: Size::Larger(&Size::Of(1.3, Measure::Alpha), &Size::Of(50e-6, Measure::Light)),
+                material: Size::Times(&DELAY, Measure::Light),
+                field: Some(Field::Alpha),
+                ..Sought::both("alpha")
+            },
+        ]),
     },
     build,
 };

@@ -7,6 +7,7 @@
 //! Source: the latency measurements in Lichtsteiner, Posch, Delbruck 2008.
 //! Limits: normal, cut off at four sigma, so two events of a pixel more than eight sigma apart keep their order; nearer ones can change places.
 
+use super::sought::{Search, Size, Sought, TIME};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 
@@ -29,6 +30,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "the voltage at the stamp scatters in proportion to the slope, event by event; the scatter in time is the same at any slope",
         confused_with: &["threshold_noise", "timestamp_quantization", "readout_queue"],
         source: "Lichtsteiner, Posch, Delbruck 2008",
+        apart: &[("threshold_noise", "the same scene at three times the speed: jitter matters three times as much, threshold noise as before")],
+        search: Search::For(&[Sought { typical: Size::Fixed(60e-6), material: TIME, ..Sought::random("sigma") }]),
     },
     build,
 };

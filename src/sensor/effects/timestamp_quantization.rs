@@ -7,6 +7,7 @@
 //! Limits: a perfect clock that rounds down; a jagged (nonlinear) in-pixel converter is not here.
 
 use super::clock_offset::ClockOffset;
+use super::sought::{Search, Size, Sought, TIME};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEvent, Site, Stage, Unit};
 use photocurrent_core::random::Random;
 
@@ -29,6 +30,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "a comb in the remainder of the stamps by the step; events early by half a step on average; many equal stamps",
         confused_with: &["timestamp_jitter", "clock_offset", "a readout that scans the rows"],
         source: "manuals of event cameras",
+        apart: &[],
+        search: Search::For(&[Sought { typical: Size::Fixed(120e-6), material: TIME, is_made: false, ..Sought::positive("step") }]),
     },
     build,
 };

@@ -12,6 +12,7 @@
 //! Source: the cos^4 law of natural vignetting; EMVA 1288 for its removal.
 //! Limits: centred on the array and round; depends on nothing but the radius.
 
+use super::sought::{SHARE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -33,6 +34,8 @@ pub const KIND: EffectKind = EffectKind {
         signature: "frames are off by a factor that grows with the radius, at every light; the events' delay follows the other light",
         confused_with: &["time_constant", "bandwidth_gradient", "black_level"],
         source: "the cos^4 law",
+        apart: &[("bandwidth_gradient", "an even bright surface: vignetting shows in a single frame")],
+        search: Search::For(&[Sought { typical: Size::Fixed(0.3), material: SHARE, ..Sought::both("falloff") }]),
     },
     build,
 };
