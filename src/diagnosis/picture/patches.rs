@@ -7,7 +7,7 @@
 //! frames, and one patch has one motion.
 
 use super::estimate::{Begin, Picture, PictureSetting};
-use super::motion::Map;
+use super::motion::{Map, apply, compose};
 use crate::case::{Case, CaseFrames, PixelEvents};
 use crate::nominal::Nominal;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
@@ -26,6 +26,8 @@ pub struct PatchSetting {
     pub shared: usize,
     /// Largest shift from frame to frame, pixels.
     pub reach: i32,
+    /// Largest turn from frame to frame, radians.
+    pub turn: f64,
     /// What a shift by one pixel must gain of the mean difference of frames, as a share.
     pub shift_cost: f64,
     /// A value that changes by more than so many standard deviations moves.
@@ -38,7 +40,7 @@ pub struct PatchSetting {
 
 impl Default for PatchSetting {
     fn default() -> PatchSetting {
-        PatchSetting { side: 12, margin: 6, frames: 5, shared: 1, reach: 12, shift_cost: 0.01, moves: 4.0, least_values: 200, least_events: 12 }
+        PatchSetting { side: 12, margin: 6, frames: 5, shared: 1, reach: 12, turn: 0.8, shift_cost: 0.01, moves: 4.0, least_values: 200, least_events: 12 }
     }
 }
 
@@ -135,27 +137,26 @@ pub fn moving(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> 
         .collect()
 }
 
-/// What stands still behind everything: the value that most frames have of a pixel, DN; NaN where fewer than half of them agree.
-pub fn ground(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<f64> {
+/// What stands still behind everything: the value that most frames have of a pixel, DN; NaN where fewer than the share `least` of them agree.
+pub fn ground(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64, least: f64) -> Vec<f64> {
     let count = case.frame_count();
     let of = |pixel: usize| {
         let mut values: Vec<f64> = (0..count).map(|l| case.dn(l, pixel)).filter(|dn| dn.is_finite()).collect();
         values.sort_by(f64::total_cmp);
-        let half = values.len().div_ceil(2);
-        // The shortest stretch of values that holds half of them.
-        let Some(first) = (0..values.len().saturating_sub(half - 1)).min_by(|a, b| (values[a + half - 1] - values[*a]).total_cmp(&(values[b + half - 1] - values[*b]))) else {
-            return f64::NAN;
+        // The largest group of values that noise explains.
+        let group = |first: usize| {
+            let sigma = nominal.frame_sigma_dn(f64::max(values[first] - nominal.number.black_level, 0.0), noise);
+            values[first..].partition_point(|dn| *dn <= values[first] + moves * sigma)
         };
-        let (low, high) = (values[first], values[first + half - 1]);
-        let sigma = nominal.frame_sigma_dn(f64::max(0.5 * (low + high) - nominal.number.black_level, 0.0), noise);
-        if high - low <= moves * sigma { values[first + half / 2] } else { f64::NAN }
+        let Some((held, first)) = (0..values.len()).map(|first| (group(first), first)).max_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(&a.1))) else { return f64::NAN };
+        if (held as f64) < least * values.len() as f64 { f64::NAN } else { values[first + held / 2] }
     };
     (0..case.extent.pixels()).map(of).collect()
 }
 
 /// Which frame values belong to something that moves: those that are not the ground's, and where there is none those that change.
-pub fn foreground(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64) -> Vec<bool> {
-    let (ground, pixels) = (ground(case, nominal, noise, moves), case.extent.pixels());
+pub fn foreground(case: &Case, nominal: &Nominal, ground: &[f64], noise: (f64, f64), moves: f64) -> Vec<bool> {
+    let pixels = case.extent.pixels();
     let changes = moving(case, nominal, noise, moves);
     let of = |(n, changes): (usize, bool)| {
         let (dn, still) = (case.dn(n / pixels, n % pixels), ground[n % pixels]);
@@ -195,8 +196,8 @@ impl Patch {
         if counts.iter().filter(|counts| **counts).count() < setting.least_values {
             return None;
         }
-        let shift = follow(&own, nominal, &counts, setting);
-        let poses: Vec<Map> = (0..own.frame_count()).map(|l| [l as f64 * shift.0, 1.0, 0.0, l as f64 * shift.1, 0.0, 1.0]).collect();
+        // A part is too small to turn much.
+        let poses = follow(&own, nominal, &counts, &PatchSetting { turn: 0.0, ..*setting });
         let ground: Option<Vec<f32>> = ground.map(|ground| part.pixels(case.extent.width).map(|pixel| ground[pixel]).collect());
         if ground.is_some() {
             // What stands still is explained as well.
@@ -230,50 +231,63 @@ impl Patch {
     }
 }
 
-/// The one shift from frame to frame, pixels, that predicts moving values best: where a value of the next frame was in the frame before, less where it is.
-pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSetting) -> (f64, f64) {
-    let images = super::begin::images(case, nominal);
-    let smooth: Vec<_> = images.iter().map(|image| image.smoothed(1)).collect();
-    let (w, h) = (case.extent.width as i32, case.extent.height as i32);
+/// The one motion from frame to frame that predicts moving values best, a shift or a turn around their middle: poses of all frames.
+pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSetting) -> Vec<Map> {
+    let smooth: Vec<_> = super::begin::images(case, nominal).iter().map(|image| image.smoothed(1)).collect();
+    let width = case.extent.width as usize;
     let pixels = case.extent.pixels();
-    let cost = |dx: i32, dy: i32| -> f64 {
-        let (mut sum, mut n, mut all) = (0.0, 0usize, 0usize);
-        for l in 1..smooth.len() {
-            let (before, now) = (&smooth[l - 1].values, &smooth[l].values);
-            for y in 0..h {
-                for x in 0..w {
-                    let at = (y * w + x) as usize;
-                    if !counts[l * pixels + at] {
-                        continue;
-                    }
-                    all += 1;
-                    let (i, j) = (x + dx, y + dy);
-                    if i >= 0 && j >= 0 && i < w && j < h {
-                        sum += f64::from((now[at] - before[(j * w + i) as usize]).abs());
-                        n += 1;
-                    }
-                }
+    let centre = (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
+    let moving: Vec<(usize, f64, f64)> = (pixels..counts.len())
+        .filter(|n| counts[*n])
+        .map(|n| (n, (n % pixels % width) as f64 - centre.0, (n % pixels / width) as f64 - centre.1))
+        .collect();
+    let all = f64::max(moving.len() as f64, 1.0);
+    let (mx, my) = moving.iter().fold((0.0, 0.0), |sum, at| (sum.0 + at.1 / all, sum.1 + at.2 / all));
+    let radius = moving.iter().map(|at| libm::hypot(at.1 - mx, at.2 - my)).sum::<f64>() / all;
+    let map = |dx: f64, dy: f64, turn: f64| -> Map {
+        let (c, s) = (libm::cos(turn), libm::sin(turn));
+        [mx - c * mx + s * my + dx, c, -s, my - s * mx - c * my + dy, s, c]
+    };
+    let cost = |dx: f64, dy: f64, turn: f64| -> f64 {
+        let map = map(dx, dy, turn);
+        let (mut sum, mut n) = (0.0, 0.0);
+        for (at, x, y) in &moving {
+            let (l, pixel) = (at / pixels, at % pixels);
+            let (px, py) = apply(&map, *x, *y);
+            let (i, j) = ((px + centre.0).round(), (py + centre.1).round());
+            if i >= 0.0 && j >= 0.0 && i < f64::from(case.extent.width) && j < f64::from(case.extent.height) {
+                sum += f64::from((smooth[l].values[pixel] - smooth[l - 1].values[j as usize * width + i as usize]).abs());
+                n += 1.0;
             }
         }
-        if 2 * n < all || n == 0 { f64::INFINITY } else { sum / n as f64 * (1.0 + setting.shift_cost * libm::hypot(f64::from(dx), f64::from(dy))) }
+        if 2.0 * n < all { f64::INFINITY } else { sum / n * (1.0 + setting.shift_cost * (libm::hypot(dx, dy) + turn.abs() * radius)) }
     };
     let reach = setting.reach;
-    let side = (2 * reach + 1) as usize;
-    let costs: Vec<f64> = (0..side * side).map(|n| cost((n % side) as i32 - reach, (n / side) as i32 - reach)).collect();
-    let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(side * side / 2);
-    let (i, j) = (best % side, best / side);
-    // A parabola through three values along each axis.
-    let beyond = |n: usize, step: usize| -> f64 {
-        let is_inside = if step == 1 { n % side > 0 && n % side + 1 < side } else { n / side > 0 && n / side + 1 < side };
-        if !is_inside {
-            return 0.0;
+    let shifts = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (f64::from(dx), f64::from(dy), 0.0)));
+    let steps = (setting.turn / TURN_STEP).floor() as i32;
+    let turns = (-steps..=steps).flat_map(|n| (-1..=1).flat_map(move |j| (-1..=1).map(move |i| (2.0 * f64::from(i), 2.0 * f64::from(j), f64::from(n) * TURN_STEP))));
+    let tried = shifts.chain(turns).map(|(dx, dy, turn)| (cost(dx, dy, turn), (dx, dy, turn)));
+    let (mut least, mut best) = tried.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, (0.0, 0.0, 0.0)));
+    // And finer from there on.
+    for by in [0.5, 0.25] {
+        for (dx, dy, turn) in [(by, 0.0, 0.0), (-by, 0.0, 0.0), (0.0, by, 0.0), (0.0, -by, 0.0), (0.0, 0.0, by * TURN_STEP), (0.0, 0.0, -by * TURN_STEP)] {
+            let other = (best.0 + dx, best.1 + dy, best.2 + turn);
+            let cost = cost(other.0, other.1, other.2);
+            if cost < least {
+                (least, best) = (cost, other);
+            }
         }
-        let (a, b, c) = (costs[n - step], costs[n], costs[n + step]);
-        let bend = a - 2.0 * b + c;
-        if bend.is_finite() && bend > 0.0 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 }
-    };
-    (i as f64 - f64::from(reach) + beyond(best, 1), j as f64 - f64::from(reach) + beyond(best, side))
+    }
+    let step = map(best.0, best.1, best.2);
+    let mut poses: Vec<Map> = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]];
+    while poses.len() < case.frame_count() {
+        poses.push(compose(poses.last().expect("one is there"), &step));
+    }
+    poses
 }
+
+/// Step of the search over turns, radians.
+const TURN_STEP: f64 = 0.04;
 
 #[cfg(test)]
 mod tests {

@@ -4,7 +4,7 @@
 
 use super::gate::Gate;
 use super::light::Light;
-use super::source::{Cell, MovingPicture, Source};
+use super::source::{Cell, MovingPicture, Source, usual_step_dn};
 use crate::case::Case;
 use crate::integrity::median;
 use crate::nominal::Nominal;
@@ -31,15 +31,15 @@ pub struct MosaicSetting {
     pub helped: f64,
     /// More parts than this are not fitted: those with the most events are.
     pub most_parts: usize,
-    /// There is a still ground where more than this share of the pixels have the same value in half of the frames.
+    /// A pixel's ground is what at least this share of its frames agree on.
+    pub agreed: f64,
+    /// There is a still ground where more than this share of the pixels has one.
     pub still: f64,
     /// A part predicts at least this share of its tile's moving values.
     pub least_predicted: f64,
     /// And so much more than the moving picture.
     pub better: f64,
-    /// A value is predicted that misses by less than this share of a threshold, or by [`MosaicSetting::spread`] usual residuals.
-    pub step: f64,
-    /// See there.
+    /// A value is predicted that misses by less than [`super::source::STEP`] of a threshold, or by so many usual residuals.
     pub spread: f64,
 }
 
@@ -53,10 +53,10 @@ impl Default for MosaicSetting {
             probes: 8,
             helped: 0.4,
             most_parts: 160,
-            still: 0.4,
+            agreed: 0.35,
+            still: 0.6,
             least_predicted: 0.5,
             better: 0.1,
-            step: 0.15,
             spread: 4.5,
         }
     }
@@ -90,17 +90,23 @@ pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &M
     }
     let tiles = setting.patches.tiles(case.extent);
     let noise = (setting.picture.frame_dn, setting.picture.frame_share);
-    let moves = foreground(case, nominal, noise, setting.patches.moves);
-    let ground = light_of_ground(case, nominal, &ground(case, nominal, noise, setting.patches.moves));
-    let ground = (ground.iter().filter(|ground| ground.is_finite()).count() as f64 > setting.still * ground.len() as f64).then_some(ground);
-    if let Some(ground) = &ground {
+    let mut still = ground(case, nominal, noise, setting.patches.moves, setting.agreed);
+    let is_there = still.iter().filter(|ground| ground.is_finite()).count() as f64 > setting.still * still.len() as f64;
+    if !is_there {
+        still.fill(f64::NAN);
+    }
+    let moves = foreground(case, nominal, &still, noise, setting.patches.moves);
+    let ground = is_there.then(|| light_of_ground(case, nominal, &still));
+    let everywhere = (0..case.extent.width, 0..case.extent.height);
+    let misses = |picture: &Picture| usual(case, nominal, &moves, &everywhere, &(0..case.frame_count()), |l, x, y| of_picture(case, picture, l, x, y));
+    let of_one = whole.as_ref().map_or(f64::INFINITY, |whole| misses(&whole.picture));
+    if let Some(ground) = ground.as_ref().filter(|_| of_one > setting.well) {
         let before = before_ground(case, nominal, of_whole, &moves, ground, setting);
-        let misses = |picture: &Picture| usual(case, nominal, &moves, &(0..case.extent.width, 0..case.extent.height), &(0..case.frame_count()), |l, x, y| of_picture(case, picture, l, x, y));
-        if whole.as_ref().map_or(f64::INFINITY, |whole| misses(&whole.picture)) > misses(&before) {
-            whole = Ok(MovingPicture { picture: before, setting: *of_whole });
+        if misses(&before) < of_one {
+            whole = Ok(MovingPicture::new(before, of_whole, case, nominal));
         }
     }
-    let mut found = Mosaic { whole: whole.as_ref().ok().map(MovingPicture::copy), patches: Vec::new(), tile: Vec::new(), tiles, setting: *setting, moves, residual: Vec::new(), misfit: 1.0, least_dn: usual_step_dn(case, nominal, setting.step) };
+    let mut found = Mosaic { whole: whole.as_ref().ok().map(|whole| whole.with(whole.picture.clone())), patches: Vec::new(), tile: Vec::new(), tiles, setting: *setting, moves, residual: Vec::new(), misfit: 1.0, least_dn: usual_step_dn(case, nominal) };
     let changes = found.moves.clone();
     let needed = found.needed(case, nominal, &changes);
     let fit = |list: &[(usize, Range<usize>)]| -> Vec<(usize, Patch)> {
@@ -142,8 +148,7 @@ fn before_ground(case: &Case, nominal: &Nominal, of_picture: &PictureSetting, mo
     for pair in &pairs {
         chained.push(compose(chained.last().expect("one is there"), pair));
     }
-    let shift = follow(case, nominal, moves, &setting.patches);
-    let steady: Vec<Map> = (0..count).map(|l| [l as f64 * shift.0, 1.0, 0.0, l as f64 * shift.1, 0.0, 1.0]).collect();
+    let steady = follow(case, nominal, moves, &setting.patches);
     Picture::fit_from(case, nominal, of_picture, &[&chained, &steady], Begin { counts: None, ground: Some(ground) })
 }
 
@@ -256,14 +261,6 @@ impl Mosaic {
         let weighed = of.iter().map(|(n, patch)| (*n, weight(case, patch, y, t_ns)));
         weighed.filter(|(_, weight)| *weight > 0.0).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(n, _)| n)
     }
-}
-
-/// What a share of a threshold is of a usual frame value, DN.
-fn usual_step_dn(case: &Case, nominal: &Nominal, share: f64) -> f64 {
-    let mut signals: Vec<f64> = case.frames.iter().flat_map(|frames| frames.dn.iter().step_by(7)).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
-    signals.retain(|signal| *signal > 0.0);
-    let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
-    if signals.is_empty() { 0.0 } else { share * threshold * median(&mut signals) }
 }
 
 /// The larger of two residuals; NaN when one is.
@@ -404,14 +401,14 @@ impl Source for Mosaic {
     }
 
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String> {
-        let whole = self.whole.as_ref().map(|whole| MovingPicture { picture: whole.picture.refit(case, nominal, &whole.setting, None), setting: whole.setting });
+        let whole = self.whole.as_ref().map(|whole| whole.with(whole.picture.refit(case, nominal, &whole.setting, None)));
         let patches = self.patches.par_iter().map(|patch| patch.refit(case, nominal, &self.setting.picture)).collect();
         Ok(Box::new(self.with(case, whole, patches)))
     }
 
     fn drawn(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Source>>, String> {
         let draw = |whole: &MovingPicture| whole.picture.drawn(case, nominal, &whole.setting, None, seed);
-        let whole = self.whole.as_ref().map(|whole| MovingPicture { picture: draw(whole), setting: whole.setting });
+        let whole = self.whole.as_ref().map(|whole| whole.with(draw(whole)));
         let one = |(n, patch): (usize, &Patch)| patch.drawn(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64));
         let patches = self.patches.par_iter().enumerate().map(one).collect();
         Ok(Some(Box::new(self.with(case, whole, patches))))

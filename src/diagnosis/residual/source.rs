@@ -63,12 +63,26 @@ pub trait Source: Sync {
     fn misfit(&self) -> f64;
 }
 
+/// Where something moves before something else, most frame values are those of what stands still and say nothing of how well the rest is predicted: errors below this share of a threshold
+/// are small enough for its events.
+pub const STEP: f64 = 0.15;
+
+/// What [`STEP`] of a threshold is of a usual frame value, DN.
+pub(super) fn usual_step_dn(case: &Case, nominal: &Nominal) -> f64 {
+    let mut signals: Vec<f64> = case.frames.iter().flat_map(|frames| frames.dn.iter().step_by(7)).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
+    signals.retain(|signal| *signal > 0.0);
+    let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
+    if signals.is_empty() { 0.0 } else { STEP * threshold * median(&mut signals) }
+}
+
 /// One moving picture, with how it was fitted.
 pub struct MovingPicture {
     /// The picture.
     pub picture: Picture,
     /// How it was fitted.
     pub setting: PictureSetting,
+    /// A value of a picture before a still ground is predicted that misses by less, DN.
+    pub least_dn: f64,
 }
 
 impl MovingPicture {
@@ -77,17 +91,24 @@ impl MovingPicture {
     /// # Errors
     /// As [`Picture::fit`].
     pub fn fit(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Result<MovingPicture, String> {
-        Ok(MovingPicture { picture: Picture::fit(case, nominal, setting)?, setting: *setting })
+        Ok(MovingPicture::new(Picture::fit(case, nominal, setting)?, setting, case, nominal))
     }
 
-    pub(super) fn copy(&self) -> MovingPicture {
-        MovingPicture { picture: self.picture.clone(), setting: self.setting }
+    /// Of a picture that was fitted.
+    pub fn new(picture: Picture, setting: &PictureSetting, case: &Case, nominal: &Nominal) -> MovingPicture {
+        let least_dn = if picture.ground.is_empty() { 0.0 } else { usual_step_dn(case, nominal) };
+        MovingPicture { picture, setting: *setting, least_dn }
+    }
+
+    /// The same with another picture.
+    pub(super) fn with(&self, picture: Picture) -> MovingPicture {
+        MovingPicture { picture, setting: self.setting, least_dn: self.least_dn }
     }
 }
 
 impl Source for MovingPicture {
     fn name(&self) -> &'static str {
-        "picture"
+        if self.picture.ground.is_empty() { "picture" } else { "patches" }
     }
 
     fn light(&self, case: &Case, step_ns: i64) -> Light {
@@ -99,6 +120,10 @@ impl Source for MovingPicture {
         };
         light.log = (0..case.extent.pixels()).into_par_iter().map(of).collect();
         light
+    }
+
+    fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
+        Gate::new(case, &self.picture.residual, f64::max(least_dn, self.least_dn), spread)
     }
 
     fn residual(&self) -> &[f32] {
@@ -115,11 +140,11 @@ impl Source for MovingPicture {
     }
 
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String> {
-        Ok(Box::new(MovingPicture { picture: self.picture.refit(case, nominal, &self.setting, None), setting: self.setting }))
+        Ok(Box::new(self.with(self.picture.refit(case, nominal, &self.setting, None))))
     }
 
     fn drawn(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Source>>, String> {
-        Ok(Some(Box::new(MovingPicture { picture: self.picture.drawn(case, nominal, &self.setting, None, seed), setting: self.setting })))
+        Ok(Some(Box::new(self.with(self.picture.drawn(case, nominal, &self.setting, None, seed)))))
     }
 
     fn misfit(&self) -> f64 {
