@@ -43,6 +43,10 @@ pub struct MadeUp {
     span: (i64, i64),
     /// Electrons a digital number, and read noise, DN, of frames; nobody states it.
     noise: Option<(f64, f64)>,
+    /// Noise of thresholds that nobody states, natural-log units.
+    unstated_noise: f64,
+    /// Light is taken this often, ns.
+    step_ns: i64,
 }
 
 /// A smooth random surface between 0 and 1, of features of a size in pixels.
@@ -142,6 +146,59 @@ impl MadeUp {
             extent,
             span,
             noise: None,
+            unstated_noise: 0.0,
+            step_ns: 200_000,
+        }
+    }
+
+    /// Target number `index` of a seed: a star or discs before a plain wall, thresholds with noise, frames with stated noise or none.
+    pub fn target(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
+        let mut random = Random::new(seed, &[index, 78]);
+        let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
+        let mut made = MadeUp::new(seed, index, extent, duration_s);
+        if let Motion::Texture { velocity, .. } = made.motion {
+            let rate = between(3.0, 12.0) * std::f64::consts::TAU * if velocity.0 > 0.0 { 1.0 } else { -1.0 };
+            let centre = (0.5 * f64::from(extent.width) + between(-2.0, 2.0), 0.5 * f64::from(extent.height) + between(-2.0, 2.0));
+            made.motion = Motion::Star { spokes: between(2.0, 6.0).floor(), rate, centre };
+        }
+        // No ground behind discs: a wall.
+        made.contrast = 0.0;
+        let noise = between(0.008, 0.035) * made.sensor.comparator.threshold_on.unwrap_or(0.2);
+        if between(0.0, 1.0) < 0.75 {
+            made.sensor.comparator.threshold_noise = Some(noise);
+        } else {
+            made.unstated_noise = noise;
+        }
+        if between(0.0, 1.0) < 0.6 {
+            made.sensor.frames.read_noise_dn = Some(between(0.3, 4.0));
+            made.sensor.frames.full_well_e = Some(between(9_000.0, 30_000.0));
+        }
+        made.step_ns = 25_000;
+        made
+    }
+
+    /// With dark and bright light changed by factors.
+    #[must_use]
+    pub fn lit(self, dark: f64, bright: f64) -> MadeUp {
+        MadeUp { low: self.low * dark, high: self.high * bright, ..self }
+    }
+
+    /// How fast things cross a place, pixels a second at most.
+    pub fn px_per_s(&self, x: f64, y: f64) -> f64 {
+        let length = |(x, y): (f64, f64)| libm::hypot(x, y);
+        match &self.motion {
+            Motion::Texture { velocity, shake_px, shake_hz } => length(*velocity) + 2.0 * std::f64::consts::TAU * shake_hz * shake_px,
+            Motion::Star { rate, centre, .. } => rate.abs() * f64::max(libm::hypot(x - centre.0, y - centre.1), 1.0),
+            Motion::Discs { velocity, drift, .. } => f64::max(length(*velocity), length(*drift)),
+        }
+    }
+
+    /// After how long it looks the same again, seconds.
+    pub fn period_s(&self) -> f64 {
+        match &self.motion {
+            Motion::Texture { .. } => 0.0,
+            Motion::Star { spokes, rate, .. } => std::f64::consts::TAU / (spokes * rate.abs()),
+            Motion::Discs { velocity, pitch, .. } => pitch / libm::hypot(velocity.0, velocity.1),
         }
     }
 
@@ -158,7 +215,7 @@ impl MadeUp {
     }
 
     /// Log photocurrent at a place and time, seconds.
-    fn log_light(&self, x: f64, y: f64, t: f64) -> f64 {
+    pub(crate) fn log_light(&self, x: f64, y: f64, t: f64) -> f64 {
         let shade = match &self.motion {
             Motion::Texture { velocity, shake_px, shake_hz } => {
                 let shake = shake_px * libm::sin(std::f64::consts::TAU * shake_hz * t);
@@ -184,7 +241,7 @@ impl MadeUp {
 
     /// Log photocurrent of every pixel at instants.
     fn log_tracks(&self) -> Vec<(Vec<i64>, Vec<f64>)> {
-        let step_ns = 200_000;
+        let step_ns = self.step_ns;
         let instants: Vec<i64> = (0..=self.span.1 / step_ns).map(|k| k * step_ns).collect();
         let width = self.extent.width as usize;
         let of = |pixel: usize| {
@@ -226,7 +283,8 @@ impl MadeUp {
         let pixels = self.log_tracks().into_iter().map(|(t, log)| (t, log, true));
         let nominal = blank.nominal().map_err(|why| why.to_string())?;
         let stated = Trial::stated(&nominal);
-        let trial = trial.unwrap_or(&stated);
+        let mut trial = trial.unwrap_or(&stated).clone();
+        trial.nominal.threshold_noise = f64::max(trial.nominal.threshold_noise, self.unstated_noise);
         let mut recorded = record(
             &blank,
             &trial.nominal,

@@ -9,7 +9,8 @@ use crate::candidates::{Candidate, Scales};
 use crate::made::{Fault, Made, MadeSetting, made};
 use crate::picture::PictureSetting;
 use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
-use crate::residual::source::MovingPicture;
+use crate::residual::source::{MovingPicture, Source};
+use crate::residual::target::{Target, TargetSetting};
 use crate::verdict::{IN_SET_SHARE as IN_SET, is_material};
 use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
@@ -54,14 +55,19 @@ impl Example {
 /// # Errors
 /// When the effects that were drawn cannot be combined.
 pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, String> {
-    let Made { case, mut truth } = made(seed, index, setting)?;
+    let Made { case, mut truth, target } = made(seed, index, setting)?;
     let nominal = case.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(&case, &nominal);
     truth.effects.retain(|(id, parameter, strength)| {
         Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*strength, &scales, &nominal)))
     });
-    let found =
-        MovingPicture::fit(&case, &nominal, &PictureSetting::default()).and_then(|source| evidence(&case, &nominal, &source, &EvidenceSetting::default())).ok();
+    let picture = PictureSetting::default();
+    let look = |source: &dyn Source| evidence(&case, &nominal, source, &EvidenceSetting::default());
+    let found = match target {
+        None => MovingPicture::fit(&case, &nominal, &picture).and_then(|source| look(&source)).ok(),
+        // The search finds the same place; only the fit is of interest.
+        Some((form, shares)) => Target::near(&case, &nominal, form, TargetSetting::default(), &picture, &shares).and_then(|source| look(&source).ok()),
+    };
     Ok(Example::new(truth, found))
 }
 

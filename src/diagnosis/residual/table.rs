@@ -33,6 +33,10 @@ pub(super) struct Seen<'a> {
     pub least: f64,
     /// Does the scene stand without the frames? Then their values are looked at as well.
     pub is_known: bool,
+    /// The scene, for what is free of it.
+    pub source: &'a dyn Source,
+    /// How far the free parameters stand from where the source has them, shares of their ranges; `light` is that of the source moved so.
+    pub by: Vec<f64>,
     /// What each pixel's own size of a random effect takes off each residual; nothing, or of the stated sensor's events.
     pub own: Vec<f32>,
 }
@@ -59,6 +63,8 @@ pub(super) struct Table {
     softest: f64,
     /// Columns of the candidates.
     columns: Vec<(usize, Column)>,
+    /// And of the free parameters of the scene.
+    free: Vec<Column>,
     /// Held-out log-likelihood of an event's time, nats.
     pub nats_per_event: f64,
     /// Noise of the events without what a picture that is too soft leaves.
@@ -82,7 +88,7 @@ struct Evaluated {
 impl Table {
     fn rows(&self, is_sharp: bool) -> Rows<'_> {
         let soft = self.of(SOFTNESS, "").filter(|_| !is_sharp).map(|column| Soft { column: &column.of, log_slope: &column.log_slope, most: self.softest });
-        Rows { slope: &self.slope, block: &self.block, events: self.events.pixel.len(), least: self.least, soft }
+        Rows { slope: &self.slope, block: &self.block, events: self.events.pixel.len(), least: self.least, soft, free: &self.free }
     }
 
     /// The column of an effect's parameter, or of its first one.
@@ -117,7 +123,7 @@ impl Table {
         &self.base[..self.events.pixel.len()]
     }
 
-    /// The same without what a picture that is too soft leaves.
+    /// The same without what a picture that is too soft leaves, or what free parameters of the scene explain.
     pub fn sharp(&self) -> &[f64] {
         &self.sharp
     }
@@ -147,6 +153,8 @@ pub(super) struct Refined {
     pub left: Vec<f64>,
     /// What each row gains by them.
     pub gains: Vec<f64>,
+    /// Where they leave the free parameters of the scene ([`Seen::by`]).
+    pub by: Vec<f64>,
 }
 
 /// What gains are located on.
@@ -183,9 +191,46 @@ const OF_FRAMES: [Covariate; 8] = [
 /// Candidates whose columns each pixel may have a size of its own of.
 pub(super) const OF_PIXELS: [(&str, &str); 2] = [("threshold_scale", "fraction"), ("refractory", "refractory")];
 
+/// Standard deviation of a free parameter of the scene within its range, as a share of it, before the recording.
+const OPEN: f64 = 0.3;
+/// A free parameter that moves by less than so many of its steps stands.
+const NEAR: f64 = 2.0;
+/// And none moves by more than this share of its range at a time.
+const FARTHEST: f64 = 0.2;
+
 impl Seen<'_> {
+    /// What the free parameters of the scene, moved by shares `by`, change of each row seen through a trial, each per its standard deviation before the recording.
+    fn free(&self, trial: &Trial, by: &[f64], base: &[f32], log_slope: &[f32]) -> Result<Vec<Column>, String> {
+        let mut columns = Vec::new();
+        for (k, step) in self.source.free().into_iter().enumerate() {
+            let mut moved = by.to_vec();
+            moved[k] += step;
+            let Some(light) = self.source.moved(self.case, self.light.step_ns, Some(&self.pixels), &moved) else { continue };
+            let found = self.evaluate_on(&light, std::slice::from_ref(trial))?;
+            let scale = (OPEN / step) as f32;
+            let change = |then: &[f32], now: &[f32]| -> Vec<f32> { then.iter().zip(now).map(|(then, now)| (then - now) * scale).collect() };
+            columns.push(Column { of: change(&found.left[0], base), log_slope: change(&found.log_slope[0], log_slope) });
+        }
+        Ok(columns)
+    }
+
+    /// Where sizes of what is free of the scene move it from shares `by`; none where that is next to nothing.
+    fn further(&self, by: &[f64], sizes: &[f64]) -> Option<(Vec<f64>, Light)> {
+        let steps = self.source.free();
+        let far = |(size, step): (&f64, &f64)| (OPEN * size).abs() > NEAR * step;
+        if sizes.len() != by.len() || !sizes.iter().zip(&steps).any(far) {
+            return None;
+        }
+        let moved: Vec<f64> = by.iter().zip(sizes).map(|(by, size)| by + (OPEN * size).clamp(-FARTHEST, FARTHEST)).collect();
+        Some((moved.clone(), self.source.moved(self.case, self.light.step_ns, None, &moved)?))
+    }
+
     fn evaluate(&self, trials: &[Trial]) -> Result<Evaluated, String> {
-        let view = View { case: self.case, light: &self.light, pixels: self.pixels.clone(), is_known: self.is_known };
+        self.evaluate_on(&self.light, trials)
+    }
+
+    fn evaluate_on(&self, light: &Light, trials: &[Trial]) -> Result<Evaluated, String> {
+        let view = View { case: self.case, light, pixels: self.pixels.clone(), is_known: self.is_known };
         let (events, of_trials) = view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
         let mut slopes: Vec<f64> = events.slope_per_s.iter().map(|slope| slope.abs()).collect();
         // A voltage that hardly moves says little of when an event comes.
@@ -267,6 +312,7 @@ impl Seen<'_> {
         let block: Vec<u32> = found.events.pixel.iter().chain(&found.frames.pixel).map(|pixel| self.block_of(*pixel as usize)).collect();
         let slope: Vec<f64> = found.events.slope_per_s.iter().chain(&found.frames.signal_dn).copied().collect();
         let columns = chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, self.probe(n)))).collect();
+        let free = self.free(trial, &self.by, &found.left[0], &found.log_slope[0])?;
         let Evaluated { events, frames, left, mut log_slope } = found;
         let mut table = Table {
             trial: trial.clone(),
@@ -280,6 +326,7 @@ impl Seen<'_> {
             least: self.least,
             softest,
             columns,
+            free,
             nats_per_event: 0.0,
             noise: EventNoise { a: self.least, b: 0.0 },
             fitted: Vec::new(),
@@ -306,7 +353,10 @@ impl Seen<'_> {
         let mut error = vec![0.0; which.len()];
         let free: Vec<usize> = (0..which.len()).filter(|&i| is_free[i]).collect();
         let rows = table.rows(which.iter().any(|&n| CANDIDATES[n].id == SOFTNESS));
-        let rounds = if free.is_empty() { 0 } else { self.setting.rounds * which.len() };
+        let is_open = !self.by.is_empty();
+        let rounds = if free.is_empty() && !is_open { 0 } else { self.setting.rounds * which.len() };
+        let (mut by, mut light) = (self.by.clone(), Cow::Borrowed(&self.light));
+        let mut open: Vec<Column> = Vec::new();
         for _ in 0..rounds {
             // Which events are looked at is the table's business.
             let mut trials = vec![table.trial.clone(), put(&strength)];
@@ -316,8 +366,10 @@ impl Seen<'_> {
                 moved[i] += by;
                 trials.push(put(&moved));
             }
-            let found = self.evaluate(&trials)?;
+            let found = self.evaluate_on(&light, &trials)?;
             let columns: Vec<Column> = further.iter().enumerate().map(|(n, by)| found.column(2 + n, 1, *by)).collect();
+            open = self.free(&trials[1], &by, &found.left[1], &found.log_slope[1])?;
+            let rows = Rows { free: &open, ..rows };
             let step = heldout(&Plain::new(&wide(&found.left[1]), rows), &columns.iter().collect::<Vec<_>>());
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
@@ -326,18 +378,28 @@ impl Seen<'_> {
                 is_still &= (next - strength[i]).abs() < self.setting.still * f64::max(strength[i].abs(), self.setting.probe);
                 (strength[i], error[i]) = (next, step.error[n]);
             }
+            if let Some((moved, there)) = self.further(&by, &step.free) {
+                (by, light, is_still) = (moved, Cow::Owned(there), false);
+            }
             if is_still {
                 break;
             }
         }
-        let found = self.evaluate(&[table.trial.clone(), put(&strength)])?;
+        let found = self.evaluate_on(&light, &[table.trial.clone(), put(&strength)])?;
+        if is_open {
+            open = self.free(&put(&strength), &by, &found.left[1], &found.log_slope[1])?;
+        }
+        let with_rows = Rows { free: &open, ..rows };
         let mut left = wide(&found.left[1]);
-        let before = fit::Seen { residual: &table.base, log_slope: &table.log_slope };
-        let with = fit::Seen { residual: &left, log_slope: &found.log_slope[1] };
-        let (gain, gain_error) = gain_of(before, with, &rows);
-        let gains = gains(before, with, &rows);
+        let before = (fit::Seen { residual: &table.base, log_slope: &table.log_slope }, &rows);
+        let with = (fit::Seen { residual: &left, log_slope: &found.log_slope[1] }, &with_rows);
+        let (gain, gain_error) = gain_of(before, with);
+        let gains = gains(before, with);
+        if is_open {
+            left = without_softness(&left, &with_rows);
+        }
         left.truncate(table.events.pixel.len());
-        Ok(Refined { strength, error, gain, gain_error, left, gains })
+        Ok(Refined { strength, error, gain, gain_error, left, gains, by })
     }
 
     /// Strengths that a search may reach, within physics.
@@ -376,6 +438,7 @@ impl Seen<'_> {
             one.left = median_share(&found.left, self.scales.threshold);
             one.ks = control.noise.distance(&found.left, &table.events.slope_per_s);
             one.located = Some(places.locate(&found.gains, one.candidate));
+            one.by = found.by;
         }
         ranked.sort_by(by_gain);
         Ok(ranked)
