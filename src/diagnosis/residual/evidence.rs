@@ -262,7 +262,9 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let step_ns = if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
     let light = source.light(case, step_ns);
     let by = vec![0.0; source.free().len()];
-    let mut seen = Seen { case, light, gate, pixels, more, setting, scales: &scales, least, is_known: source.is_known(), source, by, own: Vec::new() };
+    let mut seen =
+        Seen { case, light, gate, pixels, more, setting, scales: &scales, least, is_known: source.is_known(), source, by, near: Vec::new(), own: Vec::new() };
+    seen.near = seen.steps(&seen.by);
     let stated = Trial::stated(nominal);
 
     let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
@@ -276,7 +278,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
     let control_light = control_source.light(&control_case, step_ns);
     let (pixels, more) = (seen.pixels.clone(), seen.more.clone());
-    let control_seen = Seen {
+    let mut control_seen = Seen {
         case: &control_case,
         light: control_light,
         gate: control_gate,
@@ -288,8 +290,10 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         is_known: source.is_known(),
         source: &*control_source,
         by: seen.by.clone(),
+        near: Vec::new(),
         own: Vec::new(),
     };
+    control_seen.near = control_seen.steps(&control_seen.by);
     let mut control_table = control_seen.table(&stated, None, 0.0)?;
     let softest = setting.softness * control_table.softness();
     control_table.fit(softest);
@@ -351,6 +355,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         }
         if !is_random && let Some(light) = source.moved(case, step_ns, None, &first.by) {
             (seen.by, seen.light) = (first.by.clone(), light);
+            seen.near = seen.steps(&seen.by);
         }
         let table = seen.table(&with, Some(first.candidate), softest)?;
         left = [left_of(&table); 2];

@@ -27,8 +27,8 @@ pub trait Source: Sync {
         false
     }
 
-    /// For each free parameter of the scene the step of its derivatives, as a share of its range; nothing where no parameter is free.
-    fn free(&self) -> Vec<f64> {
+    /// For each free parameter of the scene where it stands in its range, 0 to 1, and the step of its derivatives, a share of the range, away from the nearer end; nothing where none is free.
+    fn free(&self) -> Vec<(f64, f64)> {
         Vec::new()
     }
 

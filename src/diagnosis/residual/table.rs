@@ -37,6 +37,8 @@ pub(super) struct Seen<'a> {
     pub source: &'a dyn Source,
     /// How far the free parameters stand from where the source has them, shares of their ranges; `light` is that of the source moved so.
     pub by: Vec<f64>,
+    /// And the light with each of them moved from there by a step ([`Seen::steps`]).
+    pub near: Vec<(f64, Light)>,
     /// What each pixel's own size of a random effect takes off each residual; nothing, or of the stated sensor's events.
     pub own: Vec<f32>,
 }
@@ -199,30 +201,44 @@ const NEAR: f64 = 2.0;
 const FARTHEST: f64 = 0.2;
 
 impl Seen<'_> {
-    /// What the free parameters of the scene, moved by shares `by`, change of each row seen through a trial, each per its standard deviation before the recording.
-    fn free(&self, trial: &Trial, by: &[f64], base: &[f32], log_slope: &[f32]) -> Result<Vec<Column>, String> {
-        let mut columns = Vec::new();
-        for (k, step) in self.source.free().into_iter().enumerate() {
+    /// The light of the pixels with each free parameter of the scene moved by a step from shares `by`.
+    pub fn steps(&self, by: &[f64]) -> Vec<(f64, Light)> {
+        let one = |(k, (_, step)): (usize, (f64, f64))| {
             let mut moved = by.to_vec();
             moved[k] += step;
-            let Some(light) = self.source.moved(self.case, self.light.step_ns, Some(&self.pixels), &moved) else { continue };
-            let found = self.evaluate_on(&light, std::slice::from_ref(trial))?;
+            Some((step, self.source.moved(self.case, self.light.step_ns, Some(&self.pixels), &moved)?))
+        };
+        self.source.free().into_iter().enumerate().filter_map(one).collect()
+    }
+
+    /// What the free parameters of the scene change of each row seen through a trial, each per its standard deviation before the recording; `near`: [`Seen::steps`].
+    fn free(&self, trial: &Trial, near: &[(f64, Light)], base: &[f32], log_slope: &[f32]) -> Result<Vec<Column>, String> {
+        let one = |(step, light): &(f64, Light)| -> Result<Column, String> {
+            let found = self.evaluate_on(light, std::slice::from_ref(trial))?;
             let scale = (OPEN / step) as f32;
             let change = |then: &[f32], now: &[f32]| -> Vec<f32> { then.iter().zip(now).map(|(then, now)| (then - now) * scale).collect() };
-            columns.push(Column { of: change(&found.left[0], base), log_slope: change(&found.log_slope[0], log_slope) });
-        }
-        Ok(columns)
+            Ok(Column { of: change(&found.left[0], base), log_slope: change(&found.log_slope[0], log_slope) })
+        };
+        near.iter().map(one).collect()
     }
 
     /// Where sizes of what is free of the scene move it from shares `by`; none where that is next to nothing.
-    fn further(&self, by: &[f64], sizes: &[f64]) -> Option<(Vec<f64>, Light)> {
-        let steps = self.source.free();
-        let far = |(size, step): (&f64, &f64)| (OPEN * size).abs() > NEAR * step;
-        if sizes.len() != by.len() || !sizes.iter().zip(&steps).any(far) {
+    fn further(&self, by: &[f64], sizes: &[f64], trial: &Trial) -> Option<(Vec<f64>, Light)> {
+        let free = self.source.free();
+        let far = |(size, (_, step)): (&f64, &(f64, f64))| (OPEN * size).abs() > NEAR * step.abs();
+        if sizes.len() != by.len() || !sizes.iter().zip(&free).any(far) {
             return None;
         }
-        let moved: Vec<f64> = by.iter().zip(sizes).map(|(by, size)| by + (OPEN * size).clamp(-FARTHEST, FARTHEST)).collect();
-        Some((moved.clone(), self.source.moved(self.case, self.light.step_ns, None, &moved)?))
+        // Within its range.
+        let next = |((by, size), (at, _)): ((&f64, &f64), &(f64, f64))| (by + (OPEN * size).clamp(-FARTHEST, FARTHEST)).clamp(-at, 1.0 - at);
+        let moved: Vec<f64> = by.iter().zip(sizes).zip(&free).map(next).collect();
+        if moved == by {
+            return None;
+        }
+        // Neighbours are seen where the event path mixes them.
+        let is_mixed = Prepared::new(self.case, trial).map_or(true, |prepared| prepared.kernel().is_some());
+        let light = self.source.moved(self.case, self.light.step_ns, (!is_mixed).then_some(&self.pixels[..]), &moved)?;
+        Some((moved, light))
     }
 
     fn evaluate(&self, trials: &[Trial]) -> Result<Evaluated, String> {
@@ -312,7 +328,7 @@ impl Seen<'_> {
         let block: Vec<u32> = found.events.pixel.iter().chain(&found.frames.pixel).map(|pixel| self.block_of(*pixel as usize)).collect();
         let slope: Vec<f64> = found.events.slope_per_s.iter().chain(&found.frames.signal_dn).copied().collect();
         let columns = chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, self.probe(n)))).collect();
-        let free = self.free(trial, &self.by, &found.left[0], &found.log_slope[0])?;
+        let free = self.free(trial, &self.near, &found.left[0], &found.log_slope[0])?;
         let Evaluated { events, frames, left, mut log_slope } = found;
         let mut table = Table {
             trial: trial.clone(),
@@ -355,8 +371,8 @@ impl Seen<'_> {
         let rows = table.rows(which.iter().any(|&n| CANDIDATES[n].id == SOFTNESS));
         let is_open = !self.by.is_empty();
         let rounds = if free.is_empty() && !is_open { 0 } else { self.setting.rounds * which.len() };
-        let (mut by, mut light) = (self.by.clone(), Cow::Borrowed(&self.light));
-        let mut open: Vec<Column> = Vec::new();
+        let (mut by, mut light, mut near) = (self.by.clone(), Cow::Borrowed(&self.light), Cow::Borrowed(&self.near[..]));
+        let mut open: Option<Vec<Column>> = None;
         for _ in 0..rounds {
             // Which events are looked at is the table's business.
             let mut trials = vec![table.trial.clone(), put(&strength)];
@@ -368,8 +384,11 @@ impl Seen<'_> {
             }
             let found = self.evaluate_on(&light, &trials)?;
             let columns: Vec<Column> = further.iter().enumerate().map(|(n, by)| found.column(2 + n, 1, *by)).collect();
-            open = self.free(&trials[1], &by, &found.left[1], &found.log_slope[1])?;
-            let rows = Rows { free: &open, ..rows };
+            let open_now = match open.take() {
+                Some(open) => open,
+                None => self.free(&trials[1], &near, &found.left[1], &found.log_slope[1])?,
+            };
+            let rows = Rows { free: &open_now, ..rows };
             let step = heldout(&Plain::new(&wide(&found.left[1]), rows), &columns.iter().collect::<Vec<_>>());
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
@@ -378,17 +397,18 @@ impl Seen<'_> {
                 is_still &= (next - strength[i]).abs() < self.setting.still * f64::max(strength[i].abs(), self.setting.probe);
                 (strength[i], error[i]) = (next, step.error[n]);
             }
-            if let Some((moved, there)) = self.further(&by, &step.free) {
+            if let Some((moved, there)) = self.further(&by, &step.free, &trials[1]) {
+                near = Cow::Owned(self.steps(&moved));
                 (by, light, is_still) = (moved, Cow::Owned(there), false);
+            } else {
+                open = Some(open_now);
             }
             if is_still {
                 break;
             }
         }
         let found = self.evaluate_on(&light, &[table.trial.clone(), put(&strength)])?;
-        if is_open {
-            open = self.free(&put(&strength), &by, &found.left[1], &found.log_slope[1])?;
-        }
+        let open = if is_open { self.free(&put(&strength), &near, &found.left[1], &found.log_slope[1])? } else { Vec::new() };
         let with_rows = Rows { free: &open, ..rows };
         let mut left = wide(&found.left[1]);
         let before = (fit::Seen { residual: &table.base, log_slope: &table.log_slope }, &rows);

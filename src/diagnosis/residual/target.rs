@@ -28,7 +28,7 @@ pub trait Closed: Send + Sync {
     /// Its light between two instants, linear between knots.
     fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> Knots {
         /// A pixel's light hardly bends while the scene moves so far, pixels; and not more often than this, ns.
-        const STEP: (f64, i64) = (0.03, 10_000);
+        const STEP: (f64, i64) = (0.1, 25_000);
         let step_ns = ((STEP.0 / f64::max(self.speed(x, y), 1e-9)) as i64).clamp(STEP.1, 200_000);
         let t: Vec<i64> = (0..=(span.1 - span.0) / step_ns + 1).map(|k| span.0 + k * step_ns).collect();
         let light = t.iter().map(|t| self.photocurrent(x, y, *t)).collect();
@@ -314,9 +314,10 @@ impl Source for Target {
         true
     }
 
-    fn free(&self) -> Vec<f64> {
+    fn free(&self) -> Vec<(f64, f64)> {
         // Wide enough to look across the bends of an edge.
-        self.errors().iter().map(|error| error.clamp(STEP, 0.02)).collect()
+        let step = |(share, error): (&f64, f64)| (*share, error.clamp(STEP, 0.02) * if *share > 0.5 { -1.0 } else { 1.0 });
+        self.shares.iter().zip(self.errors()).map(step).collect()
     }
 
     fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light> {

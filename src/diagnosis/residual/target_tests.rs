@@ -8,13 +8,15 @@ use crate::scenes::MadeUp;
 use crate::targets::Shows;
 use photocurrent_core::Extent;
 
-const EXTENT: Extent = Extent { width: 32, height: 24 };
+const EXTENT: Extent = Extent { width: 24, height: 18 };
+
+const SETTING: TargetSetting = TargetSetting { values: 2_000, tries: 1, seed: 1 };
 
 /// A star, by its number.
 const STAR: u64 = 1;
 
 fn recorded(effect: Option<(&str, &str, f64)>) -> (Case, Nominal, Target, Vec<f64>, Option<f64>) {
-    let scene = MadeUp::target(3, STAR, EXTENT, 0.1);
+    let scene = MadeUp::target(3, STAR, EXTENT, 0.08);
     let plain = scene.recording().unwrap();
     let nominal = plain.nominal().unwrap();
     let scales = Scales::of(&plain, &nominal);
@@ -23,7 +25,7 @@ fn recorded(effect: Option<(&str, &str, f64)>) -> (Case, Nominal, Target, Vec<f6
     let case = scene.recording_through(trial.as_ref()).unwrap();
     let (shows, shares) = Shows::around(&scene, 3, STAR);
     let near: Vec<f64> = shares.iter().map(|share| share + 0.01).collect();
-    let target = Target::near(&case, &nominal, Arc::new(shows), TargetSetting::default(), &PictureSetting::default(), &near).unwrap();
+    let target = Target::near(&case, &nominal, Arc::new(shows), SETTING, &PictureSetting::default(), &near).unwrap();
     let truth = candidate.map(|(one, strength)| one.value(strength, &scales, &nominal));
     (case, nominal, target, shares, truth)
 }
@@ -37,7 +39,7 @@ fn seen(effect: Option<(&str, &str, f64)>) -> (Evidence, Option<f64>) {
 fn it_is_found_within_what_the_frames_leave_open() {
     let (_, _, target, truth, _) = recorded(None);
     for ((share, error), truth) in target.shares().iter().zip(target.errors()).zip(&truth) {
-        assert!((share - truth).abs() < 4.0 * error + 5e-4 && error < 0.05, "{share} with {error} is {truth}");
+        assert!((share - truth).abs() < 4.0 * error + 5e-3 && error < 0.05, "{share} with {error} is {truth}");
     }
 }
 
@@ -55,7 +57,7 @@ fn effects_that_move_the_fit_come_first_with_their_size() {
 fn derivatives_by_free_parameters_are_those_of_the_residuals() {
     let (case, nominal, target, ..) = recorded(None);
     let pixels: Vec<u32> = (0..EXTENT.pixels() as u32).step_by(7).collect();
-    let steps = target.free();
+    let steps: Vec<f64> = target.free().iter().map(|(_, step)| *step).collect();
     let left = |by: &[f64]| -> Vec<f64> {
         let light = target.moved(&case, 25_000, Some(&pixels), by).unwrap();
         let view = View { case: &case, light: &light, pixels: pixels.clone(), is_known: true };
