@@ -1,12 +1,12 @@
 //! `diagnose/decide`: probabilities from evidence: that something differs from the stated sensor, which effect it is, whether there is a second one, or that it is in no catalogue.
 //!
-//! One small model with calibrated numbers, all of them parameters here; `photocurrent calibrate` makes them anew from made-up recordings. Evidence is cached by itself, so that another
+//! One small model with calibrated numbers for each kind of scene, all of them parameters here; `photocurrent calibrate` makes them anew from made-up recordings. Evidence is cached by itself, so that another
 //! model or threshold is tried in no time.
 //!
 //! Source: docs/diagnosis.md, the moving picture. Limits: without evidence, or where what is left has no explanation, nothing is decided, and the proposals say why.
 
 use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
-use photocurrent_diagnosis::decide::model::{Model, SECOND, SOMETHING};
+use photocurrent_diagnosis::decide::model::{Model, Models, SECOND, SOMETHING};
 use photocurrent_diagnosis::decide::{Decision, decide};
 use photocurrent_diagnosis::diagnose::Proposed;
 use photocurrent_diagnosis::nominal::Nominal;
@@ -28,7 +28,7 @@ pub struct Params {
     /// Nothing is decided where events of the stated sensor on its own scene miss their thresholds by more than this share of them (median).
     #[schemars(range(min = 0.0))]
     pub most_control: f64,
-    /// Nor where more than this share is left with the best effect.
+    /// Nor, on a scene that was fitted to frames, where more than this share is left with the best effect.
     #[schemars(range(min = 0.0))]
     pub most_left: f64,
     /// And silence says nothing where more than this share is left.
@@ -37,25 +37,61 @@ pub struct Params {
     /// Error of sizes that all blocks share, as a share of the departure.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub shared_error: f64,
+    /// The model of a moving picture, and of every kind of scene that has none of its own.
+    pub picture: Numbers,
+    /// The model of known light.
+    pub given: Numbers,
+}
+
+/// Numbers of a model; those that are left out are the built-in ones.
+#[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Numbers {
     /// Log odds that something differs: constant, and weights of the logarithms of what the best effect gains and a second one beside it, and of the share of the events that count.
-    pub something: [f64; SOMETHING],
+    pub something: Option<[f64; SOMETHING]>,
     /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the first's.
-    pub second: [f64; SECOND],
+    pub second: Option<[f64; SECOND]>,
     /// The logarithm of a random effect's gain counts less by this: such effects gain where the scene errs.
-    pub discount: f64,
+    pub discount: Option<f64>,
     /// Logarithm of the share of the best gain by which an effect must fall short to be a factor e less probable, at a gain of 1 nat an event; and what it grows by with the logarithm of that gain.
-    pub softness: [f64; 2],
+    pub softness: Option<[f64; 2]>,
     /// Log odds of a random effect over one with a size, at the same gain.
-    pub random: f64,
+    pub random: Option<f64>,
     /// Log odds of what is in no catalogue: constant, and weights of the logarithms of the best curve's gain beside the best effect, and alone, over that effect's.
-    pub unnamed: [f64; 3],
+    pub unnamed: Option<[f64; 3]>,
+}
+
+impl Numbers {
+    fn of(model: &Model) -> Numbers {
+        let Model { something, second, discount, softness, random, unnamed } = *model;
+        Numbers {
+            something: Some(something),
+            second: Some(second),
+            discount: Some(discount),
+            softness: Some(softness),
+            random: Some(random),
+            unnamed: Some(unnamed),
+        }
+    }
+
+    /// With what is left out from `built_in`.
+    fn model(&self, built_in: &Model) -> Model {
+        Model {
+            something: self.something.unwrap_or(built_in.something),
+            second: self.second.unwrap_or(built_in.second),
+            discount: self.discount.unwrap_or(built_in.discount),
+            softness: self.softness.unwrap_or(built_in.softness),
+            random: self.random.unwrap_or(built_in.random),
+            unnamed: self.unnamed.unwrap_or(built_in.unnamed),
+        }
+    }
 }
 
 impl Default for Params {
     fn default() -> Params {
-        let Decision { model, least, least_second, most_control, most_left, most_silent, shared_error } = Decision::default();
-        let Model { something, second, discount, softness, random, unnamed } = model;
-        Params { least, least_second, most_control, most_left, most_silent, shared_error, something, second, discount, softness, random, unnamed }
+        let Decision { models, least, least_second, most_control, most_left, most_silent, shared_error } = Decision::default();
+        let Models { picture, given } = models;
+        Params { least, least_second, most_control, most_left, most_silent, shared_error, picture: Numbers::of(&picture), given: Numbers::of(&given) }
     }
 }
 
@@ -86,7 +122,7 @@ impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
         about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
-        revision: 3,
+        revision: 4,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -115,9 +151,10 @@ params = { least = 0.9 }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { least, least_second, most_control, most_left, most_silent, shared_error, something, second, discount, softness, random, unnamed } = params;
-        let model = Model { something, second, discount, softness, random, unnamed };
-        Ok(DiagnoseDecide { decision: Decision { model, least, least_second, most_control, most_left, most_silent, shared_error } })
+        let Params { least, least_second, most_control, most_left, most_silent, shared_error, picture, given } = params;
+        let built_in = Models::default();
+        let models = Models { picture: picture.model(&built_in.picture), given: given.model(&built_in.given) };
+        Ok(DiagnoseDecide { decision: Decision { models, least, least_second, most_control, most_left, most_silent, shared_error } })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {

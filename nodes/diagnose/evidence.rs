@@ -5,12 +5,13 @@
 //! bin of every covariate. A control, the stated sensor on that scene with the noise that was found, goes the same way, and all gains and sizes count from there. What direct tests
 //! found is in the description before.
 //!
-//! With `light` or `tracks` the scene is known, and no picture is fitted: events are held against it, and frame values too, with a column of each effect of frames.
+//! With `target`, `light` or `tracks` the scene is known, and no picture is fitted: events are held against it, and frame values too, with a column of each effect of frames.
 //!
 //! Source: docs/diagnosis.md, the moving picture. Limits: where frames do not predict one another (no single motion, no texture, too few frames) there is no evidence, and the
 //! document says why.
 
 use super::Amend;
+use super::target::read_target;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
     Between, Colour, Context, DataType, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Light, Meta, Node, NodeError,
@@ -144,7 +145,9 @@ photocurrent_core::ports! {
         sensor: Arc<Sensor>,
         /// What direct tests saw, a diagnosis of kind `integrity`; without it nothing is amended.
         integrity: Option<Arc<Diagnosis>>,
-        /// Light that is known, of the array's pixels, grey: no picture is fitted then.
+        /// A known target, a diagnosis of kind `target`: no picture is fitted then, and what is free of the target is fitted beside every effect.
+        target: Option<Arc<Diagnosis>>,
+        /// Light that is known, of the array's pixels, grey: no picture is fitted then, either.
         light: Option<Light>,
         /// The same as tracks. Those that were solved from these very events have taken most of what a sensor does: they should come from elsewhere.
         tracks: Option<TrackSet>,
@@ -218,6 +221,10 @@ impl DiagnoseEvidence {
         let case = amend(&case, &known)?;
         let nominal = case.nominal()?;
         let (picture, parts, of) = self.settings(cx.seed());
+        if let Some(target) = &input.target {
+            let source = read_target(target, &case, &nominal, &picture)?;
+            return Ok(evidence(&case, &nominal, &source, &of).map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))));
+        }
         let given = match (&input.light, &input.tracks) {
             (Some(light), _) => Some(knots(light, &case)?),
             (None, Some(tracks)) => Some(of_tracks(tracks, &case)?),
@@ -316,6 +323,14 @@ params = { refined = 8 }
         if inputs.has("integrity") {
             inputs.diagnosis("integrity")?.need(DiagnosisKind::Integrity, "integrity")?;
         }
+        if inputs.has("target") {
+            inputs.diagnosis("target")?.need(DiagnosisKind::Target, "target")?;
+            if inputs.has("light") || inputs.has("tracks") {
+                return Err(NodeError::usage("`target` and another scene are connected")
+                    .hint("connect one of `target`, `light` and `tracks`")
+                    .blames(DataType::Diagnosis));
+            }
+        }
         if let Ok(light) = inputs.light("light") {
             let extent = super::empty(inputs)?.extent;
             if light.extent != extent || light.colour != Colour::Mono {
@@ -339,7 +354,11 @@ params = { refined = 8 }
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let seen = if self.params.scene == Scene::None && input.light.is_none() && input.tracks.is_none() { Seen::NotAsked } else { self.look(&input, cx)? };
+        let seen = if self.params.scene == Scene::None && input.target.is_none() && input.light.is_none() && input.tracks.is_none() {
+            Seen::NotAsked
+        } else {
+            self.look(&input, cx)?
+        };
         match &seen {
             Seen::NotAsked => {}
             Seen::Nothing(why) => cx.note(format!("the scene is no evidence: {why}")),

@@ -2,23 +2,26 @@
 //!
 //! A rotating star, a fan, a sliding board: what it looks like is stated as for `simulate/scene`; where it stands, how fast it turns and when it began is only known to a range.
 //! Each range is searched, then the best few are fitted by damped Gauss-Newton with robust weights (Student's t) to a sample of the frame values, each the mean of the scene over its
-//! row's exposure. The light is that of the fitted scene over the recording, for `diagnose/evidence` and everything else that takes light.
+//! row's exposure. `target` is the fitted scene with what is free of it, for `diagnose/evidence`, which fits it beside every effect; `light` is the light of it over the recording, for
+//! everything that takes light.
 //!
-//! Source: docs/diagnosis.md, known targets. Limits: the whole array sees the target; parameters that are free absorb what looks like them (`start` a clock offset, `illuminance` a gain), so
-//! state what is known; the sensor that frames are predicted with is the one stated.
+//! Source: docs/diagnosis.md, known targets. Limits: the whole array sees the target; what is free of it hides an effect that is exactly alike (`illuminance` an exposure time), so state
+//! what is known; the sensor that frames are predicted with is the one stated.
 
 use crate::simulate::scenes::{self, Details, Scene};
 use crate::simulate::source::{Look, Scale};
-use nalgebra::{DMatrix, DVector};
 use photocurrent_core::light::LightBand;
 use photocurrent_core::quantity::{Duration, Illuminance};
-use photocurrent_core::random::Random;
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{
-    Colour, Context, Decl, EventStream, Extent, FrameSequence, Grain, Light, LightMeta, Meta, Node, NodeError, PortMetas, Sensor, Table, TimeSpan,
+    Colour, Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, Extent, FrameSequence, Grain, Light, LightMeta, Meta, Node, NodeError,
+    PortMetas, Sensor, Table, TimeSpan,
 };
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::nominal::Nominal;
+use photocurrent_diagnosis::picture::PictureSetting;
+use photocurrent_diagnosis::residual::source::Knots;
+use photocurrent_diagnosis::residual::target::{Closed, Form, Target, TargetSetting};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -95,8 +98,10 @@ photocurrent_core::ports! {
     pub struct Out {
         /// Photocurrent of every pixel over the recording.
         light: Light,
-        /// The free parameters as fitted.
+        /// The free parameters as fitted, with standard errors.
         fitted: Arc<Table>,
+        /// The same target with what is free of it, for `diagnose/evidence`: a diagnosis of kind `target`.
+        target: Arc<Diagnosis>,
     }
 }
 
@@ -194,47 +199,40 @@ impl Scene for Seen {
     }
 }
 
-/// Gauss-Legendre instants of an exposure (of -1 to 1) and their shares of the mean.
-const INSTANTS: [(f64, f64); 4] = [
-    (-0.861_136_311_594_052_6, 0.173_927_422_568_727),
-    (-0.339_981_043_584_856_3, 0.326_072_577_431_273),
-    (0.339_981_043_584_856_3, 0.326_072_577_431_273),
-    (0.861_136_311_594_052_6, 0.173_927_422_568_727),
-];
-
-/// One frame value that is fitted.
-#[derive(Clone, Copy)]
-struct Measured {
-    x: f64,
-    y: f64,
-    start_ns: i64,
-    end_ns: i64,
-    dn: f64,
+/// The target of some parameters before a sensor.
+struct Lit {
+    seen: Seen,
+    /// Photocurrent of white.
+    white: f64,
 }
 
-/// A target, and what it is fitted to.
-struct Fit<'a> {
-    params: &'a Value,
-    free: &'a [Free],
+/// How light is sampled.
+const LOOK: Look = Look { step: Duration::new(100_000), tolerance: 1e-3, graze: false };
+
+impl Closed for Lit {
+    fn photocurrent(&self, x: f64, y: f64, t_ns: i64) -> f64 {
+        self.white * self.seen.reflectance(x, y, t_ns)
+    }
+
+    fn speed(&self, x: f64, y: f64) -> f64 {
+        self.seen.speed(x, y)
+    }
+
+    fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> Knots {
+        LOOK.sample(&self.seen, None, (x, y), span.0, span.1, self.white).into_iter().map(|(t, photocurrent)| (t + span.0, photocurrent)).unzip()
+    }
+}
+
+/// All targets within the ranges of the free parameters.
+struct Family {
+    params: Value,
+    free: Vec<Free>,
     extent: Extent,
-    sensor: &'a Sensor,
-    nominal: &'a Nominal,
-    measured: Vec<Measured>,
+    sensor: Sensor,
     seed: u64,
 }
 
-/// Standard deviation of frame values beyond what is stated: DN, and a share of the signal.
-const FRAME_NOISE: (f64, f64) = (1.0, 0.01);
-/// Degrees of freedom of their errors.
-const NU: f64 = 3.0;
-/// Values that the search looks at.
-const SEARCHED: usize = 400;
-/// Starting places that are fitted.
-const BEST: usize = 8;
-/// Rounds of the fit.
-const ROUNDS: usize = 40;
-
-impl Fit<'_> {
+impl Family {
     fn params(&self, shares: &[f64]) -> Result<Params, NodeError> {
         let mut value = self.params.clone();
         for (free, share) in self.free.iter().zip(shares) {
@@ -244,94 +242,37 @@ impl Fit<'_> {
         }
         serde_json::from_value(value).map_err(|why| NodeError::usage(format!("a free parameter leaves its range: {why}")).param("free"))
     }
+}
 
-    /// Residuals in standard deviations; none where the parameters make no scene.
-    fn residuals(&self, shares: &[f64], measured: &[Measured]) -> Option<Vec<f64>> {
+impl Form for Family {
+    fn count(&self) -> usize {
+        self.free.len()
+    }
+
+    fn at(&self, shares: &[f64]) -> Option<Box<dyn Closed>> {
         let params = self.params(shares).ok()?;
-        let seen = Seen::new(&params, self.extent, self.seed);
-        let white = Scale::new(self.sensor, params.illuminance, Duration::new(1), WHO).ok()?.white;
-        let number = self.nominal.number;
-        let of = |one: &Measured| {
-            let (middle, half) = (0.5 * (one.start_ns + one.end_ns) as f64, 0.5 * (one.end_ns - one.start_ns) as f64);
-            let mean: f64 = INSTANTS.iter().map(|(at, share)| share * seen.reflectance(one.x, one.y, (middle + half * at) as i64)).sum();
-            let signal = number.gain * white * mean * (2e-9 * half);
-            let sigma = self.nominal.frame_sigma_dn(signal, FRAME_NOISE);
-            (one.dn - number.black_level - signal) / sigma
-        };
-        Some(measured.par_iter().with_min_len(256).map(of).collect())
+        let white = Scale::new(&self.sensor, params.illuminance, Duration::new(1), WHO).ok()?.white;
+        Some(Box::new(Lit { seen: Seen::new(&params, self.extent, self.seed), white }))
     }
+}
 
-    /// Minus the log density of Student's t.
-    fn cost(&self, shares: &[f64], measured: &[Measured]) -> f64 {
-        self.residuals(shares, measured).map_or(f64::INFINITY, |left| left.iter().map(|z| 0.5 * (NU + 1.0) * libm::log1p(z * z / NU)).sum())
-    }
+/// A fitted target as a document.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Fitted {
+    /// As stated, with the ranges.
+    params: Value,
+    seed: u64,
+    /// The free parameters, as shares of their ranges.
+    shares: Vec<f64>,
+}
 
-    /// Damped Gauss-Newton from a place.
-    fn descend(&self, from: &[f64], measured: &[Measured]) -> (f64, Vec<f64>) {
-        const STEP: f64 = 1e-4;
-        let n = from.len();
-        let mut at = from.to_vec();
-        let mut cost = self.cost(&at, measured);
-        let mut damping = 1e-3;
-        for _ in 0..ROUNDS {
-            let Some(now) = self.residuals(&at, measured) else { break };
-            let mut columns = Vec::with_capacity(n);
-            for k in 0..n {
-                let mut moved = at.clone();
-                let by = if moved[k] + STEP > 1.0 { -STEP } else { STEP };
-                moved[k] += by;
-                let Some(then) = self.residuals(&moved, measured) else { return (cost, at) };
-                columns.push(then.iter().zip(&now).map(|(then, now)| (then - now) / by).collect::<Vec<f64>>());
-            }
-            let weights: Vec<f64> = now.iter().map(|z| (NU + 1.0) / (NU + z * z)).collect();
-            let sum = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).zip(&weights).map(|((a, b), w)| a * b * w).sum() };
-            let normal = DMatrix::from_fn(n, n, |i, j| sum(&columns[i], &columns[j]));
-            let right = DVector::from_fn(n, |i, _| -sum(&columns[i], &now));
-            let mut is_better = false;
-            for _ in 0..8 {
-                let mut damped = normal.clone();
-                (0..n).for_each(|k| damped[(k, k)] += damping * (normal[(k, k)] + 1e-9));
-                let Some(step) = damped.cholesky().map(|factor| factor.solve(&right)) else { break };
-                let next: Vec<f64> = at.iter().zip(step.iter()).map(|(at, step)| (at + step).clamp(0.0, 1.0)).collect();
-                let other = self.cost(&next, measured);
-                if other < cost {
-                    let gain = cost - other;
-                    (at, cost, damping, is_better) = (next, other, 0.3 * damping, gain > 1e-9 * cost);
-                    break;
-                }
-                damping *= 10.0;
-            }
-            if !is_better {
-                break;
-            }
-        }
-        (cost, at)
-    }
-
-    /// The free parameters that explain the frame values best, as shares of their ranges; and the median residual, standard deviations.
-    fn solve(&self, tries: usize) -> (Vec<f64>, f64) {
-        let n = self.free.len();
-        let mut best = vec![0.5; n];
-        if n > 0 {
-            let few: Vec<Measured> = self.measured.iter().step_by(self.measured.len().div_ceil(SEARCHED).max(1)).copied().collect();
-            let some: Vec<Measured> = self.measured.iter().step_by(self.measured.len().div_ceil(8 * SEARCHED).max(1)).copied().collect();
-            let mut found: Vec<(f64, Vec<f64>)> = (0..tries)
-                .into_par_iter()
-                .map(|k| {
-                    let mut random = Random::new(self.seed, &[0x7a, k as u64]);
-                    let at: Vec<f64> = (0..n).map(|_| random.uniform()).collect();
-                    (self.cost(&at, &few), at)
-                })
-                .collect();
-            found.sort_by(|a, b| a.0.total_cmp(&b.0));
-            found.truncate(BEST);
-            let fitted = found.iter().map(|(_, at)| self.descend(at, &some)).min_by(|a, b| a.0.total_cmp(&b.0));
-            best = fitted.map_or(best, |(_, at)| self.descend(&at, &self.measured).1);
-        }
-        let mut left: Vec<f64> = self.residuals(&best, &self.measured).unwrap_or_default().iter().map(|z| z.abs()).collect();
-        left.sort_by(f64::total_cmp);
-        (best, left.get(left.len() / 2).copied().unwrap_or(f64::NAN))
-    }
+/// A target from its document, its free parameters fitted to the frames of a recording from where they were found.
+pub fn read_target(document: &Diagnosis, case: &Case, nominal: &Nominal, picture: &PictureSetting) -> Result<Target, NodeError> {
+    let Fitted { params, seed, shares } = document.read()?;
+    let params: Params = serde_json::from_value(params).map_err(|why| NodeError::failed(format!("a fitted target cannot be read: {why}")))?;
+    let node = DiagnoseTarget::build(params)?;
+    let form = Arc::new(node.family(case.extent, &case.sensor, seed));
+    Target::near(case, nominal, form, node.setting(seed), picture, &shares).ok_or_else(|| NodeError::failed("the fitted target makes no scene".to_owned()))
 }
 
 /// The node.
@@ -342,20 +283,12 @@ pub struct DiagnoseTarget {
 }
 
 impl DiagnoseTarget {
-    fn measured(&self, case: &Case, nominal: &Nominal) -> Vec<Measured> {
-        let Some(times) = case.frames.as_ref().map(|frames| &frames.times) else { return Vec::new() };
-        let all = times.len() * case.extent.pixels();
-        // Steps that share no factor with the width or the number of pixels see every column of every frame.
-        let step = all.div_ceil(self.params.values as usize).max(1);
-        let of = |k: usize| {
-            let (l, pixel) = (k / case.extent.pixels(), k % case.extent.pixels());
-            let (x, y) = case.place(pixel);
-            let (dn, exposure) = (case.dn(l, pixel), times.exposure(l, y));
-            let counts = dn.is_finite() && dn < nominal.saturation_dn;
-            counts.then_some(Measured { x: x.into(), y: y.into(), start_ns: exposure.start.0, end_ns: exposure.end.0, dn })
-        };
-        let mut random = Random::new(1, &[0x5e]);
-        (0..all.div_ceil(step)).filter_map(|n| of((n * step + (random.uniform() * step as f64) as usize).min(all - 1))).collect()
+    fn family(&self, extent: Extent, sensor: &Sensor, seed: u64) -> Family {
+        Family { params: self.json.clone(), free: self.free.clone(), extent, sensor: sensor.clone(), seed }
+    }
+
+    fn setting(&self, seed: u64) -> TargetSetting {
+        TargetSetting { values: self.params.values as usize, tries: self.params.tries as usize, seed }
     }
 }
 
@@ -363,7 +296,7 @@ impl Node for DiagnoseTarget {
     const DECL: Decl = Decl {
         kind: "diagnose/target",
         about: "Fits named free parameters of a known target to the frames, and gives its light.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: true,
         exports: false,
@@ -415,27 +348,28 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         Scale::new(sensor, self.params.illuminance, Duration::new(1), WHO)?;
         let case = super::empty(inputs)?;
         let light = LightMeta { extent: case.extent, span: TimeSpan::new(case.span.0, case.span.1), colour: Colour::Mono, count_hint: None };
-        Ok(vec![Meta::Light(Arc::new(light)), Meta::Table(Arc::new(TableMeta { scores: false }))])
+        let document = DiagnosisMeta { kind: DiagnosisKind::Target };
+        Ok(vec![Meta::Light(Arc::new(light)), Meta::Table(Arc::new(TableMeta { scores: false })), Meta::Diagnosis(Arc::new(document))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let case = super::case(input.events.as_ref(), Some(&input.frames), &input.sensor)?;
         let nominal = case.nominal()?;
-        let measured = self.measured(&case, &nominal);
-        let fit = Fit { params: &self.json, free: &self.free, extent: case.extent, sensor: &input.sensor, nominal: &nominal, measured, seed: cx.seed() };
-        let (shares, left) = fit.solve(self.params.tries as usize);
-        let params = fit.params(&shares)?;
-        for (free, share) in self.free.iter().zip(&shares) {
+        let family = Arc::new(self.family(case.extent, &input.sensor, cx.seed()));
+        let target = Target::fit(&case, &nominal, family.clone(), self.setting(cx.seed()), &PictureSetting::default())
+            .ok_or_else(|| NodeError::failed("the target's parameters make no scene".to_owned()))?;
+        let (shares, errors) = (target.shares(), target.errors());
+        let params = family.params(shares)?;
+        for (free, share) in self.free.iter().zip(shares) {
             let at_end = if (0.001..0.999).contains(share) { "" } else { ", the end of its range: look further" };
             cx.note(format!("{} = {}{at_end}", free.name, free.json(*share).to_string().trim_matches('"')));
         }
-        cx.note(format!("frame values miss the target by {left:.2} standard deviations (median; 0.67 is noise alone)"));
+        cx.note(format!("frame values miss the target by {:.2} standard deviations (median; 0.67 is noise alone)", target.left()));
         let seen = Seen::new(&params, case.extent, cx.seed());
         let white = Scale::new(&input.sensor, params.illuminance, Duration::new(1), WHO)?.white;
-        let look = Look { step: Duration::new(100_000), tolerance: 1e-3, graze: false };
         let pixel = |n: u32| {
             let place = (f64::from(n % case.extent.width), f64::from(n / case.extent.width));
-            let light = look.sample(&seen, None, place, case.span.0, case.span.1, white);
+            let light = LOOK.sample(&seen, None, place, case.span.0, case.span.1, white);
             light.into_iter().map(|(t, photocurrent)| (t + case.span.0, photocurrent as f32)).collect::<Vec<(i64, f32)>>()
         };
         let pixels: Vec<Vec<(i64, f32)>> = (0..case.extent.pixels() as u32).into_par_iter().map(pixel).collect();
@@ -446,9 +380,12 @@ free         = { "siemens_disk.speed" = ["250 rpm", "320 rpm"], start = ["0 ms",
         let texts = |of: &dyn Fn(&Free) -> String| Column::Texts(self.free.iter().map(of).collect());
         let fitted = Table::default()
             .with("parameter", texts(&|free| free.name.clone()))
-            .with("value", Column::Numbers(self.free.iter().zip(&shares).map(|(free, share)| free.value(*share)).collect()))
+            .with("value", Column::Numbers(self.free.iter().zip(shares).map(|(free, share)| free.value(*share)).collect()))
+            .with("error", Column::Numbers(self.free.iter().zip(&errors).map(|(free, error)| error * (free.to - free.from)).collect()))
             .with("unit", texts(&|free| free.unit.clone().unwrap_or_default()));
-        Ok(Out { light: Light::in_memory(Arc::new(meta), band), fitted: Arc::new(fitted) })
+        let found = Fitted { params: self.json.clone(), seed: cx.seed(), shares: shares.to_vec() };
+        let document = Diagnosis::of(DiagnosisKind::Target, &found)?;
+        Ok(Out { light: Light::in_memory(Arc::new(meta), band), fitted: Arc::new(fitted), target: Arc::new(document) })
     }
 }
 

@@ -369,9 +369,12 @@ pub struct CalibrateOptions {
     /// Made-up recordings: with nothing, one effect, two, or what is in no catalogue; some six seconds each on two cores at 64x48
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
     pub recordings: u64,
-    /// Size of the made-up arrays, pixels
-    #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "64x48")]
-    pub size: String,
+    /// Kind of scene whose numbers are made: a moving picture that is fitted, or given light (a known target; three seconds each at 40x30)
+    #[arg(long, value_enum, default_value = "picture")]
+    pub scene: CalibratedScene,
+    /// Size of the made-up arrays, pixels [default: 64x48; 40x30 of given light]
+    #[arg(long, value_name = "WIDTHxHEIGHT")]
+    pub size: Option<String>,
     /// Parts of the cross-validation
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(2..))]
     pub folds: u64,
@@ -384,6 +387,15 @@ pub struct CalibrateOptions {
     /// Say only what went wrong
     #[arg(short, long)]
     pub quiet: bool,
+}
+
+/// Kinds of scenes that `calibrate` makes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CalibratedScene {
+    /// A moving picture, fitted to the frames
+    Picture,
+    /// Light that is known but for a few numbers
+    Given,
 }
 
 #[derive(ClapArgs)]

@@ -1,6 +1,6 @@
 //! `photocurrent calibrate`: the numbers of the diagnosis' decision, made anew from made-up recordings.
 
-use crate::args::CalibrateOptions;
+use crate::args::{CalibrateOptions, CalibratedScene};
 use crate::case::usage;
 use crate::common::{Done, Failure};
 use crate::terminal::say;
@@ -9,7 +9,7 @@ use photocurrent_core::Extent;
 use photocurrent_diagnosis::decide::Decision;
 use photocurrent_diagnosis::decide::calibrate::{Example, Validation, calibrate as model_of, example, validate};
 use photocurrent_diagnosis::decide::model::Model;
-use photocurrent_diagnosis::made::MadeSetting;
+use photocurrent_diagnosis::made::{Kind, MadeSetting};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::io::IsTerminal;
@@ -19,6 +19,7 @@ use std::path::Path;
 #[derive(Serialize)]
 struct Calibrated {
     seed: u64,
+    scene: String,
     size: String,
     model: Model,
     validation: Validation,
@@ -26,8 +27,13 @@ struct Calibrated {
 
 /// Makes recordings one by one, so that a stopped run goes on where it was, then model and validation.
 pub fn calibrate(options: &CalibrateOptions) -> Done {
-    let made = MadeSetting { extent: extent(&options.size)?, ..MadeSetting::default() };
-    let folder = options.out.join(format!("made-{}-{}", options.size, options.seed));
+    let (kind, scene, usual, duration_s) = match options.scene {
+        CalibratedScene::Picture => (Kind::Picture, "picture", "64x48", MadeSetting::default().duration_s),
+        CalibratedScene::Given => (Kind::Given, "given", "40x30", 0.1),
+    };
+    let size = options.size.clone().unwrap_or_else(|| usual.to_owned());
+    let made = MadeSetting { kind, extent: extent(&size)?, duration_s, ..MadeSetting::default() };
+    let folder = options.out.join(format!("made-{scene}-{size}-{}", options.seed));
     std::fs::create_dir_all(&folder).map_err(|error| Failure::other(format!("{}: cannot make the folder: {error}", folder.display())))?;
     let bar = bar(options);
     let one = |number: u64| -> Result<Option<Example>, Failure> {
@@ -52,7 +58,7 @@ pub fn calibrate(options: &CalibrateOptions) -> Done {
     if !options.quiet {
         tell(&validation);
     }
-    let calibrated = Calibrated { seed: options.seed, size: options.size.clone(), model, validation };
+    let calibrated = Calibrated { seed: options.seed, scene: scene.to_owned(), size, model, validation };
     let text = serde_json::to_string_pretty(&calibrated).map_err(|error| Failure::other(format!("decision.json cannot be written: {error}")))?;
     write(&options.out.join("decision.json"), text.as_bytes())?;
     if !options.quiet {

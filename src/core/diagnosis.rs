@@ -16,6 +16,8 @@ use std::fmt;
 pub enum DiagnosisKind {
     /// What shows without a scene.
     Integrity,
+    /// A known target: what is stated of it, and what was fitted.
+    Target,
     /// What the residuals on a scene say of every effect.
     Evidence,
     /// What the tests that estimate the scene propose.
@@ -31,6 +33,7 @@ impl DiagnosisKind {
     pub fn name(self) -> &'static str {
         match self {
             DiagnosisKind::Integrity => "integrity",
+            DiagnosisKind::Target => "target",
             DiagnosisKind::Evidence => "evidence",
             DiagnosisKind::Proposals => "proposals",
             DiagnosisKind::Report => "report",

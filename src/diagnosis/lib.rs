@@ -12,7 +12,7 @@
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is put on.
 //! - [`residual`]: by how much events miss their thresholds on a scene, and what each effect explains of that.
 //! - [`covariates`], [`law`], [`rhythm`]: what may depend on what, where no effect has a name for it.
-//! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`]: made-up recordings).
+//! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`], [`targets`]: made-up recordings).
 //! - [`verdict`]: one answer from direct tests and from what was decided.
 //! - [`fitted`]: the description with what was found put in.
 //! - [`heldout`]: held-out frames, before and after; [`sample`] (pixels that are looked at), [`scene`] (their light, estimated).
@@ -47,6 +47,7 @@ pub mod sample;
 pub mod scene;
 pub mod scenes;
 pub mod stages;
+pub mod targets;
 pub mod verdict;
 
 #[cfg(test)]

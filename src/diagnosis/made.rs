@@ -8,10 +8,13 @@ use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
 use crate::case::{Case, PixelEvents, Recorded};
 use crate::covariates::Covariate;
 use crate::nominal::Nominal;
+use crate::residual::target::Form;
 use crate::scenes::MadeUp;
+use crate::targets::Shows;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// What is wrong with a recording.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -30,11 +33,25 @@ pub struct Made {
     pub case: Case,
     /// What is wrong.
     pub truth: Fault,
+    /// What is known of its scene, and where in the ranges of what is free of it the scene is, as shares; none where nothing is known.
+    pub target: Option<(Arc<dyn Form>, Vec<f64>)>,
+}
+
+/// What is known of the scenes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Kind {
+    /// Nothing: a picture is fitted.
+    #[default]
+    Picture,
+    /// All but a few numbers: known targets.
+    Given,
 }
 
 /// How recordings are made.
 #[derive(Clone, Copy, Debug)]
 pub struct MadeSetting {
+    /// What is known of the scenes.
+    pub kind: Kind,
     /// Size of the array.
     pub extent: Extent,
     /// Length, seconds.
@@ -49,7 +66,14 @@ pub struct MadeSetting {
 
 impl Default for MadeSetting {
     fn default() -> MadeSetting {
-        MadeSetting { extent: Extent { width: 64, height: 48 }, duration_s: 0.12, shares: [0.42, 0.12, 0.1], noisy: 0.4, strengths: (0.06, 1.3) }
+        MadeSetting {
+            kind: Kind::Picture,
+            extent: Extent { width: 64, height: 48 },
+            duration_s: 0.12,
+            shares: [0.42, 0.12, 0.1],
+            noisy: 0.4,
+            strengths: (0.06, 1.3),
+        }
     }
 }
 
@@ -60,8 +84,15 @@ impl Default for MadeSetting {
 pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String> {
     let mut random = Random::new(seed, &[index, 0x3a]);
     let noise = (random.uniform() < setting.noisy).then(|| (3.0 + 17.0 * random.uniform(), 1.0 + 2.0 * random.uniform()));
-    let scene = MadeUp::new(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise);
-    let mut truth = Fault { is_noisy: noise.is_some(), ..Fault::default() };
+    let (scene, target) = match setting.kind {
+        Kind::Picture => (MadeUp::of_any_kind(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None),
+        Kind::Given => {
+            let scene = MadeUp::target(seed, index, setting.extent, setting.duration_s);
+            let (shows, shares) = Shows::around(&scene, seed, index);
+            (scene, Some((Arc::new(shows) as Arc<dyn Form>, shares)))
+        }
+    };
+    let mut truth = Fault { is_noisy: noise.is_some() && target.is_none(), ..Fault::default() };
     let plain = scene.recording()?;
     let nominal = plain.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(&plain, &nominal);
@@ -70,7 +101,7 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
     if kind < other {
         let (case, covariate) = outside(&scene, plain, &nominal, &scales, &mut random)?;
         truth.other = Some(covariate);
-        return Ok(Made { case, truth });
+        return Ok(Made { case, truth, target });
     }
     let count = if kind < other + two { 2 } else { usize::from(kind < other + two + one) };
     let mut trial = Trial::stated(&nominal);
@@ -86,7 +117,7 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
         }
     }
     let case = if count == 0 { plain } else { scene.recording_through(Some(&trial))? };
-    Ok(Made { case, truth })
+    Ok(Made { case, truth, target })
 }
 
 /// What stamps of what is in no catalogue may depend on.

@@ -69,6 +69,10 @@ pub struct MadeUp {
     span: (i64, i64),
     /// Electrons a digital number, and read noise, DN, of frames; nobody states it.
     noise: Option<(f64, f64)>,
+    /// Noise of thresholds that nobody states, natural-log units.
+    unstated_noise: f64,
+    /// Light is taken this often, ns.
+    step_ns: i64,
 }
 
 /// A smooth random surface between 0 and 1, of features of a size in pixels.
@@ -100,22 +104,32 @@ fn from_line(at: (f64, f64), a: (f64, f64), b: (f64, f64)) -> f64 {
 const SHARPEST: f64 = 0.35;
 
 impl MadeUp {
-    /// Scene number `index` of a seed, on an array of an extent, for some seconds.
+    /// Scene number `index` of a seed, on an array of an extent, for some seconds: a texture, a star or discs.
     pub fn new(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
+        MadeUp::of(seed, index, extent, duration_s, [0.5, 0.85, 0.85, 0.85, 0.85, 0.85, 0.85])
+    }
+
+    /// The same of all kinds.
+    pub fn of_any_kind(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
+        MadeUp::of(seed, index, extent, duration_s, [0.3, 0.5, 0.64, 0.72, 0.8, 0.87, 0.93])
+    }
+
+    /// `ends`: up to which draw from 0 to 1 a scene is a texture, a star, a photograph, layers, a fan, a figure, a ball; discs from there on.
+    fn of(seed: u64, index: u64, extent: Extent, duration_s: f64, ends: [f64; 7]) -> MadeUp {
         let mut random = Random::new(seed, &[index, 77]);
         let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
         let kind = between(0.0, 1.0);
         let angle = between(0.0, std::f64::consts::TAU);
         let sign = if between(0.0, 1.0) < 0.5 { -1.0 } else { 1.0 };
         let (width, height) = (f64::from(extent.width), f64::from(extent.height));
-        let motion = if kind < 0.3 {
+        let motion = if kind < ends[0] {
             let speed = between(400.0, 1200.0);
             Motion::Texture { velocity: (speed * libm::cos(angle), speed * libm::sin(angle)), shake_px: between(0.5, 3.0), shake_hz: between(5.0, 15.0) }
-        } else if kind < 0.5 {
+        } else if kind < ends[1] {
             let rate = sign * between(1.5, 5.5) * std::f64::consts::TAU;
             let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
             Motion::Star { spokes: between(3.0, 6.0).floor(), rate, centre }
-        } else if kind < 0.64 {
+        } else if kind < ends[2] {
             let (share, hz) = (between(0.0, 1.0), between(3.0, 12.0));
             let speed = between(100.0, 700.0);
             Motion::Photograph {
@@ -124,19 +138,19 @@ impl MadeUp {
                 zoom: (between(0.02, 0.12), between(2.0, 6.0)),
                 drift: (share * speed * libm::cos(angle), share * speed * libm::sin(angle)),
             }
-        } else if kind < 0.72 {
+        } else if kind < ends[3] {
             let (front, back, turn) = (between(300.0, 1200.0), between(50.0, 500.0), between(0.5, 5.0));
             let along = |speed: f64, angle: f64| (speed * libm::cos(angle), speed * libm::sin(angle));
             Motion::Layers { size: between(12.0, 24.0), front: along(front, angle), back: along(back, angle + turn) }
-        } else if kind < 0.8 {
+        } else if kind < ends[4] {
             let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
             let (blades, rate, radius) = (between(2.0, 6.0).floor(), sign * between(1.0, 9.0) * std::f64::consts::TAU, height * between(0.35, 0.6));
             Motion::Fan { blades, rate, centre, radius, half: between(0.2, 0.45) * std::f64::consts::TAU / blades / 2.0, shade: if angle < 3.0 { 0.0 } else { 0.95 } }
-        } else if kind < 0.87 {
+        } else if kind < ends[5] {
             let tall = height * between(0.5, 0.9);
             let begin = (width * between(0.2, 0.8), 0.5 * height + between(-3.0, 3.0));
             Motion::Figure { height: tall, speed: sign * between(60.0, 400.0), steps_hz: between(1.5, 5.0), begin, shade: if angle < 4.0 { 0.0 } else { 0.95 } }
-        } else if kind < 0.93 {
+        } else if kind < ends[6] {
             let (radius, speed) = (height * between(0.12, 0.25), between(200.0, 900.0));
             let begin = (0.5 * width - 0.3 * sign * width, height * between(0.35, 0.7));
             Motion::Ball { radius, begin, velocity: (sign * speed, -between(0.0, 300.0)), fall: between(500.0, 4000.0), rate: sign * between(0.0, 25.0) }
@@ -200,6 +214,68 @@ impl MadeUp {
             extent,
             span,
             noise: None,
+            unstated_noise: 0.0,
+            step_ns: 200_000,
+        }
+    }
+
+    /// Target number `index` of a seed: a star or discs before a plain wall, thresholds with noise, frames with stated noise or none.
+    pub fn target(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
+        let mut random = Random::new(seed, &[index, 78]);
+        let mut between = |low: f64, high: f64| low + (high - low) * random.uniform();
+        let mut made = MadeUp::new(seed, index, extent, duration_s);
+        if let Motion::Texture { velocity, .. } = made.motion {
+            let rate = between(3.0, 12.0) * std::f64::consts::TAU * if velocity.0 > 0.0 { 1.0 } else { -1.0 };
+            let centre = (0.5 * f64::from(extent.width) + between(-2.0, 2.0), 0.5 * f64::from(extent.height) + between(-2.0, 2.0));
+            made.motion = Motion::Star { spokes: between(2.0, 6.0).floor(), rate, centre };
+        }
+        // No ground behind discs: a wall.
+        made.contrast = 0.0;
+        let noise = between(0.008, 0.035) * made.sensor.comparator.threshold_on.unwrap_or(0.2);
+        if between(0.0, 1.0) < 0.75 {
+            made.sensor.comparator.threshold_noise = Some(noise);
+        } else {
+            made.unstated_noise = noise;
+        }
+        if between(0.0, 1.0) < 0.6 {
+            made.sensor.frames.read_noise_dn = Some(between(0.3, 4.0));
+            made.sensor.frames.full_well_e = Some(between(9_000.0, 30_000.0));
+        }
+        made.step_ns = 25_000;
+        made
+    }
+
+    /// With dark and bright light changed by factors.
+    #[must_use]
+    pub fn lit(self, dark: f64, bright: f64) -> MadeUp {
+        MadeUp { low: self.low * dark, high: self.high * bright, ..self }
+    }
+
+    /// How fast things cross a place, pixels a second at most.
+    pub fn px_per_s(&self, x: f64, y: f64) -> f64 {
+        let length = |(x, y): (f64, f64)| libm::hypot(x, y);
+        match &self.motion {
+            Motion::Texture { velocity, shake_px, shake_hz } => length(*velocity) + 2.0 * std::f64::consts::TAU * shake_hz * shake_px,
+            Motion::Star { rate, centre, .. } => rate.abs() * f64::max(libm::hypot(x - centre.0, y - centre.1), 1.0),
+            Motion::Discs { velocity, drift, .. } => f64::max(length(*velocity), length(*drift)),
+            Motion::Photograph { shake, turn, zoom, drift } => {
+                let edge = libm::hypot(f64::from(self.extent.width), f64::from(self.extent.height)) / 2.0;
+                length(*drift) + std::f64::consts::TAU * (shake.0 * shake.1 + edge * (turn.0.abs() * turn.1 + zoom.0 * zoom.1))
+            }
+            Motion::Layers { front, back, .. } => f64::max(length(*front), length(*back)),
+            Motion::Fan { rate, radius, .. } => rate.abs() * radius,
+            Motion::Figure { height, speed, steps_hz, .. } => speed.abs() + 0.25 * height * std::f64::consts::TAU * steps_hz,
+            Motion::Ball { radius, velocity, fall, rate, .. } => length(*velocity) + fall * self.span.1 as f64 * 1e-9 + rate.abs() * radius,
+        }
+    }
+
+    /// After how long it looks the same again, seconds; 0 when it does not.
+    pub fn period_s(&self) -> f64 {
+        match &self.motion {
+            Motion::Fan { blades, rate, .. } => std::f64::consts::TAU / (blades * rate.abs()),
+            Motion::Star { spokes, rate, .. } => std::f64::consts::TAU / (spokes * rate.abs()),
+            Motion::Discs { velocity, pitch, .. } => pitch / libm::hypot(velocity.0, velocity.1),
+            _ => 0.0,
         }
     }
 
@@ -216,7 +292,7 @@ impl MadeUp {
     }
 
     /// Log photocurrent at a place and time, seconds.
-    fn log_light(&self, x: f64, y: f64, t: f64) -> f64 {
+    pub(crate) fn log_light(&self, x: f64, y: f64, t: f64) -> f64 {
         let shade = match &self.motion {
             Motion::Texture { velocity, shake_px, shake_hz } => {
                 let shake = shake_px * libm::sin(std::f64::consts::TAU * shake_hz * t);
@@ -298,7 +374,7 @@ impl MadeUp {
 
     /// Log photocurrent of every pixel at instants.
     fn log_tracks(&self) -> Vec<(Vec<i64>, Vec<f64>)> {
-        let step_ns = 200_000;
+        let step_ns = self.step_ns;
         let instants: Vec<i64> = (0..=self.span.1 / step_ns).map(|k| k * step_ns).collect();
         let width = self.extent.width as usize;
         let of = |pixel: usize| {
@@ -340,7 +416,8 @@ impl MadeUp {
         let pixels = self.log_tracks().into_iter().map(|(t, log)| (t, log, true));
         let nominal = blank.nominal().map_err(|why| why.to_string())?;
         let stated = Trial::stated(&nominal);
-        let trial = trial.unwrap_or(&stated);
+        let mut trial = trial.unwrap_or(&stated).clone();
+        trial.nominal.threshold_noise = f64::max(trial.nominal.threshold_noise, self.unstated_noise);
         let mut recorded = record(
             &blank,
             &trial.nominal,

@@ -110,7 +110,7 @@ fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
             .into_iter()
             .for_each(|(port, from)| put(&format!("nodes.target.in.{port}"), from.into()));
         put("nodes.target.params", target(scene)?.into());
-        put("nodes.evidence.in.light", "target.light".into());
+        put("nodes.evidence.in.target", "target.target".into());
     }
     if options.direct {
         put("nodes.evidence.params.scene", "none".into());

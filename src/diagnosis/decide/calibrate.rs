@@ -10,6 +10,8 @@ use crate::made::{Fault, Made, MadeSetting, made};
 use crate::picture::PictureSetting;
 use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
 use crate::residual::mosaic::{MosaicSetting, scene};
+use crate::residual::source::Source;
+use crate::residual::target::{Target, TargetSetting};
 use crate::verdict::{IN_SET_SHARE as IN_SET, is_material};
 use nalgebra::{SMatrix, SVector};
 use serde::{Deserialize, Serialize};
@@ -49,19 +51,27 @@ impl Example {
     }
 }
 
+/// Targets of made-up recordings are fitted to fewer values than a user's: their arrays are small.
+const FEWER: TargetSetting = TargetSetting { values: 4_000, tries: 1, seed: 1 };
+
 /// Makes recording number `index` of a seed and looks at it.
 ///
 /// # Errors
 /// When the effects that were drawn cannot be combined.
 pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, String> {
-    let Made { case, mut truth } = made(seed, index, setting)?;
+    let Made { case, mut truth, target } = made(seed, index, setting)?;
     let nominal = case.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(&case, &nominal);
     truth.effects.retain(|(id, parameter, strength)| {
         Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*strength, &scales, &nominal)))
     });
-    let source = scene(&case, &nominal, &PictureSetting::default(), &MosaicSetting::default());
-    let found = source.and_then(|source| evidence(&case, &nominal, source.as_ref(), &EvidenceSetting::default())).ok();
+    let picture = PictureSetting::default();
+    let look = |source: &dyn Source| evidence(&case, &nominal, source, &EvidenceSetting::default());
+    let found = match target {
+        None => scene(&case, &nominal, &picture, &MosaicSetting::default()).and_then(|source| look(source.as_ref())).ok(),
+        // The search finds the same place; only the fit is of interest.
+        Some((form, shares)) => Target::near(&case, &nominal, form, FEWER, &picture, &shares).and_then(|source| look(&source).ok()),
+    };
     Ok(Example::new(truth, found))
 }
 

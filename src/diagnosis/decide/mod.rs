@@ -11,7 +11,7 @@ use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::located::{Located, Locations};
 use crate::verdict::{Decided, Proposal, Unexplained};
-use model::{Belief, Facts, Model, hypotheses};
+use model::{Belief, Facts, KINDS, Models, hypotheses};
 use serde::{Deserialize, Serialize};
 
 pub mod calibrate;
@@ -20,8 +20,8 @@ pub mod model;
 /// From when on something is said.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Decision {
-    /// The model's numbers.
-    pub model: Model,
+    /// The model's numbers, for each kind of scene.
+    pub models: Models,
     /// Something differs from this probability on.
     pub least: f64,
     /// And there is a second effect from this probability on.
@@ -38,7 +38,7 @@ pub struct Decision {
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision { model: Model::default(), least: 0.9, least_second: 0.6, most_control: 0.15, most_left: 0.3, most_silent: 0.12, shared_error: 0.02 }
+        Decision { models: Models::default(), least: 0.9, least_second: 0.6, most_control: 0.15, most_left: 0.3, most_silent: 0.12, shared_error: 0.02 }
     }
 }
 
@@ -53,7 +53,9 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
             found.control_median
         ));
     }
-    if found.left[0] > decision.most_left {
+    // Known light is not at fault.
+    let is_known = found.scene == KINDS[1];
+    if !is_known && found.left[0] > decision.most_left {
         return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on this scene", found.left[0]));
     }
     let said = said(found, nominal, decision);
@@ -65,13 +67,13 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
 
 fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
     let facts = Facts::of(found);
-    let belief = decision.model.first(&facts);
+    let belief = decision.models.of(&found.scene).first(&facts);
     let is_something = belief.something >= decision.least;
-    let first = proposals(found, &hypotheses(&found.ranked, &found.random), &belief, belief.something / decision.least, nominal, decision);
+    let first = proposals(found, &hypotheses(&found.ranked, &found.random, found.noise[0]), &belief, belief.something / decision.least, nominal, decision);
     let most = first.iter().map(|one| one.probability).fold(0.0, f64::max);
     let is_unnamed = is_something && belief.unnamed > most;
-    let second = decision.model.second(&facts).map_or_else(Vec::new, |belief| {
-        let list = hypotheses(&found.second, &found.random_second);
+    let second = decision.models.of(&found.scene).second(&facts).map_or_else(Vec::new, |belief| {
+        let list = hypotheses(&found.second, &found.random_second, found.noise[1]);
         proposals(found, &list, &belief, belief.something / decision.least_second, nominal, decision)
     });
     let curve = found.open_second.first().or(found.open.first()).filter(|_| is_unnamed);
@@ -93,7 +95,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
 ///
 /// A strength s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at which the model's probability is [`Decision::least`].
 pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<Detectable> {
-    let needed = decision.model.needed_gain(libm::log(decision.least / (1.0 - decision.least)), libm::log(found.share.max(1e-3)));
+    let needed = decision.models.of(&found.scene).needed_gain(libm::log(decision.least / (1.0 - decision.least)), libm::log(found.share.max(1e-3)));
     let has_limit = |one: &&Ranked| {
         let kind = &CANDIDATES[one.candidate];
         one.information > 0.0 && kind.signs != Signs::Switch && !kind.is_limit() && one.unit != 0.0

@@ -49,6 +49,39 @@ impl Default for Model {
     }
 }
 
+/// A model for each kind of scene, as what is left without an effect differs from kind to kind.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Models {
+    /// Of a moving picture, and of every kind that has none of its own.
+    pub picture: Model,
+    /// Of known light.
+    pub given: Model,
+}
+
+/// Kinds of scenes that have a model, by their names.
+pub const KINDS: [&str; 2] = ["picture", "given"];
+
+impl Models {
+    /// Of a kind of scene ([`Evidence::scene`]).
+    pub fn of(&self, scene: &str) -> &Model {
+        if scene == KINDS[1] { &self.given } else { &self.picture }
+    }
+}
+
+impl Default for Models {
+    /// `photocurrent calibrate`, docs/diagnosis.md.
+    fn default() -> Models {
+        Models { picture: Model::default(), given: Model::of_given_light() }
+    }
+}
+
+impl Model {
+    /// The built-in numbers for known light: `photocurrent calibrate --scene given`.
+    pub fn of_given_light() -> Model {
+        Model::default()
+    }
+}
+
 /// Logarithms between which a softness lies.
 const SOFTNESS: (f64, f64) = (-5.0, 2.0);
 
@@ -94,8 +127,8 @@ pub struct Facts {
 impl Facts {
     /// Of evidence.
     pub fn of(found: &Evidence) -> Facts {
-        let first = hypotheses(&found.ranked, &found.random);
-        let second = hypotheses(&found.second, &found.random_second);
+        let first = hypotheses(&found.ranked, &found.random, found.noise[0]);
+        let second = hypotheses(&found.second, &found.random_second, found.noise[1]);
         // What a size that does not matter explains needs no other explanation.
         let small = explained_by_little(&found.ranked, &found.random);
         let beside_small = explained_by_little(&found.second, &found.random_second);
@@ -106,16 +139,16 @@ impl Facts {
         let gains = |list: &[&Ranked], small: f64| Gains { sized: gain(list, small, false), random: gain(list, small, true) };
         let of_first = gains(&first, small);
         let best = of_first.best();
-        let named = |list: &[&Ranked]| {
-            let best = list.first().map_or(LEAST_GAIN, |one| one.beyond().max(LEAST_GAIN));
-            list.iter().map(|one| (CANDIDATES[one.candidate].id.to_owned(), one.beyond() / best, CANDIDATES[one.candidate].is_random)).collect()
+        let named = |list: &[&Ranked], noise: f64| {
+            let best = list.first().map_or(LEAST_GAIN, |one| one.standing(noise).max(LEAST_GAIN));
+            list.iter().map(|one| (CANDIDATES[one.candidate].id.to_owned(), one.standing(noise) / best, CANDIDATES[one.candidate].is_random)).collect()
         };
         let curve = |list: &[Open], small: f64| libm::log(list.first().map_or(LEAST_GAIN, |one| (one.beyond() - small).max(LEAST_GAIN)));
         Facts {
             gains: of_first,
             beside_gains: (!second.is_empty()).then(|| gains(&second, beside_small)),
-            first: named(&first),
-            beside: named(&second),
+            first: named(&first, found.noise[0]),
+            beside: named(&second, found.noise[1]),
             open: [curve(&found.open_second, beside_small) - best, curve(&found.open, small) - best],
             share: libm::log(found.share.clamp(LEAST_GAIN, 1.0)),
         }
@@ -162,10 +195,10 @@ fn explained_by_little(ranked: &[Ranked], random: &[Ranked]) -> f64 {
     ranked.iter().chain(random).filter(|one| one.is_exact && !one.is_material).map(Ranked::beyond).fold(0.0, f64::max)
 }
 
-/// Each effect by its best parameter, best first: those that were fitted exactly and matter.
-pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked]) -> Vec<&'a Ranked> {
+/// Each effect by its best parameter, best first: those that were fitted exactly and matter. `noise`: what wider noise of events alone gains.
+pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked], noise: f64) -> Vec<&'a Ranked> {
     let mut all: Vec<&Ranked> = ranked.iter().chain(random).filter(|one| one.is_exact && one.beyond() > 0.0 && one.is_material).collect();
-    all.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()).then(a.candidate.cmp(&b.candidate)));
+    all.sort_by(|a, b| b.standing(noise).total_cmp(&a.standing(noise)).then(a.candidate.cmp(&b.candidate)));
     let mut ids: Vec<&str> = Vec::new();
     all.retain(|one| {
         let id = CANDIDATES[one.candidate].id;

@@ -137,7 +137,7 @@ impl Ground<'_> {
     fn late(&self, noise: &EventNoise) -> Option<((f64, f64), Vec<f64>)> {
         let slope = &self.events.slope_per_s;
         let column: Vec<f32> = slope.iter().map(|slope| -*slope as f32).collect();
-        let rows = Rows { slope, block: &[], events: slope.len(), least: self.least, soft: None };
+        let rows = Rows { slope, block: &[], events: slope.len(), least: self.least, soft: None, free: &[] };
         let (size, left) = fit(self.residual, &rows, &[&column], |_| true);
         let left = left.of_events();
         if size[0] <= 0.0 {

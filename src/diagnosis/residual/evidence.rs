@@ -27,6 +27,8 @@ use serde::{Deserialize, Serialize};
 pub struct EvidenceSetting {
     /// Light is sampled this often, ns.
     pub step_ns: i64,
+    /// And known light at least this often, ns.
+    pub known_step_ns: i64,
     /// About so many events are looked at.
     pub events: usize,
     /// Of at most so many pixels.
@@ -59,6 +61,8 @@ pub struct EvidenceSetting {
     pub most_strength: f64,
     /// Least noise of single events that matters, of thresholds or of stamps at the median slope, as a share of the threshold.
     pub least_event_noise: f64,
+    /// On known light, noise of thresholds below this share of them is none that a description without `threshold_noise` contradicts.
+    pub least_unstated_noise: f64,
     /// Least gain of a spread of delays in the comparator, nats an event.
     pub least_spread: f64,
     /// Events within one cell of the picture see the same of it, pixels.
@@ -81,6 +85,7 @@ impl Default for EvidenceSetting {
     fn default() -> EvidenceSetting {
         EvidenceSetting {
             step_ns: 100_000,
+            known_step_ns: 25_000,
             events: 6_000,
             pixels: 500,
             least_events: 500,
@@ -97,6 +102,7 @@ impl Default for EvidenceSetting {
             still: 0.003,
             most_strength: 12.0,
             least_event_noise: 0.015,
+            least_unstated_noise: 0.05,
             least_spread: 0.1,
             cell: 0.5,
             least_slope: 0.1,
@@ -146,6 +152,9 @@ pub struct Ranked {
     /// Is its size worth a word ([`is_material`])?
     #[serde(default)]
     pub is_material: bool,
+    /// How far the free parameters of a known target then stand from where frames alone had them, shares of their ranges.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub by: Vec<f64>,
     /// Where it is; of effects that were evaluated at their size.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub located: Option<Located>,
@@ -156,6 +165,26 @@ impl Ranked {
     pub fn beyond(&self) -> f64 {
         self.gain - self.control_gain
     }
+
+    /// What it stands for among others where wider noise of events alone gains `noise` ([`Evidence::noise`]), nats per event.
+    ///
+    /// Wider noise is held against the control's noise, and every other effect against the noise that its own residuals have, which is wider already: what that alone gains is theirs as well.
+    /// Noise by itself lets the others gain next to nothing.
+    pub fn standing(&self, noise: f64) -> f64 {
+        let is_noise = NOISE.contains(&CANDIDATES[self.candidate].id);
+        if is_noise || self.beyond() <= 0.0 { self.beyond() } else { self.beyond() + f64::max(noise - OVER_NOISE, 0.0) }
+    }
+}
+
+/// Effects that are wider noise of events and nothing else.
+const NOISE: [&str; 2] = ["threshold_noise", "timestamp_jitter"];
+/// An effect that gains less than this on noisy events is their noise, nats per event.
+const OVER_NOISE: f64 = 0.03;
+
+/// What wider noise of events alone gains, on a scene that is known: on a fitted one, what the scene gets wrong widens residuals, and its noise is the control's.
+fn of_noise(random: &[Ranked], is_known: bool) -> f64 {
+    let gain = |one: &Ranked| if NOISE.contains(&CANDIDATES[one.candidate].id) { one.beyond() } else { 0.0 };
+    if is_known { random.iter().map(gain).fold(0.0, f64::max) } else { 0.0 }
 }
 
 /// What the method found.
@@ -189,6 +218,9 @@ pub struct Evidence {
     pub misfit: f64,
     /// Median absolute residual over the threshold with the first effect applied, and with both.
     pub left: [f64; 2],
+    /// What wider noise of events alone gains over the control's, with nothing applied and with [`Evidence::first`], nats an event; 0 on a scene that was fitted to frames.
+    #[serde(default)]
+    pub noise: [f64; 2],
     /// Of effects with a size, best first.
     pub ranked: Vec<Ranked>,
     /// With [`Evidence::first`] applied, best first.
@@ -227,8 +259,12 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     }
     let pixels = spread(case, &counted, setting.events, setting.pixels);
     let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
-    let light = source.light(case, setting.step_ns);
-    let mut seen = Seen { case, light, gate, pixels, more, setting, scales: &scales, least, is_known: source.is_known(), own: Vec::new() };
+    let step_ns = if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
+    let light = source.light(case, step_ns);
+    let by = vec![0.0; source.free().len()];
+    let mut seen =
+        Seen { case, light, gate, pixels, more, setting, scales: &scales, least, is_known: source.is_known(), source, by, near: Vec::new(), own: Vec::new() };
+    seen.near = seen.steps(&seen.by);
     let stated = Trial::stated(nominal);
 
     let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
@@ -236,13 +272,13 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     simulated.dedup();
     let drawn = source.drawn(case, nominal, setting.seed)?;
     let true_scene = drawn.as_deref().unwrap_or(source);
-    let true_light = true_scene.light(case, setting.step_ns);
+    let true_light = true_scene.light(case, step_ns);
     let control_case = control(case, nominal, true_scene, &true_light, &simulated, setting.block, setting.seed)?;
     let control_source = source.refit(&control_case, nominal)?;
     let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
-    let control_light = control_source.light(&control_case, setting.step_ns);
+    let control_light = control_source.light(&control_case, step_ns);
     let (pixels, more) = (seen.pixels.clone(), seen.more.clone());
-    let control_seen = Seen {
+    let mut control_seen = Seen {
         case: &control_case,
         light: control_light,
         gate: control_gate,
@@ -252,8 +288,12 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         scales: &scales,
         least,
         is_known: source.is_known(),
+        source: &*control_source,
+        by: seen.by.clone(),
+        near: Vec::new(),
         own: Vec::new(),
     };
+    control_seen.near = control_seen.steps(&control_seen.by);
     let mut control_table = control_seen.table(&stated, None, 0.0)?;
     let softest = setting.softness * control_table.softness();
     control_table.fit(softest);
@@ -286,7 +326,8 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let mut slopes: Vec<f64> = table.events.slope_per_s.iter().map(|slope| slope.abs()).collect();
     slopes.sort_by(f64::total_cmp);
     let slope_per_s = slopes.get(slopes.len() / 2).copied().unwrap_or(0.0);
-    let control_ground = Chance::new(case, nominal, &control_table, control_seen.white(&stated, control_source.as_ref())?, slope_per_s, setting, &scales);
+    let control_white = control_seen.white(&stated, control_source.as_ref())?;
+    let control_ground = Chance::new(case, nominal, &control_table, (control_white, source.is_known()), slope_per_s, setting, &scales);
 
     let laid = seen.lay(&table, nominal, period_ns);
     let places = seen.places(&table, &laid);
@@ -294,9 +335,13 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let white = seen.white(&stated, source)?;
     let (random, of_chance) = control_ground.beyond(&table, white);
     let open = laws(&seen, &table, &laid[0], &places);
-    let base_median = median_share(table.residual(), scales.threshold);
+    // What a known scene leaves open is no misfit.
+    let left_of = |table: &Table| median_share(if source.is_known() { table.sharp() } else { table.residual() }, scales.threshold);
+    let base_median = left_of(&table);
     let found = |one: &&Ranked| one.is_exact && one.beyond() > 0.0;
-    let first = ranked.iter().find(found).into_iter().chain(random.iter().find(found)).min_by(|a, b| by_gain(a, b)).cloned();
+    let mut noise = [of_noise(&random, source.is_known()), 0.0];
+    let best = |a: &&Ranked, b: &&Ranked| b.standing(noise[0]).total_cmp(&a.standing(noise[0])).then(by_gain(a, b));
+    let first = ranked.iter().filter(found).chain(random.iter().filter(found)).min_by(best).cloned();
     let mut left = [base_median; 2];
     let (mut second, mut random_second, mut open_second) = (Vec::new(), Vec::new(), Vec::new());
     if let Some(first) = &first {
@@ -308,8 +353,12 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
             // Each pixel with its own size, each event with its mean delay from here on.
             seen.own = table.sharp().iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
         }
+        if !is_random && let Some(light) = source.moved(case, step_ns, None, &first.by) {
+            (seen.by, seen.light) = (first.by.clone(), light);
+            seen.near = seen.steps(&seen.by);
+        }
         let table = seen.table(&with, Some(first.candidate), softest)?;
-        left = [median_share(table.residual(), scales.threshold); 2];
+        left = [left_of(&table); 2];
         let beside = (!is_random).then_some((first.candidate, strength));
         let laid = seen.lay(&table, nominal, period_ns);
         let places = seen.places(&table, &laid);
@@ -317,6 +366,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         let white = seen.white(&with, source)?;
         random_second = control_ground.beyond(&table, white).0;
         random_second.retain(|other| other.candidate != first.candidate);
+        noise[1] = of_noise(&random_second, source.is_known());
         open_second = laws(&seen, &table, &laid[0], &places);
         if let Some(other) = second.first().filter(|other| other.is_exact) {
             left[1] = other.left;
@@ -333,13 +383,14 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         share,
         events: table.residual().len(),
         median: base_median,
-        control_median: median_share(control_table.residual(), scales.threshold),
+        control_median: left_of(&control_table),
         ks: control_table.noise.distance(table.sharp(), &table.events.slope_per_s),
         left,
         slope_per_s,
         white,
         softness: [softest, table.softness()],
         misfit: source.misfit(),
+        noise,
         ranked,
         first,
         second,
@@ -355,6 +406,7 @@ struct Chance<'a> {
     setting: &'a EvidenceSetting,
     scales: &'a Scales,
     nominal: &'a Nominal,
+    is_known: bool,
     noise: EventNoise,
     control: Vec<Part>,
     slope_per_s: f64,
@@ -365,7 +417,15 @@ struct Chance<'a> {
 }
 
 impl<'a> Chance<'a> {
-    fn new(case: &Case, nominal: &'a Nominal, control: &Table, white: f64, slope_per_s: f64, setting: &'a EvidenceSetting, scales: &'a Scales) -> Chance<'a> {
+    fn new(
+        case: &Case,
+        nominal: &'a Nominal,
+        control: &Table,
+        (white, is_known): (f64, bool),
+        slope_per_s: f64,
+        setting: &'a EvidenceSetting,
+        scales: &'a Scales,
+    ) -> Chance<'a> {
         let least = setting.least_noise * scales.threshold;
         let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
         let strengths = OF_PIXELS.map(|(id, parameter)| {
@@ -373,15 +433,17 @@ impl<'a> Chance<'a> {
         });
         let rate = case.events.all().len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
         let of_control = of_table(control, white, setting, scales.threshold, &noise);
-        Chance { setting, scales, nominal, noise, control: of_control, slope_per_s, rate, strengths }
+        Chance { setting, scales, nominal, is_known, noise, control: of_control, slope_per_s, rate, strengths }
     }
 
     /// Best first, and the parts themselves.
     fn beyond(&self, table: &Table, white: f64) -> (Vec<Ranked>, Vec<Part>) {
         let threshold = self.scales.threshold;
         let parts = of_table(table, white, self.setting, threshold, &self.noise);
+        // What a description does not state may be there; only on known light it is seen so sharply that it must be allowed for.
+        let unstated = if self.is_known && self.nominal.threshold_noise == 0.0 { self.setting.least_unstated_noise } else { 0.0 };
         let matters = |one: &Ranked| match CANDIDATES[one.candidate].id {
-            "threshold_noise" => one.value > self.setting.least_event_noise * threshold,
+            "threshold_noise" => one.value > f64::max(self.setting.least_event_noise, unstated) * threshold,
             "timestamp_jitter" => one.value * self.slope_per_s > self.setting.least_event_noise * threshold,
             _ => true,
         };

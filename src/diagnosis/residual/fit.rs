@@ -1,5 +1,7 @@
 //! Size and gain of an effect, by the residuals of events: Student-t noise with a threshold part and a part that grows with the slope.
 
+use std::ops::Range;
+
 /// Degrees of freedom of the residuals' Student-t distribution.
 pub const NU: f64 = 3.0;
 
@@ -105,6 +107,8 @@ pub struct Rows<'a> {
     pub least: f64,
     /// What a picture that is too soft leaves, and how much of it may be taken off: fitted beside everything.
     pub soft: Option<Soft<'a>>,
+    /// What the free parameters of the scene change of each row, each per standard deviation that it has before the recording: fitted beside everything.
+    pub free: &'a [Column],
 }
 
 /// What a picture that is too soft leaves of each row, per size of its own; sizes lie between `most` and 0.
@@ -195,13 +199,18 @@ pub struct Fitted {
     pub gain: f64,
     /// Standard error of the gain, by blocks.
     pub gain_error: f64,
+    /// Sizes of what is free of the scene ([`Rows::free`]) beside them.
+    pub free: Vec<f64>,
     /// Of one column, Fisher information of an event about its size: a small size gains half of this times its square, nats an event.
     pub information: f64,
 }
 
 /// Sizes and noise of a fit.
+#[derive(Clone)]
 struct Solved {
     sizes: Vec<f64>,
+    /// Of [`Rows::free`].
+    free: Vec<f64>,
     /// Of [`Soft`].
     soft: f64,
     noise: Noise,
@@ -215,19 +224,26 @@ pub fn fit(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl 
 
 fn solve(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], use_row: impl Fn(usize) -> bool) -> Solved {
     let chosen = rows.choose(residual, use_row);
-    let Some(soft) = rows.soft.filter(|soft| soft.most < 0.0) else {
-        let (sizes, noise) = least_squares(residual, rows, columns, &chosen);
-        return Solved { sizes, soft: 0.0, noise };
+    let mut with: Vec<&[f32]> = columns.iter().copied().chain(rows.free.iter().map(|column| &column.of[..])).collect();
+    let held = columns.len()..with.len();
+    let split = |mut sizes: Vec<f64>, soft: f64, noise: Noise| {
+        let free = sizes.split_off(held.start);
+        Solved { sizes, free, soft, noise }
     };
-    let with: Vec<&[f32]> = columns.iter().copied().chain([soft.column]).collect();
-    let (mut sizes, noise) = least_squares(residual, rows, &with, &chosen);
+    let Some(soft) = rows.soft.filter(|soft| soft.most < 0.0) else {
+        let (sizes, noise) = least_squares(residual, rows, &with, &held, &chosen);
+        return split(sizes, 0.0, noise);
+    };
+    with.push(soft.column);
+    let (mut sizes, noise) = least_squares(residual, rows, &with, &held, &chosen);
+    with.pop();
     let size = sizes.pop().unwrap_or(0.0);
     if (soft.most..=0.0).contains(&size) {
-        return Solved { sizes, soft: size, noise };
+        return split(sizes, size, noise);
     }
     let size = size.clamp(soft.most, 0.0);
-    let (sizes, noise) = least_squares(&soft.off(residual, size), rows, columns, &chosen);
-    Solved { sizes, soft: size, noise }
+    let (sizes, noise) = least_squares(&soft.off(residual, size), rows, &with, &held, &chosen);
+    split(sizes, size, noise)
 }
 
 impl Soft<'_> {
@@ -237,12 +253,21 @@ impl Soft<'_> {
     }
 }
 
-/// Residuals without what a picture that is too soft leaves.
+/// Residuals without what a picture that is too soft leaves, and without what free parameters of the scene explain.
 pub fn without_softness(residual: &[f64], rows: &Rows<'_>) -> Vec<f64> {
-    rows.soft.map_or_else(|| residual.to_vec(), |soft| soft.off(residual, solve(residual, rows, &[], |_| true).soft))
+    if rows.soft.is_none() && rows.free.is_empty() {
+        return residual.to_vec();
+    }
+    let found = solve(residual, rows, &[], |_| true);
+    let mut left = rows.soft.map_or_else(|| residual.to_vec(), |soft| soft.off(residual, found.soft));
+    for (column, size) in rows.free.iter().zip(&found.free) {
+        left.iter_mut().zip(&column.of).for_each(|(left, column)| *left += size * f64::from(*column));
+    }
+    left
 }
 
-fn least_squares(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], chosen: &Chosen) -> (Vec<f64>, Noise) {
+/// `held`: columns whose sizes have a standard deviation of 1 beforehand.
+fn least_squares(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], held: &Range<usize>, chosen: &Chosen) -> (Vec<f64>, Noise) {
     let mut sizes = vec![0.0; columns.len()];
     let left = |sizes: &[f64]| -> Vec<f64> {
         chosen.rows.iter().map(|&k| residual[k] + columns.iter().zip(sizes).map(|(column, size)| f64::from(column[k]) * size).sum::<f64>()).collect()
@@ -267,6 +292,10 @@ fn least_squares(residual: &[f64], rows: &Rows<'_>, columns: &[&[f32]], chosen: 
                     normal[(i, j)] += weight * a * f64::from(columns[j][k]);
                 }
             }
+        }
+        for i in held.clone() {
+            normal[(i, i)] += 1.0;
+            right[i] -= sizes[i];
         }
         for i in 0..n {
             normal[(i, i)] *= 1.0 + 1e-9;
@@ -298,19 +327,25 @@ impl Seen<'_> {
     fn log(&self, rows: &Rows<'_>, found: &Solved, k: usize) -> f64 {
         let soft = rows.soft.map_or((0.0, 0.0), |soft| (f64::from(soft.column[k]), soft.log_slope.get(k).map_or(0.0, |log| f64::from(*log))));
         let log_slope = self.log_slope.get(k).map_or(0.0, |log| f64::from(*log));
-        rows.log(&found.noise, k, self.residual[k] + found.soft * soft.0) + log_slope + found.soft * soft.1
+        let (mut residual, mut steeper) = (self.residual[k] + found.soft * soft.0, log_slope + found.soft * soft.1);
+        for (column, size) in rows.free.iter().zip(&found.free) {
+            residual += size * f64::from(column.of[k]);
+            steeper += size * column.log_slope.get(k).map_or(0.0, |log| f64::from(*log));
+        }
+        rows.log(&found.noise, k, residual) + steeper
     }
 }
 
-/// Held-out gain of what is `left` over `before`, nats per event, and its standard error by blocks: noise is fitted to the other half of the blocks.
-pub fn gain_of(before: Seen<'_>, left: Seen<'_>, rows: &Rows<'_>) -> (f64, f64) {
+/// Held-out gain of what is `left` over `before`, nats per event, and its standard error by blocks: noise is fitted to the other half of the blocks. Each with its rows, which differ by what
+/// is free of the scene alone.
+pub fn gain_of((before, plain_rows): (Seen<'_>, &Rows<'_>), (left, rows): (Seen<'_>, &Rows<'_>)) -> (f64, f64) {
     let blocks = rows.blocks();
     let (mut gains, mut counts) = (vec![0.0; blocks], vec![0.0; blocks]);
     for half in 0..2_u32 {
         let train = |k: usize| rows.block[k] % 2 == half;
-        let (with, plain) = (solve(left.residual, rows, &[], train), solve(before.residual, rows, &[], train));
+        let (with, plain) = (solve(left.residual, rows, &[], train), solve(before.residual, plain_rows, &[], train));
         for k in (0..before.residual.len()).filter(|&k| !train(k)) {
-            gains[rows.block[k] as usize] += left.log(rows, &with, k) - before.log(rows, &plain, k);
+            gains[rows.block[k] as usize] += left.log(rows, &with, k) - before.log(plain_rows, &plain, k);
             counts[rows.block[k] as usize] += f64::from(u8::from(k < rows.events));
         }
     }
@@ -318,10 +353,12 @@ pub fn gain_of(before: Seen<'_>, left: Seen<'_>, rows: &Rows<'_>) -> (f64, f64) 
 }
 
 /// What each row gains by what is `left` over `before`, nats, both under the noise (and with what a picture that is too soft leaves) that is found with what is `left`: a row that is not
-/// changed gains nothing.
-pub fn gains(before: Seen<'_>, left: Seen<'_>, rows: &Rows<'_>) -> Vec<f64> {
+/// changed gains nothing. Each with what is free of the scene where it fits best.
+pub fn gains((before, plain_rows): (Seen<'_>, &Rows<'_>), (left, rows): (Seen<'_>, &Rows<'_>)) -> Vec<f64> {
     let with = solve(left.residual, rows, &[], |_| true);
-    (0..before.residual.len()).map(|k| left.log(rows, &with, k) - before.log(rows, &with, k)).collect()
+    let free = if rows.free.is_empty() { Vec::new() } else { solve(before.residual, plain_rows, &[], |_| true).free };
+    let plain = Solved { sizes: Vec::new(), free, ..with.clone() };
+    (0..before.residual.len()).map(|k| left.log(rows, &with, k) - before.log(plain_rows, &plain, k)).collect()
 }
 
 /// Mean per event and its standard error.
@@ -356,14 +393,25 @@ impl Plain<'_> {
         sum / events.max(1) as f64
     }
 
-    /// Fisher information of an event about the size of a column, under Student's t.
+    /// Fisher information of an event about the size of a column, under Student's t: that which free parameters of the scene cannot have.
     pub fn information(&self, column: &Column) -> f64 {
         let events = self.rows.events.min(self.residual.len());
-        let of = |k: usize| {
-            let z = f64::from(column.of[k]) / self.rows.sigma(&self.halves[0].noise, k);
-            (NU + 1.0) / (NU + 3.0) * z * z
-        };
-        (0..events).map(of).sum::<f64>() / events.max(1) as f64
+        let n = self.rows.free.len();
+        let noise = &self.halves[0].noise;
+        let (mut normal, mut right, mut own) = (nalgebra::DMatrix::<f64>::identity(n, n), nalgebra::DVector::<f64>::zeros(n), 0.0);
+        // Frame values say what the parameters are; what they say of the column itself is not an event's.
+        for k in 0..if n > 0 { self.residual.len() } else { events } {
+            let weight = (NU + 1.0) / (NU + 3.0) / (self.rows.sigma(noise, k) * self.rows.sigma(noise, k));
+            let of = f64::from(column.of[k]);
+            own += weight * of * of;
+            for i in 0..n {
+                let a = weight * f64::from(self.rows.free[i].of[k]);
+                right[i] += a * of;
+                (0..n).for_each(|j| normal[(i, j)] += a * f64::from(self.rows.free[j].of[k]));
+            }
+        }
+        let shared = normal.cholesky().map_or(0.0, |factor| factor.solve(&right).dot(&right));
+        (own - shared).max(0.0) / events.max(1) as f64
     }
 }
 
@@ -392,11 +440,11 @@ pub fn heldout(plain: &Plain<'_>, columns: &[&Column]) -> Fitted {
         }
         halves[half as usize] = with.sizes;
     }
-    let size = solve(residual, rows, &of, |_| true).sizes;
+    let Solved { sizes: size, free, .. } = solve(residual, rows, &of, |_| true);
     let (gain, gain_error) = mean_of_blocks(&gains, &counts);
     let error = halves[0].iter().zip(&halves[1]).map(|(a, b)| 0.5 * (a - b).abs()).collect();
     let information = columns.first().map_or(0.0, |column| whole.information(column));
-    Fitted { size, error, gain, gain_error, information }
+    Fitted { size, error, gain, gain_error, free, information }
 }
 
 #[cfg(test)]
@@ -418,7 +466,7 @@ mod tests {
     }
 
     fn rows<'a>(slope: &'a [f64], block: &'a [u32], soft: Option<Soft<'a>>) -> Rows<'a> {
-        Rows { slope, block, events: EVENTS, least: 1e-4, soft }
+        Rows { slope, block, events: EVENTS, least: 1e-4, soft, free: &[] }
     }
 
     #[test]
@@ -440,6 +488,22 @@ mod tests {
     }
 
     #[test]
+    fn what_is_free_of_the_scene_is_no_gain_of_what_looks_like_it() {
+        let (slope, block, noise, [free, alike]) = problem();
+        let residual: Vec<f64> = noise.iter().zip(&free).map(|(noise, free)| noise + 0.05 * f64::from(*free)).collect();
+        let columns = [Column { of: free, log_slope: Vec::new() }];
+        let column = Column { of: alike, log_slope: Vec::new() };
+        let without = heldout(&Plain::new(&residual, rows(&slope, &block, None)), &[&column]);
+        let with = heldout(&Plain::new(&residual, Rows { free: &columns, ..rows(&slope, &block, None) }), &[&column]);
+        assert!(without.gain > 0.3, "{without:?}");
+        assert!(with.gain.abs() < 0.01 && with.size[0].abs() < 0.003 && (with.free[0] + 0.05).abs() < 0.003, "{with:?}");
+        // Of the column only what is not like the parameter's says what its size is: 0.36 of its square.
+        let plain = heldout(&Plain::new(&noise, rows(&slope, &block, None)), &[&column]);
+        let share = heldout(&Plain::new(&noise, Rows { free: &columns, ..rows(&slope, &block, None) }), &[&column]).information / plain.information;
+        assert!((share - 0.36).abs() < 0.03, "{share}");
+    }
+
+    #[test]
     fn too_much_blur_is_never_taken_for_softness() {
         let (slope, block, noise, [soft, _]) = problem();
         let flat = vec![0.0; EVENTS];
@@ -457,9 +521,9 @@ mod tests {
         let half: Vec<f64> = noise.iter().map(|noise| 0.5 * noise).collect();
         let (full_log, half_log) = (log(1.0), log(0.5));
         let before = Seen { residual: &noise, log_slope: &full_log };
-        let (gain, _) = gain_of(before, Seen { residual: &half, log_slope: &half_log }, &rows);
+        let (gain, _) = gain_of((before, &rows), (Seen { residual: &half, log_slope: &half_log }, &rows));
         assert!(gain.abs() < 1e-4, "{gain}");
-        let (gain, _) = gain_of(before, Seen { residual: &noise, log_slope: &half_log }, &rows);
+        let (gain, _) = gain_of((before, &rows), (Seen { residual: &noise, log_slope: &half_log }, &rows));
         assert!((gain + libm::log(2.0)).abs() < 1e-4, "{gain}");
         // To first order the same: a column that takes half of the residuals, and half of the slopes with it.
         let column = Column { of: noise.iter().map(|noise| -0.5 * *noise as f32).collect(), log_slope: vec![-0.5; EVENTS] };

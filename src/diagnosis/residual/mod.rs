@@ -4,7 +4,7 @@
 //! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that
 //! frames imply: [`through_frames`] takes it off.
 //!
-//! - [`source`], [`mosaic`], [`light`]: the scene.
+//! - [`source`], [`mosaic`], [`light`]: the scene; [`target`]: one in closed form with free parameters.
 //! - [`gate`]: which events count: those whose frames the scene predicts.
 //! - [`fit`]: size and gain of each effect.
 //! - [`components`]: random effects.
@@ -25,6 +25,7 @@ pub mod open;
 mod prepared;
 pub mod source;
 mod table;
+pub mod target;
 
 use crate::candidates::Trial;
 use crate::case::Case;

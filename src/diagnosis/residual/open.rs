@@ -150,7 +150,7 @@ pub fn gains(
 ) -> Option<Vec<f64>> {
     let laid = laid.iter().find(|laid| laid.covariate == law.covariate)?;
     let free = Free::new(events, laid, law.moved, threshold, setting)?;
-    let rows = Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None };
+    let rows = Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] };
     let left = |columns: &[&Column]| -> Vec<f64> {
         let of: Vec<&[f32]> = columns.iter().map(|column| &column.of[..]).collect();
         let sizes = fit::fit(residual, &rows, &of, |_| true).0;
@@ -158,13 +158,13 @@ pub fn gains(
     };
     let (one, all) = (left(&[&free.whole]), left(&free.columns.iter().collect::<Vec<_>>()));
     let seen = |residual| Seen { residual, log_slope: &[] };
-    Some(fit::gains(seen(&one), seen(&all), &rows))
+    Some(fit::gains((seen(&one), &rows), (seen(&all), &rows)))
 }
 
 fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: Moved, threshold: f64, least: f64, setting: &OpenSetting) -> Option<Open> {
     let Free { bins, of, columns, whole } = Free::new(events, laid, moved, threshold, setting)?;
     let count = bins.count();
-    let plain = Plain::new(residual, Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None });
+    let plain = Plain::new(residual, Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] });
     let all: Fitted = heldout(&plain, &columns.iter().collect::<Vec<_>>());
     let one: Fitted = heldout(&plain, &[&whole]);
     let gain = all.gain - one.gain.max(0.0);

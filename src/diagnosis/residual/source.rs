@@ -27,6 +27,16 @@ pub trait Source: Sync {
         false
     }
 
+    /// For each free parameter of the scene where it stands in its range, 0 to 1, and the step of its derivatives, a share of the range, away from the nearer end; nothing where none is free.
+    fn free(&self) -> Vec<(f64, f64)> {
+        Vec::new()
+    }
+
+    /// The light of some pixels (of all where there is no list) with free parameters moved by shares of their ranges; none where they make no scene.
+    fn moved(&self, _case: &Case, _step_ns: i64, _pixels: Option<&[u32]>, _by: &[f64]) -> Option<Light> {
+        None
+    }
+
     /// Which events count.
     fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
         Gate::new(case, self.residual(), least_dn, spread)

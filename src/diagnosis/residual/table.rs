@@ -35,6 +35,12 @@ pub(super) struct Seen<'a> {
     pub least: f64,
     /// Does the scene stand without the frames? Then their values are looked at as well.
     pub is_known: bool,
+    /// The scene, for what is free of it.
+    pub source: &'a dyn Source,
+    /// How far the free parameters stand from where the source has them, shares of their ranges; `light` is that of the source moved so.
+    pub by: Vec<f64>,
+    /// And the light with each of them moved from there by a step ([`Seen::steps`]).
+    pub near: Vec<(f64, Light)>,
     /// What each pixel's own size of a random effect takes off each residual; nothing, or of the stated sensor's events.
     pub own: Vec<f32>,
 }
@@ -61,6 +67,8 @@ pub(super) struct Table {
     softest: f64,
     /// Columns of the candidates.
     columns: Vec<(usize, Column)>,
+    /// And of the free parameters of the scene.
+    free: Vec<Column>,
     /// Held-out log-likelihood of an event's time, nats.
     pub nats_per_event: f64,
     /// Noise of the events without what a picture that is too soft leaves.
@@ -88,7 +96,7 @@ struct Evaluated {
 impl Table {
     fn rows(&self, is_sharp: bool) -> Rows<'_> {
         let soft = self.of(SOFTNESS, "").filter(|_| !is_sharp).map(|column| Soft { column: &column.of, log_slope: &column.log_slope, most: self.softest });
-        Rows { slope: &self.slope, block: &self.block, events: self.events.pixel.len(), least: self.least, soft }
+        Rows { slope: &self.slope, block: &self.block, events: self.events.pixel.len(), least: self.least, soft, free: &self.free }
     }
 
     /// The column of an effect's parameter, or of its first one.
@@ -123,7 +131,7 @@ impl Table {
         &self.base[..self.events.pixel.len()]
     }
 
-    /// The same without what a picture that is too soft leaves.
+    /// The same without what a picture that is too soft leaves, or what free parameters of the scene explain.
     pub fn sharp(&self) -> &[f64] {
         &self.sharp
     }
@@ -153,6 +161,8 @@ pub(super) struct Refined {
     pub left: Vec<f64>,
     /// What each row gains by them.
     pub gains: Vec<f64>,
+    /// Where they leave the free parameters of the scene ([`Seen::by`]).
+    pub by: Vec<f64>,
 }
 
 /// What gains are located on.
@@ -192,10 +202,61 @@ pub(super) static OF_PIXELS: LazyLock<[(&str, &str); 2]> = LazyLock::new(|| {
     SPREADS.map(|id| spread_of(id).unwrap_or_else(|| unreachable!("{id} spreads sizes")))
 });
 
+/// Standard deviation of a free parameter of the scene within its range, as a share of it, before the recording.
+const OPEN: f64 = 0.3;
+/// A free parameter that moves by less than so many of its steps stands.
+const NEAR: f64 = 2.0;
+/// And none moves by more than this share of its range at a time.
+const FARTHEST: f64 = 0.2;
+
 impl Seen<'_> {
+    /// The light of the pixels with each free parameter of the scene moved by a step from shares `by`.
+    pub fn steps(&self, by: &[f64]) -> Vec<(f64, Light)> {
+        let one = |(k, (_, step)): (usize, (f64, f64))| {
+            let mut moved = by.to_vec();
+            moved[k] += step;
+            Some((step, self.source.moved(self.case, self.light.step_ns, Some(&self.pixels), &moved)?))
+        };
+        self.source.free().into_iter().enumerate().filter_map(one).collect()
+    }
+
+    /// What the free parameters of the scene change of each row seen through a trial, each per its standard deviation before the recording; `near`: [`Seen::steps`].
+    fn free(&self, trial: &Trial, near: &[(f64, Light)], table: Option<&Table>, base: &[f32], log_slope: &[f32]) -> Result<Vec<Column>, String> {
+        let one = |(step, light): &(f64, Light)| -> Result<Column, String> {
+            let found = self.evaluate_on(light, std::slice::from_ref(trial), table)?;
+            let scale = (OPEN / step) as f32;
+            let change = |then: &[f32], now: &[f32]| -> Vec<f32> { then.iter().zip(now).map(|(then, now)| (then - now) * scale).collect() };
+            Ok(Column { of: change(&found.left[0], base), log_slope: change(&found.log_slope[0], log_slope) })
+        };
+        near.iter().map(one).collect()
+    }
+
+    /// Where sizes of what is free of the scene move it from shares `by`; none where that is next to nothing.
+    fn further(&self, by: &[f64], sizes: &[f64], trial: &Trial) -> Option<(Vec<f64>, Light)> {
+        let free = self.source.free();
+        let far = |(size, (_, step)): (&f64, &(f64, f64))| (OPEN * size).abs() > NEAR * step.abs();
+        if sizes.len() != by.len() || !sizes.iter().zip(&free).any(far) {
+            return None;
+        }
+        // Within its range.
+        let next = |((by, size), (at, _)): ((&f64, &f64), &(f64, f64))| (by + (OPEN * size).clamp(-FARTHEST, FARTHEST)).clamp(-at, 1.0 - at);
+        let moved: Vec<f64> = by.iter().zip(sizes).zip(&free).map(next).collect();
+        if moved == by {
+            return None;
+        }
+        // Neighbours are seen where the event path mixes them.
+        let is_mixed = Prepared::new(self.case, trial).map_or(true, |prepared| prepared.kernel().is_some());
+        let light = self.source.moved(self.case, self.light.step_ns, (!is_mixed).then_some(&self.pixels[..]), &moved)?;
+        Some((moved, light))
+    }
+
     /// What trials make of events: those of a table, or those that count by the first trial.
     fn evaluate(&self, trials: &[Trial], table: Option<&Table>) -> Result<Evaluated, String> {
-        let view = View { case: self.case, light: &self.light, pixels: self.pixels.clone(), is_known: self.is_known };
+        self.evaluate_on(&self.light, trials, table)
+    }
+
+    fn evaluate_on(&self, light: &Light, trials: &[Trial], table: Option<&Table>) -> Result<Evaluated, String> {
+        let view = View { case: self.case, light, pixels: self.pixels.clone(), is_known: self.is_known };
         let (events, of_trials) = match table {
             Some(table) => (Cow::Borrowed(&table.events), view.of_events(trials, &table.events)?),
             None => {
@@ -287,6 +348,7 @@ impl Seen<'_> {
         let block: Vec<u32> = found.events.pixel.iter().chain(&found.frames.pixel).map(|pixel| self.block_of(*pixel as usize)).collect();
         let slope: Vec<f64> = found.events.slope_per_s.iter().chain(&found.frames.signal_dn).copied().collect();
         let columns = chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, self.probe(n)))).collect();
+        let free = self.free(trial, &self.near, None, &found.left[0], &found.log_slope[0])?;
         let Evaluated { events, frames, left, mut log_slope } = found;
         let mut table = Table {
             trial: trial.clone(),
@@ -300,6 +362,7 @@ impl Seen<'_> {
             least: self.least,
             softest,
             columns,
+            free,
             nats_per_event: 0.0,
             noise: EventNoise { a: self.least, b: 0.0 },
             fitted: Vec::new(),
@@ -327,7 +390,10 @@ impl Seen<'_> {
         let mut error = vec![0.0; which.len()];
         let free: Vec<usize> = (0..which.len()).filter(|&i| is_free[i]).collect();
         let rows = table.rows(which.iter().any(|&n| CANDIDATES[n].id == SOFTNESS));
-        let rounds = if free.is_empty() { 0 } else { self.setting.rounds * which.len() };
+        let is_open = !self.by.is_empty();
+        let rounds = if free.is_empty() && !is_open { 0 } else { self.setting.rounds * which.len() };
+        let (mut by, mut light, mut near) = (self.by.clone(), Cow::Borrowed(&self.light), Cow::Borrowed(&self.near[..]));
+        let mut open: Option<Vec<Column>> = None;
         // Columns, and the sizes that they were taken at.
         let mut known: Option<(Vec<Column>, Vec<f64>)> = None;
         for _ in 0..rounds {
@@ -340,11 +406,16 @@ impl Seen<'_> {
                 moved[i] += by;
                 trials.push(put(&moved));
             }
-            let found = self.evaluate(&trials, Some(table))?;
+            let found = self.evaluate_on(&light, &trials, Some(table))?;
             if !is_known {
                 known = Some((further.iter().enumerate().map(|(n, by)| found.column(1 + n, 0, *by)).collect(), strength.clone()));
             }
             let columns: Vec<&Column> = known.iter().flat_map(|(columns, _)| columns).collect();
+            let open_now = match open.take() {
+                Some(open) => open,
+                None => self.free(&trials[0], &near, Some(table), &found.left[0], &found.log_slope[0])?,
+            };
+            let rows = Rows { free: &open_now, ..rows };
             let step = heldout(&Plain::new(&wide(&found.left[0]), rows), &columns);
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
@@ -353,18 +424,30 @@ impl Seen<'_> {
                 is_still &= (next - strength[i]).abs() < self.setting.still * f64::max(strength[i].abs(), self.setting.probe);
                 (strength[i], error[i]) = (next, step.error[n]);
             }
+            if let Some((moved, there)) = self.further(&by, &step.free, &trials[0]) {
+                near = Cow::Owned(self.steps(&moved));
+                known = None;
+                (by, light, is_still) = (moved, Cow::Owned(there), false);
+            } else {
+                open = Some(open_now);
+            }
             if is_still {
                 break;
             }
         }
-        let found = self.evaluate(&[put(&strength)], Some(table))?;
+        let found = self.evaluate_on(&light, &[put(&strength)], Some(table))?;
+        let open = if is_open { self.free(&put(&strength), &near, Some(table), &found.left[0], &found.log_slope[0])? } else { Vec::new() };
+        let with_rows = Rows { free: &open, ..rows };
         let mut left = wide(&found.left[0]);
-        let before = fit::Seen { residual: &table.base, log_slope: &table.log_slope };
-        let with = fit::Seen { residual: &left, log_slope: &found.log_slope[0] };
-        let (gain, gain_error) = gain_of(before, with, &rows);
-        let gains = gains(before, with, &rows);
+        let before = (fit::Seen { residual: &table.base, log_slope: &table.log_slope }, &rows);
+        let with = (fit::Seen { residual: &left, log_slope: &found.log_slope[0] }, &with_rows);
+        let (gain, gain_error) = gain_of(before, with);
+        let gains = gains(before, with);
+        if is_open {
+            left = without_softness(&left, &with_rows);
+        }
         left.truncate(table.events.pixel.len());
-        Ok(Refined { strength, error, gain, gain_error, left, gains })
+        Ok(Refined { strength, error, gain, gain_error, left, gains, by })
     }
 
     /// Strengths that a search may reach, within physics.
@@ -403,6 +486,7 @@ impl Seen<'_> {
             one.left = median_share(&found.left, self.scales.threshold);
             one.ks = control.noise.distance(&found.left, &table.events.slope_per_s);
             one.located = Some(places.locate(&found.gains, one.candidate));
+            one.by = found.by;
         }
         ranked.sort_by(by_gain);
         Ok(ranked)

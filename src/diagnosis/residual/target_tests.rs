@@ -1,0 +1,80 @@
+//! A known target is found where it is, effects of frames that move the fit are told all the same, and derivatives by its free parameters are those of the residuals.
+
+use super::*;
+use crate::candidates::{CANDIDATES, Scales, Trial};
+use crate::residual::View;
+use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
+use crate::scenes::MadeUp;
+use crate::targets::Shows;
+use photocurrent_core::Extent;
+
+const EXTENT: Extent = Extent { width: 24, height: 18 };
+
+const SETTING: TargetSetting = TargetSetting { values: 2_000, tries: 1, seed: 1 };
+
+/// A star, by its number.
+const STAR: u64 = 1;
+
+fn recorded(effect: Option<(&str, &str, f64)>) -> (Case, Nominal, Target, Vec<f64>, Option<f64>) {
+    let scene = MadeUp::target(3, STAR, EXTENT, 0.08);
+    let plain = scene.recording().unwrap();
+    let nominal = plain.nominal().unwrap();
+    let scales = Scales::of(&plain, &nominal);
+    let candidate = effect.map(|(id, parameter, strength)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), strength));
+    let trial = candidate.map(|(one, strength)| Trial::with(&nominal, one, strength, &scales));
+    let case = scene.recording_through(trial.as_ref()).unwrap();
+    let (shows, shares) = Shows::around(&scene, 3, STAR);
+    let near: Vec<f64> = shares.iter().map(|share| share + 0.01).collect();
+    let target = Target::near(&case, &nominal, Arc::new(shows), SETTING, &PictureSetting::default(), &near).unwrap();
+    let truth = candidate.map(|(one, strength)| one.value(strength, &scales, &nominal));
+    (case, nominal, target, shares, truth)
+}
+
+fn seen(effect: Option<(&str, &str, f64)>) -> (Evidence, Option<f64>) {
+    let (case, nominal, target, _, truth) = recorded(effect);
+    (evidence(&case, &nominal, &target, &EvidenceSetting::default()).unwrap(), truth)
+}
+
+#[test]
+fn it_is_found_within_what_the_frames_leave_open() {
+    let (_, _, target, truth, _) = recorded(None);
+    for ((share, error), truth) in target.shares().iter().zip(target.errors()).zip(&truth) {
+        assert!((share - truth).abs() < 4.0 * error + 5e-3 && error < 0.05, "{share} with {error} is {truth}");
+    }
+}
+
+#[test]
+fn effects_that_move_the_fit_come_first_with_their_size() {
+    for effect in [("black_level", "black_level_dn", 1.0), ("row_time", "row_time", 1.0), ("clock_offset", "offset", 1.0)] {
+        let (found, truth) = seen(Some(effect));
+        let (best, truth) = (&found.ranked[0], truth.unwrap());
+        assert_eq!(CANDIDATES[best.candidate].id, effect.0, "{:?}", &found.ranked[..3]);
+        assert!((best.value / truth - 1.0).abs() < 0.05, "{}: {} is {truth}", effect.0, best.value);
+    }
+}
+
+#[test]
+fn derivatives_by_free_parameters_are_those_of_the_residuals() {
+    let (case, nominal, target, ..) = recorded(None);
+    let pixels: Vec<u32> = (0..EXTENT.pixels() as u32).step_by(7).collect();
+    let steps: Vec<f64> = target.free().iter().map(|(_, step)| *step).collect();
+    let left = |by: &[f64]| -> Vec<f64> {
+        let light = target.moved(&case, 25_000, Some(&pixels), by).unwrap();
+        let view = View { case: &case, light: &light, pixels: pixels.clone(), is_known: true };
+        let (_, of) = view.residuals(&[Trial::stated(&nominal)], |_, _| true).unwrap();
+        of[0].excess.iter().map(|value| f64::from(*value)).collect()
+    };
+    let none = left(&vec![0.0; steps.len()]);
+    for k in 0..steps.len() {
+        let slope = |share: f64| -> Vec<f64> {
+            let mut by = vec![0.0; steps.len()];
+            by[k] = share;
+            left(&by).iter().zip(&none).map(|(then, now)| (then - now) / share).collect()
+        };
+        // One step and its double, to either side: edges bend, so the sum over events is compared.
+        let (one, other) = (slope(steps[k]), slope(-2.0 * steps[k]));
+        let product: f64 = one.iter().zip(&other).map(|(a, b)| a * b).sum();
+        let size = |of: &[f64]| libm::sqrt(of.iter().map(|a| a * a).sum());
+        assert!(size(&one) > 0.0 && product > 0.95 * size(&one) * size(&other), "parameter {k}: {product} of {} and {}", size(&one), size(&other));
+    }
+}
