@@ -39,6 +39,8 @@ pub struct Params {
     pub shared_error: f64,
     /// The model of a moving picture, and of every kind of scene that has none of its own.
     pub picture: Numbers,
+    /// The model of a scene in parts, or before a still ground.
+    pub patches: Numbers,
     /// The model of known light.
     pub given: Numbers,
 }
@@ -90,8 +92,8 @@ impl Numbers {
 impl Default for Params {
     fn default() -> Params {
         let Decision { models, least, least_second, most_control, most_left, most_silent, shared_error } = Decision::default();
-        let Models { picture, given } = models;
-        Params { least, least_second, most_control, most_left, most_silent, shared_error, picture: Numbers::of(&picture), given: Numbers::of(&given) }
+        let [picture, patches, given] = [models.picture, models.patches, models.given].map(|model| Numbers::of(&model));
+        Params { least, least_second, most_control, most_left, most_silent, shared_error, picture, patches, given }
     }
 }
 
@@ -151,9 +153,10 @@ params = { least = 0.9 }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { least, least_second, most_control, most_left, most_silent, shared_error, picture, given } = params;
+        let Params { least, least_second, most_control, most_left, most_silent, shared_error, picture, patches, given } = params;
         let built_in = Models::default();
-        let models = Models { picture: picture.model(&built_in.picture), given: given.model(&built_in.given) };
+        let models =
+            Models { picture: picture.model(&built_in.picture), patches: patches.model(&built_in.patches), given: given.model(&built_in.given) };
         Ok(DiagnoseDecide { decision: Decision { models, least, least_second, most_control, most_left, most_silent, shared_error } })
     }
 

@@ -12,6 +12,7 @@ use photocurrent_diagnosis::decide::model::Model;
 use photocurrent_diagnosis::made::{Kind, MadeSetting};
 use rayon::prelude::*;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::io::IsTerminal;
 use std::path::Path;
 
@@ -19,8 +20,13 @@ use std::path::Path;
 #[derive(Serialize)]
 struct Calibrated {
     seed: u64,
-    scene: String,
     size: String,
+    /// Of each kind of scene.
+    models: BTreeMap<String, Fitted>,
+}
+
+#[derive(Serialize)]
+struct Fitted {
     model: Model,
     validation: Validation,
 }
@@ -53,17 +59,27 @@ pub fn calibrate(options: &CalibrateOptions) -> Done {
     let lines = lines.map_err(|error| Failure::other(format!("examples.jsonl cannot be written: {error}")))?;
     write(&options.out.join("examples.jsonl"), (lines.join("\n") + "\n").as_bytes())?;
     let decision = Decision::default();
-    let model = model_of(&examples.iter().collect::<Vec<&Example>>());
-    let validation = validate(&examples, options.folds as usize, &decision);
-    if !options.quiet {
-        tell(&validation);
+    let mut kinds: BTreeMap<String, Vec<Example>> = BTreeMap::new();
+    for one in &examples {
+        let kind = one.facts.as_ref().map_or("none", |facts| if facts.scene.is_empty() { scene } else { &facts.scene });
+        kinds.entry(kind.to_owned()).or_default().push(one.clone());
     }
-    let calibrated = Calibrated { seed: options.seed, scene: scene.to_owned(), size, model, validation };
+    let without = kinds.remove("none").map_or(0, |none| none.len());
+    let fit = |(kind, of_kind): (String, Vec<Example>)| {
+        let model = model_of(&of_kind.iter().collect::<Vec<&Example>>());
+        let validation = validate(&of_kind, options.folds as usize, &decision);
+        if !options.quiet {
+            tell(&kind, &validation);
+        }
+        (kind, Fitted { model, validation })
+    };
+    let models: BTreeMap<String, Fitted> = kinds.into_iter().map(fit).collect();
+    let calibrated = Calibrated { seed: options.seed, size, models };
     let text = serde_json::to_string_pretty(&calibrated).map_err(|error| Failure::other(format!("decision.json cannot be written: {error}")))?;
     write(&options.out.join("decision.json"), text.as_bytes())?;
     if !options.quiet {
         let out = options.out.display();
-        say!("{} recordings; the model is in {out}/decision.json, what it was calibrated on in {out}/examples.jsonl", examples.len());
+        say!("{} recordings, {without} of them without a scene; the models are in {out}/decision.json, what they were calibrated on in {out}/examples.jsonl", examples.len());
     }
     Ok(0)
 }
@@ -79,9 +95,9 @@ fn kept(path: &Path, example: Example) -> Result<Example, Failure> {
     Ok(example)
 }
 
-fn tell(found: &Validation) {
+fn tell(kind: &str, found: &Validation) {
     let share = |part: usize, of: usize| 100.0 * part as f64 / f64::max(of as f64, 1.0);
-    say!("cross-validated, {} recordings, {} of them without a scene:", found.recordings, found.abstained);
+    say!("{kind}: cross-validated, {} recordings:", found.recordings);
     say!("  nothing    {:4}  something claimed in {} ({:.1} %)", found.nothing.0, found.nothing.1, share(found.nothing.1, found.nothing.0));
     let (count, claimed, first, set) = found.one;
     say!(

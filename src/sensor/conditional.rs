@@ -14,8 +14,8 @@ use crate::comparator::signed_step;
 use crate::effects::{BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds};
 use crate::elementary::{exp, exp_m1, ln};
 use crate::exposure::log_linear_mean;
-use crate::map::{MapEvent, MapFrame};
 use crate::front_end::FrontEnd;
+use crate::map::{MapEvent, MapFrame};
 use crate::model::Model;
 use multiversion::multiversion;
 use photocurrent_core::random::Random;
@@ -35,8 +35,8 @@ pub struct Track {
     pub t_ns: Vec<i64>,
     /// Log light.
     pub log_light: Vec<f64>,
-    /// Light.
-    light: Vec<f64>,
+    /// Light; from its logarithm when it is asked for.
+    light: OnceLock<Vec<f64>>,
     /// Collected since the first instant, photocurrent times seconds; summed up when it is asked for.
     collected: OnceLock<Vec<f64>>,
 }
@@ -55,8 +55,11 @@ impl Track {
                 track.log_light.push(log_light[k - 1] + (log_light[k] - log_light[k - 1]) * (at - t_ns[k - 1]) as f64 / length as f64);
             }
         }
-        track.light = track.log_light.iter().map(|u| exp(*u)).collect();
         track
+    }
+
+    fn light(&self) -> &[f64] {
+        self.light.get_or_init(|| self.log_light.iter().map(|u| exp(*u)).collect())
     }
 
     fn collected(&self) -> &[f64] {
@@ -80,10 +83,10 @@ impl Track {
         let collected = self.collected();
         let (last, after) = (self.t_ns.len() - 1, self.t_ns.partition_point(|&t| t <= t_ns));
         if after == 0 {
-            return (t_ns - self.t_ns[0]) as f64 * 1e-9 * self.light[0];
+            return (t_ns - self.t_ns[0]) as f64 * 1e-9 * self.light()[0];
         }
         if after > last {
-            return collected[last] + (t_ns - self.t_ns[last]) as f64 * 1e-9 * self.light[last];
+            return collected[last] + (t_ns - self.t_ns[last]) as f64 * 1e-9 * self.light()[last];
         }
         let share = (t_ns - self.t_ns[after - 1]) as f64 / (self.t_ns[after] - self.t_ns[after - 1]) as f64;
         let (from, to) = (self.log_light[after - 1], self.log_light[after]);
@@ -128,10 +131,21 @@ struct Settling {
     tau_s: Vec<f64>,
     /// The share of a lag that it makes up for.
     settled: Vec<f64>,
+    /// Of which low-pass, instants and log light they are.
+    of: (Option<FrontEnd>, Vec<i64>, Vec<f64>),
 }
 
 impl Settling {
     fn fill(&mut self, low_pass: &FrontEnd, t_ns: &[i64], seen: &[f64]) {
+        if self.of.0 == Some(*low_pass) && self.of.1 == t_ns && self.of.2 == seen {
+            return;
+        }
+        let (of, instants, light) = &mut self.of;
+        *of = Some(*low_pass);
+        instants.clear();
+        instants.extend_from_slice(t_ns);
+        light.clear();
+        light.extend_from_slice(seen);
         let steps = t_ns.len() - 1;
         self.tau_s.resize(steps, 0.0);
         self.settled.resize(steps, 0.0);
@@ -196,7 +210,20 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     } else {
         out.settling.fill(&front_end.low_pass, &track.t_ns, seen);
     }
-    let mut walk = Walk { model: front_end, settling: &out.settling, leak, track, seen, at: 0, t_ns: start_ns, now: seen[0], low: seen[0], second: seen[0], level: seen[0], drift: 0.0 };
+    let mut walk = Walk {
+        model: front_end,
+        settling: &out.settling,
+        leak,
+        track,
+        seen,
+        at: 0,
+        t_ns: start_ns,
+        now: seen[0],
+        low: seen[0],
+        second: seen[0],
+        level: seen[0],
+        drift: 0.0,
+    };
     let count = look.events.len();
     out.excess.clear();
     out.excess.resize(count, 0.0);
@@ -277,7 +304,7 @@ fn seen_light(effects: &[Box<dyn Effect>], look: &Look<'_>) -> Option<Vec<f64>> 
     let is_none = effects.iter().all(|effect| effect.light_step_ns().is_none()) && [1.0, 2.0].iter().all(|&i| through(start_ns, i) == i);
     let of = |k: usize| match look.seen {
         Some(seen) => exp(seen[k]),
-        None => track.light[k],
+        None => track.light()[k],
     };
     (!is_none).then(|| (0..track.t_ns.len()).map(|k| ln(f64::max(through(track.t_ns[k], of(k)), f64::MIN_POSITIVE))).collect())
 }
@@ -474,7 +501,7 @@ impl Walk<'_> {
         }
         if self.leak != Leak::default() {
             // Of the light that falls on the pixel, not of what is added behind it.
-            let own = 0.5 * (self.track.light[self.at] + self.track.light[self.at + 1]);
+            let own = 0.5 * (self.track.light()[self.at] + self.track.light()[self.at + 1]);
             self.drift += h * (self.leak.constant_per_s + self.leak.per_photocurrent_per_s * own);
         }
     }

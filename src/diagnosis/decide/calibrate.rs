@@ -277,6 +277,7 @@ mod tests {
             beside: vec![("leak_events".into(), 1.0, false)],
             open: [-3.0, -2.0],
             share: 0.0,
+            scene: String::new(),
         }
     }
 

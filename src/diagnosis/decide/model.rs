@@ -54,28 +54,39 @@ impl Default for Model {
 pub struct Models {
     /// Of a moving picture, and of every kind that has none of its own.
     pub picture: Model,
+    /// Of a scene in parts, or before a still ground.
+    pub patches: Model,
     /// Of known light.
     pub given: Model,
 }
 
 /// Kinds of scenes that have a model, by their names.
-pub const KINDS: [&str; 2] = ["picture", "given"];
+pub const KINDS: [&str; 3] = ["picture", "given", "patches"];
 
 impl Models {
     /// Of a kind of scene ([`Evidence::scene`]).
     pub fn of(&self, scene: &str) -> &Model {
-        if scene == KINDS[1] { &self.given } else { &self.picture }
+        match KINDS.iter().position(|kind| *kind == scene) {
+            Some(1) => &self.given,
+            Some(2) => &self.patches,
+            _ => &self.picture,
+        }
     }
 }
 
 impl Default for Models {
     /// `photocurrent calibrate`, docs/diagnosis.md.
     fn default() -> Models {
-        Models { picture: Model::default(), given: Model::of_given_light() }
+        Models { picture: Model::default(), patches: Model::of_patches(), given: Model::of_given_light() }
     }
 }
 
 impl Model {
+    /// The built-in numbers for scenes in parts: `photocurrent calibrate`.
+    pub fn of_patches() -> Model {
+        Model::default()
+    }
+
     /// The built-in numbers for known light: `photocurrent calibrate --scene given`.
     pub fn of_given_light() -> Model {
         Model::default()
@@ -122,6 +133,9 @@ pub struct Facts {
     pub open: [f64; 2],
     /// Logarithm of the share of the events that count: where the scene explains few of them, it may err in those as well.
     pub share: f64,
+    /// Kind of scene ([`KINDS`]).
+    #[serde(default)]
+    pub scene: String,
 }
 
 impl Facts {
@@ -151,6 +165,7 @@ impl Facts {
             beside: named(&second, found.noise[1]),
             open: [curve(&found.open_second, beside_small) - best, curve(&found.open, small) - best],
             share: libm::log(found.share.clamp(LEAST_GAIN, 1.0)),
+            scene: found.scene.clone(),
         }
     }
 
@@ -166,6 +181,7 @@ impl Facts {
             beside: list(&self.beside),
             open: self.open.map(round),
             share: round(self.share),
+            scene: self.scene.clone(),
         }
     }
 

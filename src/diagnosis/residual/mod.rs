@@ -33,9 +33,9 @@ use crate::scene::{SceneSetting, pixel_data};
 use light::Light;
 use photocurrent_core::{Exposure, Timestamp};
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional, frame_values};
-use photocurrent_sensor::effects::{Effect, Kernel, Reading, RowSite, Site};
+use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
-use photocurrent_sensor::forward::neighbours::{mixed_log, stand_in};
+use photocurrent_sensor::forward::neighbours::stand_in;
 use photocurrent_sensor::map::MapEvent;
 use prepared::Prepared;
 use rayon::prelude::*;
@@ -221,8 +221,9 @@ impl View<'_> {
                 }
             }
             let mut plain: Option<Track> = None;
+            let mut around = Around::default();
             for (n, prepared) in prepared.iter().enumerate() {
-                let seen = prepared.kernel().map(|kernel| self.mixed(kernel, prepared, pixel, &instants));
+                let seen = prepared.kernel().map(|kernel| self.mixed(kernel, prepared, pixel, &instants, &mut around));
                 let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, &instants, &log) };
                 let track = match changed {
                     Some((t, log)) => &Track::new(&t, &log, self.light.step_ns),
@@ -262,17 +263,78 @@ impl View<'_> {
     }
 
     /// Log light that the event path sees where neighbours mix in, each as its frames imply it.
-    fn mixed(&self, kernel: &Kernel, prepared: &Prepared, pixel: usize, instants: &[i64]) -> Vec<f64> {
+    fn mixed(&self, kernel: &Kernel, prepared: &Prepared, pixel: usize, instants: &[i64], around: &mut Around) -> Vec<f64> {
         let (x, y) = self.case.place(pixel);
         let (width, height) = (self.case.extent.width as usize, self.case.extent.height as usize);
-        mixed_log(kernel, self.light.count, |tap, out| {
-            let neighbour = stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
-            let neighbour = if self.light.log[neighbour].is_empty() { pixel } else { neighbour };
-            let log: Vec<f64> = self.light.log[neighbour].iter().map(|u| f64::from(*u)).collect();
-            let site = self.case.site(neighbour, 0);
-            let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, instants, &log) };
-            out.extend(changed.map_or(log, |(_, log)| log));
+        let is_linear = kernel.domain == Domain::Linear;
+        let taps: Vec<(usize, Option<Vec<f64>>)> = kernel
+            .taps
+            .iter()
+            .map(|tap| {
+                let neighbour = stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
+                let neighbour = if self.light.log[neighbour].is_empty() { pixel } else { neighbour };
+                let at = around.find(neighbour, &self.light.log[neighbour]);
+                let site = self.case.site(neighbour, 0);
+                let log = &around.seen[at].log;
+                let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, instants, log) };
+                (at, changed.map(|(_, log)| log))
+            })
+            .collect();
+        let is_plain = taps.iter().all(|(_, changed)| changed.is_none());
+        if let Some((_, mixed)) = around.mixed.as_ref().filter(|(of, _)| is_plain && of == kernel) {
+            return mixed.clone();
+        }
+        let mut sum = vec![0.0; self.light.count];
+        for (tap, (at, changed)) in kernel.taps.iter().zip(&taps) {
+            let values = match changed {
+                Some(log) if is_linear => &log.iter().map(|u| exp(*u)).collect(),
+                Some(log) => log,
+                None => around.seen[*at].of(is_linear),
+            };
+            sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += tap.weight * value);
+        }
+        if is_linear {
+            sum.iter_mut().for_each(|sum| *sum = ln(f64::max(*sum, f64::MIN_POSITIVE)));
+        }
+        if is_plain {
+            around.mixed = Some((kernel.clone(), sum.clone()));
+        }
+        sum
+    }
+}
+
+/// Light of a pixel's neighbours, kept from trial to trial.
+#[derive(Default)]
+struct Around {
+    seen: Vec<Neighbour>,
+    /// The last mixture of light that no effect of frames changes.
+    mixed: Option<(Kernel, Vec<f64>)>,
+}
+
+struct Neighbour {
+    pixel: usize,
+    log: Vec<f64>,
+    light: Vec<f64>,
+}
+
+impl Around {
+    fn find(&mut self, pixel: usize, log: &[f32]) -> usize {
+        self.seen.iter().position(|one| one.pixel == pixel).unwrap_or_else(|| {
+            self.seen.push(Neighbour { pixel, log: log.iter().map(|u| f64::from(*u)).collect(), light: Vec::new() });
+            self.seen.len() - 1
         })
+    }
+}
+
+impl Neighbour {
+    fn of(&mut self, is_linear: bool) -> &Vec<f64> {
+        if !is_linear {
+            return &self.log;
+        }
+        if self.light.is_empty() {
+            self.light = self.log.iter().map(|u| exp(*u)).collect();
+        }
+        &self.light
     }
 }
 
