@@ -306,7 +306,8 @@ impl MadeUp {
                 0.5 + 0.5 * sharp
             }
             Motion::Discs { radius, shade, velocity, pitch, drift } => {
-                let ground = 0.5 + self.contrast * (texture(self.seed, x - drift.0 * t, y - drift.1 * t) - 0.5);
+                // A plain wall has no texture to be worked out.
+                let ground = if self.contrast == 0.0 { 0.5 } else { 0.5 + self.contrast * (texture(self.seed, x - drift.0 * t, y - drift.1 * t) - 0.5) };
                 let wrap = |at: f64| (at / pitch - (at / pitch).floor() - 0.5) * pitch;
                 let (dx, dy) = (wrap(x - velocity.0 * t), wrap(y - velocity.1 * t));
                 let inside = (0.5 + 0.5 * (radius - libm::sqrt(dx * dx + dy * dy)) / self.edge).clamp(0.0, 1.0);
