@@ -14,11 +14,14 @@ use crate::comparator::signed_step;
 use crate::effects::{BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds};
 use crate::elementary::{exp, exp_m1, ln};
 use crate::exposure::log_linear_mean;
+use crate::front_end::FrontEnd;
 use crate::map::{MapEvent, MapFrame};
 use crate::model::Model;
+use multiversion::multiversion;
 use photocurrent_core::random::Random;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{Exposure, Timestamp};
+use std::sync::OnceLock;
 
 /// An event this soon after the blind time may be one that was held back, ns: as in the solver of the most probable light.
 const LATE_NS: i64 = 1_000;
@@ -32,10 +35,10 @@ pub struct Track {
     pub t_ns: Vec<i64>,
     /// Log light.
     pub log_light: Vec<f64>,
-    /// Light.
-    light: Vec<f64>,
-    /// Collected since the first instant, photocurrent times seconds.
-    collected: Vec<f64>,
+    /// Light; from its logarithm when it is asked for.
+    light: OnceLock<Vec<f64>>,
+    /// Collected since the first instant, photocurrent times seconds; summed up when it is asked for.
+    collected: OnceLock<Vec<f64>>,
 }
 
 impl Track {
@@ -52,13 +55,22 @@ impl Track {
                 track.log_light.push(log_light[k - 1] + (log_light[k] - log_light[k - 1]) * (at - t_ns[k - 1]) as f64 / length as f64);
             }
         }
-        track.light = track.log_light.iter().map(|u| exp(*u)).collect();
-        track.collected = vec![0.0; track.t_ns.len()];
-        for k in 1..track.t_ns.len() {
-            let mean = log_linear_mean(track.log_light[k - 1], track.log_light[k]);
-            track.collected[k] = track.collected[k - 1] + mean * (track.t_ns[k] - track.t_ns[k - 1]) as f64 * 1e-9;
-        }
         track
+    }
+
+    fn light(&self) -> &[f64] {
+        self.light.get_or_init(|| self.log_light.iter().map(|u| exp(*u)).collect())
+    }
+
+    fn collected(&self) -> &[f64] {
+        self.collected.get_or_init(|| {
+            let mut collected = vec![0.0; self.t_ns.len()];
+            for k in 1..self.t_ns.len() {
+                let mean = log_linear_mean(self.log_light[k - 1], self.log_light[k]);
+                collected[k] = collected[k - 1] + mean * (self.t_ns[k] - self.t_ns[k - 1]) as f64 * 1e-9;
+            }
+            collected
+        })
     }
 
     /// Light collected in an exposure, photocurrent times seconds; constant light beyond either end.
@@ -68,16 +80,17 @@ impl Track {
 
     /// Light collected from the first instant to `t_ns`, photocurrent times seconds; constant light beyond either end.
     fn collected_until(&self, t_ns: i64) -> f64 {
+        let collected = self.collected();
         let (last, after) = (self.t_ns.len() - 1, self.t_ns.partition_point(|&t| t <= t_ns));
         if after == 0 {
-            return (t_ns - self.t_ns[0]) as f64 * 1e-9 * self.light[0];
+            return (t_ns - self.t_ns[0]) as f64 * 1e-9 * self.light()[0];
         }
         if after > last {
-            return self.collected[last] + (t_ns - self.t_ns[last]) as f64 * 1e-9 * self.light[last];
+            return collected[last] + (t_ns - self.t_ns[last]) as f64 * 1e-9 * self.light()[last];
         }
         let share = (t_ns - self.t_ns[after - 1]) as f64 / (self.t_ns[after] - self.t_ns[after - 1]) as f64;
         let (from, to) = (self.log_light[after - 1], self.log_light[after]);
-        self.collected[after - 1] + log_linear_mean(from, from + (to - from) * share) * (t_ns - self.t_ns[after - 1]) as f64 * 1e-9
+        collected[after - 1] + log_linear_mean(from, from + (to - from) * share) * (t_ns - self.t_ns[after - 1]) as f64 * 1e-9
     }
 }
 
@@ -107,6 +120,53 @@ pub struct Conditional {
     pub is_armed: Vec<bool>,
     /// Of each frame: its value, DN.
     pub dn: Vec<f64>,
+    /// Room.
+    settling: Settling,
+}
+
+/// The low-pass over each whole step of a track.
+#[derive(Clone, Debug, Default)]
+struct Settling {
+    /// Its time constant, seconds.
+    tau_s: Vec<f64>,
+    /// The share of a lag that it makes up for.
+    settled: Vec<f64>,
+    /// Of which low-pass, instants and log light they are.
+    of: (Option<FrontEnd>, Vec<i64>, Vec<f64>),
+}
+
+impl Settling {
+    fn fill(&mut self, low_pass: &FrontEnd, t_ns: &[i64], seen: &[f64]) {
+        if self.of.0 == Some(*low_pass) && self.of.1 == t_ns && self.of.2 == seen {
+            return;
+        }
+        let (of, instants, light) = &mut self.of;
+        *of = Some(*low_pass);
+        instants.clear();
+        instants.extend_from_slice(t_ns);
+        light.clear();
+        light.extend_from_slice(seen);
+        let steps = t_ns.len() - 1;
+        self.tau_s.resize(steps, 0.0);
+        self.settled.resize(steps, 0.0);
+        settle((low_pass.tau_0_s, low_pass.alpha_s), t_ns, seen, &mut self.tau_s, &mut self.settled);
+    }
+}
+
+/// Time constants and shares made up for of whole steps.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+fn settle((tau_0_s, alpha_s): (f64, f64), t_ns: &[i64], seen: &[f64], tau_s: &mut [f64], settled: &mut [f64]) {
+    let steps = tau_s.len();
+    let (t_ns, seen, settled) = (&t_ns[..=steps], &seen[..=steps], &mut settled[..steps]);
+    for k in 0..steps {
+        tau_s[k] = time_constant(tau_0_s, alpha_s, exp(-0.5 * (seen[k] + seen[k + 1])));
+        settled[k] = -exp_m1(-((t_ns[k + 1] - t_ns[k]) as f64 * 1e-9) / tau_s[k]);
+    }
+}
+
+#[inline(always)]
+fn time_constant(tau_0_s: f64, alpha_s: f64, one_over_light: f64) -> f64 {
+    f64::max(tau_0_s + alpha_s * one_over_light, TAU_LEAST_S)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -145,7 +205,25 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
         }
     }
     marks.sort_unstable_by_key(|(t, order, mark)| (*t, *order, matches!(mark, Mark::Fire(_))));
-    let mut walk = Walk { model: front_end, leak, track, seen, at: 0, t_ns: start_ns, now: seen[0], low: seen[0], second: seen[0], level: seen[0], drift: 0.0 };
+    if look.events.is_empty() {
+        out.settling = Settling::default();
+    } else {
+        out.settling.fill(&front_end.low_pass, &track.t_ns, seen);
+    }
+    let mut walk = Walk {
+        model: front_end,
+        settling: &out.settling,
+        leak,
+        track,
+        seen,
+        at: 0,
+        t_ns: start_ns,
+        now: seen[0],
+        low: seen[0],
+        second: seen[0],
+        level: seen[0],
+        drift: 0.0,
+    };
     let count = look.events.len();
     out.excess.clear();
     out.excess.resize(count, 0.0);
@@ -226,7 +304,7 @@ fn seen_light(effects: &[Box<dyn Effect>], look: &Look<'_>) -> Option<Vec<f64>> 
     let is_none = effects.iter().all(|effect| effect.light_step_ns().is_none()) && [1.0, 2.0].iter().all(|&i| through(start_ns, i) == i);
     let of = |k: usize| match look.seen {
         Some(seen) => exp(seen[k]),
-        None => track.light[k],
+        None => track.light()[k],
     };
     (!is_none).then(|| (0..track.t_ns.len()).map(|k| ln(f64::max(through(track.t_ns[k], of(k)), f64::MIN_POSITIVE))).collect())
 }
@@ -308,6 +386,8 @@ pub fn at_each(t_ns: &[i64], values: &[f64], instants: &[i64], out: &mut Vec<f64
 /// The front end on its way through the light.
 struct Walk<'a> {
     model: FrontEndModel,
+    /// Of its whole steps; nothing where there are no events.
+    settling: &'a Settling,
     leak: Leak,
     track: &'a Track,
     seen: &'a [f64],
@@ -333,7 +413,9 @@ impl Walk<'_> {
             } else {
                 (t_ns, self.now + (self.seen[self.at + 1] - self.now) * (t_ns - self.t_ns) as f64 / (next - self.t_ns) as f64)
             };
-            self.step((to_ns - self.t_ns) as f64 * 1e-9, to);
+            let is_whole = to_ns == next && self.t_ns == self.track.t_ns[self.at];
+            let known = self.settling.tau_s.get(self.at).zip(self.settling.settled.get(self.at)).filter(|_| is_whole);
+            self.step((to_ns - self.t_ns) as f64 * 1e-9, to, known.map(|(tau, settled)| (*tau, *settled)));
             (self.t_ns, self.now) = (to_ns, to);
             if to_ns == next {
                 self.at += 1;
@@ -373,15 +455,17 @@ impl Walk<'_> {
         }
     }
 
-    /// Over one piece of light that rises to `to`.
-    fn step(&mut self, h: f64, to: f64) {
+    /// Over one piece of light that rises to `to`; `known`: time constant and what it makes up for.
+    fn step(&mut self, h: f64, to: f64, known: Option<(f64, f64)>) {
         let (from, rise) = (self.now, to - self.now);
-        let one_over_light = exp(-0.5 * (from + to));
+        let one_over_light = || exp(-0.5 * (from + to));
         let low_pass = self.model.low_pass;
-        let tau = f64::max(low_pass.tau_0_s + low_pass.alpha_s * one_over_light, TAU_LEAST_S);
+        let (tau, settled) = known.unwrap_or_else(|| {
+            let tau = time_constant(low_pass.tau_0_s, low_pass.alpha_s, one_over_light());
+            (tau, -exp_m1(-h / tau))
+        });
         let was = (self.low, self.before_high_pass());
         let slope = rise / h;
-        let settled = -exp_m1(-h / tau);
         let end = match self.model.drive {
             Drive::SmallSignal => self.low + settled * (from - self.low) + (1.0 - settled * tau / h) * rise,
             Drive::LargeSignal => {
@@ -394,7 +478,7 @@ impl Walk<'_> {
         };
         self.low = end.clamp(self.low - self.model.slew_down_per_s * h, self.low + self.model.slew_up_per_s * h);
         if let Some(pole) = self.model.second_pole {
-            let mut tau_2 = f64::max(pole.tau_s + pole.tau_light_s * one_over_light, TAU_LEAST_S);
+            let mut tau_2 = f64::max(pole.tau_s + pole.tau_light_s * one_over_light(), TAU_LEAST_S);
             let is_plain = self.model.drive == Drive::SmallSignal && self.low == end;
             if is_plain {
                 if (tau_2 / tau - 1.0).abs() < 1e-3 {
@@ -417,7 +501,7 @@ impl Walk<'_> {
         }
         if self.leak != Leak::default() {
             // Of the light that falls on the pixel, not of what is added behind it.
-            let own = 0.5 * (self.track.light[self.at] + self.track.light[self.at + 1]);
+            let own = 0.5 * (self.track.light()[self.at] + self.track.light()[self.at + 1]);
             self.drift += h * (self.leak.constant_per_s + self.leak.per_photocurrent_per_s * own);
         }
     }
