@@ -2,10 +2,11 @@
 
 use super::begin::{begin_motion, images};
 use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivatives, map_of};
+use super::products;
 use super::register::{Search, register};
 use super::shading::{self, TERMS};
 use super::spline::{Grid, ORDER, weights};
-use super::system::{LANES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp};
+use super::system::{LANES, POSES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use photocurrent_core::random::Random;
@@ -76,7 +77,7 @@ impl Default for PictureSetting {
             knot_ns: 10_000_000,
             rounds: (5, 5),
             least_rounds: 3,
-            steps: (40, 100),
+            steps: (40, 50),
             frame_dn: 1.0,
             frame_share: 0.005,
             robust: 4.0,
@@ -89,8 +90,8 @@ impl Default for PictureSetting {
             most_values: 2_000_000,
             search: Search::default(),
             again: 5,
-            again_steps: 50,
-            draw_steps: 40,
+            again_steps: 30,
+            draw_steps: 25,
             seed: 1,
         }
     }
@@ -180,7 +181,7 @@ impl Picture {
         let smooth = fit.smoothness(knots, Some(&open));
         let open = draw(&rows, &self.grid, &smooth, knots, setting.draw_steps, &mut random);
         fit.picture.surface.iter_mut().zip(&open).for_each(|(c, open)| *c += open);
-        let rows = fit.lay(false);
+        rows.look_at(&fit.picture.grid, &fit.picture.surface);
         fit.keep_residuals(&rows);
         fit.picture
     }
@@ -200,24 +201,15 @@ impl Picture {
     pub fn log_light(&self, x: usize, y: usize, maps: &[Map]) -> Option<Vec<f64>> {
         let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
         let shade = shading::factor(&self.shading, &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half));
-        let mut last = None;
-        let mut log: Vec<f64> = Vec::with_capacity(maps.len());
-        let mut missing = 0;
-        for map in maps {
-            let (px, py) = apply(map, place.0, place.1);
-            let value = self.grid.value(&self.surface, px, py).map(|c| photocurrent_sensor::elementary::ln(f64::max(c * shade, self.least)));
-            match value.or(last) {
-                Some(value) => {
-                    if last.is_none() {
-                        log.extend(std::iter::repeat_n(value, missing));
-                    }
-                    last = Some(value);
-                    log.push(value);
-                }
-                None => missing += 1,
-            }
+        let mut log = products::values(&self.grid, &self.surface, maps, place);
+        products::logarithms(&mut log, shade, self.least);
+        let first = log.iter().copied().find(|value| !value.is_nan())?;
+        let mut last = first;
+        for value in &mut log {
+            last = if value.is_nan() { last } else { *value };
+            *value = last;
         }
-        last.map(|_| log)
+        Some(log)
     }
 }
 
@@ -328,10 +320,12 @@ impl<'a> Fit<'a> {
             }
         }
         if begin > 0 {
+            let mut step = Vec::new();
             for _ in 0..self.setting.again {
-                let step = again(&rows, &self.picture.grid, &smooth, knots, self.setting.again_steps);
+                // What measurements hardly hold asks for much the same every time.
+                step = again(&rows, &self.picture.grid, &smooth, knots, self.setting.again_steps, &step);
                 self.picture.surface.iter_mut().zip(&step).for_each(|(c, step)| *c += step);
-                rows = self.lay(false);
+                rows.look_at(&self.picture.grid, &self.picture.surface);
                 self.reweigh(&mut rows);
             }
         }
@@ -461,12 +455,17 @@ impl<'a> Fit<'a> {
         for part in parts {
             let begun = rows.stencil.len() as u32;
             rows.first.extend(part.first.iter().skip(1).map(|at| at + begun));
+            rows.unit.extend(part.unit);
+            rows.measured.extend(part.measured);
+            rows.is_saturated.extend(part.is_saturated);
+            rows.touched.extend(part.touched);
             rows.corner.extend(part.corner);
             rows.stencil.extend(part.stencil);
             rows.residual.extend(part.residual);
             rows.weight.extend(part.weight);
             rows.knot.extend(part.knot);
             rows.by_rest.extend(part.by_rest);
+            rows.rest_unit.extend(part.rest_unit);
             rows.signal.extend(part.signal);
             rows.index.extend(part.index);
         }
@@ -488,7 +487,9 @@ impl<'a> Fit<'a> {
         let knot = instants[0].knot;
         let number = self.nominal.number;
         let factor = number.gain * seconds;
+        let touched = instants.iter().map(|instant| (instant.knot - knot + ORDER).min(TOUCHED)).max().unwrap_or(TOUCHED) as u8;
         let mut rows = Rows { first: vec![0], ..Rows::default() };
+        let mut stencil: Vec<f32> = Vec::new();
         for x in 0..self.case.extent.width as usize {
             let pixel = y * self.case.extent.width as usize + x;
             let dn = self.case.dn(l, pixel);
@@ -512,11 +513,10 @@ impl<'a> Fit<'a> {
             let (columns, lines) = ((high.0 - low.0 + ORDER).next_multiple_of(LANES), high.1 - low.1 + ORDER);
             // Padding stands within the grid.
             let low = (low.0.min(grid.width - columns), low.1);
-            let begun = rows.stencil.len();
-            rows.stencil.resize(begun + columns * lines, 0.0);
-            let stencil = &mut rows.stencil[begun..];
+            stencil.clear();
+            stencil.resize(columns * lines, 0.0);
             for ((i, j, f, g), instant) in located.iter().zip(&instants) {
-                stamp(stencil, columns, low, (*i, *j), &weights(*f), &weights(*g), scale * instant.share);
+                stamp(&mut stencil, columns, low, (*i, *j), &weights(*f), &weights(*g), scale * instant.share);
             }
             let corner = low.1 * grid.width + low.0;
             let signal: f32 = stencil
@@ -526,7 +526,8 @@ impl<'a> Fit<'a> {
                 .sum();
             let mut residual = dn - number.black_level - f64::from(signal);
             let signal_dn = f64::max(dn - number.black_level, 0.0);
-            if dn >= self.nominal.saturation_dn {
+            let is_saturated = dn >= self.nominal.saturation_dn;
+            if is_saturated {
                 // At least that much.
                 residual = f64::max(residual, 0.0);
             }
@@ -539,17 +540,19 @@ impl<'a> Fit<'a> {
                     for (n, weight) in instant.weights.iter().enumerate() {
                         let at = (instant.knot - knot + n).min(TOUCHED - 1);
                         let share = scale * instant.share * weight;
-                        by_rest[at * DEGREES..][..DEGREES].iter_mut().zip(by).for_each(|(sum, by)| *sum += (share * by) as f32);
+                        by_rest[POSES + at * DEGREES..][..DEGREES].iter_mut().zip(by).for_each(|(sum, by)| *sum += (share * by) as f32);
                     }
                 }
             }
-            rows.first.push(rows.stencil.len() as u32);
-            rows.corner.push((corner as u32, columns as u32));
+            rows.push_stencil(corner as u32, columns as u32, &stencil);
+            rows.measured.push((dn - number.black_level) as f32);
+            rows.is_saturated.push(is_saturated);
+            rows.touched.push(touched);
             rows.residual.push(residual as f32);
             rows.weight.push((1.0 / self.sigma(signal_dn)) as f32);
             rows.knot.push(knot as u32);
-            by_rest[TOUCHED * DEGREES..].iter_mut().zip(basis).for_each(|(by, b)| *by = b as f32 * signal);
-            rows.by_rest.push(by_rest);
+            by_rest[..TERMS].iter_mut().zip(basis).for_each(|(by, b)| *by = b as f32 * signal);
+            rows.push_rest(&by_rest);
             rows.signal.push(signal_dn as f32);
             rows.index.push((l * self.case.extent.pixels() + pixel) as u32);
         }
@@ -626,14 +629,14 @@ mod tests {
             let finite = moved(&|picture, by| picture.motion.knots[knot][degree] += by);
             for (r, finite) in finite.iter().enumerate() {
                 let first = rows.knot[r] as usize;
-                let own = if (first..first + TOUCHED).contains(&knot) { f64::from(rows.by_rest[r][(knot - first) * DEGREES + degree]) } else { 0.0 };
+                let own = if (first..first + TOUCHED).contains(&knot) { f64::from(rows.rest_of(r)[POSES + (knot - first) * DEGREES + degree]) } else { 0.0 };
                 assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "knot {knot}, degree {degree}, row {r}: {own} is {finite}");
             }
         }
         for term in 0..TERMS {
             let finite = moved(&|picture, by| picture.shading[term] += by);
             for (r, finite) in finite.iter().enumerate() {
-                let own = f64::from(rows.by_rest[r][TOUCHED * DEGREES + term]);
+                let own = f64::from(rows.rest_of(r)[term]);
                 assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "term {term}, row {r}: {own} is {finite}");
             }
         }

@@ -8,6 +8,7 @@
 //! - [`register`]: how one frame lies on the next; where the fit starts.
 //! - [`shading`]: the array's own shading.
 //! - [`system`]: the sparse least-squares problem.
+//! - [`products`]: what solving it spends its time in.
 //! - [`begin`]: how motion begins.
 //! - [`estimate`]: the rounds.
 //!
@@ -18,6 +19,7 @@
 pub mod begin;
 pub mod estimate;
 pub mod motion;
+mod products;
 pub mod register;
 pub mod shading;
 pub mod spline;

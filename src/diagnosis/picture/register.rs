@@ -3,6 +3,7 @@
 //! Source: Evangelidis and Psarakis, Parametric Image Alignment Using Enhanced Correlation Coefficient Maximization, PAMI 2008; Lucas and Kanade, IJCAI 1981.
 
 use super::motion::{DEGREES, Map as Affine, RIGID, apply, derivatives, map_of, pose_of};
+use multiversion::multiversion;
 use nalgebra::{SMatrix, SVector};
 
 /// What is searched.
@@ -137,15 +138,16 @@ fn coarse(a: &Image, b: &Image, search: &Search) -> Vec<Affine> {
     let reach = (search.shift * a.width.max(a.height) as f64).ceil() as i64;
     let steps = (search.turn / search.turn_step).floor() as i64;
     let mut found: Vec<(f64, Affine)> = Vec::new();
+    let still = Masked::of(a);
     for turn in -steps..=steps {
         let angle = turn as f64 * search.turn_step;
         let (c, s) = (libm::cos(angle), libm::sin(angle));
+        let moved = Masked::turned(b, (c, s));
         let mut best: Option<(f64, Affine)> = None;
         for dy in -reach..=reach {
             for dx in -reach..=reach {
-                let map = [dx as f64, c, -s, dy as f64, s, c];
-                let full = [2.0 * map[0], c, -s, 2.0 * map[3], s, c];
-                let score = correlation_in_steps(a, b, &map, 2) - cost(&full, search, 2 * a.width);
+                let full = [2.0 * dx as f64, c, -s, 2.0 * dy as f64, s, c];
+                let score = still.correlation(&moved, dx as isize, dy as isize) - cost(&full, search, 2 * a.width);
                 if best.is_none_or(|(least, _)| score > least) {
                     best = Some((score, full));
                 }
@@ -158,17 +160,84 @@ fn coarse(a: &Image, b: &Image, search: &Search) -> Vec<Affine> {
     found.into_iter().map(|(_, map)| map).collect()
 }
 
-fn correlation(a: &Image, b: &Image, map: &Affine) -> f64 {
-    correlation_in_steps(a, b, map, 1)
+/// An image less its mean, and where it is: 1, and 0 elsewhere.
+struct Masked {
+    width: usize,
+    height: usize,
+    values: Vec<f32>,
+    mask: Vec<f32>,
+}
+
+impl Masked {
+    fn of(image: &Image) -> Masked {
+        Masked::turned(image, (1.0, 0.0))
+    }
+
+    /// Turned about its centre by an angle of this cosine and sine.
+    fn turned(image: &Image, (c, s): (f64, f64)) -> Masked {
+        let (width, height) = (image.width, image.height);
+        let (cx, cy) = image.centre();
+        let mean = (image.values.iter().map(|v| f64::from(*v)).sum::<f64>() / (width * height) as f64) as f32;
+        let (mut values, mut mask) = (vec![0.0; width * height], vec![0.0; width * height]);
+        for k in 0..width * height {
+            let (x, y) = ((k % width) as f64 - cx, (k / width) as f64 - cy);
+            if let Some((value, ..)) = image.look(c * x + s * y + cx, c * y - s * x + cy) {
+                (values[k], mask[k]) = (value as f32 - mean, 1.0);
+            }
+        }
+        Masked { width, height, values, mask }
+    }
+
+    /// The correlation with another one shifted by whole pixels, where both are; -1 where they share less than half of the array.
+    fn correlation(&self, moved: &Masked, dx: isize, dy: isize) -> f64 {
+        let (w, h) = (self.width as isize, self.height as isize);
+        let mut sums = [0.0_f64; 6];
+        let (from, to) = (dx.max(0), (w + dx).min(w));
+        if from < to {
+            for y in dy.max(0)..(h + dy).min(h) {
+                let still = (y * w + from) as usize..(y * w + to) as usize;
+                let begun = ((y - dy) * w + from - dx) as usize;
+                let of = begun..begun + still.len();
+                let line = line_sums(&self.values[still], &moved.values[of.clone()], &moved.mask[of]);
+                sums.iter_mut().zip(line).for_each(|(sum, of_line)| *sum += f64::from(of_line));
+            }
+        }
+        let [n, sa, sb, saa, sbb, sab] = sums;
+        let (va, vb) = (saa - sa * sa / n, sbb - sb * sb / n);
+        if n < 0.5 * (w * h) as f64 || va <= 0.0 || vb <= 0.0 { -1.0 } else { (sab - sa * sb / n) / libm::sqrt(va * vb) }
+    }
+}
+
+/// Sums over a line: of the mask, of both, of their squares and of their product.
+#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
+fn line_sums(a: &[f32], b: &[f32], mask: &[f32]) -> [f32; 6] {
+    const LANES: usize = 8;
+    let mut sums = [[0.0_f32; LANES]; 6];
+    let mut take = |lane: usize, a: f32, b: f32, mask: f32| {
+        let a_there = a * mask;
+        for (sum, value) in sums.iter_mut().zip([mask, a_there, b, a_there * a, b * b, a * b]) {
+            sum[lane] += value;
+        }
+    };
+    let ((a, a_end), (b, b_end), (mask, mask_end)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>(), mask.as_chunks::<LANES>());
+    for ((a, b), mask) in a.iter().zip(b).zip(mask) {
+        for lane in 0..LANES {
+            take(lane, a[lane], b[lane], mask[lane]);
+        }
+    }
+    for (lane, ((a, b), mask)) in a_end.iter().zip(b_end).zip(mask_end).enumerate() {
+        take(lane, *a, *b, *mask);
+    }
+    sums.map(|sum| sum.iter().sum())
 }
 
 /// The correlation where both are; -1 where they share less than half of the array.
-fn correlation_in_steps(a: &Image, b: &Image, map: &Affine, step: usize) -> f64 {
+fn correlation(a: &Image, b: &Image, map: &Affine) -> f64 {
     let (cx, cy) = a.centre();
     let mut n = 0.0;
     let (mut sa, mut sb, mut saa, mut sbb, mut sab) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for j in (0..b.height).step_by(step) {
-        for i in (0..b.width).step_by(step) {
+    for j in 0..b.height {
+        for i in 0..b.width {
             let (x, y) = (i as f64 - cx, j as f64 - cy);
             let place = (map[0] + map[1] * x + map[2] * y + cx, map[3] + map[4] * x + map[5] * y + cy);
             if let Some((va, ..)) = a.look(place.0, place.1) {
@@ -182,7 +251,7 @@ fn correlation_in_steps(a: &Image, b: &Image, map: &Affine, step: usize) -> f64 
             }
         }
     }
-    let all = (b.width.div_ceil(step) * b.height.div_ceil(step)) as f64;
+    let all = (b.width * b.height) as f64;
     let (va, vb) = (saa - sa * sa / n, sbb - sb * sb / n);
     if n < 0.5 * all || va <= 0.0 || vb <= 0.0 { -1.0 } else { (sab - sa * sb / n) / libm::sqrt(va * vb) }
 }

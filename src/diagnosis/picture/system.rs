@@ -5,20 +5,26 @@
 //! and the Cholesky factor of their block for motion and shading. Sums are taken in fixed parts: the same bytes for any number of threads.
 
 use super::motion::DEGREES;
+use super::products::{self, Pull};
 use super::shading::TERMS;
 use super::spline::{Grid, ORDER};
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use photocurrent_core::random::Random;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Knots that one exposure may touch.
 pub const TOUCHED: usize = 6;
-/// Parts in which sums over rows are taken.
+/// Parts in which sums over rows are taken, at most.
 const PARTS: usize = 8;
+/// And each has at least so many rows.
+const LEAST_ROWS: usize = 4_096;
 /// Lines of stencils are padded to a multiple of this, so that they are added up side by side.
-pub const LANES: usize = 4;
-/// Derivatives of a row by everything but the picture: poses of the knots it touches, shading, and zeros up to whole lanes.
-pub const REST: usize = (TOUCHED * DEGREES + TERMS).next_multiple_of(LANES);
+pub const LANES: usize = 8;
+/// Derivatives of a row by the shading's terms come first, and the poses behind them from here on.
+pub const POSES: usize = TERMS.next_multiple_of(LANES);
+/// Derivatives of a row by everything but the picture: shading, poses of the knots it touches, each with zeros up to whole lanes.
+pub const REST: usize = POSES + (TOUCHED * DEGREES).next_multiple_of(LANES);
 
 /// Measurements, ready to be fitted.
 #[derive(Clone, Debug, Default)]
@@ -27,16 +33,26 @@ pub struct Rows {
     pub first: Vec<u32>,
     /// The first coefficient of a row's stencil, and its columns, a multiple of [`LANES`].
     pub corner: Vec<(u32, u32)>,
-    /// Derivatives by coefficients, stencil after stencil, row-major.
-    pub stencil: Vec<f32>,
+    /// Derivatives by coefficients, stencil after stencil, row-major, in units of their row: they are never negative.
+    pub stencil: Vec<u16>,
+    /// The unit of each row.
+    pub unit: Vec<f32>,
+    /// What is measured, DN above black.
+    pub measured: Vec<f32>,
+    /// Is it at least that much?
+    pub is_saturated: Vec<bool>,
     /// What is not yet explained, DN.
     pub residual: Vec<f32>,
     /// One over the standard deviation; 0 = left out.
     pub weight: Vec<f32>,
     /// The first knot that the exposure touches.
     pub knot: Vec<u32>,
-    /// Derivatives by the poses of the knots from there on, then by the shading's terms.
-    pub by_rest: Vec<[f32; REST]>,
+    /// How many it touches.
+    pub touched: Vec<u8>,
+    /// Derivatives by the shading's terms; from [`POSES`] on by the poses of the knots: in units of their row.
+    pub by_rest: Vec<[i16; REST]>,
+    /// The unit of each row.
+    pub rest_unit: Vec<f32>,
     /// The measured value above black, DN.
     pub signal: Vec<f32>,
     /// Which frame value it is: index as [frame][y][x].
@@ -75,95 +91,127 @@ impl Rows {
         self.residual.len()
     }
 
-    fn line(&self, r: usize) -> (usize, usize, &[f32]) {
+    /// Corner, columns and stencil of row r.
+    #[inline]
+    pub fn line(&self, r: usize) -> (usize, usize, &[u16]) {
         let (corner, columns) = self.corner[r];
         (corner as usize, columns as usize, &self.stencil[self.first[r] as usize..self.first[r + 1] as usize])
     }
 
-    /// The derivative of row r along a step of the picture.
-    #[inline]
-    fn along(&self, grid: &Grid, picture: &[f32], r: usize) -> f32 {
-        let (corner, columns, stencil) = self.line(r);
-        let mut sum = [0.0_f32; LANES];
-        for (j, line) in stencil.chunks_exact(columns).enumerate() {
-            let at = corner + j * grid.width;
-            dot_lanes(&mut sum, line, &picture[at..at + columns]);
-        }
-        sum.iter().sum()
+    /// Takes a stencil in, whose lines have `columns`.
+    pub fn push_stencil(&mut self, corner: u32, columns: u32, stencil: &[f32]) {
+        let most = stencil.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+        let per = f32::from(u16::MAX) / most;
+        self.stencil.extend(stencil.iter().map(|a| (a * per + 0.5) as u16));
+        self.unit.push(most / f32::from(u16::MAX));
+        self.corner.push((corner, columns));
+        self.first.push(self.stencil.len() as u32);
+    }
+
+    /// Takes derivatives by shading and poses in.
+    pub fn push_rest(&mut self, by_rest: &[f32; REST]) {
+        let most = by_rest.iter().fold(f32::MIN_POSITIVE, |most, by| f32::max(most, by.abs()));
+        let per = f32::from(i16::MAX) / most;
+        self.by_rest.push(by_rest.map(|by| (by * per).round_ties_even() as i16));
+        self.rest_unit.push(most / f32::from(i16::MAX));
+    }
+
+    /// Derivatives of row r by shading and poses.
+    #[cfg(test)]
+    pub fn rest_of(&self, r: usize) -> [f32; REST] {
+        self.by_rest[r].map(|by| f32::from(by) * self.rest_unit[r])
+    }
+
+    /// Residuals of another surface under the same motion and shading.
+    pub fn look_at(&mut self, grid: &Grid, surface: &[f32]) {
+        let parts: Vec<Vec<f32>> = self
+            .parts()
+            .into_par_iter()
+            .map(|range| {
+                let mut signal = vec![0.0; range.len()];
+                products::along(self, grid.width, surface, range, &mut signal);
+                signal
+            })
+            .collect();
+        self.residual.clear();
+        self.residual.extend(parts.iter().flatten().zip(&self.measured).map(|(signal, measured)| measured - signal));
+        self.residual.iter_mut().zip(&self.is_saturated).filter(|(_, is)| **is).for_each(|(residual, _)| *residual = residual.max(0.0));
     }
 
     /// Numbers of the rest that the rows of a knot touch; none beyond the last knot and in the padding.
     fn indices(&self, knots: usize, knot: usize) -> [Option<usize>; REST] {
-        std::array::from_fn(|n| {
-            if n < TOUCHED * DEGREES {
-                Some(knot * DEGREES + n).filter(|at| *at < knots * DEGREES)
-            } else {
-                Some(n - TOUCHED * DEGREES).filter(|term| *term < TERMS).map(|term| knots * DEGREES + term)
-            }
+        std::array::from_fn(|n| match n.checked_sub(POSES) {
+            Some(n) if n < TOUCHED * DEGREES => Some(knot * DEGREES + n).filter(|at| *at < knots * DEGREES),
+            Some(_) => None,
+            None => Some(n).filter(|term| *term < TERMS).map(|term| knots * DEGREES + term),
         })
     }
 
-    fn parts(&self) -> Vec<std::ops::Range<usize>> {
-        let length = self.count().div_ceil(PARTS).max(1);
-        (0..PARTS).map(|n| (n * length).min(self.count())..((n + 1) * length).min(self.count())).collect()
+    /// Ranges of rows that sums are taken in.
+    fn parts(&self) -> Vec<Range<usize>> {
+        let parts = (self.count() / LEAST_ROWS).clamp(1, PARTS);
+        let length = self.count().div_ceil(parts).max(1);
+        (0..parts).map(|n| (n * length).min(self.count())..((n + 1) * length).min(self.count())).collect()
     }
 
-    /// Adds up `value(r, derivative of row r along a step)` times row r over all rows; without a step that derivative is zero.
-    fn transposed(&self, grid: &Grid, knots: usize, with_rest: bool, step: Option<&Unknowns>, value: impl Fn(usize, f32) -> f32 + Sync) -> Unknowns {
-        let count = knots * DEGREES + TERMS;
-        let parts: Vec<Unknowns> = self
-            .parts()
-            .into_par_iter()
-            .map(|range| {
-                let mut sum = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; count] };
-                let rows: Vec<usize> = range.collect();
-                // Rows of one knot stand together: the rest is gathered and added up once for all of them.
-                for run in rows.chunk_by(|&a, &b| self.knot[a] == self.knot[b]) {
-                    let indices = self.indices(knots, self.knot[run[0]] as usize);
-                    let along: [f32; REST] = indices.map(|at| at.zip(step).map_or(0.0, |(at, step)| step.rest[at] as f32));
-                    let mut of_rest = [0.0_f32; REST];
-                    for &r in run {
-                        let mut derivative = step.map_or(0.0, |step| self.along(grid, &step.picture, r));
-                        if with_rest && step.is_some() {
-                            let mut lanes = [0.0_f32; LANES];
-                            dot_lanes(&mut lanes, &self.by_rest[r], &along);
-                            derivative += lanes.iter().sum::<f32>();
-                        }
-                        let value = value(r, derivative);
-                        if value == 0.0 {
-                            continue;
-                        }
-                        let (corner, columns, stencil) = self.line(r);
-                        for (j, line) in stencil.chunks_exact(columns).enumerate() {
-                            let at = corner + j * grid.width;
-                            sum.picture[at..at + columns].iter_mut().zip(line).for_each(|(c, a)| *c += value * a);
-                        }
-                        if with_rest {
-                            of_rest.iter_mut().zip(&self.by_rest[r]).for_each(|(sum, a)| *sum += value * a);
-                        }
-                    }
-                    indices.iter().zip(of_rest).filter_map(|(at, of)| Some(((*at)?, of))).for_each(|(at, of)| sum.rest[at] += f64::from(of));
-                }
-                sum
-            })
-            .collect();
-        let mut parts = parts.into_iter();
-        let mut sum = parts.next().unwrap_or_default();
-        for part in parts {
-            sum.picture.iter_mut().zip(&part.picture).for_each(|(a, b)| *a += b);
-            sum.rest.iter_mut().zip(&part.rest).for_each(|(a, b)| *a += b);
-        }
-        sum
+    /// Rows of a range that touch the same knots, and how many numbers they have beside the picture.
+    fn runs(&self, range: Range<usize>) -> impl Iterator<Item = (Range<usize>, usize)> {
+        let mut at = range.start;
+        std::iter::from_fn(move || {
+            let begun = at;
+            let of = |r: usize| (self.knot[r], self.touched[r]);
+            while at < range.end && of(at) == of(begun) {
+                at += 1;
+            }
+            (begun < at).then(|| (begun..at, POSES + (usize::from(self.touched[begun]) * DEGREES).next_multiple_of(LANES)))
+        })
     }
 }
 
-/// Adds products to side-by-side sums; both slices have whole lanes.
-#[inline]
-fn dot_lanes(sum: &mut [f32; LANES], a: &[f32], b: &[f32]) {
-    for (a, b) in a.as_chunks::<LANES>().0.iter().zip(b.as_chunks::<LANES>().0) {
-        for lane in 0..LANES {
-            sum[lane] += a[lane] * b[lane];
+/// Room for the sums of each part.
+struct Sums {
+    parts: Vec<(Range<usize>, Unknowns)>,
+}
+
+impl Sums {
+    fn new(rows: &Rows, grid: &Grid, knots: usize) -> Sums {
+        let blank = || Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
+        Sums { parts: rows.parts().into_iter().map(|range| (range, blank())).collect() }
+    }
+
+    /// `of` for each part, and the sum of all in `out`.
+    fn add_up(&mut self, out: &mut Unknowns, of: impl Fn(Range<usize>, &mut Unknowns) + Sync) {
+        let part = |(range, sum): &mut (Range<usize>, Unknowns)| {
+            sum.picture.fill(0.0);
+            sum.rest.fill(0.0);
+            of(range.clone(), sum);
+        };
+        match &mut self.parts[..] {
+            [one] => part(one),
+            parts => parts.par_iter_mut().for_each(part),
         }
+        let (first, others) = self.parts.split_first().expect("there is a part");
+        out.picture.copy_from_slice(&first.1.picture);
+        out.rest.copy_from_slice(&first.1.rest);
+        for (_, part) in others {
+            out.picture.iter_mut().zip(&part.picture).for_each(|(a, b)| *a += b);
+            out.rest.iter_mut().zip(&part.rest).for_each(|(a, b)| *a += b);
+        }
+    }
+
+    /// Adds up all rows, each times its factor and, with a step, its derivative along it.
+    fn transposed(&mut self, rows: &Rows, grid: &Grid, knots: usize, with_rest: bool, step: Option<&Unknowns>, factor: &[f32], out: &mut Unknowns) {
+        self.add_up(out, |range, sum| {
+            for (run, rest) in rows.runs(range) {
+                let rest = if with_rest { rest } else { 0 };
+                let indices = rows.indices(knots, rows.knot[run.start] as usize);
+                let along: [f32; REST] = indices.map(|at| at.zip(step).map_or(0.0, |(at, step)| step.rest[at] as f32));
+                let mut of_rest = [0.0_f32; REST];
+                let step = step.map(|step| (&step.picture[..], &along));
+                products::transposed(rows, grid.width, run, step, rest, factor, &mut sum.picture, &mut of_rest);
+                indices[..rest].iter().zip(of_rest).filter_map(|(at, of)| Some(((*at)?, of))).for_each(|(at, of)| sum.rest[at] += f64::from(of));
+            }
+        });
     }
 }
 
@@ -208,88 +256,135 @@ pub fn roughness(grid: &Grid, smooth: &Smoothness, picture: &[f32]) -> f64 {
 ///
 /// `with_rest`: motion and shading move too. `steps`: conjugate gradients at most.
 pub fn solve(rows: &Rows, grid: &Grid, smooth: &Smoothness, now: &Unknowns, knots: usize, with_rest: bool, steps: usize) -> Unknowns {
-    let mut residual = rows.transposed(grid, knots, with_rest, None, |r, _| rows.weight[r] * rows.weight[r] * rows.residual[r]);
-    let mut held = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
-    pull(grid, smooth, knots, now, &mut held);
+    let mut normal = Normal::new(rows, grid, smooth, knots, with_rest);
+    let mut residual = normal.blank();
+    let factor: Vec<f32> = normal.squares.iter().zip(&rows.residual).map(|(square, residual)| square * residual).collect();
+    normal.sums.transposed(rows, grid, knots, with_rest, None, &factor, &mut residual);
+    let mut held = normal.blank();
+    normal.pull(now, &mut held);
     add(&mut residual, -1.0, &held);
-    conjugate_gradients(rows, grid, smooth, knots, with_rest, residual, steps)
+    normal.conjugate_gradients(residual, steps)
 }
 
 /// The step of the picture that the residuals alone ask for, from where it stands: what smoothness took away, given back in part (twicing; Tukey, Exploratory Data Analysis, 1977;
-/// Osher et al., Multiscale Modeling and Simulation 4, 2005). Motion and shading are held.
-pub fn again(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, steps: usize) -> Vec<f32> {
-    let residual = rows.transposed(grid, knots, false, None, |r, _| rows.weight[r] * rows.weight[r] * rows.residual[r]);
-    conjugate_gradients(rows, grid, smooth, knots, false, residual, steps).picture
+/// Osher et al., Multiscale Modeling and Simulation 4, 2005). Motion and shading are held. `begin`: where the search for it begins, the step of the time before; nothing is zero.
+pub fn again(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, steps: usize, begin: &[f32]) -> Vec<f32> {
+    let mut normal = Normal::new(rows, grid, smooth, knots, false);
+    let mut residual = normal.blank();
+    let factor: Vec<f32> = normal.squares.iter().zip(&rows.residual).map(|(square, residual)| square * residual).collect();
+    normal.sums.transposed(rows, grid, knots, false, None, &factor, &mut residual);
+    let mut from = normal.blank();
+    if !begin.is_empty() {
+        from.picture.copy_from_slice(begin);
+        let mut product = normal.blank();
+        normal.product(&from, &mut product);
+        add(&mut residual, -1.0, &product);
+    }
+    let step = normal.conjugate_gradients(residual, steps);
+    add(&mut from, 1.0, &step);
+    from.picture
 }
 
 /// A random departure of the picture that measurements and smoothness leave open: a draw of a Gaussian with the posterior's covariance, motion and shading held.
 ///
 /// By perturbation: random residuals with the noise of each row and random differences with the variance of each weight, fitted (Papandreou and Yuille, NIPS 2010).
 pub fn draw(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, steps: usize, random: &mut Random) -> Vec<f32> {
-    let noise: Vec<f32> = (0..rows.count()).map(|_| random.normal() as f32).collect();
-    let mut residual = rows.transposed(grid, knots, false, None, |r, _| rows.weight[r] * noise[r]);
+    let mut normal = Normal::new(rows, grid, smooth, knots, false);
+    let mut residual = normal.blank();
+    let noise: Vec<f32> = rows.weight.iter().map(|weight| weight * random.normal() as f32).collect();
+    normal.sums.transposed(rows, grid, knots, false, None, &noise, &mut residual);
     differences(grid, smooth, |at, by, weight| {
         let noise = weight * random.normal() as f32;
         at.iter().zip(by).for_each(|(&at, by)| residual.picture[at] += by * noise);
     });
-    conjugate_gradients(rows, grid, smooth, knots, false, residual, steps).picture
+    normal.conjugate_gradients(residual, steps).picture
 }
 
-/// Adds the pull of smoothness, of the motion's smoothness and of sizes.
-fn pull(grid: &Grid, smooth: &Smoothness, knots: usize, x: &Unknowns, out: &mut Unknowns) {
-    differences(grid, smooth, |at, by, weight| {
-        let value: f32 = at.iter().zip(by).map(|(&at, by)| by * x.picture[at]).sum();
-        let pull = weight * weight * value;
-        at.iter().zip(by).for_each(|(&at, by)| out.picture[at] += by * pull);
-    });
-    motion_differences(knots, |a, b, c| {
-        let pull = smooth.motion * smooth.motion * (x.rest[a] - 2.0 * x.rest[b] + x.rest[c]);
-        out.rest[a] += pull;
-        out.rest[b] -= 2.0 * pull;
-        out.rest[c] += pull;
-    });
-    out.rest.iter_mut().zip(&x.rest).zip(&smooth.rest_size).for_each(|((out, x), hold)| *out += hold * hold * x);
+/// The normal equations, as products with steps.
+struct Normal<'a> {
+    rows: &'a Rows,
+    grid: &'a Grid,
+    smooth: &'a Smoothness,
+    knots: usize,
+    with_rest: bool,
+    /// Squares of the rows' weights.
+    squares: Vec<f32>,
+    differences: Pull,
+    sums: Sums,
 }
 
-fn conjugate_gradients(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, with_rest: bool, mut residual: Unknowns, steps: usize) -> Unknowns {
-    let normal = |x: &Unknowns| {
-        let mut out = rows.transposed(grid, knots, with_rest, Some(x), |r, derivative| rows.weight[r] * rows.weight[r] * derivative);
-        pull(grid, smooth, knots, x, &mut out);
-        out.rest.iter_mut().zip(&x.rest).zip(&smooth.rest).for_each(|((out, x), hold)| *out += hold * hold * x);
-        out
-    };
-    let fixed = |x: &mut Unknowns| {
-        x.rest.iter_mut().zip(&smooth.rest).filter(|(_, hold)| !with_rest || **hold == 0.0).for_each(|(x, _)| *x = 0.0);
-    };
-    let precondition = Preconditioner::new(rows, grid, smooth, knots, with_rest);
-    fixed(&mut residual);
-    let mut step = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
-    let mut z = precondition.apply(&residual);
-    fixed(&mut z);
-    let mut direction = z.clone();
-    let mut size = dot(&residual, &z);
-    let begun = size;
-    for _ in 0..steps {
-        if size.is_nan() || size <= 1e-9 * begun {
-            break;
+impl<'a> Normal<'a> {
+    fn new(rows: &'a Rows, grid: &'a Grid, smooth: &'a Smoothness, knots: usize, with_rest: bool) -> Normal<'a> {
+        Normal {
+            rows,
+            grid,
+            smooth,
+            knots,
+            with_rest,
+            squares: rows.weight.iter().map(|weight| weight * weight).collect(),
+            differences: Pull::new(&smooth.along_x, &smooth.along_y, &smooth.across),
+            sums: Sums::new(rows, grid, knots),
         }
-        let mut product = normal(&direction);
-        fixed(&mut product);
-        let share = size / dot(&direction, &product);
-        if !share.is_finite() {
-            break;
-        }
-        add(&mut step, share, &direction);
-        add(&mut residual, -share, &product);
-        z = precondition.apply(&residual);
-        fixed(&mut z);
-        let next = dot(&residual, &z);
-        let by = next / size;
-        direction.picture.iter_mut().zip(&z.picture).for_each(|(d, z)| *d = z + by as f32 * *d);
-        direction.rest.iter_mut().zip(&z.rest).for_each(|(d, z)| *d = z + by * *d);
-        size = next;
     }
-    step
+
+    fn blank(&self) -> Unknowns {
+        Unknowns { picture: vec![0.0; self.grid.coefficients()], rest: vec![0.0; self.knots * DEGREES + TERMS] }
+    }
+
+    /// Adds the pull of smoothness, of the motion's smoothness and of sizes.
+    fn pull(&self, x: &Unknowns, out: &mut Unknowns) {
+        self.differences.add(self.grid, &x.picture, &mut out.picture);
+        motion_differences(self.knots, |a, b, c| {
+            let pull = self.smooth.motion * self.smooth.motion * (x.rest[a] - 2.0 * x.rest[b] + x.rest[c]);
+            out.rest[a] += pull;
+            out.rest[b] -= 2.0 * pull;
+            out.rest[c] += pull;
+        });
+        out.rest.iter_mut().zip(&x.rest).zip(&self.smooth.rest_size).for_each(|((out, x), hold)| *out += hold * hold * x);
+    }
+
+    fn product(&mut self, x: &Unknowns, out: &mut Unknowns) {
+        self.sums.transposed(self.rows, self.grid, self.knots, self.with_rest, Some(x), &self.squares, out);
+        self.pull(x, out);
+        out.rest.iter_mut().zip(&x.rest).zip(&self.smooth.rest).for_each(|((out, x), hold)| *out += hold * hold * x);
+        self.fix(out);
+    }
+
+    /// Of what is held, nothing moves.
+    fn fix(&self, x: &mut Unknowns) {
+        x.rest.iter_mut().zip(&self.smooth.rest).filter(|(_, hold)| !self.with_rest || **hold == 0.0).for_each(|(x, _)| *x = 0.0);
+    }
+
+    fn conjugate_gradients(&mut self, mut residual: Unknowns, steps: usize) -> Unknowns {
+        let precondition = Preconditioner::new(self);
+        self.fix(&mut residual);
+        let (mut step, mut z, mut product) = (self.blank(), self.blank(), self.blank());
+        precondition.apply(&residual, &mut z);
+        self.fix(&mut z);
+        let mut direction = z.clone();
+        let mut size = dot(&residual, &z);
+        let begun = size;
+        for _ in 0..steps {
+            if size.is_nan() || size <= 1e-9 * begun {
+                break;
+            }
+            self.product(&direction, &mut product);
+            let share = size / dot(&direction, &product);
+            if !share.is_finite() {
+                break;
+            }
+            add(&mut step, share, &direction);
+            add(&mut residual, -share, &product);
+            precondition.apply(&residual, &mut z);
+            self.fix(&mut z);
+            let next = dot(&residual, &z);
+            let by = next / size;
+            direction.picture.iter_mut().zip(&z.picture).for_each(|(d, z)| *d = z + by as f32 * *d);
+            direction.rest.iter_mut().zip(&z.rest).for_each(|(d, z)| *d = z + by * *d);
+            size = next;
+        }
+        step
+    }
 }
 
 struct Preconditioner {
@@ -298,58 +393,46 @@ struct Preconditioner {
 }
 
 impl Preconditioner {
-    fn new(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize, with_rest: bool) -> Preconditioner {
-        let parts: Vec<Vec<f32>> = rows
-            .parts()
-            .into_par_iter()
-            .map(|range| {
-                let mut sum = vec![0.0_f32; grid.coefficients()];
-                for r in range {
-                    let weight = rows.weight[r] * rows.weight[r];
-                    let (corner, columns, stencil) = rows.line(r);
-                    for (j, line) in stencil.chunks_exact(columns).enumerate() {
-                        let at = corner + j * grid.width;
-                        sum[at..at + columns].iter_mut().zip(line).for_each(|(c, a)| *c += weight * a * a);
-                    }
-                }
-                sum
-            })
-            .collect();
-        let mut picture = vec![0.0_f32; grid.coefficients()];
-        parts.iter().for_each(|part| picture.iter_mut().zip(part).for_each(|(a, b)| *a += b));
-        differences(grid, smooth, |at, by, weight| at.iter().zip(by).for_each(|(&at, by)| picture[at] += by * by * weight * weight));
+    fn new(of: &mut Normal<'_>) -> Preconditioner {
+        let mut sum = of.blank();
+        let (rows, grid, squares) = (of.rows, of.grid, &of.squares);
+        of.sums.add_up(&mut sum, |range, sum| products::squares(rows, grid.width, range, squares, &mut sum.picture));
+        let mut picture = sum.picture;
+        differences(grid, of.smooth, |at, by, weight| at.iter().zip(by).for_each(|(&at, by)| picture[at] += by * by * weight * weight));
         picture.iter_mut().for_each(|d| *d = if *d > 0.0 { 1.0 / *d } else { 0.0 });
-        let rest = with_rest.then(|| block(rows, smooth, knots)).and_then(Cholesky::new);
+        let rest = of.with_rest.then(|| block(of)).and_then(Cholesky::new);
         Preconditioner { picture, rest }
     }
 
-    fn apply(&self, x: &Unknowns) -> Unknowns {
-        let picture = x.picture.iter().zip(&self.picture).map(|(x, d)| x * d).collect();
-        let rest = match &self.rest {
-            Some(factor) => factor.solve(&DVector::from_column_slice(&x.rest)).as_slice().to_vec(),
-            None => vec![0.0; x.rest.len()],
-        };
-        Unknowns { picture, rest }
+    fn apply(&self, x: &Unknowns, out: &mut Unknowns) {
+        out.picture.iter_mut().zip(&x.picture).zip(&self.picture).for_each(|((out, x), d)| *out = x * d);
+        match &self.rest {
+            Some(factor) => out.rest.copy_from_slice(factor.solve(&DVector::from_column_slice(&x.rest)).as_slice()),
+            None => out.rest.fill(0.0),
+        }
     }
 }
 
 /// The block of the normal equations for motion and shading.
-fn block(rows: &Rows, smooth: &Smoothness, knots: usize) -> DMatrix<f64> {
+fn block(of: &Normal<'_>) -> DMatrix<f64> {
+    let Normal { rows, smooth, knots, squares, .. } = of;
     let count = knots * DEGREES + TERMS;
     let parts: Vec<DMatrix<f64>> = rows
         .parts()
         .into_par_iter()
         .map(|range| {
             let mut sum = DMatrix::<f64>::zeros(count, count);
-            let mut entries: Vec<(usize, f64)> = Vec::new();
-            for r in range.filter(|&r| rows.weight[r] > 0.0) {
-                entries.clear();
-                let indices = rows.indices(knots, rows.knot[r] as usize);
-                let of_row = indices.iter().zip(&rows.by_rest[r]).filter(|(_, value)| **value != 0.0);
-                entries.extend(of_row.filter_map(|(at, value)| Some(((*at)?, f64::from(*value) * f64::from(rows.weight[r])))));
-                for (k, &(a, va)) in entries.iter().enumerate() {
-                    for &(b, vb) in &entries[..=k] {
-                        sum[(a, b)] += va * vb;
+            for (run, rest) in rows.runs(range) {
+                let indices = rows.indices(*knots, rows.knot[run.start] as usize);
+                let mut of_run = [[0.0_f32; REST]; REST];
+                products::of_rest(rows, run, rest, squares, &mut of_run);
+                for (a, of_run) in indices.iter().zip(&of_run) {
+                    for (b, of_both) in indices.iter().zip(of_run) {
+                        if let (Some(a), Some(b)) = (*a, *b)
+                            && b <= a
+                        {
+                            sum[(a, b)] += f64::from(*of_both);
+                        }
                     }
                 }
             }
@@ -359,7 +442,7 @@ fn block(rows: &Rows, smooth: &Smoothness, knots: usize) -> DMatrix<f64> {
     let mut sum = DMatrix::<f64>::zeros(count, count);
     parts.iter().for_each(|part| sum += part);
     let square = smooth.motion * smooth.motion;
-    motion_differences(knots, |a, b, c| {
+    motion_differences(*knots, |a, b, c| {
         for (m, fm) in [(a, 1.0), (b, -2.0), (c, 1.0)] {
             for (n, fn_) in [(a, 1.0), (b, -2.0), (c, 1.0)] {
                 if n <= m {
@@ -386,8 +469,7 @@ fn block(rows: &Rows, smooth: &Smoothness, knots: usize) -> DMatrix<f64> {
 }
 
 fn dot(a: &Unknowns, b: &Unknowns) -> f64 {
-    let picture: f64 = a.picture.iter().zip(&b.picture).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
-    picture + a.rest.iter().zip(&b.rest).map(|(a, b)| a * b).sum::<f64>()
+    products::dot(&a.picture, &b.picture) + a.rest.iter().zip(&b.rest).map(|(a, b)| a * b).sum::<f64>()
 }
 
 /// `x += by * step`.
@@ -419,13 +501,14 @@ mod tests {
         let mut rows = Rows { first: vec![0], ..Rows::default() };
         for r in 0..90 {
             let (i, j) = ((random.uniform() * 4.9) as usize, (random.uniform() * 2.9) as usize);
-            rows.stencil.extend((0..16).map(|_| random.normal() as f32));
-            rows.first.push(rows.stencil.len() as u32);
-            rows.corner.push(((j * grid.width + i) as u32, 4));
+            let stencil: Vec<f32> = (0..4 * LANES).map(|n| if n % LANES < 4 { random.normal().abs() as f32 } else { 0.0 }).collect();
+            rows.push_stencil((j * grid.width + i) as u32, LANES as u32, &stencil);
             rows.residual.push(random.normal() as f32);
             rows.weight.push(0.5 + random.uniform() as f32);
             rows.knot.push(r / 46);
-            rows.by_rest.push(std::array::from_fn(|n| if n < TOUCHED * DEGREES + TERMS { random.normal() as f32 } else { 0.0 }));
+            rows.touched.push(TOUCHED as u8);
+            let is_there = |n: usize| n < TERMS || (POSES..POSES + TOUCHED * DEGREES).contains(&n);
+            rows.push_rest(&std::array::from_fn(|n| if is_there(n) { random.normal() as f32 } else { 0.0 }));
         }
         let rest = knots * DEGREES + TERMS;
         let n = grid.coefficients();
@@ -442,12 +525,12 @@ mod tests {
             let mut line = DVector::zeros(n + rest);
             let (corner, columns, stencil) = rows.line(r);
             for (k, a) in stencil.iter().enumerate() {
-                line[corner + k / columns * grid.width + k % columns] = f64::from(*a);
+                line[corner + k / columns * grid.width + k % columns] = f64::from(*a) * f64::from(rows.unit[r]);
             }
             let indices = rows.indices(knots, rows.knot[r] as usize);
-            indices.iter().zip(&rows.by_rest[r]).for_each(|(at, a)| {
+            indices.iter().zip(rows.rest_of(r)).for_each(|(at, a)| {
                 if let Some(at) = at {
-                    line[n + at] = f64::from(*a);
+                    line[n + at] = f64::from(a);
                 }
             });
             let weight = f64::from(rows.weight[r]);
@@ -515,11 +598,14 @@ mod tests {
         let (mut rows, grid, smooth, knots) = problem();
         let mut random = Random::new(2, &[]);
         let truth: Vec<f32> = (0..grid.coefficients()).map(|_| random.normal() as f32).collect();
-        rows.residual = (0..rows.count()).map(|r| rows.along(&grid, &truth, r)).collect();
+        rows.is_saturated = vec![false; rows.count()];
+        rows.measured = vec![0.0; rows.count()];
+        rows.look_at(&grid, &truth.iter().map(|c| -c).collect::<Vec<_>>());
+        rows.measured = rows.residual.clone();
         let far = |picture: &[f32]| picture.iter().zip(&truth).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
-        let first = again(&rows, &grid, &smooth, knots, 200);
-        rows.residual = (0..rows.count()).map(|r| rows.residual[r] - rows.along(&grid, &first, r)).collect();
-        let second: Vec<f32> = again(&rows, &grid, &smooth, knots, 200).iter().zip(&first).map(|(a, b)| a + b).collect();
+        let first = again(&rows, &grid, &smooth, knots, 200, &[]);
+        rows.look_at(&grid, &first);
+        let second: Vec<f32> = again(&rows, &grid, &smooth, knots, 200, &[]).iter().zip(&first).map(|(a, b)| a + b).collect();
         assert!(far(&second) < 0.5 * far(&first), "{} and {}", far(&second), far(&first));
     }
 }
