@@ -31,9 +31,9 @@ use crate::scene::{SceneSetting, pixel_data};
 use light::Light;
 use photocurrent_core::{Exposure, Timestamp};
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional, frame_values};
-use photocurrent_sensor::effects::{Effect, Kernel, Reading, RowSite, Site};
+use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
-use photocurrent_sensor::forward::neighbours::{mixed_log, stand_in};
+use photocurrent_sensor::forward::neighbours::stand_in;
 use photocurrent_sensor::map::MapEvent;
 use prepared::Prepared;
 use rayon::prelude::*;
@@ -97,6 +97,17 @@ pub struct FrameValues {
     pub log_signal: Vec<f64>,
 }
 
+/// Pixels that are looked at by one thread at a time.
+const CHUNK: usize = 16;
+
+/// Which events are looked at.
+enum Chosen<'a, K> {
+    /// Armed ones, by the first trial, where this keeps them.
+    By(&'a K),
+    /// These.
+    Before(&'a Residuals),
+}
+
 impl View<'_> {
     /// Residuals of the armed events behind the first of each pixel, and what each trial makes of them.
     ///
@@ -104,7 +115,7 @@ impl View<'_> {
     /// When a trial's effects are not understood or cannot be combined.
     pub fn residuals(&self, trials: &[Trial], keeps: impl Fn(usize, i64) -> bool + Sync) -> Result<(Residuals, Vec<OfTrial>), String> {
         let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
-        let parts: Vec<(Residuals, Vec<OfTrial>)> = self.pixels.par_chunks(16).map(|pixels| self.part(pixels, &prepared, &keeps)).collect();
+        let parts: Vec<(Residuals, Vec<OfTrial>)> = self.pixels.par_chunks(CHUNK).map(|pixels| self.part(pixels, &prepared, &Chosen::By(&keeps))).collect();
         let mut all = Residuals::default();
         let mut of_trials: Vec<OfTrial> = vec![OfTrial::default(); trials.len()];
         for (part, values) in parts {
@@ -125,6 +136,24 @@ impl View<'_> {
             }
         }
         Ok((all, of_trials))
+    }
+
+    /// What each trial makes of events of the view's pixels that were chosen before.
+    ///
+    /// # Errors
+    /// When a trial's effects are not understood or cannot be combined.
+    pub fn of_events(&self, trials: &[Trial], events: &Residuals) -> Result<Vec<OfTrial>, String> {
+        let prepared = trials.iter().map(|trial| Prepared::new(self.case, trial)).collect::<Result<Vec<_>, String>>()?;
+        let chosen: Chosen<'_, fn(usize, i64) -> bool> = Chosen::Before(events);
+        let parts: Vec<Vec<OfTrial>> = self.pixels.par_chunks(CHUNK).map(|pixels| self.part(pixels, &prepared, &chosen).1).collect();
+        let mut of_trials: Vec<OfTrial> = vec![OfTrial::default(); trials.len()];
+        for part in parts {
+            for (all, values) in of_trials.iter_mut().zip(part) {
+                all.excess.extend(values.excess);
+                all.slope_per_s.extend(values.slope_per_s);
+            }
+        }
+        Ok(of_trials)
     }
 
     /// The frame values of the pixels, and for each trial what it leaves of them, DN: recorded less predicted. Saturated and unknown values are left out.
@@ -167,7 +196,7 @@ impl View<'_> {
         Ok((all, of_trials))
     }
 
-    fn part(&self, pixels: &[u32], prepared: &[Prepared], keeps: &(impl Fn(usize, i64) -> bool + Sync)) -> (Residuals, Vec<OfTrial>) {
+    fn part(&self, pixels: &[u32], prepared: &[Prepared], chosen: &Chosen<'_, impl Fn(usize, i64) -> bool + Sync>) -> (Residuals, Vec<OfTrial>) {
         let (mut all, mut of_trials) = (Residuals::default(), vec![OfTrial::default(); prepared.len()]);
         let mut out = Conditional::default();
         let setting = SceneSetting::default();
@@ -181,9 +210,18 @@ impl View<'_> {
             let site = self.case.site(pixel, 0);
             let (events, _) = pixel_data(self.case, &prepared[0].nominal, &setting, pixel);
             let mut kept: Vec<usize> = Vec::new();
+            if let Chosen::Before(events) = chosen {
+                let from = events.pixel.partition_point(|of| (*of as usize) < pixel);
+                let to = events.pixel.partition_point(|of| (*of as usize) <= pixel);
+                kept.extend(events.number[from..to].iter().map(|number| *number as usize));
+                if kept.is_empty() {
+                    continue;
+                }
+            }
             let mut plain: Option<Track> = None;
+            let mut around = Around::default();
             for (n, prepared) in prepared.iter().enumerate() {
-                let seen = prepared.kernel().map(|kernel| self.mixed(kernel, prepared, pixel, &instants));
+                let seen = prepared.kernel().map(|kernel| self.mixed(kernel, prepared, pixel, &instants, &mut around));
                 let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, &instants, &log) };
                 let track = match changed {
                     Some((t, log)) => &Track::new(&t, &log, self.light.step_ns),
@@ -192,7 +230,7 @@ impl View<'_> {
                 let seen = seen.filter(|seen| seen.len() == track.t_ns.len());
                 let look = Look { site, track, seen: seen.as_deref(), events: &events, frames: &[] };
                 conditional(&prepared.nominal, &prepared.effects, &look, &mut out);
-                if n == 0 {
+                if let (0, Chosen::By(keeps)) = (n, chosen) {
                     kept = (1..events.len())
                         .filter(|&k| out.is_armed[k] && out.is_armed[k - 1] && keeps(pixel, events[k].t_in_ns) && keeps(pixel, events[k - 1].t_in_ns))
                         .collect();
@@ -223,17 +261,78 @@ impl View<'_> {
     }
 
     /// Log light that the event path sees where neighbours mix in, each as its frames imply it.
-    fn mixed(&self, kernel: &Kernel, prepared: &Prepared, pixel: usize, instants: &[i64]) -> Vec<f64> {
+    fn mixed(&self, kernel: &Kernel, prepared: &Prepared, pixel: usize, instants: &[i64], around: &mut Around) -> Vec<f64> {
         let (x, y) = self.case.place(pixel);
         let (width, height) = (self.case.extent.width as usize, self.case.extent.height as usize);
-        mixed_log(kernel, self.light.count, |tap, out| {
-            let neighbour = stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
-            let neighbour = if self.light.log[neighbour].is_empty() { pixel } else { neighbour };
-            let log: Vec<f64> = self.light.log[neighbour].iter().map(|u| f64::from(*u)).collect();
-            let site = self.case.site(neighbour, 0);
-            let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, instants, &log) };
-            out.extend(changed.map_or(log, |(_, log)| log));
+        let is_linear = kernel.domain == Domain::Linear;
+        let taps: Vec<(usize, Option<Vec<f64>>)> = kernel
+            .taps
+            .iter()
+            .map(|tap| {
+                let neighbour = stand_in(y as usize, tap.dy, height) * width + stand_in(x as usize, tap.dx, width);
+                let neighbour = if self.light.log[neighbour].is_empty() { pixel } else { neighbour };
+                let at = around.find(neighbour, &self.light.log[neighbour]);
+                let site = self.case.site(neighbour, 0);
+                let log = &around.seen[at].log;
+                let changed = if self.is_known { None } else { through_frames(self.case, prepared, &site, instants, log) };
+                (at, changed.map(|(_, log)| log))
+            })
+            .collect();
+        let is_plain = taps.iter().all(|(_, changed)| changed.is_none());
+        if let Some((_, mixed)) = around.mixed.as_ref().filter(|(of, _)| is_plain && of == kernel) {
+            return mixed.clone();
+        }
+        let mut sum = vec![0.0; self.light.count];
+        for (tap, (at, changed)) in kernel.taps.iter().zip(&taps) {
+            let values = match changed {
+                Some(log) if is_linear => &log.iter().map(|u| exp(*u)).collect(),
+                Some(log) => log,
+                None => around.seen[*at].of(is_linear),
+            };
+            sum.iter_mut().zip(values).for_each(|(sum, value)| *sum += tap.weight * value);
+        }
+        if is_linear {
+            sum.iter_mut().for_each(|sum| *sum = ln(f64::max(*sum, f64::MIN_POSITIVE)));
+        }
+        if is_plain {
+            around.mixed = Some((kernel.clone(), sum.clone()));
+        }
+        sum
+    }
+}
+
+/// Light of a pixel's neighbours, kept from trial to trial.
+#[derive(Default)]
+struct Around {
+    seen: Vec<Neighbour>,
+    /// The last mixture of light that no effect of frames changes.
+    mixed: Option<(Kernel, Vec<f64>)>,
+}
+
+struct Neighbour {
+    pixel: usize,
+    log: Vec<f64>,
+    light: Vec<f64>,
+}
+
+impl Around {
+    fn find(&mut self, pixel: usize, log: &[f32]) -> usize {
+        self.seen.iter().position(|one| one.pixel == pixel).unwrap_or_else(|| {
+            self.seen.push(Neighbour { pixel, log: log.iter().map(|u| f64::from(*u)).collect(), light: Vec::new() });
+            self.seen.len() - 1
         })
+    }
+}
+
+impl Neighbour {
+    fn of(&mut self, is_linear: bool) -> &Vec<f64> {
+        if !is_linear {
+            return &self.log;
+        }
+        if self.light.is_empty() {
+            self.light = self.log.iter().map(|u| exp(*u)).collect();
+        }
+        &self.light
     }
 }
 

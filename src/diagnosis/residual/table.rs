@@ -69,8 +69,12 @@ pub(super) struct Table {
 /// What a picture that is too soft leaves looks like what too much blur in the event path would, with the other sign.
 const SOFTNESS: &str = "blur";
 
+/// Columns of effects at their sizes stand while those move by less than this share.
+const SAME_COLUMN: f64 = 0.05;
+
 /// What trials make of the rows.
 struct Evaluated {
+    /// Of the first trial; nothing where they are a table's.
     events: Residuals,
     frames: FrameValues,
     /// Residuals for each trial: of events, then of frame values.
@@ -184,9 +188,16 @@ const OF_FRAMES: [Covariate; 8] = [
 pub(super) const OF_PIXELS: [(&str, &str); 2] = [("threshold_scale", "fraction"), ("refractory", "refractory")];
 
 impl Seen<'_> {
-    fn evaluate(&self, trials: &[Trial]) -> Result<Evaluated, String> {
+    /// What trials make of events: those of a table, or those that count by the first trial.
+    fn evaluate(&self, trials: &[Trial], table: Option<&Table>) -> Result<Evaluated, String> {
         let view = View { case: self.case, light: &self.light, pixels: self.pixels.clone(), is_known: self.is_known };
-        let (events, of_trials) = view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+        let (events, of_trials) = match table {
+            Some(table) => (Cow::Borrowed(&table.events), view.of_events(trials, &table.events)?),
+            None => {
+                let (events, of_trials) = view.residuals(trials, |pixel, t_ns| self.gate.keeps(pixel, t_ns))?;
+                (Cow::Owned(events), of_trials)
+            }
+        };
         let mut slopes: Vec<f64> = events.slope_per_s.iter().map(|slope| slope.abs()).collect();
         // A voltage that hardly moves says little of when an event comes.
         let least = self.setting.least_slope * median(&mut slopes);
@@ -197,11 +208,15 @@ impl Seen<'_> {
         }
         let mut frames = FrameValues::default();
         if self.is_known {
-            let of_frames;
-            (frames, of_frames) = view.frames(trials)?;
+            // Which values are looked at is the first one's business.
+            let first = table.map(|table| table.trial.clone());
+            let all: Vec<Trial> = first.iter().chain(trials).cloned().collect();
+            let mut of_frames;
+            (frames, of_frames) = view.frames(&all)?;
+            of_frames.drain(..all.len() - trials.len());
             left.iter_mut().zip(of_frames).for_each(|(left, of_frames)| left.extend(of_frames));
         }
-        Ok(Evaluated { events, frames, left, log_slope })
+        Ok(Evaluated { events: if table.is_none() { events.into_owned() } else { Residuals::default() }, frames, left, log_slope })
     }
 
     /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than are fitted.
@@ -263,7 +278,7 @@ impl Seen<'_> {
         let chosen: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| !CANDIDATES[n].is_random && Some(n) != without).filter(can_be).collect();
         let mut trials = vec![trial.clone()];
         trials.extend(chosen.iter().map(|&n| on_top(trial, n, self.probe(n), self.scales)));
-        let found = self.evaluate(&trials)?;
+        let found = self.evaluate(&trials, None)?;
         let block: Vec<u32> = found.events.pixel.iter().chain(&found.frames.pixel).map(|pixel| self.block_of(*pixel as usize)).collect();
         let slope: Vec<f64> = found.events.slope_per_s.iter().chain(&found.frames.signal_dn).copied().collect();
         let columns = chosen.iter().enumerate().map(|(k, &n)| (n, found.column(1 + k, 0, self.probe(n)))).collect();
@@ -307,18 +322,24 @@ impl Seen<'_> {
         let free: Vec<usize> = (0..which.len()).filter(|&i| is_free[i]).collect();
         let rows = table.rows(which.iter().any(|&n| CANDIDATES[n].id == SOFTNESS));
         let rounds = if free.is_empty() { 0 } else { self.setting.rounds * which.len() };
+        // Columns, and the sizes that they were taken at.
+        let mut known: Option<(Vec<Column>, Vec<f64>)> = None;
         for _ in 0..rounds {
-            // Which events are looked at is the table's business.
-            let mut trials = vec![table.trial.clone(), put(&strength)];
+            let is_near = |at: &Vec<f64>| at.iter().zip(&strength).all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe));
+            let is_known = known.as_ref().is_some_and(|(_, at)| is_near(at));
+            let mut trials = vec![put(&strength)];
             let further: Vec<f64> = free.iter().map(|&i| self.setting.probe * f64::max(0.2, strength[i].abs())).collect();
-            for (&i, by) in free.iter().zip(&further) {
+            for (&i, by) in free.iter().zip(&further).filter(|_| !is_known) {
                 let mut moved = strength.clone();
                 moved[i] += by;
                 trials.push(put(&moved));
             }
-            let found = self.evaluate(&trials)?;
-            let columns: Vec<Column> = further.iter().enumerate().map(|(n, by)| found.column(2 + n, 1, *by)).collect();
-            let step = heldout(&Plain::new(&wide(&found.left[1]), rows), &columns.iter().collect::<Vec<_>>());
+            let found = self.evaluate(&trials, Some(table))?;
+            if !is_known {
+                known = Some((further.iter().enumerate().map(|(n, by)| found.column(1 + n, 0, *by)).collect(), strength.clone()));
+            }
+            let columns: Vec<&Column> = known.iter().flat_map(|(columns, _)| columns).collect();
+            let step = heldout(&Plain::new(&wide(&found.left[0]), rows), &columns);
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
                 let most = 1.0 + strength[i].abs();
@@ -330,10 +351,10 @@ impl Seen<'_> {
                 break;
             }
         }
-        let found = self.evaluate(&[table.trial.clone(), put(&strength)])?;
-        let mut left = wide(&found.left[1]);
+        let found = self.evaluate(&[put(&strength)], Some(table))?;
+        let mut left = wide(&found.left[0]);
         let before = fit::Seen { residual: &table.base, log_slope: &table.log_slope };
-        let with = fit::Seen { residual: &left, log_slope: &found.log_slope[1] };
+        let with = fit::Seen { residual: &left, log_slope: &found.log_slope[0] };
         let (gain, gain_error) = gain_of(before, with, &rows);
         let gains = gains(before, with, &rows);
         left.truncate(table.events.pixel.len());
