@@ -290,7 +290,7 @@ impl Node for DiagnoseEvidence {
     const DECL: Decl = Decl {
         kind: "diagnose/evidence",
         about: "Asks every effect of the catalogue how much it explains of what events miss their thresholds by, on a scene that frames alone state, or on known light.",
-        revision: 4,
+        revision: 5,
         grain: Grain::Whole,
         draws: true,
         exports: false,

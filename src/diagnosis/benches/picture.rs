@@ -1,0 +1,45 @@
+//! Time to fit a moving picture to the frames of a made-up scene, to fit it again to frames like them, and to ask every effect of its events.
+//!
+//! Run with `cargo bench -p photocurrent-diagnosis --bench picture`; the argument is the array's width, three quarters of it are its height.
+
+use divan::Bencher;
+use photocurrent_core::Extent;
+use photocurrent_diagnosis::case::Case;
+use photocurrent_diagnosis::nominal::Nominal;
+use photocurrent_diagnosis::picture::{Picture, PictureSetting};
+use photocurrent_diagnosis::residual::evidence::{EvidenceSetting, evidence};
+use photocurrent_diagnosis::residual::source::MovingPicture;
+use photocurrent_diagnosis::scenes::MadeUp;
+
+const WIDTHS: [u32; 2] = [24, 48];
+
+fn main() {
+    divan::main();
+}
+
+fn recording(width: u32) -> (Case, Nominal) {
+    let case = MadeUp::new(3, 2, Extent { width, height: width * 3 / 4 }, 0.15).recording().expect("a scene is made");
+    let nominal = case.nominal().expect("its sensor is stated");
+    (case, nominal)
+}
+
+#[divan::bench(args = WIDTHS, sample_count = 5)]
+fn fit(bencher: Bencher<'_, '_>, width: u32) {
+    let (case, nominal) = recording(width);
+    bencher.bench(|| Picture::fit(&case, &nominal, &PictureSetting::default()));
+}
+
+#[divan::bench(args = WIDTHS, sample_count = 5)]
+fn refit(bencher: Bencher<'_, '_>, width: u32) {
+    let (case, nominal) = recording(width);
+    let picture = Picture::fit(&case, &nominal, &PictureSetting::default()).expect("it is fitted");
+    bencher.bench(|| picture.refit(&case, &nominal, &PictureSetting::default(), None));
+}
+
+#[divan::bench(args = [48], sample_count = 3)]
+fn every_effect(bencher: Bencher<'_, '_>, width: u32) {
+    let (case, nominal) = recording(width);
+    let setting = PictureSetting::default();
+    let source = MovingPicture::fit(&case, &nominal, &setting).expect("it is fitted");
+    bencher.bench(|| evidence(&case, &nominal, &source, &EvidenceSetting::default()));
+}
