@@ -502,24 +502,26 @@ mod tests {
     use nalgebra::DMatrix;
 
     /// Rows that see four by four coefficients of a picture each, at random places, with random weights and shading.
-    fn problem() -> (Rows, Grid, Smoothness, usize) {
+    /// With `has_ground`, before a random ground.
+    fn problem(has_ground: bool) -> (Rows, Grid, Smoothness, usize) {
         let mut random = Random::new(5, &[]);
-        let grid = Grid { x0: 0.0, y0: 0.0, pitch: 1.0, width: 8, height: 6 };
+        let grid = Grid { x0: 0.0, y0: 0.0, pitch: 1.0, width: 16, height: 6 };
         let knots = 7;
         let mut rows = Rows { first: vec![0], ..Rows::default() };
-        for r in 0..90 {
-            let (i, j) = ((random.uniform() * 4.9) as usize, (random.uniform() * 2.9) as usize);
+        for r in 0..240 {
+            let (i, j) = ((random.uniform() * 8.9) as usize, (random.uniform() * 2.9) as usize);
             let stencil: Vec<f32> = (0..4 * LANES).map(|n| if n % LANES < 4 { random.normal().abs() as f32 } else { 0.0 }).collect();
             rows.push_stencil((j * grid.width + i) as u32, LANES as u32, &stencil);
             rows.residual.push(random.normal() as f32);
             rows.weight.push(0.5 + random.uniform() as f32);
-            rows.knot.push(r / 46);
+            rows.knot.push(r / 121);
             rows.touched.push(TOUCHED as u8);
             let is_there = |n: usize| n < TERMS || (POSES..POSES + TOUCHED * DEGREES).contains(&n);
             rows.push_rest(&std::array::from_fn(|n| if is_there(n) { random.normal() as f32 } else { 0.0 }));
+            rows.behind.extend(has_ground.then(|| 0.5 + random.uniform() as f32));
         }
         let rest = knots * DEGREES + TERMS;
-        let n = grid.coefficients();
+        let n = rows.layers() * grid.coefficients();
         let smooth =
             Smoothness { along_x: vec![0.7; n], along_y: vec![0.9; n], across: vec![0.4; n], rest: vec![0.5; rest], rest_size: vec![0.3; rest], motion: 0.6 };
         (rows, grid, smooth, knots)
@@ -527,13 +529,17 @@ mod tests {
 
     /// The same problem with all its rows written out, of measurements and of what is held small; and its right side.
     fn written_out(rows: &Rows, grid: &Grid, smooth: &Smoothness, knots: usize) -> (DMatrix<f64>, DVector<f64>) {
-        let (n, rest) = (grid.coefficients(), knots * DEGREES + TERMS);
+        let (n, rest) = (rows.layers() * grid.coefficients(), knots * DEGREES + TERMS);
         let mut lines: Vec<(DVector<f64>, f64)> = Vec::new();
         for r in 0..rows.count() {
             let mut line = DVector::zeros(n + rest);
             let (corner, columns, stencil) = rows.line(r);
             for (k, a) in stencil.iter().enumerate() {
-                line[corner + k / columns * grid.width + k % columns] = f64::from(*a) * f64::from(rows.unit[r]);
+                let at = corner + k / columns * grid.width + k % columns;
+                line[at] = f64::from(*a) * f64::from(rows.unit[r]);
+                if let Some(behind) = rows.behind.get(r) {
+                    line[grid.coefficients() + at] = -f64::from(*behind) * line[at];
+                }
             }
             let indices = rows.indices(knots, rows.knot[r] as usize);
             indices.iter().zip(rows.rest_of(r)).for_each(|(at, a)| {
@@ -572,18 +578,21 @@ mod tests {
 
     #[test]
     fn the_step_is_that_of_all_rows_written_out() {
-        let (rows, grid, smooth, knots) = problem();
-        let (normal, right) = written_out(&rows, &grid, &smooth, knots);
-        let exact = normal.cholesky().unwrap().solve(&right);
-        let now = Unknowns { picture: vec![0.0; grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
-        let found = solve(&rows, &grid, &smooth, &now, knots, true, 400);
-        let all: Vec<f64> = found.picture.iter().map(|c| f64::from(*c)).chain(found.rest.iter().copied()).collect();
-        all.iter().zip(exact.iter()).for_each(|(a, b)| assert!((a - b).abs() < 2e-3, "{a} is {b}"));
+        for has_ground in [false, true] {
+            let (rows, grid, smooth, knots) = problem(has_ground);
+            let (normal, right) = written_out(&rows, &grid, &smooth, knots);
+            let exact = normal.cholesky().unwrap().solve(&right);
+            let now = Unknowns { picture: vec![0.0; rows.layers() * grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
+            let found = solve(&rows, &grid, &smooth, &now, knots, true, 400);
+            let all: Vec<f64> = found.picture.iter().map(|c| f64::from(*c)).chain(found.rest.iter().copied()).collect();
+            assert_eq!(all.len(), exact.len());
+            all.iter().zip(exact.iter()).for_each(|(a, b)| assert!((a - b).abs() < 5e-3 * (1.0 + b.abs()), "{a} is {b}"));
+        }
     }
 
     #[test]
     fn draws_have_the_covariance_that_is_left_open() {
-        let (rows, grid, mut smooth, knots) = problem();
+        let (rows, grid, mut smooth, knots) = problem(false);
         smooth.rest = vec![0.0; knots * DEGREES + TERMS];
         let n = grid.coefficients();
         let (normal, _) = written_out(&rows, &grid, &smooth, knots);
@@ -603,17 +612,19 @@ mod tests {
 
     #[test]
     fn fitting_again_what_is_left_gives_back_what_smoothness_took() {
-        let (mut rows, grid, smooth, knots) = problem();
+        let (mut rows, grid, smooth, knots) = problem(false);
         let mut random = Random::new(2, &[]);
         let truth: Vec<f32> = (0..grid.coefficients()).map(|_| random.normal() as f32).collect();
         rows.is_saturated = vec![false; rows.count()];
         rows.measured = vec![0.0; rows.count()];
         rows.look_at(&grid, &truth.iter().map(|c| -c).collect::<Vec<_>>());
         rows.measured = rows.residual.clone();
-        let far = |picture: &[f32]| picture.iter().zip(&truth).map(|(a, b)| (a - b) * (a - b)).sum::<f32>();
+        // Of the columns that rows see.
+        let seen = |k: &usize| k % grid.width < 12;
+        let far = |picture: &[f32]| (0..truth.len()).filter(seen).map(|k| (picture[k] - truth[k]) * (picture[k] - truth[k])).sum::<f32>();
         let first = again(&rows, &grid, &smooth, knots, 200, &[]);
         rows.look_at(&grid, &first);
         let second: Vec<f32> = again(&rows, &grid, &smooth, knots, 200, &[]).iter().zip(&first).map(|(a, b)| a + b).collect();
-        assert!(far(&second) < 0.5 * far(&first), "{} and {}", far(&second), far(&first));
+        assert!(far(&second) < 0.6 * far(&first), "{} and {}", far(&second), far(&first));
     }
 }

@@ -1,0 +1,105 @@
+//! Derivatives of the fit against finite steps; the same picture with any number of threads; a picture before a still ground.
+
+use super::*;
+use crate::scenes::MadeUp;
+use photocurrent_core::Extent;
+
+fn recording() -> Case {
+    // A texture that moves: the first made-up scene that is one.
+    MadeUp::new(21, 0, Extent { width: 24, height: 18 }, 0.05).recording().unwrap()
+}
+
+#[test]
+fn derivatives_are_those_of_finite_steps() {
+    let case = recording();
+    derivatives_of(&case, None);
+    let mut random = Random::new(4, &[]);
+    let ground: Vec<f32> = (0..case.extent.pixels()).map(|_| (60.0 + 80.0 * random.uniform()) as f32).collect();
+    derivatives_of(&case, Some(&ground));
+}
+
+fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
+    let nominal = case.nominal().unwrap();
+    let setting = PictureSetting::default();
+    let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
+    let mut fit = Fit::new(case, &nominal, &setting, begin_motion(case, &poses, &setting), Begin { counts: None, ground });
+    let mut random = Random::new(3, &[]);
+    let typical = fit.typical as f32;
+    fit.picture.surface.iter_mut().for_each(|c| *c += 0.2 * typical * random.normal() as f32);
+    fit.picture.shading.iter_mut().for_each(|term| *term = 0.02 * random.normal());
+    let rows = fit.lay(true);
+    assert!(rows.count() > 500);
+    let begun = fit.picture.clone();
+    let mut moved = |change: &dyn Fn(&mut Picture, f64)| -> Vec<f64> {
+        let by = 1e-4;
+        let at = |fit: &mut Fit<'_>, by: f64| {
+            fit.picture = begun.clone();
+            change(&mut fit.picture, by);
+            fit.lay(false).residual
+        };
+        let (more, less) = (at(&mut fit, by), at(&mut fit, -by));
+        // A residual falls as what is predicted rises.
+        more.iter().zip(&less).map(|(more, less)| -f64::from(more - less) / (2.0 * by)).collect()
+    };
+    let knots = begun.motion.knots.len();
+    for (knot, degree) in (0..knots).flat_map(|knot| (0..DEGREES).map(move |degree| (knot, degree))) {
+        let finite = moved(&|picture, by| picture.motion.knots[knot][degree] += by);
+        for (r, finite) in finite.iter().enumerate() {
+            let first = rows.knot[r] as usize;
+            let own = if (first..first + TOUCHED).contains(&knot) { f64::from(rows.rest_of(r)[POSES + (knot - first) * DEGREES + degree]) } else { 0.0 };
+            assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "knot {knot}, degree {degree}, row {r}: {own} is {finite}");
+        }
+    }
+    for term in 0..TERMS {
+        let finite = moved(&|picture, by| picture.shading[term] += by);
+        for (r, finite) in finite.iter().enumerate() {
+            let own = f64::from(rows.rest_of(r)[term]);
+            assert!((own - finite).abs() < 0.02 * own.abs() + 1.5, "term {term}, row {r}: {own} is {finite}");
+        }
+    }
+}
+
+#[test]
+fn the_same_recording_gives_the_same_picture_with_any_number_of_threads() {
+    let case = recording();
+    let nominal = case.nominal().unwrap();
+    let of = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| Picture::fit(&case, &nominal, &PictureSetting::default()).unwrap().surface)
+    };
+    assert_eq!(of(1), of(2));
+}
+
+/// A ball that falls and a fan that turns, both before a still texture, by less than five pixels from frame to frame.
+#[test]
+fn what_moves_before_a_still_ground_is_seen_with_its_light() {
+    for (name, most) in [("fan", 0.04), ("ball", 0.06)] {
+        let extent = Extent { width: 48, height: 36 };
+        let scene = (0..2_000).map(|index| MadeUp::of_any_kind(21, index, extent, 0.12)).find(|scene| scene.name() == name && scene.px_per_s(0.0, 0.0) < 500.0).unwrap();
+        let case = scene.recording().unwrap();
+        let nominal = case.nominal().unwrap();
+        let noise = (1.0, 0.005);
+        let still = crate::picture::patches::ground(&case, &nominal, noise, 4.0, 0.35);
+        let counts = crate::picture::patches::foreground(&case, &nominal, &still, noise, 4.0);
+        let exposure_s = exposure_s(&case, 0, 0);
+        let ground: Vec<f32> = still.iter().map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * exposure_s)) as f32).collect();
+        let poses = crate::picture::patches::follow(&case, &nominal, &counts, &crate::picture::patches::PatchSetting::default());
+        let picture = Picture::fit_from(&case, &nominal, &PictureSetting::default(), &[&poses], Begin { counts: None, ground: Some(&ground) });
+        // Between frames, at instants that no exposure covers, where something moves.
+        let (mut of_picture, mut of_ground) = (Vec::new(), Vec::new());
+        for l in 2..case.frame_count() - 2 {
+            let frames = case.frames.as_ref().unwrap();
+            let t_ns = (frames.times.exposure(l, 18).end.0 + frames.times.exposure(l + 1, 18).start.0) / 2;
+            let map = picture.motion.at(t_ns);
+            for pixel in (0..extent.pixels()).filter(|pixel| counts[l * extent.pixels() + pixel] && ground[*pixel].is_finite()) {
+                let (x, y) = case.place(pixel);
+                let truth = scene.log_light(f64::from(x), f64::from(y), t_ns as f64 * 1e-9);
+                let found = picture.log_light(x as usize, y as usize, &[map]).unwrap()[0];
+                of_picture.push((found - truth).abs());
+                of_ground.push((f64::from(ground[pixel]).ln() - truth).abs());
+            }
+        }
+        let (found, without) = (crate::integrity::median(&mut of_picture), crate::integrity::median(&mut of_ground));
+        assert!(found < most && found < 0.3 * without, "{name}: {found}, of the ground alone {without}, in {} places", of_picture.len());
+    }
+}
