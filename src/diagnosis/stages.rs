@@ -1,4 +1,4 @@
-//! What passes between stages as documents: findings of the direct tests and proposals of the roads, written and read again.
+//! What passes between stages as documents: findings of the direct tests, evidence and proposals, written and read again.
 //!
 //! Both are written as they are. Reading needs two things that text does not hold: the catalogue's own names for ids and parameters, and that an index into
 //! [`CANDIDATES`] still means what it meant: [`Proposals`] carries the list's labels, and refuses to be read with another list.
