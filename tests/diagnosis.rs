@@ -91,7 +91,7 @@ fn what_cannot_be_diagnosed_says_why() {
 fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_do() {
     let bench = Bench::new();
     let root = support::root();
-    let recording = root.join("data/sealed/recordings/0a79f5b6.h5");
+    let recording = root.join("data/sealed/recordings/0ca5a116.h5");
     let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "command", "--threads", "1", "--cache", "of the command"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let manifest = root.join("pipelines/diagnose/recording.toml").display().to_string();
@@ -108,7 +108,7 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
     assert_eq!(executed(&bench.outcome(&arguments)), [""; 0]);
     // The examination's stages have the same keys, so that only the judgement is left to do.
     let sealed = root.join("pipelines/diagnose/sealed.toml").display().to_string();
-    let examined = bench.outcome(&[&sealed, "--variant", "recording=0a79f5b6", "--to", "right", "--out", "sealed"]);
+    let examined = bench.outcome(&[&sealed, "--variant", "recording=0ca5a116", "--to", "right", "--out", "sealed"]);
     assert_eq!(executed(&examined), ["right"]);
     let table = bench.run(&["table", "sealed", "--rows", "card.truth", "--columns", "card.said", "--metric", "count", "--sum"]);
     assert_eq!(table.code, 0, "{}", table.stderr);
@@ -219,7 +219,7 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
 #[test]
 fn direct_tests_alone_are_told_as_such() {
     let bench = Bench::new();
-    let recording = support::root().join("data/sealed/recordings/0a79f5b6.h5");
+    let recording = support::root().join("data/sealed/recordings/0ca5a116.h5");
     let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "found", "--direct"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");
@@ -232,14 +232,17 @@ fn a_decision_is_calibrated_from_nothing_and_a_stopped_run_goes_on_where_it_was(
     let calibrate = |count: &str| bench.run(&["calibrate", "--recordings", count, "--size", "24x18", "--folds", "2", "-o", "made"]);
     let done = calibrate("2");
     assert_eq!(done.code, 0, "{}", done.stderr);
-    let first = bench.path("made/made-24x18-7/00000.json");
+    let first = bench.path("made/made-picture-24x18-7/00000.json");
     let before = std::fs::metadata(&first).and_then(|of| of.modified()).expect("the first recording");
     let done = calibrate("4");
-    says(&done, 0, &["cross-validated", "decision.json", "examples.jsonl"]);
+    says(&done, 0, &["4 recordings", "decision.json", "examples.jsonl"]);
     assert_eq!(std::fs::metadata(&first).and_then(|of| of.modified()).expect("the first recording"), before);
     let found: Value = serde_json::from_str(&read(&bench, "made/decision.json")).expect("JSON");
-    assert_eq!(found["validation"]["recordings"], 4);
-    assert_eq!(found["model"]["something"].as_array().map(Vec::len), Some(3));
+    // Each recording is of the model of its kind of scene, or without one.
+    let models: Vec<&Value> = found["models"].as_object().expect("models").values().collect();
+    let judged: u64 = models.iter().filter_map(|of_kind| of_kind["validation"]["recordings"].as_u64()).sum();
+    assert_eq!(judged + found["without"].as_u64().expect("a count"), 4);
+    assert!(models.iter().all(|of_kind| of_kind["model"]["something"].as_array().map(Vec::len) == Some(3)), "{found}");
     assert_eq!(read(&bench, "made/examples.jsonl").lines().count(), 4);
 }
 

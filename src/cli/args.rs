@@ -369,7 +369,7 @@ pub struct CalibrateOptions {
     /// Made-up recordings: with nothing, one effect, two, or what is in no catalogue; some six seconds each on two cores at 64x48
     #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
     pub recordings: u64,
-    /// Kind of scene whose numbers are made: a moving picture that is fitted, or given light (a known target; three seconds each at 40x30)
+    /// Kind of scene whose numbers are made: a moving picture that is fitted, a scene in parts, or given light (a known target)
     #[arg(long, value_enum, default_value = "picture")]
     pub scene: CalibratedScene,
     /// Size of the made-up arrays, pixels [default: 64x48; 40x30 of given light]
@@ -394,6 +394,8 @@ pub struct CalibrateOptions {
 pub enum CalibratedScene {
     /// A moving picture, fitted to the frames
     Picture,
+    /// Scenes that do not move as one, in parts
+    Parts,
     /// Light that is known but for a few numbers
     Given,
 }

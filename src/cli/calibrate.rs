@@ -21,6 +21,8 @@ use std::path::Path;
 struct Calibrated {
     seed: u64,
     size: String,
+    /// Recordings without a scene.
+    without: usize,
     /// Of each kind of scene.
     models: BTreeMap<String, Fitted>,
 }
@@ -33,12 +35,14 @@ struct Fitted {
 
 /// Makes recordings one by one, so that a stopped run goes on where it was, then model and validation.
 pub fn calibrate(options: &CalibrateOptions) -> Done {
-    let (kind, scene, usual, duration_s) = match options.scene {
-        CalibratedScene::Picture => (Kind::Picture, "picture", "64x48", MadeSetting::default().duration_s),
-        CalibratedScene::Given => (Kind::Given, "given", "40x30", 0.1),
+    let (kind, scene) = match options.scene {
+        CalibratedScene::Picture => (Kind::Picture, "picture"),
+        CalibratedScene::Parts => (Kind::Parts, "parts"),
+        CalibratedScene::Given => (Kind::Given, "given"),
     };
-    let size = options.size.clone().unwrap_or_else(|| usual.to_owned());
-    let made = MadeSetting { kind, extent: extent(&size)?, duration_s, ..MadeSetting::default() };
+    let usual = MadeSetting::of(kind);
+    let size = options.size.clone().unwrap_or_else(|| format!("{}x{}", usual.extent.width, usual.extent.height));
+    let made = MadeSetting { extent: extent(&size)?, ..usual };
     let folder = options.out.join(format!("made-{scene}-{size}-{}", options.seed));
     std::fs::create_dir_all(&folder).map_err(|error| Failure::other(format!("{}: cannot make the folder: {error}", folder.display())))?;
     let bar = bar(options);
@@ -74,7 +78,7 @@ pub fn calibrate(options: &CalibrateOptions) -> Done {
         (kind, Fitted { model, validation })
     };
     let models: BTreeMap<String, Fitted> = kinds.into_iter().map(fit).collect();
-    let calibrated = Calibrated { seed: options.seed, size, models };
+    let calibrated = Calibrated { seed: options.seed, size, without, models };
     let text = serde_json::to_string_pretty(&calibrated).map_err(|error| Failure::other(format!("decision.json cannot be written: {error}")))?;
     write(&options.out.join("decision.json"), text.as_bytes())?;
     if !options.quiet {

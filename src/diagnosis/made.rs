@@ -43,6 +43,8 @@ pub enum Kind {
     /// Nothing: a picture is fitted.
     #[default]
     Picture,
+    /// Nothing, and they do not move as one.
+    Parts,
     /// All but a few numbers: known targets.
     Given,
 }
@@ -62,6 +64,18 @@ pub struct MadeSetting {
     pub noisy: f64,
     /// Strengths of effects, from and to; evenly over their logarithm.
     pub strengths: (f64, f64),
+}
+
+impl MadeSetting {
+    /// How recordings of a kind of scene are made: only stronger effects show where scenes do not move as one.
+    pub fn of(kind: Kind) -> MadeSetting {
+        let usual = MadeSetting { kind, ..MadeSetting::default() };
+        match kind {
+            Kind::Picture => usual,
+            Kind::Parts => MadeSetting { strengths: (0.2, 2.0), ..usual },
+            Kind::Given => MadeSetting { extent: Extent { width: 40, height: 30 }, duration_s: 0.1, ..usual },
+        }
+    }
 }
 
 impl Default for MadeSetting {
@@ -85,7 +99,8 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
     let mut random = Random::new(seed, &[index, 0x3a]);
     let noise = (random.uniform() < setting.noisy).then(|| (3.0 + 17.0 * random.uniform(), 1.0 + 2.0 * random.uniform()));
     let (scene, target) = match setting.kind {
-        Kind::Picture => (MadeUp::of_any_kind(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None),
+        Kind::Picture => (MadeUp::new(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None),
+        Kind::Parts => (MadeUp::in_parts(seed, index, setting.extent, setting.duration_s).with_frame_noise(noise), None),
         Kind::Given => {
             let scene = MadeUp::target(seed, index, setting.extent, setting.duration_s);
             let (shows, shares) = Shows::around(&scene, seed, index);

@@ -109,9 +109,15 @@ impl MadeUp {
         MadeUp::of(seed, index, extent, duration_s, [0.5, 0.85, 0.85, 0.85, 0.85, 0.85, 0.85])
     }
 
-    /// The same of all kinds.
-    pub fn of_any_kind(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
-        MadeUp::of(seed, index, extent, duration_s, [0.3, 0.5, 0.64, 0.72, 0.8, 0.87, 0.93])
+    /// The same of what does not move as one: layers, a fan, a figure, a ball.
+    pub fn in_parts(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
+        MadeUp::of(seed, index, extent, duration_s, [0.0, 0.0, 0.0, 0.3, 0.6, 0.8, 1.0])
+    }
+
+    #[cfg(test)]
+    /// The same of a photograph that shakes, zooms and turns.
+    pub fn photograph(seed: u64, index: u64, extent: Extent, duration_s: f64) -> MadeUp {
+        MadeUp::of(seed, index, extent, duration_s, [0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     }
 
     /// `ends`: up to which draw from 0 to 1 a scene is a texture, a star, a photograph, layers, a fan, a figure, a ball; discs from there on.

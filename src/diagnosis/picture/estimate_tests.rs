@@ -75,7 +75,7 @@ fn the_same_recording_gives_the_same_picture_with_any_number_of_threads() {
 fn what_moves_before_a_still_ground_is_seen_with_its_light() {
     for (name, most) in [("fan", 0.04), ("ball", 0.06)] {
         let extent = Extent { width: 48, height: 36 };
-        let scene = (0..2_000).map(|index| MadeUp::of_any_kind(21, index, extent, 0.12)).find(|scene| scene.name() == name && scene.px_per_s(0.0, 0.0) < 500.0).unwrap();
+        let scene = (0..2_000).map(|index| MadeUp::in_parts(21, index, extent, 0.12)).find(|scene| scene.name() == name && scene.px_per_s(0.0, 0.0) < 500.0).unwrap();
         let case = scene.recording().unwrap();
         let nominal = case.nominal().unwrap();
         let noise = (1.0, 0.005);
@@ -101,5 +101,18 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
         }
         let (found, without) = (crate::integrity::median(&mut of_picture), crate::integrity::median(&mut of_ground));
         assert!(found < most && found < 0.3 * without, "{name}: {found}, of the ground alone {without}, in {} places", of_picture.len());
+    }
+}
+
+#[test]
+fn photographs_that_shake_zoom_and_turn_are_predicted() {
+    for index in 0..3 {
+        let case = MadeUp::photograph(22, index, Extent { width: 40, height: 30 }, 0.1).recording().unwrap();
+        let nominal = case.nominal().unwrap();
+        let picture = Picture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
+        let mut sizes: Vec<f64> = picture.residual.iter().filter(|residual| residual.is_finite()).map(|residual| f64::from(residual.abs())).collect();
+        let signal = 0.5 * (0..case.extent.pixels()).map(|pixel| case.dn(1, pixel)).sum::<f64>() / case.extent.pixels() as f64;
+        let missed = crate::integrity::median(&mut sizes);
+        assert!(missed < 0.005 * signal, "{index}: {missed} DN of {signal}");
     }
 }

@@ -52,7 +52,7 @@ impl Default for MosaicSetting {
             well: 2.0,
             probes: 8,
             helped: 0.4,
-            most_parts: 160,
+            most_parts: 96,
             agreed: 0.35,
             still: 0.6,
             least_predicted: 0.5,
