@@ -34,6 +34,9 @@ pub struct Params {
     /// And silence says nothing where more than this share is left.
     #[schemars(range(min = 0.0))]
     pub most_silent: f64,
+    /// Nor where nothing is said from a smaller gain on than this, nats an event.
+    #[schemars(range(min = 0.0))]
+    pub most_needed: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
     #[schemars(range(min = 0.0, max = 1.0))]
     pub shared_error: f64,
@@ -91,9 +94,9 @@ impl Numbers {
 
 impl Default for Params {
     fn default() -> Params {
-        let Decision { models, least, least_second, most_control, most_left, most_silent, shared_error } = Decision::default();
+        let Decision { models, least, least_second, most_control, most_left, most_silent, most_needed, shared_error } = Decision::default();
         let [picture, patches, given] = [models.picture, models.patches, models.given].map(|model| Numbers::of(&model));
-        Params { least, least_second, most_control, most_left, most_silent, shared_error, picture, patches, given }
+        Params { least, least_second, most_control, most_left, most_silent, most_needed, shared_error, picture, patches, given }
     }
 }
 
@@ -124,7 +127,7 @@ impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
         about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
-        revision: 4,
+        revision: 5,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -153,11 +156,10 @@ params = { least = 0.9 }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { least, least_second, most_control, most_left, most_silent, shared_error, picture, patches, given } = params;
+        let Params { least, least_second, most_control, most_left, most_silent, most_needed, shared_error, picture, patches, given } = params;
         let built_in = Models::default();
-        let models =
-            Models { picture: picture.model(&built_in.picture), patches: patches.model(&built_in.patches), given: given.model(&built_in.given) };
-        Ok(DiagnoseDecide { decision: Decision { models, least, least_second, most_control, most_left, most_silent, shared_error } })
+        let models = Models { picture: picture.model(&built_in.picture), patches: patches.model(&built_in.patches), given: given.model(&built_in.given) };
+        Ok(DiagnoseDecide { decision: Decision { models, least, least_second, most_control, most_left, most_silent, most_needed, shared_error } })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {

@@ -83,7 +83,10 @@ pub fn calibrate(options: &CalibrateOptions) -> Done {
     write(&options.out.join("decision.json"), text.as_bytes())?;
     if !options.quiet {
         let out = options.out.display();
-        say!("{} recordings, {without} of them without a scene; the models are in {out}/decision.json, what they were calibrated on in {out}/examples.jsonl", examples.len());
+        say!(
+            "{} recordings, {without} of them without a scene; the models are in {out}/decision.json, what they were calibrated on in {out}/examples.jsonl",
+            examples.len()
+        );
     }
     Ok(0)
 }

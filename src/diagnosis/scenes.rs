@@ -151,7 +151,14 @@ impl MadeUp {
         } else if kind < ends[4] {
             let centre = (0.5 * width + between(-5.0, 5.0), 0.5 * height + between(-5.0, 5.0));
             let (blades, rate, radius) = (between(2.0, 6.0).floor(), sign * between(1.0, 9.0) * std::f64::consts::TAU, height * between(0.35, 0.6));
-            Motion::Fan { blades, rate, centre, radius, half: between(0.2, 0.45) * std::f64::consts::TAU / blades / 2.0, shade: if angle < 3.0 { 0.0 } else { 0.95 } }
+            Motion::Fan {
+                blades,
+                rate,
+                centre,
+                radius,
+                half: between(0.2, 0.45) * std::f64::consts::TAU / blades / 2.0,
+                shade: if angle < 3.0 { 0.0 } else { 0.95 },
+            }
         } else if kind < ends[5] {
             let tall = height * between(0.5, 0.9);
             let begin = (width * between(0.2, 0.8), 0.5 * height + between(-3.0, 3.0));

@@ -295,15 +295,19 @@ mod tests {
     }
 
     #[test]
-    fn the_built_in_numbers_are_those_of_the_training_set() {
-        let text = include_str!("../../../data/diagnosis/examples.jsonl");
-        let examples: Vec<Example> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    fn the_built_in_numbers_are_those_of_the_training_sets() {
+        let of_picture = (include_str!("../../../data/diagnosis/examples.jsonl"), Model::default());
+        let of_parts = (include_str!("../../../data/diagnosis/examples-parts.jsonl"), Model::of_patches());
         let numbers = |model: Model| -> Vec<f64> {
             let Model { something, second, discount, softness, random, unnamed } = model;
             [&something[..], &second, &[discount], &softness, &[random], &unnamed].concat()
         };
-        let (found, built_in) = (numbers(calibrate(&examples.iter().collect::<Vec<&Example>>())), numbers(Model::default()));
-        found.iter().zip(&built_in).for_each(|(a, b)| assert!((a - b).abs() < 0.02 * (1.0 + b.abs()), "{found:?} are {built_in:?}"));
+        for ((text, built_in), kind) in [of_picture, of_parts].into_iter().zip(["", "patches"]) {
+            let examples: Vec<Example> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+            let of_kind: Vec<&Example> = examples.iter().filter(|one| one.facts.as_ref().is_none_or(|facts| facts.scene == kind)).collect();
+            let (found, built_in) = (numbers(calibrate(&of_kind)), numbers(built_in));
+            found.iter().zip(&built_in).for_each(|(a, b)| assert!((a - b).abs() < 0.02 * (1.0 + b.abs()), "{found:?} are {built_in:?}"));
+        }
     }
 
     #[test]

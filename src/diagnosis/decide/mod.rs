@@ -32,13 +32,24 @@ pub struct Decision {
     pub most_left: f64,
     /// And silence says nothing where more than this is left.
     pub most_silent: f64,
+    /// Nor where nothing is said from a smaller gain on than this, nats an event: the scene errs too much to tell.
+    pub most_needed: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
     pub shared_error: f64,
 }
 
 impl Default for Decision {
     fn default() -> Decision {
-        Decision { models: Models::default(), least: 0.9, least_second: 0.6, most_control: 0.15, most_left: 0.3, most_silent: 0.12, shared_error: 0.02 }
+        Decision {
+            models: Models::default(),
+            least: 0.9,
+            least_second: 0.6,
+            most_control: 0.15,
+            most_left: 0.3,
+            most_silent: 0.12,
+            most_needed: 10.0,
+            shared_error: 0.02,
+        }
     }
 }
 
@@ -62,7 +73,17 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
     if !said.alarm && found.left[0] > decision.most_silent {
         return Err(format!("events miss their thresholds by {:.2} of them on this scene: an effect of that size would not be seen", found.left[0]));
     }
+    let needed = needed_gain(found, decision);
+    if !said.alarm && needed > decision.most_needed {
+        return Err("what is seen on a scene in parts does not tell effects from what the scene gets wrong, but for the largest".to_owned());
+    }
     Ok(said)
+}
+
+/// The gain from which on something is said, nats an event.
+fn needed_gain(found: &Evidence, decision: &Decision) -> f64 {
+    let log_odds = libm::log(decision.least / (1.0 - decision.least));
+    decision.models.of(&found.scene).needed_gain(log_odds, libm::log(found.share.max(1e-3)))
 }
 
 fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
@@ -95,7 +116,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
 ///
 /// A strength s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at which the model's probability is [`Decision::least`].
 pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<Detectable> {
-    let needed = decision.models.of(&found.scene).needed_gain(libm::log(decision.least / (1.0 - decision.least)), libm::log(found.share.max(1e-3)));
+    let needed = needed_gain(found, decision);
     let has_limit = |one: &&Ranked| {
         let kind = &CANDIDATES[one.candidate];
         one.information > 0.0 && kind.signs != Signs::Switch && !kind.is_limit() && one.unit != 0.0
@@ -183,6 +204,16 @@ mod tests {
         assert_eq!((decided(0.05, 0.01), decided(0.2, 2.0)), (Ok(false), Ok(true)));
         assert!(decided(0.2, 0.01).unwrap_err().contains("would not be seen"));
         assert!(decided(0.4, 2.0).unwrap_err().contains("no effect explains it"));
+    }
+
+    #[test]
+    fn where_no_gain_would_be_believed_silence_is_no_answer() {
+        let nominal = testing::case().nominal().unwrap();
+        let of =
+            |scene: &str| Evidence { scene: scene.into(), share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.01, 0.0)], ..Evidence::default() };
+        assert_eq!(decide(&of("picture"), &nominal, &Decision::default()).map(|said| said.alarm), Ok(false));
+        let deaf = Decision { most_needed: 1e-4, ..Decision::default() };
+        assert!(decide(&of("picture"), &nominal, &deaf).unwrap_err().contains("does not tell effects"));
     }
 
     #[test]

@@ -15,7 +15,7 @@
 //!
 //! Sources: Lucas and Kanade, IJCAI 1981; Irani and Peleg, Improving Resolution by Image Registration, CVGIP 1991; Björck, Numerical Methods for Least Squares Problems, 1996.
 //!
-//! Limits: one affine motion; a surface that is sharper than its pitch is softened.
+//! Limits: one affine motion for each picture; what moves before something that moves as well has parts only; a surface that is sharper than its pitch is softened.
 
 pub mod begin;
 pub mod estimate;

@@ -148,7 +148,9 @@ pub fn ground(case: &Case, nominal: &Nominal, noise: (f64, f64), moves: f64, lea
             let sigma = nominal.frame_sigma_dn(f64::max(values[first] - nominal.number.black_level, 0.0), noise);
             values[first..].partition_point(|dn| *dn <= values[first] + moves * sigma)
         };
-        let Some((held, first)) = (0..values.len()).map(|first| (group(first), first)).max_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(&a.1))) else { return f64::NAN };
+        let Some((held, first)) = (0..values.len()).map(|first| (group(first), first)).max_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(&a.1))) else {
+            return f64::NAN;
+        };
         if (held as f64) < least * values.len() as f64 { f64::NAN } else { values[first + held / 2] }
     };
     (0..case.extent.pixels()).map(of).collect()
@@ -185,7 +187,15 @@ impl Patch {
     /// Fits a picture to a part of a recording; none where too little moves.
     ///
     /// `moves`: which frame values of the whole recording belong to something that moves ([`foreground`]); `ground`: the still ground of its pixels, photocurrent, where there is one.
-    pub fn fit(case: &Case, nominal: &Nominal, moves: &[bool], ground: Option<&[f32]>, part: Part, setting: &PatchSetting, of_picture: &PictureSetting) -> Option<Patch> {
+    pub fn fit(
+        case: &Case,
+        nominal: &Nominal,
+        moves: &[bool],
+        ground: Option<&[f32]>,
+        part: Part,
+        setting: &PatchSetting,
+        of_picture: &PictureSetting,
+    ) -> Option<Patch> {
         let own = part.of(case);
         if own.extent.width.min(own.extent.height) < 8 || own.frame_count() < 3 {
             return None;
@@ -237,10 +247,8 @@ pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSe
     let width = case.extent.width as usize;
     let pixels = case.extent.pixels();
     let centre = (0.5 * (f64::from(case.extent.width) - 1.0), 0.5 * (f64::from(case.extent.height) - 1.0));
-    let moving: Vec<(usize, f64, f64)> = (pixels..counts.len())
-        .filter(|n| counts[*n])
-        .map(|n| (n, (n % pixels % width) as f64 - centre.0, (n % pixels / width) as f64 - centre.1))
-        .collect();
+    let moving: Vec<(usize, f64, f64)> =
+        (pixels..counts.len()).filter(|n| counts[*n]).map(|n| (n, (n % pixels % width) as f64 - centre.0, (n % pixels / width) as f64 - centre.1)).collect();
     let all = f64::max(moving.len() as f64, 1.0);
     let (mx, my) = moving.iter().fold((0.0, 0.0), |sum, at| (sum.0 + at.1 / all, sum.1 + at.2 / all));
     let radius = moving.iter().map(|at| libm::hypot(at.1 - mx, at.2 - my)).sum::<f64>() / all;
@@ -265,7 +273,8 @@ pub fn follow(case: &Case, nominal: &Nominal, counts: &[bool], setting: &PatchSe
     let reach = setting.reach;
     let shifts = (-reach..=reach).flat_map(|dy| (-reach..=reach).map(move |dx| (f64::from(dx), f64::from(dy), 0.0)));
     let steps = (setting.turn / TURN_STEP).floor() as i32;
-    let turns = (-steps..=steps).flat_map(|n| (-1..=1).flat_map(move |j| (-1..=1).map(move |i| (2.0 * f64::from(i), 2.0 * f64::from(j), f64::from(n) * TURN_STEP))));
+    let turns =
+        (-steps..=steps).flat_map(|n| (-1..=1).flat_map(move |j| (-1..=1).map(move |i| (2.0 * f64::from(i), 2.0 * f64::from(j), f64::from(n) * TURN_STEP))));
     let tried = shifts.chain(turns).map(|(dx, dy, turn)| (cost(dx, dy, turn), (dx, dy, turn)));
     let (mut least, mut best) = tried.min_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((f64::INFINITY, (0.0, 0.0, 0.0)));
     // And finer from there on.

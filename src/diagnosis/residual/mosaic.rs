@@ -45,7 +45,8 @@ pub struct MosaicSetting {
 
 impl Default for MosaicSetting {
     fn default() -> MosaicSetting {
-        let picture = PictureSetting { rounds: (4, 4), steps: (30, 60), again: 3, again_steps: 40, draw_steps: 30, is_shaded: false, ..PictureSetting::default() };
+        let picture =
+            PictureSetting { rounds: (4, 4), steps: (30, 60), again: 3, again_steps: 40, draw_steps: 30, is_shaded: false, ..PictureSetting::default() };
         MosaicSetting {
             patches: PatchSetting::default(),
             picture,
@@ -106,7 +107,17 @@ pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &M
             whole = Ok(MovingPicture::new(before, of_whole, case, nominal));
         }
     }
-    let mut found = Mosaic { whole: whole.as_ref().ok().map(|whole| whole.with(whole.picture.clone())), patches: Vec::new(), tile: Vec::new(), tiles, setting: *setting, moves, residual: Vec::new(), misfit: 1.0, least_dn: usual_step_dn(case, nominal) };
+    let mut found = Mosaic {
+        whole: whole.as_ref().ok().map(|whole| whole.with(whole.picture.clone())),
+        patches: Vec::new(),
+        tile: Vec::new(),
+        tiles,
+        setting: *setting,
+        moves,
+        residual: Vec::new(),
+        misfit: 1.0,
+        least_dn: usual_step_dn(case, nominal),
+    };
     let changes = found.moves.clone();
     let needed = found.needed(case, nominal, &changes);
     let fit = |list: &[(usize, Range<usize>)]| -> Vec<(usize, Patch)> {
@@ -121,7 +132,7 @@ pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &M
     let better = |fitted: &[(usize, Patch)]| found.better(case, nominal, &changes, fitted);
     let helped = better(&fitted).iter().filter(|is| **is).count();
     if helped == 0 || (helped as f64) < setting.helped * probes as f64 {
-        return whole.map(|whole| Box::new(whole) as Box<dyn Source>);
+        return whole.map(|whole| Box::new(MovingPicture { is_one: helped == 0, ..whole }) as Box<dyn Source>);
     }
     fitted.extend(fit(&needed[probes..]));
     let is_better = better(&fitted);
@@ -314,14 +325,7 @@ fn for_moving(case: &Case, changes: &[bool], tile: &(Range<u32>, Range<u32>), fr
 }
 
 /// Median residual of the moving values of a tile and window, standard deviations over 0.6745; infinite where most of them took no part.
-fn usual(
-    case: &Case,
-    nominal: &Nominal,
-    changes: &[bool],
-    tile: &(Range<u32>, Range<u32>),
-    frames: &Range<usize>,
-    of: impl Fn(usize, u32, u32) -> f32,
-) -> f64 {
+fn usual(case: &Case, nominal: &Nominal, changes: &[bool], tile: &(Range<u32>, Range<u32>), frames: &Range<usize>, of: impl Fn(usize, u32, u32) -> f32) -> f64 {
     let mut sizes: Vec<f64> = Vec::new();
     for_moving(case, changes, tile, frames, |l, pixel, x, y| {
         let sigma = nominal.frame_sigma_dn(f64::max(case.dn(l, pixel) - nominal.number.black_level, 0.0), (1.0, 0.005));
@@ -363,9 +367,8 @@ impl Source for Mosaic {
                         weights[k] += share[k];
                     }
                 }
-                let known: Vec<Option<f32>> = (0..instants.len())
-                    .map(|k| if weights[k] > 0.0 { Some((sum[k] / weights[k]) as f32) } else { light.log[pixel].get(k).copied() })
-                    .collect();
+                let known: Vec<Option<f32>> =
+                    (0..instants.len()).map(|k| if weights[k] > 0.0 { Some((sum[k] / weights[k]) as f32) } else { light.log[pixel].get(k).copied() }).collect();
                 (pixel, filled(&known))
             };
             pixels_of(case, tile).map(of).collect()
@@ -422,7 +425,17 @@ impl Source for Mosaic {
 impl Mosaic {
     /// The same parts with other pictures.
     fn with(&self, case: &Case, whole: Option<MovingPicture>, patches: Vec<Patch>) -> Mosaic {
-        let mut other = Mosaic { whole, patches, tile: self.tile.clone(), tiles: self.tiles.clone(), setting: self.setting, moves: self.moves.clone(), residual: Vec::new(), misfit: 1.0, least_dn: self.least_dn };
+        let mut other = Mosaic {
+            whole,
+            patches,
+            tile: self.tile.clone(),
+            tiles: self.tiles.clone(),
+            setting: self.setting,
+            moves: self.moves.clone(),
+            residual: Vec::new(),
+            misfit: 1.0,
+            least_dn: self.least_dn,
+        };
         other.look(case);
         other
     }

@@ -79,7 +79,8 @@ pub const STEP: f64 = 0.15;
 
 /// What [`STEP`] of a threshold is of a usual frame value, DN.
 pub(super) fn usual_step_dn(case: &Case, nominal: &Nominal) -> f64 {
-    let mut signals: Vec<f64> = case.frames.iter().flat_map(|frames| frames.dn.iter().step_by(7)).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
+    let mut signals: Vec<f64> =
+        case.frames.iter().flat_map(|frames| frames.dn.iter().step_by(7)).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
     signals.retain(|signal| *signal > 0.0);
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
     if signals.is_empty() { 0.0 } else { STEP * threshold * median(&mut signals) }
@@ -93,6 +94,8 @@ pub struct MovingPicture {
     pub setting: PictureSetting,
     /// A value of a picture before a still ground is predicted that misses by less, DN.
     pub least_dn: f64,
+    /// Does the scene move as one? Not where pictures of some parts of it predict them better.
+    pub is_one: bool,
 }
 
 impl MovingPicture {
@@ -107,18 +110,18 @@ impl MovingPicture {
     /// Of a picture that was fitted.
     pub fn new(picture: Picture, setting: &PictureSetting, case: &Case, nominal: &Nominal) -> MovingPicture {
         let least_dn = if picture.ground.is_empty() { 0.0 } else { usual_step_dn(case, nominal) };
-        MovingPicture { picture, setting: *setting, least_dn }
+        MovingPicture { picture, setting: *setting, least_dn, is_one: true }
     }
 
     /// The same with another picture.
     pub(super) fn with(&self, picture: Picture) -> MovingPicture {
-        MovingPicture { picture, setting: self.setting, least_dn: self.least_dn }
+        MovingPicture { picture, setting: self.setting, least_dn: self.least_dn, is_one: self.is_one }
     }
 }
 
 impl Source for MovingPicture {
     fn name(&self) -> &'static str {
-        if self.picture.ground.is_empty() { "picture" } else { "patches" }
+        if self.picture.ground.is_empty() && self.is_one { "picture" } else { "patches" }
     }
 
     fn light(&self, case: &Case, step_ns: i64) -> Light {
