@@ -584,6 +584,7 @@ mod tests {
             let exact = normal.cholesky().unwrap().solve(&right);
             let now = Unknowns { picture: vec![0.0; rows.layers() * grid.coefficients()], rest: vec![0.0; knots * DEGREES + TERMS] };
             let found = solve(&rows, &grid, &smooth, &now, knots, true, 400);
+            // Conjugate gradients in single precision, on twice the unknowns where there is a ground.
             let all: Vec<f64> = found.picture.iter().map(|c| f64::from(*c)).chain(found.rest.iter().copied()).collect();
             assert_eq!(all.len(), exact.len());
             all.iter().zip(exact.iter()).for_each(|(a, b)| assert!((a - b).abs() < 5e-3 * (1.0 + b.abs()), "{a} is {b}"));
@@ -619,7 +620,7 @@ mod tests {
         rows.measured = vec![0.0; rows.count()];
         rows.look_at(&grid, &truth.iter().map(|c| -c).collect::<Vec<_>>());
         rows.measured = rows.residual.clone();
-        // Of the columns that rows see.
+        // Of the columns that rows see, which are fewer than the grid has, as stencils are padded: a little more is left than of a grid that is seen whole.
         let seen = |k: &usize| k % grid.width < 12;
         let far = |picture: &[f32]| (0..truth.len()).filter(seen).map(|k| (picture[k] - truth[k]) * (picture[k] - truth[k])).sum::<f32>();
         let first = again(&rows, &grid, &smooth, knots, 200, &[]);
