@@ -22,6 +22,9 @@ const INSTANTS: [(f64, f64); 6] = [
     (0.932_469_514_203_152, 0.085_662_246_189_585),
 ];
 
+/// Coefficients of a sharpened picture for one of a fitted one, along an axis.
+const SHARPER: usize = 3;
+
 /// How a picture is fitted.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureSetting {
@@ -71,6 +74,8 @@ pub struct PictureSetting {
     pub draw_steps: usize,
     /// Seed of draws of what frames leave open.
     pub seed: u64,
+    /// What a picture is sharpened over to find what its fit takes away, pixels.
+    pub sharpest: f64,
 }
 
 impl Default for PictureSetting {
@@ -99,6 +104,7 @@ impl Default for PictureSetting {
             again_steps: 30,
             draw_steps: 25,
             seed: 1,
+            sharpest: 0.4,
         }
     }
 }
@@ -204,6 +210,24 @@ impl Picture {
         rows.look_at(&fit.picture.grid, &fit.picture.surface);
         fit.keep_residuals(&rows);
         fit.picture
+    }
+
+    /// The same scene with the sharpest edges that look alike at a distance: every place has the lowest or highest value within `reach` pixels, whichever is nearer to its own
+    /// (toggle mapping: Kramer and Bruckner 1975), on a grid that holds them.
+    #[must_use]
+    pub fn sharpened(&self, reach: f64) -> Picture {
+        let grid = self.grid.finer(SHARPER);
+        let ring: Vec<(f64, f64)> = (0..8).map(|n| libm::sincos(std::f64::consts::TAU * f64::from(n) / 8.0)).map(|(y, x)| (reach * x, reach * y)).collect();
+        let sharp = |surface: &[f32], n: usize| {
+            let (x, y) = (grid.x0 + (n % grid.width) as f64 * grid.pitch, grid.y0 + (n / grid.width) as f64 * grid.pitch);
+            let own = self.grid.nearest(surface, x, y);
+            let around = ring.iter().map(|by| self.grid.nearest(surface, x + by.0, y + by.1));
+            let (low, high) = around.fold((own, own), |(low, high), value| (f64::min(low, value), f64::max(high, value)));
+            (if own - low < high - own { low } else { high }) as f32
+        };
+        let layers: Vec<&[f32]> = self.surface.chunks_exact(self.grid.coefficients()).collect();
+        let surface = layers.iter().flat_map(|surface| (0..grid.coefficients()).map(|n| sharp(surface, n))).collect();
+        Picture { grid, surface, ..self.clone() }
     }
 
     fn begin<'a>(&'a self, counts: Option<&'a [bool]>) -> Begin<'a> {
@@ -331,13 +355,11 @@ impl<'a> Fit<'a> {
     /// Lays the picture on the fine grid.
     fn refine(&mut self) {
         let fine = cover(self.case, &self.picture.motion, self.picture.centre, self.setting.pitch);
-        let Picture { grid, surface, ground, .. } = &self.picture;
-        let outside = if ground.is_empty() { self.typical } else { 0.0 };
-        let edge = |at: f64, first: f64, count: usize| at.clamp(first + 1.001 * grid.pitch, first + (count as f64 - 3.001) * grid.pitch);
+        let Picture { grid, surface, .. } = &self.picture;
         let value = |surface: &[f32], n: usize| {
             let x = fine.x0 + (n % fine.width) as f64 * fine.pitch;
             let y = fine.y0 + (n / fine.width) as f64 * fine.pitch;
-            grid.value(surface, edge(x, grid.x0, grid.width), edge(y, grid.y0, grid.height)).unwrap_or(outside) as f32
+            grid.nearest(surface, x, y) as f32
         };
         let layers = surface.chunks_exact(grid.coefficients());
         self.picture.surface = layers.flat_map(|surface| (0..fine.coefficients()).map(move |n| (surface, n))).map(|(surface, n)| value(surface, n)).collect();

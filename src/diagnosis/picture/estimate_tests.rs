@@ -117,3 +117,26 @@ fn photographs_that_shake_zoom_and_turn_are_predicted() {
         assert!(missed < 0.005 * signal, "{index}: {missed} DN of {signal}");
     }
 }
+
+#[test]
+fn sharpening_narrows_edges_and_leaves_what_is_flat() {
+    let case = recording();
+    let nominal = case.nominal().unwrap();
+    let setting = PictureSetting { coarse_pitch: 0.5, ..PictureSetting::default() };
+    let poses = vec![[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]; case.frame_count()];
+    let mut picture = Fit::new(&case, &nominal, &setting, begin_motion(&case, &poses, &setting), Begin::default()).picture;
+    let grid = picture.grid;
+    let edge = |x: f64| 100.0 + 50.0 * libm::tanh(x / 0.8);
+    picture.surface = (0..grid.coefficients()).map(|n| edge(grid.x0 + (n % grid.width) as f64 * grid.pitch) as f32).collect();
+    let sharp = picture.sharpened(0.4);
+    let width = |of: &Picture| {
+        let values: Vec<f64> = (-400..=400).map(|k| of.grid.value(&of.surface, f64::from(k) * 0.01, 0.3).unwrap()).collect();
+        assert!(values.windows(2).all(|pair| pair[1] >= pair[0] - 1e-3), "an edge that rises goes on rising");
+        values.iter().filter(|value| (60.0..140.0).contains(*value)).count() as f64 * 0.01
+    };
+    let (before, after) = (width(&picture), width(&sharp));
+    assert!(after < before - 0.5 && after > before - 1.0, "{before} px becomes {after}");
+    for x in [-6.0, 6.0] {
+        assert!((sharp.grid.value(&sharp.surface, x, 1.0).unwrap() - edge(x)).abs() < 0.1);
+    }
+}

@@ -223,10 +223,11 @@ impl Patch {
         Patch { picture: self.picture.refit(&self.part.of(case), nominal, of_picture, Some(&self.counts)), ..self.clone() }
     }
 
-    /// The same with what its frames leave open drawn at random.
+    /// The same with what its frames leave open drawn at random, and as sharp as it may be.
     #[must_use]
-    pub fn drawn(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting, seed: u64) -> Patch {
-        Patch { picture: self.picture.drawn(&self.part.of(case), nominal, of_picture, Some(&self.counts), seed), ..self.clone() }
+    pub fn rough(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting, seed: u64) -> Patch {
+        let drawn = self.picture.drawn(&self.part.of(case), nominal, of_picture, Some(&self.counts), seed);
+        Patch { picture: drawn.sharpened(of_picture.sharpest), ..self.clone() }
     }
 
     /// Residual of a frame value of the array, DN; NaN where it took no part.

@@ -66,6 +66,18 @@ impl Grid {
         Some(sum)
     }
 
+    /// The value of a surface at a place; outside of the grid that of its edge.
+    pub fn nearest(&self, surface: &[f32], x: f64, y: f64) -> f64 {
+        let edge = |at: f64, first: f64, count: usize| at.clamp(first + 1.001 * self.pitch, first + (count as f64 - 3.001) * self.pitch);
+        self.value(surface, edge(x, self.x0, self.width), edge(y, self.y0, self.height)).unwrap_or(f64::NAN)
+    }
+
+    /// A grid over the same places with `by` coefficients for one.
+    #[must_use]
+    pub fn finer(&self, by: usize) -> Grid {
+        Grid { pitch: self.pitch / by as f64, width: self.width * by, height: self.height * by, ..*self }
+    }
+
     /// The gradient of a surface at a place, per pixel; zero outside.
     #[inline]
     pub fn gradient(&self, surface: &[f32], x: f64, y: f64) -> (f64, f64) {

@@ -2,19 +2,93 @@
 
 use super::light::Light;
 use super::source::Source;
-use crate::case::{Case, CaseFrames};
+use crate::case::{Case, CaseFrames, PixelEvents};
 use crate::nominal::Nominal;
 use crate::record::{Conditions, Described, record};
 use crate::sample::Sample;
 use crate::scene::Scene;
 use photocurrent_core::random::Random;
+use photocurrent_sensor::elementary;
+use rayon::prelude::*;
+
+/// The scene that a control is recorded of: its light, and the frames that it gives without noise.
+pub struct Behind {
+    /// Log photocurrent.
+    pub light: Light,
+    /// Frames, DN as [frame][y][x]; NaN where the scene does not reach.
+    pub frames: Vec<f32>,
+}
+
+/// Of light, this share is left at least when it is corrected for what a fit takes away.
+const LEAST_LEFT: f64 = 0.3;
+
+impl Behind {
+    /// Of light.
+    pub fn of(case: &Case, nominal: &Nominal, light: Light) -> Behind {
+        Behind { frames: light.frames(case, nominal), light }
+    }
+
+    /// The scene that gives a fitted one when its frames are fitted, to first order: it has what the fit takes away, and what frames leave open is drawn at random.
+    ///
+    /// A fit of frames of the scene s gives f(s) = s + b(s). With r rough around s' = f(s), s' + a (r - f(r)) is fitted as s' where b changes little between the two; a, 0 to 1, is how much of
+    /// the pattern that frames of r lose is in the residuals of frames. `light`: of s'.
+    ///
+    /// # Errors
+    /// When frames cannot be fitted.
+    pub fn behind(case: &Case, nominal: &Nominal, source: &dyn Source, light: &Light, seed: u64) -> Result<Behind, String> {
+        let Some(rough) = source.rough(case, nominal, light.step_ns, seed)? else {
+            return Ok(Behind { light: light.clone(), frames: source.frames(case) });
+        };
+        if source.is_known() {
+            return Ok(rough);
+        }
+        let frames = with_noise(case, nominal, source, &rough.frames, seed.wrapping_add(1));
+        let events = PixelEvents::new(std::iter::repeat_n(Vec::new(), case.extent.pixels()));
+        let again = Case { frames, events, sensor: case.sensor.clone(), ..*case };
+        let fitted = source.refit(&again, nominal)?;
+        let lost = rough.frames.iter().zip(fitted.frames(&again)).map(|(rough, fitted)| f64::from(rough - fitted));
+        let share = share_of(lost, source.residual().iter().map(|left| f64::from(*left)));
+        let fitted = fitted.light(case, light.step_ns);
+        let log = rough.light.log.par_iter().zip(&light.log).zip(&fitted.log).map(|((rough, plain), fitted)| {
+            if rough.len() != plain.len() || rough.len() != fitted.len() {
+                return rough.clone();
+            }
+            let of = |((rough, plain), fitted): ((&f32, &f32), &f32)| {
+                let [rough, plain, fitted] = [rough, plain, fitted].map(|log| elementary::exp(f64::from(*log)));
+                elementary::ln(f64::max(plain + share * (rough - fitted), LEAST_LEFT * plain)) as f32
+            };
+            rough.iter().zip(plain).zip(fitted).map(of).collect()
+        });
+        let log = log.collect();
+        Ok(Behind::of(case, nominal, Light { log, ..rough.light }))
+    }
+}
+
+/// How much of a pattern is in values (least squares), 0 to 1; pairs that are not finite do not count. Noise in the pattern makes it less.
+fn share_of(pattern: impl Iterator<Item = f64>, values: impl Iterator<Item = f64>) -> f64 {
+    let pairs = pattern.zip(values).filter(|(a, b)| a.is_finite() && b.is_finite());
+    let (of_both, of_pattern) = pairs.fold((0.0, 0.0), |sum, (a, b)| (sum.0 + a * b, sum.1 + a * a));
+    if of_pattern > 0.0 { (of_both / of_pattern).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+/// Frames of a scene with the noise that was found.
+fn with_noise(case: &Case, nominal: &Nominal, source: &dyn Source, frames: &[f32], seed: u64) -> Option<CaseFrames> {
+    let mut random = Random::new(seed, &[0xc0]);
+    let noisy = |dn: &f32| {
+        let sigma = source.sigma(nominal, f64::from(*dn) - nominal.number.black_level);
+        f64::min(f64::from(*dn) + sigma * random.normal(), nominal.saturation_dn) as f32
+    };
+    let dn = frames.iter().map(noisy).collect();
+    case.frames.as_ref().map(|frames| CaseFrames { times: frames.times.clone(), dn })
+}
 
 /// The nominal sensor's recording of a scene: events of `pixels` (rising), and all frames with the noise that was found.
 ///
 /// # Errors
 /// When the description's effects cannot be combined.
-pub fn control(case: &Case, nominal: &Nominal, source: &dyn Source, light: &Light, pixels: &[u32], block: usize, seed: u64) -> Result<Case, String> {
+pub fn control(case: &Case, nominal: &Nominal, source: &dyn Source, behind: &Behind, pixels: &[u32], block: usize, seed: u64) -> Result<Case, String> {
     let sample = Sample::of_pixels(case, pixels.to_vec(), block as u32);
+    let light = &behind.light;
     let scene = Scene::from_pixels(sample.pixels.iter().map(|&pixel| {
         let log = &light.log[pixel as usize];
         let known = !log.is_empty();
@@ -23,12 +97,40 @@ pub fn control(case: &Case, nominal: &Nominal, source: &dyn Source, light: &Ligh
     }));
     let conditions = Conditions { seed, frame_share: 0.0, frame_dn: 0.0, is_mixed: false };
     let recorded = record(case, nominal, &sample, &scene, &Described::new(), &conditions)?;
-    let mut random = Random::new(seed, &[0xc0]);
-    let noisy = |dn: &f32| {
-        let sigma = source.sigma(nominal, f64::from(*dn) - nominal.number.black_level);
-        f64::min(f64::from(*dn) + sigma * random.normal(), nominal.saturation_dn) as f32
-    };
-    let dn = source.frames(case).iter().map(noisy).collect();
-    let frames = case.frames.as_ref().map(|frames| CaseFrames { times: frames.times.clone(), dn });
+    let frames = with_noise(case, nominal, source, &behind.frames, seed);
     Ok(Case { frames, ..recorded })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::PictureSetting;
+    use crate::residual::evidence::{EvidenceSetting, evidence};
+    use crate::residual::source::MovingPicture;
+    use crate::scenes::MadeUp;
+    use photocurrent_core::Extent;
+
+    #[test]
+    fn a_pattern_is_found_in_noise_with_its_share() {
+        let mut random = Random::new(2, &[]);
+        let pattern: Vec<f64> = (0..4000).map(|_| random.normal()).collect();
+        let values: Vec<f64> = pattern.iter().map(|x| 0.3 * x + 2.0 * random.normal()).collect();
+        // Standard error: 2 over the root of 4000.
+        assert!((share_of(pattern.iter().copied(), values.iter().copied()) - 0.3).abs() < 0.1);
+        assert_eq!(share_of(pattern.iter().map(|x| -x), values.iter().copied()), 0.0);
+        assert_eq!(share_of([f64::NAN, 0.0].into_iter(), [1.0, 2.0].into_iter()), 0.0);
+    }
+
+    #[test]
+    fn a_control_misses_its_thresholds_as_far_as_a_sharp_scene_does() {
+        // A star whose edges are sharper than the picture's grid, and nothing wrong with its sensor.
+        let star = MadeUp::new(7, 22, Extent { width: 64, height: 48 }, 0.12);
+        assert_eq!(star.name(), "star");
+        let case = star.recording().unwrap();
+        let nominal = case.nominal().unwrap();
+        let source = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
+        let found = evidence(&case, &nominal, &source, &EvidenceSetting::default()).unwrap();
+        let ratio = found.control_median / found.median;
+        assert!((0.3..3.0).contains(&ratio), "{} of a threshold, the control {}", found.median, found.control_median);
+    }
 }

@@ -9,7 +9,7 @@
 //! 6. With the best one applied, all others are fitted again, its own size with them.
 
 use super::components::{Ground, Part, parts, value as part_value};
-use super::control::control;
+use super::control::{Behind, control};
 use super::fit::EventNoise;
 use super::located::{Located, LocatedSetting};
 use super::open::{self, Laid, Open, OpenSetting};
@@ -270,10 +270,8 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
     simulated.sort_unstable();
     simulated.dedup();
-    let drawn = source.drawn(case, nominal, setting.seed)?;
-    let true_scene = drawn.as_deref().unwrap_or(source);
-    let true_light = true_scene.light(case, step_ns);
-    let control_case = control(case, nominal, true_scene, &true_light, &simulated, setting.block, setting.seed)?;
+    let behind = Behind::behind(case, nominal, source, &seen.light, setting.seed)?;
+    let control_case = control(case, nominal, source, &behind, &simulated, setting.block, setting.seed)?;
     let control_source = source.refit(&control_case, nominal)?;
     let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
     let control_light = control_source.light(&control_case, step_ns);

@@ -18,21 +18,29 @@ impl Gate {
     }
 
     /// From residuals of frames as [frame][y][x], DN (NaN = took no part): a place is predicted where none of its 3 x 3 neighbourhood misses by more than `least_dn` and
-    /// `spread` median absolute deviations.
-    pub fn new(case: &Case, residual: &[f32], least_dn: f64, spread: f64) -> Gate {
+    /// `spread` median absolute deviations. Noise has no structure: where residuals of neighbours are alike, deviations are those of their differences, or what `structure_dn` allows, and
+    /// the mean of the neighbourhood misses by no more than a third of them.
+    pub fn new(case: &Case, residual: &[f32], (least_dn, structure_dn): (f64, f64), spread: f64) -> Gate {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
         let pixels = width * height;
-        let mut sizes: Vec<f32> = residual.iter().filter(|r| r.is_finite()).map(|r| r.abs()).collect();
-        sizes.sort_by(f32::total_cmp);
-        let middle = f64::from(sizes.get(sizes.len() / 2).copied().unwrap_or(0.0));
-        let most = f64::max(least_dn, spread * middle) as f32;
+        let all = spread * middle(residual.iter().copied());
+        let rows = residual.chunks_exact(width);
+        let white = spread * middle(rows.flat_map(|row| row.windows(2).map(|pair| pair[1] - pair[0]))) * std::f64::consts::FRAC_1_SQRT_2;
+        let allowed = |white: f64| f64::max(least_dn, f64::min(all, f64::max(white, structure_dn))) as f32;
+        let (most, most_mean) = (allowed(white), allowed(white / 3.0));
         let count = case.frame_count();
         let mut good = vec![false; residual.len()];
         for l in 0..count {
             for y in 0..height {
                 for x in 0..width {
                     let near = (y.saturating_sub(1)..(y + 2).min(height)).flat_map(|j| (x.saturating_sub(1)..(x + 2).min(width)).map(move |i| j * width + i));
-                    good[l * pixels + y * width + x] = near.map(|at| residual[l * pixels + at]).all(|r| r.abs() <= most);
+                    let (mut sum, mut number, mut is_good) = (0.0, 0.0, true);
+                    for at in near {
+                        let r = residual[l * pixels + at];
+                        is_good &= r.abs() <= most;
+                        (sum, number) = (sum + r, number + 1.0);
+                    }
+                    good[l * pixels + y * width + x] = is_good && (sum / number).abs() <= most_mean;
                 }
             }
         }
@@ -57,5 +65,44 @@ impl Gate {
         let after = middle.partition_point(|&t| t <= t_ns);
         let good = |l: usize| self.good[l * self.pixels + pixel];
         after > 0 && after < middle.len() && good(after - 1) && good(after)
+    }
+}
+
+/// Median of sizes, those that are not finite left out; 0 of none.
+fn middle(values: impl Iterator<Item = f32>) -> f64 {
+    let mut sizes: Vec<f32> = values.filter(|r| r.is_finite()).map(f32::abs).collect();
+    let at = sizes.len() / 2;
+    if sizes.is_empty() { 0.0 } else { f64::from(*sizes.select_nth_unstable_by(at, f32::total_cmp).1) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::MadeUp;
+    use photocurrent_core::Extent;
+    use photocurrent_core::random::Random;
+
+    #[test]
+    fn noise_is_predicted_and_what_neighbours_share_is_not() {
+        let case = MadeUp::new(3, 0, Extent { width: 24, height: 18 }, 0.05).recording().unwrap();
+        let mut random = Random::new(5, &[]);
+        let mut residual: Vec<f32> = (0..case.frame_count() * 432).map(|_| (5.0 * random.normal()) as f32).collect();
+        let share = |gate: &Gate, at: &dyn Fn(usize) -> bool| {
+            let of: Vec<bool> = gate.good.iter().enumerate().filter(|(k, _)| at(*k)).map(|(_, good)| *good).collect();
+            of.iter().filter(|good| **good).count() as f64 / of.len() as f64
+        };
+        // Nine normal values all within 4.5 median absolute deviations: 0.9976 to the ninth power, and their mean.
+        let everywhere = |_: usize| true;
+        assert!(share(&Gate::new(&case, &residual, (1.0, 0.0), 4.5), &everywhere) > 0.94);
+        // Half of the array misses by twice the noise: the median of all is then larger, but differences of neighbours tell.
+        let left = |k: usize| k % 24 < 11;
+        residual.iter_mut().enumerate().filter(|(k, _)| k % 24 < 12).for_each(|(_, r)| *r += 10.0);
+        let gate = Gate::new(&case, &residual, (1.0, 0.0), 4.5);
+        assert!(share(&gate, &left) < 0.05, "{}", share(&gate, &left));
+        assert!(share(&gate, &|k| k % 24 > 13) > 0.9);
+        assert!(share(&Gate::new(&case, &residual, (1.0, 30.0), 4.5), &left) > 0.9, "what is allowed counts");
+        residual[30] = f32::NAN;
+        let gate = Gate::new(&case, &residual, (1.0, 30.0), 4.5);
+        assert!(!gate.good[30] && !gate.good[5], "where the scene does not reach nothing is predicted");
     }
 }

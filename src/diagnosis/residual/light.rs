@@ -1,6 +1,9 @@
 //! The scene as every source of it states it: log photocurrent of pixels at steady instants.
 
 use crate::case::Case;
+use crate::nominal::Nominal;
+use photocurrent_sensor::conditional::Track;
+use rayon::prelude::*;
 
 /// Log photocurrent of an array at steady instants, natural-log units.
 #[derive(Clone, Debug)]
@@ -38,5 +41,50 @@ impl Light {
         let k = (place as usize).min(log.len().saturating_sub(2));
         let (a, b) = (f64::from(log[k]), f64::from(log[(k + 1).min(log.len() - 1)]));
         Some(a + (b - a) * (place - k as f64))
+    }
+
+    /// The frames that it gives, without noise and without saturation, DN as [frame][y][x]; NaN where it is not known.
+    pub fn frames(&self, case: &Case, nominal: &Nominal) -> Vec<f32> {
+        let (pixels, count) = (case.extent.pixels(), case.frame_count());
+        let instants: Vec<i64> = (0..self.count).map(|k| self.instant(k)).collect();
+        let of = |pixel: usize| -> Vec<f32> {
+            let log: Vec<f64> = self.log[pixel].iter().map(|u| f64::from(*u)).collect();
+            let Some(times) = case.frames.as_ref().map(|frames| &frames.times).filter(|_| !log.is_empty()) else { return vec![f32::NAN; count] };
+            let track = Track::new(&instants, &log, self.step_ns);
+            let row = case.place(pixel).1;
+            (0..count).map(|l| nominal.number.of(track.collected_in(times.exposure(l, row))) as f32).collect()
+        };
+        let found: Vec<Vec<f32>> = (0..pixels).into_par_iter().map(of).collect();
+        (0..count * pixels).map(|k| found[k % pixels][k / pixels]).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::MadeUp;
+    use photocurrent_core::Extent;
+
+    #[test]
+    fn frames_are_integrals_of_the_light() {
+        let case = MadeUp::new(3, 0, Extent { width: 8, height: 8 }, 0.05).recording().unwrap();
+        let nominal = case.nominal().unwrap();
+        let mut light = Light::blank(&case, 100_000);
+        // ln i = 4 + 9 (t - start), t in seconds, in every pixel but the first.
+        let ramp: Vec<f32> = (0..light.count).map(|k| (4.0 + 9.0 * (light.instant(k) - light.start_ns) as f64 * 1e-9) as f32).collect();
+        light.log.iter_mut().skip(1).for_each(|log| log.clone_from(&ramp));
+        let frames = light.frames(&case, &nominal);
+        let times = &case.frames.as_ref().unwrap().times;
+        for (k, dn) in frames.iter().enumerate() {
+            let (l, pixel) = (k / 64, k % 64);
+            if pixel == 0 {
+                assert!(dn.is_nan());
+                continue;
+            }
+            let exposure = times.exposure(l, (pixel / 8) as u32);
+            let at = |t: i64| libm::exp(4.0 + 9.0 * (t - light.start_ns) as f64 * 1e-9);
+            let expected = nominal.number.black_level + nominal.number.gain * (at(exposure.end.0) - at(exposure.start.0)) / 9.0;
+            assert!((f64::from(*dn) - expected).abs() < 1e-4 * expected, "{dn} is {expected}");
+        }
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! Whether a tile is better off with a picture of its own is asked of frame values alone: those that change and that either predicts within the noise.
 
+use super::control::Behind;
 use super::gate::Gate;
 use super::light::Light;
 use super::source::{Cell, MovingPicture, Source, usual_step_dn};
@@ -383,7 +384,7 @@ impl Source for Mosaic {
     }
 
     fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
-        Gate::new(case, &self.residual, f64::max(least_dn, self.least_dn), spread)
+        Gate::new(case, &self.residual, (f64::max(least_dn, self.least_dn), self.least_dn), spread)
     }
 
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
@@ -409,12 +410,12 @@ impl Source for Mosaic {
         Ok(Box::new(self.with(case, whole, patches)))
     }
 
-    fn drawn(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Source>>, String> {
-        let draw = |whole: &MovingPicture| whole.picture.drawn(case, nominal, &whole.setting, None, seed);
+    fn rough(&self, case: &Case, nominal: &Nominal, step_ns: i64, seed: u64) -> Result<Option<Behind>, String> {
+        let draw = |whole: &MovingPicture| whole.picture.drawn(case, nominal, &whole.setting, None, seed).sharpened(whole.setting.sharpest);
         let whole = self.whole.as_ref().map(|whole| whole.with(draw(whole)));
-        let one = |(n, patch): (usize, &Patch)| patch.drawn(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64));
+        let one = |(n, patch): (usize, &Patch)| patch.rough(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64));
         let patches = self.patches.par_iter().enumerate().map(one).collect();
-        Ok(Some(Box::new(self.with(case, whole, patches))))
+        Ok(Some(Behind::of(case, nominal, self.with(case, whole, patches).light(case, step_ns))))
     }
 
     fn misfit(&self) -> f64 {

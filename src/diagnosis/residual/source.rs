@@ -1,12 +1,13 @@
 //! The scene that residuals are taken on, whoever states it: a moving picture, patches of it, a known target.
 
+use super::control::Behind;
 use super::gate::Gate;
 use super::light::Light;
 use crate::case::Case;
 use crate::integrity::median;
 use crate::nominal::Nominal;
 use crate::picture::{Picture, PictureSetting};
-use photocurrent_sensor::conditional::{Track, at};
+use photocurrent_sensor::conditional::at;
 use photocurrent_sensor::elementary::ln;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -39,7 +40,7 @@ pub trait Source: Sync {
 
     /// Which events count.
     fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
-        Gate::new(case, self.residual(), least_dn, spread)
+        Gate::new(case, self.residual(), (least_dn, f64::INFINITY), spread)
     }
 
     /// Residual of every frame value, DN as [frame][y][x]; NaN where it took no part.
@@ -57,11 +58,11 @@ pub trait Source: Sync {
     /// When that recording's frames cannot be fitted.
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String>;
 
-    /// The same scene with what is left open about it drawn at random, for a control; itself where nothing is.
+    /// The same scene as rough as it may be: what frames leave open of it drawn at random, edges as sharp as the fit cannot tell; none where nothing is open.
     ///
     /// # Errors
     /// When the recording's frames cannot be fitted.
-    fn drawn(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Source>>, String>;
+    fn rough(&self, case: &Case, nominal: &Nominal, step_ns: i64, seed: u64) -> Result<Option<Behind>, String>;
 
     /// The frames that this scene gives, DN as [frame][y][x]; NaN where it does not reach.
     fn frames(&self, case: &Case) -> Vec<f32> {
@@ -94,6 +95,8 @@ pub struct MovingPicture {
     pub setting: PictureSetting,
     /// A value of a picture before a still ground is predicted that misses by less, DN.
     pub least_dn: f64,
+    /// What is wrong in the same way with neighbouring values is allowed to be so much, DN.
+    pub structure_dn: f64,
     /// Does the scene move as one? Not where pictures of some parts of it predict them better.
     pub is_one: bool,
 }
@@ -109,13 +112,14 @@ impl MovingPicture {
 
     /// Of a picture that was fitted.
     pub fn new(picture: Picture, setting: &PictureSetting, case: &Case, nominal: &Nominal) -> MovingPicture {
-        let least_dn = if picture.ground.is_empty() { 0.0 } else { usual_step_dn(case, nominal) };
-        MovingPicture { picture, setting: *setting, least_dn, is_one: true }
+        let structure_dn = usual_step_dn(case, nominal);
+        let least_dn = if picture.ground.is_empty() { 0.0 } else { structure_dn };
+        MovingPicture { picture, setting: *setting, least_dn, structure_dn, is_one: true }
     }
 
     /// The same with another picture.
     pub(super) fn with(&self, picture: Picture) -> MovingPicture {
-        MovingPicture { picture, setting: self.setting, least_dn: self.least_dn, is_one: self.is_one }
+        MovingPicture { picture, setting: self.setting, least_dn: self.least_dn, structure_dn: self.structure_dn, is_one: self.is_one }
     }
 }
 
@@ -136,7 +140,7 @@ impl Source for MovingPicture {
     }
 
     fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
-        Gate::new(case, &self.picture.residual, f64::max(least_dn, self.least_dn), spread)
+        Gate::new(case, &self.picture.residual, (f64::max(least_dn, self.least_dn), self.structure_dn), spread)
     }
 
     fn residual(&self) -> &[f32] {
@@ -156,8 +160,9 @@ impl Source for MovingPicture {
         Ok(Box::new(self.with(self.picture.refit(case, nominal, &self.setting, None))))
     }
 
-    fn drawn(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Source>>, String> {
-        Ok(Some(Box::new(self.with(self.picture.drawn(case, nominal, &self.setting, None, seed)))))
+    fn rough(&self, case: &Case, nominal: &Nominal, step_ns: i64, seed: u64) -> Result<Option<Behind>, String> {
+        let drawn = self.picture.drawn(case, nominal, &self.setting, None, seed);
+        Ok(Some(Behind::of(case, nominal, self.with(drawn.sharpened(self.setting.sharpest)).light(case, step_ns))))
     }
 
     fn misfit(&self) -> f64 {
@@ -188,24 +193,13 @@ impl Given {
     }
 
     fn look(&mut self, case: &Case, nominal: &Nominal) {
-        let (pixels, count) = (case.extent.pixels(), case.frame_count());
-        let light = self.light(case, STEP_NS);
-        let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
-        let of = |pixel: usize| -> Vec<f32> {
-            let log: Vec<f64> = light.log[pixel].iter().map(|u| f64::from(*u)).collect();
-            let Some(times) = case.frames.as_ref().map(|frames| &frames.times).filter(|_| !log.is_empty()) else { return vec![f32::NAN; count] };
-            let track = Track::new(&instants, &log, STEP_NS);
-            let row = case.place(pixel).1;
-            (0..count)
-                .map(|l| {
-                    let dn = case.dn(l, pixel);
-                    let predicted = nominal.number.of(track.collected_in(times.exposure(l, row)));
-                    if dn >= nominal.saturation_dn { f32::NAN } else { (dn - predicted) as f32 }
-                })
-                .collect()
+        let pixels = case.extent.pixels();
+        let predicted = self.light(case, STEP_NS).frames(case, nominal);
+        let left = |(k, predicted): (usize, &f32)| {
+            let dn = case.dn(k / pixels, k % pixels);
+            if dn >= nominal.saturation_dn { f32::NAN } else { (dn - f64::from(*predicted)) as f32 }
         };
-        let found: Vec<Vec<f32>> = (0..pixels).into_par_iter().map(of).collect();
-        self.residual = (0..count * pixels).map(|k| found[k % pixels][k / pixels]).collect();
+        self.residual = predicted.iter().enumerate().map(left).collect();
         // Noise is how values of like brightness differ; what they have in common is an effect.
         let signal = |k: usize| case.dn(k / pixels, k % pixels) - f64::from(self.residual[k]) - nominal.number.black_level;
         let mut order: Vec<usize> = (0..self.residual.len()).filter(|&k| self.residual[k].is_finite()).collect();
@@ -270,7 +264,7 @@ impl Source for Given {
         Ok(Box::new(given))
     }
 
-    fn drawn(&self, _case: &Case, _nominal: &Nominal, _seed: u64) -> Result<Option<Box<dyn Source>>, String> {
+    fn rough(&self, _case: &Case, _nominal: &Nominal, _step_ns: i64, _seed: u64) -> Result<Option<Behind>, String> {
         Ok(None)
     }
 

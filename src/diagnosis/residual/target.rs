@@ -4,6 +4,7 @@
 //! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the sensor put into the fit, is fitted beside every effect: the
 //! derivative of every residual by each free parameter ([`Source::free`], [`Source::moved`]).
 
+use super::control::Behind;
 use super::gate::Gate;
 use super::light::Light;
 use super::source::{Cell, Given, Knots, Source};
@@ -368,7 +369,7 @@ impl Source for Target {
         Ok(Box::new(fitted.ok_or("the target's parameters make no scene")?))
     }
 
-    fn drawn(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Source>>, String> {
+    fn rough(&self, case: &Case, nominal: &Nominal, step_ns: i64, seed: u64) -> Result<Option<Behind>, String> {
         let n = self.shares.len();
         let mut random = Random::new(seed, &[0x7b]);
         let draw = &self.root * DVector::from_fn(n, |_, _| random.normal());
@@ -376,15 +377,7 @@ impl Source for Target {
         let scene = self.form.at(&shares).ok_or("the target's parameters make no scene")?;
         let light = all_knots(&*scene, case);
         let given = Given::new(case, nominal, light.into(), &self.picture);
-        Ok(Some(Box::new(Target {
-            form: self.form.clone(),
-            setting: self.setting,
-            picture: self.picture,
-            shares,
-            root: self.root.clone(),
-            left: self.left,
-            given,
-        })))
+        Ok(Some(Behind { light: given.light(case, step_ns), frames: given.frames(case) }))
     }
 
     fn misfit(&self) -> f64 {
