@@ -21,7 +21,7 @@ use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::diagnose::{amend, can_compare};
 use photocurrent_diagnosis::picture::PictureSetting;
 use photocurrent_diagnosis::picture::patches::PatchSetting;
-use photocurrent_diagnosis::residual::evidence::{EvidenceSetting, evidence};
+use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting, evidence};
 use photocurrent_diagnosis::residual::mosaic::{MosaicSetting, scene};
 use photocurrent_diagnosis::residual::source::{Given, Knots, MovingPicture, Source};
 use photocurrent_diagnosis::stages::{Seen, write_evidence};
@@ -91,6 +91,12 @@ pub struct Params {
     /// At most so many such pictures are fitted, those of tiles with the most events.
     #[schemars(range(max = 100_000))]
     pub most_parts: u32,
+    /// Of a recording with more frame values, only the neighbouring frames with the most events between them are looked at, as many as have so many values: a fit takes some 300 bytes for each.
+    #[schemars(range(min = 1_000))]
+    pub most_values: u32,
+    /// What a picture is sharpened over for the control, to find what its fit takes away, pixels.
+    #[schemars(range(min = 0.0, max = 4.0))]
+    pub sharpest: f64,
 }
 
 impl Default for Params {
@@ -117,6 +123,8 @@ impl Default for Params {
             margin: parts.patches.margin,
             window: parts.patches.frames as u32,
             most_parts: parts.most_parts as u32,
+            most_values: 1_000_000,
+            sharpest: picture.sharpest,
         }
     }
 }
@@ -190,11 +198,19 @@ impl DiagnoseEvidence {
             margin,
             window,
             most_parts,
+            most_values,
+            sharpest,
         } = self.params.clone();
-        let picture = PictureSetting { pitch, knot_ns: knot.ns(), again: again as usize, ..PictureSetting::default() };
+        let picture =
+            PictureSetting { pitch, knot_ns: knot.ns(), again: again as usize, most_values: most_values as usize, sharpest, ..PictureSetting::default() };
         let parts = MosaicSetting::default();
         let patches = PatchSetting { side: tile, margin, frames: window as usize, ..parts.patches };
-        let parts = MosaicSetting { patches, most_parts: most_parts as usize, picture: PictureSetting { pitch, knot_ns: knot.ns(), ..parts.picture }, ..parts };
+        let parts = MosaicSetting {
+            patches,
+            most_parts: most_parts as usize,
+            picture: PictureSetting { pitch, knot_ns: knot.ns(), sharpest, ..parts.picture },
+            ..parts
+        };
         let of = EvidenceSetting {
             step_ns: step.ns(),
             events: events as usize,
@@ -237,12 +253,14 @@ impl DiagnoseEvidence {
         if let Some(flicker) = known.scene.iter().find(|one| one.depth > self.params.most_flicker) {
             return Ok(Seen::Nothing(format!("the light flickers at {:.0} Hz by {:.0} %", flicker.frequency_hz, 100.0 * flicker.depth)));
         }
+        let part = case.busiest(picture.most_values);
+        let (case, span_ns) = part.as_ref().map_or((&case, None), |part| (part, Some(part.span)));
         let source = match self.params.scene {
-            Scene::Parts => scene(&case, &nominal, &picture, &parts),
-            _ => MovingPicture::fit(&case, &nominal, &picture).map(|source| Box::new(source) as Box<dyn Source>),
+            Scene::Parts => scene(case, &nominal, &picture, &parts),
+            _ => MovingPicture::fit(case, &nominal, &picture).map(|source| Box::new(source) as Box<dyn Source>),
         };
-        let found = source.and_then(|source| evidence(&case, &nominal, source.as_ref(), &of));
-        Ok(found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))))
+        let found = source.and_then(|source| evidence(case, &nominal, source.as_ref(), &of));
+        Ok(found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(Evidence { span_ns, ..found }))))
     }
 }
 
@@ -290,7 +308,7 @@ impl Node for DiagnoseEvidence {
     const DECL: Decl = Decl {
         kind: "diagnose/evidence",
         about: "Asks every effect of the catalogue how much it explains of what events miss their thresholds by, on a scene that frames alone state, or on known light.",
-        revision: 5,
+        revision: 6,
         grain: Grain::Whole,
         draws: true,
         exports: false,

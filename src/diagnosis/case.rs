@@ -198,6 +198,32 @@ impl Case {
         }
     }
 
+    /// The neighbouring frames of at most `values` values in all with the most events between them, and the events from the first one's start to the last one's end; none where all
+    /// frames fit, or fewer than three do.
+    pub fn busiest(&self, values: usize) -> Option<Case> {
+        let frames = self.frames.as_ref()?;
+        let pixels = self.extent.pixels();
+        let (count, all) = (values / pixels.max(1), frames.times.len());
+        if all <= count || count < 3 {
+            return None;
+        }
+        let row = self.extent.height - 1;
+        let span = |from: usize| (frames.times.exposure(from, 0).start.0, frames.times.exposure(from + count - 1, row).end.0);
+        let mut instants: Vec<i64> = self.events.all().iter().map(|event| event.t_in_ns).collect();
+        instants.sort_unstable();
+        let number = |from: usize| {
+            let (begin, end) = span(from);
+            instants.partition_point(|t| *t < end) - instants.partition_point(|t| *t < begin)
+        };
+        let from = (0..=all - count).max_by_key(|&from| (number(from), usize::MAX - from))?;
+        let span = span(from);
+        let chosen: Vec<usize> = (from..from + count).collect();
+        let within = |event: &&Recorded| (span.0..span.1).contains(&event.t_in_ns) && event.t_off_ns < span.1;
+        let events = PixelEvents::new((0..pixels).map(|pixel| self.events.of(pixel).iter().filter(within).copied().collect()));
+        let frames = CaseFrames { times: frames.times.select(&chosen), dn: frames.dn[from * pixels..(from + count) * pixels].to_vec() };
+        Some(Case { span, events, frames: Some(frames), sensor: self.sensor.clone(), ..*self })
+    }
+
     /// Column and row of a pixel.
     pub fn place(&self, pixel: usize) -> (u32, u32) {
         let width = self.extent.width as usize;
@@ -235,5 +261,20 @@ mod tests {
             assert_eq!((again.events, again.frames, again.span), (case.events.clone(), case.frames.clone(), case.span));
             assert_eq!((again.has_t_in, again.t_resolution_ns), (has_t_in, 20));
         }
+    }
+
+    #[test]
+    fn the_busiest_frames_are_those_with_the_most_events_between_them() {
+        let case = testing::case();
+        let pixels = case.extent.pixels();
+        assert!(case.busiest(7 * pixels).is_none() && case.busiest(2 * pixels).is_none());
+        // Events of the last 25 ms only: the last four of seven frames have them all.
+        let late = PixelEvents::new((0..pixels).map(|pixel| case.events.of(pixel).iter().filter(|event| event.t_in_ns > 35_000_000).copied().collect()));
+        let part = Case { events: late, ..case.clone() }.busiest(4 * pixels + 5).unwrap();
+        assert_eq!(part.span, (24_000_000, 52_000_000 + 9 * 20_000));
+        assert_eq!(part.frame_count(), 4);
+        assert_eq!((part.dn(0, 17), part.dn(3, 50)), (case.dn(3, 17), case.dn(6, 50)));
+        let within = case.events.all().iter().filter(|event| event.t_in_ns > 35_000_000 && event.t_off_ns < part.span.1).count();
+        assert_eq!(part.events.all().len(), within);
     }
 }

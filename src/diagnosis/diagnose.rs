@@ -254,7 +254,7 @@ fn report(
     Report {
         schema: SCHEMA.to_owned(),
         verdict: answer.verdict,
-        summary: summary(integrity, answer),
+        summary: summary(integrity, answer, decided),
         not_testable: not_testable(case, proposed, &answer.claims),
         next_experiment: crate::advice::next_experiments(case, answer, integrity),
         residual_left: decided.and_then(|decided| decided.residual_left).filter(|_| answer.claims.iter().any(|claim| claim.finding.is_none())),
@@ -364,19 +364,31 @@ fn location(case: &Case, decl: &EffectDecl, finding: Option<&Finding>) -> Locati
     location
 }
 
-fn summary(integrity: &Integrity, answer: &Answer) -> String {
+fn summary(integrity: &Integrity, answer: &Answer, decided: Option<&Decided>) -> String {
     let name = |claim: &Claim| {
         let others: String = claim.also_possible.iter().map(|id| format!(" or {id}")).collect();
         format!("{}{others}", claim.id)
     };
-    match answer.verdict {
-        Verdict::BrokenData => integrity.broken.join("; "),
-        Verdict::Insufficient => integrity.lacking.join("; "),
+    let said = match answer.verdict {
+        Verdict::BrokenData => return integrity.broken.join("; "),
+        Verdict::Insufficient => return integrity.lacking.join("; "),
         Verdict::Consistent => "the recording agrees with the description as far as these tests see; detectability says how far that is".into(),
         Verdict::Unnamed => "the recording differs from the description, and no effect of the catalogue explains how".into(),
         Verdict::Numerical => "what differs is an error of our own".into(),
         Verdict::Named | Verdict::Ambiguous => answer.claims.iter().map(name).collect::<Vec<_>>().join(", and "),
-    }
+    };
+    decided.map_or_else(|| said.clone(), |decided| format!("{said} ({})", looked_at_of(decided)))
+}
+
+/// Which events were held against which scene.
+fn looked_at_of(decided: &Decided) -> String {
+    let scene = match decided.name.as_str() {
+        "given" => "on known light",
+        "patches" => "on a scene in parts",
+        _ => "on a moving picture",
+    };
+    let when = decided.span_ns.map_or_else(String::new, |(from, to)| format!(" from {:.2} to {:.2} s", from as f64 * 1e-9, to as f64 * 1e-9));
+    format!("{scene}, {:.0} % of the events{when}", 100.0 * decided.share)
 }
 
 /// What nothing was found out about.

@@ -192,6 +192,8 @@ mod tests {
     fn proposals_come_back_and_only_with_the_list_they_were_made_with() {
         let proposal = Proposal { candidate: 3, score: 1.0 / 3.0, ci95: Some([-1e-300, 2.0]), passed: true, heldout_nats: Some(0.1), ..Proposal::default() };
         let decided = Decided {
+            share: 0.83,
+            span_ns: Some((0, 40_000_000)),
             name: "picture".into(),
             alarm: true,
             proposals: vec![proposal.clone()],

@@ -78,6 +78,12 @@ impl Unexplained {
 pub struct Decided {
     /// The scene: `picture`, `given`, ...
     pub name: String,
+    /// Share of the events that lie where the scene predicts frames: the others were not looked at.
+    #[serde(default)]
+    pub share: f64,
+    /// First and last instant that was looked at, ns; none where it is the whole recording.
+    #[serde(default)]
+    pub span_ns: Option<(i64, i64)>,
     /// Does the recording differ from the description at all?
     pub alarm: bool,
     /// For one more effect, best first.

@@ -100,6 +100,8 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
     let curve = found.open_second.first().or(found.open.first()).filter(|_| is_unnamed);
     Decided {
         name: found.scene.clone(),
+        share: found.share,
+        span_ns: found.span_ns,
         alarm: is_something,
         proposals: if is_unnamed { Vec::new() } else { first },
         second: if is_unnamed { Vec::new() } else { second },

@@ -193,6 +193,9 @@ pub struct Evidence {
     /// The scene ([`Source::name`]).
     #[serde(default)]
     pub scene: String,
+    /// First and last instant that was looked at, ns; none where it is the whole recording.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub span_ns: Option<(i64, i64)>,
     /// Held-out log-likelihood of an event's time with the description, nats (of a density per second).
     #[serde(default)]
     pub nats_per_event: f64,
@@ -377,6 +380,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let [ranked, second, random, random_second] = [ranked, second, random, random_second].map(mark);
     Ok(Evidence {
         scene: source.name().to_owned(),
+        span_ns: None,
         nats_per_event: table.nats_per_event,
         share,
         events: table.residual().len(),

@@ -454,3 +454,44 @@ fn filled(known: &[Option<f32>]) -> Vec<f32> {
         })
         .collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenes::MadeUp;
+    use photocurrent_core::Extent;
+    use photocurrent_sensor::conditional::at;
+
+    /// Median distance of a scene's log light from the truth, in places whose light changes, between the middles of the first and the last frame.
+    fn error(source: &dyn Source, case: &Case, truth: &[(Vec<i64>, Vec<f64>)]) -> f64 {
+        let light = source.light(case, 200_000);
+        let (from, to) = (middle_ns(case, 0, 0), middle_ns(case, case.frame_count() - 1, 0));
+        let mut errors: Vec<f64> = Vec::new();
+        for (pixel, (t, photocurrent)) in truth.iter().enumerate() {
+            let (low, high) = photocurrent.iter().fold((f64::INFINITY, 0.0), |(low, high), i| (f64::min(low, *i), f64::max(high, *i)));
+            if high < 1.3 * low || light.log[pixel].is_empty() {
+                continue;
+            }
+            let within = (0..light.count).filter(|k| (from..to).contains(&light.instant(*k)));
+            errors.extend(within.map(|k| (f64::from(light.log[pixel][k]) - libm::log(at(t, photocurrent, light.instant(k)))).abs()));
+        }
+        errors.iter().sum::<f64>() / errors.len() as f64
+    }
+
+    #[test]
+    fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
+        let extent = Extent { width: 48, height: 36 };
+        let fan = (0..).map(|index| MadeUp::in_parts(5, index, extent, 0.08)).find(|scene| scene.name() == "fan").unwrap();
+        let case = fan.recording().unwrap();
+        let nominal = case.nominal().unwrap();
+        let found = scene(&case, &nominal, &PictureSetting::default(), &MosaicSetting::default()).unwrap();
+        assert_eq!(found.name(), "patches");
+        let one = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
+        let (parts, one) = (error(found.as_ref(), &case, &fan.light()), error(&one, &case, &fan.light()));
+        assert!(parts < 0.5 * one, "{parts} of natural-log units, one picture {one}");
+
+        let texture = MadeUp::new(21, 0, extent, 0.06);
+        let case = texture.recording().unwrap();
+        assert_eq!(scene(&case, &case.nominal().unwrap(), &PictureSetting::default(), &MosaicSetting::default()).unwrap().name(), "picture");
+    }
+}

@@ -265,8 +265,8 @@ impl Seen<'_> {
             }
         };
         let mut slopes: Vec<f64> = events.slope_per_s.iter().map(|slope| slope.abs()).collect();
-        // A voltage that hardly moves says little of when an event comes.
-        let least = self.setting.least_slope * median(&mut slopes);
+        // A voltage that hardly moves says little of when an event comes; on the way to one it takes a threshold within the recording.
+        let least = self.setting.least_slope * f64::max(median(&mut slopes), self.scales.threshold / self.scales.duration_s);
         let log_slope = of_trials.iter().map(|of| of.slope_per_s.iter().map(|slope| ln(f64::max(f64::from(slope.abs()), least)) as f32).collect()).collect();
         let mut left: Vec<Vec<f32>> = of_trials.into_iter().map(|of| of.excess).collect();
         for of_trial in &mut left {
