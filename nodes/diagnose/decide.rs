@@ -56,8 +56,8 @@ pub struct Numbers {
     pub something: Option<[f64; SOMETHING]>,
     /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the first's.
     pub second: Option<[f64; SECOND]>,
-    /// The logarithm of a random effect's gain counts less by this: such effects gain where the scene errs.
-    pub discount: Option<f64>,
+    /// Logarithms of gains count less by this of random effects, and of those that change how far light swings from event to event: such effects gain where the scene errs.
+    pub discount: Option<[f64; 2]>,
     /// Logarithm of the share of the best gain by which an effect must fall short to be a factor e less probable, at a gain of 1 nat an event; and what it grows by with the logarithm of that gain.
     pub softness: Option<[f64; 2]>,
     /// Log odds of a random effect over one with a size, at the same gain.
@@ -127,7 +127,7 @@ impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
         about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
-        revision: 5,
+        revision: 6,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -1,6 +1,6 @@
 //! Numbers of the decision's model from recordings whose truth is known, with cross-validation.
 //!
-//! The two logistic functions by Newton's method with a weak prior, at the best of some discounts of random gains; softness, offset and odds of what is in no catalogue by searching each in turn. Both maximise the likelihood of
+//! The two logistic functions by Newton's method with a weak prior, at the best of some discounts of gains; softness, offset and odds of what is in no catalogue by searching each in turn. Both maximise the likelihood of
 //! the truth. Every recording is judged by a model that did not see it.
 
 use super::Decision;
@@ -98,8 +98,8 @@ fn newton<const N: usize>(examples: &[([f64; N], bool)]) -> [f64; N] {
     std::array::from_fn(|n| weights[n])
 }
 
-/// Discounts of random gains that are tried, a quarter apart.
-const DISCOUNTS: usize = 13;
+/// Discounts of each kind that are tried, a half apart.
+const DISCOUNTS: usize = 7;
 
 /// Log probability of what is true.
 fn log_of<const N: usize>(examples: &[([f64; N], bool)], weights: &[f64; N]) -> f64 {
@@ -112,7 +112,7 @@ pub fn calibrate(examples: &[&Example]) -> Model {
     let seen: Vec<(&Example, &Facts)> = examples.iter().filter_map(|one| Some((*one, one.facts.as_ref()?))).collect();
     // A second one is looked for where the first is right.
     let is_right = |one: &Example, facts: &Facts| facts.first.first().is_some_and(|first| one.has(&first.0));
-    let logistics = |discount: f64| {
+    let logistics = |discount: [f64; 2]| {
         let something: Vec<([f64; SOMETHING], bool)> = seen.iter().map(|(one, facts)| (facts.something(discount), one.is_something())).collect();
         let second: Vec<([f64; SECOND], bool)> = seen
             .iter()
@@ -122,7 +122,7 @@ pub fn calibrate(examples: &[&Example]) -> Model {
         let (of_something, of_second) = (newton(&something), newton(&second));
         (log_of(&something, &of_something) + log_of(&second, &of_second), Model { something: of_something, second: of_second, discount, ..Model::default() })
     };
-    let discounts = (0..DISCOUNTS).map(|n| 0.25 * n as f64);
+    let discounts = (0..DISCOUNTS * DISCOUNTS).map(|n| [0.5 * (n / DISCOUNTS) as f64, 0.5 * (n % DISCOUNTS) as f64]);
     let best = discounts.map(logistics).max_by(|a, b| a.0.total_cmp(&b.0));
     let mut model = best.map_or_else(Model::default, |(_, model)| model);
     let named: Vec<&(&Example, &Facts)> = seen.iter().filter(|(one, _)| one.is_something()).collect();
@@ -271,8 +271,8 @@ mod tests {
 
     fn facts(gain: f64, share_of_other: f64) -> Facts {
         Facts {
-            gains: Gains { sized: libm::log(gain), random: -6.0 },
-            beside_gains: Some(Gains { sized: libm::log(0.1 * gain), random: -6.0 }),
+            gains: Gains { sized: libm::log(gain), random: -6.0, swing: -6.0 },
+            beside_gains: Some(Gains { sized: libm::log(0.1 * gain), random: -6.0, swing: -6.0 }),
             first: vec![("clock_offset".into(), 1.0, false), ("second_pole".into(), share_of_other, false)],
             beside: vec![("leak_events".into(), 1.0, false)],
             open: [-3.0, -2.0],
@@ -300,7 +300,7 @@ mod tests {
         let of_parts = (include_str!("../../../data/diagnosis/examples-parts.jsonl"), Model::of_patches());
         let numbers = |model: Model| -> Vec<f64> {
             let Model { something, second, discount, softness, random, unnamed } = model;
-            [&something[..], &second, &[discount], &softness, &[random], &unnamed].concat()
+            [&something[..], &second, &discount, &softness, &[random], &unnamed].concat()
         };
         for ((text, built_in), kind) in [of_picture, of_parts].into_iter().zip(["", "patches"]) {
             let examples: Vec<Example> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();

@@ -44,7 +44,7 @@ impl Default for Decision {
             models: Models::default(),
             least: 0.9,
             least_second: 0.6,
-            most_control: 0.15,
+            most_control: 0.3,
             most_left: 0.3,
             most_silent: 0.12,
             most_needed: 10.0,
@@ -126,6 +126,7 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
     let one = |one: &Ranked| {
         let kind = &CANDIDATES[one.candidate];
         let (parameter, unit) = kind.json_key();
+        let needed = if kind.sought.is_of_swing { needed * libm::exp(decision.models.of(&found.scene).discount[1]) } else { needed };
         Detectable {
             id: kind.id.to_owned(),
             parameter,
@@ -172,6 +173,7 @@ fn proposals(found: &Evidence, list: &[&Ranked], belief: &Belief, score: f64, no
 mod tests {
     use super::*;
     use crate::testing;
+    use model::Model;
 
     fn ranked(id: &str, gain: f64, control_gain: f64) -> Ranked {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
@@ -196,6 +198,19 @@ mod tests {
     fn what_gains_next_to_nothing_is_no_finding() {
         let found = Evidence { share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.004, 0.001)], ..Evidence::default() };
         assert!(!said(&found).alarm);
+    }
+
+    #[test]
+    fn what_changes_the_swing_of_light_needs_more_where_scenes_err_in_it() {
+        let nominal = testing::case().nominal().unwrap();
+        let model = Model { something: [6.0, 2.0, 0.0], discount: [0.0, 2.0], ..Model::default() };
+        let decision = Decision { models: Models { picture: model, ..Models::default() }, ..Decision::default() };
+        let of = |id: &str| Evidence { share: 1.0, ranked: vec![Ranked { information: 2.0, unit: 1.0, ..ranked(id, 0.3, 0.0) }], ..Evidence::default() };
+        let said = |id: &str| super::said(&of(id), &nominal, &decision);
+        // 6 + 2 ln 0.3 is 3.6, and 4 less for a swing.
+        assert!(said("clock_offset").alarm && !said("threshold_scale").alarm);
+        let [clock, swing] = ["clock_offset", "threshold_scale"].map(|id| said(id).detectability[0].minimal_detectable);
+        assert!((swing / clock - libm::exp(1.0)).abs() < 1e-9, "gains grow with the square of a size");
     }
 
     #[test]

@@ -18,8 +18,8 @@ pub struct Model {
     pub something: [f64; SOMETHING],
     /// Log odds of a second effect: constant, and weights of [`Facts::second`].
     pub second: [f64; SECOND],
-    /// Random effects gain where the scene errs: their gain counts less by this, in its logarithm.
-    pub discount: f64,
+    /// Random effects gain where the scene errs, and so do those that change how far light swings: their gains count less by this, in their logarithms.
+    pub discount: [f64; 2],
     /// A hypothesis whose gain is smaller than the best by a share is a factor e less probable: logarithm of that share where the best gains 1 nat an event, and what it
     /// grows by with the logarithm of the best gain. Small gains say little of which of them is right.
     pub softness: [f64; 2],
@@ -41,7 +41,7 @@ impl Default for Model {
         Model {
             something: [3.213, 0.694, 0.644],
             second: [1.718, 0.653, 0.0379],
-            discount: 1.5,
+            discount: [1.5, 0.0],
             softness: [-1.888, -0.442],
             random: 0.316,
             unnamed: [-0.192, 0.795, 0.393],
@@ -87,7 +87,7 @@ impl Model {
         Model {
             something: [0.725, 0.107, -0.418],
             second: [2.683, 0.584, 1.395],
-            discount: 3.0,
+            discount: [3.0, 0.0],
             softness: [-1.997, -0.700],
             random: 0.972,
             unnamed: [1.464, 2.670, -2.763],
@@ -106,22 +106,29 @@ const SOFTNESS: (f64, f64) = (-5.0, 2.0);
 /// Gains below this are nothing, nats an event.
 const LEAST_GAIN: f64 = 1e-3;
 
-/// Logarithms of the best gains of one place, nats an event: of effects with a size, and of random ones.
+/// Logarithms of the best gains of one place, nats an event.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    /// Of effects with a size.
+    /// Of other effects with a size.
     pub sized: f64,
     /// Of random ones.
     pub random: f64,
+    /// Of those that change how far light swings from event to event; nothing in lists that do not tell them apart.
+    #[serde(default = "nothing")]
+    pub swing: f64,
+}
+
+fn nothing() -> f64 {
+    libm::log(LEAST_GAIN)
 }
 
 impl Gains {
     fn best(&self) -> f64 {
-        f64::max(self.sized, self.random)
+        self.discounted([0.0; 2])
     }
 
-    fn discounted(&self, discount: f64) -> f64 {
-        f64::max(self.sized, self.random - discount)
+    fn discounted(&self, discount: [f64; 2]) -> f64 {
+        f64::max(self.sized, f64::max(self.random - discount[0], self.swing - discount[1]))
     }
 }
 
@@ -153,11 +160,15 @@ impl Facts {
         // What a size that does not matter explains needs no other explanation.
         let small = explained_by_little(&found.ranked, &found.random);
         let beside_small = explained_by_little(&found.second, &found.random_second);
-        let gain = |list: &[&Ranked], small: f64, is_random: bool| {
-            let of_kind = |one: &&&Ranked| CANDIDATES[one.candidate].is_random == is_random;
+        let gain = |list: &[&Ranked], small: f64, kind: [bool; 2]| {
+            let of_kind = |one: &&&Ranked| [CANDIDATES[one.candidate].is_random, CANDIDATES[one.candidate].sought.is_of_swing] == kind;
             libm::log(list.iter().filter(of_kind).map(|one| one.beyond() - small).fold(LEAST_GAIN, f64::max))
         };
-        let gains = |list: &[&Ranked], small: f64| Gains { sized: gain(list, small, false), random: gain(list, small, true) };
+        let gains = |list: &[&Ranked], small: f64| Gains {
+            sized: gain(list, small, [false; 2]),
+            random: gain(list, small, [true, false]),
+            swing: gain(list, small, [false, true]),
+        };
         let of_first = gains(&first, small);
         let best = of_first.best();
         let named = |list: &[&Ranked], noise: f64| {
@@ -179,7 +190,7 @@ impl Facts {
     /// To four digits behind the point.
     pub(super) fn rounded(&self) -> Facts {
         let round = |x: f64| (x * 1e4).round() / 1e4;
-        let gains = |of: Gains| Gains { sized: round(of.sized), random: round(of.random) };
+        let gains = |of: Gains| Gains { sized: round(of.sized), random: round(of.random), swing: round(of.swing) };
         let list = |of: &[(String, f64, bool)]| of.iter().map(|(id, share, is_random)| (id.clone(), round(*share), *is_random)).collect();
         Facts {
             gains: gains(self.gains),
@@ -193,13 +204,13 @@ impl Facts {
     }
 
     /// 1, the logarithm of what the best effect gains and another beside it, as some only show together, and that of the share of the events that count.
-    pub fn something(&self, discount: f64) -> [f64; SOMETHING] {
+    pub fn something(&self, discount: [f64; 2]) -> [f64; SOMETHING] {
         let beside = self.beside_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
         [1.0, libm::log(libm::exp(self.gains.discounted(discount)) + beside), self.share]
     }
 
     /// 1, the logarithm of the second gain, and of that over the first; none where there is no second.
-    pub fn second(&self, discount: f64) -> Option<[f64; SECOND]> {
+    pub fn second(&self, discount: [f64; 2]) -> Option<[f64; SECOND]> {
         let other = self.beside_gains?.discounted(discount);
         Some([1.0, other, other - self.gains.discounted(discount)])
     }

@@ -36,6 +36,7 @@ pub const KIND: EffectKind = EffectKind {
             typical: Size::Larger(&Size::Of(0.12, Measure::Signal), &Size::Fixed(10.0)),
             material: Size::Of(0.005, Measure::Signal),
             field: Some(Field::BlackLevel),
+            is_of_swing: true,
             ..Sought::both("black_level_dn")
         }]),
     },

@@ -30,7 +30,12 @@ pub const KIND: EffectKind = EffectKind {
         confused_with: &["black_level", "threshold_scale"],
         source: "McReynolds, Graca and Delbruck 2024, arXiv 2404.07656",
         apart: &[("black_level", "a frame with the lens covered: it reads the black level")],
-        search: Search::For(&[Sought { typical: Size::Of(0.15, Measure::Light), material: Size::Of(0.005, Measure::Light), ..Sought::positive("current") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Of(0.15, Measure::Light),
+            material: Size::Of(0.005, Measure::Light),
+            is_of_swing: true,
+            ..Sought::positive("current")
+        }]),
     },
     build,
 };

@@ -37,7 +37,7 @@ pub const KIND: EffectKind = EffectKind {
             ("reset_memory", "the same scene at three times the speed: the blind time matters three times as much, the memory as before"),
         ],
         search: Search::For(&[
-            Sought { typical: Size::Fixed(250e-6), material: TIME, field: Some(Field::Refractory), ..Sought::both("refractory") },
+            Sought { typical: Size::Fixed(250e-6), material: TIME, field: Some(Field::Refractory), is_of_swing: true, ..Sought::both("refractory") },
             Sought { field: Some(Field::Reset), is_made: false, ..Sought::switch("reset") },
         ]),
     },

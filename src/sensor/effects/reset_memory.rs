@@ -30,7 +30,7 @@ pub const KIND: EffectKind = EffectKind {
         confused_with: &["refractory", "second_pole", "time_constant"],
         source: "Lichtsteiner, Posch and Delbruck 2008 (reset switch)",
         apart: &[],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.3), material: SHARE, ..Sought::both("fraction") }]),
+        search: Search::For(&[Sought { typical: Size::Fixed(0.3), material: SHARE, is_of_swing: true, ..Sought::both("fraction") }]),
     },
     build,
 };

@@ -50,6 +50,8 @@ pub struct Sought {
     pub spread_of: Option<(&'static str, &'static str)>,
     /// Are its events counted where nothing moves? What a direct test finds is then certain however little it is, and matters.
     pub is_counted: bool,
+    /// Does it change how far the log light swings on its way from event to event? A scene that is too soft or too sharp does as well, so that its gains say less.
+    pub is_of_swing: bool,
     /// Is a decision calibrated on recordings that are made with it? Not with what shows without any scene, nor with what looks like another number.
     pub is_made: bool,
     /// Does it come behind the numbers of all other effects? So what joins an effect later leaves the others the places that documents and made recordings count them by.
@@ -70,6 +72,7 @@ impl Sought {
             companion: None,
             spread_of: None,
             is_counted: false,
+            is_of_swing: false,
             is_made: true,
             comes_last: false,
         }

@@ -34,7 +34,13 @@ pub const KIND: EffectKind = EffectKind {
             ("black_level", "a frame with the lens covered: it reads the black level"),
             ("threshold_drift", "a recording four times as long: a drift grows with it"),
         ],
-        search: Search::For(&[Sought { typical: Size::Fixed(0.2), material: GAIN, field: Some(Field::Thresholds { off: 1.0 }), ..Sought::both("fraction") }]),
+        search: Search::For(&[Sought {
+            typical: Size::Fixed(0.2),
+            material: GAIN,
+            field: Some(Field::Thresholds { off: 1.0 }),
+            is_of_swing: true,
+            ..Sought::both("fraction")
+        }]),
     },
     build,
 };
