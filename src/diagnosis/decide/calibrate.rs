@@ -75,6 +75,9 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     Ok(Example::new(truth, found))
 }
 
+/// Softness beforehand.
+const USUAL_SOFTNESS: [f64; 2] = [-2.0, -0.5];
+
 /// Standard deviation of the logistic weights beforehand.
 const PRIOR: f64 = 3.0;
 
@@ -120,7 +123,10 @@ pub fn calibrate(examples: &[&Example]) -> Model {
             .filter_map(|(one, facts)| Some((facts.second(discount)?, one.truth.effects.len() > 1)))
             .collect();
         let (of_something, of_second) = (newton(&something), newton(&second));
-        (log_of(&something, &of_something) + log_of(&second, &of_second), Model { something: of_something, second: of_second, discount, ..Model::default() })
+        (
+            log_of(&something, &of_something) + log_of(&second, &of_second),
+            Model { something: of_something, second: of_second, discount, softness: USUAL_SOFTNESS, random: 0.0, unnamed: [0.0; 3] },
+        )
     };
     let discounts = (0..DISCOUNTS * DISCOUNTS).map(|n| [0.5 * (n / DISCOUNTS) as f64, 0.5 * (n % DISCOUNTS) as f64]);
     let best = discounts.map(logistics).max_by(|a, b| a.0.total_cmp(&b.0));
@@ -156,8 +162,7 @@ pub fn calibrate(examples: &[&Example]) -> Model {
 /// Weak: three of log odds; of the softness as much around what is usual.
 fn prior(model: &Model) -> f64 {
     let odds = model.unnamed.iter().chain([&model.random]).map(|odds| odds * odds).sum::<f64>() / (PRIOR * PRIOR);
-    let usual = Model::default().softness;
-    let soft: f64 = model.softness.iter().zip(usual).map(|(soft, usual)| (soft - usual) * (soft - usual)).sum::<f64>() / (PRIOR * PRIOR);
+    let soft: f64 = model.softness.iter().zip(USUAL_SOFTNESS).map(|(soft, usual)| (soft - usual) * (soft - usual)).sum::<f64>() / (PRIOR * PRIOR);
     0.5 * (odds + soft)
 }
 
@@ -266,7 +271,7 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::decide::model::Gains;
+    use crate::decide::model::{Gains, KINDS, Models};
     use photocurrent_core::random::Random;
 
     fn facts(gain: f64, share_of_other: f64) -> Facts {
@@ -296,15 +301,20 @@ mod tests {
 
     #[test]
     fn the_built_in_numbers_are_those_of_the_training_sets() {
-        let of_picture = (include_str!("../../../data/diagnosis/examples.jsonl"), Model::default());
-        let of_parts = (include_str!("../../../data/diagnosis/examples-parts.jsonl"), Model::of_patches());
+        let sets = [
+            include_str!("../../../data/diagnosis/examples.jsonl"),
+            include_str!("../../../data/diagnosis/examples-parts.jsonl"),
+            include_str!("../../../data/diagnosis/examples-given.jsonl"),
+        ];
+        let examples: Vec<Example> = sets.iter().flat_map(|text| text.lines()).map(|line| serde_json::from_str(line).unwrap()).collect();
+        assert!(examples.len() >= 600);
         let numbers = |model: Model| -> Vec<f64> {
             let Model { something, second, discount, softness, random, unnamed } = model;
             [&something[..], &second, &discount, &softness, &[random], &unnamed].concat()
         };
-        for ((text, built_in), kind) in [of_picture, of_parts].into_iter().zip(["", "patches"]) {
-            let examples: Vec<Example> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-            let of_kind: Vec<&Example> = examples.iter().filter(|one| one.facts.as_ref().is_none_or(|facts| facts.scene == kind)).collect();
+        for kind in KINDS {
+            let of_kind: Vec<&Example> = examples.iter().filter(|one| one.facts.as_ref().is_some_and(|facts| facts.scene == kind)).collect();
+            let built_in = *Models::default().of(kind);
             let (found, built_in) = (numbers(calibrate(&of_kind)), numbers(built_in));
             found.iter().zip(&built_in).for_each(|(a, b)| assert!((a - b).abs() < 0.02 * (1.0 + b.abs()), "{found:?} are {built_in:?}"));
         }

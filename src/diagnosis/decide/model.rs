@@ -39,12 +39,12 @@ impl Default for Model {
     /// `photocurrent calibrate`, docs/diagnosis.md.
     fn default() -> Model {
         Model {
-            something: [3.213, 0.694, 0.644],
-            second: [1.718, 0.653, 0.0379],
-            discount: [1.5, 0.0],
-            softness: [-1.888, -0.442],
-            random: 0.316,
-            unnamed: [-0.192, 0.795, 0.393],
+            something: [3.939, 0.830, 0.536],
+            second: [1.378, 0.346, 0.231],
+            discount: [1.0, 1.5],
+            softness: [-3.556, -1.505],
+            random: 0.179,
+            unnamed: [-0.335, 0.666, 0.504],
         }
     }
 }
@@ -85,18 +85,25 @@ impl Model {
     /// The built-in numbers for scenes in parts: `photocurrent calibrate --scene parts`.
     pub fn of_patches() -> Model {
         Model {
-            something: [0.725, 0.107, -0.418],
-            second: [2.683, 0.584, 1.395],
-            discount: [3.0, 0.0],
-            softness: [-1.997, -0.700],
-            random: 0.972,
-            unnamed: [1.464, 2.670, -2.763],
+            something: [2.468, 0.686, 0.001],
+            second: [2.732, 0.885, 1.028],
+            discount: [2.0, 0.5],
+            softness: [-2.093, -0.759],
+            random: 2.390,
+            unnamed: [0.152, 1.365, -0.513],
         }
     }
 
     /// The built-in numbers for known light: `photocurrent calibrate --scene given`.
     pub fn of_given_light() -> Model {
-        Model::default()
+        Model {
+            something: [4.019, 1.099, 0.0],
+            second: [2.031, 0.652, 0.139],
+            discount: [0.0, 0.0],
+            softness: [-4.904, -0.227],
+            random: -1.006,
+            unnamed: [0.941, 1.091, 0.850],
+        }
     }
 }
 
