@@ -35,7 +35,7 @@ impl Behind {
     ///
     /// # Errors
     /// When frames cannot be fitted.
-    pub fn behind(case: &Case, nominal: &Nominal, source: &dyn Source, light: &Light, seed: u64) -> Result<Behind, String> {
+    pub fn looking_like(case: &Case, nominal: &Nominal, source: &dyn Source, light: &Light, seed: u64) -> Result<Behind, String> {
         let Some(rough) = source.rough(case, nominal, light.step_ns, seed)? else {
             return Ok(Behind { light: light.clone(), frames: source.frames(case) });
         };

@@ -273,7 +273,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let mut simulated: Vec<u32> = seen.more.iter().chain(&seen.pixels).copied().collect();
     simulated.sort_unstable();
     simulated.dedup();
-    let behind = Behind::behind(case, nominal, source, &seen.light, setting.seed)?;
+    let behind = Behind::looking_like(case, nominal, source, &seen.light, setting.seed)?;
     let control_case = control(case, nominal, source, &behind, &simulated, setting.block, setting.seed)?;
     let control_source = source.refit(&control_case, nominal)?;
     let control_gate = control_source.gate(&control_case, setting.least_dn, setting.spread);
