@@ -22,9 +22,6 @@ const INSTANTS: [(f64, f64); 6] = [
     (0.932_469_514_203_152, 0.085_662_246_189_585),
 ];
 
-/// Coefficients of a sharpened picture for one of a fitted one, along an axis.
-const SHARPER: usize = 3;
-
 /// How a picture is fitted.
 #[derive(Clone, Copy, Debug)]
 pub struct PictureSetting {
@@ -141,7 +138,7 @@ pub struct Picture {
     pub report: Report,
     /// Residual of every frame value, DN, as [frame][y][x]; NaN where it took no part.
     pub residual: Vec<f32>,
-    centre: (f64, f64),
+    pub(super) centre: (f64, f64),
 }
 
 impl Picture {
@@ -210,24 +207,6 @@ impl Picture {
         rows.look_at(&fit.picture.grid, &fit.picture.surface);
         fit.keep_residuals(&rows);
         fit.picture
-    }
-
-    /// The same scene with the sharpest edges that look alike at a distance: every place has the lowest or highest value within `reach` pixels, whichever is nearer to its own
-    /// (toggle mapping: Kramer and Bruckner 1975), on a grid that holds them.
-    #[must_use]
-    pub fn sharpened(&self, reach: f64) -> Picture {
-        let grid = self.grid.finer(SHARPER);
-        let ring: Vec<(f64, f64)> = (0..8).map(|n| libm::sincos(std::f64::consts::TAU * f64::from(n) / 8.0)).map(|(y, x)| (reach * x, reach * y)).collect();
-        let sharp = |surface: &[f32], n: usize| {
-            let (x, y) = (grid.x0 + (n % grid.width) as f64 * grid.pitch, grid.y0 + (n / grid.width) as f64 * grid.pitch);
-            let own = self.grid.nearest(surface, x, y);
-            let around = ring.iter().map(|by| self.grid.nearest(surface, x + by.0, y + by.1));
-            let (low, high) = around.fold((own, own), |(low, high), value| (f64::min(low, value), f64::max(high, value)));
-            (if own - low < high - own { low } else { high }) as f32
-        };
-        let layers: Vec<&[f32]> = self.surface.chunks_exact(self.grid.coefficients()).collect();
-        let surface = layers.iter().flat_map(|surface| (0..grid.coefficients()).map(|n| sharp(surface, n))).collect();
-        Picture { grid, surface, ..self.clone() }
     }
 
     fn begin<'a>(&'a self, counts: Option<&'a [bool]>) -> Begin<'a> {

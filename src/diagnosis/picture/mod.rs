@@ -11,6 +11,7 @@
 //! - [`products`]: what solving it spends its time in.
 //! - [`begin`]: how motion begins.
 //! - [`estimate`]: the rounds.
+//! - [`sharpen`]: a picture as sharp as it may be.
 //! - [`patches`]: parts of the array with a picture each.
 //!
 //! Sources: Lucas and Kanade, IJCAI 1981; Irani and Peleg, Improving Resolution by Image Registration, CVGIP 1991; Björck, Numerical Methods for Least Squares Problems, 1996.
@@ -24,6 +25,7 @@ pub mod patches;
 mod products;
 pub mod register;
 pub mod shading;
+pub mod sharpen;
 pub mod spline;
 pub mod system;
 
