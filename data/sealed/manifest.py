@@ -12,49 +12,15 @@ import pathlib
 import sys
 import tomllib
 
-HEAD = """format = 1
+# The graph is that of the stored recordings; theirs, and the first of them, are replaced.
+PIPELINE = pathlib.Path(__file__).parent / "../../pipelines/diagnose/sealed.toml"
+STORED, ITS_FIRST = "../../data/sealed/", "059b61b4"
 
-[pipeline]
-about = "Sealed recordings diagnosed, and held against the answers."
-seed  = 1
-
-[nodes.recording]
-kind   = "read/recording"
-params = { path = "%(first)s.h5" }
-
-[nodes.integrity]
-kind = "diagnose/integrity"
-in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }
-%(target)s
-[nodes.evidence]
-kind = "diagnose/evidence"
-in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor", integrity = "integrity.findings"%(on_target)s }
-
-[nodes.decide]
-kind = "diagnose/decide"
-in   = { evidence = "evidence", sensor = "integrity.sensor" }
-
-[nodes.confirm]
-kind = "diagnose/confirm"
-in   = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor", integrity = "integrity.findings", proposals = "decide" }
-
-[nodes.right]
-kind   = "score/diagnosis"
-in     = { report = "confirm.report" }
-params = { answers = "%(answers)s", recording = "%(first)s" }
-
-[ablation]
-about   = "One variant a recording."
-metrics = ["right.false_alarm", "right.first_right", "right.in_set", "right.set_size", "right.surplus", "right.f1", "right.parameter_error", "right.unnamed"]
-
-[ablation.axes.recording]
-"""
-
-TARGET = """
-[nodes.target]
+TARGET = """[nodes.target]
 kind   = "diagnose/target"
 in     = { events = "recording.events", frames = "recording.frames", sensor = "integrity.sensor" }
 params = %s
+
 """
 
 
@@ -73,8 +39,13 @@ def main(answers):
     known = {name: answers.parent / f"{name}.target.toml" for name in names}
     known = {name: tomllib.loads(path.read_text()) for name, path in known.items() if path.exists()}
     first = names[0]
-    target, on_target = (TARGET % toml(known[first]), ', target = "target.target"') if known else ("", "")
-    print(HEAD % {"first": first, "answers": answers.name, "target": target, "on_target": on_target}, end="")
+    graph, _ = PIPELINE.read_text().split("[ablation.axes.recording]\n")
+    graph = graph[graph.index("format = 1") :].replace(f"{STORED}recordings/", "").replace(f"{STORED}answers.json", answers.name).replace(ITS_FIRST, first)
+    if known:
+        evidence = graph.index("[nodes.evidence]")
+        connected = graph[evidence:].replace('integrity = "integrity.findings"', 'integrity = "integrity.findings", target = "target.target"', 1)
+        graph = graph[:evidence] + TARGET % toml(known[first]) + connected
+    print(graph + "[ablation.axes.recording]")
     for name in names:
         sets = {"nodes.recording.params.path": f"{name}.h5", "nodes.right.params.recording": name}
         if name in known:

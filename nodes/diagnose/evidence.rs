@@ -123,7 +123,7 @@ impl Default for Params {
             margin: parts.patches.margin,
             window: parts.patches.frames as u32,
             most_parts: parts.most_parts as u32,
-            most_values: 1_000_000,
+            most_values: picture.most_values as u32,
             sharpest: picture.sharpest,
         }
     }

@@ -75,7 +75,7 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
     }
     let needed = needed_gain(found, decision);
     if !said.alarm && needed > decision.most_needed {
-        return Err("what is seen on a scene in parts does not tell effects from what the scene gets wrong, but for the largest".to_owned());
+        return Err("what events say on this scene does not tell effects from what the scene gets wrong, but for the largest".to_owned());
     }
     Ok(said)
 }

@@ -95,7 +95,7 @@ impl Default for PictureSetting {
             stretch: 3.0,
             is_shaded: true,
             still: 0.4,
-            most_values: 2_000_000,
+            most_values: 1_000_000,
             search: Search::default(),
             again: 5,
             again_steps: 30,

@@ -462,7 +462,7 @@ mod tests {
     use photocurrent_core::Extent;
     use photocurrent_sensor::conditional::at;
 
-    /// Median distance of a scene's log light from the truth, in places whose light changes, between the middles of the first and the last frame.
+    /// Mean distance of a scene's log light from the truth, in places whose light changes, between the middles of the first and the last frame.
     fn error(source: &dyn Source, case: &Case, truth: &[(Vec<i64>, Vec<f64>)]) -> f64 {
         let light = source.light(case, 200_000);
         let (from, to) = (middle_ns(case, 0, 0), middle_ns(case, case.frame_count() - 1, 0));

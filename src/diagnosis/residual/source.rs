@@ -93,9 +93,7 @@ pub struct MovingPicture {
     pub picture: Picture,
     /// How it was fitted.
     pub setting: PictureSetting,
-    /// A value of a picture before a still ground is predicted that misses by less, DN.
-    pub least_dn: f64,
-    /// What is wrong in the same way with neighbouring values is allowed to be so much, DN.
+    /// What is wrong in the same way with neighbouring values is allowed to be so much, DN; and with any value where the picture moves before a still ground.
     pub structure_dn: f64,
     /// Does the scene move as one? Not where pictures of some parts of it predict them better.
     pub is_one: bool,
@@ -112,14 +110,12 @@ impl MovingPicture {
 
     /// Of a picture that was fitted.
     pub fn new(picture: Picture, setting: &PictureSetting, case: &Case, nominal: &Nominal) -> MovingPicture {
-        let structure_dn = usual_step_dn(case, nominal);
-        let least_dn = if picture.ground.is_empty() { 0.0 } else { structure_dn };
-        MovingPicture { picture, setting: *setting, least_dn, structure_dn, is_one: true }
+        MovingPicture { picture, setting: *setting, structure_dn: usual_step_dn(case, nominal), is_one: true }
     }
 
     /// The same with another picture.
     pub(super) fn with(&self, picture: Picture) -> MovingPicture {
-        MovingPicture { picture, setting: self.setting, least_dn: self.least_dn, structure_dn: self.structure_dn, is_one: self.is_one }
+        MovingPicture { picture, setting: self.setting, structure_dn: self.structure_dn, is_one: self.is_one }
     }
 }
 
@@ -140,7 +136,8 @@ impl Source for MovingPicture {
     }
 
     fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
-        Gate::new(case, &self.picture.residual, (f64::max(least_dn, self.least_dn), self.structure_dn), spread)
+        let own = if self.picture.ground.is_empty() { 0.0 } else { self.structure_dn };
+        Gate::new(case, &self.picture.residual, (f64::max(least_dn, own), self.structure_dn), spread)
     }
 
     fn residual(&self) -> &[f32] {
