@@ -35,7 +35,12 @@ def toml(value):
 
 def main(answers):
     answers = pathlib.Path(answers)
-    names = [pathlib.Path(one["file"]).stem for one in json.loads(answers.read_text())["recordings"]]
+    try:
+        names = [pathlib.Path(one["file"]).stem for one in json.loads(answers.read_text())["recordings"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        sys.exit(f"{answers}: not the answers of a folder of sealed recordings ({type(error).__name__}: {error}); make one with data/sealed/generator")
+    if not names:
+        sys.exit(f"{answers}: no recording is named in it")
     known = {name: answers.parent / f"{name}.target.toml" for name in names}
     known = {name: tomllib.loads(path.read_text()) for name, path in known.items() if path.exists()}
     first = names[0]
