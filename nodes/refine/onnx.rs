@@ -231,7 +231,9 @@ params = { weights = "data/weights/refine.onnx" }
         for (name, value) in [("tile", params.tile), ("overlap", params.overlap)] {
             if !(value as usize).is_multiple_of(MULTIPLE) {
                 let next = (value as usize).next_multiple_of(MULTIPLE);
-                return Err(NodeError::usage(format!("`{name}` is {value}, which is no multiple of {MULTIPLE}")).hint(format!("set `{name} = {next}`")).param(name));
+                return Err(NodeError::usage(format!("`{name}` is {value}, which is no multiple of {MULTIPLE}"))
+                    .hint(format!("set `{name} = {next}`"))
+                    .param(name));
             }
         }
         Ok(RefineOnnx { params })

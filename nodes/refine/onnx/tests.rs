@@ -67,7 +67,8 @@ fn networks_give_what_the_training_framework_gave() {
             shape: vec![1, count, height, width],
             values: numbers[from * height * width..][..count * height * width].to_vec(),
         };
-        let network = RefineOnnx::build(Params { weights: InputPath::new(data(&format!("weights/{name}.onnx"))), ..Params::default() }).unwrap().load().unwrap();
+        let network =
+            RefineOnnx::build(Params { weights: InputPath::new(data(&format!("weights/{name}.onnx"))), ..Params::default() }).unwrap().load().unwrap();
         let found = network.run(&[("frame", &planes(0, 1)), ("sigma", &planes(1, 1)), ("events", &planes(2, 2)), ("captured", &planes(4, 1))], OUTPUT).unwrap();
         let off = furthest(&found.values, &planes(5, 1).values);
         assert!(off < 1e-5, "{name}: {off}");

@@ -1,5 +1,6 @@
 """A few steps of the training, from nothing to an ONNX file: `make test-training`."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,7 @@ import data
 import losses
 from network import Refinement
 
-PROGRAM = Path(__import__("os").environ.get("PHOTOCURRENT", data.ROOT / "target/release/photocurrent"))
+PROGRAM = Path(os.environ.get("PHOTOCURRENT", data.ROOT / "target/release/photocurrent")).resolve()
 
 
 def inputs(height=32, width=48, seed=3):
@@ -49,7 +50,7 @@ def test_light_is_never_below_black():
     frame, sigma, events, captured = inputs()
     network = stirred()
     torch.nn.init.constant_(network.last.bias, -9.0)
-    assert float(network(frame * 0.01, sigma, events, captured).min()) > -1e-4
+    assert float(network(frame * 0.01, sigma, events, captured).detach().min()) > -1e-4
 
 
 def test_events_count_less_the_further_they_are():
@@ -70,7 +71,8 @@ def test_perceptual_terms_vanish_for_the_truth_and_see_a_shift():
     features, truth = losses.Features(*vgg), torch.rand(1, 1, 16, 16)
     assert [float(term) for term in losses.perceptual(features, truth, truth)] == [0.0, 0.0]
     by_features, by_gram = losses.perceptual(features, truth.roll(1, -1), truth)
-    assert float(by_features) > 0.1 > float(by_gram)
+    # A Gram matrix forgets places: a shift changes it through the border alone.
+    assert float(by_features) > 2 * float(by_gram) > 0
 
 
 def test_a_few_steps_run_from_nothing_to_an_onnx_file(tmp_path):
