@@ -1,6 +1,6 @@
 //! `refine/onnx`: frames without the noise and artefacts that solving pixel by pixel leaves, by a trained network.
 //!
-//! Idea: a solver that looks at one pixel at a time does not know that neighbours belong together; a network that has seen many solved frames beside the truth
+//! Idea: a solver that looks at one pixel at a time does not know that neighbours belong together; a network that has seen many solved frames together with the truth
 //! does (Jiang et al., CVPR 2024, section 4.2). It is shown a frame and, where they are connected, each value's standard deviation, the events near the frame's
 //! instant and the nearest captured frame, as shares of white, and gives the frame once more. `data/weights/refine.onnx` is one that was trained for this
 //! (`training/`); its change is multiplied by a gate that is exactly zero further than five pixels from any event near the instant, so what stands still stays as it is.

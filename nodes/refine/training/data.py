@@ -1,7 +1,7 @@
-"""Training data of the refinement network: recordings simulated by photocurrent itself, solved, and set beside the truth.
+"""Training data of the refinement network: recordings simulated by photocurrent itself, solved, and paired with the truth.
 
 Every recording is a manifest that is written here and run by the program: a picture or a film of moving shapes (never a scene of `simulate/scene`, which
-the test scenes are), a sensor drawn at random around data/sensors/hybrid.toml, and a solver that is told the truth about that sensor in half of the cases.
+the test scenes are), a sensor drawn at random around data/sensors/hybrid.toml, and a solver that is given the true description of that sensor in half of the cases.
 Pictures: photographs that ship with scikit-image (public domain or CC0), and shapes drawn from random numbers.
 """
 
@@ -140,10 +140,10 @@ def film(random, ground, folder, frames, fine=3):
 
 
 def sensors(random):
-    """What is recorded with, and what the solver is told, as changes to data/sensors/hybrid.toml in TOML."""
+    """What is recorded with, and what the solver is given, as changes to data/sensors/hybrid.toml in TOML."""
     threshold, ratio, alpha = random.uniform(0.14, 0.32), random.uniform(0.85, 1.2), random.uniform(6, 30)
     noise = random.uniform(0.02, 0.1) * threshold
-    told = 1.0 if random.random() < 0.5 else random.uniform(0.9, 1.1)
+    stated = 1.0 if random.random() < 0.5 else random.uniform(0.9, 1.1)
 
     def change(factor, effects, read_noise):
         comparator = f"threshold_on = {threshold * factor:.4f}, threshold_off = {threshold * ratio * factor:.4f}, threshold_noise = {noise:.4f}"
@@ -156,7 +156,7 @@ def sensors(random):
         effects.append(f'background_activity = {{ rate = "{random.uniform(0.5, 8):.2f} Hz" }}')
     effects = f", effects = {{ {', '.join(effects)} }}" if effects else ""
     read_noise = 0.3 if random.random() < 0.5 else np.exp(random.uniform(np.log(0.3), np.log(8)))
-    return change(1.0, effects, read_noise), change(told, "", read_noise if random.random() < 0.5 else 0.3)
+    return change(1.0, effects, read_noise), change(stated, "", read_noise if random.random() < 0.5 else 0.3)
 
 
 def describe(n, folder):

@@ -2,7 +2,7 @@
 
     python nodes/refine/training/train.py
 
-The README beside this file says what is needed, what came out, and how good it is.
+The README in this folder says what is needed, what came out, and how good it is.
 """
 
 import argparse
