@@ -180,7 +180,8 @@ params = { lowest = 0.1, highest = 0.5 }
                 ((0..frames.len()).collect(), found?)
             }
         };
-        let edge = 0.02 * (self.params.highest - self.params.lowest);
+        // The outermost places that the search looks at are one of its spacings inside the interval.
+        let edge = 1.01 * (self.params.highest - self.params.lowest) / fibonacci(steps + 2);
         let at_end = |contrast: f64| contrast - self.params.lowest < edge || self.params.highest - contrast < edge;
         match (self.params.per, found[0].0) {
             (Per::Sequence, contrast) if at_end(contrast) => {
