@@ -180,6 +180,20 @@ pub fn contrast_of(table: &Table) -> Result<&[f64], NodeError> {
     }
 }
 
+/// The one threshold in such a table, for `who`, which takes no more.
+///
+/// # Errors
+/// When there is none, or one for each frame.
+pub fn one_contrast_of(table: &Table, who: &str) -> Result<f64, NodeError> {
+    match contrast_of(table)? {
+        [one] => Ok(*one),
+        values => {
+            Err(NodeError::input(format!("{who} takes one threshold for all frames, and `contrast` has {}", values.len()))
+                .hint("search with `per = \"sequence\"`"))
+        }
+    }
+}
+
 /// Black level of the description; 0 when there is none.
 pub fn black_level(sensor: Option<&Sensor>) -> f64 {
     sensor.and_then(|sensor| sensor.frames.black_level_dn).unwrap_or(0.0)
@@ -255,6 +269,15 @@ mod tests {
         assert_eq!(intensity.of(116.0, Exposure::new(0, 1_000_000)), 0.5);
         assert_eq!(intensity.dn(0.5, 1e-3), 116.0);
         assert!(intensity.of(f32::NAN, Exposure::new(0, 1_000_000)).is_nan());
+    }
+
+    #[test]
+    fn one_threshold_is_told_from_one_for_each_frame() {
+        let table = |values: &[f64]| Table::default().with("contrast", Column::Numbers(values.to_vec()));
+        assert_eq!(one_contrast_of(&table(&[0.2]), "x"), Ok(0.2));
+        let error = one_contrast_of(&table(&[0.2, 0.3]), "x").unwrap_err();
+        assert_eq!(error.message, "x takes one threshold for all frames, and `contrast` has 2");
+        assert!(one_contrast_of(&table(&[-0.2]), "x").unwrap_err().message.contains("no positive number"));
     }
 
     #[test]

@@ -13,6 +13,7 @@
 //! - `first_run`: `init` and `run` on files of every kind, `convert` there and back.
 //! - `inspect`: several files as one recording, exit codes, the form of `--json`.
 //! - `films`: pictures as light, from files to events.
+//! - `learned`: the manifests of methods whose networks are elsewhere.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
 //! - `tidy`: the invariants of docs/architecture.md.
@@ -28,6 +29,7 @@ mod files;
 mod films;
 mod first_run;
 mod inspect;
+mod learned;
 mod manifests;
 mod pipelines;
 mod recordings;

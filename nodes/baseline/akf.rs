@@ -18,11 +18,11 @@ pub mod pixel;
 pub mod sequence;
 
 use crate::pixel_events::{Stamp, StepRule};
-use crate::reconstruct::{Intensity, Request, by_rows};
+use crate::reconstruct::{Intensity, Request, by_rows, one_contrast_of};
 use crate::sampling::{Sampling, scale_seconds};
 use events::PixelLists;
 use photocurrent_core::quantity::{Duration, Rate};
-use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use pixel::{Picture, Shared};
 use schemars::JsonSchema;
 use sequence::What;
@@ -69,7 +69,7 @@ pub struct Params {
     pub update_rate: Rate,
     /// Takes the latent picture of each frame instead of the frame itself.
     pub deblur: bool,
-    /// One threshold for both polarities, as a step of log(1 + I); absent = the sensor description's two. The authors' example is 0.1.
+    /// One threshold for both polarities, as a step of log(1 + I); absent = the one at `contrast`, else the sensor description's two. The authors' example is 0.1.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub threshold: Option<f64>,
     /// DN of white, I = 1; absent = the sensor description's saturation.
@@ -153,6 +153,8 @@ photocurrent_core::ports! {
         frames: FrameSequence,
         /// Thresholds, black level, saturation, clock offset.
         sensor: Option<Arc<Sensor>>,
+        /// A table with the column `contrast` and one row, from `baseline/contrast` with `white`.
+        contrast: Option<Arc<Table>>,
         /// Frames whose exposures, row time and scale are to be imitated.
         at: Option<FrameSequence>,
     }
@@ -234,10 +236,10 @@ pub struct BaselineAkf {
 }
 
 impl BaselineAkf {
-    fn prepare(&self, request: &Request) -> Result<(FramesMeta, StepRule, Intensity), NodeError> {
+    fn prepare(&self, request: &Request, searched: Option<f64>) -> Result<(FramesMeta, StepRule, Intensity), NodeError> {
         let params = &self.params;
         request.need_plain("baseline/akf")?;
-        let rule = request.step_rule("baseline/akf", params.threshold, None, params.stamp, params.latency)?;
+        let rule = request.step_rule("baseline/akf", params.threshold, searched, params.stamp, params.latency)?;
         let meta = request.output(&params.sampling)?;
         let count = request.frames.times.len();
         if params.sequence == Sequence::AsReleased && count < 5 {
@@ -277,12 +279,13 @@ params = { rate = "1 kHz", threshold = 0.1, white = 255, variant = "corrected" }
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        Ok(vec![Meta::Frames(Arc::new(self.prepare(&Request::planned(inputs)?)?.0))])
+        Ok(vec![Meta::Frames(Arc::new(self.prepare(&Request::planned(inputs)?, inputs.has("contrast").then_some(1.0))?.0))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let request = Request::connected(&input.frames, Some(&input.events), &input.at, &input.sensor);
-        let (meta, rule, intensity) = self.prepare(&request)?;
+        let searched = input.contrast.as_deref().map(|table| one_contrast_of(table, "baseline/akf")).transpose()?;
+        let (meta, rule, intensity) = self.prepare(&request, searched)?;
         let captured = request.frames;
         let (width, height) = (captured.extent.width, captured.extent.height);
         let exposures: Vec<Exposure> = (0..captured.times.len()).map(|l| captured.times.exposure(l, height / 2)).collect();

@@ -11,11 +11,11 @@
 //! HDR weights and self-tuned thresholds (both off by default there) are not here.
 
 use crate::pixel_events::{Stamp, StepRule};
-use crate::reconstruct::{Intensity, Request, by_rows, events_of};
+use crate::reconstruct::{Intensity, Request, by_rows, events_of, one_contrast_of};
 use crate::sampling::{Sampling, scale_seconds};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::quantity::{Duration, Rate};
-use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
@@ -66,7 +66,7 @@ pub struct Params {
     /// Below this frequency frames are trusted, above it events.
     #[schemars(extend("x-min" = "0.000001 Hz", "x-max" = "1 kHz"))]
     pub cutoff: Rate,
-    /// One threshold for both polarities, as a step of log(1 + I); absent = the sensor description's two. The authors' default is 0.1.
+    /// One threshold for both polarities, as a step of log(1 + I); absent = the one at `contrast`, else the sensor description's two. The authors' default is 0.1.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub threshold: Option<f64>,
     /// DN of white, I = 1; absent = the sensor description's saturation.
@@ -106,6 +106,8 @@ photocurrent_core::ports! {
         frames: FrameSequence,
         /// Thresholds, black level, saturation, clock offset.
         sensor: Option<Arc<Sensor>>,
+        /// A table with the column `contrast` and one row, from `baseline/contrast` with `white`.
+        contrast: Option<Arc<Table>>,
         /// Frames whose exposures, row time and scale are to be imitated.
         at: Option<FrameSequence>,
     }
@@ -125,9 +127,9 @@ pub struct BaselineCf {
 }
 
 impl BaselineCf {
-    fn prepare(&self, request: &Request) -> Result<(FramesMeta, StepRule, Intensity), NodeError> {
+    fn prepare(&self, request: &Request, searched: Option<f64>) -> Result<(FramesMeta, StepRule, Intensity), NodeError> {
         let params = &self.params;
-        let rule = request.step_rule("baseline/cf", params.threshold, None, params.stamp, params.latency)?;
+        let rule = request.step_rule("baseline/cf", params.threshold, searched, params.stamp, params.latency)?;
         Ok((request.output(&params.sampling)?, rule, request.intensity("baseline/cf", params.white)?))
     }
 }
@@ -157,12 +159,13 @@ params = { rate = "1 kHz", cutoff = "0.5 Hz", threshold = 0.1, white = 255 }
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        Ok(vec![Meta::Frames(Arc::new(self.prepare(&Request::planned(inputs)?)?.0))])
+        Ok(vec![Meta::Frames(Arc::new(self.prepare(&Request::planned(inputs)?, inputs.has("contrast").then_some(1.0))?.0))])
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let request = Request::connected(&input.frames, Some(&input.events), &input.at, &input.sensor);
-        let (meta, rule, intensity) = self.prepare(&request)?;
+        let searched = input.contrast.as_deref().map(|table| one_contrast_of(table, "baseline/cf")).transpose()?;
+        let (meta, rule, intensity) = self.prepare(&request, searched)?;
         let events = events_of(&input.events, request.frames, cx.rows())?;
         let frames = input.frames.read_rows(cx.rows())?;
         let job = Job { captured: request.frames, output: &meta, params: &self.params, rule, intensity };
@@ -313,7 +316,7 @@ mod tests {
             |_, _, _| 0.0,
         );
         let params = Params { threshold: Some(reference::CONTRAST), white: Some(255.0), start_from: Start::Zero, ..Params::default() };
-        let input = In { events: reference::stream(), frames: reference::frames(), sensor: None, at: Some(at) };
+        let input = In { events: reference::stream(), frames: reference::frames(), sensor: None, contrast: None, at: Some(at) };
         let (out, _) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| BaselineCf { params }.run(input, cx));
         let frames = out.unwrap().frames;
         let block = frames.read_rows(frames.rows()).unwrap();
@@ -337,7 +340,9 @@ mod tests {
         let sampling = Sampling { rate: Rate::new(5.0), end: Some(Duration::new(201_000_000)), ..Sampling::default() };
         let params = Params { cutoff, sampling, threshold: Some(0.1), white: Some(100.0), ..Params::default() };
         let events = testing::stream(extent, vec![Event { x: 0, y: 0, polarity: Polarity::On, t: 300_000_000, t_in: None }]);
-        let (out, _) = testing::with_context(extent.rows(), &["frames"], |cx| BaselineCf { params }.run(In { events, frames, sensor: None, at: None }, cx));
+        let (out, _) = testing::with_context(extent.rows(), &["frames"], |cx| {
+            BaselineCf { params }.run(In { events, frames, sensor: None, contrast: None, at: None }, cx)
+        });
         let dn = out.unwrap().frames.read_rows(extent.rows()).unwrap().dn;
         let (low, high, left) = (libm::log(1.5), libm::log(1.75), libm::exp(-1.0));
         let expected = 100.0 * (libm::exp(low * left + high * (1.0 - left)) - 1.0);
@@ -349,6 +354,6 @@ mod tests {
         let frames = reference::frames();
         let request = Request { frames: &frames.meta, events: None, at: None, sensor: None };
         let node = BaselineCf { params: Params { threshold: Some(0.1), ..Params::default() } };
-        assert_eq!(node.prepare(&request).err().and_then(|error| error.param).as_deref(), Some("white"));
+        assert_eq!(node.prepare(&request, None).err().and_then(|error| error.param).as_deref(), Some("white"));
     }
 }

@@ -5,6 +5,8 @@
 //! edges with those of the event picture M (events weighted by exp(-|t - f| / decay) around the middle f of an exposure). Fibonacci search over
 //! the stated interval, energies summed over several frames of the recording (`per = "sequence"`) or frame by frame (`per = "frame"`).
 //!
+//! AKF and CF work on log(1 + I), where the same events make smaller steps: with `white` the double integral is taken of 1 + I, and the threshold is one for them.
+//!
 //! Source: the energy of Pan et al. as the public port davis-EDI-rs states it (lambda 0.15, interval 0.1 to 0.5, 15 points, edges by 3x3 Sobel, scaled to [0, 1]
 //! and cut at mean + (1 - mean) / 3); the authors' own interval is not public. Limits: one threshold for both polarities and all pixels; the
 //! energy is not convex, and the search finds one of its valleys.
@@ -55,6 +57,9 @@ pub struct Params {
     /// Decay of an event's weight away from the middle of the exposure.
     #[schemars(extend("x-min" = "1 us"))]
     pub decay: Duration,
+    /// DN of white, I = 1, when the threshold is to be a step of log(1 + I), as `baseline/akf` and `baseline/cf` take it; absent = a step of log I, as `baseline/edi` takes it.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub white: Option<f64>,
     /// Most frames to look at, spread over the recording, when one threshold is searched for it.
     #[schemars(range(min = 1))]
     pub frames: u32,
@@ -62,7 +67,7 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Params { per: Per::Sequence, lowest: 0.1, highest: 0.5, points: 15, lambda: 0.15, decay: Duration::new(20_000_000), frames: 8 }
+        Params { per: Per::Sequence, lowest: 0.1, highest: 0.5, points: 15, lambda: 0.15, decay: Duration::new(20_000_000), white: None, frames: 8 }
     }
 }
 
@@ -89,6 +94,19 @@ photocurrent_core::ports! {
 /// The node.
 pub struct BaselineContrast {
     params: Params,
+}
+
+impl BaselineContrast {
+    /// DN above black that stand for the 1 of log(1 + I); 0 for log I.
+    fn offset_dn(&self, sensor: Option<&Sensor>) -> Result<f64, NodeError> {
+        let black = black_level(sensor);
+        match self.params.white {
+            Some(white) if white <= black => {
+                Err(NodeError::usage(format!("white, {white} DN, is not above black, {black} DN")).hint("state a larger `white`").param("white"))
+            }
+            white => Ok(white.map_or(0.0, |white| white - black)),
+        }
+    }
 }
 
 impl Node for BaselineContrast {
@@ -122,6 +140,7 @@ params = { lowest = 0.1, highest = 0.5 }
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
         CoLocated::new(events, frames)?.need_plain("baseline/contrast")?;
         let sensor = inputs.has("sensor").then(|| inputs.sensor("sensor")).transpose()?;
+        self.offset_dn(sensor.map(|sensor| &**sensor))?;
         check_one_clock(events, frames, sensor.map(|sensor| &**sensor))?;
         if frames.times.is_empty() {
             return Err(NodeError::usage("there is no frame to search a threshold on").hint("give at least one frame"));
@@ -134,7 +153,8 @@ params = { lowest = 0.1, highest = 0.5 }
         let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
         let events = input.events.read(input.events.rows())?;
         let frames = &input.frames;
-        let scene = |l: usize| Scene::new(frames, &events, l, shift_ns, black_level(sensor), self.params.decay.seconds());
+        let about = About { shift_ns, black: black_level(sensor), offset_dn: self.offset_dn(sensor)?, decay_s: self.params.decay.seconds() };
+        let scene = |l: usize| Scene::new(frames, &events, l, about);
         let steps = fibonacci_steps(self.params.points);
         let search = |scenes: &[Scene]| {
             let energy = |contrast: f64| -> Result<f64, NodeError> {
@@ -160,7 +180,8 @@ params = { lowest = 0.1, highest = 0.5 }
                 ((0..frames.len()).collect(), found?)
             }
         };
-        let edge = 0.02 * (self.params.highest - self.params.lowest);
+        // The outermost places that the search looks at are one of its spacings inside the interval.
+        let edge = 1.01 * (self.params.highest - self.params.lowest) / fibonacci(steps + 2);
         let at_end = |contrast: f64| contrast - self.params.lowest < edge || self.params.highest - contrast < edge;
         match (self.params.per, found[0].0) {
             (Per::Sequence, contrast) if at_end(contrast) => {
@@ -219,14 +240,29 @@ struct Scene {
     height: usize,
     /// Blurred frame scaled to [0, 1].
     blurred: Vec<f64>,
+    /// What is added to light before its logarithm is taken, on the scale of `blurred`.
+    offset: f64,
     exposures: Vec<Exposure>,
     /// Per pixel: times and signs.
     events: Vec<Vec<(i64, f64)>>,
     event_edges: Vec<f64>,
 }
 
+/// What a scene is made with.
+#[derive(Clone, Copy)]
+struct About {
+    /// Taken off every stamp.
+    shift_ns: i64,
+    /// DN.
+    black: f64,
+    /// DN above black that stand for the 1 of log(1 + I); 0 for log I.
+    offset_dn: f64,
+    /// Of an event's weight.
+    decay_s: f64,
+}
+
 impl Scene {
-    fn new(frames: &FrameSequence, events: &EventBand, l: usize, shift_ns: i64, black: f64, decay_s: f64) -> Result<Scene, NodeError> {
+    fn new(frames: &FrameSequence, events: &EventBand, l: usize, About { shift_ns, black, offset_dn, decay_s }: About) -> Result<Scene, NodeError> {
         let meta = &frames.meta;
         let (width, height) = (meta.extent.width as usize, meta.extent.height as usize);
         let block = frames.read(l..l + 1, frames.rows())?;
@@ -248,7 +284,7 @@ impl Scene {
             }
         }
         let event_edges = binary_edges(&event_picture, width, height);
-        Ok(Scene { width, height, blurred: above.iter().map(|v| v / peak).collect(), exposures, events: per_pixel, event_edges })
+        Ok(Scene { width, height, blurred: above.iter().map(|v| v / peak).collect(), offset: offset_dn / peak, exposures, events: per_pixel, event_edges })
     }
 
     /// Relief of the latent picture less the agreement of its edges with the events'.
@@ -278,7 +314,7 @@ impl Scene {
                 }
                 let mean = HeldTrack::new(&t, &light).integral(exposure) / exposure.seconds();
                 let held = t.partition_point(|&at| at <= middle).saturating_sub(1);
-                (self.blurred[pixel] * light[held] / mean).clamp(0.0, 1.1)
+                ((self.blurred[pixel] + self.offset) * light[held] / mean - self.offset).clamp(0.0, 1.1)
             })
             .collect()
     }
@@ -336,6 +372,26 @@ mod tests {
         assert_eq!(each, alone);
         assert!(each.iter().any(|c| *c != each[0]), "frames that are all alike would prove nothing: {each:?}");
         assert_eq!(found(Per::Sequence, frames).len(), 1);
+    }
+
+    #[test]
+    fn light_on_an_offset_takes_the_same_step_for_less() {
+        use photocurrent_core::events::{Event, Polarity};
+        use photocurrent_core::{Extent, testing};
+        let extent = Extent { width: 1, height: 1 };
+        // Exposed from 0 to 10 ms; one ON event at 5 ms, which counts as before the middle.
+        let frames = testing::captured(extent, vec![Exposure::new(0, 10_000_000)], 0, |_, _, _| 100.0);
+        let on = Event { x: 0, y: 0, polarity: Polarity::On, t: 5_000_000, t_in: None };
+        let events = testing::stream(extent, vec![on]).read(extent.rows()).unwrap();
+        let latent = |offset_dn: f64, contrast: f64| {
+            let about = About { shift_ns: 0, black: 0.0, offset_dn, decay_s: 1.0 };
+            Scene::new(&frames, &events, 0, about).unwrap().latent(contrast)[0]
+        };
+        // A tenth more of log I: the mean of 1 and 1.1 is 1.05. Of 100 + 100 DN the same light is 1 and 1.05 on the offset, whose mean is 1.025: 2 x 1.05 / 1.025 - 1.
+        assert!((latent(0.0, libm::log(1.1)) - 1.1 / 1.05).abs() < 1e-12);
+        assert!((latent(100.0, libm::log(1.05)) - (2.0 * 1.05 / 1.025 - 1.0)).abs() < 1e-12);
+        let refused = BaselineContrast { params: Params { white: Some(0.0), ..Params::default() } }.offset_dn(None).unwrap_err();
+        assert_eq!(refused.param.as_deref(), Some("white"));
     }
 
     #[test]

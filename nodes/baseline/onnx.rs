@@ -4,6 +4,8 @@
 //! window (`voxels`), the instant's place between the two frames (`time`), or what the network remembers (`states`). All tensors are \[1, channels, height, width\].
 //! With `states` pictures are made one after the other, from states of zeros; without, side by side.
 //!
+//! With `halvings` a network that was made for the middle between two frames gives other instants as well: the interval is halved again and again, with the pictures before.
+//!
 //! The instant is the middle of the wanted exposure, at the middle row; captured frames stand at the middles of theirs. A network that looks at frames or at
 //! windows that end at them has nothing to look at before the first and after the last one: such instants are left out and counted.
 //!
@@ -47,8 +49,8 @@ pub struct Params {
     /// Its inputs that are captured frames: `input` (the name), `take` (`"before"` or `"after"` the instant), `channels` (1 to 3, each the grey frame; 1), `range`
     /// (values of black and white; `[0.0, 1.0]`).
     pub frames: Vec<FrameInput>,
-    /// Its inputs that are voxel grids of events: `input`, `bins` (5), `window` (`"between"` the frames, `"before_to_instant"`, `"instant_to_after"` or
-    /// `"since_last"` picture), `polarity` (`"signed"`, or `"separate"`: channels of ON, then of OFF), `normalise` (`"none"`, `"std"` or `"max"`), `stretch` (bins over
+    /// Its inputs that are voxel grids of events: `input`, `bins` (5), `window` (`"between"` the frames, `"before_to_instant"`, `"instant_to_after"`,
+    /// `"exposures"` from the start of the one before to the end of the one after, or `"since_last"` picture), `polarity` (`"signed"`, or `"separate"`: channels of ON, then of OFF), `normalise` (`"none"`, `"std"` or `"max"`), `stretch` (bins over
     /// the `"window"` or over its `"events"`), `reversed` (false).
     pub voxels: Vec<VoxelInput>,
     /// Its input that is the instant's place between the frames before (0) and after (1); absent = none.
@@ -56,6 +58,10 @@ pub struct Params {
     /// Dimensions of `time`, each of length 1.
     #[schemars(range(min = 1, max = 4))]
     pub time_dimensions: u32,
+    /// How often the interval between the two frames is halved with the picture in its middle (`time` is then 1/2); the picture nearest to the instant is taken, one of
+    /// 2^halvings an interval. 0 = the network is asked for the instant itself.
+    #[schemars(range(max = 10))]
+    pub halvings: u32,
     /// What it remembers from picture to picture: `input`, `output` (of the picture before; 0 at first), `channels`, `downscale` (the frames' width over the state's; 1).
     pub states: Vec<StateInput>,
     /// Its output that is the picture: one channel or three, of the frames' size.
@@ -86,6 +92,7 @@ impl Default for Params {
             voxels: Vec::new(),
             time: None,
             time_dimensions: 1,
+            halvings: 0,
             states: Vec::new(),
             output: String::new(),
             output_range: [0.0, 1.0],
@@ -169,6 +176,23 @@ impl BaselineOnnx {
         Ok(Planned { meta, left_out: all.len() - moments.len(), moments, intensity, rule })
     }
 
+    /// Halving puts pictures in the place of frames: they must be alike, and nothing else may depend on the instant.
+    fn check_halvings(&self) -> Result<(), NodeError> {
+        let Params { halvings, frames, voxels, states, output_range, .. } = &self.params;
+        let refuse = |what: &str, hint: &str| Err(NodeError::usage(format!("`halvings` {what}")).hint(hint.to_string()).param("halvings"));
+        match frames.as_slice() {
+            _ if *halvings == 0 => Ok(()),
+            _ if !(voxels.is_empty() && states.is_empty()) => {
+                refuse("is for networks that see two frames and nothing else", "take `voxels` and `states` out, or `halvings`")
+            }
+            [one, other] if one.take != other.take && one.channels == other.channels => match [one, other].iter().all(|frame| frame.range == *output_range) {
+                true => Ok(()),
+                false => refuse("gives pictures back as frames, and their values of black and white differ", "let `range` of both frames be `output_range`"),
+            },
+            _ => refuse("needs one frame before and one after the instant, of as many channels", "state both in `frames`"),
+        }
+    }
+
     fn load(&self) -> Result<Box<dyn Network>, NodeError> {
         let path = self.params.network.path();
         let content = std::fs::read(path).map_err(|error| self.unreadable(&error))?;
@@ -246,6 +270,7 @@ rate     = "1 kHz"
             .param("multiple"));
         }
         let node = BaselineOnnx { params };
+        node.check_halvings()?;
         node.layout().check_names()?;
         Ok(node)
     }
@@ -322,6 +347,10 @@ impl Work<'_> {
     /// Makes picture `n`; `states` go in and come out.
     fn picture(&self, moments: &[Moment], n: usize, states: &mut BTreeMap<String, Tensor>, out: &mut [f32]) -> Result<(), NodeError> {
         let (params, moment, (width, height)) = (self.params(), &moments[n], self.size());
+        if params.halvings > 0 {
+            self.develop(&self.halved(moment)?, n, out)?;
+            return self.cx.advance(1);
+        }
         let mut given: Vec<(&str, Tensor)> = Vec::new();
         for frame in &params.frames {
             given.push((&frame.input, self.frame(frame, moment)?));
@@ -334,7 +363,7 @@ impl Work<'_> {
             given.push((&voxel.input, Tensor { shape: vec![1, grid.channels(), height, width], values }));
         }
         if let Some(time) = &params.time {
-            given.push((time, Tensor { shape: vec![1; params.time_dimensions as usize], values: vec![moment.share() as f32] }));
+            given.push((time, self.time(moment.share())));
         }
         let inputs: Vec<(&str, &Tensor)> =
             given.iter().map(|(name, tensor)| (*name, tensor)).chain(states.iter().map(|(name, state)| (name.as_str(), state))).collect();
@@ -345,6 +374,39 @@ impl Work<'_> {
         *states = carried;
         self.develop(&picture, n, out)?;
         self.cx.advance(1)
+    }
+
+    /// An instant's place between the frames, as the network sees it.
+    fn time(&self, share: f64) -> Tensor {
+        Tensor { shape: vec![1; self.params().time_dimensions as usize], values: vec![share as f32] }
+    }
+
+    /// The picture nearest to the moment of those that halving the interval makes.
+    fn halved(&self, moment: &Moment) -> Result<Tensor, NodeError> {
+        let params = self.params();
+        let of = |side: Side| params.frames.iter().find(|frame| frame.take == side).ok_or_else(|| NodeError::failed("halving without two frames"));
+        let (before, after) = (of(Side::Before)?, of(Side::After)?);
+        let (mut low, mut high) = (self.frame(before, moment)?, self.frame(after, moment)?);
+        let (mut from, mut to) = (0, 1_u32 << params.halvings);
+        let wanted = (moment.share() * f64::from(to)).round() as u32;
+        let time = self.time(0.5);
+        while from != wanted && to != wanted {
+            let mut given = vec![(before.input.as_str(), &low), (after.input.as_str(), &high)];
+            given.extend(params.time.iter().map(|name| (name.as_str(), &time)));
+            let middle = self.network.run(&given, &params.output)?;
+            if middle.shape != low.shape {
+                return Err(NodeError::input(format!("the output `{}` has the shape {:?}, and frames have {:?}", params.output, middle.shape, low.shape))
+                    .hint("with `halvings` pictures are frames again: let `channels` of both frames be those of the picture")
+                    .param("halvings"));
+            }
+            let at = (from + to) / 2;
+            if wanted < at {
+                (high, to) = (middle, at);
+            } else {
+                (low, from) = (middle, at);
+            }
+        }
+        Ok(if from == wanted { low } else { high })
     }
 
     /// A captured frame as the network sees it.

@@ -4,6 +4,9 @@
 //! freely, Eq. (5). Exposing all rows at once removes the rolling shutter; exposing for 100 us removes the blur; doing so 10,000 times a
 //! second is the interpolation. Integrals are exact, of held tracks and of those whose logarithm is linear between knots.
 //!
+//! `between` says how tracks that are held between knots are read: as they are, or as the light that rises or falls from knot to knot. The paper leaves open what its
+//! pixels do between two events; a track of `method = "map"` says so itself.
+//!
 //! With `roi` only a part of the sensor is rendered, so that ten thousand frames a second need no more memory than they must.
 //!
 //! Tracks of colours become frames of the same colours, a mosaic a mosaic (`render/demosaic` makes colour pictures of it).
@@ -31,6 +34,27 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
+/// How tracks that are held between knots are read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Reading {
+    /// The value of the earlier knot, as they are.
+    #[default]
+    Hold,
+    /// Linear in the logarithm from knot to knot.
+    Linear,
+}
+
+impl Reading {
+    /// What happens between the knots of tracks that say `between` of themselves.
+    fn of(self, between: Between) -> Between {
+        match (self, between) {
+            (Reading::Hold, Between::Hold) => Between::Hold,
+            (Reading::Linear, _) | (_, Between::LogLinear) => Between::LogLinear,
+        }
+    }
+}
+
 /// Parameters of `render/rows`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
@@ -41,6 +65,8 @@ pub struct Params {
     pub sampling: Sampling,
     /// Only pixels in this rectangle are rendered, and frames have its size; absent = the whole sensor.
     pub roi: Option<Roi>,
+    /// How tracks that are held between knots are read; those that are log-linear already say nothing else.
+    pub between: Reading,
 }
 
 photocurrent_core::ports! {
@@ -74,7 +100,7 @@ impl Node for RenderRows {
     const DECL: Decl = Decl {
         kind: "render/rows",
         about: "Frames from tracks: sharp, free of rolling shutter, at any rate and for any exposure.",
-        revision: 4,
+        revision: 5,
         grain: Grain::Pixel,
         draws: false,
         exports: false,
@@ -120,7 +146,7 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
             let render = |exposures: Vec<Exposure>, frames: &mut [&mut [f32]]| {
                 let exposures = Exposures::new(exposures);
                 let seconds: Vec<f64> = exposures.all().iter().map(|exposure| scale_seconds(meta.scale, *exposure)).collect();
-                match of.between {
+                match self.params.between.of(of.between) {
                     Between::Hold => render_held(&band, first, &exposures, &seconds, dn, frames),
                     Between::LogLinear => render_log_linear(&band, first, &exposures, &seconds, dn, frames),
                 }
@@ -304,7 +330,7 @@ mod tests {
     }
 
     fn render(sampling: Sampling, at: Option<FrameSequence>) -> FrameSequence {
-        let node = RenderRows { params: Params { sampling, roi: None } };
+        let node = RenderRows { params: Params { sampling, ..Params::default() } };
         let (out, _) = testing::with_context(Rows { start: 0, end: 3 }, &["frames"], |cx| node.run(In { tracks: tracks(), sensor: sensor(), at }, cx));
         out.unwrap().frames
     }
@@ -325,11 +351,19 @@ mod tests {
     #[test]
     fn log_linear_tracks_rise_between_their_knots() {
         let at = testing::captured(Extent { width: 2, height: 3 }, vec![Exposure::new(0, 5_000_000)], 0, |_, _, _| 0.0);
-        let node = RenderRows { params: Params::default() };
-        let input = In { tracks: tracks_joined(Between::LogLinear), sensor: sensor(), at: Some(at) };
-        let (out, _) = testing::with_context(Rows { start: 0, end: 3 }, &["frames"], |cx| node.run(input, cx));
-        // The mean of 3^(t / 5 ms) over 5 ms is 2 / ln 3; DN = 10 + 1000 x 5 ms x that.
-        assert!((values(&out.unwrap().frames, 0, 0)[0] - (10.0 + 5.0 * 2.0 / libm::log(3.0) as f32)).abs() < 1e-4);
+        let dn = |tracks: Between, between: Reading| {
+            let node = RenderRows { params: Params { between, ..Params::default() } };
+            let input = In { tracks: tracks_joined(tracks), sensor: sensor(), at: Some(at.clone()) };
+            let (out, _) = testing::with_context(Rows { start: 0, end: 3 }, &["frames"], |cx| node.run(input, cx));
+            let frames = out.unwrap().frames;
+            assert!(values(&frames, 1, 0)[0].is_nan(), "a pixel without a knot is unknown either way");
+            values(&frames, 0, 0)[0]
+        };
+        // The mean of 3^(t / 5 ms) over 5 ms is 2 / ln 3; DN = 10 + 1000 x 5 ms x that. Held, it is 1.
+        let risen = 10.0 + 5.0 * 2.0 / libm::log(3.0) as f32;
+        assert!([Reading::Hold, Reading::Linear].iter().all(|between| (dn(Between::LogLinear, *between) - risen).abs() < 1e-4));
+        assert!((dn(Between::Hold, Reading::Linear) - risen).abs() < 1e-4);
+        assert_eq!(dn(Between::Hold, Reading::Hold), 15.0);
     }
 
     #[test]
@@ -370,7 +404,7 @@ mod tests {
         }
         let meta = TracksMeta { has_sigma: true, ..(*tracks_joined(Between::LogLinear).meta).clone() };
         let input = In { tracks: TrackSet::in_memory(Arc::new(meta), band), sensor: sensor(), at: None };
-        let node = RenderRows { params: Params { sampling: Sampling { rate: Rate::new(400.0), ..Sampling::default() }, roi: None } };
+        let node = RenderRows { params: Params { sampling: Sampling { rate: Rate::new(400.0), ..Sampling::default() }, ..Params::default() } };
         let (out, _) = testing::with_context(Rows { start: 0, end: 3 }, &["frames", "sigma"], |cx| node.run(input, cx));
         let (frames, sigma) = out.map(|out| (out.frames, out.sigma.unwrap())).unwrap();
         assert_eq!(frames.meta, sigma.meta);
@@ -395,7 +429,7 @@ mod tests {
             sensor.frames.channel_gain = Some([0.5, 1.0, 2.0]);
             let sensor = Arc::new(sensor);
             let render = |roi: Option<Roi>, rows: Rows| {
-                let node = RenderRows { params: Params { sampling: sampling.clone(), roi } };
+                let node = RenderRows { params: Params { sampling: sampling.clone(), roi, ..Params::default() } };
                 let input = In { tracks: tracks.clone(), sensor: sensor.clone(), at: None };
                 testing::with_context(rows, &["frames"], |cx| node.run(input, cx)).0.unwrap().frames
             };

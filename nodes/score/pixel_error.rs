@@ -2,6 +2,8 @@
 //!
 //! A mean over pictures hides what happens in the one pixel that a fast object passes. Here chosen pixels are followed through all frames (the paper's
 //! Fig. 8): their DN, the photocurrent that it stands for by Eq. (5), and `V_DC = ln i` of Eq. (6), each beside that of the true frame.
+//! `V_FE` is what the front end makes of that light by Eqs. (1) and (2): it settles towards each frame's V_DC, with the time constant of that frame's photocurrent, from
+//! one middle of an exposure to the next. It is close to the pixel's own voltage where frames follow each other faster than the front end does.
 //! Errors in V_DC are relative errors of the light: 0.1 is about 10 %, whether the pixel is bright or dark.
 //!
 //! Limits: V_DC is that of the mean light over a frame's virtual exposure, not of an instant. A DN at or below black has none.
@@ -13,7 +15,8 @@ use crate::sampling::scale_seconds;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, Score, TableMeta};
 use photocurrent_core::{Colour, Context, Decl, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, Table, Truth};
-use photocurrent_sensor::front_end::settled_voltage;
+use photocurrent_sensor::front_end::{FrontEnd, settle, settled_photocurrent, settled_voltage, time_constant};
+use photocurrent_sensor::model::Model;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -62,7 +65,7 @@ photocurrent_core::ports! {
     pub struct Out {
         /// `pixel_error_dn` and `pixel_error_v_dc`: mean absolute error over the pixels, per frame and pooled.
         scores: Arc<Table>,
-        /// The pixels over time: `x`, `y`, `frame`, `t_ns`, and DN and V_DC with truth and error.
+        /// The pixels over time: `x`, `y`, `frame`, `t_ns`, DN and V_DC with truth and error, and V_FE with truth where the description states the front end.
         pixels: Arc<Table>,
     }
 }
@@ -91,7 +94,7 @@ impl Node for ScorePixelError {
     const DECL: Decl = Decl {
         kind: "score/pixel_error",
         about: "Follows chosen pixels over time: DN and V_DC beside the truth.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -174,7 +177,7 @@ params = { pixels = [{ x = 64, y = 48 }] }
             scores.extend(times.iter().zip(&each).map(|((frame, t_ns), value)| score(*frame, *t_ns, *value)));
             scores.push(score(-1, 0, mean_of_measured(&each)));
         }
-        Ok(Out { scores: Arc::new(Table::scores(scores, card)), pixels: Arc::new(followed(&rows)) })
+        Ok(Out { scores: Arc::new(Table::scores(scores, card)), pixels: Arc::new(self.followed(&rows, sensor)) })
     }
 }
 
@@ -185,6 +188,37 @@ struct Follow {
     t_ns: i64,
     dn: [f64; 2],
     v_dc: [f64; 2],
+}
+
+impl ScorePixelError {
+    fn followed(&self, rows: &[Follow], sensor: &Sensor) -> Table {
+        let table = followed(rows);
+        if sensor.front_end.tau_0.is_none() || sensor.front_end.alpha.is_none() {
+            return table;
+        }
+        let front_end = Model::of(sensor).pixel.front_end;
+        let column = |which: usize| Column::Numbers(front_end_voltages(rows, which, self.params.pixels.len(), &front_end));
+        table.with("v_fe", column(0)).with("v_fe_true", column(1))
+    }
+}
+
+/// V_FE of every row, of the frames (`which` 0) or the true ones (1): it starts settled, and holds while V_DC is not known. `pixels` rows are of one frame.
+fn front_end_voltages(rows: &[Follow], which: usize, pixels: usize, front_end: &FrontEnd<f64>) -> Vec<f64> {
+    let mut voltages = vec![f64::NAN; rows.len()];
+    for first in 0..pixels {
+        let mut last: Option<(i64, f64)> = None;
+        for at in (first..rows.len()).step_by(pixels) {
+            let (t_ns, settled) = (rows[at].t_ns, rows[at].v_dc[which]);
+            if settled.is_nan() {
+                continue;
+            }
+            voltages[at] = last.map_or(settled, |(before_ns, voltage)| {
+                settle(voltage, settled, (t_ns - before_ns) as f64 * 1e-9, time_constant(front_end, settled_photocurrent(settled)))
+            });
+            last = Some((t_ns, voltages[at]));
+        }
+    }
+    voltages
 }
 
 fn followed(rows: &[Follow]) -> Table {
@@ -251,6 +285,23 @@ mod tests {
         let scores = out.scores.as_scores().unwrap();
         assert_eq!(scores[..3].iter().map(|s| (s.frame, s.value)).collect::<Vec<_>>(), [(0, 0.0), (1, 20.0), (-1, 10.0)]);
         assert!((scores[5].value - std::f64::consts::LN_2 / 2.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_front_end_follows_a_step_by_one_part_in_e_after_one_time_constant() {
+        use photocurrent_core::quantity::Duration;
+        let mut sensor = sensor();
+        // Middles lie 20 ms apart; at a photocurrent of 4, tau = 5 ms + 60 ms / 4 = 20 ms.
+        (sensor.front_end.tau_0, sensor.front_end.alpha) = (Some(Duration::new(5_000_000)), Some(Duration::new(60_000_000)));
+        let step = frames(|l, _, _| [30.0, 50.0][l]);
+        let input = In { frames: frames(|_, _, _| 50.0), truth: Truth(step), sensor: Arc::new(sensor) };
+        let (out, _) = testing::with_context(EXTENT.rows(), &["scores", "pixels"], |cx| node(&[(1, 2), (0, 0)]).run(input, cx));
+        let pixels = out.unwrap().pixels;
+        let (low, high) = (std::f64::consts::LN_2, 2.0 * std::f64::consts::LN_2);
+        let expected = [low, low, high - (high - low) / std::f64::consts::E, high - (high - low) / std::f64::consts::E];
+        assert!(numbers(&pixels, "v_fe").iter().all(|voltage| (voltage - high).abs() < 1e-12), "still light stays settled");
+        let found = numbers(&pixels, "v_fe_true");
+        assert!(found.iter().zip(expected).all(|(found, expected)| (found - expected).abs() < 1e-12), "{found:?}");
     }
 
     #[test]

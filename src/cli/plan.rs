@@ -77,6 +77,9 @@ pub fn plan(options: &PlanOptions) -> Done {
     print(&draw(&rows))?;
     let count = |name: &str| all.iter().filter(|s| word(&s.state) == name).count();
     let variants = if plan.is_ablation { format!(" for {} variants", plan.variants.len()) } else { String::new() };
+    for left in plan.variants.iter().flat_map(|variant| &variant.left_out).collect::<std::collections::BTreeSet<_>>() {
+        say!("left out: {}: {}", left.node, left.why);
+    }
     say!("\n{} nodes{variants}: {} in the cache, {} to run, {} waiting", all.len(), count("hit"), count("miss"), count("waits"));
     Ok(0)
 }

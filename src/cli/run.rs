@@ -94,7 +94,8 @@ fn as_json(outcome: &Outcome, seconds: f64) -> serde_json::Value {
     json!({
         "executed": outcome.count(End::Executed), "reused": outcome.count(End::Reused), "failed": outcome.count(End::Failed),
         "skipped": outcome.count(End::Skipped), "interrupted": outcome.count(End::Interrupted), "seconds": seconds,
-        "variants": outcome.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(), "warnings": outcome.warnings, "tasks": tasks.collect::<Vec<_>>(),
+        "variants": outcome.variants.iter().map(|v| v.name.clone()).collect::<Vec<_>>(), "warnings": outcome.warnings, "left_out": outcome.variants.iter().flat_map(|v| &v.left_out).map(|l| json!({ "node": l.node, "missing": l.missing, "why": l.why })).collect::<Vec<_>>(),
+        "tasks": tasks.collect::<Vec<_>>(),
     })
 }
 
@@ -115,11 +116,12 @@ fn tables(project: &Project, outcome: &Outcome, cache: &Cache, pooled: &[serde_j
             }
         }
     }
-    if text.is_empty() && !pooled.is_empty() {
+    let measured: Vec<&serde_json::Value> = pooled.iter().filter(|line| line["missing"].is_null()).collect();
+    if text.is_empty() && !measured.is_empty() {
         let cell = |line: &serde_json::Value, key: &str| line[key].as_str().unwrap_or_default().to_string();
         let value = |line: &serde_json::Value| line["value"].as_f64().map_or("-".into(), |v| format!("{v:.3}"));
         let mut rows = vec![["node", "metric", "value", "unit"].map(String::from).to_vec()];
-        rows.extend(pooled.iter().map(|line| vec![cell(line, "node"), cell(line, "metric"), value(line), cell(line, "unit")]));
+        rows.extend(measured.iter().map(|line| vec![cell(line, "node"), cell(line, "metric"), value(line), cell(line, "unit")]));
         text = draw(&rows);
     }
     Ok(text)
@@ -174,6 +176,9 @@ fn talk(options: &RunOptions, outcome: &Outcome, out_dir: &Path, seconds: f64) {
     }
     for task in &outcome.tasks {
         task.notes.iter().for_each(|note| say!("note: {}: {note}", task.label));
+    }
+    for (why, nodes) in outcome.missing() {
+        say!("left out: {}: {why}", nodes.join(", "));
     }
     let (executed, reused) = (outcome.count(End::Executed), outcome.count(End::Reused));
     let whole = executed + reused == outcome.tasks.len();

@@ -36,7 +36,7 @@ pub use graph::{GraphFormat, graph};
 pub use observer::{End, Observer, Unobserved};
 pub use outcome::{Outcome, TaskOutcome};
 pub use pipeline::Pipeline;
-pub use plan::{Plan, PlannedVariant, Selection, Task, TaskId};
+pub use plan::{LeftOut, Plan, PlannedVariant, Selection, Task, TaskId};
 pub use resolve::Project;
 pub use schedule::{Options, machine_memory, run};
 pub use schema::manifest_schema;

@@ -202,6 +202,7 @@ fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
             "in": such_as(table_of(json!({})), "`in = { events = \"scene.events\" }`"),
             "params": such_as(table_of(json!({})), "`params = { width = 64 }`"),
             "bypass": { "type": "boolean" },
+            "optional": { "type": "boolean" },
         })),
         &format!("`[nodes.{}]` with `kind = \"family/name\"` below it", key.name),
     );

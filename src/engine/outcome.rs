@@ -126,8 +126,25 @@ impl Outcome {
                     }
                 }
             }
+            // Which numbers these would have been is not known: a scorer says so with its numbers.
+            pooled.extend(variant.left_out.iter().map(|left| json!({ "variant": variant.name, "node": left.node, "missing": left.missing, "why": left.why })));
         }
         Ok((single, pooled))
+    }
+
+    /// What is missing, each once: in whole sentences, and the nodes that are left out for it.
+    pub fn missing(&self) -> Vec<(&str, Vec<&str>)> {
+        let mut all: Vec<(&str, Vec<&str>)> = Vec::new();
+        for left in self.variants.iter().flat_map(|variant| &variant.left_out) {
+            let at = all.iter().position(|(why, _)| *why == left.why).unwrap_or(all.len());
+            if at == all.len() {
+                all.push((&left.why, Vec::new()));
+            }
+            if !all[at].1.contains(&left.node.as_str()) {
+                all[at].1.push(&left.node);
+            }
+        }
+        all
     }
 
     /// The tasks that failed, in order.

@@ -71,6 +71,8 @@ pub struct NodeSpec {
     pub wires: Vec<Wire>,
     /// Left out, its input passed on?
     pub bypass: Option<Origin>,
+    /// Left out, with what takes something from it, while its files are missing?
+    pub optional: bool,
 }
 
 impl Pipeline {
@@ -149,6 +151,7 @@ impl NodeSpec {
             params: table.get("params").cloned().unwrap_or(empty),
             wires: wires.map(|(port, tree)| Wire { port: port.clone(), from: references(tree), is_list: matches!(tree.item, Item::Array(_)) }).collect(),
             bypass: table.get("bypass").filter(|tree| tree.item == Item::Boolean(true)).map(|tree| tree.origin.clone()),
+            optional: table.get("optional").is_some_and(|tree| tree.item == Item::Boolean(true)),
         })
     }
 

@@ -12,6 +12,7 @@ use crate::schedule::{least_bytes, machine_memory};
 use crate::typed::{self, Link, TypedNode};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::document::{Origin, Problem};
+use photocurrent_core::error::Trouble;
 use photocurrent_core::lacking::with_examples;
 use photocurrent_core::node::{AnyNode, canonical_params};
 use photocurrent_core::ports::{Arity, PortSpec};
@@ -102,8 +103,21 @@ pub struct PlannedVariant {
     pub name: String,
     /// Axis and level.
     pub levels: Vec<(String, String)>,
-    /// Node and task, in running order. Bypassed nodes have none.
+    /// Node and task, in running order. Bypassed nodes have none, and neither have those that are left out.
     pub nodes: Vec<(String, TaskId)>,
+    /// Nodes marked `optional` whose files are missing, and those that take something from them, in running order.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// A node that does not run because a file is missing.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct LeftOut {
+    /// Its name.
+    pub node: String,
+    /// What is missing, as a name of a file or a folder.
+    pub missing: String,
+    /// In whole sentences.
+    pub why: String,
 }
 
 /// Which part of a project to plan.
@@ -159,8 +173,16 @@ impl Plan {
         }
         let is_ablation = project.ablation.is_some();
         let memory = [selection.memory, machine_memory()].into_iter().flatten().min().unwrap_or(u64::MAX);
-        let mut planner =
-            Planner { is_ablation, tasks: Vec::new(), known: HashMap::new(), problems: Vec::new(), lacking: Vec::new(), memory, lists: BTreeMap::new() };
+        let mut planner = Planner {
+            is_ablation,
+            tasks: Vec::new(),
+            known: HashMap::new(),
+            problems: Vec::new(),
+            lacking: Vec::new(),
+            missing: None,
+            memory,
+            lists: BTreeMap::new(),
+        };
         let mut variants = Vec::new();
         let mut found = Vec::new();
         for pipeline in &project.pipelines {
@@ -258,6 +280,8 @@ struct Planner {
     known: HashMap<Digest, TaskId>,
     problems: Vec<Problem>,
     lacking: Vec<Lacking>,
+    /// What the node that was planned last is left out for.
+    missing: Option<Missing>,
     /// Bytes that planning may take.
     memory: u64,
     /// Lists that planned outputs hold, each once, by their address, and their bytes.
@@ -269,14 +293,21 @@ impl Planner {
         let typed = typed::check(pipeline, catalogue, &mut self.problems);
         let chosen = self.choose(pipeline, &typed, to);
         let mut tasks: Vec<Option<TaskId>> = vec![None; pipeline.nodes.len()];
+        let mut missing: Vec<Option<Missing>> = vec![None; pipeline.nodes.len()];
         for &at in typed.order.iter().filter(|&&at| chosen[at]) {
             if let Some(node) = &typed.nodes[at] {
-                tasks[at] = self.task(pipeline, node, &tasks);
+                missing[at] = node.inputs.iter().flat_map(|(_, links)| links).find_map(|link| missing[link.from.0].clone());
+                if missing[at].is_none() {
+                    tasks[at] = self.task(pipeline, node, &tasks);
+                    missing[at] = self.missing.take();
+                }
             }
         }
         self.mark_wanted(&typed, &tasks);
-        let nodes = typed.order.iter().filter_map(|&at| Some((pipeline.nodes[at].id.clone(), tasks[at]?))).collect();
-        PlannedVariant { name: pipeline.variant.clone(), levels: pipeline.levels.clone(), nodes }
+        let id = |at: usize| pipeline.nodes[at].id.clone();
+        let nodes = typed.order.iter().filter_map(|&at| Some((id(at), tasks[at]?))).collect();
+        let left_out = typed.order.iter().filter_map(|&at| missing[at].clone().map(|(missing, why)| LeftOut { node: id(at), missing, why })).collect();
+        PlannedVariant { name: pipeline.variant.clone(), levels: pipeline.levels.clone(), nodes, left_out }
     }
 
     /// The nodes that `to` names and all they need.
@@ -393,6 +424,10 @@ impl Planner {
         let planned = loop {
             match node.node.plan(&metas) {
                 Ok(planned) => break planned,
+                Err(error) if node.spec.optional && error.trouble == Trouble::Files => {
+                    self.missing = Some(missing(node, &error));
+                    return None;
+                }
                 Err(error) => {
                     let missing: Vec<String> = error.lacks.iter().filter(|field| !supposed.contains(field)).cloned().collect();
                     self.refused(node, inputs, error);
@@ -457,6 +492,22 @@ fn stated(metas: &PortMetas, fields: &[String]) -> Option<PortMetas> {
         changed.entry(port.to_string()).or_default().push(meta);
     }
     Some(PortMetas::new(changed))
+}
+
+/// A name of a file or folder, and whole sentences about it.
+type Missing = (String, String);
+
+/// What a node cannot read: the parameter that it blames, without the folders before it; of a folder, its parent stays.
+fn missing(node: &TypedNode<'_>, error: &NodeError) -> Missing {
+    let param = error.param.as_ref().and_then(|param| node.params.pointer(&format!("/{}", param.replace('.', "/")))).and_then(serde_json::Value::as_str);
+    let name = param.and_then(|path| {
+        let path = Path::new(path);
+        let name = path.file_name()?.to_string_lossy();
+        let parent = path.parent().and_then(Path::file_name).filter(|_| path.extension().is_none());
+        Some(parent.map_or(name.clone().into_owned(), |parent| format!("{}/{name}", parent.to_string_lossy())))
+    });
+    let hint = error.hint.as_ref().map(|hint| format!("; {hint}")).unwrap_or_default();
+    (name.unwrap_or_else(|| error.message.clone()), format!("{}{hint}", error.message))
 }
 
 /// Tells tasks of one plan apart.

@@ -16,7 +16,7 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
     // A manifest that extends another one may lay over a node without naming its kind again.
     let overlay = json!({
         "type": "object", "additionalProperties": false,
-        "properties": { "in": { "type": "object" }, "params": { "type": "object" }, "bypass": { "type": "boolean" } },
+        "properties": { "in": { "type": "object" }, "params": { "type": "object" }, "bypass": { "type": "boolean" }, "optional": { "type": "boolean" } },
     });
     let layer =
         json!({ "type": "object", "additionalProperties": false, "properties": { "nodes": { "type": "object" }, "pipeline": { "$ref": "#/$defs/pipeline" } } });
@@ -100,6 +100,7 @@ fn node(kind: &Kind) -> Json {
             "in": { "type": "object", "additionalProperties": false, "properties": ports },
             "params": params,
             "bypass": { "type": "boolean", "description": "Leave the node out and pass its input on." },
+            "optional": { "type": "boolean", "description": "Leave the node out, with all that take something from it, while its files are missing." },
         },
     })
 }

@@ -87,7 +87,7 @@ fn the_whole_sequence_covers_every_instant_and_is_as_good() {
         |_, _, _| 0.0,
     );
     let params = Params { threshold: Some(reference::CONTRAST), white: Some(255.0), ..Params::default() };
-    let input = In { events: reference::stream(), frames: reference::frames(), sensor: None, at: Some(at) };
+    let input = In { events: reference::stream(), frames: reference::frames(), sensor: None, contrast: None, at: Some(at) };
     let (out, notes) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| BaselineAkf { params }.run(input, cx));
     let frames = out.unwrap().frames;
     let block = frames.read_rows(frames.rows()).unwrap();
@@ -103,7 +103,7 @@ fn the_whole_sequence_covers_every_instant_and_is_as_good() {
 fn the_released_sequence_says_what_it_leaves_out() {
     let sampling = Sampling { rate: Rate::new(100.0), ..Sampling::default() };
     let params = Params { sampling, threshold: Some(reference::CONTRAST), white: Some(255.0), sequence: Sequence::AsReleased, ..Params::default() };
-    let input = In { events: reference::stream(), frames: reference::frames(), sensor: None, at: None };
+    let input = In { events: reference::stream(), frames: reference::frames(), sensor: None, contrast: None, at: None };
     let (out, notes) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| BaselineAkf { params }.run(input, cx));
     let frames = out.unwrap().frames;
     let known: Vec<i64> = (0..frames.len())
@@ -130,10 +130,32 @@ fn a_still_pixel_keeps_its_frame() {
     let frames = testing::captured(extent, exposures, 0, |_, _, _| 100.0);
     let events = testing::stream(extent, vec![Event { x: 0, y: 0, polarity: Polarity::On, t: 5_000_000, t_in: None }]);
     let params = Params { threshold: Some(0.1), white: Some(200.0), ..Params::default() };
-    let (out, _) = testing::with_context(extent.rows(), &["frames"], |cx| BaselineAkf { params }.run(In { events, frames, sensor: None, at: None }, cx));
+    let (out, _) =
+        testing::with_context(extent.rows(), &["frames"], |cx| BaselineAkf { params }.run(In { events, frames, sensor: None, contrast: None, at: None }, cx));
     let frames = out.unwrap().frames;
     let block = frames.read_rows(extent.rows()).unwrap();
     assert!((0..frames.len()).all(|l| (block.row(l, 2)[2] - 100.0).abs() < 1e-4));
+}
+
+#[test]
+fn a_searched_threshold_is_one_that_could_have_been_stated() {
+    use photocurrent_core::table::Column;
+    use photocurrent_core::{Sensor, Table};
+    use std::sync::Arc;
+    let dn = |threshold: Option<f64>, searched: Option<f64>| {
+        // The description's thresholds would be others.
+        let mut sensor = Sensor::unknown("test");
+        (sensor.comparator.threshold_on, sensor.comparator.threshold_off) = (Some(0.4), Some(0.4));
+        let contrast = searched.map(|value| Arc::new(Table::default().with("contrast", Column::Numbers(vec![value]))));
+        let params = Params { threshold, white: Some(255.0), ..Params::default() };
+        let input = In { events: reference::stream(), frames: reference::frames(), sensor: Some(Arc::new(sensor)), contrast, at: Some(reference::frames()) };
+        let (out, _) = testing::with_context(reference::EXTENT.rows(), &["frames"], |cx| BaselineAkf { params }.run(input, cx));
+        out.unwrap().frames.read_rows(reference::EXTENT.rows()).unwrap().dn
+    };
+    let stated = dn(Some(0.05), None);
+    assert_eq!(dn(None, Some(0.05)), stated);
+    assert_eq!(dn(Some(0.05), Some(0.3)), stated, "what is stated wins");
+    assert_ne!(dn(None, None), stated);
 }
 
 #[test]
@@ -141,5 +163,5 @@ fn too_few_frames_for_the_released_sequence_are_refused() {
     let frames = testing::frames(2, 2, 4);
     let request = Request { frames: &frames.meta, events: None, at: None, sensor: None };
     let node = BaselineAkf { params: Params { threshold: Some(0.1), white: Some(255.0), sequence: Sequence::AsReleased, ..Params::default() } };
-    assert_eq!(node.prepare(&request).err().and_then(|error| error.param).as_deref(), Some("sequence"));
+    assert_eq!(node.prepare(&request, None).err().and_then(|error| error.param).as_deref(), Some("sequence"));
 }

@@ -2,7 +2,7 @@
 
 use super::voxel::{Grid, Normalise, Signs, Stretch};
 use crate::onnx::Sockets;
-use photocurrent_core::{FramesMeta, NodeError};
+use photocurrent_core::{Exposure, FramesMeta, NodeError};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -110,6 +110,8 @@ pub enum Window {
     BeforeToInstant,
     /// From the instant to the frame after.
     InstantToAfter,
+    /// From the start of the exposure before to the end of the exposure after.
+    Exposures,
     /// From the picture before to this one; for the first one, from the first event.
     SinceLast,
 }
@@ -122,6 +124,7 @@ impl Window {
             Window::Between => before..after,
             Window::BeforeToInstant => before..moment.t,
             Window::InstantToAfter => moment.t..after,
+            Window::Exposures => moment.pair.map_or(moment.t..moment.t, |pair| pair.start_ns..pair.end_ns),
             Window::SinceLast => last.or(events.map(|(first, _)| first)).map_or(moment.t, |start| i64::min(start, moment.t))..moment.t,
         }
     }
@@ -136,6 +139,10 @@ pub struct Pair {
     pub before_ns: i64,
     /// Middle of the next exposure, ns.
     pub after_ns: i64,
+    /// Start of its exposure, ns.
+    pub start_ns: i64,
+    /// End of the next exposure, ns.
+    pub end_ns: i64,
 }
 
 /// A wanted picture.
@@ -159,13 +166,21 @@ impl Moment {
 /// The wanted instants among the captured frames, in their order.
 pub fn moments(captured: &FramesMeta, wanted: &FramesMeta) -> Vec<Moment> {
     let row = captured.extent.height / 2;
-    let middles: Vec<i64> = (0..captured.times.len()).map(|l| captured.times.exposure(l, row).mid().0).collect();
+    let exposures: Vec<Exposure> = (0..captured.times.len()).map(|l| captured.times.exposure(l, row)).collect();
+    let middles: Vec<i64> = exposures.iter().map(|exposure| exposure.mid().0).collect();
     let moment = |n: usize| {
         let t = wanted.times.exposure(n, row).mid().0;
         // The last frame's own instant belongs to the last pair.
         let after = usize::min(middles.partition_point(|&middle| middle <= t), middles.len().saturating_sub(1));
         let pair = after.checked_sub(1).filter(|&before| middles[before] <= t && t <= middles[after]);
-        Moment { wanted: n, t, pair: pair.map(|before| Pair { before, before_ns: middles[before], after_ns: middles[after] }) }
+        let pair = pair.map(|before| Pair {
+            before,
+            before_ns: middles[before],
+            after_ns: middles[after],
+            start_ns: exposures[before].start.0,
+            end_ns: exposures[after].end.0,
+        });
+        Moment { wanted: n, t, pair }
     };
     (0..wanted.times.len()).map(moment).collect()
 }

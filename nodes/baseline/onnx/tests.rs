@@ -71,6 +71,39 @@ fn at(frames: &FrameSequence, ms: i64) -> impl Fn(usize, u32) -> f32 {
 }
 
 #[test]
+fn halving_takes_the_nearest_of_the_pictures_between_the_frames() {
+    // A network that blends: twice halved, pictures stand at quarters of the way from 20 to 60 DN, at 1, 3, 5, 7 and 9 ms. Another time than 1/2 would give others.
+    let frame = |input: &str, take| FrameInput { input: input.into(), take, channels: 3, range: [0.0, 1.0] };
+    let halves = |halvings| Params {
+        network: network("stand_in_film.onnx"),
+        frames: vec![frame("x0", Side::Before), frame("x1", Side::After)],
+        voxels: Vec::new(),
+        time: Some("time".into()),
+        time_dimensions: 2,
+        halvings,
+        ..blend()
+    };
+    let dn = |halvings, ms: i64| at(&run(halves(halvings)).unwrap().0, ms)(0, 0);
+    for (ms, expected) in [(1, 20.0), (3, 30.0), (5, 40.0), (7, 50.0), (9, 60.0)] {
+        assert!((dn(2, ms) - expected).abs() < 1e-4, "{ms} ms: {}", dn(2, ms));
+    }
+    // Thrice halved they stand a millisecond apart; once, only in the middle.
+    assert!((dn(3, 4) - 35.0).abs() < 1e-4 && (dn(1, 4) - 40.0).abs() < 1e-4);
+    let refused = |params: Params| BaselineOnnx::build(params).err().and_then(|error| error.param);
+    assert_eq!(refused(Params { halvings: 2, ..blend() }).as_deref(), Some("halvings"), "events have no place in it");
+    assert_eq!(refused(Params { output_range: [0.0, 2.0], ..halves(2) }).as_deref(), Some("halvings"));
+    assert_eq!(refused(Params { frames: vec![frame("x0", Side::Before)], ..halves(2) }).as_deref(), Some("halvings"));
+}
+
+#[test]
+fn a_window_may_hold_both_exposures_whole() {
+    // Frames are exposed from 0 to 2 and from 8 to 10 ms.
+    let moments = layout::moments(&frames().meta, &frames().meta);
+    assert_eq!(Window::Exposures.of(&moments[0], None, None), 0..10_000_000);
+    assert_eq!(Window::Between.of(&moments[0], None, None), 1_000_000..9_000_000);
+}
+
+#[test]
 fn frames_events_and_instants_reach_their_inputs() {
     for multiple in [1, 8] {
         let (frames, notes) = run(Params { multiple, ..blend() }).unwrap();

@@ -31,6 +31,7 @@ impl Style {
     fn show(&self, cell: Option<&Cell>) -> String {
         match cell {
             Some(cell) if !cell.value.is_nan() => format!("{:.*}", self.digits.get(&cell.metric).copied().unwrap_or(3), cell.value),
+            Some(Cell { missing: Some((name, _)), .. }) => format!("no {name}"),
             _ => "-".into(),
         }
     }
@@ -120,6 +121,9 @@ pub fn markdown(grid: &Grid, style: &Style) -> String {
         let metrics: Vec<String> = grid.metrics().iter().map(|metric| style.heading(grid, metric, [", higher is better", ", lower is better"])).collect();
         text += &format!("\n{}.\n", metrics.join("; "));
     }
+    for (name, why) in grid.missing() {
+        text += &format!("\nno {}: {}.\n", escape(name), escape(why));
+    }
     text
 }
 
@@ -174,7 +178,7 @@ pub fn latex(grid: &Grid, style: &Style) -> String {
                 if text == "-" {
                     "--".into()
                 } else {
-                    text
+                    escaped(&text)
                 }
             }
             (text, Mark::Best) => format!("\\textbf{{{text}}}"),
@@ -222,6 +226,10 @@ pub fn json_lines(grid: &Grid, style: &Style) -> String {
             };
             line.insert("mark".into(), json!(mark));
             line.insert("card".into(), json!(cell.card));
+            if let Some((name, why)) = &cell.missing {
+                line.insert("missing".into(), json!(name));
+                line.insert("why".into(), json!(why));
+            }
             text += &format!("{}\n", serde_json::Value::Object(line));
         }
     }
@@ -254,6 +262,19 @@ mod tests {
 | ball | 20.0 | **21.0** | - | **0.20** | 0.21 | - |
 ";
         assert_eq!(text, expected);
+    }
+
+    #[test]
+    fn a_cell_says_what_is_missing_and_the_reason_stands_below() {
+        let mut records = ["method=ours metric=psnr_db", "method=film metric=psnr_db"].map(|place| record(place, 30.0)).to_vec();
+        (records[1].value, records[1].missing) = (f64::NAN, Some(("film_net.onnx".into(), "cannot read weights/film_net.onnx".into())));
+        let grid = Grid::new(&records, &Request { rows: vec!["method".into()], columns: vec![], sum: false }).expect("a grid");
+        let text = markdown(&grid, &style(Among::Column));
+        assert!(text.contains("| ours | 30.0 |\n| film | no film_net.onnx |\n\nno film_net.onnx: cannot read weights/film_net.onnx.\n"), "{text}");
+        assert!(latex(&grid, &style(Among::Column)).contains("film & no film\\_net.onnx \\\\"));
+        assert!(csv(&grid, &style(Among::Column)).ends_with("film,\n"));
+        let lines = json_lines(&grid, &style(Among::Column));
+        assert!(lines.lines().nth(1).is_some_and(|line| line.contains("\"missing\":\"film_net.onnx\"") && line.contains("\"value\":null")), "{lines}");
     }
 
     #[test]

@@ -23,6 +23,8 @@ pub struct Cell {
     pub unit: String,
     /// How it was measured.
     pub card: String,
+    /// What is missing where nothing was measured; and in whole sentences.
+    pub missing: Option<(String, String)>,
 }
 
 /// The table.
@@ -71,7 +73,8 @@ impl Grid {
                 Some((other, _)) => return Err(two_in_one(record, &records[*other], &rows[row], &columns[column])),
                 None => {}
             }
-            cells[row][column] = Some((i, Cell { value: record.value, metric, unit: record.unit.clone(), card: record.card.clone() }));
+            cells[row][column] =
+                Some((i, Cell { value: record.value, metric, unit: record.unit.clone(), card: record.card.clone(), missing: record.missing.clone() }));
         }
         let cells = cells.into_iter().map(|row| row.into_iter().map(|cell| cell.map(|(_, cell)| cell)).collect()).collect();
         Ok(Grid { row_axes, column_axes, rows, columns, cells })
@@ -85,6 +88,17 @@ impl Grid {
             (false, true) => false,
             (false, false) => self.column_axes.iter().any(|axis| axis != "metric"),
         }
+    }
+
+    /// What is missing in whole sentences, each once.
+    pub fn missing(&self) -> Vec<&(String, String)> {
+        let mut all: Vec<&(String, String)> = Vec::new();
+        for missing in self.cells.iter().flatten().flatten().filter_map(|cell| cell.missing.as_ref()) {
+            if !all.contains(&missing) {
+                all.push(missing);
+            }
+        }
+        all
     }
 
     /// The metrics in the order in which they stand.
@@ -171,7 +185,7 @@ pub mod tests {
     pub fn record(place: &str, value: f64) -> Record {
         let place: Vec<(String, String)> = place.split(' ').filter_map(|pair| pair.split_once('=')).map(|(a, l)| (a.into(), l.into())).collect();
         let unit = if place.iter().any(|(_, level)| level == "psnr_db") { "dB" } else { "" };
-        Record { place, unit: unit.into(), value, card: "a card".into() }
+        Record { place, unit: unit.into(), value, card: "a card".into(), missing: None }
     }
 
     /// Two scenes, three methods, two metrics.

@@ -18,6 +18,8 @@ pub struct Record {
     pub value: f64,
     /// How it was measured.
     pub card: String,
+    /// What is missing where nothing was measured, as a name of a file or folder; and in whole sentences.
+    pub missing: Option<(String, String)>,
 }
 
 impl Record {
@@ -53,6 +55,7 @@ pub fn read(sources: &[PathBuf], choice: &Choice) -> Result<Vec<Record>, Failure
             all.extend(record(&value, &name, choice).map_err(|what| wrong(&what))?);
         }
     }
+    let all = placed(all);
     if all.is_empty() {
         let (what, hint) =
             if choice.by_frame { ("of single frames", "leave `frame` out") } else { ("pooled over frames", "name `frame` in --rows or --columns") };
@@ -108,7 +111,9 @@ fn find(source: &Path, by_frame: bool) -> Result<(PathBuf, String), Failure> {
 /// A line's number and place; `None` when it is of the other sort (a frame's, or pooled).
 fn record(line: &Value, file: &str, choice: &Choice) -> Result<Option<Record>, String> {
     let text = |key: &str| line[key].as_str();
-    let (variant, node, metric) = (text("variant").ok_or("no `variant`")?, text("node").ok_or("no `node`")?, text("metric").ok_or("no `metric`")?);
+    let (variant, node) = (text("variant").ok_or("no `variant`")?, text("node").ok_or("no `node`")?);
+    let missing = text("missing").map(|name| (name.to_string(), text("why").unwrap_or_default().to_string()));
+    let metric = text("metric").or(missing.as_ref().map(|_| UNPLACED)).ok_or("no `metric`")?;
     let frame = line["frame"].as_i64().filter(|frame| *frame >= 0);
     if frame.is_some() != choice.by_frame {
         return Ok(None);
@@ -147,7 +152,30 @@ fn record(line: &Value, file: &str, choice: &Choice) -> Result<Option<Record>, S
     for field in &choice.card {
         place.extend(card_field(&card, field).map(|level| (format!("card.{field}"), level.to_string())));
     }
-    Ok(Some(Record { place, unit, value, card }))
+    Ok(Some(Record { place, unit, value, card, missing }))
+}
+
+/// The metric of what was not measured, before that is known.
+const UNPLACED: &str = "";
+
+/// What was not measured stands where the numbers of the other methods do: a node whose name begins alike (psnr_edi, psnr_film) would have given the same metrics.
+/// Without another method it stands nowhere.
+fn placed(all: Vec<Record>) -> Vec<Record> {
+    let sort = |record: &Record| record.level("node").map(|node| node.split('_').next().unwrap_or(node).to_string());
+    let measured: Vec<Record> = all.iter().filter(|record| record.missing.is_none()).cloned().collect();
+    let as_others = |record: Record| -> Vec<Record> {
+        if record.missing.is_none() {
+            return vec![record];
+        }
+        let alike: Vec<Record> = measured.iter().filter(|other| sort(other) == sort(&record)).cloned().collect();
+        let place = |metric: String| {
+            let unit = alike.iter().find(|other| other.level("metric") == Some(&metric)).map(|other| other.unit.clone()).unwrap_or_default();
+            let place = record.place.iter().map(|(axis, level)| (axis.clone(), if axis == "metric" { metric.clone() } else { level.clone() }));
+            Record { place: place.collect(), unit, ..record.clone() }
+        };
+        levels_of(&alike, "metric").into_iter().map(place).collect()
+    };
+    all.into_iter().flat_map(as_others).collect()
 }
 
 /// A field of a metric card: `definition: key = text; key = text`.
@@ -228,6 +256,20 @@ mod tests {
         let least = Choice { statistic: Pooled::Min, ..wish(false) };
         assert_eq!(record(&line, "", &least).expect("a line").expect("pooled").value, 20.0);
         assert_eq!(record(&line, "", &wish(true)), Ok(None));
+    }
+
+    #[test]
+    fn what_is_missing_stands_where_other_methods_have_numbers() {
+        let number = |node: &str, metric: &str| json!({"variant": "scene=fan", "node": node, "metric": metric, "frame": -1, "value": 1.0, "unit": "dB"});
+        let absent = |node: &str| json!({"variant": "scene=fan", "node": node, "missing": "film.onnx", "why": "cannot read weights/film.onnx"});
+        let lines = [number("psnr_edi", "psnr_db"), number("psnr_edi", "sharpness"), absent("film"), absent("psnr_film"), absent("lpips_film")];
+        let read = |wish: &Choice| placed(lines.iter().filter_map(|line| record(line, "", wish).expect("a line")).collect());
+        let missing: Vec<Record> = read(&wish(false)).into_iter().filter(|record| record.missing.is_some()).collect();
+        let places: Vec<_> = missing.iter().map(|record| (record.level("method"), record.level("metric"))).collect();
+        // No other method was measured by `lpips`, and `film` itself measures nothing.
+        assert_eq!(places, [(Some("film"), Some("psnr_db")), (Some("film"), Some("sharpness"))]);
+        assert!(missing.iter().all(|record| record.value.is_nan() && record.unit == "dB"));
+        assert_eq!(read(&wish(true)).len(), 0, "it is no number of a frame");
     }
 
     #[test]

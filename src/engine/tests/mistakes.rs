@@ -276,3 +276,28 @@ fn a_mistake_of_some_variants_says_in_which() {
     );
     assert!(!text("[13]").contains("in variant"));
 }
+
+/// A source, a node in trouble, and one behind it.
+fn in_trouble(optional: &str, mischief: &str) -> String {
+    let trouble = format!("[nodes.net]\nkind = \"solve/trouble\"\n{optional}in.plane = \"source\"\nparams.mischief = \"{mischief}\"\n");
+    format!("{SOURCE}{trouble}[nodes.behind]\nkind = \"solve/trouble\"\nin.plane = \"net\"\n")
+}
+
+#[test]
+fn an_optional_node_is_left_out_with_what_stands_behind_it_while_its_file_is_missing() {
+    let folder = Folder::new();
+    let path = folder.write("m.toml", &in_trouble("optional = true\n", "misses"));
+    let (_, plan) = Plan::load(&path, &[], &catalogue(), &Selection::default()).unwrap_or_else(|problems| panic!("{}", folder.show(&problems)));
+    assert_eq!(plan.tasks.iter().map(|task| task.label.as_str()).collect::<Vec<_>>(), ["source"]);
+    let left: Vec<(&str, &str)> = plan.variants[0].left_out.iter().map(|left| (left.node.as_str(), left.why.as_str())).collect();
+    let why = "cannot read w.onnx: there is no such file; put it there";
+    assert_eq!(left, [("net", why), ("behind", why)]);
+}
+
+#[test]
+fn only_a_missing_file_of_a_node_marked_optional_is_forgiven() {
+    assert!(said(&in_trouble("", "misses")).contains("nodes.net: cannot read w.onnx: there is no such file"));
+    assert!(said(&in_trouble("optional = false\n", "misses")).contains("nodes.net: cannot read w.onnx"));
+    assert!(said(&in_trouble("optional = true\n", "complains")).contains("nodes.net: the description has a mistake"));
+    assert!(said(&in_trouble("optional = 1\n", "none")).contains("expected `true` or `false`"));
+}

@@ -26,6 +26,8 @@ pub enum Mischief {
     Waits,
     /// Complains about a text file, while planning.
     Complains,
+    /// Misses a file, while planning.
+    Misses,
 }
 
 #[derive(Serialize, Deserialize, JsonSchema, Default)]
@@ -50,11 +52,14 @@ impl Node for Trouble {
         if matches!(self.0.mischief, Mischief::Complains) {
             return Err(NodeError::usage("the description has a mistake").problems(vec![Problem::new("line 3 is wrong")]));
         }
+        if matches!(self.0.mischief, Mischief::Misses) {
+            return Err(NodeError::files("cannot read w.onnx: there is no such file").hint("put it there"));
+        }
         Ok(vec![plane_meta(inputs)])
     }
     fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
         match self.0.mischief {
-            Mischief::None | Mischief::Complains => Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value)? }),
+            Mischief::None | Mischief::Complains | Mischief::Misses => Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value)? }),
             Mischief::Fails => Err(NodeError::failed("nothing works today").hint("try tomorrow")),
             Mischief::BadInput => Err(NodeError::input("pixel 3 is not a number")),
             Mischief::Panics => panic!("index 5 is beyond 3"),
