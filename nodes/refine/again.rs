@@ -3,6 +3,7 @@
 use super::caution::{CAUTIONS, Caution, Lost, take_care};
 use super::film::Fired;
 use super::film::STEP_NS;
+use super::trust::Measured;
 use crate::co_located::CoLocated;
 use crate::solve::pixel::choice::Settings;
 use crate::solve::pixel::map::{RowSetting, RowSolver};
@@ -13,10 +14,12 @@ use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, S
 use crate::spans::{check_one_clock, check_steps};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Between, Context, EventStream, EventsMeta, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta, handle::Band,
+    Between, Context, EventStream, EventsMeta, Extent, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
+    handle::Band,
 };
 use photocurrent_sensor::map::estimate;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
+use photocurrent_sensor::model::Model as SensorModel;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -141,6 +144,11 @@ impl Row {
         self.solver.data().events_of(x)
     }
 
+    /// Pixel x and what it measured, with some of its frame values.
+    pub fn measured<'a>(&'a self, x: usize, sensor: &'a SensorModel, extent: Extent, frames: &'a [MapFrame], threshold: f64) -> Measured<'a> {
+        Measured { sensor, extent, place: (x, self.row as usize), events: self.events_of(x), frames, threshold }
+    }
+
     /// The frame values of pixel x.
     pub fn frames_of(&self, x: usize) -> &[MapFrame] {
         self.solver.data().frames_of(x)
@@ -164,9 +172,9 @@ impl Again {
         Arc::new(Fired::new(self.rows.iter().flat_map(|row| (0..width).map(move |x| times(row, x)))))
     }
 
-    /// DN per photocurrent and second, and DN of darkness.
-    pub fn scale(&self) -> (f64, f64) {
-        self.model.frame_scale()
+    /// The sensor as the solver sees it.
+    pub fn sensor(&self) -> SensorModel {
+        self.model.sensor()
     }
 
     /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best foretell frames that were kept back

@@ -27,13 +27,11 @@ pub(super) struct Flow {
     step_ns: i64,
     /// One field per instant, as [y * width + x].
     fields: Vec<Vec<[f32; 2]>>,
-    /// The affine motion of (nearly) all pixels, one per instant.
-    affine: Vec<Affine>,
 }
 
-/// An affine field of velocities, pixels per millisecond: `v_x = p0 + p1 a + p2 b`, `v_y = p3 + p4 a + p5 b`, with (a, b) the place relative to
+/// An affine field of velocities, pixels per picture: `v_x = p0 + p1 a + p2 b`, `v_y = p3 + p4 a + p5 b`, with (a, b) the place relative to
 /// the sensor's middle in half widths.
-pub(super) type Affine = [f64; 6];
+type Affine = [f64; 6];
 
 impl Flow {
     /// Of a film.
@@ -42,28 +40,17 @@ impl Flow {
         let fine = film.smoothed(0.7);
         let bins = film.pictures.len().div_ceil(STRIDE);
         let per_ms = 1e6 / film.step_ns as f64;
-        let (fields, affine) = (0..bins)
+        let fields = (0..bins)
             .into_par_iter()
-            .map(|bin| {
-                let (field, affine) = estimate(&coarse, &fine, bin * STRIDE);
-                let field: Vec<[f32; 2]> = field.iter().map(|v| [(v[0] * per_ms) as f32, (v[1] * per_ms) as f32]).collect();
-                (field, affine.map(|p| p * per_ms))
-            })
-            .unzip();
-        Flow { width: film.width, height: film.height, start_ns: film.start_ns, step_ns: film.step_ns * STRIDE as i64, fields, affine }
+            .map(|bin| estimate(&coarse, &fine, bin * STRIDE).iter().map(|v| [(v[0] * per_ms) as f32, (v[1] * per_ms) as f32]).collect())
+            .collect();
+        Flow { width: film.width, height: film.height, start_ns: film.start_ns, step_ns: film.step_ns * STRIDE as i64, fields }
     }
 
     /// The same velocity everywhere and always, pixels per millisecond.
     #[cfg(test)]
     pub fn steady(width: usize, height: usize, velocity: [f32; 2]) -> Flow {
-        Flow {
-            width,
-            height,
-            start_ns: 0,
-            step_ns: 1,
-            fields: vec![vec![velocity; width * height]],
-            affine: vec![[f64::from(velocity[0]), 0.0, 0.0, f64::from(velocity[1]), 0.0, 0.0]],
-        }
+        Flow { width, height, start_ns: 0, step_ns: 1, fields: vec![vec![velocity; width * height]] }
     }
 
     /// The fields before and after an instant, and the share of the later one.
@@ -72,12 +59,6 @@ impl Flow {
         let bin = ((t_ns - self.start_ns) as f64 / self.step_ns as f64).clamp(0.0, last as f64);
         let before = usize::min(bin as usize, last);
         (before, usize::min(before + 1, last), bin - before as f64)
-    }
-
-    /// The affine motion of (nearly) all pixels at an instant.
-    pub fn affine_at(&self, t_ns: i64) -> Affine {
-        let (before, after, share) = self.around(t_ns);
-        std::array::from_fn(|k| (1.0 - share) * self.affine[before][k] + share * self.affine[after][k])
     }
 
     /// The velocity at a place and an instant; beyond the borders as at them.
@@ -149,8 +130,8 @@ impl Pairs<'_> {
     }
 }
 
-/// The field and the affine motion at picture `middle`, pixels per picture.
-fn estimate(coarse: &Film, fine: &Film, middle: usize) -> (Vec<[f64; 2]>, Affine) {
+/// The field at picture `middle`, pixels per picture.
+fn estimate(coarse: &Film, fine: &Film, middle: usize) -> Vec<[f64; 2]> {
     let (width, height) = (coarse.width, coarse.height);
     let middle = middle.clamp(1, usize::max(coarse.pictures.len().saturating_sub(2), 1));
     let pairs = |film, distances| Pairs { film, middle, beside: &[-2, 0, 2], distances };
@@ -166,7 +147,7 @@ fn estimate(coarse: &Film, fine: &Film, middle: usize) -> (Vec<[f64; 2]>, Affine
     local(&pairs(coarse, &[1]), &mut field, 6.0, 3);
     local(&pairs(fine, &[1, 2]), &mut field, 5.0, 3);
     local(&pairs(fine, &[2, 4]), &mut field, 4.0, 3);
-    (field, affine)
+    field
 }
 
 fn velocity_of(p: &Affine, width: usize, height: usize, x: usize, y: usize) -> [f64; 2] {

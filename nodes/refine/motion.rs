@@ -61,7 +61,7 @@ impl Node for RefineMotion {
     const DECL: Decl = Decl {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the motion.",
-        revision: 10,
+        revision: 11,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -99,13 +99,14 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let mut tracks = input.tracks.read(cx.rows())?;
         let mut again = self.solver.take_in(meta, &input.events, &input.frames, &input.sensor, cx)?;
         let fired = again.fired();
-        let (extent, span) = (again.meta.extent, again.meta.span);
+        let (extent, span, sensor) = (again.meta.extent, again.meta.span, again.sensor());
         let step_ns = 2 * self.params.knot_spacing.ns();
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, &tracks, &fired);
             let flow = Flow::new(&Film::new(&log, (span.start.0, span.end.0)));
             tracks = again.solve(cx, round == self.params.rounds, |row, x, threshold, hints| {
-                advect::hints(&log, &flow, row, x, step_ns, threshold, hints);
+                let measured = row.measured(x, &sensor, extent, row.frames_of(x), threshold);
+                advect::hints(&log, &flow, (row.span(), step_ns), &measured, hints);
             })?;
         }
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(again.meta), tracks) })

@@ -1,10 +1,15 @@
 //! How far a foretold light may be believed, and the hints that are left of it.
 //!
-//! Whoever foretells a pixel's light (its neighbours along the motion, a picture that moves) is measured twice: by how much two sources
-//! contradict each other, and by how much they contradict the pixel's own events and frames. Both can only widen the error.
+//! Whoever foretells a pixel's light (its neighbours along the motion, a picture that moves) knows nothing of the pixel's own events. So they are the judge of what lies between frames: seen
+//! through the sensor, the foretold light must bring the voltage to a threshold when they fired, and to no frame value another one than the pixel's own. What it misses them by is its error there, and
+//! so is what two sources contradict each other by. All of it can only widen the error.
 
 use super::film::LogTracks;
+use photocurrent_core::Extent;
+use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
+use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
+use photocurrent_sensor::model::Model;
 
 /// No hint is better than this, natural-log units.
 pub(super) const FLOOR: f64 = 0.01;
@@ -18,13 +23,13 @@ const WIDE_MS: f64 = 15.0;
 const FRAME_WEIGHT: f64 = 3.0;
 /// One source alone can contradict nobody: its variance counts so many times.
 const ONE_SIDED: f64 = 4.0;
-
-/// Nothing is said any more where contradictions reach one in so many squared thresholds: by itself a pixel knows its light to a threshold or so, and at
-/// one, chance hits of pixels that have nothing to do with each other still cost 0.2 dB.
-const BEYOND_TRUST: f64 = 2.0;
-
+/// Nothing is said any more where contradictions reach one in so many squared thresholds: by itself a pixel knows its light to a part of a threshold, and at
+/// two, chance hits of pixels that have nothing to do with each other still cost 0.13 dB.
+const BEYOND_TRUST: f64 = 4.0;
 /// What is foretold may be late by so much, ms: steep edges err in their place, not in their height.
 const LATE_MS: f64 = 0.05;
+/// The sensor sees the foretold light in steps of at most this, ns.
+const SEEN_NS: i64 = 100_000;
 
 /// What is foretold for one instant.
 #[derive(Clone, Copy, Debug)]
@@ -35,60 +40,68 @@ pub(super) struct Said {
     pub contradiction: Option<f64>,
 }
 
-/// What a pixel's events know of its light, to judge hints by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Known {
-    /// Its level at each event: careful, for the pixel itself may be wrong there.
-    Level,
-    /// How far it moved from each event to the next: that is a threshold, whatever the level.
-    Change,
+/// A pixel and what it measured.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Measured<'a> {
+    /// The sensor.
+    pub sensor: &'a Model,
+    pub extent: Extent,
+    pub place: (usize, usize),
+    pub events: &'a [MapEvent],
+    pub frames: &'a [MapFrame],
+    /// How exactly the pixel knows its light by itself, natural-log units.
+    pub threshold: f64,
 }
 
 /// Collects hints.
+#[derive(Default)]
 pub(super) struct Trust {
-    known: Known,
     said: Vec<Said>,
     /// The variance that each of them would have by itself: the floor, and what a small error of its place brings where light changes fast.
     expected: Vec<f64>,
     /// Instants, squared contradictions in terms of what was expected, weights.
     own: Vec<(i64, f64, f64)>,
+    /// The foretold light.
+    t_ns: Vec<i64>,
+    log: Vec<f64>,
+    /// What the sensor makes of it.
+    seen: Conditional,
 }
 
 impl Trust {
-    pub fn new(known: Known) -> Trust {
-        Trust { known, said: Vec::new(), expected: Vec::new(), own: Vec::new() }
-    }
-
-    /// The hints of a pixel every `step_ns` of `span`, in order of time, out of what `say` foretells; none where it has nothing to say, or the
-    /// pixel disagrees.
-    ///
-    /// `threshold` is how exactly the pixel knows its light by itself, natural-log units.
-    #[expect(clippy::too_many_arguments, reason = "a pixel and all that surrounds it")]
+    /// The hints of a pixel every `step_ns` of `span`, in order of time, out of what `say` foretells; none where it has nothing to say, or the pixel's measurements disagree.
+    /// Where nothing is said the pixel's own `tracks` stand.
     pub fn hints(
         &mut self,
         say: impl Fn(i64) -> Option<Said>,
         tracks: &LogTracks,
-        (x, y): (usize, usize),
         (span, step_ns): ((i64, i64), i64),
-        events: &[MapEvent],
-        frames: &[MapFrame],
-        threshold: f64,
+        measured: &Measured<'_>,
         hints: &mut Vec<Hint>,
     ) {
         hints.clear();
         self.said.clear();
-        if events.is_empty() {
+        self.t_ns.clear();
+        self.log.clear();
+        if measured.events.is_empty() {
             return;
         }
+        let (x, y) = measured.place;
         let mut t_ns = span.0 + step_ns / 2;
         while t_ns < span.1 {
-            if let Some(said) = say(t_ns) {
-                self.said.push(said);
+            let said = say(t_ns);
+            self.said.extend(said);
+            if let Some(log) = said.map(|said| said.log).or_else(|| tracks.at(x, y, t_ns)) {
+                self.t_ns.push(t_ns);
+                self.log.push(log);
             }
             t_ns += step_ns;
         }
+        if self.said.is_empty() || self.t_ns.len() < 2 {
+            return;
+        }
         self.expect(step_ns);
-        self.judge(tracks, (x, y), step_ns, events, frames);
+        self.judge(step_ns, measured);
         for (said, expected) in self.said.iter().zip(&self.expected) {
             let pooled = |list: &mut dyn Iterator<Item = (i64, f64, f64)>, start: f64, over_ms: f64| {
                 let mut sum = (start, start);
@@ -103,7 +116,7 @@ impl Trust {
             let contradiction = FLOOR * FLOOR * contradiction;
             let own = expected * pooled(&mut self.own.iter().copied(), 0.1, POOLED_MS);
             let wide = expected * pooled(&mut self.own.iter().copied(), 0.1, WIDE_MS);
-            let trust = 1.0 - BEYOND_TRUST * f64::max(own, wide) / (threshold * threshold);
+            let trust = 1.0 - BEYOND_TRUST * f64::max(own, wide) / (measured.threshold * measured.threshold);
             if trust <= 0.0 {
                 continue;
             }
@@ -115,54 +128,53 @@ impl Trust {
 
     /// What each hint may err by.
     fn expect(&mut self, step_ns: i64) {
-        let Trust { known, said, expected, .. } = self;
-        let late_ms = if *known == Known::Change { LATE_MS } else { 0.0 };
+        let Trust { said, expected, .. } = self;
         let variance = |k: usize| {
             let (before, after) = (&said[k.saturating_sub(1)], &said[usize::min(k + 1, said.len() - 1)]);
             let apart_ns = after.t_ns - before.t_ns;
             let slope = if apart_ns > 0 && apart_ns <= 2 * step_ns { (after.log - before.log) / (apart_ns as f64 * 1e-6) } else { 0.0 };
-            let off = slope * late_ms;
+            let off = slope * LATE_MS;
             FLOOR * FLOOR + off * off
         };
         expected.clear();
         expected.extend((0..said.len()).map(variance));
     }
 
-    /// Squared contradictions to the pixel itself, where it knows its light: at its events, and over exposures.
-    fn judge(&mut self, tracks: &LogTracks, (x, y): (usize, usize), step_ns: i64, events: &[MapEvent], frames: &[MapFrame]) {
-        let Trust { known, said, expected, own } = self;
+    /// What the pixel's own events and frames miss the foretold light by, seen through the sensor.
+    fn judge(&mut self, step_ns: i64, measured: &Measured<'_>) {
+        let Trust { said, expected, own, t_ns, log, seen } = self;
+        let Measured { sensor, extent, place: (x, y), events, frames, .. } = *measured;
         own.clear();
-        let difference = |s: &Said| tracks.at(x, y, s.t_ns).map_or(0.0, |own| s.log - own);
-        let mut k = 0;
-        let mut last: Option<(i64, f64, f64)> = None;
-        for event in events {
-            while k + 1 < said.len() && said[k + 1].t_ns <= event.t_in_ns {
-                k += 1;
+        let track = Track::new(t_ns, log, SEEN_NS);
+        let site = Site { x: x as u32, y: y as u32, width: extent.width, height: extent.height, seed: 0 };
+        conditional(sensor, &[], &Look { site, track: &track, seen: None, events, frames }, seen);
+        let near = |t_ns: i64| {
+            let after = said.partition_point(|said| said.t_ns < t_ns);
+            let at = [after.checked_sub(1), Some(after)].into_iter().flatten().filter(|k| *k < said.len()).min_by_key(|k| (said[*k].t_ns - t_ns).abs());
+            at.filter(|k| (said[*k].t_ns - t_ns).abs() <= step_ns).map(|k| expected[k])
+        };
+        // Thresholds jump from event to event, as far as that is stated.
+        let noise = sensor.threshold_noise * sensor.threshold_noise;
+        let mut last: Option<(i64, f64)> = None;
+        for (k, event) in events.iter().enumerate() {
+            let here = near(event.t_in_ns).map(|expected| (event.t_in_ns, expected));
+            // From the event before, when the reference was taken, to this one.
+            if let (Some((before_ns, before)), Some((t_ns, expected))) = (last, here)
+                && seen.is_armed[k]
+                && seen.excess[k].is_finite()
+            {
+                let square = f64::max(seen.excess[k] * seen.excess[k] - noise, 0.0);
+                own.push((i64::midpoint(before_ns, t_ns), square / (before + expected), 1.0));
             }
-            let Some(at) = (k..usize::min(k + 2, said.len())).min_by_key(|&k| (said[k].t_ns - event.t_in_ns).abs()) else { continue };
-            let near = &said[at];
-            if (near.t_ns - event.t_in_ns).abs() <= step_ns {
-                let d = difference(near);
-                match (*known, last) {
-                    (Known::Level, _) => own.push((event.t_in_ns, d * d / expected[at], 1.0)),
-                    (Known::Change, Some((before_ns, before, variance))) => {
-                        let change: f64 = d - before;
-                        own.push(((event.t_in_ns + before_ns) / 2, change * change / (variance + expected[at]), 1.0));
-                    }
-                    (Known::Change, None) => {}
-                }
-                last = Some((event.t_in_ns, d, expected[at]));
-            } else {
-                last = None;
-            }
+            last = here;
         }
-        for frame in frames.iter().filter(|frame| !frame.saturated) {
-            let inside = said.iter().filter(|s| s.t_ns >= frame.start_ns && s.t_ns < frame.end_ns);
-            let sum = inside.fold((0.0, 0.0), |(sum, n), s| (sum + difference(s), n + 1.0));
-            if sum.1 > 0.0 {
-                let d = sum.0 / sum.1;
-                // An edge that is a little late changes little over an exposure: a frame allows for the floor alone.
-                own.push(((frame.start_ns + frame.end_ns) / 2, d * d / (FLOOR * FLOOR), FRAME_WEIGHT));
+        for (frame, dn) in frames.iter().zip(&seen.dn).filter(|(frame, _)| !frame.saturated) {
+            let is_said = said.iter().any(|s| (frame.start_ns..frame.end_ns).contains(&s.t_ns));
+            let (there, foretold) = (frame.dn - sensor.number.black_level, dn - sensor.number.black_level);
+            if is_said && there > frame.sigma_dn && foretold > 0.0 {
+                let (off, noise) = (libm::log(foretold / there), frame.sigma_dn / there);
+                // An edge that is a little late changes little over an exposure: a frame allows for the floor alone, and for its noise.
+                own.push((i64::midpoint(frame.start_ns, frame.end_ns), f64::max(off * off - noise * noise, 0.0) / (FLOOR * FLOOR), FRAME_WEIGHT));
             }
         }
     }
@@ -172,52 +184,82 @@ impl Trust {
 mod tests {
     use super::*;
     use crate::refine::film::Fired;
-    use photocurrent_core::{Extent, TrackBand};
+    use photocurrent_core::{Exposure, Sensor, TrackBand};
+    use photocurrent_sensor::forward::LinearLight;
     use std::sync::Arc;
 
     const EXTENT: Extent = Extent { width: 1, height: 1 };
+    const GAIN: f64 = 1000.0;
 
     /// Dark and bright by turns, 6 ms each; from one to the other in half a millisecond.
     fn squares(ms: f64) -> f64 {
         let place = (ms / 12.0).fract();
         let up = (place * 24.0).clamp(0.0, 1.0);
         let down = ((place - 0.5) * 24.0).clamp(0.0, 1.0);
-        2.0 * (up - down)
+        4.0 + 2.0 * (up - down)
     }
 
-    /// Of a pixel that sees these squares, when they are foretold late and too bright.
+    /// Of a pixel that sees these squares with thresholds of 0.4, when they are foretold late and too bright.
     fn hints(late_ms: f64, brighter: f64) -> Vec<Hint> {
+        let mut sensor = Sensor::unknown("test");
+        sensor.comparator.threshold_on = Some(0.4);
+        sensor.comparator.threshold_off = Some(0.4);
+        sensor.frames.gain = Some(GAIN);
+        let sensor = Model::of(&sensor);
+        let light: Vec<(i64, f64)> = (0..=4800).map(|n| (n * 10_000, libm::exp(squares(n as f64 * 0.01)))).collect();
         let mut band = TrackBand::begin(0, 1);
-        let knots: Vec<(i64, f32)> = (0..=480).map(|n| (n * 100_000, libm::exp(squares(n as f64 * 0.1)) as f32)).collect();
-        band.push(knots.iter().copied());
+        band.push(light.iter().map(|(t, i)| (*t, *i as f32)));
         let tracks = LogTracks::new(EXTENT, &band, &Arc::new(Fired::new(std::iter::empty())));
-        let edges = (0..8).flat_map(|edge| [0.1, 0.2, 0.3, 0.4].map(|ms| ((6.0 * f64::from(edge) + ms) * 1e6) as i64));
-        let event = |t_in_ns: i64| MapEvent { t_in_ns, t_off_ns: t_in_ns + 1_000, polarity: 1, is_lone: false };
+        // Each edge is 2 high: a crossing of 0.4 every tenth of a millisecond.
+        let edges = (0..8).flat_map(|edge| [0.1, 0.2, 0.3, 0.4].map(|ms| (((6.0 * f64::from(edge) + ms) * 1e6) as i64, if edge % 2 == 0 { 1 } else { -1 })));
+        let event = |(t_in_ns, polarity): (i64, i8)| MapEvent { t_in_ns, t_off_ns: t_in_ns + 1_000, polarity, is_lone: false };
         let events: Vec<MapEvent> = edges.map(event).collect();
-        let frames: Vec<MapFrame> =
-            (0..5).map(|l| MapFrame { start_ns: l * 9_000_000, end_ns: l * 9_000_000 + 6_000_000, dn: 100.0, sigma_dn: 1.0, saturated: false }).collect();
+        let (t, i): (Vec<i64>, Vec<f64>) = light.into_iter().unzip();
+        let light = LinearLight::new(&t, &i);
+        let frame = |l: i64| {
+            let exposure = Exposure::new(l * 9_000_000, l * 9_000_000 + 6_000_000);
+            MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn: GAIN * light.integral(exposure), sigma_dn: 1.0, saturated: false }
+        };
+        let frames: Vec<MapFrame> = (0..5).map(frame).collect();
         let say = |t_ns: i64| Some(Said { t_ns, log: squares(t_ns as f64 * 1e-6 - late_ms + 12.0) + brighter, contradiction: Some(0.0) });
+        let measured = Measured { sensor: &sensor, extent: EXTENT, place: (0, 0), events: &events, frames: &frames, threshold: 0.4 };
         let mut hints = Vec::new();
-        Trust::new(Known::Change).hints(say, &tracks, (0, 0), ((0, 48_000_000), 250_000), &events, &frames, 0.2, &mut hints);
+        Trust::default().hints(say, &tracks, ((0, 48_000_000), 100_000), &measured, &mut hints);
         hints
     }
 
     #[test]
     fn edges_that_come_a_little_late_leave_what_lies_between_them_trusted() {
-        let hints = hints(0.04, 0.0);
+        let hints = hints(0.03, 0.0);
         let between = |hint: &&Hint| (2.0..5.0).contains(&(hint.t_ns as f64 * 1e-6 % 6.0));
         let (flat, steep): (Vec<&Hint>, Vec<&Hint>) = hints.iter().partition(between);
-        // Four edges of eight bound at least eighteen milliseconds of rest, asked four times a millisecond.
-        assert!(flat.len() > 72, "{}", flat.len());
+        // Four edges of eight bound at least eighteen milliseconds of rest, asked ten times a millisecond.
+        assert!(flat.len() > 180, "{}", flat.len());
         let worst = flat.iter().map(|hint| hint.variance).fold(0.0, f64::max);
         assert!(worst < 0.1 * 0.1, "{worst}");
-        // Where they are steep they are off by up to 0.16.
-        assert!(steep.iter().all(|hint| (hint.log_photocurrent - squares(hint.t_ns as f64 * 1e-6)).abs() < 1e-6 || hint.variance > 2.0 * FLOOR * FLOOR));
+        // Where they are steep they are off by up to 0.12.
+        let is_doubted = |hint: &&&Hint| (hint.log_photocurrent - squares(hint.t_ns as f64 * 1e-6)).abs() < 1e-6 || hint.variance > 2.0 * FLOOR * FLOOR;
+        assert_eq!(steep.iter().filter(is_doubted).count(), steep.len());
     }
 
     #[test]
     fn what_is_too_bright_over_exposures_is_not_trusted() {
-        assert!(hints(0.0, 0.3).is_empty());
+        assert!(hints(0.0, 0.9).is_empty());
         assert!(!hints(0.0, 0.0).is_empty());
+    }
+
+    #[test]
+    fn events_between_frames_judge_what_frames_cannot_see() {
+        // Half a millisecond early or late: exposures collect nearly the same, but events do not fire in time.
+        let (right, late) = (hints(0.0, 0.0), hints(0.5, 0.0));
+        let usual = |hints: &[Hint]| hints.iter().map(|hint| libm::sqrt(hint.variance)).sum::<f64>() / hints.len().max(1) as f64;
+        assert!(
+            late.len() < right.len() / 2 || usual(&late) > 3.0 * usual(&right),
+            "{} of {}: {} and {}",
+            late.len(),
+            right.len(),
+            usual(&late),
+            usual(&right)
+        );
     }
 }

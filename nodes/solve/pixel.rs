@@ -137,9 +137,9 @@ pub(crate) struct Model {
 }
 
 impl Model {
-    /// DN per photocurrent and second, and DN of darkness.
-    pub(crate) fn frame_scale(&self) -> (f64, f64) {
-        (self.sensor.number.gain, self.sensor.number.black_level)
+    /// The sensor, with the front end that is chosen.
+    pub(crate) fn sensor(&self) -> SensorModel {
+        self.sensor.clone()
     }
 
     /// The smaller threshold, natural-log units.
@@ -294,7 +294,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 14,
+        revision: 15,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

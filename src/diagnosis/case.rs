@@ -216,12 +216,22 @@ impl Case {
             instants.partition_point(|t| *t < end) - instants.partition_point(|t| *t < begin)
         };
         let from = (0..=all - count).max_by_key(|&from| (number(from), usize::MAX - from))?;
-        let span = span(from);
-        let chosen: Vec<usize> = (from..from + count).collect();
+        Some(self.part(from..from + count))
+    }
+
+    /// Some of its frames, with the events from the first one's begin to the last one's end.
+    ///
+    /// # Panics
+    /// Without these frames.
+    pub fn part(&self, of: Range<usize>) -> Case {
+        let frames = self.frames.as_ref().expect("frames are there");
+        let pixels = self.extent.pixels();
+        let span = (frames.times.exposure(of.start, 0).start.0, frames.times.exposure(of.end - 1, self.extent.height - 1).end.0);
+        let chosen: Vec<usize> = of.clone().collect();
         let within = |event: &&Recorded| (span.0..span.1).contains(&event.t_in_ns) && event.t_off_ns < span.1;
         let events = PixelEvents::new((0..pixels).map(|pixel| self.events.of(pixel).iter().filter(within).copied().collect()));
-        let frames = CaseFrames { times: frames.times.select(&chosen), dn: frames.dn[from * pixels..(from + count) * pixels].to_vec() };
-        Some(Case { span, events, frames: Some(frames), sensor: self.sensor.clone(), ..*self })
+        let frames = CaseFrames { times: frames.times.select(&chosen), dn: frames.dn[of.start * pixels..of.end * pixels].to_vec() };
+        Case { span, events, frames: Some(frames), sensor: self.sensor.clone(), ..*self }
     }
 
     /// Column and row of a pixel.

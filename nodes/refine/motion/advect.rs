@@ -4,10 +4,9 @@
 //! is read off where the path crosses the next [`LINES`] lines of pixels, backward and forward, never at the pixel itself and never more than
 //! [`LONGEST_MS`] away. How far that may be believed is for [`Trust`] to say: past and future must not contradict each other.
 
-use crate::refine::again::Row;
 use crate::refine::film::LogTracks;
 use crate::refine::flow::Flow;
-use crate::refine::trust::{Known, Said, Trust};
+use crate::refine::trust::{Measured, Said, Trust};
 use photocurrent_sensor::map::Hint;
 
 /// Pixel lines that are looked at on either side.
@@ -21,11 +20,11 @@ const FRESH_MS: f64 = 1.5;
 /// And never less than one part in so many and one.
 const STALEST: f64 = 15.0;
 
-/// The hints that its neighbours give a pixel every `step_ns`; `threshold` as in [`Trust::hints`].
-pub(in crate::refine) fn hints(tracks: &LogTracks, flow: &Flow, row: &Row, x: usize, step_ns: i64, threshold: f64, hints: &mut Vec<Hint>) {
-    let (y, span) = (row.row as usize, row.span());
+/// The hints that its neighbours give a pixel every `step_ns` of `span`.
+pub(in crate::refine) fn hints(tracks: &LogTracks, flow: &Flow, (span, step_ns): ((i64, i64), i64), measured: &Measured<'_>, hints: &mut Vec<Hint>) {
+    let (x, y) = measured.place;
     let say = |t_ns: i64| neighbours(tracks, flow, x, y, span, t_ns);
-    Trust::new(Known::Level).hints(say, tracks, (x, y), (span, step_ns), row.events_of(x), row.frames_of(x), threshold, hints);
+    Trust::default().hints(say, tracks, (span, step_ns), measured, hints);
 }
 
 /// Log light that past and future neighbours say; `None` where nothing moves.

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::refine::film::Fired;
-use crate::refine::fixtures::{EXTENT, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
-use crate::refine::trust::{Known, Trust};
+use crate::refine::fixtures::{EXTENT, GAIN, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
+use crate::refine::trust::Measured;
 use crate::solve::pixel::Params as SolveParams;
 use crate::solve::pixel::SolvePixel;
 use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
@@ -45,8 +45,8 @@ fn the_motion_of_a_sliding_texture_is_found() {
     }
 }
 
-/// The hints of pixel (12, 8) of a texture whose tracks are its light, with that pixel's own track moved by `own`.
-fn hints(own: f64, velocity: [f32; 2]) -> Vec<Hint> {
+/// The hints of pixel (12, 8) of a texture whose tracks are its light, when that pixel's own track is moved by `own` and its frame is brighter by `brighter`, natural-log units.
+fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let mut band = TrackBand::begin(0, EXTENT.width);
     for p in 0..EXTENT.pixels() {
         let (x, y) = (p % 24, p / 24);
@@ -56,17 +56,21 @@ fn hints(own: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let fired = Fired::new((0..EXTENT.pixels()).map(|_| vec![20_000_000]));
     let tracks = LogTracks::new(EXTENT, &band, &Arc::new(fired));
     let event = photocurrent_sensor::map::MapEvent { t_in_ns: 20_000_000, t_off_ns: 20_001_000, polarity: 1, is_lone: false };
-    let frame = MapFrame { start_ns: 18_000_000, end_ns: 22_000_000, dn: 500.0, sigma_dn: 2.0, saturated: false };
+    // The mean light of an exposure of 4 ms.
+    let light: f64 = (0..400).map(|n| libm::exp(texture(12, 8, 18.0 + 0.01 * (n as f64 + 0.5)))).sum::<f64>() / 400.0;
+    let dn = GAIN * 4e-3 * light * libm::exp(brighter);
+    let frame = MapFrame { start_ns: 18_000_000, end_ns: 22_000_000, dn, sigma_dn: 0.01, saturated: false };
     let (span, flow) = ((0, 39_900_000), Flow::steady(24, 16, velocity));
-    let say = |t_ns: i64| advect::neighbours(&tracks, &flow, 12, 8, span, t_ns);
+    let model = photocurrent_sensor::model::Model::of(&sensor());
+    let measured = Measured { sensor: &model, extent: EXTENT, place: (12, 8), events: &[event], frames: &[frame], threshold: 0.25 };
     let mut hints = Vec::new();
-    Trust::new(Known::Level).hints(say, &tracks, (12, 8), (span, 500_000), &[event], &[frame], 0.25, &mut hints);
+    advect::hints(&tracks, &flow, (span, 500_000), &measured, &mut hints);
     hints
 }
 
 #[test]
 fn neighbours_along_the_motion_foretell_a_pixel() {
-    let hints = hints(0.0, [0.7, 0.2]);
+    let hints = hints(0.0, 0.0, [0.7, 0.2]);
     assert!(hints.len() > 70);
     for hint in hints {
         let off = hint.log_photocurrent - texture(12, 8, hint.t_ns as f64 * 1e-6);
@@ -77,21 +81,21 @@ fn neighbours_along_the_motion_foretell_a_pixel() {
 
 #[test]
 fn a_pixel_never_hints_itself_but_judges_its_hints() {
-    let (plain, moved) = (hints(0.0, [0.7, 0.2]), hints(0.1, [0.7, 0.2]));
-    assert_eq!(plain.len(), moved.len());
-    for (plain, moved) in plain.iter().zip(&moved) {
-        assert_eq!((plain.t_ns, plain.log_photocurrent), (moved.t_ns, moved.log_photocurrent));
-        assert!(moved.variance > plain.variance);
-    }
-    // Hints that miss by four thresholds where the pixel knows its light, over its exposure, are none.
-    assert!(hints(1.0, [0.7, 0.2]).is_empty());
+    let said = |hints: &[Hint]| hints.iter().map(|hint| (hint.t_ns, hint.log_photocurrent)).collect::<Vec<_>>();
+    let plain = hints(0.0, 0.0, [0.7, 0.2]);
+    assert_eq!(said(&plain), said(&hints(0.1, 0.0, [0.7, 0.2])));
+    let moved = hints(0.0, 0.05, [0.7, 0.2]);
+    assert_eq!(said(&plain), said(&moved));
+    assert!(plain.iter().zip(&moved).all(|(plain, moved)| moved.variance > plain.variance));
+    // Hints that miss its frame by four thresholds are none.
+    assert!(hints(0.0, 1.0, [0.7, 0.2]).is_empty());
 }
 
 #[test]
 fn without_motion_there_are_no_hints() {
-    assert!(hints(0.0, [0.0, 0.0]).is_empty());
+    assert!(hints(0.0, 0.0, [0.0, 0.0]).is_empty());
     // Slower than a pixel in the longest time.
-    assert!(hints(0.0, [0.05, 0.05]).is_empty());
+    assert!(hints(0.0, 0.0, [0.05, 0.05]).is_empty());
 }
 
 #[test]

@@ -115,7 +115,7 @@ fn a_description_that_states_its_effects_gives_better_light_and_better_frames() 
         let is_of_frames = actual.effects.keys().any(|id| ["exposure_time", "image_lag", "vignetting", "frame_nonlinearity"].contains(&id.as_str()));
         // A gain that all frames share is in the light and in the foretold frames alike: those cannot tell.
         let is_foretold = after.1 < before.1 || (is_of_frames && after.1 < 1.1 * clean.1 + 0.5);
-        if !(after.0 < 0.52 * before.0 && is_foretold) {
+        if !(after.0 < 0.55 * before.0 && is_foretold) {
             failed.push(format!("{effects}: clean {clean:.3?}, nominal {before:.3?}, fitted {after:.3?}"));
         }
     }

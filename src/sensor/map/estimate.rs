@@ -10,7 +10,7 @@ use super::segment::collected_between;
 use super::{Evidence, Local, LoneEvents, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapTask, Noise, Prior};
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
-pub const EVENT_NOISES: [f64; 3] = [0.32, 0.16, 0.08];
+pub const EVENT_NOISES: [f64; 5] = [0.32, 0.16, 0.08, 0.04, 0.02];
 /// Spreads of thresholds over the pixels that are tried, as parts of a threshold, beside none.
 pub const THRESHOLD_SPREADS: [f64; 2] = [0.07, 0.15];
 /// With fewer events than this in all pixels together nothing is estimated.

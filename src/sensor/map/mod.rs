@@ -211,11 +211,56 @@ pub struct MapOptions {
     pub tolerance: f64,
     /// Compute standard deviations?
     pub with_sigma: bool,
+    /// When a pixel is solved from a second start; none = never.
+    pub second: Option<SecondStart>,
+}
+
+/// A second start, for pixels whose first answer does not explain what was measured.
+///
+/// In the dark the front end is slow, and what the voltage does is explained as well by light that falls slowly as by light that fell at once; from the double integral the iteration finds
+/// the first and then cannot leave it. Events that are hardly believed let frames lead to the other; from there events are believed again.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SecondStart {
+    /// Standard deviation of an event on the way to it, as a part of its threshold.
+    pub event: f64,
+    /// Most steps on the way to it, and most from there.
+    pub steps: usize,
+    /// It is tried where squared misfits are above this, per event and frame value.
+    pub least_misfit: f64,
+    /// And below this: beyond, events and frames contradict each other, and no start helps.
+    pub most_misfit: f64,
+    /// And taken where they become smaller by this factor.
+    pub better: f64,
+}
+
+impl SecondStart {
+    /// Suits most recordings.
+    pub const USUAL: SecondStart = SecondStart { event: 0.3, steps: 8, least_misfit: 0.1, most_misfit: 30.0, better: 0.8 };
+
+    /// The problem and the options on the way to it, and from there.
+    fn stages<'a>(&self, problem: &MapProblem<'a>, options: &MapOptions) -> [(MapProblem<'a>, MapOptions); 2] {
+        let noise = Noise { event: f64::max(problem.noise.event, self.event), ..problem.noise };
+        let options = MapOptions { max_iterations: self.steps, ..*options };
+        [(MapProblem { noise, ..*problem }, options), (*problem, options)]
+    }
+
+    /// Is it worth a try for a pixel whose answer misses by `misfit`, the sum of squares?
+    fn is_worth_a_try(&self, problem: &MapProblem<'_>, status: MapStatus, misfit: f64) -> bool {
+        let measured = (problem.events.len() + problem.frames.len()) as f64;
+        let is_amiss = misfit > self.least_misfit * measured && misfit < self.most_misfit * measured;
+        // With a front end that is as fast in the dark there is one answer.
+        problem.sensor.front_end.alpha_s > 0.0 && (status == MapStatus::Failed || is_amiss)
+    }
+
+    /// Is the second answer, as (status, misfit), better than the first?
+    fn is_better(&self, first: (MapStatus, f64), second: (MapStatus, f64)) -> bool {
+        second.0 != MapStatus::Failed && (first.0 == MapStatus::Failed || second.1 < self.better * first.1)
+    }
 }
 
 impl Default for MapOptions {
     fn default() -> MapOptions {
-        MapOptions { prior: Prior::default(), spacing_ns: 250_000, max_iterations: 5, tolerance: 2e-3, with_sigma: false }
+        MapOptions { prior: Prior::default(), spacing_ns: 250_000, max_iterations: 5, tolerance: 2e-3, with_sigma: false, second: Some(SecondStart::USUAL) }
     }
 }
 
@@ -292,12 +337,65 @@ enum Evidence {
 
 /// Solves one pixel.
 fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evidence, workspace: &'w mut MapWorkspace) -> MapSolution<'w> {
-    let MapWorkspace { knots, segments, chain, trial_chain, smoother, start, u, trial } = workspace;
-    knots.lay(problem, options.spacing_ns);
-    segments.lay(&knots.t_ns, &options.prior);
-    start.fill(problem, knots, u);
-    let first = u[0];
-    let mut offsets = Offsets::default();
+    workspace.knots.lay(problem, options.spacing_ns);
+    workspace.segments.lay(&workspace.knots.t_ns, &options.prior);
+    workspace.start.fill(problem, &workspace.knots, &mut workspace.u);
+    let first = workspace.u[0];
+    let mut found = descend(problem, options, first, Offsets::default(), workspace);
+    if let Some(second) = options.second.filter(|second| second.is_worth_a_try(problem, found.status, found.misfit)) {
+        let plain = workspace.u.clone();
+        workspace.start.fill(problem, &workspace.knots, &mut workspace.u);
+        let mut again = Found::default();
+        for (problem, options) in &second.stages(problem, options) {
+            again = descend(problem, options, first, again.offsets, workspace);
+        }
+        if second.is_better((found.status, found.misfit), (again.status, again.misfit)) {
+            found = Found { iterations: found.iterations + again.iterations, ..again };
+        } else {
+            workspace.u.clone_from(&plain);
+            workspace.chain.run(problem, &workspace.knots, &workspace.segments, &workspace.u, &found.offsets);
+        }
+    }
+    let MapWorkspace { knots, segments, chain, smoother, start, u, .. } = workspace;
+    let Found { mut status, iterations, mut offsets, silence_sigma, .. } = found;
+    if status == MapStatus::Failed || has_run_away(problem, u) {
+        status = MapStatus::Failed;
+        start.fill(problem, knots, u);
+        offsets = Offsets::default();
+        chain.run(problem, knots, segments, u, &offsets);
+    }
+    let want = if options.with_sigma { Want::Variance } else { Want::Evidence };
+    if evidence == Evidence::Wanted || options.with_sigma {
+        segments.adapt(u, &options.prior);
+        segments.cost(u);
+        smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, silence_sigma, 0.0, want));
+    }
+    let variance: &[f64] = if options.with_sigma { &smoother.variance } else { &[] };
+    let log_evidence = if evidence == Evidence::Wanted { smoother.log_evidence } else { 0.0 };
+    let (misfit, largest_square) = if evidence == Evidence::Wanted { chain.misfit() } else { Default::default() };
+    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence, misfit, largest_square }
+}
+
+/// Where an iteration has come to.
+#[derive(Clone, Copy, Debug)]
+struct Found {
+    offsets: Offsets,
+    status: MapStatus,
+    iterations: usize,
+    silence_sigma: f64,
+    /// Sum of the squares of misfits and of broken silence.
+    misfit: f64,
+}
+
+impl Default for Found {
+    fn default() -> Found {
+        Found { offsets: Offsets::default(), status: MapStatus::Unfinished, iterations: 0, silence_sigma: 0.0, misfit: f64::INFINITY }
+    }
+}
+
+/// Iterates from the light that stands in the workspace.
+fn descend(problem: &MapProblem<'_>, options: &MapOptions, first: f64, mut offsets: Offsets, workspace: &mut MapWorkspace) -> Found {
+    let MapWorkspace { knots, segments, chain, trial_chain, smoother, u, trial, .. } = workspace;
     let mut damping = 0.0;
     let mut status = MapStatus::Unfinished;
     let mut iterations = 0;
@@ -355,22 +453,7 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
             break;
         }
     }
-    if status == MapStatus::Failed || has_run_away(problem, u) {
-        status = MapStatus::Failed;
-        start.fill(problem, knots, u);
-        offsets = Offsets::default();
-        chain.run(problem, knots, segments, u, &offsets);
-    }
-    let want = if options.with_sigma { Want::Variance } else { Want::Evidence };
-    if evidence == Evidence::Wanted || options.with_sigma {
-        segments.adapt(u, &options.prior);
-        segments.cost(u);
-        smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, silence_sigma, 0.0, want));
-    }
-    let variance: &[f64] = if options.with_sigma { &smoother.variance } else { &[] };
-    let log_evidence = if evidence == Evidence::Wanted { smoother.log_evidence } else { 0.0 };
-    let (misfit, largest_square) = if evidence == Evidence::Wanted { chain.misfit() } else { Default::default() };
-    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence, misfit, largest_square }
+    Found { offsets, status, iterations, silence_sigma, misfit: chain.cost(0.0, problem.silence_sigma) }
 }
 
 /// Posterior variance of log light at each knot, for light and offsets that were found elsewhere; `silence_sigma` as it was there.

@@ -112,9 +112,13 @@ const END_NS: i64 = 40_000_000;
 
 /// Log light between 3.4 and 4.8, with steep sides, once every 14 ms.
 pub(super) fn recorded(reset: Reset) -> Recorded {
+    recorded_of(reset, |t_ns| 4.1 + 0.7 * libm::tanh(4.0 * libm::sin(t_ns as f64 * 4.5e-7)))
+}
+
+/// The same of any log light.
+fn recorded_of(reset: Reset, log_light: impl Fn(i64) -> f64) -> Recorded {
     let t_ns: Vec<i64> = (0..=4000).map(|n| n * 10_000).collect();
-    let shape = |t: i64| libm::tanh(4.0 * libm::sin(t as f64 * 4.5e-7));
-    let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(4.1 + 0.7 * shape(t))).collect();
+    let current: Vec<f64> = t_ns.iter().map(|&t| libm::exp(log_light(t))).collect();
     let light = LinearLight::new(&t_ns, &current);
     let pixel = Pixel {
         front_end: FRONT_END,
@@ -189,6 +193,29 @@ fn steep_light_comes_back_for_both_reset_laws() {
         Start::default().fill(&problem, &knots, &mut start);
         assert!(recorded.error(&knots.t_ns, &start) > 3.0 * error, "{reset:?}");
     }
+}
+
+#[test]
+fn light_that_falls_at_once_into_the_dark_is_found_from_a_second_start() {
+    // 298 DN an exposure and 17, as a spoke of a star passes: at 17 DN the front end takes 4 ms.
+    let spokes = |t_ns: i64| {
+        let phase = (t_ns as f64 * 1e-6) % 13.0;
+        let bright = f64::max(1.0 - f64::max((5.0 - phase).abs() - 2.5, 0.0), 0.0);
+        libm::log(3.3 + 55.2 * bright)
+    };
+    let recorded = recorded_of(Reset::Resample, spokes);
+    let problem = MapProblem { silence_sigma: 0.03, ..recorded.problem(Reset::Resample) };
+    let error = |second| {
+        let mut workspace = MapWorkspace::default();
+        let solution = solve(&problem, &MapOptions { second, ..MapOptions::default() }, &mut workspace);
+        recorded.error(solution.t_ns, solution.log_photocurrent)
+    };
+    let (once, twice) = (error(None), error(Some(SecondStart::USUAL)));
+    // 0.43 and 0.28 natural-log units.
+    assert!(twice < 0.75 * once, "{once} and {twice}");
+    // With a front end that is as slow in the light there is one answer, and nothing is tried.
+    let even = MapProblem { sensor: MapSensor { front_end: FrontEnd { tau_0_s: 100e-6, alpha_s: 0.0 }, ..problem.sensor }, ..problem };
+    assert!(!SecondStart::USUAL.is_worth_a_try(&even, MapStatus::Failed, 1e9));
 }
 
 #[test]

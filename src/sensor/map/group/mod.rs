@@ -16,8 +16,8 @@ use super::smoother::FIRST_VARIANCE;
 use super::start::Start;
 use super::state::{ON, STATES};
 use super::{
-    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, Noise, Offsets, SILENCE_FROM, has_run_away,
-    solve_with, thresholds, variance_at,
+    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, Noise, Offsets, SILENCE_FROM, SecondStart,
+    has_run_away, solve_with, thresholds, variance_at,
 };
 use crate::residuals::Misfit;
 use crate::wide::{Flags, WIDTH, Wide};
@@ -113,6 +113,12 @@ impl LaneState {
         if self.silence_sigma > 0.0 { square / (self.silence_sigma * self.silence_sigma) } else { 0.0 }
     }
 
+    /// Sum of the squares of misfits and of broken silence.
+    fn misfit(&self, problem: &MapProblem<'_>) -> f64 {
+        let sigma = problem.silence_sigma;
+        self.measured + if sigma > 0.0 { self.silence_square / (sigma * sigma) } else { 0.0 }
+    }
+
     /// Out of attempts: as good as it gets when some step went down, else a failure.
     fn give_up(&mut self) {
         self.status = if self.iterations > 1 { MapStatus::Unfinished } else { MapStatus::Failed };
@@ -167,35 +173,13 @@ impl MapGroup {
         let tasks: [&MapTask<'_>; WIDTH] = std::array::from_fn(|l| &all[group[usize::min(l, group.len() - 1)]]);
         let common = self.begin(&tasks, group.len());
         let first = self.u[0];
-        while self.lanes.iter().any(|lane| lane.state.steps) {
-            let prior_cost = adapt(&mut self.columns, &common, &self.u);
-            for (l, lane) in self.lanes.iter_mut().enumerate() {
-                begin_step(&mut lane.state, tasks[l], prior_cost.0[l]);
-            }
-            let damping = wide(&self.lanes, |state| if state.steps { state.damping } else { 0.0 });
-            let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), damping);
-            let (longest, by) = if is_exact(tasks[0]) { step(&ask, &mut self.exact, &mut self.change) } else { step(&ask, &mut self.free, &mut self.change) };
-            for (l, lane) in self.lanes.iter_mut().enumerate() {
-                lane.state.share = f64::min(1.0, LONGEST_STEP / longest.0[l]);
-            }
-            let share = wide(&self.lanes, |state| state.share);
-            moved(&self.u, &self.change, share, Wide::splat(LOG_LIMIT), &mut self.trial);
-            let offsets = offsets(&self.lanes).moved(&by, share);
-            let cost = run(&self.columns, &common, &self.trial, &offsets, &mut self.lines);
-            let mut accepted = Wide::ZERO;
-            for (l, lane) in self.lanes.iter_mut().enumerate() {
-                let is_better = judge(&mut lane.state, tasks[l], &cost, l, longest.0[l], offsets.lane(l));
-                accepted.0[l] = if is_better || l >= group.len() { 1.0 } else { 0.0 };
-            }
-            self.accept(&common, accepted);
-        }
+        self.descend(&tasks, &common, first, group.len());
+        self.try_again(&tasks, first, group.len());
         let log_evidence = if evidence == Evidence::Wanted { self.evidence(&common, first, is_exact(tasks[0])) } else { [0.0; WIDTH] };
         let misfits = if evidence == Evidence::Wanted { misfits(&self.lines) } else { [(Misfit::default(), 0.0); WIDTH] };
         for (l, &n) in group.iter().enumerate() {
+            self.take_lane(l);
             let (task, lane) = (tasks[l], &mut self.lanes[l]);
-            lane.u.clear();
-            let steps = lane.stream.steps.iter().enumerate().filter(|(_, step)| step.what & SEGMENT != 0);
-            lane.u.extend(steps.map(|(s, _)| self.u[s].0[l]));
             if lane.state.status == MapStatus::Failed || has_run_away(&task.problem, &lane.u) {
                 take(n, solve_with(&task.problem, &task.options, evidence, &mut self.alone));
                 continue;
@@ -210,20 +194,112 @@ impl MapGroup {
         }
     }
 
-    /// Lays out the pixels of a group, each at its start.
-    fn begin(&mut self, tasks: &[&MapTask<'_>; WIDTH], count: usize) -> Common {
-        let family = Family::of(tasks.map(|task| task.options.prior));
-        let front_end = tasks[0].problem.sensor.front_end;
-        let mut common = Common { front_end, family, advances: is_advancing(tasks[0]), ..Common::default() };
-        for l in 0..WIDTH {
-            let MapTask { problem, options } = tasks[l];
-            let lane = &mut self.lanes[l];
-            (common.on.0[l], common.off.0[l]) = (problem.sensor.threshold_on, problem.sensor.threshold_off);
-            common.stamp_sigma_s.0[l] = problem.stamp_sigma_s;
-            lane.state = LaneState { steps: l < count && options.max_iterations > 0, noise: problem.noise, ..LaneState::default() };
-            if l >= count {
+    /// Iterates all lanes that step, until none does.
+    fn descend(&mut self, tasks: &[&MapTask<'_>; WIDTH], common: &Common, first: Wide, count: usize) {
+        while self.lanes.iter().any(|lane| lane.state.steps) {
+            let prior_cost = adapt(&mut self.columns, common, &self.u);
+            for (l, lane) in self.lanes.iter_mut().enumerate() {
+                begin_step(&mut lane.state, tasks[l], prior_cost.0[l]);
+            }
+            let damping = wide(&self.lanes, |state| if state.steps { state.damping } else { 0.0 });
+            let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), damping);
+            let (longest, by) = if is_exact(tasks[0]) { step(&ask, &mut self.exact, &mut self.change) } else { step(&ask, &mut self.free, &mut self.change) };
+            for (l, lane) in self.lanes.iter_mut().enumerate() {
+                lane.state.share = f64::min(1.0, LONGEST_STEP / longest.0[l]);
+            }
+            let share = wide(&self.lanes, |state| state.share);
+            moved(&self.u, &self.change, share, Wide::splat(LOG_LIMIT), &mut self.trial);
+            let offsets = offsets(&self.lanes).moved(&by, share);
+            let cost = run(&self.columns, common, &self.trial, &offsets, &mut self.lines);
+            let mut accepted = Wide::ZERO;
+            for (l, lane) in self.lanes.iter_mut().enumerate() {
+                let is_better = judge(&mut lane.state, tasks[l], &cost, l, longest.0[l], offsets.lane(l));
+                accepted.0[l] = if is_better || l >= count { 1.0 } else { 0.0 };
+            }
+            self.accept(common, accepted);
+        }
+    }
+
+    /// Solves lanes from a second start where that is worth a try, and keeps the better answer of each.
+    fn try_again(&mut self, tasks: &[&MapTask<'_>; WIDTH], first: Wide, count: usize) {
+        let worth: [Option<SecondStart>; WIDTH] = std::array::from_fn(|l| {
+            let state = &self.lanes[l].state;
+            tasks[l].options.second.filter(|second| l < count && second.is_worth_a_try(&tasks[l].problem, state.status, state.misfit(&tasks[l].problem)))
+        });
+        if worth.iter().all(Option::is_none) {
+            return;
+        }
+        let plain: [LaneState; WIDTH] = std::array::from_fn(|l| self.lanes[l].state);
+        let plain_u = self.u.clone();
+        // The lanes still have their start.
+        for stage in 0..2 {
+            let staged: [MapTask<'_>; WIDTH] = std::array::from_fn(|l| {
+                worth[l].map_or(*tasks[l], |second| {
+                    let (problem, options) = second.stages(&tasks[l].problem, &tasks[l].options)[stage];
+                    MapTask { problem, options }
+                })
+            });
+            let staged: [&MapTask<'_>; WIDTH] = std::array::from_fn(|l| &staged[l]);
+            let offsets: [Offsets; WIDTH] = std::array::from_fn(|l| if stage == 0 { Offsets::default() } else { self.lanes[l].state.offsets });
+            let common = self.load(&staged, count, |l| worth[l].is_some());
+            for (l, lane) in self.lanes.iter_mut().enumerate().filter(|(l, _)| worth[*l].is_some()) {
+                lane.state.offsets = offsets[l];
+            }
+            self.measure(&common);
+            self.descend(&staged, &common, first, count);
+            for l in (0..count).filter(|l| worth[*l].is_some()) {
+                self.take_lane(l);
+            }
+        }
+        for l in 0..count {
+            let (state, misfit) = (&self.lanes[l].state, |state: &LaneState| state.misfit(&tasks[l].problem));
+            let is_better = worth[l].is_some_and(|second| second.is_better((plain[l].status, misfit(&plain[l])), (state.status, misfit(state))));
+            if is_better {
+                self.lanes[l].state.iterations += plain[l].iterations;
                 continue;
             }
+            self.lanes[l].state = plain[l];
+            self.u.iter_mut().zip(&plain_u).for_each(|(u, plain)| u.0[l] = plain.0[l]);
+        }
+        let common = self.common(tasks);
+        self.measure(&common);
+    }
+
+    /// The log light of a lane becomes that of its pixel.
+    fn take_lane(&mut self, l: usize) {
+        let lane = &mut self.lanes[l];
+        lane.u.clear();
+        let steps = lane.stream.steps.iter().enumerate().filter(|(_, step)| step.what & SEGMENT != 0);
+        lane.u.extend(steps.map(|(s, _)| self.u[s].0[l]));
+    }
+
+    /// What the lanes have in common, and their constants.
+    fn common(&self, tasks: &[&MapTask<'_>; WIDTH]) -> Common {
+        let family = Family::of(tasks.map(|task| task.options.prior));
+        let of = |part: fn(&MapProblem<'_>) -> f64| Wide(std::array::from_fn(|l| part(&tasks[l].problem)));
+        Common {
+            front_end: tasks[0].problem.sensor.front_end,
+            family,
+            advances: is_advancing(tasks[0]),
+            on: of(|problem| problem.sensor.threshold_on),
+            off: of(|problem| problem.sensor.threshold_off),
+            stamp_sigma_s: of(|problem| problem.stamp_sigma_s),
+        }
+    }
+
+    /// Runs the lanes where they stand.
+    fn measure(&mut self, common: &Common) {
+        let cost = run(&self.columns, common, &self.u, &offsets(&self.lanes), &mut self.lines);
+        for (l, lane) in self.lanes.iter_mut().enumerate() {
+            let of_offsets = lane.state.offsets.cost(&lane.state.noise);
+            (lane.state.measured, lane.state.silence_square) = (cost.measured.0[l] + of_offsets, cost.silence_square.0[l]);
+        }
+    }
+
+    /// Lays out the pixels of a group, each at its start.
+    fn begin(&mut self, tasks: &[&MapTask<'_>; WIDTH], count: usize) -> Common {
+        for l in 0..count {
+            let MapTask { problem, options } = tasks[l];
             let (before, lanes) = self.lanes.split_at_mut(l);
             match before.last().filter(|_| starts_alike(tasks[l - 1], tasks[l])) {
                 Some(before) => {
@@ -236,7 +312,21 @@ impl MapGroup {
                 }
             }
             lanes[0].segments.lay(&lanes[0].knots.t_ns, &options.prior);
-            lanes[0].stream.fill(problem, &lanes[0].knots);
+        }
+        let common = self.load(tasks, count, |_| true);
+        self.measure(&common);
+        common
+    }
+
+    /// Puts the pixels of a group into their lanes, with the light that they have; those that step go on from there.
+    fn load(&mut self, tasks: &[&MapTask<'_>; WIDTH], count: usize, steps: impl Fn(usize) -> bool) -> Common {
+        let common = self.common(tasks);
+        for (l, lane) in self.lanes.iter_mut().enumerate() {
+            let MapTask { problem, options } = tasks[l];
+            lane.state = LaneState { steps: l < count && options.max_iterations > 0 && steps(l), noise: problem.noise, ..LaneState::default() };
+            if l < count {
+                lane.stream.fill(problem, &lane.knots);
+            }
         }
         let pixels: [Pixel<'_>; WIDTH] = std::array::from_fn(|l| {
             let lane = &self.lanes[usize::min(l, count - 1)];
@@ -246,10 +336,6 @@ impl MapGroup {
         self.trial.resize(steps, Wide::ZERO);
         self.change.resize(steps, Wide::ZERO);
         self.lines.resize(steps, Line::default());
-        let cost = run(&self.columns, &common, &self.u, &WideOffsets::default(), &mut self.lines);
-        for (l, lane) in self.lanes.iter_mut().enumerate() {
-            (lane.state.measured, lane.state.silence_square) = (cost.measured.0[l], cost.silence_square.0[l]);
-        }
         common
     }
 
