@@ -166,7 +166,7 @@ impl RefineOnnx {
         })?;
         let sockets = network.sockets();
         let lacks = |name: &&str| !sockets.inputs.iter().any(|input| input == name);
-        if INPUTS.iter().any(|name| lacks(name)) || sockets.inputs.len() != INPUTS.len() || !sockets.outputs.iter().any(|output| output == OUTPUT) {
+        if INPUTS.iter().any(lacks) || sockets.inputs.len() != INPUTS.len() || !sockets.outputs.iter().any(|output| output == OUTPUT) {
             return Err(NodeError::input(format!("{name} takes {} and gives {}", list(&sockets.inputs), list(&sockets.outputs)))
                 .note(format!("a refinement network takes {} and gives `{OUTPUT}`", list(&INPUTS)))
                 .hint("name data/weights/refine.onnx of this project, or run other networks by baseline/onnx")

@@ -39,12 +39,12 @@ impl Default for Model {
     /// `photocurrent calibrate`, docs/diagnosis.md.
     fn default() -> Model {
         Model {
-            something: [3.939, 0.830, 0.536],
-            second: [1.378, 0.346, 0.231],
-            discount: [1.0, 1.5],
-            softness: [-3.556, -1.505],
-            random: 0.179,
-            unnamed: [-0.335, 0.666, 0.504],
+            something: [3.625, 0.770, 0.536],
+            second: [1.663, 0.360, 0.243],
+            discount: [2.0, 1.0],
+            softness: [-2.664, -0.988],
+            random: 0.132,
+            unnamed: [-0.492, 0.647, 0.662],
         }
     }
 }
@@ -85,24 +85,24 @@ impl Model {
     /// The built-in numbers for scenes in parts: `photocurrent calibrate --scene parts`.
     pub fn of_patches() -> Model {
         Model {
-            something: [2.468, 0.686, 0.001],
-            second: [2.732, 0.885, 1.028],
-            discount: [2.0, 0.5],
-            softness: [-2.093, -0.759],
-            random: 2.390,
-            unnamed: [0.152, 1.365, -0.513],
+            something: [2.235, 0.581, 0.048],
+            second: [2.601, 0.951, 0.607],
+            discount: [1.5, 0.5],
+            softness: [-1.652, -0.433],
+            random: 2.368,
+            unnamed: [0.429, 0.892, -0.015],
         }
     }
 
     /// The built-in numbers for known light: `photocurrent calibrate --scene given`.
     pub fn of_given_light() -> Model {
         Model {
-            something: [4.019, 1.099, 0.0],
-            second: [2.031, 0.652, 0.139],
+            something: [3.967, 1.088, 0.0],
+            second: [1.693, 0.319, 0.471],
             discount: [0.0, 0.0],
-            softness: [-4.904, -0.227],
-            random: -1.006,
-            unnamed: [0.941, 1.091, 0.850],
+            softness: [-3.468, 0.098],
+            random: -2.325,
+            unnamed: [1.435, 1.756, 0.742],
         }
     }
 }
