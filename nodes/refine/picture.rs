@@ -2,12 +2,12 @@
 //!
 //! Idea: where something rigid moves, all its frames are views of one picture. Between events and between exposures a pixel by itself knows
 //! nothing of a smooth texture; the picture does, because other exposures saw the same place, from elsewhere. So the scene of a diagnosis
-//! ([`photocurrent_diagnosis::residual::mosaic`]) is fitted to the frames alone: one moving picture, or one before a still ground, or pictures of tiles. What it foretells for a pixel is a
+//! ([`photocurrent_diagnosis::residual::mosaic`]) is fitted to the frames alone: one moving picture, or one before a still ground, or pictures of tiles. What it predicts for a pixel is a
 //! further measurement beside the pixel's own events and frames (and what its neighbours say, as in `refine/motion`), with which the pixel is solved again.
 //!
 //! Is it right? Nothing is assumed. It speaks only where it predicts the frames around ([`Gate`]). The pixel's own events, of which it knows nothing, judge it between frames ([`Trust`]). And
-//! before every round the whole is tried on pixels without one frame in three: they must foretell those frames better with the picture than without, or it is left away; how far it is
-//! believed is what foretells them best, region by region ([`Caution`](super::caution::Caution)).
+//! before every round the whole is tried on pixels without one frame in three: they must predict those frames better with the picture than without, or it is left away; how far it is
+//! believed is what predicts them best, region by region ([`Caution`](super::caution::Caution)).
 //!
 //! Limits: it needs the whole sensor at once; edges sharper than a pixel are blurred; with fewer than four frames nothing can be tried, and no picture is used. A long recording is
 //! fitted in parts of `most_values` frame values; an array so large that three frames are more than that has no picture.
@@ -148,9 +148,9 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
                 let frames: Vec<MapFrame> = known.map(|(_, frame)| *frame).collect();
                 let pixel = y * extent.width as usize + x;
                 let measured = row.measured(x, &sensor, extent, &frames, threshold);
-                Trust::default().hints(|t_ns| pictures.foretell(pixel, t_ns), &log, (row.span(), step_ns), &measured, hints);
+                Trust::default().hints(|t_ns| pictures.predict(pixel, t_ns), &log, (row.span(), step_ns), &measured, hints);
             };
-            // First without frames that are kept back from the pixels: do they come out better with the picture than without?
+            // First without frames that are held out from the pixels: do they come out better with the picture than without?
             let caution = again.caution(|row, x, threshold, hints| of_picture(true, row, x, threshold, hints));
             if round == self.params.rounds && caution.believes_some() {
                 again.widen(|row, x, threshold, hints| {

@@ -1,7 +1,7 @@
-//! How far a foretold light may be believed, and the hints that are left of it.
+//! How far a predicted light may be believed, and the hints that are left of it.
 //!
-//! Whoever foretells a pixel's light (its neighbours along the motion, a picture that moves) knows nothing of the pixel's own events. So they are the judge of what lies between frames: seen
-//! through the sensor, the foretold light must bring the voltage to a threshold when they fired, and to no frame value another one than the pixel's own. What it misses them by is its error there, and
+//! Whoever predicts a pixel's light (its neighbours along the motion, a picture that moves) knows nothing of the pixel's own events. So they are the judge of what lies between frames: seen
+//! through the sensor, the predicted light must bring the voltage to a threshold when they fired, and to no frame value another one than the pixel's own. What it misses them by is its error there, and
 //! so is what two sources contradict each other by. All of it can only widen the error.
 
 use super::film::LogTracks;
@@ -26,12 +26,12 @@ const ONE_SIDED: f64 = 4.0;
 /// Nothing is said any more where contradictions reach one in so many squared thresholds: by itself a pixel knows its light to a part of a threshold, and at
 /// two, chance hits of pixels that have nothing to do with each other still cost 0.13 dB.
 const BEYOND_TRUST: f64 = 4.0;
-/// What is foretold may be late by so much, ms: steep edges err in their place, not in their height.
+/// What is predicted may be late by so much, ms: steep edges err in their place, not in their height.
 const LATE_MS: f64 = 0.05;
-/// The sensor sees the foretold light in steps of at most this, ns.
+/// The sensor sees the predicted light in steps of at most this, ns.
 const SEEN_NS: i64 = 100_000;
 
-/// What is foretold for one instant.
+/// What is predicted for one instant.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Said {
     pub t_ns: i64,
@@ -61,7 +61,7 @@ pub(super) struct Trust {
     expected: Vec<f64>,
     /// Instants, squared contradictions in terms of what was expected, weights.
     own: Vec<(i64, f64, f64)>,
-    /// The foretold light.
+    /// The predicted light.
     t_ns: Vec<i64>,
     log: Vec<f64>,
     /// What the sensor makes of it.
@@ -69,7 +69,7 @@ pub(super) struct Trust {
 }
 
 impl Trust {
-    /// The hints of a pixel every `step_ns` of `span`, in order of time, out of what `say` foretells; none where it has nothing to say, or the pixel's measurements disagree.
+    /// The hints of a pixel every `step_ns` of `span`, in order of time, out of what `say` predicts; none where it has nothing to say, or the pixel's measurements disagree.
     /// Where nothing is said the pixel's own `tracks` stand.
     pub fn hints(
         &mut self,
@@ -140,7 +140,7 @@ impl Trust {
         expected.extend((0..said.len()).map(variance));
     }
 
-    /// What the pixel's own events and frames miss the foretold light by, seen through the sensor.
+    /// What the pixel's own events and frames miss the predicted light by, seen through the sensor.
     fn judge(&mut self, step_ns: i64, measured: &Measured<'_>) {
         let Trust { said, expected, own, t_ns, log, seen } = self;
         let Measured { sensor, extent, place: (x, y), events, frames, .. } = *measured;
@@ -170,9 +170,9 @@ impl Trust {
         }
         for (frame, dn) in frames.iter().zip(&seen.dn).filter(|(frame, _)| !frame.saturated) {
             let is_said = said.iter().any(|s| (frame.start_ns..frame.end_ns).contains(&s.t_ns));
-            let (there, foretold) = (frame.dn - sensor.number.black_level, dn - sensor.number.black_level);
-            if is_said && there > frame.sigma_dn && foretold > 0.0 {
-                let (off, noise) = (libm::log(foretold / there), frame.sigma_dn / there);
+            let (there, predicted) = (frame.dn - sensor.number.black_level, dn - sensor.number.black_level);
+            if is_said && there > frame.sigma_dn && predicted > 0.0 {
+                let (off, noise) = (libm::log(predicted / there), frame.sigma_dn / there);
                 // An edge that is a little late changes little over an exposure: a frame allows for the floor alone, and for its noise.
                 own.push((i64::midpoint(frame.start_ns, frame.end_ns), f64::max(off * off - noise * noise, 0.0) / (FLOOR * FLOOR), FRAME_WEIGHT));
             }
@@ -199,7 +199,7 @@ mod tests {
         4.0 + 2.0 * (up - down)
     }
 
-    /// Of a pixel that sees these squares with thresholds of 0.4, when they are foretold late and too bright.
+    /// Of a pixel that sees these squares with thresholds of 0.4, when they are predicted late and too bright.
     fn hints(late_ms: f64, brighter: f64) -> Vec<Hint> {
         let mut sensor = Sensor::unknown("test");
         sensor.comparator.threshold_on = Some(0.4);

@@ -57,7 +57,7 @@ impl Pictures {
     }
 
     /// What the part in whose middle an instant is nearest says of a pixel.
-    pub fn foretell(&self, pixel: usize, t_ns: i64) -> Option<Said> {
+    pub fn predict(&self, pixel: usize, t_ns: i64) -> Option<Said> {
         let inside = self.parts.iter().filter(|part| (part.span.0..=part.span.1).contains(&t_ns));
         let part = inside.min_by_key(|part| (i64::midpoint(part.span.0, part.span.1) - t_ns).abs())?;
         if !part.gate.keeps(pixel, t_ns) {

@@ -40,7 +40,7 @@ fn threads_do_not_change_a_bit() {
 }
 
 #[test]
-fn pictures_of_parts_of_a_long_recording_foretell_the_light_where_frames_say_so() {
+fn pictures_of_parts_of_a_long_recording_predict_the_light_where_frames_say_so() {
     let (events, frames) = record(texture);
     let case = Case::read(Some(&events), Some(&frames), &sensor()).unwrap();
     let nominal = photocurrent_diagnosis::nominal::Nominal::of(&sensor());
@@ -53,7 +53,7 @@ fn pictures_of_parts_of_a_long_recording_foretell_the_light_where_frames_say_so(
         for n in 0..60 {
             let t_ns = 4_000_000 + n * 500_000;
             for (x, y) in [(12, 8), (9, 6), (15, 9), (11, 11)] {
-                if let Some(said) = pictures.foretell(y * 24 + x, t_ns) {
+                if let Some(said) = pictures.predict(y * 24 + x, t_ns) {
                     let off = said.log - texture(x, y, t_ns as f64 * 1e-6);
                     (squares, count) = (squares + off * off, count + 1.0);
                 }
@@ -61,7 +61,7 @@ fn pictures_of_parts_of_a_long_recording_foretell_the_light_where_frames_say_so(
         }
         let rms = libm::sqrt(squares / count);
         assert!(count > 120.0 && rms < 0.03, "{most} frames at a time: {rms} of {count}");
-        assert!(pictures.foretell(8 * 24 + 12, 60_000_000).is_none(), "nothing is said after the last frame");
+        assert!(pictures.predict(8 * 24 + 12, 60_000_000).is_none(), "nothing is said after the last frame");
     }
     assert!(fit(2 * pixels).err().unwrap().contains("2 are fitted at a time"));
 }

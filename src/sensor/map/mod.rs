@@ -218,7 +218,7 @@ pub struct MapOptions {
 /// A second start, for pixels whose first answer does not explain what was measured.
 ///
 /// In the dark the front end is slow, and what the voltage does is explained as well by light that falls slowly as by light that fell at once; from the double integral the iteration finds
-/// the first and then cannot leave it. Events that are hardly believed let frames lead to the other; from there events are believed again.
+/// the first and then cannot leave it. With a large standard deviation of events, frames lead to the other; from there events count in full again.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SecondStart {
     /// Standard deviation of an event on the way to it, as a part of its threshold.
