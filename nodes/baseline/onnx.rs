@@ -30,7 +30,6 @@ use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::sync::Arc;
 use voxel::Timeline;
 
@@ -307,9 +306,7 @@ rate     = "1 kHz"
     }
 
     fn files(&self) -> Vec<FileRef> {
-        let file = |param: &str, path: &Path| FileRef { param: param.into(), path: path.into() };
-        let runtime = self.params.runtime.iter().map(|path| file("runtime", path.path()));
-        std::iter::once(file("network", self.params.network.path())).chain(runtime).collect()
+        onnx::files("network", &self.params.network, self.params.runtime.as_ref())
     }
 }
 

@@ -9,7 +9,8 @@
 pub mod embedded;
 pub mod runtime;
 
-use photocurrent_core::NodeError;
+use photocurrent_core::quantity::InputPath;
+use photocurrent_core::{FileRef, NodeError};
 use std::path::Path;
 
 /// Numbers with a shape, row-major.
@@ -52,6 +53,24 @@ pub trait Network: Send + Sync {
 
     /// What runs it, for cards.
     fn backend(&self) -> String;
+}
+
+/// The files that a node reads which runs a network: the network, a parameter of this name, and the library at `runtime`.
+pub fn files(param: &str, network: &InputPath, runtime: Option<&InputPath>) -> Vec<FileRef> {
+    let file = |(param, path): (&str, &InputPath)| FileRef { param: param.into(), path: path.path().into() };
+    std::iter::once((param, network)).chain(runtime.map(|path| ("runtime", path))).map(file).collect()
+}
+
+/// Refuses a node without a name of its network at `weights`, of which this project has one at `ours`.
+///
+/// # Errors
+/// When the parameter is missing.
+pub fn need_weights(weights: &InputPath, ours: &str) -> Result<(), NodeError> {
+    if weights.path().as_os_str().is_empty() {
+        let hint = format!("name {ours} of this project, relative to the manifest");
+        return Err(NodeError::usage("`weights` is missing: the file of the network").hint(hint).param("weights"));
+    }
+    Ok(())
 }
 
 /// Makes a network of the content of an ONNX file; `name` is the file's, for messages. With `library`, ONNX Runtime runs it, else the embedded backend.

@@ -30,7 +30,6 @@ use photocurrent_core::{
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 use std::sync::Arc;
 use tiles::{MULTIPLE, Span, spans};
 
@@ -223,11 +222,7 @@ params = { weights = "data/weights/refine.onnx" }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        if params.weights.path().as_os_str().is_empty() {
-            return Err(NodeError::usage("`weights` is missing: the file of the network")
-                .hint("name data/weights/refine.onnx of this project, relative to the manifest")
-                .param("weights"));
-        }
+        onnx::need_weights(&params.weights, "data/weights/refine.onnx")?;
         for (name, value) in [("tile", params.tile), ("overlap", params.overlap)] {
             if !(value as usize).is_multiple_of(MULTIPLE) {
                 let next = (value as usize).next_multiple_of(MULTIPLE);
@@ -281,9 +276,7 @@ params = { weights = "data/weights/refine.onnx" }
     }
 
     fn files(&self) -> Vec<FileRef> {
-        let file = |param: &str, path: &Path| FileRef { param: param.into(), path: path.into() };
-        let runtime = self.params.runtime.iter().map(|path| file("runtime", path.path()));
-        std::iter::once(file("weights", self.params.weights.path())).chain(runtime).collect()
+        onnx::files("weights", &self.params.weights, self.params.runtime.as_ref())
     }
 }
 

@@ -19,7 +19,6 @@ use photocurrent_core::table::TableMeta;
 use photocurrent_core::{Context, Decl, Digest, Extent, FileRef, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table, Truth};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 use std::sync::Arc;
 
 /// Smallest side of a picture that five layers of AlexNet can look at, pixels.
@@ -152,11 +151,7 @@ params = { weights = "data/weights/lpips_alex.onnx" }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        if params.weights.path().as_os_str().is_empty() {
-            return Err(NodeError::usage("`weights` is missing: the file of the network")
-                .hint("name data/weights/lpips_alex.onnx of this project, relative to the manifest")
-                .param("weights"));
-        }
+        onnx::need_weights(&params.weights, "data/weights/lpips_alex.onnx")?;
         Ok(ScoreLpips { params })
     }
 
@@ -210,9 +205,7 @@ params = { weights = "data/weights/lpips_alex.onnx" }
     }
 
     fn files(&self) -> Vec<FileRef> {
-        let file = |param: &str, path: &Path| FileRef { param: param.into(), path: path.into() };
-        let runtime = self.params.runtime.iter().map(|path| file("runtime", path.path()));
-        std::iter::once(file("weights", self.params.weights.path())).chain(runtime).collect()
+        onnx::files("weights", &self.params.weights, self.params.runtime.as_ref())
     }
 }
 
