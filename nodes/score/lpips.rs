@@ -261,7 +261,7 @@ mod tests {
     use std::path::PathBuf;
 
     fn data(name: &str) -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/weights").join(name)
+        std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/weights").join(name)
     }
 
     fn params() -> Params {

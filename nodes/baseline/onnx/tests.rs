@@ -11,7 +11,7 @@ use photocurrent_core::{Exposure, Extent, testing};
 const EXTENT: Extent = Extent { width: 6, height: 4 };
 
 fn network(name: &str) -> InputPath {
-    InputPath::new(Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/networks").join(name))
+    InputPath::new(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../data/networks").join(name))
 }
 
 /// Two frames of 2 ms at 1 and at 9 ms, of 20 and 60 DN, brighter by 1 DN a column.

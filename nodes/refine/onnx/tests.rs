@@ -8,7 +8,7 @@ use std::path::PathBuf;
 const EXTENT: Extent = Extent { width: 75, height: 50 };
 
 fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../data").join(name)
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../data").join(name)
 }
 
 fn params() -> Params {
