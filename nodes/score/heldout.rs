@@ -1,7 +1,8 @@
 //! `score/heldout`: how well real frames are predicted that the method never saw. Works without ground truth.
 //!
 //! `split/frames` sets every n-th captured frame aside; a method reconstructs from the rest and renders, `at` the held frames, what they should
-//! have read: same exposures, same row times. This node compares. Values that are saturated or not known (NaN) in the held frame do not count.
+//! have read: same exposures, same row times. This node compares. Values that are saturated or not known (NaN) in the held frame do not count;
+//! what is rendered brighter than saturation counts as saturation, which is what the camera would have read.
 //!
 //! Reported per frame and pooled: `heldout_rmse_dn` and `heldout_psnr_db` over all pixels, and `heldout_psnr_moving_db` over the pixels that change over
 //! the held frames, where methods differ. Limits: a held frame is blurred, so agreement with it says less about details than true frames do;
@@ -66,7 +67,7 @@ impl Node for ScoreHeldout {
     const DECL: Decl = Decl {
         kind: "score/heldout",
         about: "Compares rendered exposures with captured frames that were held out of the solve; needs no ground truth.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -102,7 +103,9 @@ in   = { frames = "render_at_held", held = "split.held", sensor = "sensor" }
             cx.note("no pixel of the held frames moves: heldout_psnr_moving_db is not measured");
         }
         let compare = |l: usize| -> Result<[f64; 3], NodeError> {
-            let picture = frames.read(l..l + 1, frames.rows())?;
+            let mut picture = frames.read(l..l + 1, frames.rows())?;
+            // As the camera would have read it.
+            picture.dn.iter_mut().filter(|dn| **dn > saturation as f32).for_each(|dn| *dn = saturation as f32);
             let real = held.read(l..l + 1, held.rows())?;
             let counts: Vec<bool> = real.dn.iter().map(|dn| dn.is_finite() && f64::from(*dn) < saturation).collect();
             let counts_and_moves: Vec<bool> = counts.iter().zip(&moving).map(|(a, b)| *a && *b).collect();
@@ -124,12 +127,12 @@ fn table(values: &[[f64; 3]], held: &FrameSequence, peak: &Peak) -> Table {
         scores.push(score(-1, 0, mean_of_measured(&values.iter().map(|row| row[m]).collect::<Vec<_>>())));
     }
     let card = Card {
-        definition: "heldout.v1",
+        definition: "heldout.v2",
         channel: linear_dn(&held.meta),
         range: peak.describe(),
         border: "none".into(),
         frames: format!("{} held frames, each with the one rendered at its exposures", held.len()),
-        region: format!("values that are finite and below saturation; moving = {}", Region::Moving.describe()),
+        region: format!("values that are finite and below saturation, rendered ones cut there; moving = {}", Region::Moving.describe()),
         weights: None,
         backend: OWN.into(),
         pooled: MEAN.into(),
@@ -170,6 +173,15 @@ mod tests {
         sensor.frames.saturation_dn = Some(255.0);
         let scores = scores(frames(|_, _, _| 50.0), frames(|_, x, _| if x == 1 { 255.0 } else { 50.0 }), Some(sensor));
         assert_eq!(scores.iter().find(|s| s.metric == "heldout_rmse_dn").unwrap().value, 0.0);
+    }
+
+    #[test]
+    fn what_is_brighter_than_saturation_counts_as_saturation() {
+        let mut sensor = Sensor::unknown("test");
+        sensor.frames.saturation_dn = Some(255.0);
+        // 300 would have been read as 255, 4 away from 251; the other frame is right.
+        let scores = scores(frames(|l, _, _| if l == 0 { 300.0 } else { 251.0 }), frames(|_, _, _| 251.0), Some(sensor));
+        assert_eq!(scores.iter().find(|s| s.metric == "heldout_rmse_dn" && s.frame == -1).unwrap().value, 2.0);
     }
 
     #[test]

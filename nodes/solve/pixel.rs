@@ -294,7 +294,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 15,
+        revision: 16,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

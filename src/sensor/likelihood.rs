@@ -294,6 +294,7 @@ mod tests {
         refractory_ns: 60_000,
         gain: 1.0,
         black_level_dn: 0.0,
+        saturation_dn: f64::INFINITY,
     };
     const SPAN: (i64, i64) = (0, 4_000_000_000);
 

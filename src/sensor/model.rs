@@ -71,6 +71,7 @@ impl Model {
             refractory_ns: self.pixel.refractory_ns,
             gain: self.number.gain,
             black_level_dn: self.number.black_level,
+            saturation_dn: self.saturation_dn,
         }
     }
 

@@ -132,6 +132,7 @@ impl Recorded {
             refractory_ns: REFRACTORY_NS,
             gain: GAIN,
             black_level_dn: 0.0,
+            saturation_dn: f64::INFINITY,
         };
         let (events, frames) = (&self.events, &self.frames);
         MapProblem {

@@ -19,12 +19,13 @@ pub const FEWEST_EVENTS: usize = 40;
 pub const FEWEST_FRAMES: usize = 4;
 /// One in so many frames is kept back, never the first or the last.
 const KEPT_BACK: usize = 3;
-/// Added to a frame value that an error is compared with, DN: in the dark, noise is not relative.
-const DARK_DN: f64 = 20.0;
+/// Added to a frame value that an error is compared with, as a share of the range from darkness to saturation: in the dark, noise is not relative, and a few
+/// dark pixels whose light ran away must not pass for good.
+const DARK_SHARE: f64 = 0.2;
 /// What is not usual must be better by this factor.
 const CLEARLY_BETTER: f64 = 0.97;
 /// A relative error counts at most this: one pixel that went astray does not decide.
-const LARGEST_ERROR: f64 = 0.3;
+const LARGEST_ERROR: f64 = 1.0;
 
 /// Standard deviations are widened by this factor at most.
 const LARGEST_FACTOR: f64 = 5.0;
@@ -64,7 +65,8 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
         return usual;
     }
     let by_frames = problems.iter().all(|problem| problem.frames.len() >= FEWEST_FRAMES);
-    let tried = Tried { problems, kept: by_frames.then(|| problems.iter().map(|problem| kept(problem.frames)).collect()), options: *options };
+    let kept = by_frames.then(|| problems.iter().map(|problem| kept(problem.frames)).collect());
+    let tried = Tried { problems, kept, dark_dn: dark_dn(problems), options: *options };
     let mut best = (f64::INFINITY, usual);
     let noises = match event {
         Some(ref stated) => std::slice::from_ref(stated),
@@ -112,6 +114,8 @@ struct Tried<'a> {
     problems: &'a [MapProblem<'a>],
     /// The frames of each problem without those that are kept back, where frames decide.
     kept: Option<Vec<Vec<MapFrame>>>,
+    /// What is added to a frame value that an error is compared with, DN.
+    dark_dn: f64,
     options: MapOptions,
 }
 
@@ -132,7 +136,7 @@ impl Tried<'_> {
         let evidence = if self.kept.is_some() { Evidence::Unwanted } else { Evidence::Wanted };
         group.solve_with(&tasks, evidence, |n, solution| {
             let problem = &self.problems[n / choices.len()];
-            losses[n] = if self.kept.is_some() { prediction_error(problem, &solution) } else { -solution.log_evidence };
+            losses[n] = if self.kept.is_some() { prediction_error(problem, self.dark_dn, &solution) } else { -solution.log_evidence };
         });
         // Problem by problem, whatever order they were solved in.
         (0..choices.len()).map(|c| losses.iter().skip(c).step_by(choices.len()).sum()).collect()
@@ -146,7 +150,8 @@ pub fn prediction_errors(problems: &[MapProblem<'_>], options: &MapOptions, grou
     let options = MapOptions { with_sigma: false, ..*options };
     let tasks: Vec<MapTask<'_>> = problems.iter().zip(&kept).map(|(problem, frames)| MapTask { problem: MapProblem { frames, ..*problem }, options }).collect();
     let mut errors = vec![0.0; tasks.len()];
-    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| errors[n] = prediction_error(&problems[n], &solution));
+    let dark_dn = dark_dn(problems);
+    group.solve_with(&tasks, Evidence::Unwanted, |n, solution| errors[n] = prediction_error(&problems[n], dark_dn, &solution));
     errors
 }
 
@@ -216,14 +221,22 @@ fn mean_threshold(problems: &[MapProblem<'_>]) -> f64 {
     problems.first().map_or(0.0, |problem| 0.5 * (problem.sensor.threshold_on + problem.sensor.threshold_off))
 }
 
+/// [`DARK_SHARE`] of the range of the frames, DN; where saturation is not known, up to their brightest value.
+fn dark_dn(problems: &[MapProblem<'_>]) -> f64 {
+    let Some(MapProblem { sensor, .. }) = problems.first() else { return 0.0 };
+    let brightest = || problems.iter().flat_map(|problem| problem.frames).map(|frame| frame.dn).fold(sensor.black_level_dn + 1.0, f64::max);
+    let top = if sensor.saturation_dn.is_finite() { sensor.saturation_dn } else { brightest() };
+    DARK_SHARE * (top - sensor.black_level_dn)
+}
+
 /// The sum of relative errors of frames that were kept back.
-fn prediction_error(problem: &MapProblem<'_>, solution: &MapSolution<'_>) -> f64 {
+fn prediction_error(problem: &MapProblem<'_>, dark_dn: f64, solution: &MapSolution<'_>) -> f64 {
     let mut error = 0.0;
     for (_, frame) in problem.frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l, problem.frames.len()) && !frame.saturated) {
         let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);
         let predicted = problem.sensor.black_level_dn + problem.sensor.gain * light;
         let bright = f64::max(frame.dn - problem.sensor.black_level_dn, 0.0);
-        error += f64::min((predicted - frame.dn).abs() / (bright + DARK_DN), LARGEST_ERROR);
+        error += f64::min((predicted - frame.dn).abs() / (bright + dark_dn), LARGEST_ERROR);
     }
     error
 }

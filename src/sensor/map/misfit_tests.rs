@@ -11,6 +11,7 @@ const SENSOR: MapSensor = MapSensor {
     refractory_ns: 50_000,
     gain: 1000.0,
     black_level_dn: 10.0,
+    saturation_dn: f64::INFINITY,
 };
 const EVENT: f64 = 0.1;
 const SIGMA_DN: f64 = 2.0;

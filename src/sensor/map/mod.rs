@@ -102,6 +102,8 @@ pub struct MapSensor {
     pub gain: f64,
     /// DN of darkness.
     pub black_level_dn: f64,
+    /// DN at which values stay; infinite = not known.
+    pub saturation_dn: f64,
 }
 
 /// What a lone event says of light.

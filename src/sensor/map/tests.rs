@@ -9,7 +9,16 @@ use photocurrent_core::Exposure;
 const FRONT_END: FrontEnd = FrontEnd { tau_0_s: 20e-6, alpha_s: 12e-3 };
 
 fn sensor(reset: Reset) -> MapSensor {
-    MapSensor { front_end: FRONT_END, threshold_on: 0.2, threshold_off: 0.21, reset, refractory_ns: 50_000, gain: 850.0, black_level_dn: 0.0 }
+    MapSensor {
+        front_end: FRONT_END,
+        threshold_on: 0.2,
+        threshold_off: 0.21,
+        reset,
+        refractory_ns: 50_000,
+        gain: 850.0,
+        black_level_dn: 0.0,
+        saturation_dn: f64::INFINITY,
+    }
 }
 
 fn event(t_in_ns: i64, polarity: i8) -> MapEvent {

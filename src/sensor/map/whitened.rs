@@ -213,8 +213,16 @@ mod tests {
         let frame = |start_ns: i64, dn: f64| MapFrame { start_ns, end_ns: start_ns + 3_000_000, dn, sigma_dn: 2.0, saturated: false };
         let frames = [frame(500_000, 250.0), frame(6_000_000, 260.0)];
         let front_end = FrontEnd { tau_0_s: 20e-6, alpha_s: 12e-3 };
-        let sensor =
-            MapSensor { front_end, threshold_on: 0.2, threshold_off: 0.21, reset: Reset::Resample, refractory_ns: 50_000, gain: 850.0, black_level_dn: 0.0 };
+        let sensor = MapSensor {
+            front_end,
+            threshold_on: 0.2,
+            threshold_off: 0.21,
+            reset: Reset::Resample,
+            refractory_ns: 50_000,
+            gain: 850.0,
+            black_level_dn: 0.0,
+            saturation_dn: f64::INFINITY,
+        };
         let noise = Noise { event: 0.1, reference: 0.03, ..Noise::default() };
         let (hints, lost_before) = (&[][..], &[][..]);
         let problem = MapProblem {
