@@ -131,7 +131,7 @@ fn of_folder(path: &Path) -> FileKind {
         return FileKind::Diagnosis;
     }
     let is_stamped = |folder: &Path| photocurrent_engine::export::read_stamp(folder).is_some();
-    let scores = ["metrics.jsonl", "metrics.pooled.jsonl", "pooled.jsonl"];
+    let scores = [crate::run_record::FILE, "metrics.jsonl", "metrics.pooled.jsonl", "pooled.jsonl"];
     let children = || std::fs::read_dir(path).into_iter().flatten().flatten().take(4096);
     if scores.iter().any(|name| path.join(name).is_file()) || is_stamped(path) || children().any(|child| is_stamped(&child.path())) {
         return FileKind::RunFolder;
