@@ -1,5 +1,6 @@
 //! The integration tests, as one binary. What belongs where:
 //!
+//! - `browser`: the pages in a real browser: the report of a run, the page of a diagnosis.
 //! - `conformance`: every node kind keeps the promises that all of them make.
 //! - `manifests`: every mistake in a manifest gives its message (`manifests/bad`).
 //! - `pipelines`: the pipelines that people run, and their ablations, do run.
@@ -18,6 +19,7 @@
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
 //! - `tidy`: the invariants of docs/architecture.md.
 
+mod browser;
 mod cache;
 mod colour;
 mod conformance;

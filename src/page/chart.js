@@ -1,11 +1,17 @@
 // Curves over labelled axes as SVG that fits the width it has. A curve is known by colour, by dashes and by its entry in the legend, which hides it.
 //
 // P.chart(place, { title, x, y, series: [{ label, points: [[x, y], ...], style, step, band: [[x, low, high], ...] }], bars, ticks }) draws into `place` and gives
-// { cursor(x) }, which moves a line. `y` of a point may be null: a gap. `style` is a number, or "truth". `bars` are exposures [from, to, y, label], `ticks` events [x, isOn].
+// { cursor(x) }, which moves a line. `y` of a point may be null: a gap. `style` is a number, or "truth"; `dots` marks points, `loose` ones
+// are not joined. `bars` are exposures [from, to, y, label], `ticks` events [x, isOn].
 {
-  const DASHES = ["", "7 3", "2 3", "10 3 2 3", "5 2", "1 2", "12 4", "4 2 1 2"];
+  const DASHES = ["", "8 3", "3 2", "10 3 3 3", "15 4", "5 3", "2 2", "12 3 3 3 3 3"];
   const line = (style) =>
     style === "truth" ? { stroke: "var(--truth)", "stroke-width": 2.4 } : { stroke: `var(--c${style % 8})`, "stroke-dasharray": DASHES[style % DASHES.length] };
+
+  // Points of different curves differ in shape.
+  const SHAPES = ["M-3,-3h6v6h-6z", "M0,-4L4,3H-4z", "M0,-4L4,0L0,4L-4,0z", "M-3,-3L3,3M3,-3L-3,3", "M0,4L4,-3H-4z", "M-4,0H4M0,-4V4", "M-2,-4h4v8h-4z", "M-4,-2h8v4h-8z"];
+  const mark = (x, y, style) =>
+    P.svg("path", { d: SHAPES[style === "truth" ? 0 : style % 8], transform: `translate(${x.toFixed(1)} ${y.toFixed(1)})`, fill: line(style).stroke, stroke: line(style).stroke, "stroke-width": 1.2 });
 
   // Round steps: 1, 2 or 5 times a power of ten, some `count` of them.
   const steps = (low, high, count) => {
@@ -65,9 +71,8 @@
           open = true;
         }
       }
-      svg.append(P.svg("path", { class: "curve", d: path, ...line(one.style) }));
-      if (one.dots || one.points.length === 1)
-        for (const [px, py] of one.points) if (py !== null) svg.append(P.svg("circle", { cx: x(px), cy: y(py), r: 3, fill: line(one.style).stroke }));
+      if (!one.loose) svg.append(P.svg("path", { class: "curve", d: path, ...line(one.style) }));
+      if (one.dots || one.loose || one.points.length === 1) for (const [px, py] of one.points) if (py !== null) svg.append(mark(x(px), y(py), one.style));
     }
     for (const [from, to, value, label] of spec.bars ?? []) {
       const bar = P.svg("line", { class: "exposure", x1: x(from), x2: Math.max(x(to), x(from) + 1), y1: y(value), y2: y(value) });
@@ -111,11 +116,11 @@
     place.replaceChildren(box, legend);
     redraw();
     let width = box.clientWidth;
-    new ResizeObserver(() => {
+    P.onWidth(box, () => {
       if (box.clientWidth === width) return;
       width = box.clientWidth;
       redraw();
-    }).observe(box);
+    });
     return { cursor: (value) => ((at = value), drawn.move(value)) };
   };
 

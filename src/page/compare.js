@@ -133,6 +133,11 @@
       }
       stage.classList.toggle("zoomed", view.zoom > 1);
     };
+    // The picture with its controls fits a screen.
+    const size = () => {
+      const parts = view.mode === "beside" ? 2 : 1;
+      stage.style.maxWidth = `max(18rem, ${((parts * 68 * group.width) / group.height).toFixed(1)}vh)`;
+    };
     const load = async () => {
       const mine = ++turn, instant = Number(scrub.value);
       const [a, b] = await Promise.all([left, right].map((select) => P.picture(group, Number(select.value), instant)));
@@ -154,6 +159,7 @@
       find("scale-row").hidden = mode !== "difference";
       // Two changes a second: under the three at which flashes can harm.
       if (mode === "flicker") flicker = setInterval(() => ((view.second = !view.second), draw()), 500);
+      size();
       draw();
     };
     const setZoom = (zoom, at = null) => {
@@ -254,7 +260,7 @@
       find("ramp-high").textContent = `+${scale.value} %`;
     };
     P.on("probed", (pixel) => ((view.pixel = pixel.group === group ? pixel : null), draw()));
-    new ResizeObserver(draw).observe(canvas.parentElement);
+    P.onWidth(canvas.parentElement, draw);
     legend();
     setMode("slider");
     load();

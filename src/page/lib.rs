@@ -4,7 +4,7 @@
 //! pages show is given as plain structs: this crate knows no files, no graph and no sensor. It draws no numbers of its own, but those of axes.
 //!
 //! Scripts are files of their own, each for one thing: `page.js` (helpers, theme, copy buttons), `chart.js` (curves), `compare.js` (two pictures over each
-//! other), `probe.js` (one pixel over time). They find their data in the element `data`, as JSON.
+//! other), `probe.js` (one pixel over time). They find their data in the element `page-data`, as JSON.
 //!
 //! Limits: without scripts the tables, the graph and the texts stay; pictures and curves need them.
 

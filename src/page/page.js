@@ -1,5 +1,5 @@
 // Helpers that all scripts share, the theme switch and the copy buttons. `P` is what the scripts pass to each other.
-const P = { data: JSON.parse(document.getElementById("data").textContent), listeners: {} };
+const P = { data: JSON.parse(document.getElementById("page-data").textContent), listeners: {} };
 
 // Calls everybody who asked for `name`.
 P.on = (name, call) => (P.listeners[name] ??= []).push(call);
@@ -18,6 +18,9 @@ P.svg = (name, attributes = {}, text = null) => {
   if (text !== null) element.textContent = text;
   return element;
 };
+
+// Calls when an element has another size, after the page is laid out.
+P.onWidth = (element, call) => new ResizeObserver(() => requestAnimationFrame(call)).observe(element);
 
 // A number as people write it: four digits that count.
 P.number = (value, digits = 4) => {

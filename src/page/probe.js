@@ -41,7 +41,7 @@
     }));
     if (chosen?.front_end.length) series.push({ label: `V_FE, ${chosen.label}`, style: 6, points: chosen.front_end.map(([t, v]) => [t / 1e6, v]) });
     charts.push(P.chart(place("voltage"), { title: "Log photocurrent V_DC, front end V_FE, events", x: "time [ms]", y: "ln i", series, ticks, xRange: range(group) }));
-    const residual = (of, style) => pixel.solved.map((one) => ({ label: one.label, style: one.style, dots: true, points: one[of].map((r) => [r.t_ns / 1e6, r.value]) }));
+    const residual = (of, style) => pixel.solved.map((one) => ({ label: one.label, style: one.style, loose: true, points: one[of].map((r) => [r.t_ns / 1e6, r.value]) }));
     charts.push(P.chart(place("frame-residual"), { title: "Frame residual: captured - predicted", x: "time [ms]", y: "DN", series: residual("frame_residuals"), xRange: range(group) }));
     charts.push(P.chart(place("event-residual"), { title: "Event residual: step of V_FE - threshold", x: "time [ms]", y: "ln i", series: residual("event_residuals"), xRange: range(group) }));
   };

@@ -79,7 +79,7 @@ impl Page {
             let _ = writeln!(html, "{}</section>", section.html);
         }
         html.push_str("</main>\n");
-        let _ = writeln!(html, "<script type=\"application/json\" id=\"data\">{}</script>", embedded(&self.data));
+        let _ = writeln!(html, "<script type=\"application/json\" id=\"page-data\">{}</script>", embedded(&self.data));
         let _ = writeln!(html, "<script>\n\"use strict\";\n{}", include_str!("page.js"));
         for script in &self.scripts {
             let _ = writeln!(html, "{}", script.text());

@@ -7,7 +7,7 @@ use super::run::{Output, Run, Styles};
 use crate::common::{Failure, human_bytes};
 use photocurrent_core::{Extent, Sensor, Value};
 use photocurrent_nodes::show::{Shown, Tone};
-use photocurrent_page::{Film, Group, Picture, RunPage, png_uri};
+use photocurrent_page::{Film, Group, Mark, Picture, RunPage, png_uri};
 use std::sync::Arc;
 
 /// More sequences than these are hard to choose from.
@@ -17,6 +17,8 @@ const FEWEST: usize = 12;
 /// More do not help the eye.
 const MOST_INSTANTS: usize = 400;
 const MOST_SHRINK: u32 = 16;
+/// The grey line of what was captured; the truth has a line of its own.
+const CAPTURED: usize = 6;
 
 /// A sequence that is shown.
 struct Candidate {
@@ -146,7 +148,7 @@ fn group(name: String, all: Vec<Candidate>, sensor: Option<&Sensor>, styles: &mu
     let failed = |error: photocurrent_core::NodeError| Failure::other(format!("the pictures of {name} cannot be made: {error}"));
     let tone = Tone::of(&all[reference].shown, sensor).map_err(failed)?;
     let middles: Vec<Vec<i64>> = all.iter().map(|one| one.shown.middles_ns()).collect();
-    let instants = &middles[reference];
+    let instants = common(&middles[reference], all.iter().zip(&middles).filter(|(one, _)| one.kind() == "method").map(|(_, middles)| middles));
     let extent = all[reference].shown.extent();
     let mut shrink = 1;
     let count = loop {
@@ -174,7 +176,12 @@ fn group(name: String, all: Vec<Candidate>, sensor: Option<&Sensor>, styles: &mu
     }
     let mut sequences = Vec::new();
     for (one, middles) in all.iter().zip(&middles) {
-        let mut film = Film { label: one.label.clone(), kind: one.kind(), style: styles.of(&one.label), ..Film::default() };
+        let mut film = Film {
+            label: one.label.clone(),
+            kind: one.kind(),
+            style: if one.kind() == "method" { styles.of(&one.label) } else { CAPTURED },
+            ..Film::default()
+        };
         for &instant in &chosen {
             let frame = nearest(middles, instant);
             let at = match film.frames.iter().rposition(|known| known.frame == frame) {
@@ -190,7 +197,7 @@ fn group(name: String, all: Vec<Candidate>, sensor: Option<&Sensor>, styles: &mu
         sequences.push(film);
     }
     Ok(Group {
-        first: first_pair(&sequences),
+        first: first_pair(&sequences, best(page)),
         name,
         width: extent.width / shrink,
         height: extent.height / shrink,
@@ -203,12 +210,27 @@ fn group(name: String, all: Vec<Candidate>, sensor: Option<&Sensor>, styles: &mu
     })
 }
 
-/// What was captured on the left, and the first method on the right.
-fn first_pair(sequences: &[Film]) -> [usize; 2] {
+/// The instants at which every method has frames, all of them where there are none in common.
+fn common<'a>(instants: &[i64], methods: impl Iterator<Item = &'a Vec<i64>>) -> Vec<i64> {
+    let ends = |(from, to): (i64, i64), middles: &Vec<i64>| (from.max(middles.first().copied().unwrap_or(from)), to.min(middles.last().copied().unwrap_or(to)));
+    let (from, to) = methods.fold((i64::MIN, i64::MAX), ends);
+    let found: Vec<i64> = instants.iter().copied().filter(|t| (from..=to).contains(t)).collect();
+    if found.is_empty() { instants.to_vec() } else { found }
+}
+
+/// The name of the method that is best in the first column of the verdict.
+fn best(page: &RunPage) -> Option<&str> {
+    let rows = page.verdicts.first().map_or(&[][..], |verdict| &verdict.rows);
+    rows.iter().find(|row| row.cells.first().is_some_and(|cell| cell.mark == Mark::Best)).and_then(|row| row.names.last()).map(String::as_str)
+}
+
+/// What was captured on the left, and the best method on the right, else the first.
+fn first_pair(sequences: &[Film], best: Option<&str>) -> [usize; 2] {
     let find = |kind: &str| sequences.iter().position(|one| one.kind == kind);
     let last = sequences.len() - 1;
     let left = find("captured").or_else(|| find("truth")).unwrap_or(0);
-    [left, find("method").filter(|right| *right != left).unwrap_or(last)]
+    let best = sequences.iter().position(|one| Some(one.label.as_str()) == best);
+    [left, best.or_else(|| find("method")).filter(|right| *right != left).unwrap_or(last)]
 }
 
 /// The place of the number that is nearest; of two equally near ones the first. Numbers rise.
@@ -233,9 +255,18 @@ mod tests {
 
     #[test]
     fn a_captured_sequence_and_a_method_are_shown_first() {
-        let films = |kinds: &[&'static str]| kinds.iter().map(|kind| Film { kind, ..Film::default() }).collect::<Vec<_>>();
-        assert_eq!(first_pair(&films(&["truth", "captured", "method", "method"])), [1, 2]);
-        assert_eq!(first_pair(&films(&["method", "method"])), [0, 1]);
-        assert_eq!(first_pair(&films(&["captured"])), [0, 0]);
+        let film = |(at, kind): (usize, &&'static str)| Film { kind, label: format!("film {at}"), ..Film::default() };
+        let films = |kinds: &[&'static str]| kinds.iter().enumerate().map(film).collect::<Vec<_>>();
+        assert_eq!(first_pair(&films(&["truth", "captured", "method", "method"]), None), [1, 2]);
+        assert_eq!(first_pair(&films(&["truth", "captured", "method", "method"]), Some("film 3")), [1, 3]);
+        assert_eq!(first_pair(&films(&["method", "method"]), None), [0, 1]);
+        assert_eq!(first_pair(&films(&["captured"]), None), [0, 0]);
+    }
+
+    #[test]
+    fn instants_are_those_that_every_method_has() {
+        let (short, long) = (vec![10, 20, 30], vec![0, 40]);
+        assert_eq!(common(&[0, 10, 20, 30, 40], [&short, &long].into_iter()), [10, 20, 30]);
+        assert_eq!(common(&[0, 40], [&short].into_iter()), [0, 40]);
     }
 }

@@ -6,7 +6,7 @@
 //! their names. What nearly every box takes (the sensor description, the truth) is written into the boxes instead of drawn.
 //! Pipelines have tens of nodes; nothing here is meant for thousands.
 
-use super::Drawing;
+use super::{Drawing, Edge};
 use std::collections::BTreeMap;
 
 /// Sweeps from left to right and back.
@@ -48,8 +48,9 @@ pub(super) struct Layout {
 
 impl Layout {
     pub fn of(drawing: &Drawing) -> Layout {
-        let layers = drawing.layers();
         let takers = |from: usize, port: &str| drawing.edges.iter().filter(|edge| edge.from == from && edge.from_port == port).count();
+        let is_named = |edge: &Edge| NAMED.contains(&edge.data_type.as_str()) && takers(edge.from, &edge.from_port) >= MANY;
+        let layers = drawing.layers(|edge| !is_named(edge));
         let ports = |from: usize| {
             let mut ports: Vec<&str> = drawing.edges.iter().filter(|edge| edge.from == from).map(|edge| edge.from_port.as_str()).collect();
             ports.sort_unstable();
@@ -59,7 +60,7 @@ impl Layout {
         let mut named = vec![Vec::new(); drawing.nodes.len()];
         let mut joined: BTreeMap<(usize, usize), Vec<String>> = BTreeMap::new();
         for edge in &drawing.edges {
-            if NAMED.contains(&edge.data_type.as_str()) && takers(edge.from, &edge.from_port) >= MANY {
+            if is_named(edge) {
                 let id = &drawing.nodes[edge.from].id;
                 named[edge.to].push(if *id == edge.from_port || ports(edge.from) == 1 { id.clone() } else { format!("{id}.{}", edge.from_port) });
             } else {
@@ -207,7 +208,7 @@ fn spaced(wishes: &[f64]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Edge, Node};
+    use super::super::Node;
     use super::*;
 
     fn drawing(nodes: usize, edges: &[(usize, usize, &str)]) -> Drawing {

@@ -100,11 +100,11 @@ impl Drawing {
         drawing
     }
 
-    /// For each node the longest way to it from one without inputs, in edges.
-    fn layers(&self) -> Vec<usize> {
+    /// For each node the longest way to it from one without inputs, in edges that `counts` says yes to.
+    fn layers(&self, counts: impl Fn(&Edge) -> bool) -> Vec<usize> {
         let mut layers = vec![0; self.nodes.len()];
         for to in 0..self.nodes.len() {
-            let before = self.edges.iter().filter(|edge| edge.to == to).map(|edge| layers[edge.from] + 1);
+            let before = self.edges.iter().filter(|edge| edge.to == to && counts(edge)).map(|edge| layers[edge.from] + 1);
             layers[to] = before.max().unwrap_or(0);
         }
         layers
@@ -182,7 +182,7 @@ fn mermaid(drawing: &Drawing) -> String {
 }
 
 fn json_text(drawing: &Drawing) -> String {
-    let layers = drawing.layers();
+    let layers = drawing.layers(|_| true);
     let nodes = drawing.nodes.iter().zip(&layers);
     let nodes: Vec<_> = nodes.map(|(node, layer)| json!({ "id": node.id, "kind": node.kind, "family": node.family(), "layer": layer })).collect();
     let edge = |edge: &Edge| {

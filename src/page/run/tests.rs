@@ -29,7 +29,7 @@ fn page() -> RunPage {
 
 /// The JSON that the scripts read.
 fn data(html: &str) -> serde_json::Value {
-    let begin = html.find("id=\"data\">").unwrap() + 10;
+    let begin = html.find("id=\"page-data\">").unwrap() + 15;
     let end = begin + html[begin..].find("</script>").unwrap();
     serde_json::from_str(&html[begin..end]).unwrap()
 }
