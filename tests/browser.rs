@@ -305,3 +305,24 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
     browser.js("document.getElementById('theme').click()");
     browser.check("after all of it");
 }
+
+#[test]
+fn the_page_of_a_diagnosis_is_read_in_a_browser() {
+    let bench = Bench::new();
+    let clip = root().join("data/recordings/davis346_traffic.aedat4").display().to_string();
+    let sheet = root().join("data/sensors/davis346_sheet.toml").display().to_string();
+    let done = bench.run(&["diagnose", &clip, "--direct", "--sensor", &sheet, "-o", "found", "--quiet"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let mut browser = Browser::open(&bench.path("found/report.html"), 1280, 900);
+    look_everywhere(&mut browser, "diagnosis");
+    assert_eq!(browser.js("document.title"), json!("Diagnosis: davis346_traffic.aedat4"));
+    assert!(browser.js("document.querySelector('main dl').textContent").as_str().is_some_and(|text| text.contains("davis346_sheet.toml")));
+    assert!(browser.js("document.querySelector('#looked-at svg').getBoundingClientRect().width").as_f64().is_some_and(|width| width > 300.0));
+    assert!(
+        browser.js("document.querySelector('#missing').textContent").as_str().is_some_and(|text| text.contains(" ms") && text.contains(" us")),
+        "times in units that people write"
+    );
+    browser.js("document.getElementById('theme').click()");
+    assert_eq!(browser.js("document.documentElement.dataset.theme"), json!("light"));
+    browser.check("light by choice");
+}

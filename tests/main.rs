@@ -16,6 +16,7 @@
 //! - `films`: pictures as light, from files to events.
 //! - `learned`: the manifests of methods whose networks are elsewhere.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
+//! - `reports`: pages of finished runs, by `photocurrent report`.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
 //! - `tidy`: the invariants of docs/architecture.md.
 
@@ -35,6 +36,7 @@ mod learned;
 mod manifests;
 mod pipelines;
 mod recordings;
+mod reports;
 mod support;
 mod tables;
 mod tidy;

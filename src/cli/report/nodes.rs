@@ -5,7 +5,7 @@ use crate::common::{human_bytes, human_seconds, print_count};
 use crate::run_record::{Ended, TaskRecord, VariantRecord};
 use photocurrent_core::context::LOSS;
 use photocurrent_engine::graph::{Drawing, Edge, Node};
-use photocurrent_page::{Graph, Hazard, NodeRow, RunPage};
+use photocurrent_page::{Graph, Hazard, NodeRow, RunPage, escaped};
 
 /// Letters of a key that are shown: enough to find it in the cache.
 const KEY: usize = 12;
@@ -43,6 +43,7 @@ pub fn describe(runs: &[Run], page: &mut RunPage) {
         }
         page.graphs.extend(run.variants().next().map(|variant| graph(run, variant)));
         page.hazards.extend(hazards(run));
+        page.diagnosis += &diagnoses(run);
         provenance(run, &name, page);
     }
 }
@@ -115,6 +116,20 @@ fn hazards(run: &Run) -> Vec<Hazard> {
         is_serious: false,
     }));
     unique
+}
+
+/// Diagnoses that were part of the run, with links to their own pages.
+fn diagnoses(run: &Run) -> String {
+    let mut html = String::new();
+    for task in run.record.tasks.iter().filter(|task| task.kind == "write/diagnosis") {
+        let Some(folder) = &task.files else { continue };
+        let text = std::fs::read_to_string(run.folder.join(folder).join("diagnosis.json"));
+        let Some(report) = text.ok().and_then(|text| serde_json::from_str::<photocurrent_diagnosis::report::Report>(&text).ok()) else { continue };
+        let page = escaped(&folder.join("report.html").to_string_lossy());
+        html += &format!("<h3>{}</h3>\n{}", escaped(&task.label), photocurrent_diagnosis::page::section(&report));
+        html += &format!("<p class=\"note\">With pictures, in the folder of the run: <code>{page}</code></p>\n");
+    }
+    html
 }
 
 fn provenance(run: &Run, name: &dyn Fn(&str) -> String, page: &mut RunPage) {
