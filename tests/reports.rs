@@ -28,7 +28,7 @@ fn a_failed_method_is_a_visible_cell_and_the_rest_is_shown() {
     let broken = "
 [nodes.mine]
 kind = \"baseline/exec\"
-in = { events = \"recording.events\", frames = \"recording.frames\", sensor = \"sensor\", at = \"recording.frames\" }
+in = { events = \"recording.events\", frames = \"recording.frames\", sensor = \"sensor\" }
 params = { command = [\"false\"], version = \"1\", white = 1023 }
 [nodes.psnr_mine]
 kind = \"score/psnr\"

@@ -111,11 +111,21 @@ fn hazards(run: &Run) -> Vec<Hazard> {
         .filter_map(|task| task.params["path"].as_str())
         .collect();
     unique.extend(files.into_iter().map(|file| Hazard {
-        at: file.into(),
+        at: file_name(file),
         text: "`photocurrent inspect FILE` looks for hazards in the recording itself".into(),
         is_serious: false,
     }));
     unique
+}
+
+/// The manifest as it was named, without folders of a machine.
+fn manifest(run: &Run) -> String {
+    if run.record.manifest.starts_with('/') { file_name(&run.record.manifest) } else { run.record.manifest.clone() }
+}
+
+/// The last part of a path.
+fn file_name(path: &str) -> String {
+    std::path::Path::new(path).file_name().map_or_else(|| path.into(), |name| name.to_string_lossy().into_owned())
 }
 
 /// Diagnoses that were part of the run, with links to their own pages.
@@ -135,12 +145,14 @@ fn diagnoses(run: &Run) -> String {
 fn provenance(run: &Run, name: &dyn Fn(&str) -> String, page: &mut RunPage) {
     let record = &run.record;
     let sets: String = record.sets.iter().map(|set| format!(" --set '{set}'")).collect();
-    page.provenance.push((name("command"), format!("photocurrent run {}{sets}", record.manifest)));
+    page.provenance.push((name("command"), format!("photocurrent run {}{sets}", manifest(run))));
     page.provenance.push((name("program"), format!("photocurrent {}", record.version)));
     page.provenance.push((name("seed"), record.seed.to_string()));
     for task in record.tasks.iter().filter(|task| task.kind.starts_with("read/")) {
         let Some(path) = task.params["path"].as_str() else { continue };
         let content: Vec<String> = task.outputs.iter().map(|(port, output)| format!("{port} {}", output.digest)).collect();
+        // A page is passed on: it names files, and no folders of a machine.
+        let path = file_name(path);
         page.provenance.push((name(&task.label), format!("{path}; content (BLAKE3): {}", content.join(", "))));
     }
 }

@@ -45,6 +45,7 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
         }
         said.push("yellow frames: pixels whose held-out frames are predicted".into());
     }
+    let unmarked = said.len();
     for finding in found.map_or(&[][..], |found| &found.integrity.findings) {
         if finding.pixels.is_empty() {
             continue;
@@ -73,12 +74,12 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
         }
         said.push(format!("dashed frame: rows {top} to {bottom}, columns {left} to {right}, where {} shows", effect.id));
     }
+    if said.len() == unmarked {
+        said.push("no test names single pixels, rows or columns".into());
+    }
     let masked = found.map_or(0, |found| found.integrity.masked.len());
     if masked > 0 {
         said.push(format!("{masked} pixels were left out of everything that needs a scene"));
-    }
-    if report.effects.iter().all(|effect| effect.location.pixels as usize == width * height) && said.len() == 2 {
-        said.push("no test names single pixels, rows or columns".into());
     }
     let events = case.events.all().len();
     let frames = case.frames.as_ref().map_or(0, |frames| frames.times.len());
