@@ -102,7 +102,8 @@
     if (spec.series.length > 1 || spec.legend) {
       for (const one of spec.series) {
         const sample = P.svg("svg", { viewBox: "0 0 30 12", "aria-hidden": "true" });
-        sample.append(P.svg("path", { d: "M1,6H29", fill: "none", "stroke-width": 2.4, ...line(one.style) }));
+        if (!one.loose) sample.append(P.svg("path", { d: "M1,6H29", fill: "none", "stroke-width": 2.4, ...line(one.style) }));
+        if (one.loose || one.dots) sample.append(mark(15, 6, one.style));
         const button = P.make("button", { type: "button", "aria-pressed": "true" });
         button.append(sample, one.label);
         button.addEventListener("click", () => {

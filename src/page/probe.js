@@ -40,7 +40,7 @@
       band: one === chosen ? one.band.map(([t, low, high]) => [t / 1e6, low, high]) : [],
     }));
     if (chosen?.front_end.length) series.push({ label: `V_FE, ${chosen.label}`, style: 6, points: chosen.front_end.map(([t, v]) => [t / 1e6, v]) });
-    charts.push(P.chart(place("voltage"), { title: "Log photocurrent V_DC, front end V_FE, events", x: "time [ms]", y: "ln i", series, ticks, xRange: range(group) }));
+    charts.push(P.chart(place("voltage"), { title: "V_DC, V_FE and events", x: "time [ms]", y: "ln i", series, ticks, xRange: range(group) }));
     const residual = (of, style) => pixel.solved.map((one) => ({ label: one.label, style: one.style, loose: true, points: one[of].map((r) => [r.t_ns / 1e6, r.value]) }));
     charts.push(P.chart(place("frame-residual"), { title: "Frame residual: captured - predicted", x: "time [ms]", y: "DN", series: residual("frame_residuals"), xRange: range(group) }));
     charts.push(P.chart(place("event-residual"), { title: "Event residual: step of V_FE - threshold", x: "time [ms]", y: "ln i", series: residual("event_residuals"), xRange: range(group) }));

@@ -19,10 +19,11 @@ const SINGLE: &str = "metrics.jsonl";
 
 /// The scores of all runs, pooled over frames; empty when there are none.
 fn pooled(runs: &[Run]) -> Result<Vec<Record>, Failure> {
-    let folders: Vec<PathBuf> = runs.iter().filter(|run| run.folder.join(POOLED).exists()).map(|run| run.folder.clone()).collect();
-    let choice = Choice { metrics: Vec::new(), levels: Vec::new(), statistic: Pooled::Value, by_frame: false, card: Vec::new() };
     // What was never measured by anybody has no place in a table.
-    if folders.is_empty() { Ok(Vec::new()) } else { Ok(read(&folders, &choice).unwrap_or_default()) }
+    let has_numbers = |run: &&Run| std::fs::read_to_string(run.folder.join(POOLED)).is_ok_and(|text| text.contains("\"metric\""));
+    let folders: Vec<PathBuf> = runs.iter().filter(has_numbers).map(|run| run.folder.clone()).collect();
+    let choice = Choice { metrics: Vec::new(), levels: Vec::new(), statistic: Pooled::Value, by_frame: false, card: Vec::new() };
+    if folders.is_empty() { Ok(Vec::new()) } else { read(&folders, &choice) }
 }
 
 /// Names that people gave to methods, in place of those of nodes.

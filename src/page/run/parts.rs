@@ -92,13 +92,12 @@ pub fn pictures(page: &RunPage) -> String {
         if page.groups.len() > 1 {
             let _ = writeln!(html, "<h3>{}</h3>", escaped(&group.name));
         }
-        let name = |part: &str| format!("{part}-{at}");
         let _ = write!(
             html,
             r#"<div data-group="{at}">
 <div class="controls">
-<label for="{left}">Left</label><select id="{left}" data-part="left"></select>
-<label for="{right}">Right</label><select id="{right}" data-part="right"></select>
+<label>Left <select data-part="left"></select></label>
+<label>Right <select data-part="right"></select></label>
 <button type="button" data-part="swap">Swap</button>
 <span class="group" role="group" aria-label="How the two are compared">
 <button type="button" data-mode="slider">Slider</button><button type="button" data-mode="flicker">Flicker</button><button type="button" data-mode="beside">Side by side</button><button type="button" data-mode="difference">Difference</button>
@@ -115,8 +114,6 @@ pub fn pictures(page: &RunPage) -> String {
 <div class="controls"><label class="grow">Zoom <input type="range" data-part="zoom" min="0" max="5" step="0.1" value="0"></label><button type="button" data-part="reset">Whole picture</button></div>
 </div>
 "#,
-            left = name("left"),
-            right = name("right"),
             range = group.white - group.black,
             last = group.instants_ns.len().saturating_sub(1),
             middle = group.instants_ns.len() / 2,
