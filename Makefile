@@ -1,28 +1,27 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-# Both install what is missing first: Debian's libhdf5 (through apt) and nothing else. Rust itself must be there: https://rustup.rs
+# Both install what is missing first, through apt: Debian's libhdf5, and for the tests of pages its chromium. Rust itself must be there: https://rustup.rs
 
 # Where cargo builds, unless it is told otherwise.
 BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
-.PHONY: demo test lint figures refine-weights test-training setup clean
+.PHONY: demo test browser lint figures refine-weights test-training setup clean
 
 demo: setup
+	@echo "The demo builds the program (some minutes the first time), then takes a few seconds: it simulates an 80 ms recording of fast pellets with known truth,"
+	@echo "recovers sharp frames at 1,000 fps in six ways, scores them against the truth and writes one page to look at. It writes to out/quickstart and .photocurrent only."
+	@echo
 	cargo build --release --locked
 	$(BIN) run pipelines/quickstart.toml
+	@$(BIN) report pipelines/quickstart.toml --quiet > /dev/null
 	@echo
-	@echo "Look at:"
-	@echo "  out/quickstart/sheet/contact_sheet.png   truth, what the camera saw, its events, and five reconstructions"
-	@echo "  out/quickstart/table/table.md            the table above"
-	@echo "  out/quickstart/frames/                   1,000 frames per second as 16-bit PNG, times in frames.csv"
+	@echo "Open in a browser:"
+	@echo "  out/quickstart/report.html"
 	@echo "Try next:"
-	@echo "  $(BIN) run pipelines/quickstart.toml                                        # again: nothing runs"
-	@echo "  $(BIN) explain pipelines/quickstart.toml solve_all --set nodes.solve_all.params.cis_weight=2"
-	@echo "  $(BIN) run pipelines/davis346.toml                                          # a real camera"
-	@echo "  $(BIN) init data/recordings/davis346_cradle.aedat4 -o my.toml               # a manifest for any recording, yours too"
-	@echo "  $(BIN) diagnose data/recordings/davis346_traffic.aedat4 --sensor data/sensors/davis346_sheet.toml --direct   # and what its description lacks"
-	@echo "  $(BIN) graph pipelines/quickstart.toml --format svg > graph.svg"
+	@echo "  $(BIN) run pipelines/davis346.toml                                     # a real camera"
+	@echo "  $(BIN) init data/recordings/davis346_cradle.aedat4 -o my.toml          # a manifest for any recording, yours too"
+	@echo "  $(BIN) diagnose data/recordings/davis346_traffic.aedat4 --sensor data/sensors/davis346_sheet.toml --direct   # what a description lacks"
 
-test: setup
+test: setup browser
 	cargo test --workspace --locked
 
 lint: setup
@@ -64,6 +63,15 @@ setup:
 		else echo "No apt-get here: install HDF5 1.10 or later with its headers by hand." >&2; exit 1; fi; \
 	fi
 	@command -v cc >/dev/null || { echo "A C compiler is missing: apt-get install gcc" >&2; exit 1; }
+
+# A browser for the tests that open pages. Nothing happens when there is one.
+browser:
+	@if ! command -v chromium >/dev/null && ! command -v chromium-browser >/dev/null && ! command -v google-chrome >/dev/null; then \
+		echo "Installing chromium ..."; \
+		SUDO=$$( [ $$(id -u) = 0 ] || echo sudo ); \
+		if command -v apt-get >/dev/null; then $$SUDO apt-get update -qq && $$SUDO apt-get install -y -qq --no-install-recommends chromium; \
+		else echo "No apt-get here: install Chromium or Chrome by hand." >&2; exit 1; fi; \
+	fi
 
 clean:
 	cargo clean

@@ -96,7 +96,8 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
     assert_eq!(done.code, 0, "{}", done.stderr);
     let manifest = root.join("pipelines/diagnose/recording.toml").display().to_string();
     let path = format!("nodes.recording.params.path={recording:?}");
-    let arguments = [manifest.as_str(), "--set", &path, "--out", "graph", "--threads", "2", "--to", "answer"];
+    let named = "nodes.answer.params.recording=\"0ca5a116.h5\"";
+    let arguments = [manifest.as_str(), "--set", &path, "--set", named, "--out", "graph", "--threads", "2", "--to", "answer"];
     assert!(executed(&bench.outcome(&arguments)).contains(&"confirm".to_string()));
     for name in ["diagnosis.json", "report.html", "sensor.fitted.toml"] {
         let there = bench.path(&format!("command/{name}")).exists();

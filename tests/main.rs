@@ -1,5 +1,6 @@
 //! The integration tests, as one binary. What belongs where:
 //!
+//! - `browser`: the pages in a real browser: the report of a run, the page of a diagnosis.
 //! - `conformance`: every node kind keeps the promises that all of them make.
 //! - `manifests`: every mistake in a manifest gives its message (`manifests/bad`).
 //! - `pipelines`: the pipelines that people run, and their ablations, do run.
@@ -15,9 +16,11 @@
 //! - `films`: pictures as light, from files to events.
 //! - `learned`: the manifests of methods whose networks are elsewhere.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
+//! - `reports`: pages of finished runs, by `photocurrent report`.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
 //! - `tidy`: the invariants of docs/architecture.md.
 
+mod browser;
 mod cache;
 mod colour;
 mod conformance;
@@ -33,6 +36,7 @@ mod learned;
 mod manifests;
 mod pipelines;
 mod recordings;
+mod reports;
 mod support;
 mod tables;
 mod tidy;

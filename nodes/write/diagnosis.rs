@@ -6,15 +6,21 @@
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use photocurrent_diagnosis::fitted::with_findings;
+use photocurrent_diagnosis::page::with_names;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::sync::Arc;
 
-/// Parameters of `write/diagnosis`: none.
+/// Parameters of `write/diagnosis`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
-pub struct Params {}
+pub struct Params {
+    /// What the recording is called on the page, such as the name of its file. Absent = not named.
+    pub recording: Option<String>,
+    /// What the sensor description is called on the page. Absent = it is the one in the recording.
+    pub description: Option<String>,
+}
 
 photocurrent_core::ports! {
     /// The answer.
@@ -37,7 +43,9 @@ photocurrent_core::ports! {
 }
 
 /// The node.
-pub struct WriteDiagnosis;
+pub struct WriteDiagnosis {
+    params: Params,
+}
 
 impl Node for WriteDiagnosis {
     const DECL: Decl = Decl {
@@ -58,8 +66,8 @@ in   = { report = "confirm.report", page = "confirm.page", sensor = "confirm.sen
     type In = In;
     type Out = Out;
 
-    fn build(_: Params) -> Result<Self, NodeError> {
-        Ok(WriteDiagnosis)
+    fn build(params: Params) -> Result<Self, NodeError> {
+        Ok(WriteDiagnosis { params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -74,7 +82,8 @@ in   = { report = "confirm.report", page = "confirm.page", sensor = "confirm.sen
         let report: Value = input.report.read()?;
         let mut files = vec![("diagnosis.json", input.report.text().to_owned())];
         if let Some(page) = &input.page {
-            files.push(("report.html", page.read::<String>()?));
+            let names = (self.params.recording.as_deref(), self.params.description.as_deref());
+            files.push(("report.html", with_names(&page.read::<String>()?, names.0, names.1)));
         }
         if let Some(sensor) = input.sensor.filter(|_| report["sensor_fitted"].is_string()) {
             let texts = |value: &Value| -> Vec<String> { value.as_array().into_iter().flatten().filter_map(Value::as_str).map(str::to_owned).collect() };
@@ -109,7 +118,7 @@ mod tests {
         };
         let mut found = Vec::new();
         exporting(
-            |cx| WriteDiagnosis.run(input, cx).unwrap(),
+            |cx| WriteDiagnosis { params: Params::default() }.run(input, cx).unwrap(),
             |out, _, folder| {
                 let Some(Column::Texts(names)) = out.listing.column("file") else { panic!("names") };
                 found.extend(names.iter().map(|name| (name.clone(), std::fs::read_to_string(folder.join(name)).unwrap())));

@@ -5,11 +5,11 @@
 
 pub mod contact_sheet;
 pub mod diagnosis;
-mod display;
+pub(crate) mod display;
 pub mod figure;
 mod font;
 pub mod frames;
-mod picture;
+pub(crate) mod picture;
 pub mod plot;
 pub mod recording;
 pub mod table;

@@ -35,10 +35,19 @@ impl Picture<'_> {
 
     /// Encodes it with quick compression.
     pub fn encode(&self, to: impl std::io::Write) -> Result<(), png::EncodingError> {
+        self.encode_as(to, Compression::Fast)
+    }
+
+    /// Encodes it for a place where size counts.
+    pub fn encode_small(&self, to: impl std::io::Write) -> Result<(), png::EncodingError> {
+        self.encode_as(to, Compression::Balanced)
+    }
+
+    fn encode_as(&self, to: impl std::io::Write, compression: Compression) -> Result<(), png::EncodingError> {
         let mut encoder = Encoder::new(to, self.width, self.height);
         encoder.set_color(if self.channels == 1 { ColorType::Grayscale } else { ColorType::Rgb });
         encoder.set_depth(self.depth);
-        encoder.set_compression(Compression::Fast);
+        encoder.set_compression(compression);
         if let Some(comment) = self.comment {
             encoder.add_text_chunk("Comment".into(), comment.into())?;
         }

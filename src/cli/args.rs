@@ -31,6 +31,8 @@ pub enum Command {
     Check(CheckOptions),
     /// Print the scores of finished runs as a table: Markdown, CSV, LaTeX or JSON Lines
     Table(TableOptions),
+    /// Make one HTML page of finished runs: scores, pictures to compare, curves, graph, provenance
+    Report(ReportOptions),
     /// Draw the graph of a pipeline
     Graph(GraphOptions),
     /// Show what recordings of any format hold, and what is wrong with them or unknown
@@ -287,6 +289,37 @@ pub struct TableOptions {
     /// Draw it as well, the rows along the axis: levels are numbers with a unit (73rpm), the file ends in .svg or .png
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
+}
+
+/// A pixel, `X,Y`.
+fn pixel(text: &str) -> Result<(u32, u32), String> {
+    let parts = text.split_once(',').and_then(|(x, y)| Some((x.trim().parse().ok()?, y.trim().parse().ok()?)));
+    parts.ok_or_else(|| "expected column and row, counted from 0, such as 64,48".into())
+}
+
+#[derive(ClapArgs)]
+pub struct ReportOptions {
+    /// What was run: a manifest (its results are in out/NAME), or the folder that a run wrote to
+    #[arg(required = true, value_name = "RUN")]
+    pub runs: Vec<PathBuf>,
+    /// The page to write [default: report.html in the folder of the first run]
+    #[arg(short, long, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Only variants of an ablation with this name, or part of it, are shown as pictures, curves and graphs
+    #[arg(long = "variant", value_name = "NAME")]
+    pub variants: Vec<String>,
+    /// A pixel to follow with its events, exposures and voltages; may be given several times [default: eight lively ones]
+    #[arg(long = "pixel", value_name = "X,Y", value_parser = pixel)]
+    pub pixels: Vec<(u32, u32)>,
+    /// The page may be so large: pictures are thinned out, then made smaller, until it fits
+    #[arg(long, value_name = "SIZE", value_parser = bytes, default_value = "12MB")]
+    pub max_size: u64,
+    /// Where results are kept [default: as the run says]
+    #[arg(long, value_name = "FOLDER")]
+    pub cache: Option<PathBuf>,
+    /// Say only what went wrong
+    #[arg(short, long)]
+    pub quiet: bool,
 }
 
 #[derive(Clone, Copy, ValueEnum)]

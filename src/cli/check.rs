@@ -216,6 +216,8 @@ fn check_scores(path: &Path) -> Done {
         let text = std::fs::read_to_string(file).map_err(|error| data(photocurrent_core::error::cannot_read(file, &error)))?;
         for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
             let wrong = match serde_json::from_str::<serde_json::Value>(line) {
+                // What was not measured has no metric, and says what is missing.
+                Ok(value) if value["missing"].is_string() => None,
                 Ok(value) => ["variant", "node", "metric"].iter().find(|key| !value[**key].is_string()).map(|key| format!("no `{key}`")),
                 Err(error) => Some(format!("no JSON: {error}")),
             };

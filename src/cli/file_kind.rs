@@ -131,7 +131,7 @@ fn of_folder(path: &Path) -> FileKind {
         return FileKind::Diagnosis;
     }
     let is_stamped = |folder: &Path| photocurrent_engine::export::read_stamp(folder).is_some();
-    let scores = ["metrics.jsonl", "metrics.pooled.jsonl", "pooled.jsonl"];
+    let scores = [crate::run_record::FILE, "metrics.jsonl", "metrics.pooled.jsonl", "pooled.jsonl"];
     let children = || std::fs::read_dir(path).into_iter().flatten().flatten().take(4096);
     if scores.iter().any(|name| path.join(name).is_file()) || is_stamped(path) || children().any(|child| is_stamped(&child.path())) {
         return FileKind::RunFolder;
@@ -174,8 +174,12 @@ fn of_text(path: &Path, head: &[u8], bytes: u64) -> Option<FileKind> {
         };
     }
     let beginning: String = start.chars().take(400).collect::<String>().to_lowercase();
-    if beginning.starts_with("<!doctype html") && beginning.contains("<title>diagnosis</title>") {
+    let is_page_of = |who: &str| beginning.starts_with("<!doctype html") && beginning.contains(&format!("content=\"photocurrent {who}\""));
+    if is_page_of("diagnose") {
         return Some(FileKind::Diagnosis);
+    }
+    if is_page_of("report") {
+        return Some(FileKind::Other("the report of a run: open it in a browser".into()));
     }
     match of_toml(text) {
         _ if bytes > LARGEST_TOML => None,
@@ -248,7 +252,7 @@ mod tests {
             ("c.cfg", b"[nodes.a]\nkind = \"read/sensor\"\n", "a manifest"),
             ("broken.toml", b"]]] = = \n", "a manifest"),
             ("d.json", b"{\n \"schema\": \"photocurrent-diagnosis/1\"}", "a diagnosis"),
-            ("r.html", b"<!doctype html>\n<html>\n<head><title>Diagnosis</title>", "a diagnosis"),
+            ("r.html", b"<!doctype html>\n<html>\n<head><meta name=\"generator\" content=\"photocurrent diagnose\">", "a diagnosis"),
             ("m", b"{\"variant\":\"base\",\"node\":\"psnr\",\"metric\":\"psnr_db\"}\n", "a file of scores"),
             ("empty", b"", "an empty file"),
         ];

@@ -24,7 +24,9 @@ mod parts;
 mod plan;
 mod problems;
 mod progress;
+mod report;
 mod run;
+mod run_record;
 mod table;
 mod tables;
 mod terminal;
@@ -45,6 +47,7 @@ fn main() -> ExitCode {
         Command::Explain(options) => plan::explain(options),
         Command::Check(options) => check::check(options),
         Command::Table(options) => table::table(options),
+        Command::Report(options) => report::report(options),
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),
         Command::Diagnose(options) => diagnose::diagnose(options),

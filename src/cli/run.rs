@@ -3,6 +3,7 @@
 use crate::args::RunOptions;
 use crate::common::{Done, Failure, failed_nodes, human_bytes, human_seconds};
 use crate::progress::Watcher;
+use crate::run_record::RunRecord;
 use crate::tables::draw;
 use crate::terminal::{print, print_json, say};
 use photocurrent_core::document::Problem;
@@ -39,6 +40,7 @@ pub fn run(options: &RunOptions) -> Done {
     let watcher = Watcher::new(&plan, options.progress, options.quiet);
     let outcome = photocurrent_engine::run(&plan, &cache, &how, &watcher, &cancel);
     let seconds = started.elapsed().as_secs_f64();
+    RunRecord::of(&project, &plan, &outcome, &options.target.sets, &options.target.cache, &out_dir, seconds).save(&out_dir)?;
     report(options, &project, &outcome, &cache, &out_dir, seconds)?;
     Ok(outcome.exit_code())
 }

@@ -5,10 +5,10 @@
 //! A field of the metric card is an axis too, as `card.FIELD`. Nothing is averaged here: where two numbers fall into one cell, the command says by what they differ, or
 //! adds them up with `--sum`, which makes a confusion matrix of counts.
 
-mod formats;
-mod grid;
-mod plot;
-mod records;
+pub mod formats;
+pub mod grid;
+pub mod plot;
+pub mod records;
 
 use crate::args::{Among, TableFormat, TableOptions};
 use crate::common::{Done, Failure};
@@ -94,7 +94,8 @@ fn digits(asked: &[String], metrics: &[String]) -> Result<BTreeMap<String, usize
     Ok(digits)
 }
 
-fn usual_digits(metric: &str) -> usize {
+/// Digits after the point that a metric can bear.
+pub fn usual_digits(metric: &str) -> usize {
     match metric {
         _ if metric.ends_with("_db") || metric.starts_with("bew") || metric.ends_with("_dn") => 2,
         _ if metric.starts_with("glitches") => 0,

@@ -32,7 +32,7 @@ mod tests;
 
 pub use ablation::{Ablation, BASE};
 pub use explain::{Explanation, explain};
-pub use graph::{GraphFormat, graph};
+pub use graph::{Drawing, GraphFormat, graph};
 pub use observer::{End, Observer, Unobserved};
 pub use outcome::{Outcome, TaskOutcome};
 pub use pipeline::Pipeline;

@@ -38,6 +38,16 @@ pub struct TaskOutcome {
 }
 
 impl TaskOutcome {
+    /// Why there is no result, in a sentence; empty when there is one.
+    pub fn trouble(&self) -> String {
+        match self.end {
+            End::Executed | End::Reused => String::new(),
+            End::Failed => format!("{} failed: {}", self.label, self.error.as_ref().map(|error| error.message.clone()).unwrap_or_default()),
+            End::Skipped => format!("{} needs {}, which failed", self.label, self.because.join(", ")),
+            End::Interrupted => format!("{} was interrupted", self.label),
+        }
+    }
+
     /// Bytes of its stored outputs.
     pub fn bytes(&self) -> u64 {
         self.outputs.values().map(|output| output.bytes).sum()
@@ -127,6 +137,9 @@ impl Outcome {
                 }
             }
             // Which numbers these would have been is not known: a scorer says so with its numbers.
+            let failed =
+                variant.nodes.iter().map(|(node, task)| (node, &self.tasks[*task])).filter(|(_, task)| !matches!(task.end, End::Executed | End::Reused));
+            pooled.extend(failed.map(|(node, task)| json!({ "variant": variant.name, "node": node, "missing": "result", "why": task.trouble() })));
             pooled.extend(variant.left_out.iter().map(|left| json!({ "variant": variant.name, "node": left.node, "missing": left.missing, "why": left.why })));
         }
         Ok((single, pooled))

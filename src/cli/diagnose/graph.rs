@@ -94,6 +94,10 @@ fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
     put("pipeline.seed", (options.seed as i64).into());
     put("nodes.recording.kind", kind.into());
     put("nodes.recording.params.path", quoted(&options.recording)?);
+    put("nodes.answer.params.recording", file_name(&options.recording).into());
+    if let Some(sensor) = &options.sensor {
+        put("nodes.answer.params.description", file_name(sensor).into());
+    }
     // A description knows the row time of frames that do not state it.
     if let Some(row_time) = case.sensor.frames.row_time {
         put("nodes.recording.params.row_time", row_time.to_string().into());
@@ -155,6 +159,11 @@ fn unknown(table: &toml::Table, known: &serde_json::Value) -> Option<String> {
         (toml::Value::Table(inner), Some(known)) if key != "free" => unknown(inner, known).map(|inner| format!("{key}.{inner}")),
         _ => None,
     })
+}
+
+/// The last part of a path, for people.
+pub fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or(path.as_os_str()).to_string_lossy().into_owned()
 }
 
 /// A path as a manifest takes it, from the root: paths in it start from where it lies.

@@ -8,8 +8,8 @@ use crate::common::{Done, Failure, human_seconds};
 use crate::file_kind::need_recording;
 use crate::terminal::{print, say};
 use photocurrent_diagnosis::diagnose::broken;
-use photocurrent_diagnosis::page::page;
-use photocurrent_diagnosis::report::{Report, Verdict, short};
+use photocurrent_diagnosis::page::{page, readable, with_names};
+use photocurrent_diagnosis::report::{Report, Verdict};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -36,7 +36,10 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
             let report = broken(&why, options.seed);
             let beside = beside(&folder)?;
             std::fs::write(beside.path().join(REPORT), text(&report)?)?;
-            std::fs::write(beside.path().join(PAGE), page(&report, None, None))?;
+            std::fs::write(
+                beside.path().join(PAGE),
+                with_names(&page(&report, None, None), Some(&graph::file_name(&options.recording)), options.sensor.as_deref().map(graph::file_name).as_deref()),
+            )?;
             put(beside.path(), &folder, &beside)?;
             show(options, &report, &folder, started)?;
             return Ok(BROKEN);
@@ -126,9 +129,10 @@ fn summary(report: &Report) -> String {
     for effect in &report.effects {
         let _ = writeln!(text, "\n{}\n  {}\n  {}", effect.id, effect.plain, effect.equation);
         for (key, parameter) in &effect.parameters {
-            let interval = parameter.ci95.map(|[low, high]| format!(" ({} to {})", short(low), short(high))).unwrap_or_default();
-            let nominal = parameter.nominal.map(|nominal| format!(", stated {}", short(nominal))).unwrap_or_default();
-            let _ = writeln!(text, "  {key} = {}{interval}{nominal} [{}]", short(parameter.estimate), parameter.unit);
+            let shown = |value: f64| readable(value, &parameter.unit);
+            let interval = parameter.ci95.map(|[low, high]| format!(" (95 %: {} to {})", shown(low), shown(high))).unwrap_or_default();
+            let nominal = parameter.nominal.map(|nominal| format!(", nominal {}", shown(nominal))).unwrap_or_default();
+            let _ = writeln!(text, "  {key} = {}{interval}{nominal}", shown(parameter.estimate));
         }
         if !effect.also_possible.is_empty() {
             let _ = writeln!(text, "  also possible: {}", effect.also_possible.join(", "));
@@ -138,7 +142,7 @@ fn summary(report: &Report) -> String {
         let _ = writeln!(text, "\nthe scene: {} at {:.0} Hz, depth {:.2}", property.property, property.frequency_hz, property.depth);
     }
     if let Some(psnr) = report.fit.heldout_frame_psnr_db {
-        let _ = writeln!(text, "\nframes kept back: {:.1} dB as stated, {:.1} dB as fitted", psnr.before, psnr.after);
+        let _ = writeln!(text, "\nheld-out frames: {:.1} dB nominal, {:.1} dB fitted", psnr.before, psnr.after);
     }
     for advice in &report.next_experiment {
         let _ = writeln!(text, "next: {advice}");

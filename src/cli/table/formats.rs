@@ -28,7 +28,8 @@ pub enum Mark {
 }
 
 impl Style {
-    fn show(&self, cell: Option<&Cell>) -> String {
+    /// A cell as text.
+    pub fn show(&self, cell: Option<&Cell>) -> String {
         match cell {
             Some(cell) if !cell.value.is_nan() => format!("{:.*}", self.digits.get(&cell.metric).copied().unwrap_or(3), cell.value),
             Some(Cell { missing: Some((name, _)), .. }) => format!("no {name}"),
@@ -55,7 +56,8 @@ impl Style {
         }
     }
 
-    fn level(&self, grid: &Grid, axis: &str, level: &str, arrows: [&str; 2]) -> String {
+    /// A level of an axis as text; metrics with their unit and direction.
+    pub fn level(&self, grid: &Grid, axis: &str, level: &str, arrows: [&str; 2]) -> String {
         if axis == "metric" { self.heading(grid, level, arrows) } else { self.name(level).into() }
     }
 

@@ -26,7 +26,7 @@ pub fn save(grid: &Grid, style: &Style, path: &Path) -> Result<(), Failure> {
 }
 
 /// One panel for each metric.
-fn figure(grid: &Grid, style: &Style) -> Result<Figure, String> {
+pub fn figure(grid: &Grid, style: &Style) -> Result<Figure, String> {
     let [axis] = grid.row_axes.as_slice() else {
         return Err(format!("one axis makes the rows of a figure, and here {} do: {}", grid.row_axes.len(), grid.row_axes.join(", ")));
     };

@@ -7,7 +7,7 @@ use crate::covariates::Covariate;
 use crate::law::{Law, Moved};
 use std::fmt::Write;
 
-const GREY: &str = "#787878";
+const GREY: &str = "var(--edge)";
 
 /// The curve of what has no name.
 pub fn unnamed(html: &mut String, law: &Law) {
@@ -24,7 +24,7 @@ pub fn unnamed(html: &mut String, law: &Law) {
         if law.moved == Moved::EventRate && law.covariate == Covariate::FramePhase { "times the strength of chance" } else { "standard errors from nothing" };
     let _ = writeln!(
         html,
-        "<h2>The curve without a name</h2>\n<p class=\"note\">{what} {against}, over {name}{rhythm}; bars: 95 %. It is {measured} {unit_of_strength}, takes away {:.1} % of the squares \
+        "<p class=\"note\">{what} {against}, over {name}{rhythm}; bars: 95 %. It is {measured} {unit_of_strength}, takes away {:.1} % of the squares \
          and gains {} nats an event on events that it was not fitted to.</p>",
         100.0 * law.taken,
         number(law.nats_per_event)

@@ -69,7 +69,7 @@ fn map(case: &Case, found: &Located) -> String {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let size = f64::min(640.0 / width as f64, 480.0 / height as f64);
     let (wide, high) = (size * width as f64, size * height as f64);
-    let mut svg = open(f64::max(wide, 460.0) + 4.0, TOP + high + 28.0);
+    let mut svg = open("The scene with the gain of each place over it", f64::max(wide, 460.0) + 4.0, TOP + high + 28.0);
     let _ = write!(svg, "<rect x=\"0\" y=\"{TOP}\" width=\"{wide:.1}\" height=\"{high:.1}\" fill=\"#e6e8eb\"/>");
     grey(&mut svg, case, size, TOP);
     let of = &found.map;
@@ -121,7 +121,7 @@ fn map(case: &Case, found: &Located) -> String {
 }
 
 /// The frame in the middle of the recording, as grey runs of equal shade; nothing without frames.
-fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
+pub fn grey(svg: &mut String, case: &Case, size: f64, top: f64) {
     let Some(frames) = &case.frames else { return };
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let side = width.max(height).div_ceil(MOST_CELLS).max(1);

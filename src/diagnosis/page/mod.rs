@@ -1,71 +1,131 @@
-//! The report as one page of HTML that needs nothing beside it: text first, then pictures as inline SVG.
+//! The report as one page of HTML that needs nothing else, in the style of all pages (`photocurrent-page`): text first, then pictures as inline SVG.
 //!
-//! The page says what `diagnosis.json` says, and shows what that cannot hold: how strongly each candidate was supported, and where and when held-out frames disagree with the
-//! description as stated and as fitted. The same diagnosis gives the same bytes.
+//! The page says what `diagnosis.json` says, and shows what that cannot hold: what was looked at, the evidence of every test, and where and when held-out frames differ from
+//! what the nominal and the fitted description predict. The same diagnosis gives the same bytes. Files have names that no stage knows; who writes the page adds them
+//! ([`with_names`]).
 
 mod curve;
 mod located;
+mod overview;
 mod pixels;
 mod plot;
 mod svg;
+mod units;
 
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
 use crate::diagnose::{Diagnosis, Proposed};
 use crate::heldout::Prediction;
 use crate::law::Law;
-use crate::report::{EffectReport, Parameter, Report, Verdict, short as number};
+use crate::report::{BeforeAfter, EffectReport, Parameter, Report, Verdict, short as number};
 use crate::verdict::Proposal;
+use photocurrent_page::{Page, Section, escaped};
 use plot::{Plot, Scale};
 use std::fmt::Write;
 use svg::{Bar, COLOURS, Map, bars, maps};
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem;color:#1b1f24;background:#fff}\
-h1{font-size:1.5rem;margin:0}h2{font-size:1.15rem;margin:2rem 0 .5rem;border-bottom:1px solid #d0d7de;padding-bottom:.2rem}\
-h3{font-size:1rem;margin:1rem 0 .3rem}table{border-collapse:collapse;margin:.5rem 0}td,th{padding:.15rem .8rem .15rem 0;text-align:left;vertical-align:top}\
-th{color:#57606a;font-weight:600}td.n{text-align:right;font-variant-numeric:tabular-nums}code{background:#f3f4f6;padding:.1rem .3rem;border-radius:3px}\
-.badge{display:inline-block;padding:.15rem .7rem;border-radius:1rem;color:#fff;font-weight:600}.note{color:#57606a}svg{max-width:100%;height:auto}\
-.effect{border-left:4px solid #0072b2;padding:.1rem 0 .1rem 1rem;margin:1rem 0}";
+pub use units::readable;
+
+/// The title of a page without names, and the place where names go.
+const TITLE: &str = "Diagnosis";
+const SLOT: &str = "<!-- names -->";
+/// From this share of its detection threshold on, a test is said to have nearly reached it.
+const NEARLY: f64 = 0.5;
 
 /// The page of a report; pictures need the recording and what came of its diagnosis.
 pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> String {
-    let mut html = String::from("<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<title>Diagnosis</title>\n");
-    let _ = write!(html, "<style>{STYLE}</style>\n</head>\n<body>\n");
-    head(&mut html, report);
+    let both = case.zip(found);
+    let part = |id, title: &str, write: &dyn Fn(&mut String)| {
+        let mut html = String::new();
+        write(&mut html);
+        Section { id, title: title.into(), html }
+    };
+    let mut lead = String::new();
+    head(&mut lead, report, found);
+    let sections = vec![
+        part("missing", "What the description lacks", &|html| effects(html, report)),
+        part("before-after", "Before and after", &|html| fits(html, report)),
+        part("looked-at", "What was looked at", &|html| {
+            if let Some(case) = case {
+                overview::overview(html, case, report, found);
+            }
+        }),
+        part("curve", "The curve without a name", &|html| {
+            if let Some(law) = found.and_then(|found| unnamed(report, found)) {
+                curve::unnamed(html, law);
+            }
+        }),
+        part("where", "Where it is", &|html| {
+            if let Some((case, found)) = both {
+                places(html, case, found);
+            }
+        }),
+        part("held-out", "Held-out frames", &|html| {
+            if let Some((case, found)) = both {
+                proof(html, report, case, found);
+            }
+        }),
+        part("pixels", "Three pixels", &|html| {
+            if let Some((case, found)) = both {
+                pixels::examples(html, case, found);
+            }
+        }),
+        part("evidence", "Evidence per test", &|html| {
+            if let Some(found) = found {
+                scores(html, found);
+            }
+        }),
+        part("limits", "Detection limits", &|html| detectable(html, report)),
+        part("not-identifiable", "Not identifiable from this recording", &|html| not_testable(html, report)),
+        part("next", "What to record next", &|html| next(html, report)),
+        part("provenance", "Provenance", &|html| provenance(html, report)),
+    ];
+    Page { generator: "photocurrent diagnose".into(), title: TITLE.into(), lead, sections, data: serde_json::json!({ "copies": [] }), scripts: Vec::new() }
+        .html()
+}
+
+/// The page with the names of the files that it is about: recording, and description where it is a file of its own.
+pub fn with_names(page: &str, recording: Option<&str>, description: Option<&str>) -> String {
+    let Some(recording) = recording else { return page.to_owned() };
+    let title = escaped(&format!("{TITLE}: {recording}"));
+    let description = description.map_or_else(|| "in the recording".to_owned(), escaped);
+    let names = format!("<dl><dt>recording</dt><dd>{}</dd><dt>sensor description</dt><dd>{description}</dd></dl>", escaped(recording));
+    page.replacen(&format!("<title>{TITLE}</title>"), &format!("<title>{title}</title>"), 1)
+        .replacen(&format!("<h1>{TITLE}</h1>"), &format!("<h1>{title}</h1>"), 1)
+        .replacen(SLOT, &names, 1)
+}
+
+/// Verdict, summary and effects as HTML, for a page of another kind; it has no pictures.
+pub fn section(report: &Report) -> String {
+    let mut html = String::new();
+    head(&mut html, report, None);
     effects(&mut html, report);
-    if let Some(law) = found.and_then(|found| unnamed(report, found)) {
-        curve::unnamed(&mut html, law);
-    }
-    if let (Some(case), Some(found)) = (case, found) {
-        places(&mut html, case, found);
-    }
-    if let (Some(case), Some(found)) = (case, found) {
-        proof(&mut html, report, case, found);
-        pixels::examples(&mut html, case, found);
-    }
-    if let Some(found) = found {
-        scores(&mut html, found);
-    }
-    limits(&mut html, report);
-    provenance(&mut html, report);
-    html.push_str("</body>\n</html>\n");
+    fits(&mut html, report);
+    next(&mut html, report);
     html
 }
 
-fn head(html: &mut String, report: &Report) {
-    let colour = match report.verdict {
-        Verdict::Consistent => "#1a7f37",
-        Verdict::Named => "#0072b2",
-        Verdict::Ambiguous | Verdict::Unnamed => "#bf5b00",
-        Verdict::Numerical | Verdict::Insufficient => "#57606a",
-        Verdict::BrokenData => "#b00020",
-    };
-    let _ = writeln!(html, "<h1>Diagnosis <span class=\"badge\" style=\"background:{colour}\">{}</span></h1>", report.verdict.name());
-    let _ = writeln!(html, "<p>{}</p>", escaped(&report.summary));
+fn head(html: &mut String, report: &Report, found: Option<&Diagnosis>) {
+    let _ = writeln!(html, "{SLOT}\n<p><span class=\"badge\">{}</span></p>", escaped(&report.verdict.name().replace('_', " ")));
+    let class = if report.verdict == Verdict::BrokenData { " class=\"failed\"" } else { "" };
+    let _ = writeln!(html, "<p{class}>{}</p>", escaped(&report.summary));
+    let near = found.map(|found| nearly(report, found)).unwrap_or_default();
+    if !near.is_empty() {
+        let _ = writeln!(html, "<p class=\"missing\">Near the detection threshold, and not reported: {}.</p>", escaped(&near.join(", ")));
+    }
     for property in &report.scene {
-        let text = format!("The light itself: {} at {:.0} Hz, depth {:.2}; no fault of the sensor.", property.property, property.frequency_hz, property.depth);
+        let text =
+            format!("A property of the scene, not of the sensor: {} at {:.0} Hz, depth {:.2}.", property.property, property.frequency_hz, property.depth);
         let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
     }
+}
+
+/// What came near its detection threshold without being reported, with its share of it.
+fn nearly(report: &Report, found: &Diagnosis) -> Vec<String> {
+    let is_reported = |id: &str| report.effects.iter().any(|effect| effect.id == id || effect.also_possible.iter().any(|other| other == id));
+    let proposals = found.proposed.decided().map_or(&[][..], |decided| &decided.proposals);
+    let near = proposals.iter().filter(|one| (NEARLY..1.0).contains(&(one.score * one.probability)) && !is_reported(CANDIDATES[one.candidate].id));
+    near.map(|one| format!("{} ({:.0} % of it)", CANDIDATES[one.candidate].label(), 100.0 * one.score * one.probability)).collect()
 }
 
 /// The curve of what is reported without a name.
@@ -79,17 +139,16 @@ fn effects(html: &mut String, report: &Report) {
     if report.effects.is_empty() {
         return;
     }
-    html.push_str("<h2>What is missing in the description</h2>\n");
     for effect in &report.effects {
-        let _ = writeln!(html, "<div class=\"effect\"><h3>{}</h3>\n<p>{}</p>", escaped(&effect.id), escaped(&effect.plain));
+        let _ = writeln!(html, "<div class=\"missing\"><h3>{}</h3>\n<p>{}</p>", escaped(&effect.id), escaped(&effect.plain));
         let _ = writeln!(html, "<p><code>{}</code> <span class=\"note\">(enters at: {})</span></p>", escaped(&effect.equation), escaped(&effect.insertion));
         if !effect.parameters.is_empty() {
-            html.push_str("<table><tr><th>parameter</th><th>estimate</th><th>95 %</th><th>stated</th><th>unit</th></tr>\n");
+            html.push_str("<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Parameters\"><table><thead><tr><th scope=\"col\">parameter</th><th scope=\"col\" class=\"number\">estimate</th><th scope=\"col\" class=\"number\">95 % interval</th><th scope=\"col\" class=\"number\">nominal</th></tr></thead>\n");
             effect.parameters.iter().for_each(|(key, parameter)| parameter_row(html, key, parameter));
-            html.push_str("</table>\n");
+            html.push_str("</table></div>\n");
         }
         if !effect.also_possible.is_empty() {
-            let _ = writeln!(html, "<p>This recording cannot tell it from: {}.</p>", escaped(&effect.also_possible.join(", ")));
+            let _ = writeln!(html, "<p>This recording does not distinguish it from: {}.</p>", escaped(&effect.also_possible.join(", ")));
         }
         location(html, effect);
         html.push_str("</div>\n");
@@ -101,18 +160,18 @@ fn places(html: &mut String, case: &Case, found: &Diagnosis) {
     if found.located.is_empty() {
         return;
     }
-    html.push_str("<h2>Where it is</h2>\n<p class=\"note\">What an event gains in log-likelihood by the effect, both without and with it under the noise that is left with it: an ");
+    html.push_str("<p class=\"note\">What an event gains in log-likelihood by the effect, both without and with it under the noise that is left with it: an ");
     html.push_str("event that the effect changes nothing of gains nothing. Orange: gain, blue: loss; bars: 95 %, by blocks of pixels; green: the part that holds the gain; dashed ");
     html.push_str("frame: rows and columns of it.</p>\n");
     found.located.iter().for_each(|(id, of)| located::located(html, case, id, of));
 }
 
 fn parameter_row(html: &mut String, key: &str, parameter: &Parameter) {
-    let interval = parameter.ci95.map_or_else(|| "-".to_owned(), |[low, high]| format!("{} to {}", number(low), number(high)));
-    let nominal = parameter.nominal.map_or_else(|| "-".to_owned(), number);
-    let cells = [number(parameter.estimate), interval, nominal];
-    let cells: String = cells.iter().map(|cell| format!("<td class=\"n\">{cell}</td>")).collect();
-    let _ = writeln!(html, "<tr><td>{}</td>{cells}<td>{}</td></tr>", escaped(key), escaped(&parameter.unit));
+    let shown = |value: f64| readable(value, &parameter.unit);
+    let interval = parameter.ci95.map_or_else(|| "not estimated".to_owned(), |[low, high]| format!("{} to {}", shown(low), shown(high)));
+    let nominal = parameter.nominal.map_or_else(|| "-".to_owned(), shown);
+    let cells: String = [shown(parameter.estimate), interval, nominal].iter().map(|cell| format!("<td class=\"number\">{}</td>", escaped(cell))).collect();
+    let _ = writeln!(html, "<tr><th scope=\"row\">{}</th>{cells}</tr>", escaped(units::name_of(key)));
 }
 
 fn location(html: &mut String, effect: &EffectReport) {
@@ -125,17 +184,23 @@ fn location(html: &mut String, effect: &EffectReport) {
         text.truncate(text.len() - 2);
         let _ = write!(text, " ({shape}). ");
     }
-    let _ = write!(text, "Found by: {}; {:.1} times its alarm.", evidence.found_by.join(", "), evidence.statistic);
-    if let Some(nats) = evidence.heldout_nats {
-        let interval = evidence.heldout_nats_ci95.map_or_else(String::new, |[low, high]| format!(" ({low:.0} to {high:.0})"));
-        let _ = write!(text, " On held-out events it gains {nats:.0} nats{interval}.");
+    let _ = write!(text, "Found by: {}; {:.1} times its detection threshold.", evidence.found_by.join(", "), evidence.statistic);
+    match (evidence.heldout_nats_per_event, evidence.heldout_nats) {
+        (Some(nats), _) => {
+            let _ = write!(text, " On held-out events the predictive log-likelihood gains {} nats an event.", number(nats));
+        }
+        (None, Some(nats)) => {
+            let interval = evidence.heldout_nats_ci95.map_or_else(String::new, |[low, high]| format!(" (95 % interval {low:.0} to {high:.0})"));
+            let _ = write!(text, " On all held-out events together the predictive log-likelihood gains {nats:.0} nats{interval}.");
+        }
+        (None, None) => {}
     }
     let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
 }
 
-/// How far over or under its alarm each candidate is.
+/// How far over or under its detection threshold each candidate is.
 fn scores(html: &mut String, found: &Diagnosis) {
-    html.push_str("<h2>Who speaks for what</h2>\n<p class=\"note\">Statistic over the value from which it counts; the line is the alarm.</p>\n");
+    html.push_str("<p class=\"note\">Statistic over its detection threshold (dashed line), on a logarithmic axis; dark bars are reported.</p>\n");
     let direct: Vec<Bar> = found
         .integrity
         .findings
@@ -149,31 +214,34 @@ fn scores(html: &mut String, found: &Diagnosis) {
         };
         groups.push((decided.name.clone(), bars(&decided.proposals)));
         if !decided.second.is_empty() {
-            groups.push((format!("{}, beside the first", decided.name), bars(&decided.second)));
+            groups.push((format!("{}, in addition to the first", decided.name), bars(&decided.second)));
         }
     }
     for (name, group) in groups {
         let _ = writeln!(html, "<h3>{}</h3>", escaped(&name));
         if group.is_empty() {
-            html.push_str("<p>nothing</p>\n");
+            html.push_str("<p>No test came near.</p>\n");
         } else {
             html.push_str(&bars(&group));
         }
     }
     if let Proposed::Nothing(why) = &found.proposed {
-        let _ = writeln!(html, "<p>The scene is no evidence: {}.</p>", escaped(why));
+        let _ = writeln!(html, "<p>Nothing was decided on the scene: {}.</p>", escaped(why));
     }
 }
 
 /// Held-out frames: before and after, where, when.
 fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
     let Some(before) = &found.predictions.0 else { return };
-    html.push_str("<h2>Held-out frames</h2>\n");
     html.push_str("<p>Every third frame is held out and predicted from the events and the other frames, as <code>solve/pixel</code> would.</p>\n");
-    html.push_str("<table><tr><th></th><th>as stated</th><th>as fitted</th></tr>\n");
+    html.push_str("<table><thead><tr><th scope=\"col\">measure</th><th scope=\"col\" class=\"number\">nominal</th><th scope=\"col\" class=\"number\">fitted</th></tr></thead>\n");
     let after = found.predictions.1.as_ref();
     let fitted = after.map_or_else(|| "-".to_owned(), |after| format!("{:.2} dB", after.psnr_db()));
-    let _ = writeln!(html, "<tr><td>peak signal to noise</td><td class=\"n\">{:.2} dB</td><td class=\"n\">{fitted}</td></tr>", before.psnr_db());
+    let _ = writeln!(
+        html,
+        "<tr><th scope=\"row\">PSNR of held-out frames</th><td class=\"number\">{:.2} dB</td><td class=\"number\">{fitted}</td></tr>",
+        before.psnr_db()
+    );
     html.push_str("</table>\n");
     if after.is_none() && !report.effects.is_empty() {
         html.push_str("<p class=\"note\">What was found has no number that a description could state, so there is no fitted one.</p>\n");
@@ -186,12 +254,12 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
             map
         };
         html.push_str("<h3>Where: error of a held-out frame as a share of the pixel's mean</h3>\n");
-        let all: Vec<Map> = std::iter::once(("as stated", map(before))).chain(after.map(|after| ("as fitted", map(after)))).collect();
+        let all: Vec<Map> = std::iter::once(("nominal", map(before))).chain(after.map(|after| ("fitted", map(after)))).collect();
         html.push_str(&maps(&all, width, height, "of the mean, and more; grey: not looked at"));
     }
     html.push_str("<h3>When: error by frame</h3>\n");
     let all: Vec<(&Prediction, &str, &str)> =
-        std::iter::once((before, "as stated", COLOURS[0])).chain(after.map(|after| (after, "as fitted", COLOURS[1]))).collect();
+        std::iter::once((before, "nominal", COLOURS[0])).chain(after.map(|after| (after, "fitted", COLOURS[1]))).collect();
     let curve = |of: &Prediction| -> Vec<(f64, f64)> { of.by_frame.iter().map(|(frame, error)| (*frame as f64, *error)).collect() };
     let mut plot = Plot::with_rows(all.iter().flat_map(|one| curve(one.0)).chain([(f64::NAN, 0.0)]), 700.0, 200.0, Scale::Whole, &[]);
     for (of, name, colour) in all {
@@ -201,60 +269,91 @@ fn proof(html: &mut String, report: &Report, case: &Case, found: &Diagnosis) {
     html.push_str(&plot.close("frame", "root mean square error, DN"));
 }
 
-fn limits(html: &mut String, report: &Report) {
-    if !report.detectability.is_empty() {
-        html.push_str("<h2>What would have been seen</h2>\n<table><tr><th>effect</th><th>parameter</th><th>estimate</th><th>standard error</th>");
-        html.push_str("<th>smallest that is found</th><th>unit</th></tr>\n");
-        let cell = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), number);
-        for one in &report.detectability {
-            let cells = [cell(one.estimate), cell(one.standard_error), number(one.minimal_detectable)];
-            let cells: String = cells.iter().map(|cell| format!("<td class=\"n\">{cell}</td>")).collect();
-            let _ = writeln!(html, "<tr><td>{}</td><td>{}</td>{cells}<td>{}</td></tr>", escaped(&one.id), escaped(&one.parameter), escaped(&one.unit));
+/// How well the nominal and the fitted description predict what no earlier step saw.
+fn fits(html: &mut String, report: &Report) {
+    let fit = &report.fit;
+    let rows = [
+        ("events: predictive log-likelihood on held-out events", "nats an event, more is better", fit.heldout_nats_per_event),
+        ("frames: PSNR of held-out frames", "dB, more is better", fit.heldout_frame_psnr_db),
+        ("calibration: distance of residuals from uniform (Kolmogorov-Smirnov)", "0 to 1, less is better", fit.calibration_ks),
+    ];
+    if rows.iter().all(|(.., both)| both.is_none()) {
+        return;
+    }
+    html.push_str("<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Before and after\"><table><thead><tr><th scope=\"col\">measure</th>");
+    html.push_str("<th scope=\"col\" class=\"number\">nominal</th><th scope=\"col\" class=\"number\">fitted</th><th scope=\"col\">unit</th></tr></thead>\n");
+    for (name, unit, both) in rows {
+        let cells = both.map_or_else(
+            || "<td class=\"number\" colspan=\"2\">not measured</td>".to_owned(),
+            |BeforeAfter { before, after }| format!("<td class=\"number\">{}</td><td class=\"number\">{}</td>", number(before), number(after)),
+        );
+        let _ = writeln!(html, "<tr><th scope=\"row\">{name}</th>{cells}<td>{unit}</td></tr>");
+    }
+    html.push_str("</table></div>\n");
+}
+
+/// What would have been found.
+fn detectable(html: &mut String, report: &Report) {
+    if report.detectability.is_empty() {
+        return;
+    }
+    html.push_str("<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Detection limits\"><table><thead><tr><th scope=\"col\">effect</th><th scope=\"col\">parameter</th>");
+    for name in ["estimate", "standard error", "minimum detectable effect"] {
+        let _ = write!(html, "<th scope=\"col\" class=\"number\">{name}</th>");
+    }
+    html.push_str("</tr></thead>\n");
+    for one in &report.detectability {
+        let cell = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |value| readable(value, &one.unit));
+        let cells = [cell(one.estimate), cell(one.standard_error), readable(one.minimal_detectable, &one.unit)];
+        let cells: String = cells.iter().map(|cell| format!("<td class=\"number\">{}</td>", escaped(cell))).collect();
+        let _ = writeln!(html, "<tr><th scope=\"row\">{}</th><td>{}</td>{cells}</tr>", escaped(&one.id), escaped(units::name_of(&one.parameter)));
+    }
+    html.push_str("</table></div>\n");
+}
+
+fn not_testable(html: &mut String, report: &Report) {
+    if report.not_testable.is_empty() {
+        return;
+    }
+    html.push_str("<dl>\n");
+    let mut reasons: Vec<&str> = Vec::new();
+    report.not_testable.iter().map(|one| one.why.as_str()).for_each(|why| {
+        if !reasons.contains(&why) {
+            reasons.push(why);
         }
-        html.push_str("</table>\n");
+    });
+    for why in reasons {
+        let ids: Vec<&str> = report.not_testable.iter().filter(|one| one.why == why).map(|one| one.id.as_str()).collect();
+        let _ = writeln!(html, "<dt>{}</dt><dd>{}</dd>", escaped(why), escaped(&ids.join(", ")));
     }
-    if !report.not_testable.is_empty() {
-        html.push_str("<h2>What this recording says nothing about</h2>\n<table>\n");
-        let mut reasons: Vec<&str> = Vec::new();
-        report.not_testable.iter().map(|one| one.why.as_str()).for_each(|why| {
-            if !reasons.contains(&why) {
-                reasons.push(why);
-            }
-        });
-        for why in reasons {
-            let ids: Vec<&str> = report.not_testable.iter().filter(|one| one.why == why).map(|one| one.id.as_str()).collect();
-            let _ = writeln!(html, "<tr><td>{}</td><td class=\"note\">{}</td></tr>", escaped(&ids.join(", ")), escaped(why));
-        }
-        html.push_str("</table>\n");
+    html.push_str("</dl>\n");
+}
+
+fn next(html: &mut String, report: &Report) {
+    if report.next_experiment.is_empty() {
+        return;
     }
-    if !report.next_experiment.is_empty() {
-        html.push_str("<h2>What to record next</h2>\n<ul>\n");
-        report.next_experiment.iter().for_each(|advice| {
-            let _ = writeln!(html, "<li>{}</li>", escaped(advice));
-        });
-        html.push_str("</ul>\n");
-    }
+    html.push_str("<ul>\n");
+    report.next_experiment.iter().for_each(|advice| {
+        let _ = writeln!(html, "<li>{}</li>", escaped(advice));
+    });
+    html.push_str("</ul>\n");
 }
 
 fn provenance(html: &mut String, report: &Report) {
     let from = &report.provenance;
-    html.push_str("<h2>Where this comes from</h2>\n<table>\n");
+    html.push_str("<dl>\n");
     let rows = [
-        ("recording", from.recording_digest.clone()),
-        ("description", from.sensor_digest.clone()),
+        ("content of the recording (BLAKE3)", from.recording_digest.clone()),
+        ("content of the description (BLAKE3)", from.sensor_digest.clone()),
         ("seed", from.seed.to_string()),
-        ("version", from.version.clone()),
+        ("program", format!("photocurrent {}", from.version)),
         ("stages", from.stages.join(", ")),
     ];
     for (name, value) in rows {
-        let _ = writeln!(html, "<tr><th>{name}</th><td>{}</td></tr>", escaped(&value));
+        let _ = writeln!(html, "<dt>{name}</dt><dd>{}</dd>", escaped(&value));
     }
-    html.push_str("</table>\n");
-}
-
-/// Text in HTML.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    html.push_str("</dl>\n");
 }
 
 #[cfg(test)]

@@ -22,13 +22,17 @@ pub fn examples(html: &mut String, case: &Case, found: &Diagnosis) {
         return;
     }
     ranked.sort_by(|&a, &b| before.by_pixel[b].total_cmp(&before.by_pixel[a]).then(a.cmp(&b)));
-    html.push_str("<h2>Three pixels</h2>\n<p class=\"note\">Grey bars: frames, as light; every third one was held out. Curves: the light that is estimated from the others and the ");
-    html.push_str("events. Ticks: events, ON up and red, OFF down and blue.</p>\n");
+    html.push_str("<p class=\"note\">Grey bars: frames, as photocurrent; every third one was held out. Curves: the photocurrent that is estimated from the others and the ");
+    html.push_str("events. Ticks: events, ON up, OFF down.</p>\n");
     for (share, word) in [(0.02, "predicted worst"), (0.5, "predicted as usual"), (0.98, "predicted best")] {
         let n = ranked[((ranked.len() as f64 * share) as usize).min(ranked.len() - 1)];
         let (x, y) = case.place(sample.pixels[n] as usize);
-        let fitted = after.map_or_else(String::new, |after| format!(", {:.1} % as fitted", 100.0 * after.by_pixel[n]));
-        let _ = writeln!(html, "<h3>Column {x}, row {y}, {word}: held-out frames err by {:.1} % as stated{fitted}</h3>", 100.0 * before.by_pixel[n]);
+        let fitted = after.map_or_else(String::new, |after| format!(", by {:.1} % with the fitted one", 100.0 * after.by_pixel[n]));
+        let _ = writeln!(
+            html,
+            "<h3>Column {x}, row {y}, {word}: held-out frames err by {:.1} % with the nominal description{fitted}</h3>",
+            100.0 * before.by_pixel[n]
+        );
         html.push_str(&one(case, &nominal, sample, (before, after), n));
     }
 }
@@ -36,7 +40,7 @@ pub fn examples(html: &mut String, case: &Case, found: &Diagnosis) {
 fn one(case: &Case, nominal: &Nominal, sample: &Sample, (before, after): (&Prediction, Option<&Prediction>), n: usize) -> String {
     let pixel = sample.pixels[n] as usize;
     let described: Vec<(&Prediction, &str, &str)> =
-        std::iter::once((before, "as stated", COLOURS[0])).chain(after.map(|after| (after, "as fitted", COLOURS[1]))).collect();
+        std::iter::once((before, "nominal", COLOURS[0])).chain(after.map(|after| (after, "fitted", COLOURS[1]))).collect();
     let curve = |of: &Prediction| -> Vec<(f64, f64)> {
         let (t, u) = of.scene.pixel(n);
         t.iter().zip(u).map(|(t, u)| (*t as f64 * 1e-6, *u)).collect()
@@ -45,15 +49,15 @@ fn one(case: &Case, nominal: &Nominal, sample: &Sample, (before, after): (&Predi
     let ends = [case.span.0, case.span.1].map(|t| (t as f64 * 1e-6, f64::NAN));
     let all: Vec<(f64, f64)> = described.iter().flat_map(|one| curve(one.0)).chain(frames.iter().map(|(from, _, level)| (*from, *level))).chain(ends).collect();
     let mut plot = Plot::with_rows(all.into_iter(), 700.0, 240.0, Scale::Linear, &["recorded"]);
-    frames.iter().for_each(|(from, to, value)| plot.level(*from, *to, *value, "#b8c0c8"));
+    frames.iter().for_each(|(from, to, value)| plot.level(*from, *to, *value, "var(--edge)"));
     for event in case.events.of(pixel) {
-        plot.tick(0, event.t_in_ns as f64 * 1e-6, event.polarity > 0, if event.polarity > 0 { "#d00000" } else { "#0040d0" });
+        plot.tick(0, event.t_in_ns as f64 * 1e-6, event.polarity > 0, if event.polarity > 0 { "var(--c1)" } else { "var(--c0)" });
     }
     for (of, name, colour) in described {
         plot.line(&curve(of), colour, None);
         plot.name(colour, name);
     }
-    plot.close("time, ms", "ln light")
+    plot.close("time, ms", "ln i")
 }
 
 /// A frame as log light: from, to (ms), level.

@@ -52,7 +52,15 @@ impl Plot {
         let height = height + ROW * rows.len() as f64;
         let x = whole(x);
         let scale = if x.0 <= 0.0 && scale == Scale::Logarithmic { Scale::Linear } else { scale };
-        let mut plot = Plot { svg: open(width, height), x, y: whole(y), scale, size: (width, height), rows: rows.len(), legend: Vec::new() };
+        let mut plot = Plot {
+            svg: open("Curves; the axes name what they show", width, height),
+            x,
+            y: whole(y),
+            scale,
+            size: (width, height),
+            rows: rows.len(),
+            legend: Vec::new(),
+        };
         let (left, bottom) = (MARGIN.0, plot.bottom());
         let _ = write!(plot.svg, "<path d=\"M{left} {}V{bottom:.1}H{:.1}\" fill=\"none\" stroke=\"#787878\"/>", MARGIN.2, width - MARGIN.1);
         for (row, name) in rows.iter().enumerate() {

@@ -14,8 +14,8 @@ pub struct Bar {
     pub is_marked: bool,
 }
 
-/// Colours that colour-blind readers tell apart (Okabe and Ito).
-pub const COLOURS: [&str; 4] = ["#0072b2", "#d55e00", "#009e73", "#787878"];
+/// Colours that colour-blind readers tell apart, as the style of the page has them for light and dark.
+pub const COLOURS: [&str; 4] = ["var(--c0)", "var(--c1)", "var(--c2)", "var(--c6)"];
 
 /// Horizontal bars on a logarithmic axis from a tenth of the alarm up, with a line at the alarm.
 pub fn bars(bars: &[Bar]) -> String {
@@ -26,16 +26,16 @@ pub fn bars(bars: &[Bar]) -> String {
     let decades = libm::log10(most) + 1.0;
     let x = |value: f64| LEFT + WIDTH * (libm::log10(f64::max(value, 0.1)) + 1.0) / decades;
     let height = ROW * bars.len() as f64 + 8.0;
-    let mut svg = open(LEFT + WIDTH + 80.0, height);
+    let mut svg = open("Evidence of each test", LEFT + WIDTH + 80.0, height);
     for (row, bar) in bars.iter().enumerate() {
         let y = ROW * row as f64 + 4.0;
-        let colour = if bar.is_marked { COLOURS[0] } else { "#b8c0c8" };
+        let colour = if bar.is_marked { COLOURS[0] } else { "var(--edge)" };
         let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>", LEFT - 8.0, y + 13.0, escaped(&bar.label));
         let _ = write!(svg, "<rect x=\"{LEFT:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"16\" fill=\"{colour}\"/>", f64::max(x(bar.value) - LEFT, 1.0));
         let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\">{:.2}</text>", x(bar.value) + 6.0, y + 13.0, bar.value);
     }
     let alarm = x(1.0);
-    let _ = writeln!(svg, "<line x1=\"{alarm:.1}\" x2=\"{alarm:.1}\" y1=\"0\" y2=\"{height:.1}\" stroke=\"#b00020\" stroke-dasharray=\"4 3\"/></svg>");
+    let _ = writeln!(svg, "<line x1=\"{alarm:.1}\" x2=\"{alarm:.1}\" y1=\"0\" y2=\"{height:.1}\" stroke=\"var(--bad)\" stroke-dasharray=\"4 3\"/></svg>");
     svg
 }
 
@@ -66,7 +66,7 @@ pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
     let most = f64::max(crate::integrity::quantile(&known, 0.98), 1e-9);
     let size = ((700.0 - GAP) / all.len().max(2) as f64 / across as f64).min(8.0);
     let (wide, high) = (size * across as f64, size * down as f64);
-    let mut svg = open(f64::max((wide + GAP) * all.len() as f64, 460.0), TOP + high + 26.0);
+    let mut svg = open(what, f64::max((wide + GAP) * all.len() as f64, 460.0), TOP + high + 26.0);
     let colour = |share: f64| {
         let shade = (255.0 - 225.0 * share.clamp(0.0, 1.0)) as u8;
         format!("rgb(255,{shade},{})", shade / 2 + 60)
@@ -89,9 +89,10 @@ pub fn maps(all: &[Map], width: usize, height: usize, what: &str) -> String {
     svg
 }
 
-/// The head of a picture.
-pub fn open(width: f64, height: f64) -> String {
+/// The head of a picture; `what` is its name for those who do not see it.
+pub fn open(what: &str, width: f64, height: f64) -> String {
     format!(
-        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.1} {height:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" font-size=\"12\" font-family=\"sans-serif\">"
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" class=\"figure\" role=\"img\" aria-label=\"{}\" viewBox=\"0 0 {width:.1} {height:.1}\" width=\"{width:.1}\" height=\"{height:.1}\" font-size=\"12\" font-family=\"sans-serif\">",
+        escaped(what)
     )
 }

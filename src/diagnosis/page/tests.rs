@@ -11,7 +11,9 @@ use crate::verdict::{Decided, Proposal, Unexplained};
 /// Is the page whole, with nothing loaded from elsewhere and no number that failed?
 fn is_sound(html: &str) {
     assert!(html.starts_with("<!doctype html>") && html.ends_with("</html>\n"));
-    for part in ["src=", "<link", "<script", "NaN", "inf"] {
+    // Style and scripts are those of all pages, and tested there.
+    let html = &html[html.find("<body>").unwrap()..html.find("<script").unwrap()];
+    for part in ["src=", "<link", "NaN", "inf"] {
         assert!(!html.contains(part), "{part}");
     }
     for tag in ["svg", "table", "div", "h2", "h3", "p"] {
@@ -30,10 +32,10 @@ fn a_page_is_whole_and_needs_nothing_beside_it() {
     let found = diagnosed(&case, Proposed::NotAsked);
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
-    for part in ["consistent", "Held-out frames", "Three pixels", "says nothing about"] {
+    for part in ["consistent", "Held-out frames", "Three pixels", "Not identifiable from this recording", "What was looked at"] {
         assert!(html.contains(part), "{part}");
     }
-    assert!(!html.contains("as fitted</text>"), "nothing is fitted");
+    assert!(!html.contains(">fitted</text>"), "nothing is fitted");
     assert_eq!(html, page(&found.report, Some(&case), Some(&found)));
 }
 
@@ -46,12 +48,12 @@ fn what_is_claimed_is_shown_before_and_after() {
     let found = diagnosed(&case, Proposed::Decided(Box::new(Decided { name: "picture".into(), alarm: true, proposals: vec![proposal], ..Decided::default() })));
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
-    for part in ["What is missing", "leak_events.rate", "peak signal to noise"] {
+    for part in ["What the description lacks", "leak_events.rate", "PSNR of held-out frames", "<td class=\"number\">25 Hz</td>"] {
         assert!(html.contains(part), "{part}");
     }
-    // A table, two maps, a curve and three pixels speak of both.
-    let [stated, fitted] = ["as stated", "as fitted"].map(|word| html.matches(word).count());
-    assert!(fitted > 6 && stated == fitted, "{stated} {fitted}");
+    // Two maps, a curve and three pixels are of both.
+    let [nominal, fitted] = [">nominal</text>", ">fitted</text>"].map(|word| html.matches(word).count());
+    assert!(fitted > 4 && nominal == fitted, "{nominal} {fitted}");
 }
 
 #[test]
@@ -75,7 +77,7 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
     assert!(html.contains("The curve without a name") && html.contains("over row_parity"));
-    let points = html.split("The curve without a name").nth(1).unwrap().split("</svg>").next().unwrap().matches("<circle").count();
+    let points = html.split("id=\"curve\"").nth(1).unwrap().split("</svg>").next().unwrap().matches("<circle").count();
     assert_eq!(points, 2);
 }
 
@@ -107,7 +109,7 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
     assert_eq!((place.columns, place.rows, &place.stream[..], place.shape.as_deref()), ([0, 5], [0, 9], "events", Some("flat")));
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
-    let part = html.split("Where it is").nth(1).unwrap().split("<h2>").next().unwrap();
+    let part = html.split("id=\"where\"").nth(1).unwrap().split("</section>").next().unwrap();
     for text in ["columns 0 to 5", "stroke-dasharray=\"6 3\"", ">row</text>", "log photocurrent</text>", "nats an event"] {
         assert!(part.contains(text), "{text}");
     }
@@ -118,7 +120,30 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
 }
 
 #[test]
+fn files_are_named_in_title_heading_and_lead() {
+    let html = with_names(&page(&broken("nothing", 1), None, None), Some("a <b>.h5"), Some("mine.toml"));
+    for part in ["<title>Diagnosis: a &lt;b&gt;.h5</title>", "<h1>Diagnosis: a &lt;b&gt;.h5</h1>", "<dd>mine.toml</dd>"] {
+        assert!(html.contains(part), "{part}");
+    }
+}
+
+#[test]
+fn what_nearly_reached_its_threshold_is_said_first() {
+    let case = testing::case();
+    let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
+    let with = |score: f64| {
+        let proposal = Proposal { candidate, score, probability: 1.0, value: 25.0, ..Proposal::default() };
+        let decided = Decided { name: "picture".into(), proposals: vec![proposal], ..Decided::default() };
+        let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
+        page(&found.report, Some(&case), Some(&found))
+    };
+    let lead = |html: &str| html.split("<section").next().unwrap().to_owned();
+    assert!(lead(&with(0.8)).contains("Near the detection threshold, and not reported: leak_events.rate (80 % of it)."));
+    assert!(!lead(&with(0.2)).contains("Near the detection threshold"));
+}
+
+#[test]
 fn text_of_a_file_cannot_become_markup() {
     let html = page(&broken("<script>alert(1)</script> & more", 1), None, None);
-    assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt; &amp; more") && !html.contains("<script"));
+    assert!(html.contains("&lt;script&gt;alert(1)&lt;/script&gt; &amp; more") && !html.contains("<script>alert"));
 }

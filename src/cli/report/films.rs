@@ -1,0 +1,272 @@
+//! Which sequences are shown, at which instants, and how large, so that the page keeps its size.
+//!
+//! Shown are the frames that scorers judge, what they are judged by, and what was captured; without scorers all frames. Instants are thinned out evenly
+//! down to [`FEWEST`]; if that is not enough, pictures get half the size, and again.
+
+use super::run::{Output, Run, Styles};
+use crate::common::{Failure, human_bytes};
+use photocurrent_core::{Extent, Sensor, Value};
+use photocurrent_nodes::show::{Shown, Tone};
+use photocurrent_page::{Film, Group, Mark, Picture, RunPage, png_uri};
+use std::sync::Arc;
+
+/// More sequences than these are hard to choose from.
+const MOST: usize = 16;
+/// Fewer instants than these are no film.
+const FEWEST: usize = 12;
+/// More do not help the eye.
+const MOST_INSTANTS: usize = 400;
+const MOST_SHRINK: u32 = 16;
+/// The grey line of what was captured; the truth has a line of its own.
+const CAPTURED: usize = 6;
+
+/// A sequence that is shown.
+struct Candidate {
+    label: String,
+    shown: Shown,
+    /// Do scorers compare with it?
+    is_reference: bool,
+}
+
+impl Candidate {
+    fn kind(&self) -> &'static str {
+        match () {
+            () if self.shown.is_truth() => "truth",
+            () if self.shown.is_captured() => "captured",
+            () => "method",
+        }
+    }
+}
+
+/// The description of the sensor of a run.
+pub fn sensor(run: &Run) -> Option<Arc<Sensor>> {
+    let outputs: Vec<Output> = run.variants().flat_map(|variant| run.outputs(variant, "sensor")).collect();
+    outputs.iter().find_map(|output| match run.value(output) {
+        Ok(Value::Sensor(sensor)) => Some(sensor),
+        _ => None,
+    })
+}
+
+/// Adds the pictures of all runs.
+pub fn pictures(runs: &[Run], styles: &mut Styles, budget: u64, page: &mut RunPage) -> Result<(), Failure> {
+    let mut groups: Vec<(String, Extent, Vec<Candidate>, Option<Arc<Sensor>>)> = Vec::new();
+    for run in runs {
+        let (found, notes) = candidates(run);
+        page.picture_notes.extend(notes);
+        let sensor = sensor(run);
+        for candidate in found {
+            let extent = candidate.shown.extent();
+            match groups.iter_mut().find(|(name, of, ..)| *name == run.name && *of == extent) {
+                Some((.., all, _)) => all.push(candidate),
+                None => groups.push((run.name.clone(), extent, vec![candidate], sensor.clone())),
+            }
+        }
+    }
+    let share = budget / groups.len().max(1) as u64;
+    for (name, extent, all, sensor) in groups {
+        let several = runs.len() > 1 || page.groups.iter().any(|group| group.name.starts_with(&name));
+        let name = if several { format!("{name}, {extent} pixels") } else { name };
+        let group = group(name, all, sensor.as_deref(), styles, share, page)?;
+        page.groups.push(group);
+    }
+    if let Some(first) = page.groups.first_mut() {
+        first.holds_pixels = true;
+    }
+    Ok(())
+}
+
+/// The sequences of a run in the order in which they are shown, and what there is to say about those that are not.
+fn candidates(run: &Run) -> (Vec<Candidate>, Vec<String>) {
+    let mut notes = Vec::new();
+    let mut wanted: Vec<(Output, String, bool)> = Vec::new();
+    let has_scorers =
+        run.variants().any(|variant| run.tasks(variant).any(|(at, _)| run.judged(at).is_some() && run.record.tasks[at].kind.starts_with("score/")));
+    let mut add = |output: Output, label: String, is_reference: bool| match wanted.iter_mut().find(|(known, ..)| *known == output) {
+        Some(known) => known.2 |= is_reference,
+        None => wanted.push((output, label, is_reference)),
+    };
+    for variant in run.variants() {
+        for (at, _) in run.tasks(variant).filter(|(_, task)| task.kind.starts_with("score/")) {
+            for port in ["truth", "held"] {
+                run.inputs(at, port).iter().for_each(|output| add(output.clone(), run.label_in(output, variant), true));
+            }
+            run.judged(at).into_iter().for_each(|output| add(output.clone(), run.label_in(output, variant), false));
+        }
+        let sources = run
+            .outputs(variant, "frames")
+            .into_iter()
+            .filter(|(at, _)| ["read/", "simulate/"].iter().any(|family| run.record.tasks[*at].kind.starts_with(family)));
+        sources.for_each(|output| add(output.clone(), run.label_in(&output, variant), false));
+    }
+    if !has_scorers {
+        for variant in run.variants() {
+            run.outputs(variant, "frames").into_iter().for_each(|output| add(output.clone(), run.label_in(&output, variant), false));
+        }
+    }
+    let mut all: Vec<(usize, Candidate)> = Vec::new();
+    for (output, label, is_reference) in wanted {
+        let task = &run.record.tasks[output.0];
+        if !task.end.is_well() || !task.outputs.contains_key(&output.1) {
+            continue;
+        }
+        match run.value(&output).map(Shown::of) {
+            Ok(Some(shown)) => {
+                let one = Candidate { label, shown, is_reference };
+                let one = Candidate { label: if one.shown.is_truth() { "truth".into() } else { one.label }, ..one };
+                let rank = if one.shown.is_truth() {
+                    0
+                } else if one.shown.is_captured() {
+                    1
+                } else {
+                    2
+                };
+                all.push((rank, one));
+            }
+            Ok(None) => {}
+            Err(why) => notes.push(format!("{label} is not shown: {why}. `photocurrent run {}` makes it again.", run.record.manifest)),
+        }
+    }
+    all.sort_by_key(|(rank, _)| *rank);
+    let mut all: Vec<Candidate> = all.into_iter().map(|(_, candidate)| candidate).collect();
+    if let [one] = all.iter_mut().filter(|candidate| candidate.kind() == "captured").collect::<Vec<_>>().as_mut_slice() {
+        one.label = "captured".into();
+    }
+    if all.len() > MOST {
+        let left: Vec<String> = all.split_off(MOST).into_iter().map(|candidate| candidate.label).collect();
+        notes.push(format!("{MOST} sequences of {} are shown, and {} are not, such as {}: choose with `--variant NAME`.", run.name, left.len(), left[0]));
+    }
+    if all.is_empty() && notes.is_empty() {
+        notes.push(format!("No pictures of {}: the run has no frames.", run.name));
+    }
+    notes.dedup();
+    (all, notes)
+}
+
+/// Chooses instants and size, and encodes.
+fn group(name: String, all: Vec<Candidate>, sensor: Option<&Sensor>, styles: &mut Styles, budget: u64, page: &mut RunPage) -> Result<Group, Failure> {
+    let reference = all.iter().position(|one| one.is_reference).or_else(|| all.iter().position(|one| one.kind() == "method")).unwrap_or(0);
+    let failed = |error: photocurrent_core::NodeError| Failure::other(format!("the pictures of {name} cannot be made: {error}"));
+    let tone = Tone::of(&all[reference].shown, sensor).map_err(failed)?;
+    let middles: Vec<Vec<i64>> = all.iter().map(|one| one.shown.middles_ns()).collect();
+    let instants = common(&middles[reference], all.iter().zip(&middles).filter(|(one, _)| one.kind() == "method").map(|(_, middles)| middles));
+    let extent = all[reference].shown.extent();
+    let mut shrink = 1;
+    let count = loop {
+        let probe = instants[instants.len() / 2];
+        let sizes = all.iter().zip(&middles).map(|(one, middles)| one.shown.png(nearest(middles, probe), &tone, shrink).map(|png| png.len() as u64));
+        let bytes = sizes.sum::<Result<u64, _>>().map_err(failed)?;
+        // Base64 writes four letters for three bytes.
+        let fitting = (budget / (bytes * 4 / 3 + 100 * all.len() as u64).max(1)) as usize;
+        let most = instants.len().min(MOST_INSTANTS);
+        let smaller = shrink * 2;
+        let can_shrink = smaller <= MOST_SHRINK && extent.width / smaller >= 16 && extent.height / smaller >= 16;
+        if fitting >= most.min(FEWEST) || !can_shrink {
+            break fitting.clamp(1, most);
+        }
+        shrink = smaller;
+    };
+    let chosen: Vec<i64> = (0..count).map(|k| instants[if count == 1 { instants.len() / 2 } else { k * (instants.len() - 1) / (count - 1) }]).collect();
+    if count < instants.len() || shrink > 1 {
+        let size = if shrink > 1 { format!(", at 1/{shrink} of their size") } else { String::new() };
+        page.picture_notes.push(format!(
+            "{name}: {count} of {} instants are embedded{size}, to keep within {} of pictures: `--max-size` allows more.",
+            instants.len(),
+            human_bytes(budget)
+        ));
+    }
+    let mut sequences = Vec::new();
+    for (one, middles) in all.iter().zip(&middles) {
+        let mut film = Film {
+            label: one.label.clone(),
+            kind: one.kind(),
+            style: if one.kind() == "method" { styles.of(&one.label) } else { CAPTURED },
+            ..Film::default()
+        };
+        for &instant in &chosen {
+            let frame = nearest(middles, instant);
+            let at = match film.frames.iter().rposition(|known| known.frame == frame) {
+                Some(at) => at,
+                None => {
+                    let src = png_uri(&one.shown.png(frame, &tone, shrink).map_err(failed)?);
+                    film.frames.push(Picture { frame, t_ns: middles[frame], src });
+                    film.frames.len() - 1
+                }
+            };
+            film.at.push(at);
+        }
+        sequences.push(film);
+    }
+    Ok(Group {
+        first: first_pair(&sequences, best(page)),
+        name,
+        width: extent.width / shrink,
+        height: extent.height / shrink,
+        shrink,
+        black: tone.black,
+        white: tone.white,
+        instants_ns: chosen,
+        holds_pixels: false,
+        sequences,
+    })
+}
+
+/// The instants at which every method has frames, all of them where there are none in common.
+fn common<'a>(instants: &[i64], methods: impl Iterator<Item = &'a Vec<i64>>) -> Vec<i64> {
+    let ends = |(from, to): (i64, i64), middles: &Vec<i64>| (from.max(middles.first().copied().unwrap_or(from)), to.min(middles.last().copied().unwrap_or(to)));
+    let (from, to) = methods.fold((i64::MIN, i64::MAX), ends);
+    let found: Vec<i64> = instants.iter().copied().filter(|t| (from..=to).contains(t)).collect();
+    if found.is_empty() { instants.to_vec() } else { found }
+}
+
+/// The name of the method that is best in the first column of the verdict.
+fn best(page: &RunPage) -> Option<&str> {
+    let rows = page.verdicts.first().map_or(&[][..], |verdict| &verdict.rows);
+    rows.iter().find(|row| row.cells.first().is_some_and(|cell| cell.mark == Mark::Best)).and_then(|row| row.names.last()).map(String::as_str)
+}
+
+/// What was captured on the left, and the best method on the right, else the first.
+fn first_pair(sequences: &[Film], best: Option<&str>) -> [usize; 2] {
+    let find = |kind: &str| sequences.iter().position(|one| one.kind == kind);
+    let last = sequences.len() - 1;
+    let left = find("captured").or_else(|| find("truth")).unwrap_or(0);
+    let best = sequences.iter().position(|one| Some(one.label.as_str()) == best);
+    [left, best.or_else(|| find("method")).filter(|right| *right != left).unwrap_or(last)]
+}
+
+/// The place of the number that is nearest; of two equally near ones the first. Numbers rise.
+fn nearest(middles: &[i64], instant: i64) -> usize {
+    let after = middles.partition_point(|&middle| middle < instant);
+    match (after.checked_sub(1), middles.get(after)) {
+        (Some(before), Some(&next)) if instant - middles[before] > next - instant => after,
+        (Some(before), _) => before,
+        (None, _) => after,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_frame_is_shown() {
+        let middles = [10, 20, 40];
+        assert_eq!([0, 10, 15, 16, 30, 31, 90].map(|t| nearest(&middles, t)), [0, 0, 0, 1, 1, 2, 2]);
+    }
+
+    #[test]
+    fn a_captured_sequence_and_a_method_are_shown_first() {
+        let film = |(at, kind): (usize, &&'static str)| Film { kind, label: format!("film {at}"), ..Film::default() };
+        let films = |kinds: &[&'static str]| kinds.iter().enumerate().map(film).collect::<Vec<_>>();
+        assert_eq!(first_pair(&films(&["truth", "captured", "method", "method"]), None), [1, 2]);
+        assert_eq!(first_pair(&films(&["truth", "captured", "method", "method"]), Some("film 3")), [1, 3]);
+        assert_eq!(first_pair(&films(&["method", "method"]), None), [0, 1]);
+        assert_eq!(first_pair(&films(&["captured"]), None), [0, 0]);
+    }
+
+    #[test]
+    fn instants_are_those_that_every_method_has() {
+        let (short, long) = (vec![10, 20, 30], vec![0, 40]);
+        assert_eq!(common(&[0, 10, 20, 30, 40], [&short, &long].into_iter()), [10, 20, 30]);
+        assert_eq!(common(&[0, 40], [&short].into_iter()), [0, 40]);
+    }
+}

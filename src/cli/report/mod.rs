@@ -1,0 +1,57 @@
+//! `photocurrent report`: one page of HTML out of finished runs, of what they left in their folders and in the cache. Nothing is run, nothing calculated.
+//!
+//! [`run`] reads what a run says of itself, [`films`] picks and encodes pictures within the size that is allowed, [`scores`] lays out numbers, [`pixels`]
+//! follows single pixels, [`nodes`] draws graphs and says where it all comes from. The page itself is that of `photocurrent-page`.
+
+mod films;
+mod nodes;
+mod pixels;
+mod run;
+mod scores;
+
+use crate::args::ReportOptions;
+use crate::common::{Done, Failure, human_bytes, write_whole};
+use crate::terminal::{print, say};
+use photocurrent_page::RunPage;
+use run::Run;
+
+/// Room for everything but pictures, bytes; what is more is taken from the pictures on a second try.
+const REST: u64 = 200_000;
+/// So often the pictures are made smaller.
+const TRIES: usize = 4;
+
+/// Writes the page and prints its path.
+pub fn report(options: &ReportOptions) -> Done {
+    let runs = options.runs.iter().map(|source| Run::open(source, options)).collect::<Result<Vec<_>, _>>()?;
+    let output = options.output.clone().unwrap_or_else(|| runs[0].folder.join("report.html"));
+    let mut budget = options.max_size.saturating_sub(REST);
+    for _ in 0..TRIES {
+        let page = page(&runs, options, budget)?;
+        let html = page.html();
+        let over = (html.len() as u64).saturating_sub(options.max_size);
+        if over == 0 {
+            write_whole(&output, html.as_bytes())?;
+            if !options.quiet {
+                page.picture_notes.iter().chain(&page.pixel_notes).for_each(|note| say!("note: {}", note.replace('`', "")));
+                say!("{} in one file; open it in a browser", human_bytes(html.len() as u64));
+            }
+            print(&output.display().to_string())?;
+            return Ok(0);
+        }
+        budget = budget.saturating_sub(over + over / 10 + 1000);
+    }
+    let hint = "hint: give more, such as --max-size 12MB, or show fewer variants with --variant";
+    Err(Failure::Other { message: format!("the page cannot be made as small as {}\n  {hint}", human_bytes(options.max_size)), code: 2 })
+}
+
+fn page(runs: &[Run], options: &ReportOptions, budget: u64) -> Result<RunPage, Failure> {
+    let mut page = RunPage { title: runs.iter().map(|run| run.name.as_str()).collect::<Vec<_>>().join(", "), ..RunPage::default() };
+    let mut styles = run::Styles::default();
+    scores::verdict(runs, &mut page)?;
+    films::pictures(runs, &mut styles, budget, &mut page)?;
+    scores::curves(runs, &mut styles, &mut page)?;
+    scores::edges(runs, &mut styles, &mut page)?;
+    pixels::follow(&runs[0], &options.pixels, &mut styles, &mut page)?;
+    nodes::describe(runs, &mut page);
+    Ok(page)
+}

@@ -1,0 +1,247 @@
+//! `run.json` (`photocurrent-run/1`): what a run says of itself in its output folder, so that a report can be made of it later.
+//!
+//! It names the nodes that ran, how they are wired, how each ended and how long it took, and by digest what the cache holds of them. Nothing here enters a key,
+//! and no node reads it. The form is described in docs/formats.md.
+
+use crate::common::{Failure, write_whole};
+use photocurrent_core::Digest;
+use photocurrent_engine::{End, Outcome, Plan, Project};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::{Component, Path, PathBuf};
+
+/// Its name in the output folder.
+pub const FILE: &str = "run.json";
+const SCHEMA: &str = "photocurrent-run/1";
+
+/// A run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunRecord {
+    pub schema: String,
+    /// Version of the program.
+    pub version: String,
+    /// The manifest as it was named.
+    pub manifest: String,
+    /// What the pipeline is for, in the manifest's words.
+    pub about: Option<String>,
+    pub seed: u64,
+    /// What was laid over the manifest.
+    pub sets: Vec<String>,
+    /// The cache, from the folder of this file.
+    pub cache: PathBuf,
+    /// From start to end.
+    pub seconds: f64,
+    /// Axes of the ablation with their levels; empty without one.
+    pub axes: Vec<(String, Vec<String>)>,
+    pub variants: Vec<VariantRecord>,
+    pub tasks: Vec<TaskRecord>,
+    pub warnings: Vec<String>,
+}
+
+/// A variant and its nodes in running order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct VariantRecord {
+    pub name: String,
+    /// Node and place in `tasks`.
+    pub nodes: Vec<(String, usize)>,
+    /// Nodes that did not run because a file is missing, and why.
+    pub left_out: Vec<(String, String)>,
+}
+
+/// How a task ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Ended {
+    Executed,
+    Reused,
+    Failed,
+    Skipped,
+    Interrupted,
+}
+
+impl Ended {
+    fn of(end: End) -> Ended {
+        match end {
+            End::Executed => Ended::Executed,
+            End::Reused => Ended::Reused,
+            End::Failed => Ended::Failed,
+            End::Skipped => Ended::Skipped,
+            End::Interrupted => Ended::Interrupted,
+        }
+    }
+
+    /// In a word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Ended::Executed => "executed",
+            Ended::Reused => "reused",
+            Ended::Failed => "failed",
+            Ended::Skipped => "skipped",
+            Ended::Interrupted => "interrupted",
+        }
+    }
+
+    /// Is there a result?
+    pub fn is_well(self) -> bool {
+        matches!(self, Ended::Executed | Ended::Reused)
+    }
+}
+
+/// What came of one task.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TaskRecord {
+    pub label: String,
+    pub kind: String,
+    pub end: Ended,
+    /// How long it ran; a reused one, then.
+    pub seconds: f64,
+    pub key: Option<Digest>,
+    /// All parameters, defaults filled in.
+    pub params: serde_json::Value,
+    /// Those that differ from their defaults, as `name = value`.
+    pub changed: Vec<String>,
+    pub inputs: Vec<InputRecord>,
+    pub outputs: BTreeMap<String, OutputRecord>,
+    pub notes: Vec<String>,
+    pub error: Option<String>,
+    /// Of a skipped one: the nodes that failed.
+    pub because: Vec<String>,
+    /// Its files, from the folder of this file.
+    pub files: Option<PathBuf>,
+}
+
+/// An input of a task.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InputRecord {
+    pub port: String,
+    #[serde(rename = "type")]
+    pub data_type: String,
+    /// Place in `tasks`, and port, in the manifest's order.
+    pub from: Vec<(usize, String)>,
+}
+
+/// A stored output.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OutputRecord {
+    #[serde(rename = "type")]
+    pub data_type: String,
+    pub digest: Digest,
+    pub bytes: u64,
+}
+
+impl RunRecord {
+    /// Of a run into `folder` with the cache at `cache`.
+    pub fn of(project: &Project, plan: &Plan, outcome: &Outcome, sets: &[String], cache: &Path, folder: &Path, seconds: f64) -> RunRecord {
+        let task = |(task, came): (&photocurrent_engine::Task, &photocurrent_engine::TaskOutcome)| TaskRecord {
+            label: task.label.clone(),
+            kind: task.decl.kind.into(),
+            end: Ended::of(came.end),
+            seconds: came.seconds,
+            key: came.key,
+            params: task.params.clone(),
+            changed: task.changed_params.clone(),
+            inputs: task
+                .inputs
+                .iter()
+                .map(|input| InputRecord { port: input.port.into(), data_type: input.data_type.name().into(), from: wires(&input.from) })
+                .collect(),
+            outputs: came
+                .outputs
+                .iter()
+                .map(|(port, stored)| (port.clone(), OutputRecord { data_type: stored.data_type.name().into(), digest: stored.digest, bytes: stored.bytes }))
+                .collect(),
+            notes: came.notes.clone(),
+            error: came.error.as_ref().map(ToString::to_string),
+            because: came.because.clone(),
+            files: came.export.as_ref().map(|files| relative(folder, files)),
+        };
+        let variant = |variant: &photocurrent_engine::PlannedVariant| VariantRecord {
+            name: variant.name.clone(),
+            nodes: variant.nodes.clone(),
+            left_out: variant.left_out.iter().map(|left| (left.node.clone(), left.why.clone())).collect(),
+        };
+        let first = project.pipelines.first();
+        RunRecord {
+            schema: SCHEMA.into(),
+            version: env!("CARGO_PKG_VERSION").into(),
+            manifest: project.path.display().to_string(),
+            about: first.and_then(|pipeline| pipeline.about.clone()),
+            seed: first.map_or(0, |pipeline| pipeline.seed),
+            sets: sets.to_vec(),
+            cache: relative(folder, cache),
+            seconds,
+            axes: project.ablation.as_ref().map_or_else(Vec::new, |ablation| ablation.axes.clone()),
+            variants: outcome.variants.iter().map(variant).collect(),
+            tasks: plan.tasks.iter().zip(&outcome.tasks).map(task).collect(),
+            warnings: outcome.warnings.clone(),
+        }
+    }
+
+    /// Writes it into the folder, whole or not at all.
+    pub fn save(&self, folder: &Path) -> Result<(), Failure> {
+        let text = serde_json::to_string_pretty(self).map_err(|error| Failure::other(format!("{FILE} cannot be written as JSON: {error}")))?;
+        write_whole(&folder.join(FILE), (text + "\n").as_bytes())
+    }
+
+    /// Reads that of a folder.
+    ///
+    /// # Errors
+    /// When there is none, or it is of another form.
+    pub fn load(folder: &Path) -> Result<RunRecord, Failure> {
+        let path = folder.join(FILE);
+        let wrong = |what: String| Failure::Other {
+            message: format!("{}: {what}\n  hint: run the manifest again; what the cache has is not run again", path.display()),
+            code: 2,
+        };
+        let text =
+            std::fs::read_to_string(&path).map_err(|error| wrong(format!("cannot read: {error}; a report is made of what `photocurrent run` leaves there")))?;
+        let schema = serde_json::from_str::<serde_json::Value>(&text).ok().and_then(|value| Some(value["schema"].as_str()?.to_string()));
+        match schema {
+            Some(schema) if schema == SCHEMA => serde_json::from_str(&text).map_err(|error| wrong(format!("this is no {SCHEMA}: {error}"))),
+            Some(other) => Err(wrong(format!("the form is `{other}`, and this version reads `{SCHEMA}`"))),
+            None => Err(wrong(format!("found no `schema`; expected a {SCHEMA}"))),
+        }
+    }
+}
+
+fn wires(from: &[(usize, &'static str)]) -> Vec<(usize, String)> {
+    from.iter().map(|(task, port)| (*task, (*port).to_string())).collect()
+}
+
+/// `path` as it is written from inside `folder`, so that both may move together.
+fn relative(folder: &Path, path: &Path) -> PathBuf {
+    let (Ok(folder), Ok(path)) = (std::path::absolute(folder), std::path::absolute(path)) else { return path.into() };
+    let (from, to): (Vec<Component>, Vec<Component>) = (folder.components().collect(), path.components().collect());
+    let shared = from.iter().zip(&to).take_while(|(a, b)| a == b).count();
+    let up = std::iter::repeat_n(Component::ParentDir, from.len() - shared);
+    let found: PathBuf = up.chain(to[shared..].iter().copied()).collect();
+    if found.as_os_str().is_empty() { ".".into() } else { found }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_written_from_inside_the_folder() {
+        let of = |folder: &str, path: &str| relative(Path::new(folder), Path::new(path)).display().to_string();
+        assert_eq!(of("out/a", ".photocurrent"), "../../.photocurrent");
+        assert_eq!(of("out/a", "out/a/sheet"), "sheet");
+        assert_eq!(of("/x/out", "/y/cache"), "../../y/cache");
+        assert_eq!(of("a", "a"), ".");
+    }
+
+    #[test]
+    fn what_is_no_record_is_refused_with_what_to_do() {
+        let folder = tempfile::tempdir().unwrap();
+        let message = || match RunRecord::load(folder.path()) {
+            Err(Failure::Other { message, code: 2 }) => message,
+            _ => panic!("refused"),
+        };
+        assert!(message().contains("cannot read") && message().contains("run the manifest again"));
+        std::fs::write(folder.path().join(FILE), "{\"schema\": \"photocurrent-run/9\"}").unwrap();
+        assert!(message().contains("the form is `photocurrent-run/9`, and this version reads `photocurrent-run/1`"));
+        std::fs::write(folder.path().join(FILE), "{}").unwrap();
+        assert!(message().contains("found no `schema`"));
+    }
+}
