@@ -15,12 +15,14 @@ use crate::plan::TaskId;
 pub(crate) type Stored = BTreeMap<String, StoredOutput>;
 
 /// About how many bytes are read and written at once.
-const PIECE: u64 = 64 << 20;
+const PIECE: u64 = 16 << 20;
 
 /// An order to the writer.
 pub(crate) enum Message {
     /// Append a band to an output.
     Write { task: TaskId, port: &'static str, meta: Meta, value: Value },
+    /// Answer when everything that was sent before is written, or was dropped because the task has failed.
+    Reached { reply: Sender<()> },
     /// All bands were sent: put the outputs in their place and say what they are.
     Finish { task: TaskId, reply: Sender<Result<Stored, NodeError>> },
     /// The task failed: drop what it wrote.
@@ -45,6 +47,10 @@ pub(crate) fn write(cache: &Cache, messages: &Receiver<Message>) {
                 {
                     *outputs = Err(error);
                 }
+            }
+            Message::Reached { reply } => {
+                // Nobody waits any more only when the task is given up.
+                let _ = reply.send(());
             }
             Message::Finish { task, reply } => {
                 let result = open.remove(&task).unwrap_or_else(|| Ok(BTreeMap::new()));
