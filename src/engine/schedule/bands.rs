@@ -101,8 +101,18 @@ impl<'a> Cutter<'a> {
         Cutter { bands, inputs, left: rows, row_outputs: bytes / (bands.rows.len() as u64).max(1), last_height: None }
     }
 
-    /// The next band; one, perhaps without rows, for what cannot be cut.
-    pub fn next(&mut self) -> Option<Rows> {
+    /// The first row that is still to be produced.
+    pub fn at(&self) -> Option<u32> {
+        (!self.left.is_empty()).then_some(self.left.start)
+    }
+
+    /// Somebody else gave the rows up to this one.
+    pub fn skip_to(&mut self, row: u32) {
+        self.left.start = row.min(self.left.end);
+    }
+
+    /// The next band, which ends at `limit` at the latest; one, perhaps without rows, for what cannot be cut.
+    pub fn next(&mut self, limit: u32) -> Option<Rows> {
         let (bands, left) = (self.bands, self.left);
         let Some(halo) = bands.halo else {
             return self.last_height.replace(0).is_none().then_some(left);
@@ -110,7 +120,7 @@ impl<'a> Cutter<'a> {
         if left.is_empty() {
             return None;
         }
-        let all = left.len() as u32;
+        let all = (left.end.min(limit) - left.start).max(1);
         let height = bands.forced.unwrap_or_else(|| {
             let tallest = tallest(all, bands.share, &|height| self.need(height));
             match self.last_height {
