@@ -54,7 +54,8 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
     let watcher = Watcher::new(&plan, options.progress, options.quiet);
     if let (Some(rows), Some(folder)) = (options.rows, &options.part) {
         let end = photocurrent_engine::run_part(&plan, &cache, &how, rows, folder, &watcher, &cancel).map_err(refused)?;
-        return part_report(options, rows, folder, end, started.elapsed().as_secs_f64());
+        let all = plan.rows().map_err(refused)?;
+        return part_report(options, (rows, all), folder, end, started.elapsed().as_secs_f64());
     }
     let outcome = photocurrent_engine::run(&plan, &cache, &how, &watcher, &cancel);
     let seconds = started.elapsed().as_secs_f64();
@@ -63,7 +64,7 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
 }
 
 /// What came of a part.
-fn part_report(options: &RunOptions, rows: Rows, folder: &Path, end: PartEnd, seconds: f64) -> Done {
+fn part_report(options: &RunOptions, (rows, all): (Rows, Rows), folder: &Path, end: PartEnd, seconds: f64) -> Done {
     let nodes = match end {
         PartEnd::Before(outcome) => {
             failed_nodes(&outcome);
@@ -73,7 +74,7 @@ fn part_report(options: &RunOptions, rows: Rows, folder: &Path, end: PartEnd, se
     };
     let (first, end) = (rows.start, rows.end);
     if options.json {
-        print_json(&json!({ "part": folder, "first_row": first, "end_row": end, "nodes": nodes, "seconds": seconds }))?;
+        print_json(&json!({ "part": folder, "first_row": first, "end_row": end, "all_rows": all.end, "nodes": nodes, "seconds": seconds }))?;
     }
     if !options.quiet {
         let made = if nodes.is_empty() { "was there already or needed nothing".into() } else { format!("has {}", nodes.join(", ")) };
