@@ -63,6 +63,9 @@ fn parts_are_the_bytes_of_one_process_whatever_they_are_cut_into() {
     let bench = bench();
     let whole = bench.run(&["run", "m.toml", "--cache", "one", "--out", "out-one", "--json"]);
     assert_eq!(whole.code, 0, "{}", whole.stderr);
+    // No rows: what must be whole before any, and how many rows there are.
+    let prepared = part(&bench, "0..0", "prepared", &["--json"]);
+    assert_eq!((prepared.code, &json(&prepared)["all_rows"], &json(&prepared)["nodes"]), (0, &40.into(), &serde_json::json!([])), "{}", prepared.stderr);
     // Each in a cache of its own, as on machines that share nothing; one in bands of three rows, with two threads.
     for (rows, name, more) in [("0..13", "a", &[] as &[&str]), ("13..14", "b", &["--threads", "1"]), ("14..40", "c", &["--band-rows", "3", "--threads", "2"])] {
         let done = part(&bench, rows, name, more);

@@ -45,14 +45,18 @@ class TwoWorkers(unittest.TestCase):
         done = subprocess.run([COMMAND, "run", MANIFEST, *self.options("one"), "--json", "--quiet"], check=True, stdout=subprocess.PIPE, text=True)
         return digests(json.loads(done.stdout)), pictures(self.top / "out-one")
 
-    def on_workers(self, name, disturb=None):
+    def on_workers(self, name, disturb=None, pids=None, stop=None):
         with LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster, Client(cluster) as client:
-            disturber = threading.Thread(target=disturb, args=(client,)) if disturb else None
-            if disturber:
+            if disturb:
+                pids.update(client.run(os.getpid))
+                disturber = threading.Thread(target=disturb, args=(client,))
                 disturber.start()
-            outcome = dask_bands.run(client, COMMAND, MANIFEST, 4, self.top / f"parts-{name}", self.options(name))
-            if disturber:
-                disturber.join()
+            try:
+                outcome = dask_bands.run(client, COMMAND, MANIFEST, 4, self.top / f"parts-{name}", self.options(name))
+            finally:
+                if disturb:
+                    stop.set()
+                    disturber.join()
         return digests(outcome), pictures(self.top / f"out-{name}")
 
     def test_bands_on_workers_are_the_bytes_of_one_process(self):
@@ -61,22 +65,21 @@ class TwoWorkers(unittest.TestCase):
         self.assertEqual(self.on_workers("two"), expected)
 
     def test_a_worker_that_is_killed_changes_nothing(self):
-        killed = []
+        killed, pids, stop = [], {}, threading.Event()
 
         def kill_one(client):
-            # As soon as a worker has something to do.
-            for _ in range(10000):
+            # As soon as a worker has something to do, and while the others wait for its like.
+            while not stop.is_set():
                 busy = {worker: tasks for worker, tasks in client.processing().items() if tasks}
                 if busy:
-                    victim = client.run(os.getpid, workers=[next(iter(busy))])
-                    for pid in victim.values():
-                        os.kill(pid, signal.SIGKILL)
-                        killed.append(pid)
+                    victim = next(iter(busy))
+                    os.kill(pids[victim], signal.SIGKILL)
+                    killed.append(pids[victim])
                     return
                 time.sleep(0.01)
 
         expected = self.one_process()
-        self.assertEqual(self.on_workers("killed", kill_one), expected)
+        self.assertEqual(self.on_workers("killed", kill_one, pids, stop), expected)
         self.assertEqual(len(killed), 1, "a worker was killed while it worked")
 
     def test_a_mistake_is_reported_and_not_tried_again(self):

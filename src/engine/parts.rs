@@ -156,7 +156,8 @@ pub fn run_part(
     let mut part =
         Part { plan, cache, options, all, own: BandStore::open(&folder.join(BANDS))?, around: BandStore::open(&folder.join(AROUND))?, identities, cancel };
     let whole = part.whole(&division)?;
-    let parted: Vec<TaskId> = division.parted.iter().copied().filter(|id| !whole.contains_key(id)).collect();
+    // No rows: only what must be whole before any.
+    let parted: Vec<TaskId> = division.parted.iter().copied().filter(|id| !rows.is_empty() && !whole.contains_key(id)).collect();
     let needed = part.needed(&parted, rows);
     let mut made: BTreeMap<TaskId, BTreeMap<String, Value>> = whole;
     for &id in &parted {

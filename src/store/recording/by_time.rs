@@ -5,7 +5,6 @@
 //! their own.
 
 use crate::error::StoreError;
-use photocurrent_core::handle::Band;
 use photocurrent_core::{EventBand, EventStream, Rows};
 use std::fs::File;
 use std::io::Write;
