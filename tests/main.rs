@@ -15,6 +15,7 @@
 //! - `inspect`: several files as one recording, exit codes, the form of `--json`.
 //! - `films`: pictures as light, from files to events.
 //! - `learned`: the manifests of methods whose networks are elsewhere.
+//! - `parts`: rows made apart and merged are the bytes of one process.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `reports`: pages of finished runs, by `photocurrent report`.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
@@ -34,6 +35,7 @@ mod first_run;
 mod inspect;
 mod learned;
 mod manifests;
+mod parts;
 mod pipelines;
 mod recordings;
 mod reports;

@@ -13,11 +13,15 @@
 use photocurrent_core::document::Source;
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::value::DataType;
-use photocurrent_core::{Context, Decl, EventStream, FileRef, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Truth};
+use photocurrent_core::{Context, Decl, EventStream, EventsMeta, FileRef, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, Truth};
+use photocurrent_formats::arrange::EVENTS_BUDGET;
+use photocurrent_formats::declared::Declared;
+use photocurrent_formats::gather::{Wanted, gather};
+use photocurrent_formats::{format, joined};
 use photocurrent_store::Recording;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 /// Parameters of `read/recording`.
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
@@ -54,6 +58,25 @@ pub struct ReadRecording {
     params: Params,
     /// The file stays open between row bands: its header is read, and its events are checked, once.
     opened: OnceLock<Recording>,
+    /// The events of a large file, sorted by row once.
+    gathered: Mutex<Option<EventStream>>,
+}
+
+/// Events of a recording stand in the order of time, so rows are read by a pass over all of them. With more events than this they are sorted by rows first, in one
+/// pass, through a temporary file where they are many.
+const SCANNED_EVENTS: u64 = 4 << 20;
+
+/// The events of a recording by row, after one pass over the file.
+fn gathered(recording: &Recording, meta: &Arc<EventsMeta>, budget: usize) -> Result<EventStream, NodeError> {
+    // Events that contradict the format are reported as they are everywhere.
+    recording.read_events(Rows { start: 0, end: 0 })?;
+    let path = recording.path();
+    let format = format::recognise(path)?.ok_or_else(|| NodeError::input(format!("{} is no recording any more", path.display())).param("path"))?;
+    let opened = joined::open(format, path, &Declared::default())?;
+    let (extent, t_in) = (meta.extent, meta.has_t_in);
+    let wanted = Wanted { extent, crop: None, zero_ns: 0, start_ns: i64::MIN, end_ns: i64::MAX, ordered: true, t_in, budget };
+    let events = gather(&mut *opened.events()?, wanted, |_| Ok::<(), NodeError>(()))?;
+    Ok(EventStream::new(meta.clone(), extent.rows(), Arc::new(events)))
 }
 
 impl ReadRecording {
@@ -70,6 +93,15 @@ impl ReadRecording {
         }
         let recording = Recording::open(path).map_err(|error| NodeError::from(error).param("path"))?;
         Ok(self.opened.get_or_init(|| recording))
+    }
+
+    fn events(&self, recording: &Recording) -> Result<Option<EventStream>, NodeError> {
+        let Some(meta) = recording.events_meta().filter(|_| recording.event_count() > SCANNED_EVENTS) else { return Ok(recording.events()) };
+        let mut found = self.gathered.lock().unwrap_or_else(PoisonError::into_inner);
+        if found.is_none() {
+            *found = Some(gathered(recording, meta, EVENTS_BUDGET)?);
+        }
+        Ok(found.clone())
     }
 
     fn name(&self) -> String {
@@ -131,7 +163,7 @@ params = { path = "scene.h5" }
 
     fn build(params: Params) -> Result<Self, NodeError> {
         super::need_path(&params.path, "scene.h5")?;
-        Ok(ReadRecording { params, opened: OnceLock::new() })
+        Ok(ReadRecording { params, opened: OnceLock::new(), gathered: Mutex::new(None) })
     }
 
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -162,7 +194,7 @@ params = { path = "scene.h5" }
     fn run(&self, _: In, cx: &Context) -> Result<Out, NodeError> {
         let (recording, name, rows) = (self.open()?, self.name(), cx.rows());
         let sensor = self.sensor(recording)?;
-        let events = if cx.wants("events") { recording.events().map(|events| events.cut(rows)) } else { None };
+        let events = if cx.wants("events") { self.events(recording)?.map(|events| events.cut(rows)) } else { None };
         let frames = if cx.wants("frames") && recording.exposures().is_some_and(|exposures| !exposures.is_empty()) {
             let (recorded, described) = (recording.row_time_ns(), sensor.as_ref().and_then(|sensor| sensor.frames.row_time));
             disagreement(&name, recorded, described).into_iter().for_each(|note| cx.note(note));
@@ -191,7 +223,7 @@ params = { path = "scene.h5" }
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_core::{Exposure, Extent, Rows, testing};
+    use photocurrent_core::{Exposure, Extent, testing};
     use photocurrent_store::{RecordingContent, write_recording};
     use tempfile::TempDir;
 
@@ -209,6 +241,28 @@ mod tests {
 
     fn plan(node: &ReadRecording) -> Result<Vec<Meta>, NodeError> {
         node.plan(&PortMetas::default())
+    }
+
+    #[test]
+    fn events_that_are_sorted_by_row_first_are_those_of_a_pass_for_every_band() {
+        let mut random = photocurrent_core::random::Random::new(3, &[]);
+        let mut below = |n: u64| (random.bits() % n) as u16;
+        let event = |k: i64| {
+            let (x, y, t) = (below(6), below(5), i64::from(below(300)));
+            photocurrent_core::events::Event { x, y, polarity: photocurrent_core::Polarity::On, t, t_in: Some(t - k % 3) }
+        };
+        let band = photocurrent_core::EventBand::from_events(EXTENT.rows(), (0..200_000).map(event).collect()).unwrap();
+        let meta = EventsMeta { extent: EXTENT, span: None, has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
+        let events = EventStream::in_memory(Arc::new(meta), band);
+        let (_folder, node) = node(&RecordingContent { events: Some(&events), ..RecordingContent::empty(EXTENT) });
+        let recording = node.open().unwrap();
+        // In memory, and through a temporary file.
+        for budget in [usize::MAX, 100_000] {
+            let sorted = gathered(recording, recording.events_meta().unwrap(), budget).unwrap();
+            for rows in [EXTENT.rows(), Rows { start: 1, end: 2 }, Rows { start: 3, end: 5 }] {
+                assert_eq!(sorted.read(rows).unwrap(), recording.read_events(rows).unwrap());
+            }
+        }
     }
 
     #[test]

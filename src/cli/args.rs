@@ -1,6 +1,7 @@
 //! The arguments: what clap turns into help, completions and checks.
 
 use clap::{Args as ClapArgs, Parser, Subcommand, ValueEnum};
+use photocurrent_core::Rows;
 use photocurrent_core::quantity::Duration;
 use photocurrent_formats::TimeUnit;
 use photocurrent_formats::trim::Crop;
@@ -23,6 +24,8 @@ pub enum Command {
     Convert(ConvertOptions),
     /// Run a pipeline or an ablation; what the cache has is not run again
     Run(RunOptions),
+    /// Join what `run --rows --part` made of some rows each, and run the rest of the pipeline
+    Merge(MergeOptions),
     /// Show what a run would do, in order, and why; writes nothing
     Plan(PlanOptions),
     /// Say why a node would run again, one reason a line
@@ -54,7 +57,7 @@ pub enum Command {
 }
 
 /// Which part of which manifest.
-#[derive(ClapArgs)]
+#[derive(ClapArgs, Clone)]
 pub struct Target {
     /// The pipeline, a TOML file
     pub manifest: PathBuf,
@@ -165,6 +168,33 @@ pub struct RunOptions {
     /// Height of row bands, instead of what memory asks for; results do not depend on it
     #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u32).range(1..))]
     pub band_rows: Option<u32>,
+    /// Only these rows, for `merge`: 0..180, the end not included. What must be whole before them is run as ever, what must be whole after them is left to `merge`
+    #[arg(long, value_name = "FIRST..END", value_parser = rows, requires = "part")]
+    pub rows: Option<Rows>,
+    /// Folder for what is made of these rows; a part that is there is not made again, one that was stopped goes on
+    #[arg(long, value_name = "FOLDER", requires = "rows")]
+    pub part: Option<PathBuf>,
+    /// Print the outcome as JSON
+    #[arg(long)]
+    pub json: bool,
+    /// How progress is shown, on stderr
+    #[arg(long, value_enum, default_value = "auto")]
+    pub progress: ProgressStyle,
+    /// Say only what went wrong
+    #[arg(short, long)]
+    pub quiet: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct MergeOptions {
+    #[command(flatten)]
+    pub target: Target,
+    /// Folders that `run --rows --part` made; together they have all rows
+    #[arg(required = true, value_name = "PART")]
+    pub parts: Vec<PathBuf>,
+    /// Threads, for nodes side by side and inside nodes [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub threads: Option<u32>,
     /// Print the outcome as JSON
     #[arg(long)]
     pub json: bool,
@@ -499,6 +529,14 @@ pub enum CacheCommand {
 }
 
 /// `100,80,64,64`: a rectangle of pixels.
+fn rows(text: &str) -> Result<Rows, String> {
+    let ends = text.split_once("..").and_then(|(start, end)| Some((start.trim().parse().ok()?, end.trim().parse().ok()?)));
+    match ends {
+        Some((start, end)) if start <= end => Ok(Rows { start, end }),
+        _ => Err(format!("`{text}` is no range of rows; first row and the one after the last, such as 0..180")),
+    }
+}
+
 fn crop(text: &str) -> Result<Crop, String> {
     let numbers: Vec<Option<u16>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     match numbers[..] {

@@ -43,6 +43,7 @@ fn main() -> ExitCode {
         Command::Init(options) => init::init(options),
         Command::Convert(options) => convert::convert(options),
         Command::Run(options) => run::run(options),
+        Command::Merge(options) => run::merge(options),
         Command::Plan(options) => plan::plan(options),
         Command::Explain(options) => plan::explain(options),
         Command::Check(options) => check::check(options),

@@ -1,30 +1,43 @@
 //! `photocurrent run`.
 
-use crate::args::RunOptions;
+use crate::args::{MergeOptions, RunOptions};
 use crate::common::{Done, Failure, failed_nodes, human_bytes, human_seconds};
 use crate::progress::Watcher;
 use crate::run_record::RunRecord;
 use crate::tables::draw;
 use crate::terminal::{print, print_json, say};
 use photocurrent_core::document::Problem;
-use photocurrent_core::{Table, Value};
-use photocurrent_engine::{End, Options, Outcome, Plan, Project};
+use photocurrent_core::error::Trouble;
+use photocurrent_core::{NodeError, Rows, Table, Value};
+use photocurrent_engine::{End, Keep, Options, Outcome, PartEnd, Plan, Project};
 use photocurrent_store::Cache;
 use serde_json::json;
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 /// Runs a pipeline or an ablation.
 pub fn run(options: &RunOptions) -> Done {
-    let (project, plan) = options.target.plan("run")?;
+    run_with(options, &[])
+}
+
+/// Joins parts and runs what is left.
+pub fn merge(options: &MergeOptions) -> Done {
+    let MergeOptions { target, parts, threads, json, progress, quiet } = options;
+    let (target, threads, json, progress, quiet) = (target.clone(), *threads, *json, *progress, *quiet);
+    run_with(&RunOptions { target, threads, json, progress, quiet, force: Vec::new(), band_rows: None, rows: None, part: None }, parts)
+}
+
+fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
+    let (project, plan) = options.target.plan(if parts.is_empty() { "run" } else { "merge" })?;
     check_forced(options, &plan)?;
     let cancel = Arc::new(AtomicBool::new(false));
     stop_on_signal(&cancel)?;
     let cache = Cache::open(&options.target.cache)?;
     let out_dir = options.target.out_dir();
+    let parts = if parts.is_empty() { Vec::new() } else { photocurrent_engine::join(&plan, &cache, parts).map_err(refused)? };
     let defaults = Options::default();
     let threads = options.threads.map_or(defaults.threads, |threads| threads as usize);
     // The pool inside nodes; it can only fail when something made it before us, and then it works as well.
@@ -35,14 +48,52 @@ pub fn run(options: &RunOptions) -> Done {
         band_rows: options.band_rows,
         out_dir: out_dir.clone(),
         force: options.force.iter().cloned().collect(),
+        keep: Keep::default(),
+        parts,
     };
     let started = Instant::now();
     let watcher = Watcher::new(&plan, options.progress, options.quiet);
+    if let (Some(rows), Some(folder)) = (options.rows, &options.part) {
+        let end = photocurrent_engine::run_part(&plan, &cache, &how, rows, folder, &watcher, &cancel).map_err(refused)?;
+        let all = plan.rows().map_err(refused)?;
+        return part_report(options, (rows, all), folder, end, started.elapsed().as_secs_f64());
+    }
     let outcome = photocurrent_engine::run(&plan, &cache, &how, &watcher, &cancel);
     let seconds = started.elapsed().as_secs_f64();
     RunRecord::of(&project, &plan, &outcome, &options.target.sets, &options.target.cache, &out_dir, seconds).save(&out_dir)?;
     report(options, &project, &outcome, &cache, &out_dir, seconds)?;
     Ok(outcome.exit_code())
+}
+
+/// What came of a part.
+fn part_report(options: &RunOptions, (rows, all): (Rows, Rows), folder: &Path, end: PartEnd, seconds: f64) -> Done {
+    let nodes = match end {
+        PartEnd::Before(outcome) => {
+            failed_nodes(&outcome);
+            return Ok(outcome.exit_code());
+        }
+        PartEnd::Complete(nodes) => nodes,
+    };
+    let (first, end) = (rows.start, rows.end);
+    if options.json {
+        print_json(&json!({ "part": folder, "first_row": first, "end_row": end, "all_rows": all.end, "nodes": nodes, "seconds": seconds }))?;
+    }
+    if !options.quiet {
+        let made = if nodes.is_empty() { "was there already or needed nothing".into() } else { format!("has {}", nodes.join(", ")) };
+        say!("\n{}: the part of rows {first}..{end} {made} ({})", folder.display(), human_seconds(seconds));
+    }
+    Ok(0)
+}
+
+/// An error of a part, with the exit code that its cause has in a run.
+fn refused(error: NodeError) -> Failure {
+    let code = match error.trouble {
+        Trouble::Usage => 2,
+        Trouble::Input => 3,
+        Trouble::Interrupted => 130,
+        _ => 1,
+    };
+    Failure::Other { message: error.to_string(), code }
 }
 
 fn check_forced(options: &RunOptions, plan: &Plan) -> Result<(), Failure> {

@@ -52,6 +52,18 @@ impl Notes {
         *self.book().counts.entry(what.into()).or_default() += n;
     }
 
+    /// What was said: texts, and counts by what was counted.
+    pub fn content(&self) -> (Vec<String>, BTreeMap<String, u64>) {
+        let book = self.book();
+        (book.texts.iter().cloned().collect(), book.counts.clone())
+    }
+
+    /// Adds what was said elsewhere, for other rows.
+    pub fn absorb(&self, (texts, counts): (Vec<String>, BTreeMap<String, u64>)) {
+        texts.into_iter().for_each(|text| self.say(text));
+        counts.iter().for_each(|(what, n)| self.count(*n, what));
+    }
+
     /// Texts, then counts, each in alphabetical order.
     pub fn lines(&self) -> Vec<String> {
         let book = self.book();

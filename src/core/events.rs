@@ -255,6 +255,16 @@ impl Band for EventBand {
         digest.finish()
     }
 
+    fn bytes(&self, rows: Rows) -> u64 {
+        let (from, to) = ((rows.start - self.start_row) as usize, (rows.end - self.start_row) as usize);
+        let each = 11 + 8 * u64::from(self.t_in.is_some()) + 4 * u64::from(self.step.is_some());
+        (self.offsets[to] - self.offsets[from]) as u64 * each
+    }
+
+    fn moved(self, start_row: u32) -> EventBand {
+        EventBand { start_row, ..self }
+    }
+
     fn slice(&self, rows: Rows) -> EventBand {
         let (from, to) = ((rows.start - self.start_row) as usize, (rows.end - self.start_row) as usize);
         let range = self.offsets[from]..self.offsets[to];

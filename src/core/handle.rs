@@ -32,8 +32,14 @@ pub trait Band: Send + Sync + Sized + 'static {
     /// The digest of one row's bytes in canonical order. Independent of the band it is in.
     fn row_digest(&self, row: u32) -> Digest;
 
+    /// Bytes that some rows take in memory; they must be inside.
+    fn bytes(&self, rows: Rows) -> u64;
+
     /// Only the given rows, which must be inside.
     fn slice(&self, rows: Rows) -> Self;
+
+    /// The same data, as that of rows from `start_row` on.
+    fn moved(self, start_row: u32) -> Self;
 
     /// Bands that follow each other without gap, as one.
     fn concat(parts: Vec<Self>) -> Self;
@@ -48,6 +54,11 @@ pub trait BandSource<B>: Send + Sync {
     fn borrowed(&self) -> Option<&B> {
         None
     }
+
+    /// Bytes that some rows take when they are read, where that is known without reading them.
+    fn bytes(&self, _rows: Rows) -> Option<u64> {
+        None
+    }
 }
 
 impl<B: Band> BandSource<B> for B {
@@ -57,6 +68,10 @@ impl<B: Band> BandSource<B> for B {
 
     fn borrowed(&self) -> Option<&B> {
         Some(self)
+    }
+
+    fn bytes(&self, rows: Rows) -> Option<u64> {
+        Some(Band::bytes(self, rows))
     }
 }
 
@@ -106,6 +121,11 @@ impl<M: BandMeta> Handle<M> {
         self.source.read(rows)
     }
 
+    /// Bytes that some rows take when they are read, where that is known without reading them; only of rows that are here.
+    pub fn bytes(&self, rows: Rows) -> Option<u64> {
+        self.source.bytes(self.rows.intersect(rows))
+    }
+
     /// The same data, restricted to some rows.
     pub fn cut(&self, rows: Rows) -> Self {
         Handle { rows: self.rows.intersect(rows), ..self.clone() }
@@ -141,5 +161,9 @@ impl<M: BandMeta> BandSource<M::Band> for Spliced<M> {
         let overlapping = self.0.iter().filter(|part| !part.rows.intersect(rows).is_empty());
         let bands: Result<Vec<M::Band>, DataError> = overlapping.map(|part| part.read(part.rows.intersect(rows))).collect();
         Ok(M::Band::concat(bands?))
+    }
+
+    fn bytes(&self, rows: Rows) -> Option<u64> {
+        self.0.iter().filter(|part| !part.rows.intersect(rows).is_empty()).map(|part| part.bytes(rows)).sum()
     }
 }

@@ -28,6 +28,7 @@ pub mod handle;
 pub mod lacking;
 pub mod light;
 pub mod map;
+mod moved;
 pub mod node;
 pub mod ports;
 pub mod quantity;

@@ -84,6 +84,15 @@ impl Band for MapBand {
         DigestBuilder::new("map-row/1").slice(&self.values[at..at + self.row_values()]).finish()
     }
 
+    fn bytes(&self, rows: Rows) -> u64 {
+        (rows.len() * self.row_values() * size_of::<f32>()) as u64
+    }
+
+    fn moved(self, start_row: u32) -> MapBand {
+        let rows = Rows { start: start_row, end: start_row + self.rows.len() as u32 };
+        MapBand { rows, ..self }
+    }
+
     fn slice(&self, rows: Rows) -> MapBand {
         let range = (rows.start - self.rows.start) as usize * self.row_values()..(rows.end - self.rows.start) as usize * self.row_values();
         MapBand { rows, values: self.values[range].to_vec(), ..*self }

@@ -149,6 +149,16 @@ impl<M: SeriesMeta> Band for SeriesBand<M> {
         digest.finish()
     }
 
+    fn bytes(&self, rows: Rows) -> u64 {
+        let pixels = self.row_pixels(rows);
+        let samples = (self.offsets[pixels.end] - self.offsets[pixels.start]) as u64;
+        8 * pixels.len() as u64 + samples * if self.sigma.is_empty() { 12 } else { 16 }
+    }
+
+    fn moved(self, start_row: u32) -> SeriesBand<M> {
+        SeriesBand { start_row, ..self }
+    }
+
     fn slice(&self, rows: Rows) -> SeriesBand<M> {
         let pixels = self.row_pixels(rows);
         let samples = self.offsets[pixels.start]..self.offsets[pixels.end];

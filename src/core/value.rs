@@ -137,6 +137,12 @@ impl Meta {
         }
     }
 
+    /// About how many bytes some rows of the value take in memory, when all rows are alike.
+    pub fn estimated_bytes_of(&self, rows: Rows) -> u64 {
+        let Some(all) = self.rows().filter(|all| !all.is_empty()) else { return self.estimated_bytes() };
+        (self.estimated_bytes() as f64 * all.intersect(rows).len() as f64 / all.len() as f64) as u64
+    }
+
     /// About how many bytes the whole value takes in memory.
     pub fn estimated_bytes(&self) -> u64 {
         // Where a count is not known, eight events a pixel: a lively quarter of a second.
@@ -146,7 +152,7 @@ impl Meta {
             Meta::Frames(meta) | Meta::Truth(meta) => {
                 [meta.row_values(), meta.extent.height as usize, 4].iter().fold(meta.times.len() as u64, |bytes, &n| bytes.saturating_mul(n as u64))
             }
-            Meta::Tracks(meta) => per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64,
+            Meta::Tracks(meta) => per_pixel(meta.extent, meta.count_hint) * (12 + 4 * meta.has_sigma as u64) + 8 * meta.extent.pixels() as u64,
             Meta::Light(meta) => per_pixel(meta.extent, meta.count_hint) * 12 + 8 * meta.extent.pixels() as u64,
             Meta::Map(meta) => (meta.extent.pixels() * meta.planes.len() * 4) as u64,
             Meta::Sensor(_) | Meta::Table(_) | Meta::Diagnosis(_) | Meta::Absent { .. } => 1 << 16,
@@ -217,6 +223,17 @@ impl Value {
             Value::Map(value) => Some(value.rows()),
             Value::Sensor(_) | Value::Table(_) | Value::Diagnosis(_) => None,
         }
+    }
+
+    /// Bytes that some rows take when they are read: counted where that is possible, else that share of the estimate. Of all of it where nothing is banded.
+    pub fn bytes(&self, rows: Rows) -> u64 {
+        let counted = match self {
+            Value::Events(value) => value.bytes(rows),
+            Value::Tracks(value) => value.bytes(rows),
+            Value::Light(value) => value.bytes(rows),
+            _ => None,
+        };
+        counted.unwrap_or_else(|| self.meta().estimated_bytes_of(rows))
     }
 
     /// The same value restricted to some rows; what is not banded stays whole.

@@ -5,7 +5,8 @@
 //! that was run again with an equal result changes no key after it.
 
 use crate::export;
-use crate::plan::{Task, TaskId};
+use crate::plan::{Plan, Task, TaskId};
+use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::schema::strip_paths;
 use photocurrent_core::{DataType, Digest, NodeError};
 use photocurrent_store::{Cache, FileInput, Ingredients, Lookup, Params, PortInput, Record};
@@ -27,6 +28,19 @@ pub(crate) fn ingredients(task: &Task, cache: &Cache, content: &dyn Fn(TaskId, &
         files.push(FileInput { param: file.param.clone(), path: file.path.display().to_string(), digest });
     }
     Ok(Some(Ingredients { kind: task.decl.kind.to_string(), revision: task.decl.revision, params: params(task), inputs, files, seed: task.seed }))
+}
+
+/// What every task's result is a function of, without its inputs' contents: known before anything runs, so that bands of one result that were made in other
+/// runs or on other machines are known as such. `None` where a declared file cannot be read: the task itself will say so.
+pub(crate) fn identities(plan: &Plan, cache: &Cache) -> Vec<Option<Digest>> {
+    let mut all: Vec<Option<Digest>> = Vec::new();
+    for task in &plan.tasks {
+        let source = |from: TaskId, port: &str| all[from].map(|digest| DigestBuilder::new("photocurrent-output/1").digest(&digest).text(port).finish());
+        let ingredients = ingredients(task, cache, &source).ok().flatten();
+        let identity = ingredients.map(|ingredients| DigestBuilder::new("photocurrent-identity/1").digest(&ingredients.key()).finish());
+        all.push(identity);
+    }
+    all
 }
 
 /// A task's parameters as they enter the key; the readable form without the paths, which do not.

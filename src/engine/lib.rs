@@ -8,6 +8,7 @@
 //! - `lacking`: what sensor descriptions do not state, reported in one piece.
 //! - `key`, [`mod@status`], [`mod@explain`]: what a result depends on, whether the cache has it, and why not.
 //! - [`schedule`], [`export`], [`observer`], [`outcome`]: [`run`] it, watch it, see what came of it.
+//! - [`parts`]: some rows by themselves, and their union.
 //! - [`mod@graph`], [`schema`]: pictures of a pipeline, and the manifest's JSON Schema for editors.
 
 pub mod ablation;
@@ -19,6 +20,7 @@ mod lacking;
 pub mod manifest;
 pub mod observer;
 pub mod outcome;
+pub mod parts;
 pub mod pipeline;
 pub mod plan;
 pub mod resolve;
@@ -35,9 +37,10 @@ pub use explain::{Explanation, explain};
 pub use graph::{Drawing, GraphFormat, graph};
 pub use observer::{End, Observer, Unobserved};
 pub use outcome::{Outcome, TaskOutcome};
+pub use parts::{PartEnd, join, run_part};
 pub use pipeline::Pipeline;
 pub use plan::{LeftOut, Plan, PlannedVariant, Selection, Task, TaskId};
 pub use resolve::Project;
-pub use schedule::{Options, machine_memory, run};
+pub use schedule::{Keep, Options, machine_memory, run};
 pub use schema::manifest_schema;
 pub use status::{State, TaskStatus, status};

@@ -47,6 +47,7 @@ pub struct TaskInput {
 }
 
 /// A node that runs, once for all variants that share it.
+#[derive(Clone)]
 pub struct Task {
     /// What its kind says about itself.
     pub decl: Decl,

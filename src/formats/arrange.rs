@@ -64,8 +64,8 @@ pub struct Arranged {
     ordered: bool,
 }
 
-/// Memory for events before a temporary file is used: about 40 million.
-pub const EVENTS_BUDGET: usize = 512 << 20;
+/// Memory for events before a temporary file is used: about 10 million.
+pub const EVENTS_BUDGET: usize = 128 << 20;
 
 /// Brings a recording onto one clock. Reads all events once (for their span), no pictures. `advance` as in [`scan`].
 ///

@@ -21,7 +21,8 @@ pub mod stream;
 mod threads;
 
 pub use cache::{
-    Cache, CacheWriter, CheckReport, DiskUse, Export, FileInput, GcOptions, GcReport, Ingredients, Listing, Lookup, Params, PortInput, Record, StoredOutput,
+    BandStore, Cache, CacheWriter, CheckReport, DiskUse, Export, FileInput, GcOptions, GcReport, Ingredients, KeptBand, Listing, Lookup, Params, PortInput,
+    Record, StoredOutput,
 };
 pub use error::StoreError;
 pub use layout::{ValueWriter, open_value};

@@ -4,18 +4,27 @@
 //! outputs of one band fit into the task's share. Results do not depend on the height: that is a promise of the nodes, tested with every one.
 
 use crate::plan::{Plan, Task};
-use photocurrent_core::{EventsMeta, Grain, LightMeta, Meta, Rows, TracksMeta};
+use photocurrent_core::ports::PortValues;
+use photocurrent_core::{EventsMeta, Grain, LightMeta, Meta, Rows, TracksMeta, Value};
 
-/// A task's bands.
+/// Outputs of a band count so often: one band is put together from its rows while the one before waits for the writer.
+const COPIES: u64 = 3;
+
+/// Rows may be unlike each other: the next band's outputs are taken for so much larger than the last one's, in quarters.
+const CAUTION_QUARTERS: u64 = 5;
+
+/// How a task may be cut.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Bands {
     /// All rows that it produces; empty when nothing it takes or gives has rows.
     pub rows: Rows,
-    /// Top to bottom; exactly one unless the node may be cut.
-    pub bands: Vec<Rows>,
-    /// Rows needed above and below a band.
-    pub halo: u32,
-    /// About how many bytes one band takes.
+    /// Rows needed above and below a band; `None` when everything is produced at once.
+    pub halo: Option<u32>,
+    /// Height of every band where it was asked for.
+    forced: Option<u32>,
+    /// Bytes that a band may take.
+    share: u64,
+    /// About how many bytes a band takes.
     pub estimate: u64,
 }
 
@@ -29,12 +38,16 @@ struct Size {
 impl Size {
     /// With `part` of the rows as output and `reach` of the rows as input.
     fn at(&self, part: f64, reach: f64) -> u64 {
-        // Outputs count twice: one band waits for the writer while the next is computed.
-        self.fixed + (self.banded_inputs as f64 * reach + 2.0 * self.banded_outputs as f64 * part) as u64
+        self.fixed + (self.banded_inputs as f64 * reach + COPIES as f64 * self.banded_outputs as f64 * part) as u64
+    }
+
+    /// Of all in one piece, which waits for the writer once.
+    fn whole(&self) -> u64 {
+        self.fixed + self.banded_inputs + 2 * self.banded_outputs
     }
 }
 
-/// Cuts a task so that a band fits into `share` bytes; `forced` sets the height instead, where the node may be cut at all.
+/// Says how a task is cut so that a band fits into `share` bytes; `forced` sets the height instead, where the node may be cut at all.
 pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> Bands {
     let outputs: Vec<&Meta> = task.outputs.iter().filter(|output| !matches!(output.meta, Meta::Absent { .. })).map(|output| &output.meta).collect();
     let sources = task.inputs.iter().flat_map(|input| &input.from);
@@ -49,22 +62,110 @@ pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> 
         let counter = if output.meta.rows() == Some(rows) { &mut size.banded_outputs } else { &mut size.fixed };
         *counter += output.meta.estimated_bytes();
     }
-    let halo = match task.grain {
-        Grain::Pixel => Some(0),
-        Grain::Row { halo } => Some(halo),
-        Grain::Frame | Grain::Whole => None,
-    };
-    // Only what has rows can be put together from bands, and files are written in one go.
-    let can_be_cut =
-        task.stored().next().is_some() && task.stored().all(|output| output.meta.rows() == Some(rows)) && task.export.is_none() && !rows.is_empty();
-    let Some(halo) = halo.filter(|_| can_be_cut) else {
-        return Bands { rows, bands: vec![rows], halo: 0, estimate: size.at(1.0, 1.0) };
-    };
+    let Some(halo) = halo(task, rows) else { return Bands { rows, halo: None, forced, share, estimate: size.whole() } };
     let all = rows.len() as u32;
     let part = |height: u32| f64::from(height.min(all)) / f64::from(all);
     let need = |height: u32| size.at(part(height), part(height.saturating_add(2 * halo)));
     let height = forced.unwrap_or_else(|| tallest(all, share, &need)).clamp(1, all);
-    Bands { rows, bands: rows.bands(height), halo, estimate: need(height) }
+    Bands { rows, halo: Some(halo), forced, share, estimate: need(height) }
+}
+
+/// How many rows above and below a band of the task's outputs need; `None` when it cannot be cut.
+pub(crate) fn halo(task: &Task, rows: Rows) -> Option<u32> {
+    // Only what has rows can be put together from bands, and files are written in one go.
+    let can_be_cut =
+        task.stored().next().is_some() && task.stored().all(|output| output.meta.rows() == Some(rows)) && task.export.is_none() && !rows.is_empty();
+    match task.grain {
+        Grain::Pixel => Some(0),
+        Grain::Row { halo } => Some(halo),
+        Grain::Frame | Grain::Whole => None,
+    }
+    .filter(|_| can_be_cut)
+}
+
+/// Cuts band after band, from what the inputs hold and what the bands before gave.
+pub(crate) struct Cutter<'a> {
+    bands: &'a Bands,
+    inputs: &'a PortValues,
+    /// Rows that are still to be produced.
+    left: Rows,
+    /// About how many bytes of outputs a row has.
+    row_outputs: u64,
+    last_height: Option<u32>,
+}
+
+impl<'a> Cutter<'a> {
+    /// For `rows` of a task, whose wanted outputs look like `outputs`.
+    pub fn new(bands: &'a Bands, rows: Rows, outputs: &[&Meta], inputs: &'a PortValues) -> Cutter<'a> {
+        let bytes: u64 = outputs.iter().map(|meta| meta.estimated_bytes()).fold(0, u64::saturating_add);
+        Cutter { bands, inputs, left: rows, row_outputs: bytes / (bands.rows.len() as u64).max(1), last_height: None }
+    }
+
+    /// The first row that is still to be produced.
+    pub fn at(&self) -> Option<u32> {
+        (!self.left.is_empty()).then_some(self.left.start)
+    }
+
+    /// Somebody else gave the rows up to this one.
+    pub fn skip_to(&mut self, row: u32) {
+        self.left.start = row.min(self.left.end);
+    }
+
+    /// The next band, which ends at `limit` at the latest; one, perhaps without rows, for what cannot be cut.
+    pub fn next(&mut self, limit: u32) -> Option<Rows> {
+        let (bands, left) = (self.bands, self.left);
+        let Some(halo) = bands.halo else {
+            return self.last_height.replace(0).is_none().then_some(left);
+        };
+        if left.is_empty() {
+            return None;
+        }
+        let all = (left.end.min(limit) - left.start).max(1);
+        let height = bands.forced.unwrap_or_else(|| {
+            let tallest = tallest(all, bands.share, &|height| self.need(height));
+            match self.last_height {
+                // Nothing is known yet but an estimate: a part that would fit if it were several times too low.
+                None if all > tallest / 4 => (tallest / 4).max(1),
+                None => all,
+                Some(last) => tallest.min(last.saturating_mul(2)),
+            }
+        });
+        // A node that reads around its rows often works by blocks as high as that: whole ones spare it work done twice.
+        let end = left.start + height.clamp(1, all);
+        let end = if bands.forced.is_none() && halo > 0 && end < left.end && end / halo * halo > left.start { end / halo * halo } else { end };
+        let band = Rows { start: left.start, end };
+        self.left.start = band.end;
+        self.last_height = Some(band.len() as u32);
+        Some(band)
+    }
+
+    /// Learns what the outputs of a band really take.
+    pub fn learn(&mut self, band: Rows, outputs: u64) {
+        if !band.is_empty() {
+            self.row_outputs = outputs / 4 * CAUTION_QUARTERS / band.len() as u64;
+        }
+    }
+
+    /// Bytes that the next band takes with so many rows.
+    fn need(&self, height: u32) -> u64 {
+        let band = Rows { start: self.left.start, end: self.left.end.min(self.left.start.saturating_add(height)) };
+        let reach = band.with_halo(self.bands.halo.unwrap_or(0), self.bands.rows);
+        let inputs: u64 = self.inputs.values().flatten().map(|value| if is_cut(value, self.bands.rows) { value.bytes(reach) } else { 0 }).sum();
+        inputs + COPIES * self.row_outputs * band.len() as u64
+    }
+}
+
+/// Is the value cut together with a task of so many rows?
+fn is_cut(value: &Value, rows: Rows) -> bool {
+    value.meta().rows() == Some(rows)
+}
+
+/// The inputs of one band: what has the rows of the task is cut to the band and its halo; everything else stays whole.
+pub(crate) fn inputs_of(inputs: &PortValues, bands: &Bands, band: Rows) -> PortValues {
+    let Some(halo) = bands.halo.filter(|_| band != bands.rows) else { return inputs.clone() };
+    let reach = band.with_halo(halo, bands.rows);
+    let cut = |value: &Value| if is_cut(value, bands.rows) { value.cut(reach) } else { value.clone() };
+    inputs.iter().map(|(port, values)| (*port, values.iter().map(cut).collect())).collect()
 }
 
 /// About how many bytes the outputs of a task's smallest piece take: a row where the node may be cut, else everything.

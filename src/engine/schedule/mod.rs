@@ -8,6 +8,7 @@
 //! of threads.
 
 mod bands;
+mod kept;
 mod state;
 mod task;
 mod writer;
@@ -16,7 +17,8 @@ use crate::export;
 use crate::observer::{End, Observer};
 use crate::outcome::{Outcome, TaskOutcome};
 use crate::plan::{Plan, TaskId};
-pub(crate) use bands::least_bytes;
+pub(crate) use bands::{Cutter, cut, halo as halo_of, inputs_of, least_bytes};
+pub(crate) use kept::Kept;
 use photocurrent_store::Cache;
 use state::{Claim, Phase, State};
 use std::collections::BTreeSet;
@@ -24,6 +26,8 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+pub(crate) use task::checked;
+pub(crate) use writer::guarded;
 
 /// How to run.
 #[derive(Clone, Debug)]
@@ -38,6 +42,20 @@ pub struct Options {
     pub out_dir: PathBuf,
     /// Nodes to run even when the cache has their results.
     pub force: BTreeSet<String>,
+    /// Which bands are kept until their result is complete, so that a run that was stopped goes on from them.
+    pub keep: Keep,
+    /// Folders with bands that were made elsewhere ([`crate::run_part`]).
+    pub parts: Vec<PathBuf>,
+}
+
+/// Which bands are kept until their result is complete.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Keep {
+    /// Those that took longer to compute than to write.
+    #[default]
+    Costly,
+    /// All of a result that is cut.
+    All,
 }
 
 impl Default for Options {
@@ -48,6 +66,8 @@ impl Default for Options {
             band_rows: None,
             out_dir: PathBuf::from("out"),
             force: BTreeSet::new(),
+            keep: Keep::default(),
+            parts: Vec::new(),
         }
     }
 }
@@ -77,6 +97,8 @@ pub(crate) struct Shared<'a> {
     options: &'a Options,
     observer: &'a dyn Observer,
     cancel: &'a AtomicBool,
+    /// Bands that are there already.
+    kept: Kept,
     state: Mutex<State>,
     /// Rung whenever something changes that may let a worker go on.
     changed: Condvar,
@@ -114,8 +136,10 @@ pub fn run(plan: &Plan, cache: &Cache, options: &Options, observer: &dyn Observe
     let threads = options.threads.max(1);
     let forced = |task: TaskId| plan.tasks[task].uses.iter().any(|(_, node)| options.force.contains(node));
     let state = Mutex::new(State::new(plan, options.memory, forced));
-    let shared = Shared { plan, cache, options, observer, cancel, state, changed: Condvar::new() };
+    let (kept, trouble) = Kept::open(plan, cache, &options.parts);
+    let shared = Shared { plan, cache, options, observer, cancel, kept, state, changed: Condvar::new() };
     observer.planned(plan.tasks.len());
+    trouble.into_iter().for_each(|text| shared.warn(text));
     refuse_foreign_folders(&shared);
     let (sender, receiver) = writer::channel(threads);
     std::thread::scope(|scope| {

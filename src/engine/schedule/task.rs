@@ -1,13 +1,13 @@
 //! One task: looked up, and when the cache does not have it, run band by band, stored, and recorded last.
 
-use super::Shared;
-use super::bands::{self, Bands, same_meta};
+use super::bands::{self, Cutter, same_meta};
 use super::writer::{Message, Stored, guarded};
+use super::{Keep, Shared};
 use crate::export::{Staging, StampedFile};
 use crate::key::{self, Reuse};
 use crate::observer::{End, Observer};
 use crate::plan::{Task, TaskId};
-use crossbeam::channel::{Sender, bounded};
+use crossbeam::channel::{Receiver, Sender, bounded};
 use photocurrent_core::context::{Notes, Progress};
 use photocurrent_core::error::Trouble;
 use photocurrent_core::ports::PortValues;
@@ -52,7 +52,8 @@ pub(super) fn look_up(shared: &Shared<'_>, id: TaskId) {
         return shared.announce(ended);
     }
     // Three quarters of the budget are for running tasks, the rest for results that are kept for those that take them.
-    let share = shared.options.memory / 4 * 3 / shared.options.threads.max(1) as u64;
+    // Nodes use all threads inside themselves, so two at a time keep them busy.
+    let share = shared.options.memory / 4 * 3 / shared.options.threads.clamp(1, 2) as u64;
     let bands = bands::cut(shared.plan, task, share, shared.options.band_rows);
     shared.state().admit(id, key, ingredients, bands);
     shared.changed.notify_all();
@@ -115,7 +116,7 @@ pub(super) fn run(shared: &Shared<'_>, id: TaskId, writer: &Sender<Message>) {
         Ok(product) => {
             let mut state = shared.state();
             let room = (shared.options.memory / 4).saturating_sub(state.retained);
-            let bytes = product.values.values().map(|value| value.meta().estimated_bytes()).sum();
+            let bytes = product.values.values().map(|value| value.bytes(value.rows().unwrap_or(Rows { start: 0, end: 0 }))).sum();
             let slot = &mut state.slots[id];
             (slot.outputs, slot.notes, slot.seconds) = (product.stored, product.notes, seconds);
             if bytes <= room {
@@ -183,26 +184,74 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
     let staging = task.export.as_ref().map(|folder| Staging::create(&shared.options.out_dir.join(folder))).transpose()?;
     let notes = Notes::default();
     let mut kept = BTreeMap::new();
-    let progress = TaskProgress { observer: shared.observer, task: id, silent: bands.bands.len() > 1 };
-    if progress.silent {
-        shared.observer.progress_begin(id, bands.rows.len() as u64, "rows");
-    }
-    for &band in &bands.bands {
+    let stored: Vec<&Meta> = task.stored().map(|output| &output.meta).collect();
+    let mut cutter = Cutter::new(&bands, bands.rows, &stored, &inputs);
+    let mut progress = TaskProgress { observer: shared.observer, task: id, silent: false };
+    let mut written: Option<Receiver<()>> = None;
+    let may_reuse = bands.halo.is_some() && !shared.state().slots[id].force;
+    let kept_bands = if may_reuse { shared.kept.of(id) } else { Vec::new() };
+    let mut is_kept = false;
+    loop {
+        if let Some(stored) = cutter.at().and_then(|row| kept_bands.iter().find_map(|band| shared.kept.load(band, row, task))) {
+            if !progress.silent {
+                progress.silent = true;
+                shared.observer.progress_begin(id, bands.rows.len() as u64, "rows");
+            }
+            let (rows, outputs, said) = stored;
+            notes.absorb(said);
+            for (port, value) in outputs {
+                let message = Message::Write { task: id, port, meta: value.meta(), value };
+                writer.send(message).map_err(|_| NodeError::failed("the writer has stopped"))?;
+            }
+            cutter.skip_to(rows.end);
+            is_kept = true;
+            shared.observer.progress_advance(id, rows.len() as u64);
+            continue;
+        }
+        let limit = kept_bands.iter().map(|band| band.rows().start).filter(|start| Some(*start) > cutter.at()).min().unwrap_or(u32::MAX);
+        let Some(band) = cutter.next(limit) else { break };
+        let whole = band == bands.rows;
+        if !whole && !progress.silent {
+            progress.silent = true;
+            shared.observer.progress_begin(id, bands.rows.len() as u64, "rows");
+        }
         if shared.cancel.load(Ordering::Relaxed) {
             return Err(NodeError::interrupted());
         }
         let wanted: BTreeSet<String> = task.outputs.iter().filter(|output| output.wanted).map(|output| output.port.to_string()).collect();
         let export = staging.as_ref().map(Staging::path);
-        let context = Context::new(band, task.seed.unwrap_or(0), &wanted, &progress, shared.cancel, export, &notes);
-        let given = guarded(|| task.node.run(cut(&inputs, &bands, band), &context))?;
-        let whole = bands.bands.len() == 1;
+        let of_band = Notes::default();
+        let context = Context::new(band, task.seed.unwrap_or(0), &wanted, &progress, shared.cancel, export, &of_band);
+        let began = Instant::now();
+        let given = guarded(|| task.node.run(bands::inputs_of(&inputs, &bands, band), &context))?;
+        // One band of a task waits for the writer while the next is computed, and no more.
+        if let Some(written) = written.take() {
+            written.recv().map_err(|_| NodeError::failed("the writer has stopped"))?;
+        }
+        let seconds = began.elapsed().as_secs_f64();
+        notes.absorb(of_band.content());
+        let (mut bytes, mut outputs) = (0, Vec::new());
         for (port, meta, value) in checked(task, given, (!whole).then_some(band))? {
+            bytes += value.bytes(band);
             if whole {
                 kept.insert(port, value.clone());
             }
+            outputs.push((port, value.clone()));
             let message = Message::Write { task: id, port, meta, value };
             writer.send(message).map_err(|_| NodeError::failed("the writer has stopped"))?;
         }
+        cutter.learn(band, bytes);
+        if !whole
+            && let Some((store, identity)) = shared.kept.own(id)
+            && (shared.options.keep == Keep::All || seconds * COSTLY_BYTES_PER_S > bytes as f64)
+        {
+            let message = Message::Keep { store, identity, rows: band, outputs, said: of_band.content() };
+            writer.send(message).map_err(|_| NodeError::failed("the writer has stopped"))?;
+            is_kept = true;
+        }
+        let (reply, answer) = bounded(1);
+        writer.send(Message::Reached { reply }).map_err(|_| NodeError::failed("the writer has stopped"))?;
+        written = Some(answer);
         if progress.silent {
             shared.observer.progress_advance(id, band.len() as u64);
         }
@@ -215,6 +264,10 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
     let notes = notes.lines();
     shared.cache.commit(&record(shared.cache, ingredients, &stored, exports, &notes, begun.elapsed().as_secs_f64()))?;
     remember(shared, task, &key);
+    if is_kept && let Some((store, identity)) = shared.kept.own(id) {
+        // What stays is found again at worst, and removed by gc.
+        let _ = store.remove(&identity);
+    }
     Ok(Product { stored, notes, values: kept })
 }
 
@@ -232,18 +285,11 @@ fn record(cache: &Cache, ingredients: Ingredients, stored: &Stored, exports: Vec
     Record { key, tool_version: TOOL_VERSION.into(), seconds, created_unix_s, notes: notes.to_vec(), ingredients, outputs, exports }
 }
 
-/// The inputs of one band: what has the rows of the task is cut to the band and its halo; everything else stays whole.
-fn cut(inputs: &PortValues, bands: &Bands, band: Rows) -> PortValues {
-    if bands.bands.len() == 1 {
-        return inputs.clone();
-    }
-    let reach = band.with_halo(bands.halo, bands.rows);
-    let cut = |value: &Value| if value.rows() == Some(bands.rows) { value.cut(reach) } else { value.clone() };
-    inputs.iter().map(|(port, values)| (*port, values.iter().map(cut).collect())).collect()
-}
+/// A band that gives fewer bytes a second is kept until the result is complete: writing it is quicker than computing it.
+const COSTLY_BYTES_PER_S: f64 = 32e6;
 
 /// The wanted outputs, held against the plan: a node that gives something else than it planned would poison every key after it.
-fn checked(task: &Task, mut given: PortValues, band: Option<Rows>) -> Result<Vec<(&'static str, Meta, Value)>, NodeError> {
+pub(crate) fn checked(task: &Task, mut given: PortValues, band: Option<Rows>) -> Result<Vec<(&'static str, Meta, Value)>, NodeError> {
     let broken =
         |text: String| NodeError::failed(format!("{} broke its promise: {text}", task.decl.kind)).hint("this is a mistake in the node; please report it");
     let mut outputs = Vec::new();

@@ -3,24 +3,32 @@
 //! HDF5 works behind one lock anyway; a thread of its own lets the next band be computed while this one is packed and written.
 
 use crossbeam::channel::{Receiver, Sender, bounded};
-use photocurrent_core::{Meta, NodeError, Value};
-use photocurrent_store::{Cache, CacheWriter, StoredOutput};
+use photocurrent_core::{Digest, Meta, NodeError, Rows, Value};
+use photocurrent_store::{BandStore, Cache, CacheWriter, StoredOutput};
 use std::any::Any;
 use std::collections::{BTreeMap, HashMap};
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
 
 use crate::plan::TaskId;
 
 /// What a finished task has in the store.
 pub(crate) type Stored = BTreeMap<String, StoredOutput>;
 
+/// What a node said of some rows ([`photocurrent_core::context::Notes::content`]).
+pub(crate) type Said = (Vec<String>, BTreeMap<String, u64>);
+
 /// About how many bytes are read and written at once.
-const PIECE: u64 = 64 << 20;
+const PIECE: u64 = 16 << 20;
 
 /// An order to the writer.
 pub(crate) enum Message {
     /// Append a band to an output.
     Write { task: TaskId, port: &'static str, meta: Meta, value: Value },
+    /// Keep a band until the result is complete. That it cannot be kept is no failure: the result is written all the same.
+    Keep { store: Arc<BandStore>, identity: Digest, rows: Rows, outputs: Vec<(&'static str, Value)>, said: Said },
+    /// Answer when everything that was sent before is written, or was dropped because the task has failed.
+    Reached { reply: Sender<()> },
     /// All bands were sent: put the outputs in their place and say what they are.
     Finish { task: TaskId, reply: Sender<Result<Stored, NodeError>> },
     /// The task failed: drop what it wrote.
@@ -45,6 +53,13 @@ pub(crate) fn write(cache: &Cache, messages: &Receiver<Message>) {
                 {
                     *outputs = Err(error);
                 }
+            }
+            Message::Keep { store, identity, rows, outputs, said } => {
+                let _ = guarded(|| Ok(store.put(identity, rows, &outputs, said)?));
+            }
+            Message::Reached { reply } => {
+                // Nobody waits any more only when the task is given up.
+                let _ = reply.send(());
             }
             Message::Finish { task, reply } => {
                 let result = open.remove(&task).unwrap_or_else(|| Ok(BTreeMap::new()));

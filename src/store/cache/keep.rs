@@ -41,7 +41,7 @@ pub struct DiskUse {
     pub content_bytes: u64,
     /// Of these, bytes that no record names.
     pub unreferenced_bytes: u64,
-    /// Bytes being written right now, or left by a killed run.
+    /// Bytes being written right now, or left by a killed run: row bands that the next one goes on from among them.
     pub temporary_bytes: u64,
 }
 
@@ -121,8 +121,9 @@ impl Cache {
             found.content_bytes += bytes;
             found.unreferenced_bytes += if referenced.contains(&digest) { 0 } else { bytes };
         }
-        let tmp = self.root.join("tmp");
-        found.temporary_bytes = files::names_in(&tmp)?.iter().map(|name| length(&tmp.join(name))).sum();
+        for folder in ["tmp", "bands"].map(|name| self.root.join(name)) {
+            found.temporary_bytes += files::names_in(&folder)?.iter().map(|name| length(&folder.join(name))).sum::<u64>();
+        }
         Ok(found)
     }
 
@@ -193,8 +194,9 @@ impl Cache {
             }
         }
         // Nobody has the cache open, so nobody is writing.
-        let tmp = root.join("tmp");
-        unneeded.extend(files::names_in(&tmp)?.iter().map(|name| tmp.join(name)));
+        for folder in ["tmp", "bands"].map(|name| root.join(name)) {
+            unneeded.extend(files::names_in(&folder)?.iter().map(|name| folder.join(name)));
+        }
         unneeded.extend(memory::useless(root)?);
         if !options.dry_run {
             go.iter().chain(&unneeded).try_for_each(|path| files::remove(path))?;

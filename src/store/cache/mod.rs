@@ -6,6 +6,7 @@
 //! data/<digest>.sum     length and BLAKE3 of that file's bytes
 //! files/<name>.toml     digests of outside files, remembered by size, inode and times
 //! history/<name>.toml   which key a node had in the last run of a pipeline
+//! bands/                row bands of results that are not complete (see `bands`)
 //! tmp/                  what is being written
 //! lock  commit.lock     shared by every run, exclusive for `gc`; exclusive for the moment of placing data
 //! ```
@@ -13,12 +14,14 @@
 //! The order of steps makes every moment consistent: data is placed before the record that names it, and gc removes records before data.
 //! A damaged entry counts as missing: the node runs again and its output replaces the entry.
 
+mod bands;
 mod content;
 mod files;
 mod keep;
 mod memory;
 mod record;
 
+pub use bands::{BandStore, KeptBand};
 pub use content::CacheWriter;
 pub use keep::{CheckReport, DiskUse, GcOptions, GcReport, Listing};
 pub use record::{Export, FileInput, Ingredients, Params, PortInput, Record, StoredOutput};
@@ -69,6 +72,14 @@ impl Cache {
         let shared = lock_file(&root.join("lock"))?;
         shared.lock_shared().map_err(|error| StoreError::io(&root.join("lock"), "lock the cache", error))?;
         Ok(Cache { root: root.into(), owner: Owner::new(&root.join("tmp"))?, verified: Mutex::default(), _shared: shared })
+    }
+
+    /// Row bands of results that are not complete.
+    ///
+    /// # Errors
+    /// When the folder cannot be made.
+    pub fn bands(&self) -> Result<BandStore, StoreError> {
+        BandStore::open(&self.root.join("bands"))
     }
 
     /// Where it is.
@@ -127,7 +138,7 @@ impl Cache {
 }
 
 fn make_folders(root: &Path) -> Result<(), StoreError> {
-    for name in ["keys", "data", "tmp", "history", "files"] {
+    for name in ["keys", "data", "bands", "tmp", "history", "files"] {
         let folder = root.join(name);
         std::fs::create_dir_all(&folder).map_err(|error| StoreError::io(&folder, "make the folder", error))?;
     }

@@ -149,6 +149,17 @@ impl BandSource<EventBand> for EventsSource {
     fn read(&self, rows: Rows) -> Result<EventBand, DataError> {
         Ok(self.band(rows)?)
     }
+
+    fn bytes(&self, rows: Rows) -> Option<u64> {
+        let each = 11 + 8 * u64::from(self.t_in.is_some()) + 4 * u64::from(self.step.is_some());
+        Some(between(&self.row_offsets, rows.start as usize, rows.end as usize)? * each)
+    }
+}
+
+/// How many elements lie between two places of a column of offsets; none when it cannot be read.
+pub(super) fn between(offsets: &Grid<u64>, from: usize, to: usize) -> Option<u64> {
+    let at = |place: usize| offsets.column(place..place + 1).ok()?.first().copied();
+    at(to)?.checked_sub(at(from)?)
 }
 
 pub(super) fn open_events(opened: &Opened, meta: &EventsMeta) -> Result<EventStream, StoreError> {

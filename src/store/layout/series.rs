@@ -1,7 +1,7 @@
 //! Tracks and light: one layout for both, flat columns with an offset per pixel, in a group named like the type; `sigma` stands beside `photocurrent`
 //! where it is known.
 
-use super::columns::{DAMAGED, column, create_group, each_band, relative, required};
+use super::columns::{DAMAGED, between, column, create_group, each_band, relative, required};
 use crate::error::StoreError;
 use crate::hdf::Opened;
 use crate::hdf::grid::Grid;
@@ -81,6 +81,12 @@ impl SeriesSource {
 impl<M: SeriesMeta> BandSource<SeriesBand<M>> for SeriesSource {
     fn read(&self, rows: Rows) -> Result<SeriesBand<M>, DataError> {
         Ok(self.band(rows)?)
+    }
+
+    fn bytes(&self, rows: Rows) -> Option<u64> {
+        let (from, to) = (rows.start as usize * self.width, rows.end as usize * self.width);
+        let each = if self.sigma.is_some() { 16 } else { 12 };
+        Some(8 * (to - from) as u64 + between(&self.pixel_offsets, from, to)? * each)
     }
 }
 

@@ -7,6 +7,7 @@
 //! Either stream may be missing, or be there with nothing in it. NaN in a frame is data: a value that is not known.
 //! Frames have the extent of the events or a whole multiple of it: then several frame pixels lie on each event pixel.
 
+mod by_time;
 mod events;
 mod frames;
 mod inspect;

@@ -1,16 +1,15 @@
 //! Writing a recording: for simulated data, demonstrations, converters and tests.
 //!
-//! The file appears whole or not at all. Events are held in memory, about 20 bytes each, while they are brought from row order into time order, so
-//! this is not for the largest recordings; events that are in memory already are not copied.
+//! The file appears whole or not at all. Events are brought from the order of rows into that of time through a temporary file where they are many ([`super::by_time`]).
 
 use super::FORMAT;
+use super::by_time::{Sizes, for_slices_of_time};
 use super::rendered::write_numbers;
 use crate::error::StoreError;
 use crate::hdf::Opened;
 use crate::hdf::write::ColumnWriter;
 use crate::layout::{close, create_group};
-use photocurrent_core::handle::Band;
-use photocurrent_core::{Colour, EventBand, EventStream, Extent, FrameSequence, Rows, Truth};
+use photocurrent_core::{Colour, EventStream, Extent, FrameSequence, Rows, Truth};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
@@ -110,74 +109,26 @@ fn write_events(opened: &Opened, events: &EventStream) -> Result<u64, StoreError
     if let Some(step) = events.meta.t_resolution_ns {
         opened.set_integer_attribute(&group, "t_resolution_ns", step)?;
     }
-    let read;
-    let band = match events.borrowed() {
-        Some(band) => band,
-        None => {
-            read = events.read(events.rows()).map_err(StoreError::Source)?;
-            &read
-        }
-    };
     let (mut x, mut y, mut on) = (ColumnWriter::new(opened, "events/x"), ColumnWriter::new(opened, "events/y"), ColumnWriter::new(opened, "events/p"));
     let mut t = ColumnWriter::new(opened, "events/t");
-    let mut t_in = band.t_in.as_ref().map(|values| (values, ColumnWriter::new(opened, "events/t_in")));
-    for_slices_of_time(band, SLICE_EVENTS, |slice| {
-        x.append(&gathered(slice, |place| band.x[place.index]))?;
-        y.append(&gathered(slice, |place| place.y))?;
-        on.append(&gathered(slice, |place| band.on[place.index]))?;
-        t.append(&gathered(slice, |place| place.t))?;
-        t_in.iter_mut().try_for_each(|(values, column)| column.append(&gathered(slice, |place| values[place.index])))
+    let mut t_in = events.meta.has_t_in.then(|| ColumnWriter::new(opened, "events/t_in"));
+    let mut count = 0;
+    for_slices_of_time(events, Sizes::default(), |slice| {
+        count += slice.t.len() as u64;
+        x.append(&slice.x)?;
+        y.append(&slice.y)?;
+        on.append(&slice.on)?;
+        t.append(&slice.t)?;
+        t_in.as_mut().map_or(Ok(()), |column| column.append(&slice.t_in))
     })?;
     x.finish()?;
     y.finish()?;
     on.finish()?;
     opened.set_text_attribute(t.finish()?.dataset(), "unit", "ns")?;
-    if let Some((_, column)) = t_in {
+    if let Some(column) = t_in {
         opened.set_text_attribute(column.finish()?.dataset(), "unit", "ns")?;
     }
-    Ok(band.len() as u64)
-}
-
-/// Where an event stands in its band.
-#[derive(Clone, Copy)]
-struct Place {
-    t: i64,
-    index: usize,
-    y: u16,
-}
-
-fn gathered<T>(slice: &[Place], value: impl Fn(&Place) -> T) -> Vec<T> {
-    slice.iter().map(value).collect()
-}
-
-/// About how many events are put into the order of time at once.
-const SLICE_EVENTS: usize = 1 << 20;
-
-/// Events in the order of time, in slices of `about` so many. Equal stamps stay in row order, and inside a row in their own order.
-///
-/// A row is in order already, so a slice of time is one piece of every row, and only the slice needs sorting.
-fn for_slices_of_time(band: &EventBand, about: usize, mut take: impl FnMut(&[Place]) -> Result<(), StoreError>) -> Result<(), StoreError> {
-    let slices = band.len().div_ceil(about);
-    // Every hundredth part of a slice marks where slices may end: they differ by some per cent in size, and by more where many stamps are equal.
-    let mut marks: Vec<i64> = band.t.iter().step_by((about / 100).max(1)).copied().collect();
-    marks.sort_unstable();
-    let mut next: Vec<usize> = band.offsets().iter().take(band.rows().len()).copied().collect();
-    let mut slice = Vec::new();
-    for k in 1..=slices {
-        let is_before = |t: i64| k == slices || t < marks[marks.len() * k / slices];
-        slice.clear();
-        for (row, next) in band.rows().iter().zip(&mut next) {
-            let here = band.row(row);
-            let from = *next;
-            let to = here.first + here.t.partition_point(|&t| is_before(t));
-            slice.extend((from..to).map(|index| Place { t: band.t[index], index, y: row as u16 }));
-            *next = to.max(from);
-        }
-        // Stable, and quick for pieces that are in order.
-        slice.sort_by_key(|place| place.t);
-        take(&slice)?;
-    }
-    Ok(())
+    Ok(count)
 }
 
 pub(crate) fn write_times(opened: &Opened, name: &str, times: Vec<i64>) -> Result<(), StoreError> {
@@ -210,40 +161,4 @@ fn write_truth(opened: &Opened, truth: &FrameSequence) -> Result<(), StoreError>
     write_colour(opened, &group, truth.meta.colour)?;
     write_numbers::<f32>(opened, "truth/dn", truth, None, |dn| dn)?;
     write_times(opened, "truth/t", truth.meta.times.exposures.iter().map(|exposure| exposure.start.0 + exposure.length_ns() / 2).collect())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use photocurrent_core::events::{Event, Polarity};
-    use photocurrent_core::random::Random;
-
-    /// Random events of forty rows at few instants, so that many are equal.
-    fn band(events: usize, instants: u64) -> EventBand {
-        let mut random = Random::new(1, &[instants]);
-        let mut below = |n: u64| (random.bits() % n) as u16;
-        let event = |_| Event { x: below(50), y: below(40), polarity: Polarity::On, t: i64::from(below(instants)) - 100, t_in: None };
-        let events = (0..events).map(event).collect();
-        EventBand::from_events(Rows { start: 0, end: 40 }, events).unwrap()
-    }
-
-    #[test]
-    fn slices_of_time_put_together_are_a_stable_sort() {
-        for (events, instants, about) in [(0, 5, 10), (1, 5, 10), (3000, 20_000, 250), (3000, 20_000, 5000), (3000, 3, 40), (3000, 1, 40)] {
-            let band = band(events, instants);
-            let mut expected: Vec<usize> = (0..events).collect();
-            expected.sort_by_key(|&index| band.t[index]);
-            let (mut found, mut slices) = (Vec::new(), 0);
-            for_slices_of_time(&band, about, |slice| {
-                found.extend(slice.iter().map(|place| place.index));
-                assert!(slice.iter().all(|place| band.t[place.index] == place.t && (band.offsets()[place.y as usize]..).contains(&place.index)));
-                assert!(slice.iter().all(|place| place.index < band.offsets()[place.y as usize + 1]));
-                slices += 1;
-                Ok(())
-            })
-            .unwrap();
-            assert_eq!(found, expected);
-            assert_eq!(slices, events.div_ceil(about));
-        }
-    }
 }
