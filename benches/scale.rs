@@ -8,6 +8,8 @@
 //! Each stage is a process of its own (`photocurrent run pipelines/scale.toml --to STAGE`), so that its peak is its own; what comes before it lies in the cache. Peak memory
 //! and processor time are what the system says of the ended process. Everything is written below `--folder` and removed afterwards, about 4 GB for 1280x720x100.
 
+#![allow(clippy::print_stdout)]
+
 use photocurrent_core::Meta;
 use photocurrent_store::Cache;
 use std::path::{Path, PathBuf};
@@ -77,6 +79,7 @@ fn run(stage: &str, (width, height, ms): (u32, u32, u32), memory: &str, folder: 
     }
     command.arg("--cache").arg(folder.join("cache")).arg("--out").arg(folder.join("out")).stdout(Stdio::piped());
     let began = Instant::now();
+    #[allow(clippy::zombie_processes)] // It is waited for below, in a way that says what it used.
     let mut child = command.spawn().expect("the command starts");
     let mut text = String::new();
     std::io::Read::read_to_string(&mut child.stdout.take().expect("a pipe"), &mut text).expect("the command prints text");

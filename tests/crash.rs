@@ -5,7 +5,7 @@
 //! is asserted afterwards holds at every moment.
 
 use crate::recordings;
-use crate::support::{self, Bench, digests, executed};
+use crate::support::{self, Bench, digests, executed, files, results};
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::random::Random;
 use photocurrent_core::testing;
@@ -24,23 +24,6 @@ fn bench() -> Bench {
     assert_ne!(larger, text);
     bench.write("m.toml", &larger);
     bench
-}
-
-/// Every file below a folder, with its bytes.
-fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    fn walk(top: &Path, folder: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
-        for entry in std::fs::read_dir(folder).expect("a folder") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                walk(top, &path, found);
-            } else {
-                found.insert(path.strip_prefix(top).expect("below").to_path_buf(), std::fs::read(&path).expect("a file"));
-            }
-        }
-    }
-    let mut found = BTreeMap::new();
-    walk(folder, folder, &mut found);
-    found
 }
 
 fn is_hidden(path: &Path) -> bool {
@@ -91,7 +74,7 @@ fn undisturbed(arguments: &[&str]) -> Undisturbed {
     let mut all = vec!["m.toml"];
     all.extend(arguments);
     let outcome = bench.outcome(&all);
-    Undisturbed { took: started.elapsed(), digests: digests(&outcome), files: files(&bench.path("out/m")) }
+    Undisturbed { took: started.elapsed(), digests: digests(&outcome), files: results(&bench.path("out/m")) }
 }
 
 fn assert_ends_as(bench: &Bench, arguments: &[&str], expected: &Undisturbed, when: &str) {
@@ -100,7 +83,7 @@ fn assert_ends_as(bench: &Bench, arguments: &[&str], expected: &Undisturbed, whe
     let outcome = bench.outcome(&all);
     assert_eq!(digests(&outcome), expected.digests, "{when}");
     assert_exports_are_whole(&bench.path("out/m"), when);
-    let mut found = files(&bench.path("out/m"));
+    let mut found = results(&bench.path("out/m"));
     // What a killed run had half-made stands beside the results under a hidden name.
     found.retain(|path, _| !path.iter().next().is_some_and(|first| is_hidden(Path::new(first))));
     assert_eq!(found.keys().collect::<Vec<_>>(), expected.files.keys().collect::<Vec<_>>(), "{when}");

@@ -178,9 +178,9 @@ mod tests {
     #[test]
     fn what_is_brighter_than_saturation_counts_as_saturation() {
         let mut sensor = Sensor::unknown("test");
-        sensor.frames.saturation_dn = Some(255.0);
-        // 300 would have been read as 255, 4 away from 251; the other frame is right.
-        let scores = scores(frames(|l, _, _| if l == 0 { 300.0 } else { 251.0 }), frames(|_, _, _| 251.0), Some(sensor));
+        sensor.frames.saturation_dn = Some(60.0);
+        // 90 would have been read as 60, 4 away from 56; the other frame is right.
+        let scores = scores(frames(|l, _, _| if l == 0 { 90.0 } else { 56.0 }), frames(|_, _, _| 56.0), Some(sensor));
         assert_eq!(scores.iter().find(|s| s.metric == "heldout_rmse_dn" && s.frame == -1).unwrap().value, 2.0);
     }
 

@@ -47,9 +47,12 @@ pub fn sensor(run: &Run) -> Option<Arc<Sensor>> {
     })
 }
 
+/// Pictures of one size of a run: its name, their extent, what may be shown, and the sensor.
+type OfOneSize = (String, Extent, Vec<Candidate>, Option<Arc<Sensor>>);
+
 /// Adds the pictures of all runs.
 pub fn pictures(runs: &[Run], styles: &mut Styles, budget: u64, page: &mut RunPage) -> Result<(), Failure> {
-    let mut groups: Vec<(String, Extent, Vec<Candidate>, Option<Arc<Sensor>>)> = Vec::new();
+    let mut groups: Vec<OfOneSize> = Vec::new();
     for run in runs {
         let (found, notes) = candidates(run);
         page.picture_notes.extend(notes);

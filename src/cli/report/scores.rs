@@ -120,13 +120,13 @@ fn cards(records: &[Record], style: &Style) -> Vec<Card> {
             all.push((record.card.clone(), Vec::new(), Vec::new()));
             all.len() - 1
         });
-        let mut put = |list: fn(&mut (String, Vec<String>, Vec<String>)) -> &mut Vec<String>, text: &str| {
-            if !list(&mut all[at]).iter().any(|known| known == text) {
-                list(&mut all[at]).push(text.to_string());
+        let put = |list: &mut Vec<String>, text: &str| {
+            if !list.iter().any(|known| known == text) {
+                list.push(text.to_string());
             }
         };
-        put(|one| &mut one.1, record.level("metric").unwrap_or_default());
-        put(|one| &mut one.2, record.level("method").map_or("", |method| style.name(method)));
+        put(&mut all[at].1, record.level("metric").unwrap_or_default());
+        put(&mut all[at].2, record.level("method").map_or("", |method| style.name(method)));
     }
     let card = |(card, metrics, methods): (String, Vec<String>, Vec<String>)| {
         let (definition, fields) = card.split_once(": ").unwrap_or((&card, ""));

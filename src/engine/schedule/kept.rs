@@ -17,6 +17,9 @@ pub(crate) struct Kept {
     bands: Vec<(Arc<BandStore>, KeptBand)>,
 }
 
+/// A band as it was kept: its rows, what outputs have of them, and what the node said.
+pub(crate) type Loaded = (Rows, Vec<(&'static str, Value)>, Said);
+
 /// A band of some task.
 pub(crate) struct Found {
     store: Arc<BandStore>,
@@ -63,7 +66,7 @@ impl Kept {
     }
 
     /// What a band has from `row` on, when it has that row and every output that is stored. A damaged one counts as missing: its rows are computed again.
-    pub fn load(&self, found: &Found, row: u32, task: &Task) -> Option<(Rows, Vec<(&'static str, Value)>, Said)> {
+    pub fn load(&self, found: &Found, row: u32, task: &Task) -> Option<Loaded> {
         let rows = Rows { start: row, end: found.rows().end };
         // Notes count what is in all rows of a band, so a band is taken whole or not at all.
         if found.rows().start != row || rows.is_empty() {
