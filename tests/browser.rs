@@ -271,6 +271,7 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
     let most = format!(
         "(() => {{ {CODES} const at = (k) => [k / 4 % c.width, Math.floor(k / 4 / c.width)]; const box = [1e9, 1e9, -1e9, -1e9];
         for (let k = 0; k < codes.length; k += 4) if (codes[k] >= 200 && codes[k + 2] < codes[k] - 60) {{ const [x, y] = at(k); box[0] = Math.min(box[0], x); box[1] = Math.min(box[1], y); box[2] = Math.max(box[2], x); box[3] = Math.max(box[3], y); }}
+        if (box[2] - box[0] > 60 || box[3] - box[1] > 60) return 999;
         let most = 0; for (let k = 0; k < codes.length; k += 4) {{ const [x, y] = at(k); if (x > box[0] - 5 && x < box[2] + 5 && y > box[1] - 5 && y < box[3] + 5) continue; most = Math.max(most, codes[k] === codes[k + 2] ? Math.abs(codes[k] - 120) % 120 : 999); }} return most; }})()"
     );
     // The caption is there before the picture is drawn.

@@ -193,7 +193,7 @@ mod tests {
         let identity = photocurrent_core::digest::DigestBuilder::new("test").finish();
         let said = (vec!["a text".to_string()], BTreeMap::from([("pixels".to_string(), 7)]));
         let kept = store.put(identity, rows, &[("plane", value)], said).unwrap();
-        assert_eq!(store.list().unwrap(), [kept.clone()]);
+        assert_eq!(store.list().unwrap(), std::slice::from_ref(&kept));
         let whole = Meta::Map(Arc::new(meta));
         let Value::Map(map) = store.load(&kept, "plane", &whole).unwrap() else { panic!("a map stays a map") };
         assert_eq!((map.rows(), map.read(rows).unwrap()), (rows, band));
