@@ -337,7 +337,8 @@ fn load(store: &BandStore, band: &KeptBand, task: &Task) -> Result<Vec<(String, 
 pub fn join(plan: &Plan, cache: &Cache, parts: &[PathBuf]) -> Result<Vec<PathBuf>, NodeError> {
     let all = plan.rows()?;
     let identities = key::identities(plan, cache);
-    let known: BTreeMap<&str, Digest> = divide(plan).parted.into_iter().filter_map(|id| Some((plan.tasks[id].label.as_str(), identities[id]?))).collect();
+    // In running order: what differs first is the reason for all that differs after it.
+    let known: Vec<(&str, Digest)> = divide(plan).parted.into_iter().filter_map(|id| Some((plan.tasks[id].label.as_str(), identities[id]?))).collect();
     let mut covered = Vec::new();
     for folder in parts {
         let promise = read_promise(folder)?;
