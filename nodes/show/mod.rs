@@ -5,4 +5,4 @@ mod pictures;
 mod pixels;
 
 pub use pictures::{Shown, Tone};
-pub use pixels::{Exposed, Instant, Photocurrent, Seen, lively, seen, solved};
+pub use pixels::{Exposed, Fired, Photocurrent, Seen, lively, seen, solved};

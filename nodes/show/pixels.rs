@@ -26,7 +26,7 @@ const SHARE: f64 = 0.95;
 const NORMAL_95: f64 = 1.96;
 
 /// An event of a pixel: time in ns, and whether it is ON.
-pub type Instant = (i64, bool);
+pub type Fired = (i64, bool);
 
 /// An exposure of a pixel.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,7 +47,7 @@ pub struct Exposed {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Seen {
     /// Events in order of time, at their in-pixel times as far as known.
-    pub events: Vec<Instant>,
+    pub events: Vec<Fired>,
     /// Captured exposures.
     pub exposures: Vec<Exposed>,
 }
@@ -173,7 +173,7 @@ pub fn solved(tracks: &Value, seen: &Seen, sensor: &Sensor, x: u32, y: u32) -> R
     let frame_residuals = seen.exposures.iter().map(frame).filter(|(_, residual)| residual.is_finite()).collect();
     // An ideal front end follows at once.
     let voltage = |t: i64| if front_end.is_empty() { at(&knots, t, is_held) } else { at(&front_end, t, false) };
-    let event = |pair: &[Instant]| {
+    let event = |pair: &[Fired]| {
         let (before, (t, is_on)) = (pair[0].0 + model.pixel.refractory_ns, pair[1]);
         let threshold = if is_on { model.pixel.threshold_on } else { -model.pixel.threshold_off };
         (t, voltage(t) - voltage(before.min(t)) - threshold)
