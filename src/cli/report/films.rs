@@ -38,6 +38,14 @@ impl Candidate {
     }
 }
 
+/// Sequences of one run and size.
+struct Scene {
+    run: String,
+    extent: Extent,
+    all: Vec<Candidate>,
+    sensor: Option<Arc<Sensor>>,
+}
+
 /// The description of the sensor of a run.
 pub fn sensor(run: &Run) -> Option<Arc<Sensor>> {
     let outputs: Vec<Output> = run.variants().flat_map(|variant| run.outputs(variant, "sensor")).collect();
@@ -47,26 +55,23 @@ pub fn sensor(run: &Run) -> Option<Arc<Sensor>> {
     })
 }
 
-/// Pictures of one size of a run: its name, their extent, what may be shown, and the sensor.
-type OfOneSize = (String, Extent, Vec<Candidate>, Option<Arc<Sensor>>);
-
 /// Adds the pictures of all runs.
 pub fn pictures(runs: &[Run], styles: &mut Styles, budget: u64, page: &mut RunPage) -> Result<(), Failure> {
-    let mut groups: Vec<OfOneSize> = Vec::new();
+    let mut scenes: Vec<Scene> = Vec::new();
     for run in runs {
         let (found, notes) = candidates(run);
         page.picture_notes.extend(notes);
         let sensor = sensor(run);
         for candidate in found {
             let extent = candidate.shown.extent();
-            match groups.iter_mut().find(|(name, of, ..)| *name == run.name && *of == extent) {
-                Some((.., all, _)) => all.push(candidate),
-                None => groups.push((run.name.clone(), extent, vec![candidate], sensor.clone())),
+            match scenes.iter_mut().find(|scene| scene.run == run.name && scene.extent == extent) {
+                Some(scene) => scene.all.push(candidate),
+                None => scenes.push(Scene { run: run.name.clone(), extent, all: vec![candidate], sensor: sensor.clone() }),
             }
         }
     }
-    let share = budget / groups.len().max(1) as u64;
-    for (name, extent, all, sensor) in groups {
+    let share = budget / scenes.len().max(1) as u64;
+    for Scene { run: name, extent, all, sensor } in scenes {
         let several = runs.len() > 1 || page.groups.iter().any(|group| group.name.starts_with(&name));
         let name = if several { format!("{name}, {extent} pixels") } else { name };
         let group = group(name, all, sensor.as_deref(), styles, share, page)?;

@@ -83,7 +83,8 @@ pub fn verdict(runs: &[Run], page: &mut RunPage) -> Result<(), Failure> {
         let cell = grid.cells[row][at].as_ref();
         let why = cell.and_then(|cell| cell.missing.as_ref()).map(|(_, why)| why.clone());
         let mark = match marks[row][at] {
-            _ if cell.is_none_or(|cell| cell.value.is_nan()) => Mark::Missing,
+            // What nobody asked for is no failure.
+            _ if cell.is_some_and(|cell| cell.value.is_nan()) => Mark::Missing,
             Standing::Best => Mark::Best,
             Standing::Second => Mark::Second,
             Standing::Plain => Mark::Plain,
@@ -112,28 +113,26 @@ pub fn verdict(runs: &[Run], page: &mut RunPage) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Each card once, with the metrics that it is about.
+/// Each card once, with the metrics that it is about and the methods that it was used for.
 fn cards(records: &[Record], style: &Style) -> Vec<Card> {
-    let mut all: Vec<(String, Vec<String>, Vec<String>)> = Vec::new();
+    let mut texts: Vec<&str> = Vec::new();
     for record in records.iter().filter(|record| !record.card.is_empty()) {
-        let at = all.iter().position(|(card, ..)| *card == record.card).unwrap_or_else(|| {
-            all.push((record.card.clone(), Vec::new(), Vec::new()));
-            all.len() - 1
-        });
-        let put = |list: &mut Vec<String>, text: &str| {
-            if !list.iter().any(|known| known == text) {
-                list.push(text.to_string());
-            }
-        };
-        put(&mut all[at].1, record.level("metric").unwrap_or_default());
-        put(&mut all[at].2, record.level("method").map_or("", |method| style.name(method)));
+        if !texts.contains(&record.card.as_str()) {
+            texts.push(&record.card);
+        }
     }
-    let card = |(card, metrics, methods): (String, Vec<String>, Vec<String>)| {
-        let (definition, fields) = card.split_once(": ").unwrap_or((&card, ""));
+    let card = |card: &str| {
+        let own: Vec<Record> = records.iter().filter(|record| record.card == card).cloned().collect();
+        let methods: Vec<String> = levels_of(&own, "method").iter().map(|method| style.name(method).to_string()).collect();
+        let (definition, fields) = card.split_once(": ").unwrap_or((card, ""));
         let pairs = fields.split("; ").filter_map(|pair| pair.split_once(" = ")).map(|(key, text)| (key.to_string(), text.to_string()));
-        Card { metrics: format!("{} of {}", metrics.join(", "), methods.join(", ")), definition: definition.to_string(), fields: pairs.collect() }
+        Card {
+            metrics: format!("{} of {}", levels_of(&own, "metric").join(", "), methods.join(", ")),
+            definition: definition.to_string(),
+            fields: pairs.collect(),
+        }
     };
-    all.into_iter().map(card).collect()
+    texts.into_iter().map(card).collect()
 }
 
 /// Adds the scores of single frames as curves: a panel for each metric and run.
