@@ -1,7 +1,7 @@
 //! Single pixels in numbers: events, captured exposures, and what a solver's photocurrent says of both.
 //!
-//! `V_DC = ln i` is Eq. (6). `V_FE` settles towards it by Eqs. (1) and (2), in steps of a quarter of the time between knots, each with the time constant at
-//! its middle. The residual of a frame is captured minus predicted DN of its own exposure, Eq. (5). The residual of an event is the step of V_FE from the end of
+//! `V_DC = ln i` is Eq. (6). `V_FE` settles towards it by Eqs. (1) and (2), by the answer to a ramp of the MAP solver, in quarters of the time between
+//! knots. The residual of a frame is captured minus predicted DN of its own exposure, Eq. (5). The residual of an event is the step of V_FE from the end of
 //! the refractory period after the event before it to its own in-pixel time, minus the signed threshold: the comparator's condition with reset to the level at
 //! which the pixel may fire again.
 //!
@@ -13,7 +13,8 @@ use crate::pixel_events::clock_offset;
 use photocurrent_core::tracks::Between;
 use photocurrent_core::{Colour, EventStream, NodeError, Rows, Sensor, Value};
 use photocurrent_sensor::exposure::{HeldTrack, LogLinearTrack};
-use photocurrent_sensor::front_end::{settle, settled_photocurrent, settled_voltage, time_constant};
+use photocurrent_sensor::front_end::settled_voltage;
+use photocurrent_sensor::map::ramp_voltage;
 use photocurrent_sensor::model::Model;
 
 /// Of so many rows events are read at a time.
@@ -190,10 +191,8 @@ fn front_end_voltage(knots: &[(i64, f64)], is_held: bool, model: &Model) -> Vec<
     for pair in knots.windows(2) {
         let ((from, v_from), (to, v_to)) = (pair[0], pair[1]);
         for quarter in 0..4 {
-            let share = (f64::from(quarter) + 0.5) / 4.0;
-            let settled = if is_held { v_from } else { v_from + share * (v_to - v_from) };
-            let dt_s = (to - from) as f64 * 0.25e-9;
-            voltage = settle(voltage, settled, dt_s, time_constant(&model.pixel.front_end, settled_photocurrent(settled)));
+            let v_dc = |quarters: i32| if is_held { v_from } else { v_from + 0.25 * f64::from(quarters) * (v_to - v_from) };
+            voltage = ramp_voltage(&model.pixel.front_end, voltage, v_dc(quarter), v_dc(quarter + 1), (to - from) as f64 * 0.25e-9);
             all.push((from + (to - from) * (i64::from(quarter) + 1) / 4, voltage));
         }
     }

@@ -155,25 +155,12 @@ pub struct ConvertOptions {
     pub force: bool,
 }
 
-#[derive(ClapArgs)]
-pub struct RunOptions {
-    #[command(flatten)]
-    pub target: Target,
-    /// Run these nodes even when the cache has them
-    #[arg(long = "force", value_name = "NODE")]
-    pub force: Vec<String>,
+/// How a run uses the machine, and what it says.
+#[derive(ClapArgs, Clone)]
+pub struct Running {
     /// Threads, for nodes side by side and inside nodes [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub threads: Option<u32>,
-    /// Height of row bands, instead of what memory asks for; results do not depend on it
-    #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u32).range(1..))]
-    pub band_rows: Option<u32>,
-    /// Only these rows, for `merge`: 0..180, the end not included. What must be whole before them is run as ever, what must be whole after them is left to `merge`
-    #[arg(long, value_name = "FIRST..END", value_parser = rows, requires = "part")]
-    pub rows: Option<Rows>,
-    /// Folder for what is made of these rows; a part that is there is not made again, one that was stopped goes on
-    #[arg(long, value_name = "FOLDER", requires = "rows")]
-    pub part: Option<PathBuf>,
     /// Print the outcome as JSON
     #[arg(long)]
     pub json: bool,
@@ -186,24 +173,34 @@ pub struct RunOptions {
 }
 
 #[derive(ClapArgs)]
+pub struct RunOptions {
+    #[command(flatten)]
+    pub target: Target,
+    /// Run these nodes even when the cache has them
+    #[arg(long = "force", value_name = "NODE")]
+    pub force: Vec<String>,
+    /// Height of row bands, instead of what memory asks for; results do not depend on it
+    #[arg(long, value_name = "ROWS", value_parser = clap::value_parser!(u32).range(1..))]
+    pub band_rows: Option<u32>,
+    /// Only these rows, for `merge`: 0..180, the end not included. What must be whole before them is run as ever, what must be whole after them is left to `merge`
+    #[arg(long, value_name = "FIRST..END", value_parser = rows, requires = "part")]
+    pub rows: Option<Rows>,
+    /// Folder for what is made of these rows; a part that is there is not made again, one that was stopped goes on
+    #[arg(long, value_name = "FOLDER", requires = "rows")]
+    pub part: Option<PathBuf>,
+    #[command(flatten)]
+    pub running: Running,
+}
+
+#[derive(ClapArgs)]
 pub struct MergeOptions {
     #[command(flatten)]
     pub target: Target,
     /// Folders that `run --rows --part` made; together they have all rows
     #[arg(required = true, value_name = "PART")]
     pub parts: Vec<PathBuf>,
-    /// Threads, for nodes side by side and inside nodes [default: all cores]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
-    pub threads: Option<u32>,
-    /// Print the outcome as JSON
-    #[arg(long)]
-    pub json: bool,
-    /// How progress is shown, on stderr
-    #[arg(long, value_enum, default_value = "auto")]
-    pub progress: ProgressStyle,
-    /// Say only what went wrong
-    #[arg(short, long)]
-    pub quiet: bool,
+    #[command(flatten)]
+    pub running: Running,
 }
 
 #[derive(ClapArgs)]
@@ -528,7 +525,7 @@ pub enum CacheCommand {
     Verify,
 }
 
-/// `100,80,64,64`: a rectangle of pixels.
+/// `0..180`: rows of the sensor.
 fn rows(text: &str) -> Result<Rows, String> {
     let ends = text.split_once("..").and_then(|(start, end)| Some((start.trim().parse().ok()?, end.trim().parse().ok()?)));
     match ends {
@@ -537,6 +534,7 @@ fn rows(text: &str) -> Result<Rows, String> {
     }
 }
 
+/// `100,80,64,64`: a rectangle of pixels.
 fn crop(text: &str) -> Result<Crop, String> {
     let numbers: Vec<Option<u16>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
     match numbers[..] {

@@ -25,9 +25,8 @@ pub fn run(options: &RunOptions) -> Done {
 
 /// Joins parts and runs what is left.
 pub fn merge(options: &MergeOptions) -> Done {
-    let MergeOptions { target, parts, threads, json, progress, quiet } = options;
-    let (target, threads, json, progress, quiet) = (target.clone(), *threads, *json, *progress, *quiet);
-    run_with(&RunOptions { target, threads, json, progress, quiet, force: Vec::new(), band_rows: None, rows: None, part: None }, parts)
+    let (target, running) = (options.target.clone(), options.running.clone());
+    run_with(&RunOptions { target, running, force: Vec::new(), band_rows: None, rows: None, part: None }, &options.parts)
 }
 
 fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
@@ -39,7 +38,7 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
     let out_dir = options.target.out_dir();
     let parts = if parts.is_empty() { Vec::new() } else { photocurrent_engine::join(&plan, &cache, parts).map_err(refused)? };
     let defaults = Options::default();
-    let threads = options.threads.map_or(defaults.threads, |threads| threads as usize);
+    let threads = options.running.threads.map_or(defaults.threads, |threads| threads as usize);
     // The pool inside nodes; it can only fail when something made it before us, and then it works as well.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global();
     let how = Options {
@@ -52,7 +51,7 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
         parts,
     };
     let started = Instant::now();
-    let watcher = Watcher::new(&plan, options.progress, options.quiet);
+    let watcher = Watcher::new(&plan, options.running.progress, options.running.quiet);
     if let (Some(rows), Some(folder)) = (options.rows, &options.part) {
         let end = photocurrent_engine::run_part(&plan, &cache, &how, rows, folder, &watcher, &cancel).map_err(refused)?;
         let all = plan.rows().map_err(refused)?;
@@ -75,10 +74,10 @@ fn part_report(options: &RunOptions, (rows, all): (Rows, Rows), folder: &Path, e
         PartEnd::Complete(nodes) => nodes,
     };
     let (first, end) = (rows.start, rows.end);
-    if options.json {
+    if options.running.json {
         print_json(&json!({ "part": folder, "first_row": first, "end_row": end, "all_rows": all.end, "nodes": nodes, "seconds": seconds }))?;
     }
-    if !options.quiet {
+    if !options.running.quiet {
         let made = if nodes.is_empty() { "was there already or needed nothing".into() } else { format!("has {}", nodes.join(", ")) };
         say!("\n{}: the part of rows {first}..{end} {made} ({})", folder.display(), human_seconds(seconds));
     }
@@ -124,7 +123,7 @@ fn report(options: &RunOptions, project: &Project, outcome: &Outcome, cache: &Ca
         write_lines(&out_dir.join("metrics.jsonl"), &single)?;
         write_lines(&out_dir.join("metrics.pooled.jsonl"), &pooled)?;
     }
-    if options.json {
+    if options.running.json {
         print_json(&as_json(outcome, seconds))?;
     } else {
         let text = tables(project, outcome, cache, &pooled)?;
@@ -224,7 +223,7 @@ fn ablation_table(ablation: &photocurrent_engine::Ablation, outcome: &Outcome, p
 /// What happened, on stderr.
 fn talk(options: &RunOptions, outcome: &Outcome, out_dir: &Path, seconds: f64) {
     failed_nodes(outcome);
-    if options.quiet {
+    if options.running.quiet {
         return;
     }
     for task in &outcome.tasks {

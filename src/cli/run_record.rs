@@ -48,51 +48,12 @@ pub struct VariantRecord {
     pub left_out: Vec<(String, String)>,
 }
 
-/// How a task ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Ended {
-    Executed,
-    Reused,
-    Failed,
-    Skipped,
-    Interrupted,
-}
-
-impl Ended {
-    fn of(end: End) -> Ended {
-        match end {
-            End::Executed => Ended::Executed,
-            End::Reused => Ended::Reused,
-            End::Failed => Ended::Failed,
-            End::Skipped => Ended::Skipped,
-            End::Interrupted => Ended::Interrupted,
-        }
-    }
-
-    /// In a word.
-    pub fn name(self) -> &'static str {
-        match self {
-            Ended::Executed => "executed",
-            Ended::Reused => "reused",
-            Ended::Failed => "failed",
-            Ended::Skipped => "skipped",
-            Ended::Interrupted => "interrupted",
-        }
-    }
-
-    /// Is there a result?
-    pub fn is_well(self) -> bool {
-        matches!(self, Ended::Executed | Ended::Reused)
-    }
-}
-
 /// What came of one task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TaskRecord {
     pub label: String,
     pub kind: String,
-    pub end: Ended,
+    pub end: End,
     /// How long it ran; a reused one, then.
     pub seconds: f64,
     pub key: Option<Digest>,
@@ -135,7 +96,7 @@ impl RunRecord {
         let task = |(task, came): (&photocurrent_engine::Task, &photocurrent_engine::TaskOutcome)| TaskRecord {
             label: task.label.clone(),
             kind: task.decl.kind.into(),
-            end: Ended::of(came.end),
+            end: came.end,
             seconds: came.seconds,
             key: came.key,
             params: task.params.clone(),

@@ -3,9 +3,11 @@
 //! The calls come from several threads at once, each for its own task; a task's calls are in order.
 
 use crate::plan::TaskId;
+use serde::{Deserialize, Serialize};
 
 /// How a task ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum End {
     /// It ran.
     Executed,
@@ -17,6 +19,24 @@ pub enum End {
     Skipped,
     /// The user interrupted the run.
     Interrupted,
+}
+
+impl End {
+    /// In a word.
+    pub fn name(self) -> &'static str {
+        match self {
+            End::Executed => "executed",
+            End::Reused => "reused",
+            End::Failed => "failed",
+            End::Skipped => "skipped",
+            End::Interrupted => "interrupted",
+        }
+    }
+
+    /// Is there a result?
+    pub fn is_well(self) -> bool {
+        matches!(self, End::Executed | End::Reused)
+    }
 }
 
 /// Watches a run. Every method does nothing unless it is written.

@@ -20,6 +20,9 @@ const MOST_SHRINK: u32 = 16;
 /// The grey line of what was captured; the truth has a line of its own.
 const CAPTURED: usize = 6;
 
+/// Kinds of sequences in the order in which they are shown.
+const KINDS: [&str; 3] = ["truth", "captured", "method"];
+
 /// A sequence that is shown.
 struct Candidate {
     label: String,
@@ -30,10 +33,17 @@ struct Candidate {
 
 impl Candidate {
     fn kind(&self) -> &'static str {
-        match () {
-            () if self.shown.is_truth() => "truth",
-            () if self.shown.is_captured() => "captured",
-            () => "method",
+        KINDS[self.rank()]
+    }
+
+    /// The truth first, then what was captured.
+    fn rank(&self) -> usize {
+        if self.shown.is_truth() {
+            0
+        } else if self.shown.is_captured() {
+            1
+        } else {
+            2
         }
     }
 }
@@ -111,7 +121,7 @@ fn candidates(run: &Run) -> (Vec<Candidate>, Vec<String>) {
             run.outputs(variant, "frames").into_iter().for_each(|output| add(output.clone(), run.label_in(&output, variant), false));
         }
     }
-    let mut all: Vec<(usize, Candidate)> = Vec::new();
+    let mut all: Vec<Candidate> = Vec::new();
     for (output, label, is_reference) in wanted {
         let task = &run.record.tasks[output.0];
         if !task.end.is_well() || !task.outputs.contains_key(&output.1) {
@@ -119,23 +129,14 @@ fn candidates(run: &Run) -> (Vec<Candidate>, Vec<String>) {
         }
         match run.value(&output).map(Shown::of) {
             Ok(Some(shown)) => {
-                let one = Candidate { label, shown, is_reference };
-                let one = Candidate { label: if one.shown.is_truth() { "truth".into() } else { one.label }, ..one };
-                let rank = if one.shown.is_truth() {
-                    0
-                } else if one.shown.is_captured() {
-                    1
-                } else {
-                    2
-                };
-                all.push((rank, one));
+                let label = if shown.is_truth() { "truth".into() } else { label };
+                all.push(Candidate { label, shown, is_reference });
             }
             Ok(None) => {}
             Err(why) => notes.push(format!("{label} is not shown: {why}. `photocurrent run {}` makes it again.", run.record.manifest)),
         }
     }
-    all.sort_by_key(|(rank, _)| *rank);
-    let mut all: Vec<Candidate> = all.into_iter().map(|(_, candidate)| candidate).collect();
+    all.sort_by_key(Candidate::rank);
     if let [one] = all.iter_mut().filter(|candidate| candidate.kind() == "captured").collect::<Vec<_>>().as_mut_slice() {
         one.label = "captured".into();
     }

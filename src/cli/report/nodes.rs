@@ -2,8 +2,9 @@
 
 use super::run::Run;
 use crate::common::{human_bytes, human_seconds, print_count};
-use crate::run_record::{Ended, TaskRecord, VariantRecord};
+use crate::run_record::{TaskRecord, VariantRecord};
 use photocurrent_core::context::LOSS;
+use photocurrent_engine::End;
 use photocurrent_engine::graph::{Drawing, Edge, Node};
 use photocurrent_page::{Graph, Hazard, NodeRow, RunPage, escaped};
 
@@ -16,15 +17,15 @@ pub fn describe(runs: &[Run], page: &mut RunPage) {
         let record = &run.record;
         let several = runs.len() > 1;
         page.about.extend(record.about.as_ref().map(|about| if several { format!("{}: {about}", run.name) } else { about.clone() }));
-        let count = |end: Ended| record.tasks.iter().filter(|task| task.end == end).count();
-        let not_well = record.tasks.len() - count(Ended::Executed) - count(Ended::Reused);
+        let count = |end: End| record.tasks.iter().filter(|task| task.end == end).count();
+        let not_well = record.tasks.len() - count(End::Executed) - count(End::Reused);
         let name = |what: &str| if several { format!("{}, {what}", run.name) } else { what.to_string() };
         page.facts.push((
             name("run"),
             format!(
                 "{} executed, {} from the cache{}, in {}",
-                print_count(count(Ended::Executed), "node"),
-                count(Ended::Reused),
+                print_count(count(End::Executed), "node"),
+                count(End::Reused),
                 if not_well > 0 { format!(", {not_well} failed, skipped or interrupted") } else { String::new() },
                 human_seconds(record.seconds)
             ),
@@ -35,10 +36,10 @@ pub fn describe(runs: &[Run], page: &mut RunPage) {
         }
         for task in &record.tasks {
             match task.end {
-                Ended::Failed => page.failures.push(format!("{} ({}) failed: {}", task.label, task.kind, task.error.as_deref().unwrap_or("without a reason"))),
-                Ended::Skipped => page.failures.push(format!("{} was skipped: it needs {}", task.label, task.because.join(", "))),
-                Ended::Interrupted => page.failures.push(format!("{} was interrupted", task.label)),
-                Ended::Executed | Ended::Reused => {}
+                End::Failed => page.failures.push(format!("{} ({}) failed: {}", task.label, task.kind, task.error.as_deref().unwrap_or("without a reason"))),
+                End::Skipped => page.failures.push(format!("{} was skipped: it needs {}", task.label, task.because.join(", "))),
+                End::Interrupted => page.failures.push(format!("{} was interrupted", task.label)),
+                End::Executed | End::Reused => {}
             }
         }
         page.graphs.extend(run.variants().next().map(|variant| graph(run, variant)));
@@ -51,8 +52,8 @@ pub fn describe(runs: &[Run], page: &mut RunPage) {
 fn state(task: &TaskRecord) -> String {
     let time = human_seconds(task.seconds);
     match task.end {
-        Ended::Executed => format!("ran {time}"),
-        Ended::Reused => format!("cached, once {time}"),
+        End::Executed => format!("ran {time}"),
+        End::Reused => format!("cached, once {time}"),
         other => other.name().into(),
     }
 }
