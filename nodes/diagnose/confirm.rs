@@ -7,6 +7,7 @@
 
 use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_diagnosis::diagnose::{Setting, confirm};
+use photocurrent_diagnosis::judge::Judging;
 use photocurrent_diagnosis::page::page;
 use photocurrent_diagnosis::stages::{read_integrity, read_proposals};
 use schemars::JsonSchema;
@@ -22,11 +23,15 @@ pub struct Params {
     /// What predicts held-out frames worse than the description as stated, by more than this, dB, is withdrawn.
     #[schemars(range(min = 0.0))]
     pub most_worse_db: f64,
+    /// Where no scene is evidence, what pairs of frames of long exposure propose counts only where it predicts held-out frames better by more than this, dB.
+    #[schemars(range(min = 0.0))]
+    pub least_better_db: f64,
 }
 
 impl Default for Params {
     fn default() -> Params {
-        Params { proof: true, most_worse_db: Setting::default().most_worse_db }
+        let setting = Setting::default();
+        Params { proof: true, most_worse_db: setting.most_worse_db, least_better_db: setting.judging.least_better_db }
     }
 }
 
@@ -67,7 +72,7 @@ impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
         about: "Joins what direct tests found and what was decided on a scene: verdict, fitted description, proof on held-out frames, report.",
-        revision: 18,
+        revision: 19,
         grain: Grain::Whole,
         draws: true,
         exports: false,
@@ -115,8 +120,13 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
         let proposed = input.proposals.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
-        let setting = Setting { seed: cx.seed(), without_proof: !self.params.proof, most_worse_db: self.params.most_worse_db, ..Setting::default() };
-        let found = confirm(&case, &setting, read_integrity(&input.integrity)?, proposed)?;
+        let Params { proof, most_worse_db, least_better_db } = self.params;
+        let judging = Judging { least_better_db, ..Judging::default() };
+        let setting = Setting { seed: cx.seed(), without_proof: !proof, most_worse_db, judging, ..Setting::default() };
+        let integrity = read_integrity(&input.integrity)?;
+        let before = integrity.findings.len();
+        let found = confirm(&case, &setting, integrity, proposed)?;
+        found.integrity.findings.iter().skip(before).for_each(|finding| cx.note(format!("{}: {}", finding.id, finding.seen)));
         let text = found.report.to_json().map_err(|why| NodeError::failed(format!("the report cannot be written as JSON: {why}")))?;
         for id in &found.withdrawn {
             cx.note(format!("{id} is withdrawn: with it, held-out frames are predicted worse by more than {} dB", self.params.most_worse_db));

@@ -3,7 +3,7 @@
 use super::caution::{CAUTIONS, Caution, Lost, take_care};
 use super::film::Fired;
 use super::film::STEP_NS;
-use super::trust::Measured;
+use super::trust::{Measured, Posed};
 use crate::co_located::CoLocated;
 use crate::solve::pixel::choice::Settings;
 use crate::solve::pixel::map::{RowSetting, RowSolver};
@@ -19,7 +19,6 @@ use photocurrent_core::{
 };
 use photocurrent_sensor::map::estimate;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
-use photocurrent_sensor::model::Model as SensorModel;
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -145,7 +144,7 @@ impl Row {
     }
 
     /// Pixel x and what it measured, with some of its frame values.
-    pub fn measured<'a>(&'a self, x: usize, sensor: &'a SensorModel, extent: Extent, frames: &'a [MapFrame], threshold: f64) -> Measured<'a> {
+    pub fn measured<'a>(&'a self, x: usize, sensor: &'a Posed, extent: Extent, frames: &'a [MapFrame], threshold: f64) -> Measured<'a> {
         Measured { sensor, extent, place: (x, self.row as usize), events: self.events_of(x), frames, threshold }
     }
 
@@ -173,8 +172,8 @@ impl Again {
     }
 
     /// The sensor as the solver sees it.
-    pub fn sensor(&self) -> SensorModel {
-        self.model.sensor()
+    pub fn sensor(&self) -> Posed {
+        Posed { model: self.model.sensor(), added: self.model.added() }
     }
 
     /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best foretell frames that were kept back

@@ -133,7 +133,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let step_ns = 2 * self.params.knot_spacing.ns();
         let case = Case::read(Some(&input.events), Some(&input.frames), &input.sensor)?;
         let setting = PictureSetting { pitch: self.params.pitch, most_values: self.params.most_values as usize, ..PictureSetting::default() };
-        let pictures = Pictures::fit(&case, &sensor, &setting, self.params.knot_spacing.ns());
+        let pictures = Pictures::fit(&case, &sensor.model, &setting, self.params.knot_spacing.ns());
         drop(case);
         if let Err(why) = &pictures {
             cx.note(format!("no picture is used: {why}"));

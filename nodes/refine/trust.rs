@@ -40,11 +40,26 @@ pub(super) struct Said {
     pub contradiction: Option<f64>,
 }
 
+/// The sensor as problems are posed.
+#[derive(Clone, Debug)]
+pub(super) struct Posed {
+    pub model: Model,
+    /// What effects add to the photocurrent of the event path; measurements, hints and solutions are those of the sum.
+    pub added: f64,
+}
+
+impl Posed {
+    /// The log photocurrent of the sum, the pixel's own given.
+    fn sum(&self, log: f64) -> f64 {
+        if self.added == 0.0 { log } else { libm::log(libm::exp(log) + self.added) }
+    }
+}
+
 /// A pixel and what it measured.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Measured<'a> {
     /// The sensor.
-    pub sensor: &'a Model,
+    pub sensor: &'a Posed,
     pub extent: Extent,
     pub place: (usize, usize),
     pub events: &'a [MapEvent],
@@ -89,9 +104,9 @@ impl Trust {
         let (x, y) = measured.place;
         let mut t_ns = span.0 + step_ns / 2;
         while t_ns < span.1 {
-            let said = say(t_ns);
+            let said = say(t_ns).map(|said| Said { log: measured.sensor.sum(said.log), ..said });
             self.said.extend(said);
-            if let Some(log) = said.map(|said| said.log).or_else(|| tracks.at(x, y, t_ns)) {
+            if let Some(log) = said.map(|said| said.log).or_else(|| tracks.at(x, y, t_ns).map(|log| measured.sensor.sum(log))) {
                 self.t_ns.push(t_ns);
                 self.log.push(log);
             }
@@ -143,7 +158,7 @@ impl Trust {
     /// What the pixel's own events and frames miss the predicted light by, seen through the sensor.
     fn judge(&mut self, step_ns: i64, measured: &Measured<'_>) {
         let Trust { said, expected, own, t_ns, log, seen } = self;
-        let Measured { sensor, extent, place: (x, y), events, frames, .. } = *measured;
+        let Measured { sensor: Posed { model: sensor, .. }, extent, place: (x, y), events, frames, .. } = *measured;
         own.clear();
         let track = Track::new(t_ns, log, SEEN_NS);
         let site = Site { x: x as u32, y: y as u32, width: extent.width, height: extent.height, seed: 0 };
@@ -205,7 +220,7 @@ mod tests {
         sensor.comparator.threshold_on = Some(0.4);
         sensor.comparator.threshold_off = Some(0.4);
         sensor.frames.gain = Some(GAIN);
-        let sensor = Model::of(&sensor);
+        let sensor = Posed { model: Model::of(&sensor), added: 0.0 };
         let light: Vec<(i64, f64)> = (0..=4800).map(|n| (n * 10_000, libm::exp(squares(n as f64 * 0.01)))).collect();
         let mut band = TrackBand::begin(0, 1);
         band.push(light.iter().map(|(t, i)| (*t, *i as f32)));

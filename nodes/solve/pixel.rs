@@ -142,6 +142,11 @@ impl Model {
         self.sensor.clone()
     }
 
+    /// What effects add to the photocurrent of the event path: problems are posed in the sum ([`Undo::added`]).
+    pub(crate) fn added(&self) -> f64 {
+        self.undo.added()
+    }
+
     /// The smaller threshold, natural-log units.
     pub(crate) fn threshold(&self) -> f64 {
         f64::min(self.rule.threshold_on, self.rule.threshold_off)
@@ -294,7 +299,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 16,
+        revision: 17,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

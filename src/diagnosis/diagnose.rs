@@ -6,6 +6,7 @@ use crate::fitted::{fitted, put_beside};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
 use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
+use crate::judge::{Judging, judged};
 use crate::nominal::Nominal;
 use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
 use crate::residual::located::{Located, answered, of_claim, of_unnamed};
@@ -28,11 +29,13 @@ pub struct Setting {
     pub without_proof: bool,
     /// What predicts held-out frames worse than the description as stated, by more than this, dB, is withdrawn.
     pub most_worse_db: f64,
+    /// How what pairs of frames propose is judged where no scene is evidence.
+    pub judging: Judging,
 }
 
 impl Default for Setting {
     fn default() -> Setting {
-        Setting { seed: 0, scene: SceneSetting::default(), without_proof: false, most_worse_db: 0.05 }
+        Setting { seed: 0, scene: SceneSetting::default(), without_proof: false, most_worse_db: 0.05, judging: Judging::default() }
     }
 }
 
@@ -114,6 +117,9 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     let scales = Scales::of(case, &nominal);
     let can_compare = can_compare(case, &integrity);
     let sample = (can_compare && !setting.without_proof).then(|| looked_at(case)).filter(|sample| !sample.is_empty());
+    if proposed.decided().is_none() {
+        judged(case, &nominal, &setting.judging, &mut integrity)?;
+    }
     let mut answer = verdict(case, &nominal, &integrity, proposed.decided());
     // Silence of a test that could not be made says nothing.
     if answer.verdict == Verdict::Consistent {
@@ -168,7 +174,7 @@ fn fewer(claims: &[Claim]) -> Vec<Vec<Claim>> {
 }
 
 /// The pixels in which the proof is looked for: blocks spread over the array, or all of a small one.
-fn looked_at(case: &Case) -> Sample {
+pub(crate) fn looked_at(case: &Case) -> Sample {
     const SIDE: u32 = 8;
     let zones = (6, 5);
     if case.extent.width < zones.0 * SIDE || case.extent.height < zones.1 * SIDE {

@@ -111,13 +111,14 @@ fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, settin
         let (mut events, mut frames) = recorded(n);
         events.iter_mut().for_each(|event| *event = undo.event(&site, event));
         undo.frames(nominal, &site, &mut frames);
+        frames.iter_mut().for_each(|frame| undo.raise(nominal, frame));
         Told { data: (events, frames), sensor: nominal.map_sensor(), beyond: Vec::new() }
     };
     let solve = |told: &(dyn Fn(usize) -> Told + Sync)| {
         Scene::estimate_from(sample, &priors, told, |told| task(case, setting, &told.data, told.sensor, &told.beyond), case.span.0)
     };
     let mut scene = solve(&first);
-    for _ in 0..if undo.is_none() { 0 } else { ROUNDS } {
+    for _ in 0..if undo.needs_light() { ROUNDS } else { 0 } {
         let again = |n: usize| {
             let mut told = first(n);
             if scene.is_known[n] {
@@ -131,6 +132,7 @@ fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, settin
         };
         scene = solve(&again);
     }
+    scene.log_light.iter_mut().for_each(|log| *log = undo.own(*log));
     scene
 }
 

@@ -34,6 +34,7 @@ pub mod diagnose;
 pub mod fitted;
 pub mod heldout;
 pub mod integrity;
+pub mod judge;
 pub mod law;
 pub mod made;
 pub mod nominal;

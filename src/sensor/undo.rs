@@ -5,6 +5,7 @@
 //! - Stamps: `recorded = stamp(true)` is solved to first order.
 //! - Frames: charge and digital number are monotone in the light, so the charge behind a value is found by secants, frame after frame with the charge of the one before;
 //!   exposures are those of the effect.
+//! - A photocurrent that is added to the event path (a dark current) makes it see the sum: that is then what is solved for, without any approximation ([`Undo::added`]).
 //! - All that acts between light and comparator: given a first estimate of the light, a slower front end is a delay of its events, and the effects say by how much more or less than its threshold each event's step is than the
 //!   stated sensor would have it ([`crate::conditional`]); that is given to the solver as known ([`crate::map::MapProblem::beyond`]) and the light is solved again (defect
 //!   correction; Stetter, Numerische Mathematik 29, 1978).
@@ -33,6 +34,8 @@ use photocurrent_core::random::Random;
 const STEP_NS: i64 = 500_000;
 /// Steps are known to be further from their thresholds than this only where the first estimate is no use, natural-log units.
 const FURTHEST: f64 = 1.0;
+/// A pixel's own photocurrent is no less than this share of what effects add to it.
+const DARKEST: f64 = 1e-3;
 /// Secants for a charge, and how near they come, as a share.
 const SECANTS: usize = 12;
 const NEAR: f64 = 1e-10;
@@ -43,6 +46,8 @@ pub struct Undo {
     /// Effects that need the load of the array before they say anything.
     coupled: Vec<Box<dyn Effect>>,
     mixing: Option<Mixing>,
+    /// What effects add to the photocurrent of the event path.
+    added: f64,
     /// Standard deviations that chance adds; `known` is empty.
     pub chance: Chance,
     /// Ids of effects about which nothing is done.
@@ -95,10 +100,11 @@ pub struct Memory {
 impl Undo {
     /// Of the effects of a description ([`crate::effects::from_description`]).
     pub fn new(effects: Vec<Box<dyn Effect>>) -> Undo {
-        let mut undo = Undo { effects: Vec::new(), coupled: Vec::new(), mixing: None, chance: Chance::default(), left_out: Vec::new() };
+        let mut undo = Undo { effects: Vec::new(), coupled: Vec::new(), mixing: None, added: 0.0, chance: Chance::default(), left_out: Vec::new() };
         let mut mixing: Vec<Box<dyn Effect>> = Vec::new();
         let add = |sum: &mut f64, sigma: f64| *sum = libm::hypot(*sum, sigma);
         for effect in effects {
+            undo.added += effect.added_photocurrent();
             if effect.kernel().is_some() {
                 mixing.push(effect);
                 continue;
@@ -168,6 +174,32 @@ impl Undo {
         self.effects.is_empty()
     }
 
+    /// Is there anything to take off that an estimate of the light must be known for ([`Undo::at_light`])?
+    pub fn needs_light(&self) -> bool {
+        self.effects.iter().any(|effect| effect.added_photocurrent() == 0.0)
+    }
+
+    /// What effects add to the photocurrent of the event path, at least 0. Problems are posed in the sum: the frame values with it added ([`Undo::raise`]), the solution without it
+    /// again ([`Undo::own`]).
+    pub fn added(&self) -> f64 {
+        self.added
+    }
+
+    /// Adds to a frame value what the added photocurrent would have read in its exposure.
+    pub fn raise(&self, model: &Model, frame: &mut MapFrame) {
+        frame.dn += model.number.gain * self.added * ((frame.end_ns - frame.start_ns) as f64 * 1e-9);
+    }
+
+    /// The pixel's own log photocurrent, that of the sum given; where the sum is no more than what was added, that of a small share of it ([`DARKEST`]).
+    pub fn own(&self, log_sum: f64) -> f64 {
+        if self.added == 0.0 { log_sum } else { libm::log(f64::max(exp(log_sum) - self.added, DARKEST * self.added)) }
+    }
+
+    /// The log photocurrent of the sum, the pixel's own given.
+    pub fn sum(&self, log_own: f64) -> f64 {
+        if self.added == 0.0 { log_own } else { libm::log(exp(log_own) + self.added) }
+    }
+
     /// When an event really fired and left, its recorded stamps given.
     pub fn event(&self, site: &Site, event: &MapEvent) -> MapEvent {
         let mut random = Random::new(0, &[]);
@@ -233,7 +265,7 @@ impl Undo {
         frames.retain(|frame| frame.start_ns < frame.end_ns);
     }
 
-    /// What the effects say of the events at an estimate of the light: when the stated front end would have fired them, which is earlier where theirs
+    /// What the effects say of the events at an estimate of the light, what effects add to it included: when the stated front end would have fired them, which is earlier where theirs
     /// is slower, and by how much each step is then beyond its threshold.
     ///
     /// `recorded` are the events with their stamps as recorded, `events` the same without effects ([`Undo::event`]); the new ones are in `known`.
@@ -275,8 +307,10 @@ impl Undo {
             before_ns = moved_ns + 1;
         }
         let track = Track::new(t_ns, own, STEP_NS);
-        // To the event path, what it sees is the light.
-        let mixed = seen.map(|seen| Track::new(t_ns, seen, STEP_NS));
+        // To the event path, what it sees is the light. Effects that add to it are among those that are asked.
+        let without_added: Vec<f64> = if self.added > 0.0 { seen.unwrap_or(own).iter().map(|log| self.own(*log)).collect() } else { Vec::new() };
+        let light = if self.added > 0.0 { Some(without_added.as_slice()) } else { seen };
+        let mixed = light.map(|light| Track::new(t_ns, light, STEP_NS));
         let Memory { with, without } = memory;
         let look = Look { site: *site, track: mixed.as_ref().unwrap_or(&track), seen: None, events: recorded, frames: &[] };
         conditional(model, &self.effects, &look, with);

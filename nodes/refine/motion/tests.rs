@@ -3,7 +3,7 @@
 use super::*;
 use crate::refine::film::Fired;
 use crate::refine::fixtures::{EXTENT, GAIN, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
-use crate::refine::trust::Measured;
+use crate::refine::trust::{Measured, Posed};
 use crate::solve::pixel::Params as SolveParams;
 use crate::solve::pixel::SolvePixel;
 use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
@@ -61,7 +61,7 @@ fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let dn = GAIN * 4e-3 * light * libm::exp(brighter);
     let frame = MapFrame { start_ns: 18_000_000, end_ns: 22_000_000, dn, sigma_dn: 0.01, saturated: false };
     let (span, flow) = ((0, 39_900_000), Flow::steady(24, 16, velocity));
-    let model = photocurrent_sensor::model::Model::of(&sensor());
+    let model = Posed { model: photocurrent_sensor::model::Model::of(&sensor()), added: 0.0 };
     let measured = Measured { sensor: &model, extent: EXTENT, place: (12, 8), events: &[event], frames: &[frame], threshold: 0.25 };
     let mut hints = Vec::new();
     advect::hints(&tracks, &flow, (span, 500_000), &measured, &mut hints);

@@ -10,7 +10,7 @@ use photocurrent_sensor::map::estimate::Miss;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, estimate};
 use photocurrent_sensor::residuals::Misfit;
-use photocurrent_sensor::undo::{Estimate, Known, Memory};
+use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
 
 /// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
 pub(super) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
@@ -132,11 +132,11 @@ impl RowSolver {
         group.solve(&with_known(&tasks, &known), |n, solution| {
             let ratio = data.light_ratio(lit[n]);
             knots.clear();
-            thin(&solution, ratio, 1.0, data.plausible(lit[n]), knots);
+            thin(&solution, &model.undo, ratio, 1.0, data.plausible(lit[n]), knots);
             let begin = light.t_ns.len();
             light.t_ns.extend(knots.iter().map(|(t, _, _)| t));
-            // As it was posed: in the photocurrent of the event pixel.
-            light.log.extend(knots.iter().map(|(_, i, _)| libm::log(f64::max(f64::from(*i) / ratio, f64::MIN_POSITIVE))));
+            // As it was posed: in the photocurrent of the event pixel, and with what effects add to it.
+            light.log.extend(knots.iter().map(|(_, i, _)| model.undo.sum(libm::log(f64::max(f64::from(*i) / ratio, f64::MIN_POSITIVE)))));
             light.of[lit[n]] = begin..light.t_ns.len();
             light.failed[lit[n]] = solution.status == MapStatus::Failed;
         });
@@ -171,8 +171,8 @@ impl RowSolver {
         let mut put = |n: usize, solution: &MapSolution<'_>| {
             let begin = knots.len();
             let (ratio, plausible) = (data.light_ratio(lit[n]), data.plausible(lit[n]));
-            thin(solution, ratio, sigma_factor, plausible, knots);
-            let most = libm::exp(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max)) * ratio;
+            thin(solution, &model.undo, ratio, sigma_factor, plausible, knots);
+            let most = libm::exp(model.undo.own(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max))) * ratio;
             knots_of[lit[n]] = begin..knots.len();
             let status = match solution.status {
                 MapStatus::Failed => Status::FellBack,
@@ -253,7 +253,7 @@ fn known_of(model: &Model, tasks: &[MapTask<'_>], lit: &[usize], data: &RowData,
 /// What effects did to the events of each problem ([`photocurrent_sensor::undo::Undo::at_light`]), at the light that solves it: found in rounds, each with what the one before found.
 /// Empty where no effect is to be undone. `recorded`: the pixels, and their events with stamps as recorded.
 pub(super) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[MapEvent])], group: &mut MapGroup) -> Vec<Known> {
-    if model.undo.is_none() {
+    if !model.undo.needs_light() {
         return Vec::new();
     }
     let of = |task: &MapTask<'_>| Known { events: task.problem.events.to_vec(), ..Known::default() };
@@ -307,15 +307,17 @@ pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
     }
 }
 
-/// Keeps as few knots as join up to the same light, times `light_ratio`, within [`THINNED_TO`], and to the same standard deviation, where there is one, times
+/// Keeps as few knots as join up to the same light, without what effects add to it and times `light_ratio`, within [`THINNED_TO`], and to the same standard deviation, where there is one, times
 /// `sigma_factor`, within [`SIGMA_THINNED_TO`].
 ///
 /// Light is held at what is plausible; its standard deviation is then at least as large as what was taken away.
-fn thin(solution: &MapSolution<'_>, light_ratio: f64, sigma_factor: f64, plausible: Plausible, knots: &mut Vec<(i64, f32, f32)>) {
-    let (t, u, variance) = (solution.t_ns, solution.log_photocurrent, solution.variance);
-    let log_sigma = |k: usize| variance.get(k).map_or(0.0, |&variance| estimate::log_sigma(variance));
+fn thin(solution: &MapSolution<'_>, undo: &Undo, light_ratio: f64, sigma_factor: f64, plausible: Plausible, knots: &mut Vec<(i64, f32, f32)>) {
+    let (t, sum, variance) = (solution.t_ns, solution.log_photocurrent, solution.variance);
+    let u = |k: usize| undo.own(sum[k]);
+    // A small relative change of the sum is a larger one of the pixel's own part.
+    let log_sigma = |k: usize| variance.get(k).map_or(0.0, |&variance| estimate::log_sigma(variance) + sum[k] - u(k));
     let mut keep = |k: usize| {
-        let (photocurrent, sigma) = (libm::exp(u[k]) * light_ratio, libm::exp(log_sigma(k)) * sigma_factor);
+        let (photocurrent, sigma) = (libm::exp(u(k)) * light_ratio, libm::exp(log_sigma(k)) * sigma_factor);
         let held = plausible.held(photocurrent);
         let sigma = if held < photocurrent { f64::max(sigma, libm::log(photocurrent / held)) } else { sigma };
         knots.push((t[k], held as f32, sigma as f32));
@@ -323,7 +325,7 @@ fn thin(solution: &MapSolution<'_>, light_ratio: f64, sigma_factor: f64, plausib
     keep(0);
     let (mut anchor, mut light, mut sigma) = (0, Corridor::OPEN, Corridor::OPEN);
     for k in 1..t.len() {
-        let rise = |anchor: usize| (u[k] - u[anchor], log_sigma(k) - log_sigma(anchor));
+        let rise = |anchor: usize| (u(k) - u(anchor), log_sigma(k) - log_sigma(anchor));
         let run = |anchor: usize| (t[k] - t[anchor]) as f64;
         let (of_light, of_sigma) = rise(anchor);
         if !light.holds(of_light / run(anchor)) || !sigma.holds(of_sigma / run(anchor)) {

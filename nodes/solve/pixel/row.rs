@@ -206,7 +206,11 @@ impl RowData {
             self.of_value.clear();
             self.of_value.extend(exposures.iter().enumerate().filter_map(of));
             model.undo.frames(&model.sensor, &self.places.pixel(x), &mut self.of_value);
-            self.frames.extend(self.of_value.iter().map(|frame| MapFrame { dn: share.dn(frame.dn, black_level), ..*frame }));
+            self.frames.extend(self.of_value.iter().map(|frame| {
+                let mut frame = MapFrame { dn: share.dn(frame.dn, black_level), ..*frame };
+                model.undo.raise(&model.sensor, &mut frame);
+                frame
+            }));
         }
         self.first_frame.push(self.frames.len());
     }

@@ -6,7 +6,7 @@
 //! went for each. `change = threshold * interval / (interval - blind)` for steady light, which is fitted; without a blind time the change for an event does not depend on
 //! how fast they come, whatever the scene does.
 //!
-//! Limits: frames that average over a large part of their period say too little, and both tests are silent; finer delays, and bandwidths that depend on light, are the
+//! Limits: frames that average over a large part of their period are the business of [`super::means`]; finer delays, and bandwidths that depend on light, are the
 //! business of tests that estimate the scene. Another threshold than stated changes neither. Estimates are good to a third.
 
 use super::still::noise_dn;
@@ -94,7 +94,7 @@ impl Changes {
 
 /// Sums for a least-squares fit of one number by up to three others.
 #[derive(Clone, Copy, Debug, Default)]
-struct Sums {
+pub(super) struct Sums {
     products: [[f64; 3]; 3],
     with: [f64; 3],
     square: f64,
@@ -102,7 +102,7 @@ struct Sums {
 }
 
 impl Sums {
-    fn add(&mut self, by: [f64; 3], value: f64) {
+    pub fn add(&mut self, by: [f64; 3], value: f64) {
         for a in 0..3 {
             for b in 0..3 {
                 self.products[a][b] += by[a] * by[b];
@@ -113,7 +113,7 @@ impl Sums {
         self.count += 1.0;
     }
 
-    fn and(&self, other: &Sums) -> Sums {
+    pub fn and(&self, other: &Sums) -> Sums {
         let mut sum = *self;
         for a in 0..3 {
             for b in 0..3 {
@@ -127,7 +127,7 @@ impl Sums {
     }
 
     /// The best factors of the first `n`; none where they cannot be told apart.
-    fn solve(&self, n: usize) -> Option<[f64; 3]> {
+    pub fn solve(&self, n: usize) -> Option<[f64; 3]> {
         let mut rows = self.products;
         let mut right = self.with;
         for k in 0..n {
@@ -151,7 +151,7 @@ impl Sums {
     }
 
     /// Sum of squares that factors leave.
-    fn left(&self, factors: [f64; 3]) -> f64 {
+    pub fn left(&self, factors: [f64; 3]) -> f64 {
         let mut left = self.square;
         for a in 0..3 {
             left -= 2.0 * factors[a] * self.with[a];
@@ -161,21 +161,21 @@ impl Sums {
     }
 }
 
-/// One half of the changes foretold with what the other half says.
-struct Foretold {
-    these: Sums,
-    from: Sums,
-    factors: [f64; 3],
+/// One half of the changes predicted with what the other half says.
+pub(super) struct Predicted {
+    pub these: Sums,
+    pub from: Sums,
+    pub factors: [f64; 3],
 }
 
-impl Foretold {
+impl Predicted {
     /// With the factors that are best on `from`; none where they cannot be told apart.
-    fn new(these: Sums, from: Sums, n: usize) -> Option<Foretold> {
-        Some(Foretold { these, from, factors: from.solve(n)? })
+    pub fn new(these: Sums, from: Sums, n: usize) -> Option<Predicted> {
+        Some(Predicted { these, from, factors: from.solve(n)? })
     }
 
     /// Normal errors, of the size that they have in `from`; nats.
-    fn log_likelihood(&self) -> f64 {
+    pub fn log_likelihood(&self) -> f64 {
         let variance = f64::max(self.from.left(self.factors) / f64::max(self.from.count, 1.0), 1e-12);
         -0.5 * (self.these.count * libm::log(variance) + self.these.left(self.factors) / variance)
     }
@@ -183,22 +183,18 @@ impl Foretold {
 
 /// Events of a pixel at the middle of the light that they stand for: what made their step before them, and what is lost after them while the pixel is blind. The next
 /// interval of the same sign stands in where it is shorter, and `usual_ns` where there is none.
-fn centred(events: &[Recorded], usual_ns: i64, blind_ns: i64) -> Vec<(i64, i8)> {
+pub(super) fn centred(events: &[Recorded], usual_ns: i64, blind_ns: i64) -> impl Iterator<Item = i64> {
     let interval = |a: usize, b: usize| (events[a].polarity == events[b].polarity).then(|| events[b].t_in_ns - events[a].t_in_ns);
-    let mut centred: Vec<(i64, i8)> = (0..events.len())
-        .map(|k| {
-            let before = k.checked_sub(1).and_then(|before| interval(before, k));
-            let after = (k + 1 < events.len()).then(|| interval(k, k + 1)).flatten();
-            let way = [before, after].into_iter().flatten().min().map_or(2 * usual_ns, |way| way.min(3 * usual_ns));
-            (events[k].t_in_ns - way / 2 + blind_ns, events[k].polarity)
-        })
-        .collect();
-    centred.sort_unstable();
-    centred
+    (0..events.len()).map(move |k| {
+        let before = k.checked_sub(1).and_then(|before| interval(before, k));
+        let after = (k + 1 < events.len()).then(|| interval(k, k + 1)).flatten();
+        let way = [before, after].into_iter().flatten().min().map_or(2 * usual_ns, |way| way.min(3 * usual_ns));
+        events[k].t_in_ns - way / 2 + blind_ns
+    })
 }
 
 /// Intervals between events of one sign, rising, ns.
-fn intervals(case: &Case) -> Vec<i64> {
+pub(super) fn intervals(case: &Case) -> Vec<i64> {
     let pairs = (0..case.events.pixels()).flat_map(|pixel| case.events.of(pixel).windows(2));
     let mut all: Vec<i64> = pairs.filter(|pair| pair[0].polarity == pair[1].polarity).map(|pair| pair[1].t_in_ns - pair[0].t_in_ns).collect();
     all.sort_unstable();
@@ -231,7 +227,9 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         if k == 0 || large[k - 1].pixel != change.pixel {
             let events = case.events.of(change.pixel);
             plain.push(events.iter().map(|event| (event.t_in_ns, event.polarity)).collect());
-            middles.push(centred(events, usual_ns, blind_ns));
+            let mut middle: Vec<(i64, i8)> = centred(events, usual_ns, blind_ns).zip(events).map(|(t_ns, event)| (t_ns, event.polarity)).collect();
+            middle.sort_unstable();
+            middles.push(middle);
         }
         place.push(plain.len() - 1);
     }
@@ -265,8 +263,8 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
     let unmoved = &told[SHIFTS as usize];
     let gain = |side: usize| -> Option<f64> {
         let (other, moved) = (1 - side, &told[shift_of(1 - side)?]);
-        let better = Foretold::new(moved[side], moved[other], 2)?;
-        Some(better.log_likelihood() - Foretold::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
+        let better = Predicted::new(moved[side], moved[other], 2)?;
+        Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
     };
     let nats = gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b);
     let least = DELAY_NS.max(DELAY_EXPOSURES * changes.exposure_ns).max(DELAY_PERIODS * changes.period_ns);
@@ -380,8 +378,8 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
         let other = 1 - side;
         let (_, assumed) = fit(&|halves| halves[other])?;
         let blind = sums_of(&runs, assumed, true);
-        let better = Foretold::new(blind[side], blind[other], 3)?;
-        Some(better.log_likelihood() - Foretold::new(stated[side], stated[other], 2)?.log_likelihood())
+        let better = Predicted::new(blind[side], blind[other], 3)?;
+        Some(better.log_likelihood() - Predicted::new(stated[side], stated[other], 2)?.log_likelihood())
     };
     let nats = gain(0)? + gain(1)?;
     if nats < NATS {

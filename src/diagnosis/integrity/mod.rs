@@ -15,6 +15,8 @@
 //! - [`still`]: pixels in which nothing moves, and the leak that shows there.
 //! - [`coupling`]: events there, or anywhere, that come when their row of the frame is read.
 //! - [`changes`]: what the light did between two frames by the frames and by the events: late events, lost light.
+//! - [`steps`]: how many events come for a change between two frames: thresholds.
+//! - [`means`]: both for frames of long exposure, by the double integral; and a dark current. It proposes, [`crate::judge`] decides.
 //! - [`regular`]: rates of events that repeat with the frames row by row, or from row to row: what no scene does and no effect of the catalogue.
 //! - [`flicker`]: one rhythm common to the whole array.
 
@@ -26,6 +28,7 @@ pub mod flicker;
 pub mod hot;
 pub mod intervals;
 pub mod load;
+pub mod means;
 pub mod regular;
 pub mod stamps;
 pub mod steps;
@@ -105,7 +108,7 @@ pub struct Integrity {
 }
 
 /// Effects of the catalogue that a direct test looks for.
-pub const TESTED: [&str; 12] = [
+pub const TESTED: [&str; 15] = [
     "timestamp_quantization",
     "timestamp_jitter",
     "readout_queue",
@@ -118,6 +121,9 @@ pub const TESTED: [&str; 12] = [
     "refractory",
     "leak_events",
     "parasitic_leak",
+    "threshold_scale",
+    "threshold_asymmetry",
+    "dark_current",
 ];
 
 /// All direct tests of a recording; `nominal` is the description as stated, none when it lacks what the model needs.
@@ -216,6 +222,8 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
 
 #[cfg(test)]
 mod changes_tests;
+#[cfg(test)]
+mod means_tests;
 #[cfg(test)]
 mod regular_tests;
 #[cfg(test)]

@@ -59,6 +59,10 @@ impl Effect for DarkCurrent {
     fn event_light(&self, _site: &Site, _t_ns: i64, i: f64) -> f64 {
         i + self.current
     }
+
+    fn added_photocurrent(&self) -> f64 {
+        self.current
+    }
 }
 
 #[cfg(test)]

@@ -321,6 +321,11 @@ pub trait Effect: Send + Sync {
         None
     }
 
+    /// Photocurrent that [`Effect::event_light`] adds to the event path, whatever it sees and when: known exactly, so a solver may take the sum as its unknown. At least 0.
+    fn added_photocurrent(&self) -> f64 {
+        0.0
+    }
+
     /// Changes the front end of the pixel, once.
     fn front_end(&self, _site: &Site, _model: &mut FrontEndModel) {}
 

@@ -1,0 +1,419 @@
+//! Frames that average over a large part of their period, against the events within: events that come late, thresholds, and a current that events see and frames do not.
+//!
+//! Between two exposures, and within both, events say how far the log light went: a threshold each. From any thresholds, two frames of a pixel then follow from each other by the double integral
+//! (Pan et al., CVPR 2019, Eq. 8): the mean over an exposure of the exponential of what its events add up to. That is linear in small changes of the thresholds, with events weighted by the
+//! light that follows them, so thresholds are a least-squares fit, for every shift of the clock and for every dark current: events see `ln(i + current)`, so with one, it is that sum that
+//! their thresholds must explain. An event is taken at the middle of the light that it stands for ([`super::changes::centred`]), and earlier by the delay that is stated for its pixel's light.
+//!
+//! Limits: one delay for all pixels, so that a front end slower than stated looks like a clock; thresholds are good to a tenth, as events that are lost make them look larger. Light that
+//! neighbours mix in, and frames whose black level is too low, look like a dark current.
+
+use super::changes::{LONGEST_EXPOSURE, Predicted, Sums, centred, intervals};
+use super::still::noise_dn;
+use super::{Finding, Heldout, half, quantile};
+use crate::case::{Case, Recorded};
+use crate::nominal::Nominal;
+use photocurrent_core::sensor::Reset;
+use photocurrent_sensor::front_end::time_constant;
+
+/// As few pairs of frames say nothing.
+const FEWEST: usize = 1000;
+/// More pixels than make about so many pairs are not looked at.
+const MOST: usize = 60_000;
+/// A frame value must be so many standard deviations of its noise above black.
+const SIGNAL: f64 = 12.0;
+/// And below this share of saturation.
+const FULL: f64 = 0.98;
+/// Shifts that are tried, as a share of the frame period each way, and how many.
+const REACH: f64 = 0.4;
+const SHIFTS: i64 = 40;
+/// A delay counts from 1 ms, from this share of the exposure, and from this share of the period on.
+const DELAY_NS: f64 = 1e6;
+const DELAY_EXPOSURES: f64 = 0.05;
+const DELAY_PERIODS: f64 = 0.02;
+/// Events that are early by less than this multiple of the shortest interval may be late enough, and their pixels blind.
+const SHORTEST: f64 = 1.2;
+/// Nats that half of the array must gain from what the other half says.
+const NATS: f64 = 30.0;
+/// Thresholds that differ by less than this share are within the estimate's own error.
+const LEAST_SCALE: f64 = 0.05;
+/// A dark current counts from this share of the median light on.
+const LEAST_DARK: f64 = 0.1;
+/// Dark currents that are tried, as shares of the median light.
+const DARK: (f64, f64) = (0.01, 2.0);
+const DARKS: usize = 36;
+
+/// Two frames of a pixel that follow each other.
+#[derive(Clone, Copy, Debug)]
+struct Pair {
+    /// Where the pixel's events stand.
+    place: usize,
+    half: usize,
+    /// Exposures, ns.
+    exposures: [(i64, i64); 2],
+    /// Mean photocurrents.
+    light: [f64; 2],
+}
+
+impl Pair {
+    /// Change of the log of light and dark current.
+    fn change(&self, dark: f64) -> f64 {
+        libm::log((self.light[1] + dark) / (self.light[0] + dark))
+    }
+
+    /// Natural logarithm of how much denser the light lies in that.
+    fn density(&self, dark: f64) -> f64 {
+        0.5 * (libm::log(self.light[0] / (self.light[0] + dark)) + libm::log(self.light[1] / (self.light[1] + dark)))
+    }
+}
+
+/// An event at the middle of the light that it stands for, and what that is in thresholds of its sign: one, and what is lost while the pixel is blind after it.
+#[derive(Clone, Copy, Debug)]
+struct Step {
+    t_ns: i64,
+    polarity: i8,
+    thresholds: f64,
+}
+
+/// Events of the pixels that are looked at, in order of time, and the pairs of their frames.
+struct Pairs {
+    events: Vec<Vec<Step>>,
+    all: Vec<Pair>,
+    period_ns: f64,
+    exposure_ns: f64,
+    /// Median photocurrent.
+    median: f64,
+}
+
+impl Pairs {
+    /// Of a recording; none where its frames are few, or short enough for the tests of [`super::changes`] and [`super::steps`].
+    fn of(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Pairs> {
+        let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 5)?;
+        let (period_ns, exposure_ns) = (frames.times.mean_period_ns()?, frames.times.nominal_exposure_ns()? as f64);
+        if exposure_ns <= LONGEST_EXPOSURE * period_ns {
+            return None;
+        }
+        let least = f64::max(SIGNAL * noise_dn(case, frames), 2.0);
+        let usual_ns = quantile(&intervals(case), 0.5);
+        let light = |frame: usize, pixel: usize, seconds: f64| -> Option<f64> {
+            let dn = case.dn(frame, pixel);
+            let is_known = dn < FULL * nominal.saturation_dn && dn - nominal.number.black_level > least;
+            is_known.then(|| nominal.number.integral(dn) / seconds)
+        };
+        let pixels: Vec<usize> =
+            (0..case.extent.pixels()).filter(|&pixel| case.events.of(pixel).len() > 1 && masked.binary_search(&(pixel as u32)).is_err()).collect();
+        let stride = (pixels.len() * frames.times.len()).div_ceil(MOST).max(1);
+        let mut pairs = Pairs { events: Vec::new(), all: Vec::new(), period_ns, exposure_ns, median: 0.0 };
+        let mut lights = Vec::new();
+        for &pixel in pixels.iter().step_by(stride) {
+            let y = case.place(pixel).1;
+            let begun = pairs.all.len();
+            let mut sum = (0.0, 0.0);
+            let mut before: Option<((i64, i64), f64)> = None;
+            for frame in 0..frames.times.len() {
+                let exposure = frames.times.exposure(frame, y);
+                let times = (exposure.start.0, exposure.end.0);
+                let now = light(frame, pixel, exposure.length_ns() as f64 * 1e-9).map(|light| (times, light));
+                if let (Some(before), Some(now)) = (before, now) {
+                    pairs.all.push(Pair { place: pairs.events.len(), half: half(case, pixel), exposures: [before.0, now.0], light: [before.1, now.1] });
+                }
+                if let Some((_, light)) = now {
+                    sum = (sum.0 + light, sum.1 + 1.0);
+                }
+                before = now;
+            }
+            if pairs.all.len() > begun {
+                let mean = sum.0 / sum.1;
+                lights.push(mean);
+                let slow_ns = (time_constant(&nominal.pixel.front_end, mean) * 1e9).round() as i64;
+                pairs.events.push(steps(case, nominal, case.events.of(pixel), usual_ns, slow_ns));
+            }
+        }
+        pairs.median = super::median(&mut lights);
+        (pairs.all.len() >= FEWEST).then_some(pairs)
+    }
+
+    /// What the events of a pair say with these thresholds, moved earlier by `shift_ns`.
+    fn seen(&self, pair: &Pair, thresholds: (f64, f64), shift_ns: i64) -> Seen {
+        let events = &self.events[pair.place];
+        let [first, second] = pair.exposures;
+        let from = |t_ns: i64| events.partition_point(|step| step.t_ns < t_ns + shift_ns);
+        let (begin, to_second, end) = (from(first.0), from(second.0), from(second.1));
+        let all = &events[begin..end];
+        let mut between = Level::default();
+        events[begin..to_second].iter().for_each(|step| between.add(step));
+        let (a, b) = (Mean::of(all, first, shift_ns, thresholds), Mean::of(&events[to_second..end], second, shift_ns, thresholds));
+        let change = between.log(thresholds) + b.log - a.log;
+        let (on, off) = (between.on + b.level.on - a.level.on, between.off + b.level.off - a.level.off);
+        Seen { on, off, beyond: change - thresholds.0 * on - thresholds.1 * off, is_active: !all.is_empty() }
+    }
+}
+
+/// The steps of a pixel's events, in order of time; `slow_ns` is how late its front end is.
+fn steps(case: &Case, nominal: &Nominal, events: &[Recorded], usual_ns: i64, slow_ns: i64) -> Vec<Step> {
+    let is_losing = case.sensor.comparator.reset != Reset::Advance;
+    let lost = |k: usize| -> f64 {
+        let next = events.get(k + 1).filter(|next| is_losing && next.polarity == events[k].polarity);
+        next.map_or(0.0, |next| {
+            let blind = (events[k].t_off_ns - events[k].t_in_ns + nominal.pixel.refractory_ns) as f64;
+            let interval = (next.t_in_ns - events[k].t_in_ns) as f64;
+            blind / f64::max(interval - blind, 0.25 * interval)
+        })
+    };
+    let middles = centred(events, usual_ns, nominal.pixel.refractory_ns);
+    let mut steps: Vec<Step> =
+        middles.enumerate().map(|(k, t_ns)| Step { t_ns: t_ns - slow_ns, polarity: events[k].polarity, thresholds: 1.0 + lost(k) }).collect();
+    steps.sort_by_key(|step| step.t_ns);
+    steps
+}
+
+/// Of one pair: `change = beyond + on threshold_on + off threshold_off` to first order around the thresholds that were assumed.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    on: f64,
+    off: f64,
+    beyond: f64,
+    is_active: bool,
+}
+
+/// How far events went: sums of thresholds, that of OFF negative.
+#[derive(Clone, Copy, Debug, Default)]
+struct Level {
+    on: f64,
+    off: f64,
+}
+
+impl Level {
+    fn add(&mut self, step: &Step) {
+        if step.polarity > 0 { self.on += step.thresholds } else { self.off -= step.thresholds }
+    }
+
+    fn log(&self, thresholds: (f64, f64)) -> f64 {
+        thresholds.0 * self.on + thresholds.1 * self.off
+    }
+}
+
+/// Over an exposure, from where the log light stands at its start.
+struct Mean {
+    /// Logarithm of the mean light.
+    log: f64,
+    /// What it changes with the thresholds.
+    level: Level,
+}
+
+impl Mean {
+    /// Of the events from the start of an exposure on.
+    fn of(events: &[Step], (start_ns, end_ns): (i64, i64), shift_ns: i64, thresholds: (f64, f64)) -> Mean {
+        let length = (end_ns - start_ns) as f64;
+        let (mut level, mut since, mut light, mut sum) = (Level::default(), 0.0, 0.0, Level::default());
+        let mut hold = |level: &Level, share: f64| {
+            let held = libm::exp(level.log(thresholds)) * share;
+            light += held;
+            sum = Level { on: sum.on + held * level.on, off: sum.off + held * level.off };
+        };
+        for step in events {
+            let at = (step.t_ns - shift_ns - start_ns) as f64 / length;
+            if at >= 1.0 {
+                break;
+            }
+            hold(&level, at - since);
+            since = at;
+            level.add(step);
+        }
+        hold(&level, 1.0 - since);
+        Mean { log: libm::log(light), level: Level { on: sum.on / light, off: sum.off / light } }
+    }
+}
+
+/// What pairs of frames say against the description. It is proposed, not found: whoever asks judges by frames that were held out ([`crate::judge`]).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Proposed {
+    /// An offset of the clock.
+    pub late: Option<Finding>,
+    /// Thresholds, and the same with a dark current; the simpler first, none that says nothing.
+    pub contrast: Vec<Vec<Finding>>,
+}
+
+/// Of a recording, without the pixels of `masked`.
+pub fn proposed(case: &Case, nominal: &Nominal, masked: &[u32]) -> Proposed {
+    let Some(pairs) = Pairs::of(case, nominal, masked) else { return Proposed::default() };
+    let stated = (nominal.pixel.threshold_on, nominal.pixel.threshold_off);
+    let (late_ns, late) = late(case, nominal, &pairs, stated);
+    let mut contrast = contrast(&pairs, stated, if late.is_some() { late_ns } else { 0.0 });
+    contrast.retain(|findings| !findings.is_empty());
+    Proposed { late, contrast }
+}
+
+/// By how much events come later than the frames say, ns, and the finding when that is an offset.
+fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f64, Option<Finding>) {
+    let threshold = 0.5 * (stated.0 + stated.1);
+    let large: Vec<&Pair> = pairs.all.iter().filter(|pair| pair.change(0.0).abs() > threshold).collect();
+    if large.len() < FEWEST {
+        return (0.0, None);
+    }
+    let step = REACH * pairs.period_ns / SHIFTS as f64;
+    let sums = |shift: i64| {
+        let mut sums = [Sums::default(); 2];
+        for pair in &large {
+            let seen = pairs.seen(pair, stated, (shift as f64 * step).round() as i64);
+            sums[pair.half].add([seen.on, seen.off, 0.0], pair.change(0.0) - seen.beyond);
+        }
+        sums
+    };
+    let tried: Vec<[Sums; 2]> = (-SHIFTS..=SHIFTS).map(sums).collect();
+    let left = |sums: &Sums| sums.solve(2).map_or(f64::INFINITY, |factors| sums.left(factors));
+    let curve: Vec<f64> = tried.iter().map(|[a, b]| left(&a.and(b))).collect();
+    let Some(best) = lowest(&curve) else { return (0.0, None) };
+    let late_ns = (best - SHIFTS as f64) * step;
+    // Each half is predicted at the shift that is best on the other.
+    let shift_of = |side: usize| (0..tried.len()).min_by(|&a, &b| left(&tried[a][side]).total_cmp(&left(&tried[b][side])));
+    let unmoved = &tried[SHIFTS as usize];
+    let gain = |side: usize| -> Option<f64> {
+        let (other, moved) = (1 - side, &tried[shift_of(1 - side)?]);
+        let better = Predicted::new(moved[side], moved[other], 2)?;
+        Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
+    };
+    let nats = gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b);
+    let least = DELAY_NS.max(DELAY_EXPOSURES * pairs.exposure_ns).max(DELAY_PERIODS * pairs.period_ns);
+    let shortest = quantile(&intervals(case), 0.001);
+    let is_loss = late_ns < 0.0 && -late_ns < SHORTEST * (shortest - nominal.pixel.refractory_ns) as f64;
+    if late_ns.abs() < least || nats < NATS || is_loss {
+        return (late_ns, None);
+    }
+    let seen = format!(
+        "{} pairs of frames follow from each other by their events best when these are taken {:.2} ms {}",
+        large.len(),
+        late_ns.abs() * 1e-6,
+        if late_ns > 0.0 { "earlier" } else { "later" },
+    );
+    (late_ns, Some(finding("clock_offset", ("offset", late_ns * 1e-9), nats, large.len(), seen)))
+}
+
+/// Thresholds that frames contradict at a delay, and thresholds with a dark current.
+fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Finding>> {
+    let shift_ns = late_ns.round() as i64;
+    let seen_with = |thresholds: (f64, f64)| -> Vec<(&Pair, Seen)> {
+        pairs.all.iter().map(|pair| (pair, pairs.seen(pair, thresholds, shift_ns))).filter(|(_, seen)| seen.is_active).collect()
+    };
+    let sums = |seen: &[(&Pair, Seen)], dark: f64| -> [Fit; 2] {
+        let mut fits = [Fit::default(); 2];
+        for (pair, seen) in seen {
+            fits[pair.half].sums.add([seen.on, seen.off, 0.0], pair.change(dark) - seen.beyond);
+            fits[pair.half].density += pair.density(dark);
+        }
+        fits
+    };
+    let mut seen = seen_with(stated);
+    let dark_of = |place: f64| pairs.median * DARK.0 * libm::pow(DARK.1 / DARK.0, place / (DARKS - 1) as f64);
+    let darks: Vec<f64> = std::iter::once(0.0).chain((0..DARKS).map(|k| dark_of(k as f64))).collect();
+    let (mut dark, mut tried) = (0.0, Vec::new());
+    // Weights within exposures go with the thresholds: a second time with those that were found.
+    for _ in 0..2 {
+        if seen.len() < FEWEST {
+            return Vec::new();
+        }
+        tried = darks.iter().map(|dark| sums(&seen, *dark)).collect();
+        let curve: Vec<f64> = tried.iter().map(|[a, b]| -a.and(b).log_likelihood()).collect();
+        dark = lowest(&curve).filter(|place| *place > 1.0).map_or(0.0, |place| dark_of(place - 1.0));
+        let [a, b] = sums(&seen, dark);
+        match a.and(&b).sums.solve(2) {
+            Some([on, off, _]) if on > 0.0 && off > 0.0 => seen = seen_with((on, off)),
+            _ => return Vec::new(),
+        }
+    }
+    let best_of = |side: usize| (0..tried.len()).max_by(|&a, &b| tried[a][side].log_likelihood().total_cmp(&tried[b][side].log_likelihood()));
+    let gain = |side: usize| -> Option<f64> {
+        let with = &tried[best_of(1 - side)?];
+        Some(with[side].predicted_by(&with[1 - side])? - tried[0][side].predicted_by(&tried[0][1 - side])?)
+    };
+    let nats = gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b);
+    let mut all = vec![thresholds(sums(&seen, 0.0), stated, seen.len())];
+    if nats > NATS && dark > LEAST_DARK * pairs.median {
+        let said = format!(
+            "in {} pairs of frames events need the more change of light the darker it is, as if {:.2} of the median light were there without light",
+            seen.len(),
+            dark / pairs.median
+        );
+        let mut findings = thresholds(sums(&seen, dark), stated, seen.len());
+        findings.push(finding("dark_current", ("current", dark), nats, seen.len(), said));
+        all.push(findings);
+    }
+    all
+}
+
+/// Thresholds that both halves contradict.
+fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Finding> {
+    let Some([on, off, _]) = fits[0].and(&fits[1]).sums.solve(2) else { return Vec::new() };
+    let ratios = (on / stated.0, off / stated.1);
+    let (scale, asymmetry) = (0.5 * (ratios.0 + ratios.1) - 1.0, (ratios.0 - ratios.1) / (ratios.0 + ratios.1));
+    // With what is made of the thresholds that are best on the other half.
+    let nats = |of: &dyn Fn([f64; 3]) -> [f64; 3], against: &dyn Fn([f64; 3]) -> [f64; 3]| -> f64 {
+        let gain = |side: usize| -> Option<f64> {
+            let (these, from) = (fits[side].sums, fits[1 - side].sums);
+            let factors = from.solve(2)?;
+            Some(Predicted { these, from, factors: of(factors) }.log_likelihood() - Predicted { these, from, factors: against(factors) }.log_likelihood())
+        };
+        gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b)
+    };
+    let scaled = |factors: [f64; 3]| {
+        let scale = 0.5 * (factors[0] / stated.0 + factors[1] / stated.1);
+        [scale * stated.0, scale * stated.1, 0.0]
+    };
+    let of_scale = nats(&scaled, &|_| [stated.0, stated.1, 0.0]);
+    let apart = nats(&|factors| factors, &scaled);
+    let said = format!("in {measured} pairs of frames an ON event comes for a change of {on:.3} of the log light and an OFF event for {off:.3}");
+    let mut all = Vec::new();
+    if scale.abs() > LEAST_SCALE && of_scale > NATS {
+        all.push(finding("threshold_scale", ("fraction", scale), of_scale, measured, said.clone()));
+    }
+    if asymmetry.abs() > LEAST_SCALE && apart > NATS {
+        all.push(finding("threshold_asymmetry", ("fraction", asymmetry), apart, measured, said));
+    }
+    all
+}
+
+/// Sums of one half, and the logarithm of how dense the light lies in what they are sums of.
+#[derive(Clone, Copy, Debug, Default)]
+struct Fit {
+    sums: Sums,
+    density: f64,
+}
+
+impl Fit {
+    fn and(&self, other: &Fit) -> Fit {
+        Fit { sums: self.sums.and(&other.sums), density: self.density + other.density }
+    }
+
+    /// With the thresholds that are best on it, nats.
+    fn log_likelihood(&self) -> f64 {
+        self.predicted_by(self).unwrap_or(f64::NEG_INFINITY)
+    }
+
+    /// With the thresholds that are best on another one.
+    fn predicted_by(&self, other: &Fit) -> Option<f64> {
+        Some(Predicted::new(self.sums, other.sums, 2)?.log_likelihood() + self.density)
+    }
+}
+
+/// Where a curve is lowest, by a parabola through the lowest point and its neighbours; none at a rim.
+fn lowest(curve: &[f64]) -> Option<f64> {
+    let k = (0..curve.len()).min_by(|&a, &b| curve[a].total_cmp(&curve[b]))?;
+    let (before, here, after) = (*curve.get(k.checked_sub(1)?)?, curve[k], *curve.get(k + 1)?);
+    let bend = before - 2.0 * here + after;
+    let between = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    Some(k as f64 + between)
+}
+
+fn finding(id: &'static str, parameter: (&'static str, f64), nats: f64, measured: usize, seen: String) -> Finding {
+    Finding {
+        id,
+        parameters: vec![parameter],
+        statistic: nats,
+        threshold: NATS,
+        share: 1.0,
+        polarity: "both",
+        pixels: Vec::new(),
+        seen,
+        heldout: Some(Heldout { nats, events: measured }),
+    }
+}
