@@ -1,6 +1,7 @@
 //! The integration tests, as one binary. What belongs where:
 //!
 //! - `browser`: the pages in a real browser: the report of a run, the page of a diagnosis.
+//! - `commands`: the commands in README.md and docs/ run.
 //! - `conformance`: every node kind keeps the promises that all of them make.
 //! - `manifests`: every mistake in a manifest gives its message (`manifests/bad`).
 //! - `pipelines`: the pipelines that people run, and their ablations, do run.
@@ -16,6 +17,7 @@
 //! - `films`: pictures as light, from files to events.
 //! - `learned`: the manifests of methods whose networks are elsewhere.
 //! - `parts`: rows made apart and merged are the bytes of one process.
+//! - `readers`: the Python and Octave readers of docs/readers against what the command writes.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `reports`: pages of finished runs, by `photocurrent report`.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
@@ -24,6 +26,7 @@
 mod browser;
 mod cache;
 mod colour;
+mod commands;
 mod conformance;
 mod crash;
 mod determinism;
@@ -35,8 +38,10 @@ mod first_run;
 mod inspect;
 mod learned;
 mod manifests;
+mod pages;
 mod parts;
 mod pipelines;
+mod readers;
 mod recordings;
 mod reports;
 mod support;
