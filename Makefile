@@ -28,9 +28,9 @@ lint: setup
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 
-# Holds the tables of README.md and docs/ to their commands, those that take minutes too.
+# Holds the tables of README.md and docs/ to their commands, those that take minutes too, and runs the commands of the pages.
 figures: setup
-	cargo test --release --locked --test photocurrent figures -- --include-ignored
+	cargo test --release --locked --test photocurrent -- figures commands --include-ignored
 
 # The refinement network from nothing, with its two ablations: nodes/refine/training/README.md. An hour or more on two cores, and 3 GB of packages.
 TRAINING := nodes/refine/training

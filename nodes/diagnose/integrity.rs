@@ -97,11 +97,11 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let found = check(&case)?;
         let found = match self.params.tests {
             Tests::All => found,
-            Tests::BrokenData => Integrity { findings: Vec::new(), masked: Vec::new(), laws: Vec::new(), ..found },
+            Tests::BrokenData => Integrity { findings: Vec::new(), masked: Vec::new(), dependences: Vec::new(), ..found },
         };
         found.broken.iter().chain(&found.lacking).for_each(|why| cx.note(why.as_str()));
         found.findings.iter().for_each(|finding| cx.note(format!("{}: {}", finding.id, finding.seen)));
-        found.laws.iter().for_each(|law| cx.note(law.equation()));
+        found.dependences.iter().for_each(|dependence| cx.note(dependence.equation()));
         Ok(Out { findings: Arc::new(write_integrity(&found)?), sensor: Arc::new(amend(&case, &found)?.sensor) })
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Idea: where something moves, neighbouring pixels see the same light one after the other. A pixel that had no event for a while knows little
 //! about its light, but what passed its neighbours a moment ago passes it now. So the motion is found from the tracks themselves,
-//! every pixel's light is foretold by its neighbours' tracks carried along the motion, and the pixel is solved again with that as a further
+//! every pixel's light is predicted by its neighbours' tracks carried along the motion, and the pixel is solved again with that as a further
 //! measurement beside its own events and frames ([`photocurrent_sensor::map::Hint`]). Better tracks give a better motion: a few rounds.
 //!
 //! The error of what neighbours say is measured, not assumed: past and future neighbours must agree with each other, and with the pixel's own

@@ -3,7 +3,7 @@
 //! The answers are a file beside recordings that were made to examine a diagnosis (`photocurrent-sealed-answers/1`): for each recording which effects its sensor has
 //! beyond its description, with their numbers, or none, or a law outside the catalogue. This node alone reads such a file; no stage of a diagnosis does.
 //!
-//! Numbers depend on what is concealed: `false_alarm` where nothing is; `first_right`, `in_set`, `set_size`, `surplus`, `f1`, `belief`, `parameter_error` and `covered` where
+//! Numbers depend on what is concealed: `false_alarm` where nothing is; `first_right`, `in_set`, `set_size`, `surplus`, `f1`, `posterior`, `parameter_error` and `covered` where
 //! effects of the catalogue are; `unnamed` and `covariate_right` where a law is that no catalogue lists. What does not apply is left out, so that means over
 //! recordings are means over those of their kind. `count` is 1: with the card's fields `truth` and `said`, its sum is a confusion matrix.
 //!
@@ -42,7 +42,7 @@ photocurrent_core::ports! {
 photocurrent_core::ports! {
     /// How right it is.
     pub struct Out {
-        /// Pooled: what applies of `count`, `false_alarm`, `first_right`, `in_set`, `set_size`, `surplus`, `f1`, `belief`, `parameter_error`, `covered`, `unnamed`, `covariate_right`.
+        /// Pooled: what applies of `count`, `false_alarm`, `first_right`, `in_set`, `set_size`, `surplus`, `f1`, `posterior`, `parameter_error`, `covered`, `unnamed`, `covariate_right`.
         scores: Arc<Table>,
         /// One row: `recording`, `kind`, `condition`, `truth`, `verdict`, `said`, `also_possible`.
         row: Arc<Table>,
@@ -220,8 +220,8 @@ fn judge(answer: &Value, report: &Value, truth: &[String], said: &Said) -> Vec<(
     scores.push(("surplus", said.sets.iter().filter(|set| !set.iter().any(|id| truth.contains(id))).count() as f64));
     scores.push(("f1", 2.0 * named as f64 / (truth.len() + said.ids.len()) as f64));
     let first = report["effects"].as_array().into_iter().flatten().next();
-    if let Some(belief) = first.and_then(|effect| effect["evidence"]["belief"].as_f64()) {
-        scores.push(("belief", belief));
+    if let Some(posterior) = first.and_then(|effect| effect["evidence"]["posterior"].as_f64()) {
+        scores.push(("posterior", posterior));
     }
     let errors = parameters(answer, report);
     if !errors.is_empty() {

@@ -193,7 +193,7 @@ impl PixelNoise for Noise {
 
 /// From an exact digital number to a recorded one: shot noise, read noise, saturation, whole numbers.
 fn recorded(model: &Model, exact: f64, random: &mut Random) -> f64 {
-    // Photon counts are large enough for the normal limit of the Poisson law.
+    // Photon counts are large enough for the normal limit of the Poisson distribution.
     let signal = (exact - model.number.black_level).max(0.0);
     let shot = if model.dn_per_electron > 0.0 { (signal * model.dn_per_electron).sqrt() * random.normal() } else { 0.0 };
     let read = model.read_noise_dn * random.normal();

@@ -244,7 +244,7 @@ impl SolvePixel {
     fn not_modelled(&self, sensor: &Sensor, model: &Model) -> Option<String> {
         let mut used = sensor.clone();
         if self.params.method == Method::Map {
-            // The reset law is modelled there, and effects are undone.
+            // The reset rule is modelled there, and effects are undone.
             used.comparator.reset = Reset::Resample;
             used.effects.retain(|id, _| model.undo_rounds == 0 || model.undo.left_out.contains(&id.as_str()));
         }

@@ -118,7 +118,7 @@ fn tell(kind: &str, found: &Validation) {
     let (count, unnamed, forced) = found.other;
     say!("  no catalogue {count:2}  unnamed {unnamed} ({:.0} %), named {forced} ({:.0} %)", share(unnamed, count), share(forced, count));
     for (from, to, claims, right) in found.reliability.iter().filter(|bin| bin.2 > 0) {
-        say!("  belief {from:.1} to {to:.1}: {right} of {claims} right");
+        say!("  posterior {from:.1} to {to:.1}: {right} of {claims} right");
     }
 }
 

@@ -101,7 +101,7 @@ impl Scales {
 pub struct Candidate {
     /// Catalogue id.
     pub id: &'static str,
-    /// TOML key of the number; empty for a switch, `reset` for another reset law.
+    /// TOML key of the number; empty for a switch, `reset` for another reset rule.
     pub parameter: &'static str,
     /// Signs.
     pub signs: Signs,
@@ -167,7 +167,7 @@ impl Candidate {
         self.sought.grows == Grows::AsItFalls
     }
 
-    /// Is it the reset law of the description, which is another one?
+    /// Is it the reset rule of the description, which is another one?
     pub fn is_reset(&self) -> bool {
         self.sought.field == Some(Field::Reset)
     }

@@ -230,7 +230,7 @@ fn report(
         let mut location = everywhere(case, None);
         of_unnamed(proposed.decided(), found).into_iter().for_each(|located| located.put(&mut location));
         location.covariate.clone_from(&found.covariate);
-        let is_direct = found.law.as_ref().is_some_and(|law| law.moved == crate::law::Moved::EventRate);
+        let is_direct = found.dependence.as_ref().is_some_and(|dependence| dependence.moved == crate::dependence::Moved::EventRate);
         let by = if is_direct { DIRECT } else { proposed.decided().map_or(DIRECT, |decided| decided.name.as_str()) };
         let evidence = Evidence { statistic: found.score, heldout_nats_per_event: Some(found.nats), found_by: vec![by.to_owned()], ..Evidence::default() };
         effects.push(EffectReport {
@@ -301,7 +301,7 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
         p_value: None,
         heldout_nats: claim.heldout_nats,
         heldout_nats_ci95: claim.heldout_nats_ci95,
-        belief: claim.belief,
+        posterior: claim.posterior,
         heldout_nats_per_event: claim.heldout_nats_per_event,
         found_by: claim.found_by.clone(),
     };

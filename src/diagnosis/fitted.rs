@@ -1,6 +1,6 @@
 //! The fitted description: the stated one with what was found put in, in the form that simulator and solver load.
 //!
-//! An effect whose number has a field of its own in a description (time constants, thresholds, blind time, black level, row time, reset law) changes that field; all
+//! An effect whose number has a field of its own in a description (time constants, thresholds, blind time, black level, row time, reset rule) changes that field; all
 //! others stand under `[effects]`.
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn another_reset_law_and_a_common_threshold_error_change_fields_too() {
+    fn another_reset_rule_and_a_common_threshold_error_change_fields_too() {
         let sensor = fitted_with(&[("refractory", "reset", 1.0), ("threshold_scale", "fraction", -0.25), ("black_level", "black_level_dn", 31.5)]);
         assert_eq!(sensor.comparator.reset, Reset::Advance);
         assert!((sensor.comparator.threshold_on.unwrap() - 0.15).abs() < 1e-12);

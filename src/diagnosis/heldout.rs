@@ -134,7 +134,7 @@ fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, settin
     scene
 }
 
-/// A recording without every third frame, and which of them are foretold: not the last one, which has no frame after it. None with fewer than five frames.
+/// A recording without every third frame, and which of them are predicted: not the last one, which has no frame after it. None with fewer than five frames.
 pub fn kept_back(case: &Case) -> Option<(Case, Vec<usize>)> {
     let count = case.frame_count();
     if count < 5 {

@@ -11,7 +11,7 @@
 //! - [`picture`]: a scene that frames alone state.
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is put on.
 //! - [`residual`]: by how much events miss their thresholds on a scene, and what each effect explains of that.
-//! - [`covariates`], [`law`], [`rhythm`]: what may depend on what, where no effect has a name for it.
+//! - [`covariates`], [`dependence`], [`rhythm`]: what may depend on what, where no effect has a name for it.
 //! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`], [`targets`]: made-up recordings).
 //! - [`verdict`]: one answer from direct tests and from what was decided.
 //! - [`fitted`]: the description with what was found put in.
@@ -34,7 +34,7 @@ pub mod diagnose;
 pub mod fitted;
 pub mod heldout;
 pub mod integrity;
-pub mod law;
+pub mod dependence;
 pub mod made;
 pub mod nominal;
 pub mod page;

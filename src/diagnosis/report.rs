@@ -110,7 +110,7 @@ pub struct Evidence {
     pub heldout_nats_per_event: Option<f64>,
     /// Probability that the effect is this one, given that there is something; absent for direct tests.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub belief: Option<f64>,
+    pub posterior: Option<f64>,
     /// What found it: `direct`, or the scene it was found on (`picture`, `patches`, `given`).
     pub found_by: Vec<String>,
 }

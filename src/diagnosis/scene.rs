@@ -49,7 +49,7 @@ pub struct Scene {
     pub log_light: Vec<f64>,
     /// Which pixels of the sample have an estimate; the others have no usable frame or did not converge, and carry one constant knot.
     pub is_known: Vec<bool>,
-    /// How well the prior foretold each pixel's measurements; 0 where the light was not estimated.
+    /// How well the prior predicted each pixel's measurements; 0 where the light was not estimated.
     pub log_evidence: Vec<f64>,
 }
 

@@ -9,7 +9,7 @@ use crate::candidates::{CANDIDATES, Candidate, Scales, Signs};
 use crate::case::Case;
 use crate::integrity::regular;
 use crate::integrity::{Finding, Integrity};
-use crate::law::Law;
+use crate::dependence::Dependence;
 use crate::nominal::Nominal;
 use crate::report::{Detectable, Verdict};
 use crate::residual::located::Locations;
@@ -56,19 +56,19 @@ pub struct Unexplained {
     /// Held-out gain in log-likelihood, nats an event.
     pub nats: f64,
     /// As it was measured.
-    pub law: Option<Law>,
+    pub dependence: Option<Dependence>,
 }
 
 impl Unexplained {
     /// By a curve, `score` over the least that counts.
-    pub fn by(law: &Law, score: f64) -> Unexplained {
+    pub fn by(dependence: &Dependence, score: f64) -> Unexplained {
         Unexplained {
-            covariate: law.covariate.name().to_owned(),
-            equation: law.equation(),
-            insertion: law.moved.insertion().to_owned(),
+            covariate: dependence.covariate.name().to_owned(),
+            equation: dependence.equation(),
+            insertion: dependence.moved.insertion().to_owned(),
             score,
-            nats: law.nats_per_event,
-            law: Some(law.clone()),
+            nats: dependence.nats_per_event,
+            dependence: Some(dependence.clone()),
         }
     }
 }
@@ -120,7 +120,7 @@ pub struct Claim {
     /// Over the value from which what found it speaks.
     pub score: f64,
     /// Probability that it is this one, given that there is something, 0 to 1; none for direct tests.
-    pub belief: Option<f64>,
+    pub posterior: Option<f64>,
     /// Who found it.
     pub found_by: Vec<String>,
     /// Gain in log-likelihood on held-out events, nats.
@@ -175,7 +175,7 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, decided: O
     let known: Vec<&str> = claims.iter().map(|claim| claim.id).collect();
     let decided = decided.map(|decided| without(case, nominal, decided, &known));
     // What shows without a scene comes first.
-    let shown = integrity.laws.first().map(|law| Unexplained::by(law, regular::score(law)));
+    let shown = integrity.dependences.first().map(|dependence| Unexplained::by(dependence, regular::score(dependence)));
     let unexplained = shown.or_else(|| decided.as_ref().and_then(|decided| decided.unexplained.clone()));
     // No name is forced on what explains more than any effect does.
     if let Some(decided) = decided.filter(|_| !claims.is_empty() || unexplained.is_none()) {
@@ -219,7 +219,7 @@ fn best(scene: &str, proposals: &[Proposal]) -> Option<Claim> {
         also_possible: beside(one, proposals),
         values: vec![(one.candidate, one.value, one.ci95)],
         score: one.score,
-        belief: Some(one.probability),
+        posterior: Some(one.probability),
         found_by: vec![scene.to_owned()],
         heldout_nats: one.heldout_nats,
         heldout_nats_ci95: one.heldout_nats_ci95,
@@ -257,7 +257,7 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
         also_possible: Vec::new(),
         values,
         score: finding.statistic / finding.threshold,
-        belief: None,
+        posterior: None,
         found_by: vec![DIRECT.into()],
         heldout_nats: finding.heldout.map(|heldout| heldout.nats),
         heldout_nats_ci95: None,

@@ -37,7 +37,7 @@ fn asymmetry(score: f64, probability: f64) -> Proposal {
 #[test]
 fn the_most_probable_is_named_with_what_is_nearly_as_probable() {
     let sure = answer(&decided(vec![leak(1.1, 0.9), asymmetry(1.1, 0.02)]));
-    assert_eq!((sure.verdict, ids(&sure), sure.claims[0].belief), (Verdict::Named, vec!["leak_events"], Some(0.9)));
+    assert_eq!((sure.verdict, ids(&sure), sure.claims[0].posterior), (Verdict::Named, vec!["leak_events"], Some(0.9)));
     assert_eq!(sure.claims[0].found_by, ["picture"]);
     let unsure = answer(&decided(vec![leak(1.1, 0.55), asymmetry(1.1, 0.45)]));
     assert_eq!((unsure.verdict, ids(&unsure)), (Verdict::Ambiguous, vec!["leak_events"]));
@@ -94,8 +94,8 @@ fn too_little_is_consistent_and_something_unexplained_has_no_name() {
 
 #[test]
 fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
-    let law = Law {
-        moved: crate::law::Moved::EventRate,
+    let dependence = Dependence {
+        moved: crate::dependence::Moved::EventRate,
         covariate: crate::covariates::Covariate::RowParity,
         period_s: None,
         at: vec![0.0, 1.0],
@@ -105,7 +105,7 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
         significance: 16.0,
         nats_per_event: 0.01,
     };
-    let integrity = Integrity { laws: vec![law], ..Integrity::default() };
+    let integrity = Integrity { dependences: vec![dependence], ..Integrity::default() };
     let alone = answer_with(&integrity, Some(&decided(vec![leak(40.0, 0.9)])));
     assert_eq!((alone.verdict, alone.claims.len()), (Verdict::Unnamed, 0));
     let said = alone.unexplained.unwrap();

@@ -2,7 +2,7 @@
 //!
 //! The base noise is a threshold drawn anew at each reset, normal around the stated one. From the end of the blind time on, with D the voltage above the
 //! reference and M+ and M- the largest D and -D so far, the pixel is still silent with probability `S = Q(z+) Q(z-)`, where `z = (M - threshold) / sigma` and Q is the
-//! upper tail of the normal law; when one draw moves both thresholds, `S = Q(max(z+, z-))`. Hence, exactly:
+//! upper tail of the normal distribution; when one draw moves both thresholds, `S = Q(max(z+, z-))`. Hence, exactly:
 //!
 //! - `Lambda = -ln S` at the next event is exponential with mean 1, and `1 - S` is uniform ([`Interval::uniform`]);
 //! - the sum of Lambda over all intervals, the silent end of the recording included, expects the number of events ([`Interval::compensator`]): silence counts as much
@@ -14,7 +14,7 @@
 //!
 //! The naive residual `(D - threshold) / sigma` at events does not have mean zero even when everything is right: low thresholds fire before the light turns round.
 //!
-//! Source: the time-rescaling theorem (Brown et al., Neural Computation 14, 2002) with the threshold's normal law. Limits: noise of the voltage itself is not
+//! Source: the time-rescaling theorem (Brown et al., Neural Computation 14, 2002) with the threshold's normal distribution. Limits: noise of the voltage itself is not
 //! modelled; light that was fitted to the same events makes residuals too small.
 
 use crate::map::{MapEvent, MapSensor, ramp_voltage};
@@ -49,8 +49,8 @@ pub struct Since {
     /// The reference falls by this much a second: a leak.
     pub drift_per_s: f64,
     /// The voltage steps at these instants (ns, rising) by so much.
-    pub kicks: Vec<(i64, f64)>,
-    /// From when on drift and kicks count, ns.
+    pub impulses: Vec<(i64, f64)>,
+    /// From when on drift and impulses count, ns.
     pub reset_ns: i64,
 }
 
@@ -58,8 +58,8 @@ impl Since {
     /// What the comparator sees beyond the voltage at an instant.
     fn added(&self, t_ns: i64) -> f64 {
         let drift = self.drift_per_s * f64::max((t_ns - self.reset_ns) as f64 * 1e-9, 0.0);
-        let kicked: f64 = self.kicks.iter().filter(|(kick_ns, _)| *kick_ns >= self.reset_ns && *kick_ns < t_ns).map(|(_, change)| change).sum();
-        drift + kicked - self.left
+        let by_impulses: f64 = self.impulses.iter().filter(|(impulse_ns, _)| *impulse_ns >= self.reset_ns && *impulse_ns < t_ns).map(|(_, change)| change).sum();
+        drift + by_impulses - self.left
     }
 }
 
@@ -169,7 +169,7 @@ pub fn ks_uniform(numbers: &mut [f64]) -> f64 {
     numbers.iter().enumerate().map(gap).fold(0.0, f64::max)
 }
 
-/// Upper tail of the standard normal law.
+/// Upper tail of the standard normal distribution.
 ///
 /// ```
 /// use photocurrent_sensor::likelihood::normal_tail;
@@ -391,17 +391,17 @@ mod tests {
         assert!(ks(&with(&all)) < limit, "{} of {limit}", ks(&with(&all)));
         let slower: Vec<Since> = all.iter().map(|since| Since { drift_per_s: 0.98 * rate, ..since.clone() }).collect();
         assert!(ks(&with(&slower)) > 2.0 * limit);
-        // A kick stands for the drift of the whole interval.
-        let kicked: Vec<Since> = all
+        // An impulse stands for the drift of the whole interval.
+        let pushed: Vec<Since> = all
             .iter()
             .zip(&events)
             .map(|(since, event)| Since {
                 drift_per_s: 0.0,
-                kicks: vec![(event.t_in_ns - 1, rate * (event.t_in_ns - since.reset_ns) as f64 * 1e-9)],
+                impulses: vec![(event.t_in_ns - 1, rate * (event.t_in_ns - since.reset_ns) as f64 * 1e-9)],
                 ..since.clone()
             })
             .collect();
-        assert!(ks(&with(&kicked)) < limit);
+        assert!(ks(&with(&pushed)) < limit);
     }
 
     #[test]

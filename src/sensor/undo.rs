@@ -17,7 +17,7 @@
 //!   estimates of all ([`Estimate::seen`]). Each round multiplies what is wrong by what the kernel takes from the pixel itself, so a strong mixture of fine detail needs more rounds.
 //!
 //! Limits: effects of which everything is drawn, and kernels that act before and behind the logarithm at once, are left out and named in [`Undo::left_out`]; events that were lost are missing in the load;
-//! an event that a sudden kick fires passed its threshold by an unknown part of the kick, and is taken as if it had met it.
+//! an event that a sudden impulse fires passed its threshold by an unknown part of the impulse, and is taken as if it had met it.
 
 use crate::conditional::{Conditional, Look, Track, at, conditional};
 use crate::effects::{ArrayEvent, Chance, Effect, FrontEndModel, PixelEvent, Reading, RowSite, Site};

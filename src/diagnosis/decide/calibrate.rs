@@ -168,11 +168,11 @@ fn prior(model: &Model) -> f64 {
 
 /// Log probability of one of the true names, given that something is there.
 fn log_of_truth(model: &Model, one: &Example, facts: &Facts) -> f64 {
-    let belief = model.first(facts);
+    let posterior = model.first(facts);
     let right = if one.truth.other.is_some() {
-        belief.unnamed
+        posterior.unnamed
     } else {
-        facts.first.iter().zip(&belief.each).filter(|(first, _)| one.has(&first.0)).map(|(_, p)| p).sum()
+        facts.first.iter().zip(&posterior.each).filter(|(first, _)| one.has(&first.0)).map(|(_, p)| p).sum()
     };
     // What never was a hypothesis tells nothing of the model.
     if right > 0.0 { libm::log(right.max(1e-4)) } else { 0.0 }
@@ -195,7 +195,7 @@ pub struct Validation {
     pub two: (usize, usize, f64),
     /// In no catalogue: how many, unnamed, named with an effect.
     pub other: (usize, usize, usize),
-    /// Reliability of what is claimed: belief from and to, claims, right ones.
+    /// Reliability of what is claimed: posterior from and to, claims, right ones.
     pub reliability: Vec<(f64, f64, usize, usize)>,
     /// Mean log probability of whether something differs.
     pub log_something: f64,
@@ -219,14 +219,14 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
         sums.abstained += 1;
         return;
     };
-    let belief = model.first(facts);
-    sums.log_something += libm::log(f64::max(if one.is_something() { belief.something } else { 1.0 - belief.something }, 1e-9));
-    let claimed = belief.something >= decision.least;
-    let top = facts.first.iter().zip(&belief.each).max_by(|a, b| a.1.total_cmp(b.1));
-    let is_unnamed = top.is_none_or(|(_, p)| belief.unnamed > *p);
+    let posterior = model.first(facts);
+    sums.log_something += libm::log(f64::max(if one.is_something() { posterior.something } else { 1.0 - posterior.something }, 1e-9));
+    let claimed = posterior.something >= decision.least;
+    let top = facts.first.iter().zip(&posterior.each).max_by(|a, b| a.1.total_cmp(b.1));
+    let is_unnamed = top.is_none_or(|(_, p)| posterior.unnamed > *p);
     let first = top.filter(|_| claimed && !is_unnamed);
     let set: Vec<&str> = first.map_or_else(Vec::new, |(_, most)| {
-        facts.first.iter().zip(&belief.each).filter(|(_, p)| **p > IN_SET * most).map(|((id, ..), _)| id.as_str()).collect()
+        facts.first.iter().zip(&posterior.each).filter(|(_, p)| **p > IN_SET * most).map(|((id, ..), _)| id.as_str()).collect()
     });
     let second = model
         .second(facts)
@@ -235,7 +235,7 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
         .filter(|id| !set.contains(id));
     let right = first.is_some_and(|((id, ..), _)| one.has(id));
     if let Some((_, p)) = first {
-        let sure = belief.something * p;
+        let sure = posterior.something * p;
         if let Some(bin) = sums.reliability.iter_mut().find(|bin| sure <= bin.1) {
             bin.2 += 1;
             bin.3 += usize::from(right);

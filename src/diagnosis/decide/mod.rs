@@ -11,7 +11,7 @@ use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::located::{Located, Locations};
 use crate::verdict::{Decided, Proposal, Unexplained};
-use model::{Belief, Facts, KINDS, Models, hypotheses};
+use model::{Posterior, Facts, KINDS, Models, hypotheses};
 use serde::{Deserialize, Serialize};
 
 pub mod calibrate;
@@ -88,14 +88,14 @@ fn needed_gain(found: &Evidence, decision: &Decision) -> f64 {
 
 fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
     let facts = Facts::of(found);
-    let belief = decision.models.of(&found.scene).first(&facts);
-    let is_something = belief.something >= decision.least;
-    let first = proposals(found, &hypotheses(&found.ranked, &found.random, found.noise[0]), &belief, belief.something / decision.least, nominal, decision);
+    let posterior = decision.models.of(&found.scene).first(&facts);
+    let is_something = posterior.something >= decision.least;
+    let first = proposals(found, &hypotheses(&found.ranked, &found.random, found.noise[0]), &posterior, posterior.something / decision.least, nominal, decision);
     let most = first.iter().map(|one| one.probability).fold(0.0, f64::max);
-    let is_unnamed = is_something && belief.unnamed > most;
-    let second = decision.models.of(&found.scene).second(&facts).map_or_else(Vec::new, |belief| {
+    let is_unnamed = is_something && posterior.unnamed > most;
+    let second = decision.models.of(&found.scene).second(&facts).map_or_else(Vec::new, |posterior| {
         let list = hypotheses(&found.second, &found.random_second, found.noise[1]);
-        proposals(found, &list, &belief, belief.something / decision.least_second, nominal, decision)
+        proposals(found, &list, &posterior, posterior.something / decision.least_second, nominal, decision)
     });
     let curve = found.open_second.first().or(found.open.first()).filter(|_| is_unnamed);
     Decided {
@@ -105,7 +105,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
         alarm: is_something,
         proposals: if is_unnamed { Vec::new() } else { first },
         second: if is_unnamed { Vec::new() } else { second },
-        unexplained: curve.map(|curve| Unexplained::by(&curve.law, belief.something / decision.least)),
+        unexplained: curve.map(|curve| Unexplained::by(&curve.dependence, posterior.something / decision.least)),
         detectability: limits(found, nominal, decision),
         nats_per_event: Some(found.nats_per_event),
         ks: Some(found.ks),
@@ -147,7 +147,7 @@ fn located(ranked: &[Ranked]) -> Vec<(usize, Located)> {
 }
 
 /// One proposal for each hypothesis, best first; `score`: how far over what is said something is.
-fn proposals(found: &Evidence, list: &[&Ranked], belief: &Belief, score: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
+fn proposals(found: &Evidence, list: &[&Ranked], posterior: &Posterior, score: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
     let events = found.events as f64;
     let one = |(one, probability): (&&Ranked, &f64)| {
         let width = one.error / f64::max(one.strength.abs(), 1e-12);
@@ -166,7 +166,7 @@ fn proposals(found: &Evidence, list: &[&Ranked], belief: &Belief, score: f64, no
             ks: Some(one.ks).filter(|ks| *ks > 0.0),
         }
     };
-    list.iter().zip(&belief.each).map(one).collect()
+    list.iter().zip(&posterior.each).map(one).collect()
 }
 
 #[cfg(test)]

@@ -252,7 +252,7 @@ pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked], noise: f64) ->
 
 /// Probabilities of one place: that there is something, of each hypothesis, and of what is in no catalogue.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Belief {
+pub struct Posterior {
     /// That there is anything.
     pub something: f64,
     /// Of each hypothesis in its order, given that there is something.
@@ -263,25 +263,25 @@ pub struct Belief {
 
 impl Model {
     /// What is believed of the first effect.
-    pub fn first(&self, facts: &Facts) -> Belief {
+    pub fn first(&self, facts: &Facts) -> Posterior {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
-        self.belief(dot(&self.something, &facts.something(self.discount)), facts.gains.best(), &facts.first, Some(odds))
+        self.posterior(dot(&self.something, &facts.something(self.discount)), facts.gains.best(), &facts.first, Some(odds))
     }
 
     /// And of one beside it.
-    pub fn second(&self, facts: &Facts) -> Option<Belief> {
+    pub fn second(&self, facts: &Facts) -> Option<Posterior> {
         let gains = facts.beside_gains?;
-        Some(self.belief(dot(&self.second, &facts.second(self.discount)?), gains.best(), &facts.beside, None))
+        Some(self.posterior(dot(&self.second, &facts.second(self.discount)?), gains.best(), &facts.beside, None))
     }
 
     /// `ln_gain`: of the best hypothesis, nats an event.
-    fn belief(&self, log_odds: f64, ln_gain: f64, list: &[(String, f64, bool)], unnamed: Option<f64>) -> Belief {
+    fn posterior(&self, log_odds: f64, ln_gain: f64, list: &[(String, f64, bool)], unnamed: Option<f64>) -> Posterior {
         let softness = libm::exp((self.softness[0] + self.softness[1] * ln_gain).clamp(SOFTNESS.0, SOFTNESS.1));
         let score = |(_, share, is_random): &(String, f64, bool)| libm::exp((share - 1.0) / softness + if *is_random { self.random } else { 0.0 });
         let each: Vec<f64> = list.iter().map(score).collect();
         let unnamed = unnamed.map_or(0.0, |odds| libm::exp(odds.clamp(-50.0, 50.0)));
         let sum = (each.iter().sum::<f64>() + unnamed).max(1e-300);
-        Belief { something: logistic(log_odds), each: each.iter().map(|one| one / sum).collect(), unnamed: unnamed / sum }
+        Posterior { something: logistic(log_odds), each: each.iter().map(|one| one / sum).collect(), unnamed: unnamed / sum }
     }
 }
 

@@ -161,17 +161,17 @@ impl Sums {
     }
 }
 
-/// One half of the changes foretold with what the other half says.
-struct Foretold {
+/// One half of the changes predicted with what the other half says.
+struct Predicted {
     these: Sums,
     from: Sums,
     factors: [f64; 3],
 }
 
-impl Foretold {
+impl Predicted {
     /// With the factors that are best on `from`; none where they cannot be told apart.
-    fn new(these: Sums, from: Sums, n: usize) -> Option<Foretold> {
-        Some(Foretold { these, from, factors: from.solve(n)? })
+    fn new(these: Sums, from: Sums, n: usize) -> Option<Predicted> {
+        Some(Predicted { these, from, factors: from.solve(n)? })
     }
 
     /// Normal errors, of the size that they have in `from`; nats.
@@ -265,8 +265,8 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
     let unmoved = &told[SHIFTS as usize];
     let gain = |side: usize| -> Option<f64> {
         let (other, moved) = (1 - side, &told[shift_of(1 - side)?]);
-        let better = Foretold::new(moved[side], moved[other], 2)?;
-        Some(better.log_likelihood() - Foretold::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
+        let better = Predicted::new(moved[side], moved[other], 2)?;
+        Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
     };
     let nats = gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b);
     let least = DELAY_NS.max(DELAY_EXPOSURES * changes.exposure_ns).max(DELAY_PERIODS * changes.period_ns);
@@ -380,8 +380,8 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
         let other = 1 - side;
         let (_, assumed) = fit(&|halves| halves[other])?;
         let blind = sums_of(&runs, assumed, true);
-        let better = Foretold::new(blind[side], blind[other], 3)?;
-        Some(better.log_likelihood() - Foretold::new(stated[side], stated[other], 2)?.log_likelihood())
+        let better = Predicted::new(blind[side], blind[other], 3)?;
+        Some(better.log_likelihood() - Predicted::new(stated[side], stated[other], 2)?.log_likelihood())
     };
     let nats = gain(0)? + gain(1)?;
     if nats < NATS {

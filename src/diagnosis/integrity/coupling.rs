@@ -1,11 +1,11 @@
 //! Events that come when the frame's row is read: the readout shakes the pixels of its row, and what is nearly due fires.
 //!
-//! Where nothing moves ([`super::still`]) nearly all events are of that kind; where all moves, those of a strong kick stand out of the others. Their time since the start of the frame, less a delay for every row, is tried for all delays
+//! Where nothing moves ([`super::still`]) nearly all events are of that kind; where all moves, those of a strong impulse stand out of the others. Their time since the start of the frame, less a delay for every row, is tried for all delays
 //! at which the readout is over within a period; the delay that piles them up is the readout's, and the pile is the instant. One half of the array chooses, the other is
-//! foretold. Source: Brandli et al. (2014), the shared readout of DAVIS pixels.
+//! predicted. Source: Brandli et al. (2014), the shared readout of DAVIS pixels.
 //!
-//! How strong a kick is shows where light changes steadily: between two events of one sign the way that is left to the threshold is anywhere in the threshold, so a kick
-//! of `step` fires in `step / threshold` of the pixels on their way. Limits: a front end that is slow, or a kick that lasts, fires later events as well; they are not counted.
+//! How strong an impulse is shows where light changes steadily: between two events of one sign the way that is left to the threshold is anywhere in the threshold, so an impulse
+//! of `step` fires in `step / threshold` of the pixels on their way. Limits: a front end that is slow, or an impulse that lasts, fires later events as well; they are not counted.
 
 use super::{Finding, Heldout, half, quantile};
 use crate::case::Case;
@@ -73,7 +73,7 @@ impl Phases {
         best.0
     }
 
-    /// Nats that one half gains when it is foretold from the other.
+    /// Nats that one half gains when it is predicted from the other.
     fn heldout(&self) -> f64 {
         (0..2)
             .map(|side| {
@@ -177,7 +177,7 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
     let (delay, since_start) = phases.line(phases.delay(number), peak);
     let phase = (starts[0] as f64 + since_start).rem_euclid(period);
     let mut parameters = vec![("period", period * 1e-9), ("phase", phase * 1e-9), ("row_time", delay * 1e-9)];
-    if let Some(step) = kick(case, nominal, masked, polarity, &starts, (since_start, delay, period)) {
+    if let Some(step) = impulse(case, nominal, masked, polarity, &starts, (since_start, delay, period)) {
         parameters.insert(0, ("step", step));
     }
     let sign = if polarity > 0 { "ON" } else { "OFF" };
@@ -203,7 +203,7 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
 /// Jump of the front-end voltage at a readout, natural-log units with its sign; none when events of moving pixels do not come at readouts more often than beside.
 ///
 /// `readout` is the time of row 0 since the start of a frame, the delay of a row and the period, ns.
-fn kick(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts: &[i64], readout: (f64, f64, f64)) -> Option<f64> {
+fn impulse(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts: &[i64], readout: (f64, f64, f64)) -> Option<f64> {
     let (since_start, delay, period) = readout;
     let window = period / BINS as f64;
     let (mut hits, mut beside, mut chances) = (0.0, 0.0, 0.0);
@@ -213,7 +213,7 @@ fn kick(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts: &[
         let readouts = |t_ns: i64| ((t_ns - starts[0]) as f64 - since_start - row * delay) / period;
         for pair in case.events.of(pixel).windows(2).filter(|pair| pair[0].polarity == polarity && pair[1].polarity == polarity) {
             let (before, after) = (readouts(pair[0].t_off_ns), readouts(pair[1].t_off_ns));
-            // Slower light keeps step with the kicks: the way that is left at one is no longer anywhere in the threshold.
+            // Slower light keeps step with the impulses: the way that is left at one is no longer anywhere in the threshold.
             if after - before > 0.5 {
                 continue;
             }

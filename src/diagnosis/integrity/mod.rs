@@ -33,7 +33,7 @@ pub mod still;
 
 use crate::case::Case;
 use crate::covariates::Covariate;
-use crate::law::Law;
+use crate::dependence::Dependence;
 use crate::nominal::Nominal;
 use crate::report::SceneProperty;
 use serde::{Deserialize, Serialize};
@@ -97,7 +97,7 @@ pub struct Integrity {
     pub findings: Vec<Finding>,
     /// Rates of events that depend on what no scene knows of, and that no effect of the catalogue makes, strongest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub laws: Vec<Law>,
+    pub dependences: Vec<Dependence>,
     /// Not mismatches.
     pub scene: Vec<SceneProperty>,
     /// Pixels that later stages should leave out, rising.
@@ -154,9 +154,9 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         found.findings.extend(changes::findings(case, nominal, &found.masked));
         found.findings.extend(steps::findings(case, nominal, &found.masked));
     }
-    found.laws = regular::laws(case, &found.masked);
+    found.dependences = regular::dependences(case, &found.masked);
     if found.findings.iter().any(|finding| finding.id == "frame_coupling") {
-        found.laws.retain(|law| law.covariate != Covariate::FramePhase);
+        found.dependences.retain(|dependence| dependence.covariate != Covariate::FramePhase);
     }
     found.scene = nominal.map_or_else(Vec::new, |nominal| flicker::flicker(case, nominal, &stream));
     // The same effect by two tests is one finding, the stronger.

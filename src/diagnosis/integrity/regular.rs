@@ -13,7 +13,7 @@
 
 use crate::case::Case;
 use crate::covariates::Covariate;
-use crate::law::{Law, Moved};
+use crate::dependence::{Dependence, Moved};
 
 /// Width of a bin of phase, ns.
 const BIN_NS: f64 = 250_000.0;
@@ -22,7 +22,7 @@ const AROUND: usize = 6;
 /// Fewest frames, and events in a bin of a frame.
 const FEWEST_FRAMES: usize = 8;
 const FEWEST_EVENTS: f64 = 8.0;
-/// What repeats over what differs must be so much. By chance it is 1; recordings without such a law come to 3.6, those with one to 40 and more.
+/// What repeats over what differs must be so much. By chance it is 1; recordings without such a dependence come to 3.6, those with one to 40 and more.
 const LEAST_REGULARITY: f64 = 12.0;
 /// And so much more than on one clock for all rows.
 const BY_ROWS: f64 = 1.2;
@@ -32,7 +32,7 @@ const LEAST_SHARE: f64 = 0.15;
 const OF_OTHER_SIGN: f64 = 0.3;
 /// Parts of the array, and of the recording, in which rows are compared.
 const PARTS: (usize, usize) = (6, 10);
-/// Rows differ by parity by so many standard errors; recordings without such a law come to 4.3.
+/// Rows differ by parity by so many standard errors; recordings without such a dependence come to 4.3.
 const LEAST_SIGMAS: f64 = 8.0;
 /// By this share,
 const LEAST_PARITY: f64 = 0.02;
@@ -41,15 +41,15 @@ const SAME_PARTS: f64 = 0.9;
 const SAME_ROWS: f64 = 0.8;
 
 /// What repeats, strongest first; pixels of `masked` are left out.
-pub fn laws(case: &Case, masked: &[u32]) -> Vec<Law> {
-    let mut found: Vec<Law> = by_phase(case, masked).into_iter().chain(by_parity(case, masked)).collect();
+pub fn dependences(case: &Case, masked: &[u32]) -> Vec<Dependence> {
+    let mut found: Vec<Dependence> = by_phase(case, masked).into_iter().chain(by_parity(case, masked)).collect();
     found.sort_by(|a, b| score(b).total_cmp(&score(a)));
     found
 }
 
-/// What a law of [`laws`] measured, over the least that counts.
-pub fn score(law: &Law) -> f64 {
-    law.significance / if law.covariate == Covariate::RowParity { LEAST_SIGMAS } else { LEAST_REGULARITY }
+/// What a dependence of [`dependences`] measured, over the least that counts.
+pub fn score(dependence: &Dependence) -> f64 {
+    dependence.significance / if dependence.covariate == Covariate::RowParity { LEAST_SIGMAS } else { LEAST_REGULARITY }
 }
 
 /// Counts by frame and phase.
@@ -132,7 +132,7 @@ impl Folded {
     }
 }
 
-fn by_phase(case: &Case, masked: &[u32]) -> Option<Law> {
+fn by_phase(case: &Case, masked: &[u32]) -> Option<Dependence> {
     let folded = Folded::new(case, masked, true, &[-1, 1])?;
     let regularity = folded.regularity();
     let value: Vec<f64> = (0..folded.bins).map(|bin| folded.share(bin, |_| true)).collect();
@@ -157,7 +157,7 @@ fn by_phase(case: &Case, masked: &[u32]) -> Option<Law> {
         (before + one * one, after + (one - mean) * (one - mean))
     });
     let period_s = case.frames.as_ref()?.times.mean_period_ns()? * 1e-9;
-    Some(Law {
+    Some(Dependence {
         moved: Moved::EventRate,
         covariate: Covariate::FramePhase,
         period_s: None,
@@ -185,7 +185,7 @@ fn rows_of_parts(case: &Case, masked: &[u32]) -> Vec<Vec<f64>> {
     parts
 }
 
-fn by_parity(case: &Case, masked: &[u32]) -> Option<Law> {
+fn by_parity(case: &Case, masked: &[u32]) -> Option<Dependence> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     // A row of which much is left out is none.
     let mut left_out = vec![0; height];
@@ -215,7 +215,7 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Law> {
     if events < FEWEST_EVENTS * parts.len() as f64 || sigmas < LEAST_SIGMAS || share.abs() < LEAST_PARITY || !is_steady {
         return None;
     }
-    // Rows of each half of the parts, foretold from those beside them with the share of the other half.
+    // Rows of each half of the parts, predicted from those beside them with the share of the other half.
     let (mut gain, mut before, mut after) = (0.0, 0.0, 0.0);
     for half in 0..2 {
         let of = |which: usize| parts.iter().enumerate().filter(move |(k, _)| (k / PARTS.0 + k % PARTS.0) % 2 == which).map(|(_, part)| part);
@@ -230,7 +230,7 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Law> {
         }
     }
     let error = share.abs() / sigmas;
-    Some(Law {
+    Some(Dependence {
         moved: Moved::EventRate,
         covariate: Covariate::RowParity,
         period_s: None,

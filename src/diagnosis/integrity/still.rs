@@ -109,7 +109,7 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
         return None;
     }
     let rate = a_pixel / ((case.span.1 - case.span.0) as f64 * 1e-9);
-    // Held against noise that has no sign, of the same rate: one half tells the share of ON events, the other is foretold with it.
+    // Held against noise that has no sign, of the same rate: one half tells the share of ON events, the other is predicted with it.
     let nats: f64 = (0..2)
         .map(|side| {
             let share = (on[1 - side] as f64 + 1.0) / ((on[1 - side] + off[1 - side]) as f64 + 2.0);

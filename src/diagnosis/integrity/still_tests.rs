@@ -137,7 +137,7 @@ fn events_when_their_row_is_read_are_coupling_with_its_delay() {
 }
 
 #[test]
-fn the_strength_of_a_kick_is_counted_where_light_rises() {
+fn the_size_of_an_impulse_is_counted_where_light_rises() {
     // Log light of the strip rises by 40 to 80 ln/s all the time; thresholds are 0.2. At each readout pixels with less than 0.05 to go fire at once.
     let mut case = camera(|_, random| {
         let pixel = pixel(random);

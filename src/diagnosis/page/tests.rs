@@ -3,7 +3,7 @@
 use super::*;
 use crate::covariates::Covariate;
 use crate::diagnose::{Setting, broken, check, confirm};
-use crate::law::{Law, Moved};
+use crate::dependence::{Dependence, Moved};
 use crate::residual::located::{Ground, LocatedSetting, Locations};
 use crate::testing;
 use crate::verdict::{Decided, Proposal, Unexplained};
@@ -59,7 +59,7 @@ fn what_is_claimed_is_shown_before_and_after() {
 #[test]
 fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
     let case = testing::case();
-    let law = Law {
+    let dependence = Dependence {
         moved: Moved::Threshold,
         covariate: Covariate::RowParity,
         period_s: None,
@@ -70,7 +70,7 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
         significance: 9.0,
         nats_per_event: 0.1,
     };
-    let unexplained = Unexplained { covariate: law.covariate.name().into(), score: 2.0, law: Some(law), ..Unexplained::default() };
+    let unexplained = Unexplained { covariate: dependence.covariate.name().into(), score: 2.0, dependence: Some(dependence), ..Unexplained::default() };
     let decided = Decided { name: "picture".into(), alarm: true, unexplained: Some(unexplained), ..Decided::default() };
     let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
     assert_eq!(found.report.verdict, Verdict::Unnamed);

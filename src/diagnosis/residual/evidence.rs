@@ -78,7 +78,7 @@ pub struct EvidenceSetting {
     /// How what is in no catalogue is looked for.
     pub open: OpenSetting,
     /// So many of it are told.
-    pub laws: usize,
+    pub dependences: usize,
 }
 
 impl Default for EvidenceSetting {
@@ -110,7 +110,7 @@ impl Default for EvidenceSetting {
             seed: 1,
             located: LocatedSetting::default(),
             open: OpenSetting::default(),
-            laws: 6,
+            dependences: 6,
         }
     }
 }
@@ -314,13 +314,13 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let swing = table.residual().iter().enumerate().map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
     let frame_ns = case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
     let period_ns = strongest_period_ns(swing, case.span, frame_ns);
-    let control_laws = control_seen.laws(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
-    let laws = |seen: &Seen<'_>, table: &Table, laid: &[Laid], places: &Places<'_>| -> Vec<Open> {
-        let mut found = seen.laws(table, laid);
-        open::beyond(&mut found, &control_laws);
-        found.truncate(setting.laws);
+    let control_dependences = control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
+    let dependences = |seen: &Seen<'_>, table: &Table, laid: &[Laid], places: &Places<'_>| -> Vec<Open> {
+        let mut found = seen.dependences(table, laid);
+        open::beyond(&mut found, &control_dependences);
+        found.truncate(setting.dependences);
         if let Some(best) = found.first_mut() {
-            seen.locate_law(table, laid, places, best);
+            seen.locate_dependence(table, laid, places, best);
         }
         found
     };
@@ -335,7 +335,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let ranked = seen.rank(&stated, &table, &control_table, None, setting.refined, nominal, &places)?;
     let white = seen.white(&stated, source)?;
     let (random, of_chance) = control_ground.beyond(&table, white);
-    let open = laws(&seen, &table, &laid[0], &places);
+    let open = dependences(&seen, &table, &laid[0], &places);
     // What a known scene leaves open is no misfit.
     let left_of = |table: &Table| median_share(if source.is_known() { table.sharp() } else { table.residual() }, scales.threshold);
     let base_median = left_of(&table);
@@ -368,7 +368,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         random_second = control_ground.beyond(&table, white).0;
         random_second.retain(|other| other.candidate != first.candidate);
         noise[1] = of_noise(&random_second, source.is_known());
-        open_second = laws(&seen, &table, &laid[0], &places);
+        open_second = dependences(&seen, &table, &laid[0], &places);
         if let Some(other) = second.first().filter(|other| other.is_exact) {
             left[1] = other.left;
         }

@@ -11,7 +11,7 @@ use super::open::Laid;
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
 use crate::covariates::Covariate;
-use crate::law::Law;
+use crate::dependence::Dependence;
 use crate::report::Location;
 use crate::verdict::{Answer, Claim, Decided, Unexplained};
 use serde::{Deserialize, Serialize};
@@ -181,9 +181,9 @@ impl Located {
 
     /// The same of a curve that has no name: the covariate and how it runs are the curve's own.
     #[must_use]
-    pub fn of_law(self, law: &Law, setting: &LocatedSetting) -> Located {
-        let shape = if law.covariate.is_class() { "differs" } else { shape(&law.value, setting.straight) };
-        Located { covariate: law.covariate.name().to_owned(), shape: shape.to_owned(), ..self }
+    pub fn of_dependence(self, dependence: &Dependence, setting: &LocatedSetting) -> Located {
+        let shape = if dependence.covariate.is_class() { "differs" } else { shape(&dependence.value, setting.straight) };
+        Located { covariate: dependence.covariate.name().to_owned(), shape: shape.to_owned(), ..self }
     }
 }
 
@@ -218,7 +218,7 @@ pub fn of_claim<'a>(decided: Option<&'a Decided>, claim: &Claim) -> Option<&'a L
 
 /// Where what has no name is; none where it is not the curve that was located.
 pub fn of_unnamed<'a>(decided: Option<&'a Decided>, found: &Unexplained) -> Option<&'a Located> {
-    let is_it = |own: &Unexplained| own.law.is_some() && own.law == found.law;
+    let is_it = |own: &Unexplained| own.dependence.is_some() && own.dependence == found.dependence;
     decided.filter(|decided| decided.unexplained.as_ref().is_some_and(is_it))?.located.unnamed.as_ref()
 }
 

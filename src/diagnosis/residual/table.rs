@@ -320,15 +320,15 @@ impl Seen<'_> {
     }
 
     /// What no effect of the catalogue has, on the residuals of a table.
-    pub fn laws(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
-        open::laws(&table.events, table.sharp(), &table.block[..table.events.pixel.len()], laid, self.scales.threshold, self.least, &self.setting.open)
+    pub fn dependences(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
+        open::dependences(&table.events, table.sharp(), &table.block[..table.events.pixel.len()], laid, self.scales.threshold, self.least, &self.setting.open)
     }
 
     /// Where the best of them is.
-    pub fn locate_law(&self, table: &Table, laid: &[Laid], places: &Places<'_>, best: &mut Open) {
+    pub fn locate_dependence(&self, table: &Table, laid: &[Laid], places: &Places<'_>, best: &mut Open) {
         let (events, block) = (&table.events, &table.block[..table.events.pixel.len()]);
-        let gains = open::gains(events, table.sharp(), block, laid, &best.law, self.scales.threshold, self.least, &self.setting.open);
-        best.located = gains.map(|gains| places.events.locate(&gains, best.law.covariate.name()).of_law(&best.law, &self.setting.located));
+        let gains = open::gains(events, table.sharp(), block, laid, &best.dependence, self.scales.threshold, self.least, &self.setting.open);
+        best.located = gains.map(|gains| places.events.locate(&gains, best.dependence.covariate.name()).of_dependence(&best.dependence, &self.setting.located));
     }
 
     fn block_of(&self, pixel: usize) -> u32 {

@@ -199,7 +199,7 @@ impl FrontEndModel {
 
 /// What a sudden disturbance moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum KickTarget {
+pub enum ImpulseTarget {
     /// The front-end voltage, which then settles back with its time constant.
     FrontEnd,
     /// The comparator's input, for good: until the next reset takes a new reference.
@@ -208,13 +208,13 @@ pub enum KickTarget {
 
 /// A sudden disturbance of the voltage.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Kick {
+pub struct Impulse {
     /// When.
     pub t_ns: i64,
     /// By how much, natural-log units; positive pushes towards an ON event.
     pub change: f64,
     /// What is moved.
-    pub target: KickTarget,
+    pub target: ImpulseTarget,
 }
 
 /// A steady drift of voltage against reference, positive towards ON events.
@@ -325,7 +325,7 @@ pub trait Effect: Send + Sync {
     fn front_end(&self, _site: &Site, _model: &mut FrontEndModel) {}
 
     /// Adds sudden disturbances between `start_ns` and `end_ns`, in any order.
-    fn kicks(&self, _site: &Site, _start_ns: i64, _end_ns: i64, _out: &mut Vec<Kick>) {}
+    fn impulses(&self, _site: &Site, _start_ns: i64, _end_ns: i64, _out: &mut Vec<Impulse>) {}
 
     /// Changes the thresholds that hold from the reset at `t_reset_ns` on; asked once at the start (without a last event) and after each event.
     fn thresholds(&self, _site: &Site, _history: &History, _random: &mut Random, _t_reset_ns: i64, _thresholds: &mut Thresholds) {}
@@ -335,7 +335,7 @@ pub trait Effect: Send + Sync {
         Leak::default()
     }
 
-    /// The reference after a reset, natural-log units. `ideal` is what the reset law gives, `before` the reference of the event that caused it.
+    /// The reference after a reset, natural-log units. `ideal` is what the reset rule gives, `before` the reference of the event that caused it.
     fn reference(&self, _site: &Site, _history: &History, _random: &mut Random, ideal: f64, _before: f64) -> f64 {
         ideal
     }

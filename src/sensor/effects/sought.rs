@@ -28,7 +28,7 @@ impl Search {
 /// One number of an effect that may be missing from a description.
 #[derive(Clone, Copy, Debug)]
 pub struct Sought {
-    /// TOML key of the number; empty for an effect without one, `reset` for another reset law.
+    /// TOML key of the number; empty for an effect without one, `reset` for another reset rule.
     pub parameter: &'static str,
     /// Which signs of a strength are physics.
     pub signs: Signs,

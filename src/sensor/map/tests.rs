@@ -186,7 +186,7 @@ impl Recorded {
 }
 
 #[test]
-fn steep_light_comes_back_for_both_reset_laws() {
+fn steep_light_comes_back_for_both_reset_rules() {
     for reset in [Reset::Resample, Reset::Advance] {
         let recorded = recorded(reset);
         assert!(recorded.events.len() > 20, "{}", recorded.events.len());

@@ -1,4 +1,4 @@
-//! What the reference does after an event, by each reset law.
+//! What the reference does after an event, by each reset rule.
 
 use super::super::*;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, intervals_s};

@@ -41,7 +41,7 @@ impl Moved {
 
 /// A curve over a covariate, and what it explains.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Law {
+pub struct Dependence {
     /// What it moves.
     pub moved: Moved,
     /// What it depends on.
@@ -62,7 +62,7 @@ pub struct Law {
     pub nats_per_event: f64,
 }
 
-impl Law {
+impl Dependence {
     /// As an equation with the measured curve.
     pub fn equation(&self) -> String {
         let name = self.covariate.name();
