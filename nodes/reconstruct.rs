@@ -91,7 +91,7 @@ impl<'a> Request<'a> {
         virtual_frames(sampling, self.at, (frames.extent, frames.colour), covered, nominal_ns, self.sensor)
     }
 
-    /// Times and steps of events: one stated threshold for both polarities, else a searched one, else the description's two; `latency` is taken off
+    /// Times and steps of events: one stated threshold for both polarities, else a searched one, else the description's two; `latency` is subtracted
     /// every stamp.
     ///
     /// # Errors

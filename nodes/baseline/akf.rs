@@ -112,7 +112,7 @@ pub struct Params {
     pub certainty_width: f64,
     /// Which stamp dates an event.
     pub stamp: Stamp,
-    /// A constant latency to take off every stamp; negative moves events later.
+    /// A constant latency to subtract from every stamp; negative moves events later.
     pub latency: Duration,
 }
 

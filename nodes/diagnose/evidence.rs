@@ -94,7 +94,7 @@ pub struct Params {
     /// Of a recording with more frame values, only the neighbouring frames with the most events between them are looked at, as many as have so many values: a fit takes some 300 bytes for each.
     #[schemars(range(min = 1_000))]
     pub most_values: u32,
-    /// What a picture is sharpened over for the control, to find what its fit takes away, pixels.
+    /// What a picture is sharpened over for the control, to find what its fit removes, pixels.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub sharpest: f64,
 }

@@ -1,4 +1,4 @@
-//! Writers: what the user takes away.
+//! Writers: files for the user.
 //!
 //! A writer puts files into the folder it is given (`cx.export_dir()`); the engine moves the folder to its place when the node is done. What
 //! was written is also an output, a small table, so that a report can list it.

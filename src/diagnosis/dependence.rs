@@ -54,7 +54,7 @@ pub struct Dependence {
     pub value: Vec<f64>,
     /// Half the difference of what two halves of the pixels say; of a rate of events, its standard error.
     pub error: Vec<f64>,
-    /// Share of the squares that it takes away, on pixels that it was not fitted to; of a rate of events, the share of those of counts.
+    /// Share of the squares that it removes, on pixels that it was not fitted to; of a rate of events, the share of those of counts.
     pub taken: f64,
     /// The same over its standard error from part to part of the array; of a rate of events, what its test measured.
     pub significance: f64,

@@ -20,8 +20,8 @@ pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usi
         let candidate = &CANDIDATES[*which];
         let value = six_digits(*value);
         if !put_in_field(&mut sensor, nominal, candidate, value) {
-            let strength = candidate.strength(value, scales, nominal);
-            candidate.put_on(&mut trial, strength, scales);
+            let effect_size = candidate.effect_size(value, scales, nominal);
+            candidate.apply(&mut trial, effect_size, scales);
         }
     }
     for (id, parameters) in trial.effects {
@@ -68,7 +68,7 @@ fn put_in_field(sensor: &mut Sensor, nominal: &Nominal, candidate: &Candidate, v
         Field::Refractory => sensor.readout.refractory = duration(value),
         Field::Reset => {
             let mut trial = Trial::stated(nominal);
-            candidate.put_on(&mut trial, 1.0, &Scales::default());
+            candidate.apply(&mut trial, 1.0, &Scales::default());
             sensor.comparator.reset = trial.nominal.reset;
         }
         Field::BlackLevel => sensor.frames.black_level_dn = Some(value),

@@ -44,7 +44,7 @@ impl Prediction {
     }
 }
 
-/// Predicts every third frame with a description, its `[effects]` undone where the light is estimated ([`photocurrent_sensor::undo`]) and put on again where frames are read; none with
+/// Predicts every third frame with a description, its `[effects]` undone where the light is estimated ([`photocurrent_sensor::undo`]) and applied again where frames are read; none with
 /// fewer than five frames, or when nothing can be predicted.
 ///
 /// # Errors

@@ -9,7 +9,7 @@
 //! - [`nominal`]: the sensor as the description states it, ready to simulate and to solve.
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
 //! - [`picture`]: a scene that frames alone state.
-//! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is put on.
+//! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is applied.
 //! - [`residual`]: by how much events miss their thresholds on a scene, and what each effect explains of that.
 //! - [`covariates`], [`dependence`], [`rhythm`]: what may depend on what, where no effect has a name for it.
 //! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`], [`targets`]: made-up recordings).

@@ -2,7 +2,7 @@
 //!
 //! Light is log-linear between knots in a scene and linear in the forward model: steep pieces are cut until both agree to a part in a thousand. Beyond the sample
 //! the nearest pixel of the same row or column stands in where an effect mixes neighbours' light. The load of a readout queue is that of the recording.
-//! Stamps are put on the recording's grid, frames get the noise that the description states and that the caller estimated.
+//! Stamps are rounded to the recording's grid, frames get the noise that the description states and that the caller estimated.
 
 use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
 use crate::nominal::Nominal;

@@ -7,7 +7,7 @@
 //! The voltage follows log-linear light in short steps with the time constant of their middle: exact for low-pass, second pole and the exponential
 //! transistor at constant time constants, and to the step where a slew limit cuts it.
 //!
-//! Limits: a stamp is taken off to first order; events that come without a crossing and lost ones have no place here; a pixel that an effect blinds beyond its next event
+//! Limits: a stamp is undone to first order; events that come without a crossing and lost ones have no place here; a pixel that an effect blinds beyond its next event
 //! takes its reference at that event.
 
 use crate::comparator::signed_step;

@@ -1,4 +1,4 @@
-//! What effects did to the measurements of a pixel, taken off again, so that the stated sensor explains what is left.
+//! What effects did to the measurements of a pixel, undone, so that the stated sensor explains what is left.
 //!
 //! Every effect is asked by its own hooks, the ones the simulator asks: nothing here knows any effect.
 //!
@@ -37,7 +37,7 @@ const FURTHEST: f64 = 1.0;
 const SECANTS: usize = 12;
 const NEAR: f64 = 1e-10;
 
-/// A set of effects to be taken off.
+/// A set of effects to be undone.
 pub struct Undo {
     effects: Vec<Box<dyn Effect>>,
     /// Effects that need the load of the array before they say anything.
@@ -141,7 +141,7 @@ impl Undo {
         self.coupled.first().map(|effect| effect.id())
     }
 
-    /// Gives effects that depend on the load the events of the whole array, as recorded and in any order; from then on they are taken off as well. Does nothing the second time.
+    /// Gives effects that depend on the load the events of the whole array, as recorded and in any order; from then on they are undone as well. Does nothing the second time.
     pub fn inform(&mut self, recorded: impl Iterator<Item = (Site, MapEvent)>) {
         if self.coupled.is_empty() {
             return;
@@ -158,12 +158,12 @@ impl Undo {
         }
     }
 
-    /// The effects that are taken off: their known parts.
+    /// The effects that are undone: their known parts.
     pub fn known(&self) -> &[Box<dyn Effect>] {
         &self.effects
     }
 
-    /// Is there nothing to take off?
+    /// Is there nothing to undo?
     pub fn is_none(&self) -> bool {
         self.effects.is_empty()
     }

@@ -1,4 +1,4 @@
-//! Every effect that can be taken off is: the forward model records a pixel with it, and the light is solved with and without knowing of it.
+//! Every effect that can be undone is: the forward model records a pixel with it, and the light is solved with and without knowing of it.
 
 use super::*;
 use crate::effects::from_description;

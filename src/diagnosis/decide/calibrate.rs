@@ -62,8 +62,8 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     let Made { case, mut truth, target } = made(seed, index, setting)?;
     let nominal = case.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(&case, &nominal);
-    truth.effects.retain(|(id, parameter, strength)| {
-        Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*strength, &scales, &nominal)))
+    truth.effects.retain(|(id, parameter, effect_size)| {
+        Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*effect_size, &scales, &nominal)))
     });
     let picture = PictureSetting::default();
     let look = |source: &dyn Source| evidence(&case, &nominal, source, &EvidenceSetting::default());

@@ -116,7 +116,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
 
 /// What could have been seen of each effect that has a size: the size whose gain just says that something differs, and what was estimated.
 ///
-/// A strength s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at which the model's probability is [`Decision::least`].
+/// An effect size s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at which the model's probability is [`Decision::least`].
 pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<Detectable> {
     let needed = needed_gain(found, decision);
     let has_limit = |one: &&Ranked| {
@@ -130,7 +130,7 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
         Detectable {
             id: kind.id.to_owned(),
             parameter,
-            estimate: Some(kind.nominal_value(nominal) + one.strength * one.unit),
+            estimate: Some(kind.nominal_value(nominal) + one.effect_size * one.unit),
             standard_error: Some((one.error * one.unit).abs()),
             minimal_detectable: (libm::sqrt(2.0 * needed / one.information) * one.unit).abs(),
             unit: unit.to_owned(),
@@ -150,7 +150,7 @@ fn located(ranked: &[Ranked]) -> Vec<(usize, Located)> {
 fn proposals(found: &Evidence, list: &[&Ranked], posterior: &Posterior, score: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
     let events = found.events as f64;
     let one = |(one, probability): (&&Ranked, &f64)| {
-        let width = one.error / f64::max(one.strength.abs(), 1e-12);
+        let width = one.error / f64::max(one.effect_size.abs(), 1e-12);
         let nothing = CANDIDATES[one.candidate].nominal_value(nominal);
         let error = 1.96 * libm::hypot(width, decision.shared_error) * (one.value - nothing).abs();
         Proposal {
@@ -177,7 +177,7 @@ mod tests {
 
     fn ranked(id: &str, gain: f64, control_gain: f64) -> Ranked {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
-        Ranked { candidate, gain, control_gain, strength: 1.0, value: 1.0, is_exact: true, is_material: true, ..Ranked::default() }
+        Ranked { candidate, gain, control_gain, effect_size: 1.0, value: 1.0, is_exact: true, is_material: true, ..Ranked::default() }
     }
 
     fn said(found: &Evidence) -> Decided {

@@ -2,7 +2,7 @@
 //!
 //! Events of a pixel between two frames say how far its log light went: a threshold each. They agree best with the frames when they are moved by as much as their clock or
 //! their path is late. An event stands for the light that made its step before it, and for the light that is lost after it: half an interval less a blind time, which
-//! is no delay and is taken off. A pixel that is blind after each event does not see what the light does meanwhile: the faster its events follow each other, the further the light
+//! is no delay and is subtracted. A pixel that is blind after each event does not see what the light does meanwhile: the faster its events follow each other, the further the light
 //! went for each. `change = threshold * interval / (interval - blind)` for steady light, which is fitted; without a blind time the change for an event does not depend on
 //! how fast they come, whatever the scene does.
 //!

@@ -1,4 +1,4 @@
-//! Counts of the whole array in windows of time: one and the same count again and again (something takes away what is beyond it), and bursts in step with the frames.
+//! Counts of the whole array in windows of time: one and the same count again and again (something removes what is beyond it), and bursts in step with the frames.
 
 use super::{Finding, Stream};
 use crate::case::Case;

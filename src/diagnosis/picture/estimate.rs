@@ -71,7 +71,7 @@ pub struct PictureSetting {
     pub draw_steps: usize,
     /// Seed of draws of what frames leave open.
     pub seed: u64,
-    /// What a picture is sharpened over to find what its fit takes away, pixels.
+    /// What a picture is sharpened over to find what its fit removes, pixels.
     pub sharpest: f64,
 }
 

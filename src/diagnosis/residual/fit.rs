@@ -105,7 +105,7 @@ pub struct Rows<'a> {
     pub events: usize,
     /// Least noise, natural-log units.
     pub least: f64,
-    /// What a picture that is too soft leaves, and how much of it may be taken off: fitted beside everything.
+    /// What a picture that is too soft leaves, and how much of it may be subtracted: fitted beside everything.
     pub soft: Option<Soft<'a>>,
     /// What the free parameters of the scene change of each row, each per standard deviation that it has before the recording: fitted beside everything.
     pub free: &'a [Column],
@@ -482,7 +482,7 @@ mod tests {
         let (without, with, half) = (gain(0.0), gain(-0.2), gain(-0.02));
         assert!(without.gain > 0.3, "{without:?}");
         assert!(with.gain.abs() < 0.01 && with.size[0].abs() < 0.003, "{with:?}");
-        assert!((0.05..without.gain).contains(&half.gain), "only as much is taken off as is allowed: {half:?}");
+        assert!((0.05..without.gain).contains(&half.gain), "only as much is subtracted as is allowed: {half:?}");
         let left = without_softness(&residual, &rows(&slope, &block, Some(Soft { column: &soft, log_slope: &flat, most: -0.2 })));
         left.iter().zip(&noise).for_each(|(left, noise)| assert!((left - noise).abs() < 0.01));
     }

@@ -1,7 +1,7 @@
 //! What no effect of the catalogue has: the threshold, the delay of stamps, or a rate without light, free in every bin of a covariate.
 //!
 //! With residuals that are small, looking for the unknown is a regression. Each bin gets a size of its own, judged on the blocks that it was not fitted to, and what one size for all
-//! bins would gain is taken off: that is an effect of the catalogue.
+//! bins would gain is subtracted: that is an effect of the catalogue.
 
 use super::Residuals;
 use super::fit::{self, Column, Fitted, Plain, Rows, Seen, heldout};

@@ -281,11 +281,11 @@ mod tests {
     fn seen(scene: &MadeUp, effect: Option<(&str, &str, f64)>) -> (Evidence, Option<f64>) {
         let nominal = scene.recording().unwrap().nominal().unwrap();
         let scales = Scales::of(&scene.recording().unwrap(), &nominal);
-        let candidate = effect.map(|(id, parameter, strength)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), strength));
-        let trial = candidate.map(|(one, strength)| Trial::with(&nominal, one, strength, &scales));
+        let candidate = effect.map(|(id, parameter, effect_size)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), effect_size));
+        let trial = candidate.map(|(one, effect_size)| Trial::with(&nominal, one, effect_size, &scales));
         let case = scene.recording_through(trial.as_ref()).unwrap();
         let source = Given::new(&case, &nominal, scene.light().into(), &PictureSetting::default());
-        let truth = candidate.map(|(one, strength)| one.value(strength, &scales, &nominal));
+        let truth = candidate.map(|(one, effect_size)| one.value(effect_size, &scales, &nominal));
         (evidence(&case, &nominal, &source, &EvidenceSetting::default()).unwrap(), truth)
     }
 

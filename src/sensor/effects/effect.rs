@@ -283,7 +283,7 @@ pub struct ArrayEvent {
     pub event: PixelEvent,
 }
 
-/// What of an effect is drawn, so that nobody can take it off a measurement again: by how much measurements are believed less, and what is known all the same.
+/// What of an effect is drawn, so that it cannot be undone: by how much measurements are believed less, and what is known all the same.
 #[derive(Default)]
 pub struct Chance {
     /// Standard deviation of a pixel's own thresholds, natural-log units.
