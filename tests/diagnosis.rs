@@ -91,7 +91,7 @@ fn what_cannot_be_diagnosed_says_why() {
 fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_do() {
     let bench = Bench::new();
     let root = support::root();
-    let recording = root.join("data/sealed/recordings/0ca5a116.h5");
+    let recording = root.join("data/concealed/recordings/0ca5a116.h5");
     let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "command", "--threads", "1", "--cache", "of the command"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let manifest = root.join("pipelines/diagnose/recording.toml").display().to_string();
@@ -108,10 +108,10 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
     }
     assert_eq!(executed(&bench.outcome(&arguments)), [""; 0]);
     // The examination's stages have the same keys, so that only the judgement is left to do.
-    let sealed = root.join("pipelines/diagnose/sealed.toml").display().to_string();
-    let examined = bench.outcome(&[&sealed, "--variant", "recording=0ca5a116", "--to", "right", "--out", "sealed"]);
+    let concealed = root.join("pipelines/diagnose/concealed.toml").display().to_string();
+    let examined = bench.outcome(&[&concealed, "--variant", "recording=0ca5a116", "--to", "right", "--out", "concealed"]);
     assert_eq!(executed(&examined), ["right"]);
-    let table = bench.run(&["table", "sealed", "--rows", "card.truth", "--columns", "card.said", "--metric", "count", "--sum"]);
+    let table = bench.run(&["table", "concealed", "--rows", "card.truth", "--columns", "card.said", "--metric", "count", "--sum"]);
     assert_eq!(table.code, 0, "{}", table.stderr);
     assert!(table.stdout.contains("none"), "{}", table.stdout);
 }
@@ -220,7 +220,7 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
 #[test]
 fn direct_tests_alone_are_told_as_such() {
     let bench = Bench::new();
-    let recording = support::root().join("data/sealed/recordings/0ca5a116.h5");
+    let recording = support::root().join("data/concealed/recordings/0ca5a116.h5");
     let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "found", "--direct"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");

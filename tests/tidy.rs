@@ -26,7 +26,7 @@ const DIRECTION: [(&str, &str, &[&str]); 8] = [
 ];
 
 /// A package that stands outside the workspace: it shares nothing with the others, so that its recordings can examine them.
-const OUTSIDE: &str = "data/sealed/generator";
+const OUTSIDE: &str = "data/concealed/generator";
 
 /// The files of the project, relative to its root: what git has or would take; without git, what lies there.
 fn files() -> BTreeSet<String> {
@@ -216,7 +216,7 @@ fn the_workspace_lists_its_members_one_by_one() {
 }
 
 #[test]
-fn the_maker_of_sealed_recordings_shares_nothing_with_the_engine() {
+fn the_maker_of_concealed_recordings_shares_nothing_with_the_engine() {
     let outside = manifest(OUTSIDE);
     assert!(outside.contains_key("workspace"), "{OUTSIDE}/Cargo.toml has an empty [workspace] table: it belongs to no other");
     let ours: Vec<String> = dependencies(&outside).into_iter().filter(|name| name.starts_with("photocurrent")).collect();
@@ -329,11 +329,11 @@ fn no_code_knows_where_answers_are_kept() {
             assert!(!names, "{name}:{}: names a file of answers; the code under test must not know them", at + 1);
         }
     }
-    // What the sealed recordings conceal: no file of the tool names it, be it code, a comment or data.
+    // What the concealed recordings conceal: no file of the tool names it, be it code, a comment or data.
     for name in files().into_iter().filter(|name| is_under(name, &["src", "nodes"])) {
         let bytes = fs::read(root().join(&name)).unwrap_or_else(|error| panic!("{name}: {error}"));
         let text = String::from_utf8_lossy(&bytes);
-        assert!(!text.contains("answers.json"), "{name}: names the answers to the sealed recordings; the code under test must not know them");
+        assert!(!text.contains("answers.json"), "{name}: names the answers to the concealed recordings; the code under test must not know them");
     }
 }
 

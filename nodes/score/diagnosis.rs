@@ -89,7 +89,7 @@ impl Node for ScoreDiagnosis {
         grain: Grain::Whole,
         draws: false,
         exports: false,
-        sources: &["photocurrent-sealed-answers/1 (data/sealed/README.md)"],
+        sources: &["photocurrent-sealed-answers/1 (data/concealed/README.md)"],
         example: r#"
 [nodes.right]
 kind   = "score/diagnosis"

@@ -1,7 +1,7 @@
-"""What a run of a pipeline of manifest.py said, beside the answers: the lists of docs/sealed.md, or with --sums the numbers of docs/diagnosis.md.
+"""What a run of a pipeline of manifest.py said, beside the answers: the lists of docs/concealed.md, or with --sums the numbers of docs/diagnosis.md.
 
-    python3 data/sealed/summary.py out/sealed DIR/answers-blind.json
-    python3 data/sealed/summary.py out/sealed DIR/answers-blind.json --sums
+    python3 data/concealed/summary.py out/concealed DIR/answers-blind.json
+    python3 data/concealed/summary.py out/concealed DIR/answers-blind.json --sums
 """
 
 import argparse
@@ -54,12 +54,12 @@ def lists(recordings):
         rows = []
         for name, answer, metrics in recordings:
             if answer["kind"] in kinds:
-                strength = f"{answer['at_limit']:.1f}" if answer.get("at_limit") else ""
+                size = f"{answer['at_limit']:.1f}" if answer.get("at_limit") else ""
                 error = f"{metrics['parameter_error']:.1f}" if metrics.get("parameter_error") is not None else ""
-                rows.append((truth_of(answer, metrics["card"]), name, strength, said_of(metrics["card"]), error))
+                rows.append((truth_of(answer, metrics["card"]), name, size, said_of(metrics["card"]), error))
         if rows:
-            print(f"**{title}**\n\n| recording | truth | strength | said | error, % |\n| --- | --- | ---: | --- | ---: |")
-            print("\n".join(f"| {name} | {truth} | {strength} | {said} | {error} |" for truth, name, strength, said, error in sorted(rows)) + "\n")
+            print(f"**{title}**\n\n| recording | truth | effect size | said | error, % |\n| --- | --- | ---: | --- | ---: |")
+            print("\n".join(f"| {name} | {truth} | {size} | {said} | {error} |" for truth, name, size, said, error in sorted(rows)) + "\n")
 
 
 def sums(recordings):

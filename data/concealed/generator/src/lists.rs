@@ -7,9 +7,9 @@ use crate::plan::Plan;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
-/// One edition: which recordings, and from which seed.
+/// One version: which recordings, and from which seed.
 #[derive(Clone, Debug)]
-pub struct Edition {
+pub struct Version {
     pub plan: Plan,
     pub seed: String,
     /// Are the answers written in two halves?
@@ -17,8 +17,8 @@ pub struct Edition {
     pub out: PathBuf,
 }
 
-impl Edition {
-    /// Is it made as the edition is that is stored? Then answers say what that one's say, and lie beside the folder.
+impl Version {
+    /// Is it made as the version is that is stored? Then answers say what that one's say, and lie beside the folder.
     pub fn is_plain(&self) -> bool {
         self.plan == Plan::Short && !self.blind
     }
@@ -49,34 +49,34 @@ pub fn halves(answers: &[Value]) -> [Vec<Value>; 2] {
 }
 
 /// The list of recordings beside them; it does not give away what they conceal.
-fn list(edition: &Edition, answers: &[Value]) -> String {
+fn list(version: &Version, answers: &[Value]) -> String {
     let row = |answer: &Value| {
         format!("| `{}.h5` | {} | {} | `{}` |\n", id(answer), answer["bytes"], answer["events"], answer["sha256"].as_str().unwrap_or_default())
     };
     let mut rows: Vec<String> = answers.iter().map(row).collect();
     rows.sort();
-    let about = if edition.is_plain() {
+    let about = if version.is_plain() {
         "Written by [the generator](../generator) together with the recordings; do not edit.\nWhat they are, how they are made and under which licence: [README.md](../README.md).".to_owned()
     } else {
         format!(
-            "Written by the generator of `data/sealed` together with the recordings: plan `{}`, seed `{}`.\nWhat they are, how they are made and under which licence: `data/sealed/README.md`.",
-            edition.plan.name(),
-            edition.seed
+            "Written by the generator of `data/concealed` together with the recordings: plan `{}`, seed `{}`.\nWhat they are, how they are made and under which licence: `data/concealed/README.md`.",
+            version.plan.name(),
+            version.seed
         )
     };
     format!("# Recordings\n\n{about}\n\n| file | bytes | events | SHA-256 |\n| --- | --- | --- | --- |\n{}", rows.concat())
 }
 
 /// The answers as a document.
-fn document(edition: &Edition, part: Option<&str>, answers: &[Value]) -> Value {
-    let mut document = json!({ "schema": "photocurrent-sealed-answers/1", "seed": edition.seed });
-    if !edition.is_plain() {
-        document["plan"] = edition.plan.name().into();
+fn document(version: &Version, part: Option<&str>, answers: &[Value]) -> Value {
+    let mut document = json!({ "schema": "photocurrent-sealed-answers/1", "seed": version.seed });
+    if !version.is_plain() {
+        document["plan"] = version.plan.name().into();
     }
     if let Some(part) = part {
         document["part"] = part.into();
     }
-    let size = match edition.plan {
+    let size = match version.plan {
         Plan::Short => Some([72, 54]),
         Plan::Long => Some([96, 72]),
         Plan::Target => None,
@@ -89,27 +89,27 @@ fn document(edition: &Edition, part: Option<&str>, answers: &[Value]) -> Value {
     document
 }
 
-/// Writes the list and the answers of all recordings of an edition.
+/// Writes the list and the answers of all recordings of a version.
 ///
 /// # Errors
 /// What the file system says, with the file's name.
-pub fn write(edition: &Edition, answers: &[Value]) -> Result<(), String> {
+pub fn write(version: &Version, answers: &[Value]) -> Result<(), String> {
     let save = |path: &Path, text: &str| std::fs::write(path, text).map_err(|error| format!("{}: cannot be written: {error}", path.display()));
     let answer = |path: &Path, part: Option<&str>, answers: &[Value]| {
-        let text = serde_json::to_string_pretty(&document(edition, part, answers)).map_err(|error| format!("answers: {error}"))?;
+        let text = serde_json::to_string_pretty(&document(version, part, answers)).map_err(|error| format!("answers: {error}"))?;
         save(path, &(text + "\n"))
     };
-    if edition.is_plain() {
-        let beside = edition.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")).join("answers.json");
+    if version.is_plain() {
+        let beside = version.out.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new(".")).join("answers.json");
         answer(&beside, None, answers)?;
-    } else if edition.blind {
+    } else if version.blind {
         let [open, blind] = halves(answers);
-        answer(&edition.out.join("answers.json"), Some("open"), &open)?;
-        answer(&edition.out.join("answers-blind.json"), Some("blind"), &blind)?;
+        answer(&version.out.join("answers.json"), Some("open"), &open)?;
+        answer(&version.out.join("answers-blind.json"), Some("blind"), &blind)?;
     } else {
-        answer(&edition.out.join("answers.json"), None, answers)?;
+        answer(&version.out.join("answers.json"), None, answers)?;
     }
-    save(&edition.out.join("README.md"), &list(edition, answers))
+    save(&version.out.join("README.md"), &list(version, answers))
 }
 
 #[cfg(test)]
@@ -133,11 +133,11 @@ mod tests {
 
     #[test]
     fn documents_say_which_part_they_are() {
-        let edition = |plan, blind| Edition { plan, seed: "s".into(), blind, out: PathBuf::new() };
-        let stored = document(&edition(Plan::Short, false), None, &[]);
+        let version = |plan, blind| Version { plan, seed: "s".into(), blind, out: PathBuf::new() };
+        let stored = document(&version(Plan::Short, false), None, &[]);
         let keys: Vec<&String> = stored.as_object().expect("an object").keys().collect();
         assert_eq!(keys, ["schema", "seed", "width", "height", "recordings"]);
-        let half = document(&edition(Plan::Target, true), Some("blind"), &[]);
+        let half = document(&version(Plan::Target, true), Some("blind"), &[]);
         assert_eq!((&half["plan"], &half["part"], half.get("width")), (&json!("target"), &json!("blind"), None));
     }
 }

@@ -1,8 +1,8 @@
-"""Writes a pipeline that diagnoses every recording of an answer file of the sealed generator, one variant each, and holds what is said against the answers.
+"""Writes a pipeline that diagnoses every recording of an answer file of the concealed generator, one variant each, and holds what is said against the answers.
 
-    python3 data/sealed/manifest.py DIR/answers.json > DIR/sealed.toml
-    photocurrent run DIR/sealed.toml --out out/sealed
-    photocurrent table DIR/sealed.toml --rows card.truth --columns card.said --metric count --sum
+    python3 data/concealed/manifest.py DIR/answers.json > DIR/concealed.toml
+    photocurrent run DIR/concealed.toml --out out/concealed
+    photocurrent table DIR/concealed.toml --rows card.truth --columns card.said --metric count --sum
 
 Recordings with a `.target.toml` beside them are diagnosed on that known target. Of the answers only the names of the recordings are read.
 """
@@ -13,8 +13,8 @@ import sys
 import tomllib
 
 # The graph is that of the stored recordings; theirs, and the first of them, are replaced.
-PIPELINE = pathlib.Path(__file__).parent / "../../pipelines/diagnose/sealed.toml"
-STORED, ITS_FIRST = "../../data/sealed/", "059b61b4"
+PIPELINE = pathlib.Path(__file__).parent / "../../pipelines/diagnose/concealed.toml"
+STORED, ITS_FIRST = "../../data/concealed/", "059b61b4"
 
 TARGET = """[nodes.target]
 kind   = "diagnose/target"
@@ -38,7 +38,7 @@ def main(answers):
     try:
         names = [pathlib.Path(one["file"]).stem for one in json.loads(answers.read_text())["recordings"]]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        sys.exit(f"{answers}: not the answers of a folder of sealed recordings ({type(error).__name__}: {error}); make one with data/sealed/generator")
+        sys.exit(f"{answers}: not the answers of a folder of concealed recordings ({type(error).__name__}: {error}); make one with data/concealed/generator")
     if not names:
         sys.exit(f"{answers}: no recording is named in it")
     known = {name: answers.parent / f"{name}.target.toml" for name in names}

@@ -275,8 +275,8 @@ fn laws_outside_the_catalogue_do_what_they_say() {
 }
 
 #[test]
-fn the_stored_edition_comes_out_as_it_is_stored() {
-    // The second recording of the stored edition, b7aea23d: the digest is of the values in that file.
+fn the_stored_version_comes_out_as_it_is_stored() {
+    // The second recording of the stored version, b7aea23d: the digest is of the values in that file.
     let mut draft = draw(Plan::Short, 1, "sealed physics, second edition").expect("a recording of the plan");
     let (events, charge) = run(&draft.scene, &draft.physics, 72, 54, &draft.timing, &mut draft.random);
     let frames = digitise(&charge, &draft.physics, 72, draft.numbers, &mut draft.random);
