@@ -1,7 +1,7 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
 # Both install what is missing first, through apt: Debian's libhdf5, and for tests its chromium (pages) and python3-h5py (readers). Rust itself must be there: https://rustup.rs
 
-# Where cargo builds, unless it is told otherwise.
+# Where cargo builds, unless it CARGO_TARGET_DIR says otherwise.
 BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
 .PHONY: demo test browser readers lint figures refine-weights test-training setup clean

@@ -1,7 +1,7 @@
 //! What every method that turns captured frames into frames at other instants does alike: which frames are asked for, where thresholds come from,
 //! what white is, and the walk over rows.
 //!
-//! Methods that stand beside each other must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
+//! Methods that are compared must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
 //! planning and for running, and [`by_rows`] and [`in_rows`] cut the work into rows.
 
 use crate::co_located::{CoLocated, CoLocatedEvents};

@@ -258,7 +258,7 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
     assert_ne!(browser.js("document.querySelector('#time .cursor').getAttribute('x1')"), cursor);
     // Modes, each another picture; a method against itself differs nowhere.
     let mut seen = vec![browser.js(&shown())];
-    for mode in ["beside", "difference"] {
+    for mode in ["pair", "difference"] {
         browser.js(&format!("document.querySelector('[data-mode={mode}]').click()"));
         seen.push(browser.js(&shown()));
         browser.check(mode);

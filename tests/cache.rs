@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 const ALL: [&str; 10] = ["edi", "frames", "psnr", "psnr_edi", "recording", "render", "scene", "sensor", "solve", "table"];
 
-/// A bench with the small pipeline as `m.toml`, its sensor description beside it as `sensor.toml`.
+/// A bench with the small pipeline as `m.toml`, its sensor description next to it as `sensor.toml`.
 fn bench() -> Bench {
     let bench = Bench::new();
     std::fs::copy(support::root().join("data/sensors/hybrid.toml"), bench.path("sensor.toml")).expect("the sensor description");

@@ -2,7 +2,7 @@
 //!
 //! A code block with commands of ours has an invisible line before it:
 //!
-//! - `<!-- runs -->`: every command is run, in the order of the page, in a folder that has the project's pipelines, data and docs, and the files that the page tells
+//! - `<!-- runs -->`: every command is run, in the order of the page, in a folder that has the project's pipelines, data and docs, and the files that the page says
 //!   to save (`<!-- file: NAME -->` before their blocks). What stands below a line `$ command` is output, compared line by line; `...` stands for the rest of a line, and
 //!   a line of it alone for any lines. `runs, failing` is for commands that find a mistake.
 //! - `<!-- runs, slowly -->`: the same, for what takes more than some seconds; `make figures` runs it.

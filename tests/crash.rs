@@ -84,7 +84,7 @@ fn assert_ends_as(bench: &Bench, arguments: &[&str], expected: &Undisturbed, whe
     assert_eq!(digests(&outcome), expected.digests, "{when}");
     assert_exports_are_whole(&bench.path("out/m"), when);
     let mut found = results(&bench.path("out/m"));
-    // What a killed run had half-made stands beside the results under a hidden name.
+    // What a killed run had half-made stands next to the results under a hidden name.
     found.retain(|path, _| !path.iter().next().is_some_and(|first| is_hidden(Path::new(first))));
     assert_eq!(found.keys().collect::<Vec<_>>(), expected.files.keys().collect::<Vec<_>>(), "{when}");
     assert!(found == expected.files, "{when}: a file differs");

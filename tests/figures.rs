@@ -1,4 +1,4 @@
-//! The tables of README.md and docs/ are what the commands beside them print today.
+//! The tables of README.md and docs/ are what the commands next to them print today.
 //!
 //! A table whose numbers a command makes has a line before it, invisible on the page:
 //!
@@ -8,7 +8,7 @@
 //!
 //! What follows it is compared: of a code block every line must stand in the output, in this order and unbroken (`...` at the end of a line stands for the rest of it; a line
 //! that begins with `$ ` is the command itself); of a Markdown table the numbers of each row must stand in the output in this order. With `> FILE` at the end the output is
-//! that file, below the folder where the command runs, and not what it printed. Files that the page tells to save (`<!-- file: NAME -->`) are there. Several commands are joined by ` && `.
+//! that file, below the folder where the command runs, and not what it printed. Files that the page says to save (`<!-- file: NAME -->`) are there. Several commands are joined by ` && `.
 //!
 //! `made by, slowly:` marks what takes more than some seconds. `make figures` holds those as well:
 //! `cargo test --release --test photocurrent figures -- --include-ignored`.

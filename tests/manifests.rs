@@ -1,6 +1,6 @@
 //! Every mistake in a manifest gives its message: file, line, what was found, what was expected, what to do.
 //!
-//! `manifests/bad` holds one malformed manifest per family of mistakes, named after it, and beside it what `photocurrent plan` says on
+//! `manifests/bad` holds one malformed manifest per family of mistakes, named after it, and next to it what `photocurrent plan` says on
 //! stderr, to the letter; `manifests/bad/parts` holds the files that they name. A changed message is a changed file here, so that messages are
 //! read when they are reviewed: `UPDATE_EXPECT=1 cargo test --test photocurrent manifests` writes them anew.
 

@@ -58,7 +58,7 @@ pub fn blocks(name: &str, text: &str) -> Vec<Block> {
     found
 }
 
-/// A folder as a reader of a page has it: the project's files, and those that the page tells to save.
+/// A folder as a reader of a page has it: the project's files, and those that the page says to save.
 pub fn bench(page: &str) -> Bench {
     let bench = Bench::new();
     for folder in ["pipelines", "data", "docs"] {

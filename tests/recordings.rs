@@ -104,7 +104,7 @@ fn words(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Refused with this exit code, and told in these words.
+/// Refused with this exit code, and reported in these words.
 fn refuses(bench: &Bench, code: i32, parts: &[&str]) {
     assert_says(&bench.run(&["run", "m.toml"]), code, parts);
     if code == 2 {

@@ -4,7 +4,7 @@
     photocurrent run DIR/concealed.toml --out out/concealed
     photocurrent table DIR/concealed.toml --rows card.truth --columns card.said --metric count --sum
 
-Recordings with a `.target.toml` beside them are diagnosed on that known target. Of the answers only the names of the recordings are read.
+Recordings with a `.target.toml` next to them are diagnosed on that known target. Of the answers only the names of the recordings are read.
 """
 
 import json

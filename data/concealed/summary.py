@@ -1,4 +1,4 @@
-"""What a run of a pipeline of manifest.py said, beside the answers: the lists of docs/concealed.md, or with --sums the numbers of docs/diagnosis.md.
+"""What a run of a pipeline of manifest.py said, with the answers: the lists of docs/concealed.md, or with --sums the numbers of docs/diagnosis.md.
 
     python3 data/concealed/summary.py out/concealed DIR/answers-blind.json
     python3 data/concealed/summary.py out/concealed DIR/answers-blind.json --sums

@@ -2,7 +2,7 @@
 //!
 //! The command runs in an empty folder that becomes this node's output folder. It finds there `recording.h5` (events, frames, sensor, in the layout of docs/formats.md),
 //! and `times_us.txt`, one line a wanted picture: the middle of its exposure in us. It writes one picture a line into `pictures/` (`*.png`, or `*.npy` of [height, width]),
-//! in the order of their names. What it prints goes to `stdout.txt` and `stderr.txt` beside them.
+//! in the order of their names. What it prints goes to `stdout.txt` and `stderr.txt` next to them.
 //!
 //! It runs again when its inputs, parameters or `files` change, and when `version` does: that text is yours to raise, for everything that cannot be seen from here (the
 //! interpreter, weights, a library). No shell takes part unless `command` names one. Limits: what a command does besides, nobody here knows; one that draws random numbers

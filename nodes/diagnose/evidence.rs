@@ -70,7 +70,7 @@ pub struct Params {
     /// So many of the best effects are fitted exactly.
     #[schemars(range(min = 1, max = 60))]
     pub refined: u32,
-    /// And so many of a second effect beside the first.
+    /// And so many of a second effect in addition to the first.
     #[schemars(range(min = 1, max = 60))]
     pub refined_second: u32,
     /// In so many rounds for each size.
@@ -153,7 +153,7 @@ photocurrent_core::ports! {
         sensor: Arc<Sensor>,
         /// What direct tests saw, a diagnosis of kind `integrity`; without it nothing is amended.
         integrity: Option<Arc<Diagnosis>>,
-        /// A known target, a diagnosis of kind `target`: no picture is fitted then, and what is free of the target is fitted beside every effect.
+        /// A known target, a diagnosis of kind `target`: no picture is fitted then, and what is free of the target is fitted with every effect.
         target: Option<Arc<Diagnosis>>,
         /// Light that is known, of the array's pixels, grey: no picture is fitted then, either.
         light: Option<Light>,

@@ -2,7 +2,7 @@
 //!
 //! A rotating star, a fan, a sliding board: what it looks like is stated as for `simulate/scene`; where it stands, how fast it turns and when it began is only known to a range.
 //! Each range is searched, then the best few are fitted by damped Gauss-Newton with robust weights (Student's t) to a sample of the frame values, each the mean of the scene over its
-//! row's exposure. `target` is the fitted scene with what is free of it, for `diagnose/evidence`, which fits it beside every effect; `light` is the light of it over the recording, for
+//! row's exposure. `target` is the fitted scene with what is free of it, for `diagnose/evidence`, which fits it with every effect; `light` is the light of it over the recording, for
 //! everything that takes light.
 //!
 //! Source: docs/diagnosis.md, known targets. Limits: the whole array sees the target; what is free of it hides an effect that is exactly alike (`illuminance` an exposure time), so state

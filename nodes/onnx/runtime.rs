@@ -31,7 +31,7 @@ fn environment(library: &Path) -> Result<Environment, NodeError> {
         if path == library {
             return Ok(environment.clone());
         }
-        return Err(NodeError::usage(format!("{} was loaded before, and one process cannot use {} beside it", path.display(), library.display()))
+        return Err(NodeError::usage(format!("{} was loaded before, and one process cannot use {} as well", path.display(), library.display()))
             .hint("name one library in all nodes")
             .param("runtime"));
     }

@@ -1,4 +1,4 @@
-//! Frames beside their true frames: the loop, the peak and the rows of scores that all full-reference metrics share.
+//! Frames with their true frames: the loop, the peak and the rows of scores that all full-reference metrics share.
 
 use super::matching::match_frames;
 use photocurrent_core::quantity::Duration;

@@ -50,7 +50,7 @@ photocurrent_core::ports! {
         sigma: FrameSequence,
         /// What the frames should be.
         truth: Truth,
-        /// For the peak that tells moving pixels.
+        /// For the peak from which moving pixels follow.
         sensor: Option<Arc<Sensor>>,
     }
 }

@@ -1,13 +1,13 @@
 //! `score/diagnosis`: a diagnosis held against what is known of the recording's sensor.
 //!
-//! The answers are a file beside recordings that were made to examine a diagnosis (`photocurrent-sealed-answers/1`): for each recording which effects its sensor has
+//! The answers are a file next to recordings that were made to examine a diagnosis (`photocurrent-sealed-answers/1`): for each recording which effects its sensor has
 //! beyond its description, with their numbers, or none, or a law outside the catalogue. This node alone reads such a file; no stage of a diagnosis does.
 //!
 //! Numbers depend on what is concealed: `false_alarm` where nothing is; `first_right`, `in_set`, `set_size`, `surplus`, `f1`, `posterior`, `parameter_error` and `covered` where
 //! effects of the catalogue are; `unnamed` and `covariate_right` where a law is that no catalogue lists. What does not apply is left out, so that means over
 //! recordings are means over those of their kind. `count` is 1: with the card's fields `truth` and `said`, its sum is a confusion matrix.
 //!
-//! Limits: effects that no recording could tell apart count as wrong when the other one is named; `in_set` is the fairer number.
+//! Limits: effects that no recording could distinguish count as wrong when the other one is named; `in_set` is the fairer number.
 
 use photocurrent_core::quantity::InputPath;
 use photocurrent_core::table::{Column, Score, TableMeta};

@@ -285,7 +285,7 @@ fn check_scores(path: &Path) -> Result<Findings, Failure> {
 fn check_diagnosis(path: &Path) -> Result<Findings, Failure> {
     let file = if path.is_dir() { path.join("diagnosis.json") } else { path.to_path_buf() };
     if file.extension().is_some_and(|extension| extension == "html") {
-        return Ok(Findings::new(&file).of("the page of a diagnosis (open it in a browser; its numbers are in diagnosis.json beside it)"));
+        return Ok(Findings::new(&file).of("the page of a diagnosis (open it in a browser; its numbers are in diagnosis.json next to it)"));
     }
     let text = std::fs::read_to_string(&file).map_err(|error| data(photocurrent_core::error::cannot_read(&file, &error)))?;
     let report: photocurrent_diagnosis::report::Report =

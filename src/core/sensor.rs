@@ -276,7 +276,7 @@ impl Sensor {
         value.ok_or_else(|| self.lacks(&[field], who))
     }
 
-    /// Refuses a description that does not state all of several fields, so that those that are missing are told at once. Each field is given with
+    /// Refuses a description that does not state all of several fields, so that those that are missing are reported at once. Each field is given with
     /// whether it is stated.
     ///
     /// # Errors

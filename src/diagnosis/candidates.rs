@@ -8,7 +8,7 @@ use crate::nominal::Nominal;
 use crate::record::Described;
 use photocurrent_core::sensor::Reset;
 pub use photocurrent_sensor::effects::sought::Signs;
-use photocurrent_sensor::effects::sought::{Field, Grows, Measure, Applied, Size, Sought};
+use photocurrent_sensor::effects::sought::{Applied, Field, Grows, Measure, Size, Sought};
 use photocurrent_sensor::effects::{EffectDecl, ParameterDecl, Unit, catalogue};
 use std::sync::LazyLock;
 
@@ -209,7 +209,7 @@ impl Candidate {
         let value = self.value(effect_size, scales, &trial.nominal);
         let written = |name: &str, value: f64| self.decl.parameter(name).map(|decl| (name.to_owned(), decl.unit.written(value)));
         parameters.extend(written(self.parameter, value));
-        for (name, size) in self.sought.beside.iter().filter(|(name, _)| !parameters.contains_key(*name)).collect::<Vec<_>>() {
+        for (name, size) in self.sought.others.iter().filter(|(name, _)| !parameters.contains_key(*name)).collect::<Vec<_>>() {
             parameters.extend(written(name, scales.size(size, &trial.nominal)));
         }
         let Some(companion) = self.sought.companion else { return };

@@ -2,7 +2,7 @@
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::{Case, PixelEvents};
-use crate::fitted::{fitted, put_beside};
+use crate::fitted::{fitted, add_numbers};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
 use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
@@ -155,7 +155,7 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
 fn description(case: &Case, nominal: &Nominal, scales: &Scales, claims: &[Claim]) -> Option<Sensor> {
     let values: Vec<(usize, f64)> = claims.iter().flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value))).collect();
     let mut changed = (!values.is_empty()).then(|| fitted(&case.sensor, nominal, scales, &values))?;
-    claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| put_beside(&mut changed.effects, finding.id, &finding.parameters));
+    claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| add_numbers(&mut changed.effects, finding.id, &finding.parameters));
     Some(changed)
 }
 
@@ -200,7 +200,7 @@ pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Inte
     let rest = integrity.findings.iter().filter(|finding| !hot::IDS.contains(&finding.id));
     let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
     amended.sensor = fitted(&case.sensor, nominal, scales, &values);
-    rest.for_each(|finding| put_beside(&mut amended.sensor.effects, finding.id, &finding.parameters));
+    rest.for_each(|finding| add_numbers(&mut amended.sensor.effects, finding.id, &finding.parameters));
     if let Some(step) = values.iter().find(|(which, _)| CANDIDATES[*which].id == stamps::GRID).map(|(_, step)| *step) {
         amended.t_resolution_ns = (step * 1e9).round() as i64;
     }
@@ -315,7 +315,7 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
     }
     if let Some(finding) = &claim.finding {
         effect.plain = format!("{}: {}", decl.about, finding.seen);
-        // Numbers that are no candidates of their own stand beside.
+        // Numbers that are no candidates of their own are added.
         for (parameter, value) in &finding.parameters {
             if let Some(of) = decl.parameters.iter().find(|of| of.name == *parameter).filter(|_| Candidate::find(claim.id, parameter).is_none()) {
                 let key = format!("{parameter}{}", of.unit.suffix());

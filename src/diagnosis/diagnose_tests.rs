@@ -1,4 +1,4 @@
-//! A whole diagnosis of small recordings, with something decided that is told beforehand.
+//! A whole diagnosis of small recordings, with something decided that is given beforehand.
 
 use super::*;
 use crate::testing;

@@ -8,7 +8,7 @@
 use crate::case::Case;
 use crate::nominal::Nominal;
 use crate::sample::Sample;
-use crate::scene::{Scene, SceneSetting, Told, pixel_data, task};
+use crate::scene::{Given, Scene, SceneSetting, pixel_data, task};
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_sensor::conditional::{Conditional, Look, Track, frame_values};
 use photocurrent_sensor::effects::from_description;
@@ -111,23 +111,23 @@ fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, settin
         let (mut events, mut frames) = recorded(n);
         events.iter_mut().for_each(|event| *event = undo.event(&site, event));
         undo.frames(nominal, &site, &mut frames);
-        Told { data: (events, frames), sensor: nominal.map_sensor(), beyond: Vec::new() }
+        Given { data: (events, frames), sensor: nominal.map_sensor(), beyond: Vec::new() }
     };
-    let solve = |told: &(dyn Fn(usize) -> Told + Sync)| {
-        Scene::estimate_from(sample, &priors, told, |told| task(case, setting, &told.data, told.sensor, &told.beyond), case.span.0)
+    let solve = |given: &(dyn Fn(usize) -> Given + Sync)| {
+        Scene::estimate_from(sample, &priors, given, |given| task(case, setting, &given.data, given.sensor, &given.beyond), case.span.0)
     };
     let mut scene = solve(&first);
     for _ in 0..if undo.is_none() { 0 } else { ROUNDS } {
         let again = |n: usize| {
-            let mut told = first(n);
+            let mut given = first(n);
             if scene.is_known[n] {
                 let (mut known, site) = (Known::default(), case.site(sample.pixels[n] as usize, 0));
                 let (t_ns, own) = scene.pixel(n);
                 let light = Estimate { t_ns, own, seen: None };
-                undo.at_light(nominal, &site, light, &recorded(n).0, &told.data.0, &mut known, &mut Memory::default());
-                (told.data.0, told.beyond) = (known.events, known.beyond);
+                undo.at_light(nominal, &site, light, &recorded(n).0, &given.data.0, &mut known, &mut Memory::default());
+                (given.data.0, given.beyond) = (known.events, known.beyond);
             }
-            told
+            given
         };
         scene = solve(&again);
     }

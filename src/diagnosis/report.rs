@@ -21,7 +21,7 @@ pub enum Verdict {
     Consistent,
     /// One cause is named for what differs.
     Named,
-    /// Several causes would do; the recording cannot tell.
+    /// Several causes would do; the recording cannot decide.
     Ambiguous,
     /// Something differs, and no effect of the catalogue explains it.
     Unnamed,
@@ -237,7 +237,7 @@ pub struct Report {
     /// Share of the misfit that the named effects leave; absent when it was not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub residual_left: Option<f64>,
-    /// The fitted description beside the report; absent when there is none.
+    /// The fitted description, next to the report; absent when there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor_fitted: Option<String>,
     /// From what.

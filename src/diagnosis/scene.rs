@@ -66,8 +66,8 @@ impl Scene {
     /// # Panics
     /// When there is not one prior for each pixel.
     pub fn estimate_with(case: &Case, nominal: &Nominal, sample: &Sample, setting: &SceneSetting, priors: &[Prior]) -> Scene {
-        let told = |n: usize| Told { data: pixel_data(case, nominal, setting, sample.pixels[n] as usize), sensor: nominal.map_sensor(), beyond: Vec::new() };
-        Scene::estimate_from(sample, priors, told, |told| task(case, setting, &told.data, told.sensor, &told.beyond), case.span.0)
+        let given = |n: usize| Given { data: pixel_data(case, nominal, setting, sample.pixels[n] as usize), sensor: nominal.map_sensor(), beyond: Vec::new() };
+        Scene::estimate_from(sample, priors, given, |given| task(case, setting, &given.data, given.sensor, &given.beyond), case.span.0)
     }
 
     /// The light of every pixel of a sample, from measurements and sensor of each (by its place in the sample) and the problem that they make.
@@ -77,8 +77,8 @@ impl Scene {
     pub fn estimate_from(
         sample: &Sample,
         priors: &[Prior],
-        told: impl Fn(usize) -> Told + Sync,
-        task: impl for<'a> Fn(&'a Told) -> MapTask<'a> + Sync,
+        given: impl Fn(usize) -> Given + Sync,
+        task: impl for<'a> Fn(&'a Given) -> MapTask<'a> + Sync,
         start_ns: i64,
     ) -> Scene {
         const CHUNK: usize = 64;
@@ -87,13 +87,13 @@ impl Scene {
         let parts: Vec<Vec<(Found, f64)>> = places
             .par_chunks(CHUNK)
             .map_init(MapGroup::default, |group, places| {
-                let told: Vec<Told> = places.iter().map(|&n| told(n)).collect();
+                let given: Vec<Given> = places.iter().map(|&n| given(n)).collect();
                 let mut found = vec![((vec![start_ns], vec![0.0], false), 0.0); places.len()];
-                let lit: Vec<usize> = (0..places.len()).filter(|&n| told[n].data.1.iter().any(|frame| !frame.saturated)).collect();
+                let lit: Vec<usize> = (0..places.len()).filter(|&n| given[n].data.1.iter().any(|frame| !frame.saturated)).collect();
                 let tasks: Vec<MapTask<'_>> = lit
                     .iter()
                     .map(|&n| {
-                        let task = task(&told[n]);
+                        let task = task(&given[n]);
                         MapTask { options: MapOptions { prior: priors[places[n]], ..task.options }, ..task }
                     })
                     .collect();
@@ -152,9 +152,9 @@ impl Scene {
 /// A pixel's measurements as the solver takes them.
 pub type PixelData = (Vec<MapEvent>, Vec<MapFrame>);
 
-/// What the solver is told of a pixel.
+/// What the solver gets of a pixel.
 #[derive(Clone, Debug)]
-pub struct Told {
+pub struct Given {
     /// What was measured.
     pub data: PixelData,
     /// By which sensor.

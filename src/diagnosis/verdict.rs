@@ -7,9 +7,9 @@
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Signs};
 use crate::case::Case;
+use crate::dependence::Dependence;
 use crate::integrity::regular;
 use crate::integrity::{Finding, Integrity};
-use crate::dependence::Dependence;
 use crate::nominal::Nominal;
 use crate::report::{Detectable, Verdict};
 use crate::residual::located::Locations;
@@ -88,7 +88,7 @@ pub struct Decided {
     pub alarm: bool,
     /// For one more effect, best first.
     pub proposals: Vec<Proposal>,
-    /// For a second one beside the first of `proposals`, best first.
+    /// For a second one in addition to the first of `proposals`, best first.
     pub second: Vec<Proposal>,
     /// What explains more than any candidate does, and is none.
     pub unexplained: Option<Unexplained>,
@@ -161,7 +161,7 @@ impl Answer {
 
 /// Direct tests, as one that found something.
 pub const DIRECT: &str = "direct";
-/// An effect with this share of the best one's probability is told with it.
+/// An effect with this share of the best one's probability is reported with it.
 pub const IN_SET_SHARE: f64 = 0.25;
 /// The largest set.
 const LARGEST_SET: usize = 3;
@@ -191,10 +191,10 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, decided: O
     answer
 }
 
-/// The claims of what was decided: an effect, and one beside it.
+/// The claims of what was decided: an effect, and a second one.
 fn of_scene(decided: &Decided) -> Vec<Claim> {
     let Some(mut first) = best(&decided.name, &decided.proposals) else { return Vec::new() };
-    // It was fitted with the first one applied: what looks alike is told apart there.
+    // It was fitted with the first one applied: what looks alike is distinguished there.
     let apart = |one: &&Proposal| !first.also_possible.contains(&CANDIDATES[one.candidate].id);
     let rest: Vec<Proposal> = decided.second.iter().filter(apart).cloned().collect();
     match best(&decided.name, &rest) {
@@ -210,13 +210,13 @@ fn of_scene(decided: &Decided) -> Vec<Claim> {
     }
 }
 
-/// The most probable of the proposals that passed, with those that are not told apart from it.
+/// The most probable of the proposals that passed, with those that are not distinguished from it.
 fn best(scene: &str, proposals: &[Proposal]) -> Option<Claim> {
     let passed = proposals.iter().filter(|one| one.passed);
     let one = passed.max_by(|a, b| a.probability.total_cmp(&b.probability).then(b.candidate.cmp(&a.candidate)))?;
     Some(Claim {
         id: CANDIDATES[one.candidate].id,
-        also_possible: beside(one, proposals),
+        also_possible: alternatives(one, proposals),
         values: vec![(one.candidate, one.value, one.ci95)],
         score: one.score,
         posterior: Some(one.probability),
@@ -230,7 +230,7 @@ fn best(scene: &str, proposals: &[Proposal]) -> Option<Claim> {
 }
 
 /// Effects that are nearly as probable as one, most first, whether they passed or not.
-fn beside(one: &Proposal, proposals: &[Proposal]) -> Vec<&'static str> {
+fn alternatives(one: &Proposal, proposals: &[Proposal]) -> Vec<&'static str> {
     let mut near: Vec<&Proposal> = proposals.iter().filter(|other| other.probability > IN_SET_SHARE * one.probability).collect();
     near.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.candidate.cmp(&b.candidate)));
     let mut ids = vec![CANDIDATES[one.candidate].id];

@@ -122,8 +122,8 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
         seen: String::new(),
         heldout: None,
     };
-    let beside = answer_with(&Integrity { findings: vec![hot], ..integrity }, None);
-    assert_eq!((beside.verdict, beside.claims[0].id), (Verdict::Named, "hot_pixels"));
+    let both = answer_with(&Integrity { findings: vec![hot], ..integrity }, None);
+    assert_eq!((both.verdict, both.claims[0].id), (Verdict::Named, "hot_pixels"));
 }
 
 #[test]
@@ -142,6 +142,6 @@ fn what_looks_like_a_direct_finding_is_its_remainder() {
     let integrity = Integrity { findings: vec![finding], ..Integrity::default() };
     let scale = proposal("threshold_scale", "fraction", 60.0, 0.9, 0.2);
     assert_eq!(ids(&answer_with(&integrity, Some(&decided(vec![scale])))), ["event_loss"]);
-    // Something of another kind is named beside.
+    // Something of another kind is named as well.
     assert_eq!(ids(&answer_with(&integrity, Some(&decided(vec![leak(1.1, 0.9)])))), ["event_loss", "leak_events"]);
 }

@@ -11,7 +11,9 @@
 //! takes its reference at that event.
 
 use crate::comparator::signed_step;
-use crate::effects::{BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds};
+use crate::effects::{
+    BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds,
+};
 use crate::elementary::{exp, exp_m1, ln};
 use crate::exposure::log_linear_mean;
 use crate::front_end::FrontEnd;

@@ -58,7 +58,8 @@ impl Since {
     /// What the comparator sees beyond the voltage at an instant.
     fn added(&self, t_ns: i64) -> f64 {
         let drift = self.drift_per_s * f64::max((t_ns - self.reset_ns) as f64 * 1e-9, 0.0);
-        let by_impulses: f64 = self.impulses.iter().filter(|(impulse_ns, _)| *impulse_ns >= self.reset_ns && *impulse_ns < t_ns).map(|(_, change)| change).sum();
+        let by_impulses: f64 =
+            self.impulses.iter().filter(|(impulse_ns, _)| *impulse_ns >= self.reset_ns && *impulse_ns < t_ns).map(|(_, change)| change).sum();
         drift + by_impulses - self.left
     }
 }
@@ -82,7 +83,7 @@ pub struct Interval {
 
 /// The intervals of one pixel's events (in order of in-pixel time) under `log_light` at `t_ns`, linear between and constant beyond.
 ///
-/// An event inside the blind time of the one before has an interval of no length: it is told as an event with compensator 0.
+/// An event inside the blind time of the one before has an interval of no length: it counts as an event with compensator 0.
 ///
 /// # Panics
 /// When there is no knot of light.
@@ -91,7 +92,7 @@ pub fn intervals(light: (&[i64], &[f64]), sensor: &MapSensor, noise: &BaseNoise,
     intervals_since(light, sensor, noise, events, |_| &usual, span, random)
 }
 
-/// The same with what each interval has of its own: `since` tells it of the interval before an event (by its number), and of the silent end (by the number of events).
+/// The same with what each interval has of its own: `since` gives it for the interval before an event (by its number), and of the silent end (by the number of events).
 ///
 /// # Panics
 /// When there is no knot of light.
@@ -215,15 +216,15 @@ struct Pixel<'a> {
 }
 
 impl Pixel<'_> {
-    /// Lets time pass until `t_ns`, telling the voltage after every step; does nothing when it has passed.
-    fn go_to(&mut self, t_ns: i64, mut tell: impl FnMut(i64, f64)) {
+    /// Lets time pass until `t_ns`, reporting the voltage after every step; does nothing when it has passed.
+    fn go_to(&mut self, t_ns: i64, mut report: impl FnMut(i64, f64)) {
         while self.now_ns < t_ns {
             let first = self.light.at(self.now_ns);
             let next = t_ns.min(self.light.next_knot(self.now_ns)).min(self.now_ns + STEP_NS);
             let last = self.light.at(next);
             self.voltage = ramp_voltage(&self.sensor.front_end, self.voltage, first, last, (next - self.now_ns) as f64 * 1e-9);
             self.now_ns = next;
-            tell(next, self.voltage);
+            report(next, self.voltage);
         }
     }
 }
@@ -417,9 +418,9 @@ mod tests {
         let all: Vec<Vec<MapEvent>> = (10..16).map(rounded).collect();
         let with = |noise: BaseNoise| all.iter().flat_map(|events| found(&SENSOR, &noise, events)).collect::<Vec<Interval>>();
         let limit = 1.63 / libm::sqrt(all.iter().map(Vec::len).sum::<usize>() as f64);
-        let told = ks(&with(BaseNoise { stamp_width_ns: step_ns, ..noise(sigma) }));
-        let untold = ks(&with(noise(sigma)));
-        assert!(told < limit && untold > 1.5 * limit, "{told} and {untold} of {limit}");
+        let stated = ks(&with(BaseNoise { stamp_width_ns: step_ns, ..noise(sigma) }));
+        let unstated = ks(&with(noise(sigma)));
+        assert!(stated < limit && unstated > 1.5 * limit, "{stated} and {unstated} of {limit}");
     }
 
     #[test]

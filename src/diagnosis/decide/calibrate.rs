@@ -174,7 +174,7 @@ fn log_of_truth(model: &Model, one: &Example, facts: &Facts) -> f64 {
     } else {
         facts.first.iter().zip(&posterior.each).filter(|(first, _)| one.has(&first.0)).map(|(_, p)| p).sum()
     };
-    // What never was a hypothesis tells nothing of the model.
+    // What never was a hypothesis says nothing of the model.
     if right > 0.0 { libm::log(right.max(1e-4)) } else { 0.0 }
 }
 
@@ -189,7 +189,7 @@ pub struct Validation {
     pub nothing: (usize, usize),
     /// With one effect: how many, something claimed, it named first, it in the set.
     pub one: (usize, usize, usize, usize),
-    /// With one effect: a second one named beside it.
+    /// With one effect: a second one named in addition.
     pub surplus: usize,
     /// With two: how many, both named and nothing else, and the sum of F1.
     pub two: (usize, usize, f64),
@@ -231,7 +231,7 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
     let second = model
         .second(facts)
         .filter(|second| first.is_some() && second.something >= decision.least_second)
-        .and_then(|second| facts.beside.iter().zip(second.each).max_by(|a, b| a.1.total_cmp(&b.1)).map(|((id, ..), _)| id.as_str()))
+        .and_then(|second| facts.second.iter().zip(second.each).max_by(|a, b| a.1.total_cmp(&b.1)).map(|((id, ..), _)| id.as_str()))
         .filter(|id| !set.contains(id));
     let right = first.is_some_and(|((id, ..), _)| one.has(id));
     if let Some((_, p)) = first {
@@ -277,9 +277,9 @@ mod tests {
     fn facts(gain: f64, share_of_other: f64) -> Facts {
         Facts {
             gains: Gains { sized: libm::log(gain), random: -6.0, swing: -6.0 },
-            beside_gains: Some(Gains { sized: libm::log(0.1 * gain), random: -6.0, swing: -6.0 }),
+            second_gains: Some(Gains { sized: libm::log(0.1 * gain), random: -6.0, swing: -6.0 }),
             first: vec![("clock_offset".into(), 1.0, false), ("second_pole".into(), share_of_other, false)],
-            beside: vec![("leak_events".into(), 1.0, false)],
+            second: vec![("leak_events".into(), 1.0, false)],
             open: [-3.0, -2.0],
             share: 0.0,
             scene: String::new(),

@@ -11,7 +11,7 @@ use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::located::{Located, Locations};
 use crate::verdict::{Decided, Proposal, Unexplained};
-use model::{Posterior, Facts, KINDS, Models, hypotheses};
+use model::{Facts, KINDS, Models, Posterior, hypotheses};
 use serde::{Deserialize, Serialize};
 
 pub mod calibrate;
@@ -32,7 +32,7 @@ pub struct Decision {
     pub most_left: f64,
     /// And silence says nothing where more than this is left.
     pub most_silent: f64,
-    /// Nor where nothing is said from a smaller gain on than this, nats an event: the scene errs too much to tell.
+    /// Nor where nothing is said from a smaller gain on than this, nats an event: the scene errs too much to decide.
     pub most_needed: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
     pub shared_error: f64,
@@ -75,7 +75,7 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
     }
     let needed = needed_gain(found, decision);
     if !said.alarm && needed > decision.most_needed {
-        return Err("what events say on this scene does not tell effects from what the scene gets wrong, but for the largest".to_owned());
+        return Err("what events say on this scene does not separate effects from errors of the scene, but for the largest".to_owned());
     }
     Ok(said)
 }
@@ -90,7 +90,8 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
     let facts = Facts::of(found);
     let posterior = decision.models.of(&found.scene).first(&facts);
     let is_something = posterior.something >= decision.least;
-    let first = proposals(found, &hypotheses(&found.ranked, &found.random, found.noise[0]), &posterior, posterior.something / decision.least, nominal, decision);
+    let first =
+        proposals(found, &hypotheses(&found.ranked, &found.random, found.noise[0]), &posterior, posterior.something / decision.least, nominal, decision);
     let most = first.iter().map(|one| one.probability).fold(0.0, f64::max);
     let is_unnamed = is_something && posterior.unnamed > most;
     let second = decision.models.of(&found.scene).second(&facts).map_or_else(Vec::new, |posterior| {
@@ -230,7 +231,7 @@ mod tests {
             |scene: &str| Evidence { scene: scene.into(), share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.01, 0.0)], ..Evidence::default() };
         assert_eq!(decide(&of("picture"), &nominal, &Decision::default()).map(|said| said.alarm), Ok(false));
         let deaf = Decision { most_needed: 1e-4, ..Decision::default() };
-        assert!(decide(&of("picture"), &nominal, &deaf).unwrap_err().contains("does not tell effects"));
+        assert!(decide(&of("picture"), &nominal, &deaf).unwrap_err().contains("does not separate effects"));
     }
 
     #[test]

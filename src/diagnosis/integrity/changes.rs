@@ -126,7 +126,7 @@ impl Sums {
         sum
     }
 
-    /// The best factors of the first `n`; none where they cannot be told apart.
+    /// The best factors of the first `n`; none where they cannot be separated.
     fn solve(&self, n: usize) -> Option<[f64; 3]> {
         let mut rows = self.products;
         let mut right = self.with;
@@ -169,7 +169,7 @@ struct Predicted {
 }
 
 impl Predicted {
-    /// With the factors that are best on `from`; none where they cannot be told apart.
+    /// With the factors that are best on `from`; none where they cannot be separated.
     fn new(these: Sums, from: Sums, n: usize) -> Option<Predicted> {
         Some(Predicted { these, from, factors: from.solve(n)? })
     }
@@ -257,14 +257,14 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         Some((k as f64 - SHIFTS as f64 + between) * step)
     };
     let curve = |tried: &[[Sums; 2]]| -> Vec<f64> { tried.iter().map(|[a, b]| left(&a.and(b))).collect() };
-    let told = tried(&middles);
-    let Some(late_ns) = best(&curve(&told)) else { return (0.0, None) };
+    let of_shift = tried(&middles);
+    let Some(late_ns) = best(&curve(&of_shift)) else { return (0.0, None) };
     let raw_ns = best(&curve(&tried(&plain))).unwrap_or(late_ns);
-    // Each half is told at the shift that is best on the other.
-    let shift_of = |side: usize| -> Option<usize> { (0..told.len()).min_by(|&a, &b| left(&told[a][side]).total_cmp(&left(&told[b][side]))) };
-    let unmoved = &told[SHIFTS as usize];
+    // Each half is evaluated at the shift that is best on the other.
+    let shift_of = |side: usize| -> Option<usize> { (0..of_shift.len()).min_by(|&a, &b| left(&of_shift[a][side]).total_cmp(&left(&of_shift[b][side]))) };
+    let unmoved = &of_shift[SHIFTS as usize];
     let gain = |side: usize| -> Option<f64> {
-        let (other, moved) = (1 - side, &told[shift_of(1 - side)?]);
+        let (other, moved) = (1 - side, &of_shift[shift_of(1 - side)?]);
         let better = Predicted::new(moved[side], moved[other], 2)?;
         Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
     };

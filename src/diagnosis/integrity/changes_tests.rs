@@ -17,7 +17,7 @@ fn camera(late_ns: i64, blind_ns: i64) -> Case {
     let mut frames = vec![0.0; FRAMES as usize * extent.pixels()];
     let pixels: Vec<Vec<Recorded>> = (0..extent.pixels())
         .map(|pixel| {
-            // Up for 90 ms and down for 90 ms, by 1 to 4.5 in log light; in the last ten columns nothing moves, and they tell that frames are without noise.
+            // Up for 90 ms and down for 90 ms, by 1 to 4.5 in log light; in the last ten columns nothing moves, and they show that frames are without noise.
             let (height, phase) = (if pixel % 40 < 30 { 1.0 + 3.5 * random.uniform() } else { 0.0 }, random.uniform());
             let log = |t_ns: i64| {
                 let turn = (t_ns as f64 / 180e6 + phase).rem_euclid(1.0);

@@ -200,13 +200,13 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
     })
 }
 
-/// Jump of the front-end voltage at a readout, natural-log units with its sign; none when events of moving pixels do not come at readouts more often than beside.
+/// Jump of the front-end voltage at a readout, natural-log units with its sign; none when events of moving pixels do not come at readouts more often than around them.
 ///
 /// `readout` is the time of row 0 since the start of a frame, the delay of a row and the period, ns.
 fn impulse(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts: &[i64], readout: (f64, f64, f64)) -> Option<f64> {
     let (since_start, delay, period) = readout;
     let window = period / BINS as f64;
-    let (mut hits, mut beside, mut chances) = (0.0, 0.0, 0.0);
+    let (mut hits, mut around, mut chances) = (0.0, 0.0, 0.0);
     for pixel in (0..case.events.pixels()).filter(|&pixel| masked.binary_search(&(pixel as u32)).is_err()) {
         let row = f64::from(case.place(pixel).1);
         // Time since the readout of row 0 of the first frame, in readouts of the own row.
@@ -222,11 +222,11 @@ fn impulse(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts:
             if since < window {
                 hits += 1.0;
             } else if (2.0 * window..4.0 * window).contains(&since) || (period - 3.0 * window..period - window).contains(&since) {
-                beside += 0.25;
+                around += 0.25;
             }
         }
     }
-    let excess = hits - beside;
+    let excess = hits - around;
     let threshold = if polarity > 0 { nominal.pixel.threshold_on } else { nominal.pixel.threshold_off };
-    (chances >= 100.0 && excess > 5.0 * libm::sqrt(hits + beside)).then(|| f64::from(polarity) * threshold * excess / chances)
+    (chances >= 100.0 && excess > 5.0 * libm::sqrt(hits + around)).then(|| f64::from(polarity) * threshold * excess / chances)
 }

@@ -12,7 +12,7 @@ use crate::report::SceneProperty;
 const ZONES: usize = 4;
 /// Of the zones' amplitudes, so much must be common.
 const COHERENCE: f64 = 0.9;
-/// Shallower is not told, as a share of the light.
+/// Shallower is not reported, as a share of the light.
 const SHALLOWEST: f64 = 0.02;
 /// Steps of time.
 const STEP_NS: i64 = 500_000;

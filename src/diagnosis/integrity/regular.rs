@@ -5,7 +5,7 @@
 //! sensor's. Light that flickers with the frames repeats too, but on one clock for all rows: so what repeats must do so less when all rows are given the first one's clock.
 //! A global shutter has one clock alone, and the test is silent.
 //!
-//! Textures do not know odd rows from even ones. A row is held against the mean of the two beside it, in parts of the array and of the recording: what has one sign in nearly
+//! Textures do not know odd rows from even ones. A row is held against the mean of the two next to it, in parts of the array and of the recording: what has one sign in nearly
 //! all of these parts, and in most rows, is the sensor's.
 //!
 //! `frame_coupling` of the catalogue makes events of one sign at one phase, and keeps those of the other away: it is the business of its own tests, which come first. Here both signs have to
@@ -196,37 +196,37 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Dependence> {
     }
     let parts = rows_of_parts(case, masked);
     let sign = |y: usize| if y.is_multiple_of(2) { 1.0 } else { -1.0 };
-    // Even rows less odd ones, half of the difference, as each row tells it.
-    let tells = |part: &[f64], y: usize| 0.5 * sign(y) * (part[y] - 0.5 * (part[y - 1] + part[y + 1]));
+    // Even rows less odd ones, half of the difference, as each row has it.
+    let contrast = |part: &[f64], y: usize| 0.5 * sign(y) * (part[y] - 0.5 * (part[y - 1] + part[y + 1]));
     let all = |part: &[f64]| rows.iter().map(|y| part[*y]).sum::<f64>();
     let usual = parts.iter().map(|part| all(part)).sum::<f64>() / parts.len() as f64;
-    let told: Vec<(f64, f64)> =
-        parts.iter().filter(|part| all(part) > 0.1 * usual).map(|part| (rows.iter().map(|y| tells(part, *y)).sum::<f64>(), all(part))).collect();
-    let n = told.len() as f64;
-    let (sum, events) = told.iter().fold((0.0, 0.0), |sums, one| (sums.0 + one.0, sums.1 + one.1));
-    let spread = libm::sqrt(told.iter().map(|one| (one.0 - sum / n) * (one.0 - sum / n)).sum::<f64>() / f64::max(n - 1.0, 1.0));
+    let contrasts: Vec<(f64, f64)> =
+        parts.iter().filter(|part| all(part) > 0.1 * usual).map(|part| (rows.iter().map(|y| contrast(part, *y)).sum::<f64>(), all(part))).collect();
+    let n = contrasts.len() as f64;
+    let (sum, events) = contrasts.iter().fold((0.0, 0.0), |sums, one| (sums.0 + one.0, sums.1 + one.1));
+    let spread = libm::sqrt(contrasts.iter().map(|one| (one.0 - sum / n) * (one.0 - sum / n)).sum::<f64>() / f64::max(n - 1.0, 1.0));
     let (share, sigmas) = (sum / f64::max(events, 1.0), sum.abs() / f64::max(spread * libm::sqrt(n), 1e-9));
     let same = |values: &mut dyn Iterator<Item = f64>| {
         let (agree, count) = values.fold((0.0, 0.0), |(agree, count), one| (agree + f64::from(u8::from(one * sum > 0.0)), count + 1.0));
         agree / f64::max(count, 1.0)
     };
-    let of_row = |y: &usize| parts.iter().map(|part| tells(part, *y)).sum::<f64>();
-    let is_steady = same(&mut told.iter().map(|one| one.0)) >= SAME_PARTS && same(&mut rows.iter().map(of_row)) >= SAME_ROWS;
+    let of_row = |y: &usize| parts.iter().map(|part| contrast(part, *y)).sum::<f64>();
+    let is_steady = same(&mut contrasts.iter().map(|one| one.0)) >= SAME_PARTS && same(&mut rows.iter().map(of_row)) >= SAME_ROWS;
     if events < FEWEST_EVENTS * parts.len() as f64 || sigmas < LEAST_SIGMAS || share.abs() < LEAST_PARITY || !is_steady {
         return None;
     }
-    // Rows of each half of the parts, predicted from those beside them with the share of the other half.
+    // Rows of each half of the parts, predicted from those next to them with the share of the other half.
     let (mut gain, mut before, mut after) = (0.0, 0.0, 0.0);
     for half in 0..2 {
         let of = |which: usize| parts.iter().enumerate().filter(move |(k, _)| (k / PARTS.0 + k % PARTS.0) % 2 == which).map(|(_, part)| part);
-        let (sum, events) = of(1 - half).fold((0.0, 0.0), |sums, part| (sums.0 + rows.iter().map(|y| tells(part, *y)).sum::<f64>(), sums.1 + all(part)));
+        let (sum, events) = of(1 - half).fold((0.0, 0.0), |sums, part| (sums.0 + rows.iter().map(|y| contrast(part, *y)).sum::<f64>(), sums.1 + all(part)));
         let share = (sum / f64::max(events, 1.0)).clamp(-0.9, 0.9);
         for (part, y) in of(half).flat_map(|part| rows.iter().map(move |y| (part, *y))) {
-            let beside = 0.5 * (part[y - 1] + part[y + 1]);
+            let mean = 0.5 * (part[y - 1] + part[y + 1]);
             let ratio = (1.0 + sign(y) * share) / (1.0 - sign(y) * share);
-            gain += part[y] * libm::log(ratio) - beside * (ratio - 1.0);
-            before += (part[y] - beside) * (part[y] - beside);
-            after += (part[y] - ratio * beside) * (part[y] - ratio * beside);
+            gain += part[y] * libm::log(ratio) - mean * (ratio - 1.0);
+            before += (part[y] - mean) * (part[y] - mean);
+            after += (part[y] - ratio * mean) * (part[y] - ratio * mean);
         }
     }
     let error = share.abs() / sigmas;

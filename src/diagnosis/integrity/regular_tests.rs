@@ -65,7 +65,7 @@ fn events_of_one_sign_at_one_phase_are_the_coupling_s() {
 #[test]
 fn light_that_flickers_with_the_frames_is_the_scene_s() {
     assert_eq!(dependences(&waves(|_, t, _| if is_blind(0, t) { 0.3 } else { 1.0 }), &[]), []);
-    // Nor can it be told apart where all rows have one clock.
+    // Nor can it be distinguished where all rows have one clock.
     let mut global = waves(|_, t, _| if is_blind(0, t) { 0.3 } else { 1.0 });
     let frames = global.frames.as_mut().unwrap();
     frames.times = FrameTimes::new(frames.times.exposures.to_vec(), 0).unwrap();

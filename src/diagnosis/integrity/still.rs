@@ -37,7 +37,7 @@ const BY_LIGHT: f64 = 10.0;
 /// And nats that a rate in proportion to the light may be worse than one that has a part without light.
 const ALL_BY_LIGHT: f64 = 3.0;
 
-/// The pixels that are still, rising; none where frames do not tell. `masked` are left out.
+/// The pixels that are still, rising; none where frames do not show it. `masked` are left out.
 pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
     let Some(frames) = case.frames.as_ref().filter(|frames| frames.times.len() >= FEWEST_FRAMES) else { return Vec::new() };
     let (pixels, noise) = (case.extent.pixels(), noise_dn(case, frames));
@@ -109,7 +109,7 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
         return None;
     }
     let rate = a_pixel / ((case.span.1 - case.span.0) as f64 * 1e-9);
-    // Held against noise that has no sign, of the same rate: one half tells the share of ON events, the other is predicted with it.
+    // Held against noise that has no sign, of the same rate: one half gives the share of ON events, the other is predicted with it.
     let nats: f64 = (0..2)
         .map(|side| {
             let share = (on[1 - side] as f64 + 1.0) / ((on[1 - side] + off[1 - side]) as f64 + 2.0);

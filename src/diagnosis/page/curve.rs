@@ -20,8 +20,11 @@ pub fn unnamed(html: &mut String, dependence: &Dependence) {
     let rhythm = dependence.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", number(1.0 / period_s)));
     let (name, measured) = (escaped(dependence.covariate.name()), number(dependence.significance));
     let against = if dependence.moved == Moved::EventRate { "than around" } else { "than described" };
-    let unit_of_significance =
-        if dependence.moved == Moved::EventRate && dependence.covariate == Covariate::FramePhase { "times what chance gives" } else { "standard errors from nothing" };
+    let unit_of_significance = if dependence.moved == Moved::EventRate && dependence.covariate == Covariate::FramePhase {
+        "times what chance gives"
+    } else {
+        "standard errors from nothing"
+    };
     let _ = writeln!(
         html,
         "<p class=\"note\">{what} {against}, over {name}{rhythm}; bars: 95 %. It is {measured} {unit_of_significance}, removes {:.1} % of the squares \
@@ -29,7 +32,8 @@ pub fn unnamed(html: &mut String, dependence: &Dependence) {
         100.0 * dependence.taken,
         number(dependence.nats_per_event)
     );
-    let points: Vec<(f64, f64, f64)> = (0..dependence.at.len()).map(|k| (dependence.at[k], factor * dependence.value[k], 1.96 * factor * dependence.error[k])).collect();
+    let points: Vec<(f64, f64, f64)> =
+        (0..dependence.at.len()).map(|k| (dependence.at[k], factor * dependence.value[k], 1.96 * factor * dependence.error[k])).collect();
     html.push_str(&over(dependence.covariate, &points, unit));
 }
 

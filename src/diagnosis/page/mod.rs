@@ -14,9 +14,9 @@ mod units;
 
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
+use crate::dependence::Dependence;
 use crate::diagnose::{Diagnosis, Proposed};
 use crate::heldout::Prediction;
-use crate::dependence::Dependence;
 use crate::report::{BeforeAfter, EffectReport, Parameter, Report, Verdict, short as number};
 use crate::verdict::Proposal;
 use photocurrent_page::{Page, Section, escaped};

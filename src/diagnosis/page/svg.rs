@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 /// A bar of a chart.
 pub struct Bar {
-    /// Beside it.
+    /// Next to it.
     pub label: String,
     /// Its length, in multiples of the alarm.
     pub value: f64,
@@ -14,7 +14,7 @@ pub struct Bar {
     pub is_marked: bool,
 }
 
-/// Colours that colour-blind readers tell apart, as the style of the page has them for light and dark.
+/// Colours that colour-blind readers can distinguish, as the style of the page has them for light and dark.
 pub const COLOURS: [&str; 4] = ["var(--c0)", "var(--c1)", "var(--c2)", "var(--c6)"];
 
 /// Horizontal bars on a logarithmic axis from a tenth of the alarm up, with a line at the alarm.

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::covariates::Covariate;
-use crate::diagnose::{Setting, broken, check, confirm};
 use crate::dependence::{Dependence, Moved};
+use crate::diagnose::{Setting, broken, check, confirm};
 use crate::residual::located::{Ground, LocatedSetting, Locations};
 use crate::testing;
 use crate::verdict::{Decided, Proposal, Unexplained};
@@ -27,7 +27,7 @@ fn diagnosed(case: &Case, proposed: Proposed) -> Diagnosis {
 }
 
 #[test]
-fn a_page_is_whole_and_needs_nothing_beside_it() {
+fn a_page_is_whole_and_needs_no_other_file() {
     let case = testing::case();
     let found = diagnosed(&case, Proposed::NotAsked);
     let html = page(&found.report, Some(&case), Some(&found));

@@ -161,7 +161,7 @@ impl Rows {
         (0..parts).map(|n| (n * length).min(self.count())..((n + 1) * length).min(self.count())).collect()
     }
 
-    /// Rows of a range that touch the same knots, and how many numbers they have beside the picture.
+    /// Rows of a range that touch the same knots, and how many numbers they have in addition to the picture.
     fn runs(&self, range: Range<usize>) -> impl Iterator<Item = (Range<usize>, usize)> {
         let mut at = range.start;
         std::iter::from_fn(move || {

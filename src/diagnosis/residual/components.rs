@@ -1,4 +1,4 @@
-//! Random effects, read off the same residuals: each as a further part of their distribution, with its gain in nats an event, so that it stands beside effects that have a column.
+//! Random effects, read off the same residuals: each as a further part of their distribution, with its gain in nats an event, so that it stands with effects that have a column.
 //!
 //! With u = polarity times residual over threshold: thresholds that differ from pixel to pixel are a size of the threshold's column of each pixel's own, refractory periods that differ
 //! one of the refractory period's; threshold noise and stamp noise widen u; an event without a crossing has any u between -2 and 0; after a lost event the next has a whole

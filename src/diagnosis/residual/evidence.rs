@@ -77,7 +77,7 @@ pub struct EvidenceSetting {
     pub located: LocatedSetting,
     /// How what is in no catalogue is looked for.
     pub open: OpenSetting,
-    /// So many of it are told.
+    /// So many of it are reported.
     pub dependences: usize,
 }
 
@@ -142,8 +142,8 @@ pub struct Ranked {
     pub control_effect_size: f64,
     /// Was it evaluated at its size?
     pub is_exact: bool,
-    /// Effect size of the first effect beside this one, of a second effect.
-    pub beside: Option<f64>,
+    /// Effect size of the first effect together with this one, of a second effect.
+    pub of_first: Option<f64>,
     /// Median absolute residual over the threshold that it leaves.
     pub left: f64,
     /// Distance of what it leaves from the control's noise ([`EventNoise::distance`]); 0 where it was not evaluated exactly.
@@ -360,10 +360,10 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         }
         let table = seen.table(&with, Some(first.candidate), softest)?;
         left = [left_of(&table); 2];
-        let beside = (!is_random).then_some((first.candidate, effect_size));
+        let first_effect = (!is_random).then_some((first.candidate, effect_size));
         let laid = seen.lay(&table, nominal, period_ns);
         let places = seen.places(&table, &laid);
-        second = seen.rank(&stated, &table, &control_table, beside, setting.refined_second, nominal, &places)?;
+        second = seen.rank(&stated, &table, &control_table, first_effect, setting.refined_second, nominal, &places)?;
         let white = seen.white(&with, source)?;
         random_second = control_ground.beyond(&table, white).0;
         random_second.retain(|other| other.candidate != first.candidate);

@@ -161,7 +161,16 @@ pub fn gains(
     Some(fit::gains((seen(&one), &rows), (seen(&all), &rows)))
 }
 
-fn dependence(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: Moved, threshold: f64, least: f64, setting: &OpenSetting) -> Option<Open> {
+fn dependence(
+    events: &Residuals,
+    residual: &[f64],
+    block: &[u32],
+    laid: &Laid,
+    moved: Moved,
+    threshold: f64,
+    least: f64,
+    setting: &OpenSetting,
+) -> Option<Open> {
     let Free { bins, of, columns, whole } = Free::new(events, laid, moved, threshold, setting)?;
     let count = bins.count();
     let plain = Plain::new(residual, Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] });

@@ -105,14 +105,14 @@ impl Table {
         self.columns.iter().find(|(n, _)| is_it(*n)).map(|(_, column)| column)
     }
 
-    /// Fits every column beside what a picture that is too soft leaves, `softest` of it at most.
+    /// Fits every column with what a picture that is too soft leaves, `softest` of it at most.
     pub fn fit(&mut self, softest: f64) {
         self.softest = softest;
         let plain = |is_sharp: bool| Plain::new(&self.base, self.rows(is_sharp));
         let (soft, sharp) = (plain(false), plain(true));
-        let beside = |n: usize| if CANDIDATES[n].id == SOFTNESS { &sharp } else { &soft };
+        let base = |n: usize| if CANDIDATES[n].id == SOFTNESS { &sharp } else { &soft };
         let nats_per_event = soft.nats_per_event(&self.log_slope);
-        self.fitted = self.columns.iter().map(|(n, column)| (*n, heldout(beside(*n), &[column]))).collect();
+        self.fitted = self.columns.iter().map(|(n, column)| (*n, heldout(base(*n), &[column]))).collect();
         let mut left = without_softness(&self.base, &self.rows(false));
         left.truncate(self.events.pixel.len());
         self.nats_per_event = nats_per_event;
@@ -337,7 +337,7 @@ impl Seen<'_> {
         (2 * (by * width.div_ceil(side) + bx) + (bx + by) % 2) as u32
     }
 
-    /// First-order fits of every effect on top of a sensor, but for one candidate; beside a picture that is too soft by `softest` at most.
+    /// First-order fits of every effect on top of a sensor, but for one candidate; with a picture that is too soft by `softest` at most.
     pub fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
         // One that cannot be combined with what is there is no candidate.
         let can_be = |n: &usize| Prepared::new(self.case, &on_top(trial, *n, self.probe(*n), self.scales)).is_ok();
@@ -384,7 +384,8 @@ impl Seen<'_> {
 
     /// Sizes of effects on top of a sensor by Gauss-Newton on their exact models, from first ones; their gain is that over the residuals of `table`.
     pub fn refine(&self, trial: &Trial, table: &Table, which: &[usize], begin: &[f64]) -> Result<Refined, String> {
-        let put = |effect_sizes: &[f64]| which.iter().zip(effect_sizes).fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales));
+        let put =
+            |effect_sizes: &[f64]| which.iter().zip(effect_sizes).fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales));
         let is_free: Vec<bool> = which.iter().map(|&n| CANDIDATES[n].signs != Signs::Switch).collect();
         let mut effect_size: Vec<f64> = (0..which.len()).map(|i| if is_free[i] { self.bounded(which[i], begin[i]) } else { 1.0 }).collect();
         let mut error = vec![0.0; which.len()];
@@ -457,14 +458,14 @@ impl Seen<'_> {
         effect_size.clamp(least, most)
     }
 
-    /// All effects on top of a table's sensor, best first; the best few are exact. With `beside`, an effect that the table's sensor has and its effect size, both sizes are fitted together
+    /// All effects on top of a table's sensor, best first; the best few are exact. With `first`, an effect that the table's sensor has and its effect size, both sizes are fitted together
     /// on top of `bare`.
     pub fn rank(
         &self,
         bare: &Trial,
         table: &Table,
         control: &Table,
-        beside: Option<(usize, f64)>,
+        first: Option<(usize, f64)>,
         refined: usize,
         nominal: &Nominal,
         places: &Places<'_>,
@@ -474,7 +475,7 @@ impl Seen<'_> {
         let best = ranked.first().map_or(0.0, Ranked::beyond);
         for one in ranked.iter_mut().take(refined).filter(|one| one.beyond() > self.setting.worth_refining * best && one.beyond() > 0.0) {
             let begin = one.effect_size + one.control_effect_size;
-            let found = match beside {
+            let found = match first {
                 Some((other, effect_size)) => self.refine(bare, table, &[one.candidate, other], &[begin, effect_size])?,
                 None => self.refine(bare, table, &[one.candidate], &[begin])?,
             };
@@ -482,7 +483,7 @@ impl Seen<'_> {
             one.effect_size = if is_switch { found.effect_size[0] } else { found.effect_size[0] - one.control_effect_size };
             (one.error, one.gain, one.gain_error, one.is_exact) = (found.error[0], found.gain, found.gain_error, true);
             one.value = CANDIDATES[one.candidate].value(one.effect_size, self.scales, nominal);
-            one.beside = beside.map(|_| found.effect_size[1]);
+            one.of_first = first.map(|_| found.effect_size[1]);
             one.left = median_share(&found.left, self.scales.threshold);
             one.ks = control.noise.distance(&found.left, &table.events.slope_per_s);
             one.located = Some(places.locate(&found.gains, one.candidate));

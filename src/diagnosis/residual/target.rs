@@ -1,7 +1,7 @@
 //! A known target: a scene in closed form whose free parameters are fitted to the frames, and which says what the frames leave open of them.
 //!
 //! The fit is damped Gauss-Newton with robust weights (Student's t) on a sample of the frame values, each the mean of the scene over its row's exposure, from the best places of a search
-//! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the sensor put into the fit, is fitted beside every effect: the
+//! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the sensor put into the fit, is fitted with every effect: the
 //! derivative of every residual by each free parameter ([`Source::free`], [`Source::moved`]).
 
 use super::control::Behind;

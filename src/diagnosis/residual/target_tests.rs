@@ -1,4 +1,4 @@
-//! A known target is found where it is, effects of frames that move the fit are told all the same, and derivatives by its free parameters are those of the residuals.
+//! A known target is found where it is, effects of frames that move the fit are reported all the same, and derivatives by its free parameters are those of the residuals.
 
 use super::*;
 use crate::candidates::{CANDIDATES, Scales, Trial};

@@ -50,7 +50,7 @@ pub(super) struct Phase {
 }
 
 impl Phase {
-    /// With the instants at which frames begin, and the pixels whose rows are told apart; none when there are too few frames to be in step with.
+    /// With the instants at which frames begin, and the pixels whose rows are distinguished; none when there are too few frames to be in step with.
     pub fn new(mut starts: Vec<i64>, extent: Extent) -> Option<Phase> {
         starts.sort_unstable();
         starts.dedup();

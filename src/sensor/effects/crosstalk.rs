@@ -25,7 +25,7 @@ pub const KIND: EffectKind = EffectKind {
             about: "share of a pixel's light that its four nearest neighbours get, a quarter each",
         }],
         covariate: "laplacian",
-        signature: "frames differ from what events predict in proportion to pixel minus mean of neighbours; dark pixels beside bright ones fire too early",
+        signature: "frames differ from what events predict in proportion to pixel minus mean of neighbours; dark pixels next to bright ones fire too early",
         confused_with: &["blur", "lateral_inhibition", "dark_current"],
         source: "Nakamura 2006",
         apart: &[],

@@ -363,7 +363,7 @@ pub trait Effect: Send + Sync {
 
     /// The same effect knowing the load: everything that all pixels fired in a pass before, in order of true off-pixel time. Events that are lost
     /// ([`Effect::keeps`]) are among them, as they have gone the whole way to the reset of their pixel and are lost behind it. The simulator then runs
-    /// the pixels again, and tells anew what they did, until nothing moves. None = the load does not matter.
+    /// the pixels again, and reports anew what they did, until nothing moves. None = the load does not matter.
     ///
     /// An informed effect answers otherwise in [`Effect::latency`] only, by load, pixel and instant without a random number: the simulator sees by
     /// that which pixels another load moves.

@@ -56,7 +56,7 @@ pub const KIND: EffectKind = EffectKind {
         search: Search::For(&[Sought {
             typical: Size::Of(0.4, Measure::Threshold),
             material: SPREAD,
-            beside: &[("period", Size::Of(1.0, Measure::FramePeriod)), ("phase", Size::Of(1.0, Measure::FramePhase))],
+            others: &[("period", Size::Of(1.0, Measure::FramePeriod)), ("phase", Size::Of(1.0, Measure::FramePhase))],
             is_made: false,
             ..Sought::both("step")
         }]),

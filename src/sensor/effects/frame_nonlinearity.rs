@@ -58,8 +58,8 @@ pub const KIND: EffectKind = EffectKind {
         source: "EMVA 1288",
         apart: &[("black_level", "a series of exposures of a static scene: a straight line that misses zero, or a curve")],
         search: Search::For(&[
-            Sought { typical: Size::Fixed(0.06), material: GAIN, beside: FULL_SCALE, is_made: false, is_of_swing: true, ..Sought::both("fraction") },
-            Sought { typical: Size::Fixed(0.15), material: GAIN, beside: FULL_SCALE, comes_last: true, is_of_swing: true, ..Sought::positive("compression") },
+            Sought { typical: Size::Fixed(0.06), material: GAIN, others: FULL_SCALE, is_made: false, is_of_swing: true, ..Sought::both("fraction") },
+            Sought { typical: Size::Fixed(0.15), material: GAIN, others: FULL_SCALE, comes_last: true, is_of_swing: true, ..Sought::positive("compression") },
         ]),
     },
     build,

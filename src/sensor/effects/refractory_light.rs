@@ -10,7 +10,7 @@
 //! Limits: the light when the event leaves holds for the whole period; the stated period is that of darkness.
 
 use super::refractory::{self, SOME_REFRACTORY_S};
-use super::sought::{Companion, Measure, Applied, Search, Size, Sought};
+use super::sought::{Applied, Companion, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.

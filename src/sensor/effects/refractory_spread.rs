@@ -9,7 +9,7 @@
 //! Limits: log-normal with the stated period as its median; constant in time and light.
 
 use super::refractory::{self, SOME_REFRACTORY_S};
-use super::sought::{Companion, Applied, SPREAD, Search, Size, Sought};
+use super::sought::{Applied, Companion, SPREAD, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.

@@ -43,7 +43,7 @@ pub struct Sought {
     /// The field of a description that states it; none where only `[effects]` can.
     pub field: Option<Field>,
     /// Parameters that are not sought and must be there, with a value each in the unit of its declaration.
-    pub beside: &'static [(&'static str, Size)],
+    pub others: &'static [(&'static str, Size)],
     /// Another effect that it means nothing without.
     pub companion: Option<Companion>,
     /// Of a random number: the effect and the parameter whose sizes it spreads over pixels.
@@ -68,7 +68,7 @@ impl Sought {
             material: Size::Fixed(0.0),
             grows: Grows::Linearly,
             field: None,
-            beside: &[],
+            others: &[],
             companion: None,
             spread_of: None,
             is_counted: false,

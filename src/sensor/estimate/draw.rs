@@ -25,7 +25,7 @@ pub(super) fn estimate(units: usize, of: impl Fn(&[f64]) -> Option<f64>) -> Opti
     Some(Estimate { value, ci95: (at(0.025).min(value), at(0.975).max(value)) })
 }
 
-/// Where a curve over even steps has its top, in steps, by a parabola through the largest value and those beside it; none at an end, or where nothing is finite.
+/// Where a curve over even steps has its top, in steps, by a parabola through the largest value and those next to it; none at an end, or where nothing is finite.
 pub(super) fn top(curve: &[f64]) -> Option<f64> {
     peak(curve, (0..curve.len()).filter(|n| curve[*n].is_finite()).max_by(|a, b| curve[*a].total_cmp(&curve[*b]))?)
 }

@@ -300,7 +300,7 @@ impl<N: PixelNoise> Run<'_, N> {
             }
             self.fire(origin.nanoseconds_at(fired_s), polarity, value, Cause::Crossing);
             if is_late && self.blind_until_ns.is_none() {
-                // A reference that stays behind the voltage fires again at once; a nanosecond is the fastest that stamps can tell.
+                // A reference that stays behind the voltage fires again at once; a nanosecond is the fastest that stamps can resolve.
                 now_s += 1e-9;
                 if now_s >= length_s {
                     break;

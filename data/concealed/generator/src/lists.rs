@@ -18,7 +18,7 @@ pub struct Version {
 }
 
 impl Version {
-    /// Is it made as the version is that is stored? Then answers say what that one's say, and lie beside the folder.
+    /// Is it made as the stored version is? Then answers say what that one's say, and lie beside the folder.
     pub fn is_plain(&self) -> bool {
         self.plan == Plan::Short && !self.blind
     }

@@ -3,7 +3,7 @@
 use super::super::neighbours::{event_plane, halo, joined};
 use super::super::*;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, recorded};
-use crate::effects::{Domain, Effect, Kernel, Impulse, ImpulseTarget, Latency, Reading, RowSite, Spontaneous, Tap, Thresholds};
+use crate::effects::{Domain, Effect, Impulse, ImpulseTarget, Kernel, Latency, Reading, RowSite, Spontaneous, Tap, Thresholds};
 use crate::exposure::DigitalNumber;
 use photocurrent_core::Exposure;
 use photocurrent_core::random::Random;
