@@ -62,7 +62,7 @@ impl Browser {
         self.to.write_all(message.to_string().as_bytes()).and_then(|()| self.to.write_all(b"\0")).and_then(|()| self.to.flush()).expect("the browser listens");
         loop {
             let mut bytes = Vec::new();
-            self.from.read_until(0, &mut bytes).expect("the browser speaks");
+            self.from.read_until(0, &mut bytes).expect("the browser answers");
             assert_eq!(bytes.pop(), Some(0), "the browser went away at {method}");
             let message: Value = serde_json::from_slice(&bytes).expect("JSON");
             if message["id"] == self.last {

@@ -362,7 +362,7 @@ fn a_node_that_fails_stops_only_what_hangs_on_it() {
     assert_eq!((ends("failed"), ends("skipped")), (vec!["recording"], vec!["solve", "render", "frames"]));
     assert!(bench.path("out/m/aside/frames.csv").is_file() && !bench.path("out/m/frames").exists());
 
-    // Mended input: what was finished is not run again.
+    // Repaired input: what was finished is not run again.
     recordings::write(&bench.path("rec.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
     assert_eq!(executed(&bench.outcome(&["m.toml"])), ["frames", "recording", "render", "solve"]);
 }

@@ -214,7 +214,7 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
     assert!(executed(&bench.outcome(&[&manifest])).contains(&"again".to_string()));
     let scores = scores(&bench, "out/proof");
     let psnr = |name: &str| scores[&(format!("psnr_{name}"), "psnr_db".to_string())];
-    assert!(psnr("fitted") > psnr("stated") + 1.0, "{} dB as fitted, {} dB as stated", psnr("fitted"), psnr("stated"));
+    assert!(psnr("fitted") > psnr("stated") + 1.0, "{} dB fitted, {} dB nominal", psnr("fitted"), psnr("stated"));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! `baseline/akf`: the asynchronous Kalman filter: a leak towards deblurred frames whose speed follows how much each source is worth.
+//! `baseline/akf`: the asynchronous Kalman filter: a leak towards deblurred frames whose speed follows the gain of each source.
 //!
 //! Idea: frames are deblurred with the events inside their exposure, and events between them are scaled so that they lead from one latent
 //! frame to the next: a reference known at every event. A state per pixel follows events and leaks towards that reference as a Kalman filter

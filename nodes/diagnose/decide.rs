@@ -31,7 +31,7 @@ pub struct Params {
     /// Nor, on a scene that was fitted to frames, where more than this share is left with the best effect.
     #[schemars(range(min = 0.0))]
     pub most_left: f64,
-    /// And silence says nothing where more than this share is left.
+    /// And finding nothing decides nothing where more than this share is left.
     #[schemars(range(min = 0.0))]
     pub most_silent: f64,
     /// Nor where nothing is said from a smaller gain on than this, nats an event.

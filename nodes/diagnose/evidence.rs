@@ -149,7 +149,7 @@ photocurrent_core::ports! {
         events: Option<EventStream>,
         /// The frames as captured, grey, of the events' pixels.
         frames: Option<FrameSequence>,
-        /// The description as stated.
+        /// The nominal description.
         sensor: Arc<Sensor>,
         /// What direct tests saw, a diagnosis of kind `integrity`; without it nothing is amended.
         integrity: Option<Arc<Diagnosis>>,

@@ -4,7 +4,7 @@
 //! frames, leaks, lost light, late events; and flicker of the light, which is no fault of the sensor. What is found is put into a copy of the description, so that later
 //! stages look for the rest.
 //!
-//! Limits: every test is strict, and its silence proves nothing. Hot rows and pixels stand in the findings only: they are left out, not described.
+//! Limits: every test is strict, and finding nothing proves nothing. Hot rows and pixels stand in the findings only: they are left out, not described.
 
 use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_diagnosis::diagnose::{amend, check};
@@ -50,7 +50,7 @@ photocurrent_core::ports! {
     pub struct Out {
         /// What was seen: a diagnosis of kind `integrity`.
         findings: Arc<Diagnosis>,
-        /// The description with what was found put in; as stated when nothing was.
+        /// The description with what was found put in; nominal when nothing was.
         sensor: Arc<Sensor>,
     }
 }

@@ -88,7 +88,7 @@ photocurrent_core::ports! {
         events: Option<EventStream>,
         /// The frames as captured, grey.
         frames: FrameSequence,
-        /// The description as stated.
+        /// The nominal description.
         sensor: Arc<Sensor>,
     }
 }
@@ -98,7 +98,7 @@ photocurrent_core::ports! {
     pub struct Out {
         /// Photocurrent of every pixel over the recording.
         light: Light,
-        /// The free parameters as fitted, with standard errors.
+        /// The fitted free parameters, with standard errors.
         fitted: Arc<Table>,
         /// The same target with what is free of it, for `diagnose/evidence`: a diagnosis of kind `target`.
         target: Arc<Diagnosis>,
@@ -259,7 +259,7 @@ impl Form for Family {
 /// A fitted target as a document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Fitted {
-    /// As stated, with the ranges.
+    /// Nominal, with the ranges.
     params: Value,
     seed: u64,
     /// The free parameters, as shares of their ranges.

@@ -65,7 +65,7 @@ pub struct Params {
     pub sampling: Sampling,
     /// Only pixels in this rectangle are rendered, and frames have its size; absent = the whole sensor.
     pub roi: Option<Roi>,
-    /// How tracks that are held between knots are read; those that are log-linear already say nothing else.
+    /// How tracks that are held between knots are read; those that are log-linear already are not changed by it.
     pub between: Reading,
 }
 

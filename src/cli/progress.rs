@@ -114,7 +114,7 @@ impl Observer for Watcher {
                     };
                     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> ").with_key("left", left));
                     if bar.length().is_none() {
-                        // What came before the first item says nothing of how fast they go.
+                        // What came before the first item does not show how fast they go.
                         bar.reset_elapsed();
                     }
                     // Each row band begins anew: the bar's length grows with them.

@@ -2,7 +2,7 @@
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::{Case, PixelEvents};
-use crate::fitted::{fitted, add_numbers};
+use crate::fitted::{add_numbers, fitted};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
 use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
@@ -26,7 +26,7 @@ pub struct Setting {
     pub scene: SceneSetting,
     /// Are held-out frames not predicted?
     pub without_proof: bool,
-    /// What predicts held-out frames worse than the description as stated, by more than this, dB, is withdrawn.
+    /// What predicts held-out frames worse than the nominal description, by more than this, dB, is withdrawn.
     pub most_worse_db: f64,
 }
 
@@ -49,7 +49,7 @@ pub struct Diagnosis {
     pub proposed: Proposed,
     /// Ids of effects that were withdrawn, as held-out frames are predicted worse with them.
     pub withdrawn: Vec<String>,
-    /// Held-out frames predicted as stated, and as fitted.
+    /// Held-out frames predicted with the nominal and with the fitted description.
     pub predictions: (Option<Prediction>, Option<Prediction>),
     /// The pixels of the predictions.
     pub sample: Option<Sample>,
@@ -115,7 +115,7 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     let can_compare = can_compare(case, &integrity);
     let sample = (can_compare && !setting.without_proof).then(|| looked_at(case)).filter(|sample| !sample.is_empty());
     let mut answer = verdict(case, &nominal, &integrity, proposed.decided());
-    // Silence of a test that could not be made says nothing.
+    // A test that could not be made decides nothing.
     if answer.verdict == Verdict::Consistent {
         if let Proposed::Nothing(why) = &proposed {
             answer.verdict = Verdict::Insufficient;
@@ -248,7 +248,7 @@ fn report(
     let decided = proposed.decided();
     let gained: f64 = answer.claims.iter().filter(|claim| claim.finding.is_none()).filter_map(|claim| claim.heldout_nats_per_event).sum();
     let nats = decided.and_then(|decided| decided.nats_per_event).filter(|_| gained > 0.0).map(|before| BeforeAfter { before, after: before + gained });
-    // A second effect is fitted on top of the first, so the last one speaks for both.
+    // A second effect is fitted on top of the first, so the last one describes both.
     let left = answer.claims.iter().rev().find_map(|claim| claim.ks);
     let calibration_ks = decided.and_then(|decided| decided.ks).zip(left).map(|(before, after)| BeforeAfter { before, after });
     Report {

@@ -1,6 +1,6 @@
-//! The loop closed: frames that are kept back, predicted from the events and the other frames, with the description as stated and with the fitted one.
+//! Frames that are held out, predicted from the events and the other frames, with the nominal description and with the fitted one.
 //!
-//! Every third frame is kept back, the light is estimated from what is left as `solve/pixel` does with the description, effects undone, and the kept frames are what the camera would
+//! Every third frame is held out, the light is estimated from what is left as `solve/pixel` does with the description, effects undone, and the held-out frames are what the camera would
 //! read of it.
 //!
 //! Limit: the light of the sample's pixels alone is estimated, so effects that mix that of neighbours are not undone here.
@@ -15,7 +15,7 @@ use photocurrent_sensor::effects::from_description;
 use photocurrent_sensor::map::MapFrame;
 use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
 
-/// Of each three frames this one is kept back.
+/// Of each three frames this one is held out.
 const KEPT: usize = 1;
 /// Light is estimated again so often with what effects did to events.
 const ROUNDS: usize = 2;
@@ -57,7 +57,7 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSet
         undo.inform((0..case.events.pixels()).flat_map(of_pixel));
     }
     let Some(frames) = &case.frames else { return Ok(None) };
-    let Some((rest, kept)) = kept_back(case) else { return Ok(None) };
+    let Some((rest, kept)) = hold_out(case) else { return Ok(None) };
     let scene = estimate(&rest, &nominal, &undo, sample, setting);
     let mut by_pixel = vec![f64::NAN; sample.len()];
     let mut by_frame = vec![(0.0, 0.0); kept.len()];
@@ -135,7 +135,7 @@ fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, settin
 }
 
 /// A recording without every third frame, and which of them are predicted: not the last one, which has no frame after it. None with fewer than five frames.
-pub fn kept_back(case: &Case) -> Option<(Case, Vec<usize>)> {
+pub fn hold_out(case: &Case) -> Option<(Case, Vec<usize>)> {
     let count = case.frame_count();
     if count < 5 {
         return None;

@@ -1,6 +1,6 @@
 //! Where a recording and the sensor model differ, and which physics is missing.
 //!
-//! The scene is unknown: it is estimated with the model as stated, and an effect shows in what that scene cannot explain. Everything physical is called
+//! The scene is unknown: it is estimated with the nominal model, and an effect shows in what that scene cannot explain. Everything physical is called
 //! from [`photocurrent_sensor`]: an effect that is added to the catalogue there is a candidate here.
 //!
 //! In reading order:

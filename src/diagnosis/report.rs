@@ -17,7 +17,7 @@ pub const SCHEMA: &str = "photocurrent-diagnosis/1";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// Nothing that the recording shows speaks against the description.
+    /// Nothing that the recording shows contradicts the description.
     Consistent,
     /// One cause is named for what differs.
     Named,
@@ -91,7 +91,7 @@ pub struct Location {
 /// The most pixels that a location lists.
 pub const MASK_LIMIT: usize = 4096;
 
-/// How strongly the recording speaks for an effect. What was not measured is absent.
+/// The evidence of the recording for an effect. What was not measured is absent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
     /// The statistic that the effect was found by, over the value from which it counts (1 = just).
@@ -132,16 +132,16 @@ pub struct EffectReport {
     pub parameters: BTreeMap<String, Parameter>,
     /// Where it shows.
     pub location: Location,
-    /// Why it is believed.
+    /// Its evidence.
     pub evidence: Evidence,
 }
 
-/// A number with the description as stated, and with the fitted one.
+/// A number with the nominal description, and with the fitted one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BeforeAfter {
-    /// As stated.
+    /// Nominal.
     pub before: f64,
-    /// As fitted.
+    /// Fitted.
     pub after: f64,
 }
 
@@ -151,7 +151,7 @@ pub struct Fit {
     /// Log-likelihood of held-out measurements, nats per event.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heldout_nats_per_event: Option<BeforeAfter>,
-    /// Frames that were kept back, predicted from events and the other frames, dB of the largest value.
+    /// Frames that were held out, predicted from events and the other frames, dB of the largest value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heldout_frame_psnr_db: Option<BeforeAfter>,
     /// Distance of residuals from uniform (Kolmogorov-Smirnov).
@@ -189,7 +189,7 @@ pub struct SceneProperty {
     pub depth: f64,
 }
 
-/// An effect that this recording can say nothing about.
+/// An effect that is not identifiable from this recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NotTestable {
     /// Catalogue id.

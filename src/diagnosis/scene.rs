@@ -9,13 +9,13 @@ use rayon::prelude::*;
 /// How the light is estimated.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneSetting {
-    /// How far events are believed.
+    /// Assumed standard deviation of events.
     pub noise: Noise,
-    /// Frame values are believed to this share of the signal, beyond their stated noise.
+    /// Frame values are assumed good to this share of the signal, beyond their stated noise.
     pub frame_share: f64,
     /// And to this, DN.
     pub frame_dn: f64,
-    /// Softness of silence, natural-log units; 0 = not used.
+    /// Softness of the no-event constraint, natural-log units; 0 = not used.
     pub silence_sigma: f64,
     /// Prior, spacing of knots, steps.
     pub options: MapOptions,
@@ -29,7 +29,7 @@ impl Default for SceneSetting {
 }
 
 impl SceneSetting {
-    /// Events are believed closely and more steps are taken: more of them come again from such light.
+    /// Events are trusted closely and more steps are taken: more of them match events of such light.
     pub fn close() -> SceneSetting {
         let usual = SceneSetting::default();
         SceneSetting { noise: Noise { event: 0.01, ..usual.noise }, options: MapOptions { max_iterations: 8, ..usual.options }, ..usual }

@@ -1,6 +1,6 @@
 //! One answer from the direct tests and from what was decided on a scene.
 //!
-//! A direct test that speaks is believed: it needs no scene. It does not end the search: the scene is looked at with what it found in the description, and speaks of the rest.
+//! A direct test that finds something counts: it needs no scene. It does not end the search: the scene is looked at with what it found in the description, and reports the rest.
 //! Where no scene is evidence, direct tests answer alone.
 //!
 //! An effect is named only when it matters ([`is_material`]), not only when it is certain: in a million events a microsecond is a hundred standard deviations.
@@ -85,7 +85,7 @@ pub struct Decided {
     #[serde(default)]
     pub span_ns: Option<(i64, i64)>,
     /// Does the recording differ from the description at all?
-    pub alarm: bool,
+    pub detected: bool,
     /// For one more effect, best first.
     pub proposals: Vec<Proposal>,
     /// For a second one in addition to the first of `proposals`, best first.
@@ -117,7 +117,7 @@ pub struct Claim {
     pub also_possible: Vec<&'static str>,
     /// Its numbers.
     pub values: Vec<Valued>,
-    /// Over the value from which what found it speaks.
+    /// Over the value from which what found it counts.
     pub score: f64,
     /// Probability that it is this one, given that there is something, 0 to 1; none for direct tests.
     pub posterior: Option<f64>,

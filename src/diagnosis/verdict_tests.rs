@@ -9,7 +9,7 @@ fn proposal(id: &str, parameter: &str, score: f64, probability: f64, value: f64)
 }
 
 fn decided(proposals: Vec<Proposal>) -> Decided {
-    Decided { name: "picture".into(), alarm: proposals.iter().any(|proposal| proposal.passed), proposals, ..Decided::default() }
+    Decided { name: "picture".into(), detected: proposals.iter().any(|proposal| proposal.passed), proposals, ..Decided::default() }
 }
 
 fn answer(decided: &Decided) -> Answer {
@@ -86,7 +86,7 @@ fn a_direct_finding_is_named_and_a_stronger_term_stands_before_it() {
 fn too_little_is_consistent_and_something_unexplained_has_no_name() {
     assert_eq!(answer(&decided(vec![leak(0.7, 0.9)])).verdict, Verdict::Consistent);
     let unexplained = Unexplained { covariate: "frame_phase".into(), score: 3.0, ..Unexplained::default() };
-    let found = answer(&Decided { alarm: true, unexplained: Some(unexplained), ..decided(Vec::new()) });
+    let found = answer(&Decided { detected: true, unexplained: Some(unexplained), ..decided(Vec::new()) });
     assert!(found.claims.is_empty());
     assert_eq!(found.unexplained.map(|found| found.covariate), Some("frame_phase".to_owned()));
     assert_eq!(found.verdict, Verdict::Unnamed);

@@ -25,7 +25,7 @@ use photocurrent_core::sensor::Reset;
 use photocurrent_core::{Exposure, Timestamp};
 use std::sync::OnceLock;
 
-/// An event this soon after the blind time may be one that was held back, ns: as in the solver of the most probable light.
+/// An event this soon after the blind time may be one that was held back, ns: as in the MAP solver.
 const LATE_NS: i64 = 1_000;
 /// Time constants below this are taken as that, seconds.
 const TAU_LEAST_S: f64 = 1e-9;
@@ -327,7 +327,7 @@ fn times(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, seen: &[f6
     let mut all: Vec<Times> = Vec::with_capacity(look.events.len());
     let (mut blind_until, mut before) = (i64::MIN, i64::MIN);
     for (k, event) in look.events.iter().enumerate() {
-        // The rules of the solver of the most probable light.
+        // The rules of the MAP solver.
         let is_armed = match model.reset {
             Reset::Resample => event.t_in_ns >= blind_until && event.t_in_ns > before,
             Reset::Advance | Reset::AdvanceLossy => {

@@ -5,7 +5,7 @@
 //! upper tail of the normal distribution; when one draw moves both thresholds, `S = Q(max(z+, z-))`. Hence, exactly:
 //!
 //! - `Lambda = -ln S` at the next event is exponential with mean 1, and `1 - S` is uniform ([`Interval::uniform`]);
-//! - the sum of Lambda over all intervals, the silent end of the recording included, expects the number of events ([`Interval::compensator`]): silence counts as much
+//! - the sum of Lambda over all intervals, the silent end of the recording included, expects the number of events ([`Interval::compensator`]): time without events counts as much
 //!   as events;
 //! - an event's polarity is that of the side that is advancing ([`Interval::mark`]).
 //!
@@ -362,7 +362,7 @@ mod tests {
         assert!(ks(&together(&SENSOR, 2.0 * sigma)) > 2.0 * limit);
         assert!(ks(&together(&MapSensor { threshold_on: 0.21, ..SENSOR }, sigma)) > 2.0 * limit);
         assert!(ks(&together(&MapSensor { refractory_ns: 400_000, ..SENSOR }, sigma)) > 2.0 * limit);
-        // Silence counts: all intervals together expect as many events as there are.
+        // Time without events counts: all intervals together expect as many events as there are.
         let expected: f64 = right.iter().map(|interval| interval.compensator).sum();
         assert!((expected - events as f64).abs() < 3.0 * libm::sqrt(events as f64), "{expected} for {events}");
         // The side that advances is the one that fires.
@@ -424,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn background_events_fill_the_silence() {
+    fn background_events_fill_quiet_times() {
         // No light changes: only the background fires, at its rate.
         let (t, u) = ([0_i64], [4.0]);
         let rate = 25.0;

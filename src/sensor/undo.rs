@@ -9,7 +9,7 @@
 //!   stated sensor would have it ([`crate::conditional`]); that is given to the solver as known ([`crate::map::MapProblem::beyond`]) and the light is solved again (defect
 //!   correction; Stetter, Numerische Mathematik 29, 1978).
 //!
-//! What is drawn cannot be undone: measurements are believed that much less ([`Chance`]).
+//! What is drawn cannot be undone: measurements are trusted that much less ([`Chance`]).
 //!
 //! - Waits that depend on the load of the array: the recorded events of all pixels are the load ([`Undo::inform`]); before it is given, such effects stand in [`Undo::left_out`].
 //!

@@ -94,7 +94,7 @@ pub struct RunningMan {
     height: f64,
     ground: f64,
     start: f64,
-    /// Pixels after which the figure comes again.
+    /// Pixels after which the figure repeats.
     span: f64,
     /// Pixels per nanosecond.
     speed: f64,

@@ -174,7 +174,7 @@ fn log_of_truth(model: &Model, one: &Example, facts: &Facts) -> f64 {
     } else {
         facts.first.iter().zip(&posterior.each).filter(|(first, _)| one.has(&first.0)).map(|(_, p)| p).sum()
     };
-    // What never was a hypothesis says nothing of the model.
+    // What never was a hypothesis does not constrain the model.
     if right > 0.0 { libm::log(right.max(1e-4)) } else { 0.0 }
 }
 
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_is_right_with_a_clear_lead_is_believed_and_one_without_is_not() {
+    fn a_name_that_is_right_with_a_clear_lead_is_claimed_and_one_without_is_not() {
         let mut examples = examples(600);
         // With a close second, either is as often right.
         for (n, one) in examples.iter_mut().enumerate().filter(|(n, _)| n % 2 == 0) {

@@ -30,7 +30,7 @@ pub struct Decision {
     pub most_control: f64,
     /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than this.
     pub most_left: f64,
-    /// And silence says nothing where more than this is left.
+    /// And finding nothing decides nothing where more than this is left.
     pub most_silent: f64,
     /// Nor where nothing is said from a smaller gain on than this, nats an event: the scene errs too much to decide.
     pub most_needed: f64,
@@ -70,11 +70,11 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
         return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on this scene", found.left[0]));
     }
     let said = said(found, nominal, decision);
-    if !said.alarm && found.left[0] > decision.most_silent {
+    if !said.detected && found.left[0] > decision.most_silent {
         return Err(format!("events miss their thresholds by {:.2} of them on this scene: an effect of that size would not be seen", found.left[0]));
     }
     let needed = needed_gain(found, decision);
-    if !said.alarm && needed > decision.most_needed {
+    if !said.detected && needed > decision.most_needed {
         return Err("what events say on this scene does not separate effects from errors of the scene, but for the largest".to_owned());
     }
     Ok(said)
@@ -103,7 +103,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
         name: found.scene.clone(),
         share: found.share,
         span_ns: found.span_ns,
-        alarm: is_something,
+        detected: is_something,
         proposals: if is_unnamed { Vec::new() } else { first },
         second: if is_unnamed { Vec::new() } else { second },
         unexplained: curve.map(|curve| Unexplained::by(&curve.dependence, posterior.something / decision.least)),
@@ -190,7 +190,7 @@ mod tests {
         let found =
             Evidence { share: 1.0, left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
         let said = said(&found);
-        assert!(said.alarm && said.proposals[0].passed);
+        assert!(said.detected && said.proposals[0].passed);
         assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
         assert!(said.proposals[0].probability > 0.9);
     }
@@ -198,7 +198,7 @@ mod tests {
     #[test]
     fn what_gains_next_to_nothing_is_no_finding() {
         let found = Evidence { share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.004, 0.001)], ..Evidence::default() };
-        assert!(!said(&found).alarm);
+        assert!(!said(&found).detected);
     }
 
     #[test]
@@ -209,27 +209,27 @@ mod tests {
         let of = |id: &str| Evidence { share: 1.0, ranked: vec![Ranked { information: 2.0, unit: 1.0, ..ranked(id, 0.3, 0.0) }], ..Evidence::default() };
         let said = |id: &str| super::said(&of(id), &nominal, &decision);
         // 6 + 2 ln 0.3 is 3.6, and 4 less for a swing.
-        assert!(said("clock_offset").alarm && !said("threshold_scale").alarm);
+        assert!(said("clock_offset").detected && !said("threshold_scale").detected);
         let [clock, swing] = ["clock_offset", "threshold_scale"].map(|id| said(id).detectability[0].minimal_detectable);
         assert!((swing / clock - libm::exp(1.0)).abs() < 1e-9, "gains grow with the square of a size");
     }
 
     #[test]
-    fn silence_counts_only_where_an_effect_would_be_seen() {
+    fn finding_nothing_counts_only_where_an_effect_would_be_seen() {
         let nominal = testing::case().nominal().unwrap();
         let of = |left: f64, gain: f64| Evidence { share: 1.0, left: [left; 2], ranked: vec![ranked("clock_offset", gain, 0.0)], ..Evidence::default() };
-        let decided = |left: f64, gain: f64| decide(&of(left, gain), &nominal, &Decision::default()).map(|said| said.alarm);
+        let decided = |left: f64, gain: f64| decide(&of(left, gain), &nominal, &Decision::default()).map(|said| said.detected);
         assert_eq!((decided(0.05, 0.01), decided(0.2, 2.0)), (Ok(false), Ok(true)));
         assert!(decided(0.2, 0.01).unwrap_err().contains("would not be seen"));
         assert!(decided(0.4, 2.0).unwrap_err().contains("no effect explains it"));
     }
 
     #[test]
-    fn where_no_gain_would_be_believed_silence_is_no_answer() {
+    fn where_no_gain_would_count_finding_nothing_decides_nothing() {
         let nominal = testing::case().nominal().unwrap();
         let of =
             |scene: &str| Evidence { scene: scene.into(), share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.01, 0.0)], ..Evidence::default() };
-        assert_eq!(decide(&of("picture"), &nominal, &Decision::default()).map(|said| said.alarm), Ok(false));
+        assert_eq!(decide(&of("picture"), &nominal, &Decision::default()).map(|said| said.detected), Ok(false));
         let deaf = Decision { most_needed: 1e-4, ..Decision::default() };
         assert!(decide(&of("picture"), &nominal, &deaf).unwrap_err().contains("does not separate effects"));
     }

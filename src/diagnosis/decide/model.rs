@@ -262,7 +262,7 @@ pub struct Posterior {
 }
 
 impl Model {
-    /// What is believed of the first effect.
+    /// Posterior of the first effect.
     pub fn first(&self, facts: &Facts) -> Posterior {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
         self.posterior(dot(&self.something, &facts.something(self.discount)), facts.gains.best(), &facts.first, Some(odds))

@@ -7,7 +7,7 @@
 //! how fast they come, whatever the scene does.
 //!
 //! Limits: frames that average over a large part of their period say too little, and both tests are silent; finer delays, and bandwidths that depend on light, are the
-//! business of tests that estimate the scene. Another threshold than stated changes neither. Estimates are good to a third.
+//! business of tests that estimate the scene. Another threshold than stated changes neither. Estimates have an error of up to a third.
 
 use super::still::noise_dn;
 use super::{Finding, Heldout, half, quantile};
@@ -16,7 +16,7 @@ use crate::nominal::Nominal;
 
 /// Exposures longer than this share of the period say too little.
 pub(super) const LONGEST_EXPOSURE: f64 = 0.25;
-/// As few changes say nothing.
+/// So few changes decide nothing.
 const FEWEST: usize = 1000;
 /// A frame value must be so many standard deviations of its noise above black.
 const SIGNAL: f64 = 12.0;

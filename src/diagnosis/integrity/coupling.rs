@@ -15,7 +15,7 @@ use crate::nominal::Nominal;
 const BINS: usize = 50;
 /// Delays of rows that are tried, each way: the last is a readout that takes the whole period.
 const DELAYS: i64 = 2 * BINS as i64;
-/// As few events of one sign say nothing.
+/// So few events of one sign decide nothing.
 const FEWEST_EVENTS: usize = 30;
 /// Events where nothing moves must gain so much on the half that was not looked at, nats an event; as if half of them came in a fifth of the time.
 const NATS_AN_EVENT: f64 = 0.3;
@@ -111,7 +111,7 @@ impl Phases {
     }
 }
 
-/// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those that are left out. Where still pixels say nothing, all are asked.
+/// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those that are left out. Where still pixels decide nothing, all are asked.
 pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Finding> {
     let count = |pixels: &[u32], polarity: i8| -> usize {
         let events = pixels.iter().map(|&pixel| case.events.of(pixel as usize));

@@ -1,7 +1,7 @@
 //! What shows without an estimate of the scene: data that contradict themselves, stamps on a coarser grid, a readout queue, hot rows and pixels, noise events, lost
 //! events, events in step with the frames, leaks, blind times, late events; and flicker of the light, which is a property of the scene.
 //!
-//! Each test is strict: it speaks only where a sound sensor could hardly look like this whatever it sees. Silence of a test is no proof of health; what is finer
+//! Each test is strict: it reports only where a sound sensor could hardly look like this whatever it sees. A test that finds nothing is no proof of health; what is finer
 //! than these tests see is the business of the tests that estimate the scene.
 //!
 //! In reading order:
@@ -64,7 +64,7 @@ pub struct Finding {
 /// Gain in log-likelihood on one half of the blocks of pixels with what was estimated on the other, both ways.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Heldout {
-    /// Over the description as stated, nats.
+    /// Over the nominal description, nats.
     pub nats: f64,
     /// The events that it was measured on.
     pub events: usize,
@@ -120,7 +120,7 @@ pub const TESTED: [&str; 12] = [
     "parasitic_leak",
 ];
 
-/// All direct tests of a recording; `nominal` is the description as stated, none when it lacks what the model needs.
+/// All direct tests of a recording; `nominal` is the nominal description, none when it lacks what the model needs.
 pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     let mut found = Integrity { broken: data::broken(case), lacking: data::lacking(case), ..Integrity::default() };
     if !found.broken.is_empty() || case.events.all().len() < data::FEWEST_EVENTS {

@@ -94,7 +94,7 @@ impl Folded {
         Some(Folded { frames, bins, counts, around })
     }
 
-    /// Departures of a phase from what is around, in standard deviations of chance, frame by frame.
+    /// Departures of a phase from what is around, in standard deviations of pure chance, frame by frame.
     fn departures(&self, bin: usize) -> impl Iterator<Item = f64> {
         (0..self.frames).map(move |frame| frame * self.bins + bin).map(|k| (self.counts[k] - self.around[k]) / libm::sqrt(f64::max(self.around[k], 1.0)))
     }

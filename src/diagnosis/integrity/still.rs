@@ -4,7 +4,7 @@
 //! between two frames, but it comes from somewhere. Events of one sign there are a leak ([`leak`]); events that come when their row of the frame is read are coupling
 //! ([`coupling`]). A leak fills the gap to the threshold, coupling decides when it is crossed, so both are often met together.
 //!
-//! Limits: a scene in which all moves has no still pixels, and these tests are silent. A leak that fires only at readouts says nothing of how strong the coupling is;
+//! Limits: a scene in which all moves has no still pixels, and these tests are silent. A leak that fires only at readouts does not show how strong the coupling is;
 //! that is counted where light rises.
 
 use super::{Finding, Heldout, half, median};
@@ -21,7 +21,7 @@ const NOISE_RANGE: f64 = 10.0;
 const THRESHOLD_SHARE: f64 = 0.25;
 /// What moves must be farther away than this, pixels in rows and columns.
 const DISTANCE: usize = 4;
-/// As few events of one sign say nothing.
+/// So few events of one sign decide nothing.
 const FEWEST_EVENTS: usize = 30;
 /// ON events must be so many times as many as OFF events.
 const ON_OVER_OFF: usize = 4;
@@ -163,7 +163,7 @@ impl ByLight {
         let excess = |pixel: u32| case.events.of(pixel as usize).iter().map(|event| f64::from(event.polarity)).sum::<f64>();
         let net: Vec<(f64, f64)> =
             still.iter().zip(&lights).map(|(&pixel, light)| (excess(pixel), light / mean)).filter(|(excess, _)| *excess != 0.0).collect();
-        // Where the light is next to nothing, its noise would decide.
+        // Where the light is nearly zero, its noise would decide.
         let nats = |share: f64| net.iter().map(|(excess, light)| excess * libm::log(f64::max(1.0 - share + share * light, 0.01))).sum::<f64>();
         let grows = (0..=20).map(|k| nats(f64::from(k) / 20.0)).fold(f64::NEG_INFINITY, f64::max);
         ByLight { in_proportion: nats(1.0), grows, mean }

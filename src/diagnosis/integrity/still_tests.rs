@@ -63,7 +63,7 @@ fn still_pixels_keep_their_distance_from_what_moves() {
     let (still, leak, coupling) = found(&camera(|_, random| (any_time(random), pixel(random), if random.uniform() < 0.5 { 1 } else { -1 })));
     // 42 columns stand still, and the four next to the strip are too near.
     assert!((still as f64 / (38.0 * HEIGHT as f64) - 1.0).abs() < 0.05, "{still}");
-    // As many OFF as ON, at any time: noise, of which these tests do not speak.
+    // As many OFF as ON, at any time: noise, of which these tests do not report.
     assert!(leak.is_none() && coupling.is_none(), "{leak:?} {coupling:?}");
 }
 

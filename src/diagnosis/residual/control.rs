@@ -133,7 +133,7 @@ mod tests {
             let found = evidence(&case, &nominal, source.as_ref(), &EvidenceSetting::default()).unwrap();
             found.control_median / found.median
         };
-        // How sharp edges are follows from the frames to a factor of two or three; the picture as it is says nothing of it.
+        // How sharp edges are follows from the frames to a factor of two or three; the picture as it is does not constrain it.
         let (sharp, soft) = (ratio(PictureSetting::default().sharpest), ratio(0.0));
         assert!((0.3..3.0).contains(&sharp) && soft < 0.5 * sharp, "the control misses by {sharp} of what the recording does, on the picture by {soft}");
     }

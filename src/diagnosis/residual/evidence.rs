@@ -169,7 +169,7 @@ impl Ranked {
     /// What it stands for among others where wider noise of events alone gains `noise` ([`Evidence::noise`]), nats per event.
     ///
     /// Wider noise is held against the control's noise, and every other effect against the noise that its own residuals have, which is wider already: what that alone gains is theirs as well.
-    /// Noise by itself lets the others gain next to nothing.
+    /// Noise by itself lets the others gain almost nothing.
     pub fn standing(&self, noise: f64) -> f64 {
         let is_noise = NOISE.contains(&CANDIDATES[self.candidate].id);
         if is_noise || self.beyond() <= 0.0 { self.beyond() } else { self.beyond() + f64::max(noise - OVER_NOISE, 0.0) }

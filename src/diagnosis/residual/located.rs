@@ -2,10 +2,10 @@
 //!
 //! Each event gains the log density of its residual with the effect less that without it, both under the noise that is left with the effect ([`super::fit::gains`]): an event that
 //! the effect changes nothing of gains nothing. The mean gain per event is then compared between parts of the array, of the time, of the light and of the polarities, with errors from
-//! blocks of pixels. A part is reported only where the rest gains next to nothing compared with it ([`LocatedSetting::rest`]) and the two differ by many standard errors
+//! blocks of pixels. A part is reported only where the rest gains almost nothing compared with it ([`LocatedSetting::rest`]) and the two differ by many standard errors
 //! ([`LocatedSetting::certain`]), and still differ where the part is chosen on one half of the blocks and judged on the other; otherwise the whole range is.
 //!
-//! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate leaves out say nothing; random effects are not located.
+//! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate leaves out carry no information; random effects are not located.
 
 use super::open::Laid;
 use crate::candidates::CANDIDATES;
@@ -421,7 +421,7 @@ impl<'a> Ground<'a> {
         let is_own = |covariate: Covariate| own.split('*').any(|factor| factor == covariate.name() || (factor == "dn" && covariate == Covariate::Photocurrent));
         let own_curve = best_of(&is_own);
         let by_own = own_curve.map_or(0.0, |n| explained[n]);
-        // Where every event gains about as much, what little it varies by says nothing of the effect.
+        // Where every event gains about as much, what little it varies by does not constrain the effect.
         let displaces = |n: &usize| {
             explained[*n] >= self.setting.least_displacing && explained[*n] > self.setting.displaces * by_own && self.is_uneven(gains, &self.bins[*n].1)
         };

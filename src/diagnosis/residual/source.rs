@@ -74,7 +74,7 @@ pub trait Source: Sync {
     fn misfit(&self) -> f64;
 }
 
-/// Where something moves before something else, most frame values are those of what stands still and say nothing of how well the rest is predicted: errors below this share of a threshold
+/// Where something moves before something else, most frame values are those of what stands still and do not constrain how well the rest is predicted: errors below this share of a threshold
 /// are small enough for its events.
 pub const STEP: f64 = 0.15;
 

@@ -231,7 +231,7 @@ impl Seen<'_> {
         near.iter().map(one).collect()
     }
 
-    /// Where sizes of what is free of the scene move it from shares `by`; none where that is next to nothing.
+    /// Where sizes of what is free of the scene move it from shares `by`; none where that is nearly zero.
     fn further(&self, by: &[f64], sizes: &[f64], trial: &Trial) -> Option<(Vec<f64>, Light)> {
         let free = self.source.free();
         let far = |(size, (_, step)): (&f64, &(f64, f64))| (OPEN * size).abs() > NEAR * step.abs();

@@ -219,7 +219,7 @@ impl Fit<'_> {
         let median = left.get(left.len() / 2).copied().unwrap_or(f64::NAN);
         let scale = if median.is_finite() { median / 0.765 } else { 1.0 };
         let round = self.round(at, &self.measured);
-        // A parameter that frames say nothing of is open to a third of its range.
+        // A parameter that frames do not constrain is open to a third of its range.
         let least = 1.0 / (OPEN * OPEN);
         let root = round.and_then(|round| {
             let curvature = DMatrix::from_fn(n, n, |i, j| round.normal[(i, j)] / (scale * scale) + if i == j { least } else { 0.0 });

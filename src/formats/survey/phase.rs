@@ -10,7 +10,7 @@ use serde::Serialize;
 
 /// Bins from one frame to the next.
 pub const PHASES: usize = 64;
-/// A frame with fewer events says nothing.
+/// A frame with fewer events decides nothing.
 const FEWEST: u32 = 2 * PHASES as u32;
 
 /// Events by the time since the frame before them.

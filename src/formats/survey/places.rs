@@ -86,7 +86,7 @@ pub struct PlacesSurvey {
 }
 
 impl PlacesSurvey {
-    /// The time below which a share of the same-sign intervals of a pixel lies, ns, good to a factor of two; none without intervals.
+    /// The time below which a share of the same-sign intervals of a pixel lies, ns, within a factor of two; none without intervals.
     pub fn interval_quantile_ns(&self, share: f64) -> Option<f64> {
         let all: u64 = self.intervals.iter().sum();
         let mut below = 0;

@@ -1,4 +1,4 @@
-//! Time to find the most probable light of pixels, one after the other and eight at a time, and to choose the noise and the prior of a row, per event.
+//! Time of the MAP estimate of pixels, one after the other and eight at a time, and to choose the noise and the prior of a row, per event.
 //!
 //! Run with `cargo bench -p photocurrent-sensor --bench map`. Pixels come from the forward model with the values of `data/sensors/hybrid.toml` and its
 //! noise: 250 ms, 30 frames at 120 fps of 6.5 ms. Three kinds of light: edges (quiet between them), texture (never still), and a

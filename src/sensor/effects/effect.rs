@@ -103,11 +103,11 @@ pub struct History {
     pub last_event: Option<LastEvent>,
     /// Events so far.
     pub events: u64,
-    /// Position of the last event in its burst, from 1; a burst ends with [`BURST_GAP_NS`] of silence. 0 before any event.
+    /// Position of the last event in its burst, from 1; a burst ends after [`BURST_GAP_NS`] without an event. 0 before any event.
     pub burst_index: u32,
 }
 
-/// Silence that ends a burst, nanoseconds.
+/// Time without an event that ends a burst, nanoseconds.
 pub const BURST_GAP_NS: i64 = 10_000_000;
 
 /// Both contrast thresholds, positive, natural-log units.
@@ -283,7 +283,7 @@ pub struct ArrayEvent {
     pub event: PixelEvent,
 }
 
-/// What of an effect is drawn, so that it cannot be undone: by how much measurements are believed less, and what is known all the same.
+/// What of an effect is drawn, so that it cannot be undone: by how much measurements are trusted less, and what is known all the same.
 #[derive(Default)]
 pub struct Chance {
     /// Standard deviation of a pixel's own thresholds, natural-log units.

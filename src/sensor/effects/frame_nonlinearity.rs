@@ -16,7 +16,7 @@
 use super::sought::{GAIN, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit};
 
-/// Full scale of what is sought: over the range that is used, as the rest of it says nothing.
+/// Full scale of what is sought: over the range that is used, as the rest of it carries no information.
 const FULL_SCALE: &[(&str, Size)] = &[("full_scale_dn", Size::Of(1.0, Measure::LargestDn))];
 
 /// The catalogue entry.

@@ -3,7 +3,7 @@
 use super::Estimate;
 use photocurrent_core::random::Random;
 
-/// Draws: the ends of the interval are then good to about a tenth of it.
+/// Draws: the ends of the interval then have an error of about a tenth of it.
 const DRAWS: usize = 200;
 
 /// An estimate from `units` that count once, with the interval from units that count as often as they are drawn. None when the estimate is none, or in a tenth of the draws.
