@@ -67,7 +67,7 @@ impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
         about: "Joins what direct tests found and what was decided on a scene: verdict, fitted description, proof on held-out frames, report.",
-        revision: 18,
+        revision: 19,
         grain: Grain::Whole,
         draws: true,
         exports: false,

@@ -127,7 +127,7 @@ impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
         about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
-        revision: 6,
+        revision: 7,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -308,7 +308,7 @@ impl Node for DiagnoseEvidence {
     const DECL: Decl = Decl {
         kind: "diagnose/evidence",
         about: "Asks every effect of the catalogue how much it explains of what events miss their thresholds by, on a scene that frames alone state, or on known light.",
-        revision: 6,
+        revision: 7,
         grain: Grain::Whole,
         draws: true,
         exports: false,

@@ -85,7 +85,7 @@ impl Node for ScoreDiagnosis {
     const DECL: Decl = Decl {
         kind: "score/diagnosis",
         about: "Holds a diagnosis against what is known of the recording's sensor: false alarms, names, sets, parameters.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,
