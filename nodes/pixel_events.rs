@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn the_latency_is_taken_off_only_where_there_is_no_in_pixel_time() {
+    fn the_latency_is_subtracted_only_where_there_is_no_in_pixel_time() {
         for (t_in, expected) in [(Some(7_000), 7_000 - 6_000_000), (None, 9_000 - 1_000 - 6_000_000)] {
             let events = testing::stream(Extent { width: 1, height: 1 }, vec![Event { x: 0, y: 0, polarity: Polarity::Off, t: 9_000, t_in }]);
             let rule = StepRule::from_sensor(&sensor("[effects]\nclock_offset = { offset = \"6 ms\" }"), &events.meta, Stamp::Best, "test").unwrap();

@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn one_threshold_is_told_from_one_for_each_frame() {
+    fn one_threshold_is_distinguished_from_one_for_each_frame() {
         let table = |values: &[f64]| Table::default().with("contrast", Column::Numbers(values.to_vec()));
         assert_eq!(one_contrast_of(&table(&[0.2]), "x"), Ok(0.2));
         let error = one_contrast_of(&table(&[0.2, 0.3]), "x").unwrap_err();

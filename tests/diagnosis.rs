@@ -118,7 +118,7 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
 
 /// Another description than the recording's own, which also states the row time that the frames do not; the stages of an earlier run come from the cache.
 #[test]
-fn a_description_beside_the_recording_counts_and_a_second_run_is_read_from_the_cache() {
+fn a_description_next_to_the_recording_counts_and_a_second_run_is_read_from_the_cache() {
     let bench = Bench::new();
     let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
     bench.write("mine.toml", &text);
@@ -142,7 +142,7 @@ fn a_description_beside_the_recording_counts_and_a_second_run_is_read_from_the_c
 }
 
 #[test]
-fn a_cache_that_cannot_be_opened_is_told_and_the_answer_comes_all_the_same() {
+fn a_cache_that_cannot_be_opened_is_reported_and_the_answer_comes_all_the_same() {
     let bench = Bench::new();
     let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
     let frames = recordings::frames(4);
@@ -218,7 +218,7 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
 }
 
 #[test]
-fn direct_tests_alone_are_told_as_such() {
+fn direct_tests_alone_are_reported_as_such() {
     let bench = Bench::new();
     let recording = support::root().join("data/concealed/recordings/0ca5a116.h5");
     let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "found", "--direct"]);

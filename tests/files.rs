@@ -173,7 +173,7 @@ fn what_run_refuses_in_a_recording_check_finds() {
 }
 
 #[test]
-fn everything_that_a_description_lacks_is_told_at_once() {
+fn everything_that_a_description_lacks_is_reported_at_once() {
     let bench = Bench::new();
     write(&bench.path("rec.h5"), Some(&events()), Some(&frames(3)));
     bench.write("bare.toml", "format = \"photocurrent-sensor/1\"\nname = \"bare\"\n[frames]\nblack_level_dn = 10\n");

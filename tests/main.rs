@@ -22,6 +22,7 @@
 //! - `reports`: pages of finished runs, by `photocurrent report`.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
 //! - `tidy`: the invariants of docs/architecture.md.
+//! - `words`: the words of docs/vocabulary.md, and none that were retired.
 
 mod browser;
 mod cache;
@@ -47,3 +48,4 @@ mod reports;
 mod support;
 mod tables;
 mod tidy;
+mod words;

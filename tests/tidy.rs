@@ -391,7 +391,7 @@ fn every_data_file_is_named_in_a_readme() {
             missing.push(name);
         }
     }
-    assert!(missing.is_empty(), "a README.md beside it or above it in data/ says what it is, where it comes from and under which licence: {missing:?}");
+    assert!(missing.is_empty(), "a README.md next to it or above it in data/ says what it is, where it comes from and under which licence: {missing:?}");
 }
 
 #[test]
@@ -456,7 +456,7 @@ fn the_changelog_begins_with_what_is_not_released_yet() {
 }
 
 #[test]
-fn comments_are_told_from_code() {
+fn comments_are_separated_from_code() {
     let text = "let a = \"// no comment\"; // a comment, \"quoted\"\n/* two\nlines */ let b = 'x'; let c = r#\"raw \" // text\"#;\nlet d: &'static str = \"\\\"//\"; let e = ['\"', '\\\"']; // end\n";
     assert_eq!(
         code(text),

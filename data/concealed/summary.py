@@ -34,9 +34,9 @@ def read(run, answers):
 
 def truth_of(answer, card):
     """What is in a recording, in words."""
-    law = answer.get("off_catalogue")
-    if law:
-        return law.get("law") or law.get("plain") or law.get("words") or str(law.get("covariates"))
+    outside = answer.get("off_catalogue")
+    if outside:
+        return outside.get("law") or outside.get("plain") or outside.get("words") or str(outside.get("covariates"))
     if answer["kind"] in ("single", "pair"):
         return card["truth"].replace("+", ", ")
     return "nothing" if answer["kind"] == "null" else "nothing: " + (answer.get("condition") or answer["kind"])

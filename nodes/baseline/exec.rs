@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_that_writes_too_little_is_told_what_is_wanted() {
+    fn a_command_that_writes_too_little_learns_what_is_wanted() {
         assert!(run("true\n", false).unwrap_err().message.starts_with("there is no picture in"));
         let error = run(&format!("{PICTURE}\ncp pictures/0.npy pictures/1.npy\n"), false).unwrap_err();
         assert_eq!(error.message, "the command wrote 2 pictures, and 1 are wanted");

@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn standard_deviations_are_rendered_beside_the_frames() {
+    fn standard_deviations_are_rendered_with_the_frames() {
         let mut band = TrackBand::begin(0, 2);
         // Light e^0.1 times brighter and known half as well after 10 ms; the second pixel is unknown.
         let known = [(0, 2.0, 0.1), (10_000_000, 2.0 * libm::exp(0.1) as f32, 0.2)];

@@ -35,7 +35,7 @@ impl<'a> Pairs<'a> {
     ///
     /// # Errors
     /// As [`Pairs::map`].
-    pub fn map_beside<T: Send>(
+    pub fn map_with<T: Send>(
         &self,
         cx: &Context,
         third: &FrameSequence,

@@ -362,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_are_drawn_beside_their_truth_for_the_rows_asked_for() {
+    fn columns_are_drawn_with_their_truth_for_the_rows_asked_for() {
         let params = Params { y: Some("v_dc".into()), reference: Some("v_dc_true".into()), only: [("x".to_string(), 6)].into(), ..params(&["ours"]) };
         plot(params, vec![pixels()], |table, _, folder| {
             assert_eq!(table.column("curve"), Some(&Column::Texts(["truth", "truth", "ours", "ours"].map(String::from).to_vec())));
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_metric_column_or_row_is_told_with_what_there_is() {
+    fn an_unknown_metric_column_or_row_is_reported_with_what_there_is() {
         let run = |params: Params, table: Arc<Table>, look: &dyn Fn(NodeError)| {
             let node = WritePlot::build(params).unwrap();
             exporting(|cx| node.run(In { tables: vec![table] }, cx).err().unwrap(), |error, _, _| look(error));

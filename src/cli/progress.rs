@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_time_left_is_told_when_enough_is_done_to_know_it() {
+    fn the_time_left_is_shown_when_enough_is_done_to_know_it() {
         assert_eq!((time_left(100.0, 0, 10), time_left(1.9, 5, 10), time_left(60.0, 49, 1000), time_left(60.0, 10, 10)), (None, None, None, None));
         assert_eq!((time_left(60.0, 50, 1000), time_left(2.0, 5, 10)), (Some(1140.0), Some(2.0)));
     }

@@ -138,7 +138,7 @@ pub struct Comparator {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Reset {
-    /// `V_ref := V_FE` at `t_off + refractory`: the paper's law.
+    /// `V_ref := V_FE` at `t_off + refractory`: the paper's rule.
     #[default]
     Resample,
     /// `V_ref` moves by one threshold at `t_in`; a crossing inside the blind time fires at its end.

@@ -44,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pair_is_told_apart_by_the_word_of_the_one_that_has_it() {
+    fn a_pair_is_separated_by_the_word_of_the_one_that_has_it() {
         assert_eq!(
             apart("clock_drift", "clock_offset").unwrap(),
             "to separate clock_drift from clock_offset: a recording four times as long: a drift grows with it"

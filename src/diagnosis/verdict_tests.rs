@@ -53,7 +53,7 @@ fn what_is_certain_but_immaterial_is_not_claimed() {
 }
 
 #[test]
-fn a_second_effect_stands_behind_the_first_and_another_number_of_it_beside() {
+fn a_second_effect_stands_behind_the_first_and_another_number_of_it_is_added() {
     let with = |second: Proposal| Decided { second: vec![second], ..decided(vec![leak(1.05, 0.9)]) };
     assert_eq!(ids(&answer(&with(asymmetry(1.6, 0.9)))), ["leak_events", "threshold_asymmetry"]);
     assert_eq!(ids(&answer(&with(asymmetry(0.9, 0.9)))), ["leak_events"]);

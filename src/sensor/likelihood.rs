@@ -370,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn a_leak_and_thresholds_of_the_moment_are_uniform_when_they_are_told() {
+    fn a_leak_and_thresholds_of_the_moment_are_uniform_when_they_are_stated() {
         // The light stands still: a reference that falls at a constant rate reaches a threshold drawn at each reset after (threshold / rate), in closed form.
         let (rate, sigma) = (8.0, 0.02);
         let threshold = |k: usize| 0.2 + 0.05 * (k % 3) as f64;
@@ -406,7 +406,7 @@ mod tests {
     }
 
     #[test]
-    fn rounded_stamps_stay_uniform_when_that_is_told() {
+    fn rounded_stamps_stay_uniform_when_that_is_stated() {
         let (sigma, step_ns) = (0.004, 300_000);
         let rounded = |seed: u64| {
             let mut events = events(sigma, seed);

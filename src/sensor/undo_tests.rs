@@ -101,7 +101,7 @@ fn effects(described: Value) -> Vec<Box<dyn Effect>> {
 }
 
 #[test]
-fn each_effect_that_can_be_taken_off_is() {
+fn each_effect_that_can_be_undone_is() {
     let model = model();
     let clean = error(&model, &Undo::new(Vec::new()), &recorded(&model, &[]), 0);
     // Each with the share of the harm that may be left.

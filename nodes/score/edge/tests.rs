@@ -112,7 +112,7 @@ fn the_other_thresholds_give_another_width() {
 }
 
 #[test]
-fn ringing_narrows_the_edge_and_is_told() {
+fn ringing_narrows_the_edge_and_is_reported() {
     // 7 % at each side, 3 pixels long.
     let ringing = |d: f64| step(d) + if d.abs() < 3.0 { 0.07 * d.signum() } else { 0.0 };
     let edge = measured(&under_square_pixels(5.0, ringing));

@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_sensors_pixels_cannot_tell_apart_becomes_grey() {
+    fn what_the_sensors_pixels_cannot_resolve_becomes_grey() {
         // Stripes of one pixel: the finest there are. Seen at one sensor pixel for two of the photo they are beyond its limit.
         let photo = Spline::new(64, 64, (0..64 * 64).map(|k| f64::from(k % 2)).collect(), Outside::Mirror);
         let contrast = |spacing: f64| {

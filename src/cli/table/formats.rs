@@ -327,7 +327,7 @@ ball & 20.0 & \\textbf{0.20} & \\textbf{21.0} & 0.21 & -- & -- \\\\
     }
 
     #[test]
-    fn json_lines_tell_everything_about_a_cell() {
+    fn json_lines_have_everything_about_a_cell() {
         let text = json_lines(&grid(&["scene"], &["method", "metric"]), &style(Among::Row));
         let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
         assert_eq!(lines.len(), 12);

@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn what_gains_next_to_nothing_is_no_finding() {
+    fn what_gains_almost_nothing_is_no_finding() {
         let found = Evidence { share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.004, 0.001)], ..Evidence::default() };
         assert!(!said(&found).detected);
     }

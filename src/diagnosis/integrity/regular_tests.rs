@@ -44,7 +44,7 @@ fn a_scene_alone_has_no_such_dependence() {
 }
 
 #[test]
-fn events_that_stay_away_at_one_phase_of_every_row_are_told_with_that_phase() {
+fn events_that_stay_away_at_one_phase_of_every_row_are_reported_with_that_phase() {
     let found = dependences(&waves(|row, t, _| if is_blind(row, t) { 0.3 } else { 1.0 }), &[]);
     let [dependence] = &found[..] else { panic!("{found:?}") };
     assert_eq!(dependence.covariate, Covariate::FramePhase);
@@ -73,7 +73,7 @@ fn light_that_flickers_with_the_frames_is_the_scene_s() {
 }
 
 #[test]
-fn rows_that_differ_by_parity_are_told_with_their_share() {
+fn rows_that_differ_by_parity_are_reported_with_their_share() {
     let found = dependences(&waves(|row, _, _| if row % 2 == 1 { 0.8 } else { 1.0 }), &[]);
     let [dependence] = &found[..] else { panic!("{found:?}") };
     assert_eq!(dependence.covariate, Covariate::RowParity);

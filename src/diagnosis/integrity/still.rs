@@ -51,8 +51,8 @@ pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
             }
             let signal = sum / f64::max(count, 1.0) - nominal.number.black_level;
             // A saturated pixel shows no motion, and has it nevertheless.
-            let is_told = count >= FEWEST_FRAMES as f64 && high < nominal.saturation_dn;
-            !is_told || high - low > f64::max(NOISE_RANGE * noise, THRESHOLD_SHARE * threshold * signal)
+            let is_seen = count >= FEWEST_FRAMES as f64 && high < nominal.saturation_dn;
+            !is_seen || high - low > f64::max(NOISE_RANGE * noise, THRESHOLD_SHARE * threshold * signal)
         })
         .collect();
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);

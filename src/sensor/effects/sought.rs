@@ -140,7 +140,7 @@ pub enum Field {
     },
     /// `comparator.threshold_noise`.
     ThresholdNoise,
-    /// `comparator.reset`: the other law.
+    /// `comparator.reset`: the other rule.
     Reset,
     /// `readout.refractory`.
     Refractory,

@@ -59,7 +59,7 @@ fn every_effect_is_sought_by_numbers_of_its_own_or_says_why_it_is_not() {
 }
 
 #[test]
-fn pairs_that_a_further_recording_tells_apart_are_of_the_catalogue_and_stand_once() {
+fn pairs_that_a_further_recording_separates_are_of_the_catalogue_and_stand_once() {
     let mut pairs: Vec<[&str; 2]> = Vec::new();
     for EffectKind { decl, .. } in catalogue() {
         for (other, what) in decl.apart {

@@ -545,7 +545,7 @@ fn thresholds_of_their_own_are_found_where_pixels_differ() {
 }
 
 #[test]
-fn lost_events_are_found_where_frames_contradict_the_silence_and_nowhere_else() {
+fn lost_events_are_found_where_frames_contradict_the_gap_and_nowhere_else() {
     for reset in [Reset::Resample, Reset::Advance] {
         let whole = recorded(reset);
         // One edge goes unseen: light falls by 1.4 while the pixel is silent, and rises again after it.
