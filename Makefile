@@ -1,10 +1,10 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-# Both install what is missing first, through apt: Debian's libhdf5, and for the tests of pages its chromium. Rust itself must be there: https://rustup.rs
+# Both install what is missing first, through apt: Debian's libhdf5, and for tests its chromium (pages) and python3-h5py (readers). Rust itself must be there: https://rustup.rs
 
-# Where cargo builds, unless it is told otherwise.
+# Where cargo builds, unless it CARGO_TARGET_DIR says otherwise.
 BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
-.PHONY: demo test browser lint figures refine-weights test-training setup clean
+.PHONY: demo test browser readers lint figures refine-weights test-training setup clean
 
 demo: setup
 	@echo "The demo builds the program (some minutes the first time), then takes a few seconds: it simulates an 80 ms recording of fast pellets with known truth,"
@@ -21,16 +21,16 @@ demo: setup
 	@echo "  $(BIN) init data/recordings/davis346_cradle.aedat4 -o my.toml          # a manifest for any recording, yours too"
 	@echo "  $(BIN) diagnose data/recordings/davis346_traffic.aedat4 --sensor data/sensors/davis346_sheet.toml --direct   # what a description lacks"
 
-test: setup browser
+test: setup browser readers
 	cargo test --workspace --locked
 
 lint: setup
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked -- -D warnings
 
-# Holds the tables of README.md and docs/ to their commands, those that take minutes too.
+# Holds the tables of README.md and docs/ to their commands, those that take minutes too, and runs the commands of the pages.
 figures: setup
-	cargo test --release --locked --test photocurrent figures -- --include-ignored
+	cargo test --release --locked --test photocurrent -- figures commands --include-ignored
 
 # The refinement network from nothing, with its two ablations: nodes/refine/training/README.md. An hour or more on two cores, and 3 GB of packages.
 TRAINING := nodes/refine/training
@@ -71,6 +71,15 @@ browser:
 		SUDO=$$( [ $$(id -u) = 0 ] || echo sudo ); \
 		if command -v apt-get >/dev/null; then $$SUDO apt-get update -qq && $$SUDO apt-get install -y -qq --no-install-recommends chromium; \
 		else echo "No apt-get here: install Chromium or Chrome by hand." >&2; exit 1; fi; \
+	fi
+
+# Python with h5py for the tests of docs/readers: six small packages. Nothing happens when it is there.
+readers:
+	@if ! python3 -c 'import h5py, numpy' 2>/dev/null; then \
+		echo "Installing python3-h5py ..."; \
+		SUDO=$$( [ $$(id -u) = 0 ] || echo sudo ); \
+		if command -v apt-get >/dev/null; then $$SUDO apt-get update -qq && $$SUDO apt-get install -y -qq --no-install-recommends python3-h5py; \
+		else echo "No apt-get here, and the tests of docs/readers are skipped: pip install h5py brings them back."; fi; \
 	fi
 
 clean:

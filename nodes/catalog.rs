@@ -55,7 +55,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<diagnose::evidence::DiagnoseEvidence>(),
         Kind::of::<diagnose::decide::DiagnoseDecide>(),
         Kind::of::<diagnose::confirm::DiagnoseConfirm>(),
-        // What the user takes away.
+        // Files for the user.
         Kind::of::<write::recording::WriteRecording>(),
         Kind::of::<write::frames::WriteFrames>(),
         Kind::of::<write::video::WriteVideo>(),

@@ -1,4 +1,4 @@
-//! Events beside frames of more pixels or more colours: which events belong to which value of a frame.
+//! Events next to frames of more pixels or more colours: which events belong to which value of a frame.
 //!
 //! Frames may have a whole number of pixels along the side of each event pixel, and three values or a mosaic of filters instead of grey. Every value of a frame
 //! is a problem of its own, with the events of the event pixel that it lies on: so [`CoLocatedEvents`] gives the events of a row of frames as if every one of its

@@ -70,7 +70,7 @@ impl Exposures {
         let origin = self.starts[0];
         let bucket = (t.max(origin).wrapping_sub(origin) as u64 >> self.shift).min(self.first.len() as u64 - 2) as usize;
         let (low, high) = (self.first[bucket] as usize, self.first[bucket + 1] as usize);
-        // Most buckets have one frame or none, and then one comparison without a branch tells: a later bucket's frame starts after `t`.
+        // Most buckets have one frame or none, and then one comparison without a branch decides: a later bucket's frame starts after `t`.
         if high - low <= 1 { low + usize::from(self.starts[low] < t) } else { low + self.starts[low..high].partition_point(|&start| start < t) }
     }
 }

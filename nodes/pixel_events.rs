@@ -1,7 +1,7 @@
 //! A pixel's events as times and signed log steps: what the solver and the double integrals work on.
 //!
 //! Stamps: the in-pixel time where the recording has it; otherwise the off-pixel time less the sensor's smallest readout latency. The description's
-//! `clock_offset` is taken off, so that events and frames share one clock. Steps: the compensated ones where a node before made them, otherwise
+//! `clock_offset` is subtracted, so that events and frames share one clock. Steps: the compensated ones where a node before made them, otherwise
 //! plus or minus the threshold.
 
 use photocurrent_core::events::{EventRow, Polarity};
@@ -32,7 +32,7 @@ pub struct StepRule {
     pub threshold_off: f64,
     /// Which stamp dates an event.
     pub stamp: Stamp,
-    /// Taken off every stamp, ns: clock offset, smallest latency or an assumed one.
+    /// Subtracted from every stamp, ns: clock offset, smallest latency or an assumed one.
     pub shift_ns: i64,
 }
 
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn the_latency_is_taken_off_only_where_there_is_no_in_pixel_time() {
+    fn the_latency_is_subtracted_only_where_there_is_no_in_pixel_time() {
         for (t_in, expected) in [(Some(7_000), 7_000 - 6_000_000), (None, 9_000 - 1_000 - 6_000_000)] {
             let events = testing::stream(Extent { width: 1, height: 1 }, vec![Event { x: 0, y: 0, polarity: Polarity::Off, t: 9_000, t_in }]);
             let rule = StepRule::from_sensor(&sensor("[effects]\nclock_offset = { offset = \"6 ms\" }"), &events.meta, Stamp::Best, "test").unwrap();

@@ -1,7 +1,7 @@
 //! What every method that turns captured frames into frames at other instants does alike: which frames are asked for, where thresholds come from,
 //! what white is, and the walk over rows.
 //!
-//! Methods that stand beside each other must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
+//! Methods that are compared must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
 //! planning and for running, and [`by_rows`] and [`in_rows`] cut the work into rows.
 
 use crate::co_located::{CoLocated, CoLocatedEvents};
@@ -91,7 +91,7 @@ impl<'a> Request<'a> {
         virtual_frames(sampling, self.at, (frames.extent, frames.colour), covered, nominal_ns, self.sensor)
     }
 
-    /// Times and steps of events: one stated threshold for both polarities, else a searched one, else the description's two; `latency` is taken off
+    /// Times and steps of events: one stated threshold for both polarities, else a searched one, else the description's two; `latency` is subtracted
     /// every stamp.
     ///
     /// # Errors
@@ -272,7 +272,7 @@ mod tests {
     }
 
     #[test]
-    fn one_threshold_is_told_from_one_for_each_frame() {
+    fn one_threshold_is_distinguished_from_one_for_each_frame() {
         let table = |values: &[f64]| Table::default().with("contrast", Column::Numbers(values.to_vec()));
         assert_eq!(one_contrast_of(&table(&[0.2]), "x"), Ok(0.2));
         let error = one_contrast_of(&table(&[0.2, 0.3]), "x").unwrap_err();

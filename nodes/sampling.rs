@@ -1,6 +1,6 @@
 //! When virtual frames are exposed: at a steady rate, or like frames that exist.
 //!
-//! A renderer and every method that stands beside it must sample alike, or their scores compare different pictures. So the parameters, their
+//! A renderer and every method that is compared with it must sample alike, or their scores compare different pictures. So the parameters, their
 //! checks and the list of exposures stand here once. Frame `k` of a steady rate has the middle of its exposure at `k / rate`
 //! on the recording's clock (rounded to the nanosecond): with any two rates that divide each other, common instants fall together.
 

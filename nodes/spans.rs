@@ -30,7 +30,7 @@ pub fn rounded(count: f64) -> String {
     if count < 1e6 { format!("{count:.0}") } else { format!("{count:.1e}") }
 }
 
-/// Refuses events and frames that share no time once the description's clock offset is taken off; both inputs' files are to blame.
+/// Refuses events and frames that share no time once the description's clock offset is subtracted; both inputs' files are to blame.
 ///
 /// # Errors
 /// When they do not share time, with both spans and the likely offset; or when the clock offset is not understood.

@@ -62,7 +62,7 @@ impl Browser {
         self.to.write_all(message.to_string().as_bytes()).and_then(|()| self.to.write_all(b"\0")).and_then(|()| self.to.flush()).expect("the browser listens");
         loop {
             let mut bytes = Vec::new();
-            self.from.read_until(0, &mut bytes).expect("the browser speaks");
+            self.from.read_until(0, &mut bytes).expect("the browser answers");
             assert_eq!(bytes.pop(), Some(0), "the browser went away at {method}");
             let message: Value = serde_json::from_slice(&bytes).expect("JSON");
             if message["id"] == self.last {
@@ -258,7 +258,7 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
     assert_ne!(browser.js("document.querySelector('#time .cursor').getAttribute('x1')"), cursor);
     // Modes, each another picture; a method against itself differs nowhere.
     let mut seen = vec![browser.js(&shown())];
-    for mode in ["beside", "difference"] {
+    for mode in ["pair", "difference"] {
         browser.js(&format!("document.querySelector('[data-mode={mode}]').click()"));
         seen.push(browser.js(&shown()));
         browser.check(mode);

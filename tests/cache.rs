@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 const ALL: [&str; 10] = ["edi", "frames", "psnr", "psnr_edi", "recording", "render", "scene", "sensor", "solve", "table"];
 
-/// A bench with the small pipeline as `m.toml`, its sensor description beside it as `sensor.toml`.
+/// A bench with the small pipeline as `m.toml`, its sensor description next to it as `sensor.toml`.
 fn bench() -> Bench {
     let bench = Bench::new();
     std::fs::copy(support::root().join("data/sensors/hybrid.toml"), bench.path("sensor.toml")).expect("the sensor description");
@@ -66,13 +66,13 @@ fn a_second_run_executes_nothing_and_says_so() {
 }
 
 #[test]
-fn a_changed_weight_reruns_the_solver_and_what_follows_as_plan_and_explain_foretell() {
+fn a_changed_weight_reruns_the_solver_and_what_follows_as_plan_and_explain_predict() {
     let bench = bench();
     let first = bench.outcome(&["m.toml"]);
     let change = ["--set", "nodes.solve.params.cis_weight=2"];
 
-    let foretold = states(&bench, &change);
-    let those = |state: &str| foretold.iter().filter(|(_, found)| *found == state).map(|(node, _)| node.as_str()).collect::<Vec<_>>();
+    let predicted = states(&bench, &change);
+    let those = |state: &str| predicted.iter().filter(|(_, found)| *found == state).map(|(node, _)| node.as_str()).collect::<Vec<_>>();
     assert_eq!(those("miss"), ["solve"]);
     assert_eq!(those("waits"), ["frames", "psnr", "render", "table"]);
     assert_eq!(those("hit"), ["edi", "psnr_edi", "recording", "scene", "sensor"]);

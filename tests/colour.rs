@@ -99,7 +99,7 @@ fn what_takes_no_colour_says_so_and_names_what_does() {
 /// An event pixel sees a mixture whose steps are not those of any channel. A solver that took every event for a step of each channel would be worse than the
 /// double integral here (by 1 dB on this disk); one that knows from the frames how much a pixel's colour changes is far better.
 #[test]
-fn the_most_probable_light_of_changing_colours_is_not_misled_by_events_of_their_mixture() {
+fn the_map_estimate_of_changing_colours_is_not_misled_by_events_of_their_mixture() {
     let bench = Bench::new();
     let scene = pipeline().replace("bayer_rggb", "rgb").replace("duration = \"40 ms\"", "duration = \"80 ms\"").replace("width = 24", "width = 32");
     let scene = scene.replace("pixels_per_event_pixel = 2", "pixels_per_event_pixel = 1");

@@ -1,6 +1,6 @@
 //! Every node kind keeps the promises that all of them make: a name, a manual, an example that holds, parameters with meaning and default.
 //!
-//! The checks run over the catalogue, so that a new kind is held to them without a line here. Beside them: what the command prints about the
+//! The checks run over the catalogue, so that a new kind is held to them without a line here. In addition: what the command prints about the
 //! catalogue (`nodes`, `schema`, completions, help), and `docs/nodes.md`, which is generated:
 //! `UPDATE_EXPECT=1 cargo test --test photocurrent conformance` writes it anew.
 

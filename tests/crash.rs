@@ -84,7 +84,7 @@ fn assert_ends_as(bench: &Bench, arguments: &[&str], expected: &Undisturbed, whe
     assert_eq!(digests(&outcome), expected.digests, "{when}");
     assert_exports_are_whole(&bench.path("out/m"), when);
     let mut found = results(&bench.path("out/m"));
-    // What a killed run had half-made stands beside the results under a hidden name.
+    // What a killed run had half-made stands next to the results under a hidden name.
     found.retain(|path, _| !path.iter().next().is_some_and(|first| is_hidden(Path::new(first))));
     assert_eq!(found.keys().collect::<Vec<_>>(), expected.files.keys().collect::<Vec<_>>(), "{when}");
     assert!(found == expected.files, "{when}: a file differs");
@@ -221,7 +221,7 @@ impl Damaged {
     }
 
     /// The next run says what is damaged, runs these nodes, and everything is as before and stays so.
-    fn is_mended(&self, arguments: &[&str], nodes: &[&str], damaged: &Path) {
+    fn is_repaired(&self, arguments: &[&str], nodes: &[&str], damaged: &Path) {
         let mut all = vec!["run", "--json", "m.toml"];
         all.extend(arguments);
         let done = self.bench.run(&all);
@@ -263,7 +263,7 @@ fn a_result_that_is_cut_short_or_gone_is_made_again() {
         assert_eq!(damaged.bench.run(&["cache", "verify"]).code, 3);
         let plan = damaged.bench.run(&["explain", "m.toml", "recording"]);
         assert!(plan.stdout.starts_with("recording: would run\n  record damaged: output `events`: "), "{}", plan.stdout);
-        damaged.is_mended(&[], &["recording"], &events);
+        damaged.is_repaired(&[], &["recording"], &events);
     }
 }
 
@@ -275,7 +275,7 @@ fn a_result_with_a_wrong_byte_is_noticed_when_it_is_read_and_made_again() {
     let verified = damaged.bench.run(&["cache", "verify"]);
     assert_eq!(verified.code, 3);
     assert!(verified.stdout.contains(&format!("damaged: .photocurrent/data/{}", events.file_name().expect("a name").to_string_lossy())), "{}", verified.stdout);
-    damaged.is_mended(&["--force", "solve"], &["recording", "solve"], &events);
+    damaged.is_repaired(&["--force", "solve"], &["recording", "solve"], &events);
 }
 
 #[test]
@@ -284,7 +284,7 @@ fn a_table_with_a_wrong_byte_is_made_again_and_not_an_error_for_ever() {
     let damaged = Damaged::new();
     let scores = damaged.data("psnr.scores");
     flip_a_byte(&scores);
-    damaged.is_mended(&[], &["psnr"], &scores);
+    damaged.is_repaired(&[], &["psnr"], &scores);
 }
 
 #[test]
@@ -304,7 +304,7 @@ fn a_damaged_record_is_made_again() {
     for harm in harms {
         harm(&record);
         assert_eq!(damaged.bench.run(&["cache", "verify"]).code, 3);
-        damaged.is_mended(&[], &["solve"], &record);
+        damaged.is_repaired(&[], &["solve"], &record);
     }
 }
 
@@ -362,7 +362,7 @@ fn a_node_that_fails_stops_only_what_hangs_on_it() {
     assert_eq!((ends("failed"), ends("skipped")), (vec!["recording"], vec!["solve", "render", "frames"]));
     assert!(bench.path("out/m/aside/frames.csv").is_file() && !bench.path("out/m/frames").exists());
 
-    // Mended input: what was finished is not run again.
+    // Repaired input: what was finished is not run again.
     recordings::write(&bench.path("rec.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
     assert_eq!(executed(&bench.outcome(&["m.toml"])), ["frames", "recording", "render", "solve"]);
 }

@@ -91,7 +91,7 @@ fn what_cannot_be_diagnosed_says_why() {
 fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_do() {
     let bench = Bench::new();
     let root = support::root();
-    let recording = root.join("data/sealed/recordings/0ca5a116.h5");
+    let recording = root.join("data/concealed/recordings/0ca5a116.h5");
     let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "command", "--threads", "1", "--cache", "of the command"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let manifest = root.join("pipelines/diagnose/recording.toml").display().to_string();
@@ -108,17 +108,17 @@ fn neither_threads_nor_the_graph_change_a_byte_and_a_second_run_has_nothing_to_d
     }
     assert_eq!(executed(&bench.outcome(&arguments)), [""; 0]);
     // The examination's stages have the same keys, so that only the judgement is left to do.
-    let sealed = root.join("pipelines/diagnose/sealed.toml").display().to_string();
-    let examined = bench.outcome(&[&sealed, "--variant", "recording=0ca5a116", "--to", "right", "--out", "sealed"]);
+    let concealed = root.join("pipelines/diagnose/concealed.toml").display().to_string();
+    let examined = bench.outcome(&[&concealed, "--variant", "recording=0ca5a116", "--to", "right", "--out", "concealed"]);
     assert_eq!(executed(&examined), ["right"]);
-    let table = bench.run(&["table", "sealed", "--rows", "card.truth", "--columns", "card.said", "--metric", "count", "--sum"]);
+    let table = bench.run(&["table", "concealed", "--rows", "card.truth", "--columns", "card.said", "--metric", "count", "--sum"]);
     assert_eq!(table.code, 0, "{}", table.stderr);
     assert!(table.stdout.contains("none"), "{}", table.stdout);
 }
 
 /// Another description than the recording's own, which also states the row time that the frames do not; the stages of an earlier run come from the cache.
 #[test]
-fn a_description_beside_the_recording_counts_and_a_second_run_is_read_from_the_cache() {
+fn a_description_next_to_the_recording_counts_and_a_second_run_is_read_from_the_cache() {
     let bench = Bench::new();
     let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
     bench.write("mine.toml", &text);
@@ -142,7 +142,7 @@ fn a_description_beside_the_recording_counts_and_a_second_run_is_read_from_the_c
 }
 
 #[test]
-fn a_cache_that_cannot_be_opened_is_told_and_the_answer_comes_all_the_same() {
+fn a_cache_that_cannot_be_opened_is_reported_and_the_answer_comes_all_the_same() {
     let bench = Bench::new();
     let text = std::fs::read_to_string(support::root().join("data/sensors/hybrid.toml")).expect("a sensor description");
     let frames = recordings::frames(4);
@@ -214,13 +214,13 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
     assert!(executed(&bench.outcome(&[&manifest])).contains(&"again".to_string()));
     let scores = scores(&bench, "out/proof");
     let psnr = |name: &str| scores[&(format!("psnr_{name}"), "psnr_db".to_string())];
-    assert!(psnr("fitted") > psnr("stated") + 1.0, "{} dB as fitted, {} dB as stated", psnr("fitted"), psnr("stated"));
+    assert!(psnr("fitted") > psnr("stated") + 1.0, "{} dB fitted, {} dB nominal", psnr("fitted"), psnr("stated"));
 }
 
 #[test]
-fn direct_tests_alone_are_told_as_such() {
+fn direct_tests_alone_are_reported_as_such() {
     let bench = Bench::new();
-    let recording = support::root().join("data/sealed/recordings/0ca5a116.h5");
+    let recording = support::root().join("data/concealed/recordings/0ca5a116.h5");
     let done = bench.run(&["diagnose", recording.to_str().expect("a path"), "-o", "found", "--direct"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let report: Value = serde_json::from_str(&read(&bench, "found/diagnosis.json")).expect("JSON");

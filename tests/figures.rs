@@ -1,4 +1,4 @@
-//! The tables of README.md and docs/ are what the commands beside them print today.
+//! The tables of README.md and docs/ are what the commands next to them print today.
 //!
 //! A table whose numbers a command makes has a line before it, invisible on the page:
 //!
@@ -8,14 +8,15 @@
 //!
 //! What follows it is compared: of a code block every line must stand in the output, in this order and unbroken (`...` at the end of a line stands for the rest of it; a line
 //! that begins with `$ ` is the command itself); of a Markdown table the numbers of each row must stand in the output in this order. With `> FILE` at the end the output is
-//! that file, below the folder where the command runs, and not what it printed. Several commands are joined by ` && `.
+//! that file, below the folder where the command runs, and not what it printed. Files that the page says to save (`<!-- file: NAME -->`) are there. Several commands are joined by ` && `.
 //!
 //! `made by, slowly:` marks what takes more than some seconds. `make figures` holds those as well:
 //! `cargo test --release --test photocurrent figures -- --include-ignored`.
 //!
 //! Limits: of a Markdown table, labels are not compared, only numbers; and who writes a table without the line is not held to anything.
 
-use crate::support::{Bench, root};
+use crate::pages;
+use crate::support::root;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
@@ -57,14 +58,7 @@ fn figures(name: &str, text: &str) -> Vec<Figure> {
 
 /// All figures of README.md and docs/.
 fn all_figures() -> Vec<Figure> {
-    let mut names: Vec<String> = fs::read_dir(root().join("docs"))
-        .expect("docs/")
-        .map(|entry| format!("docs/{}", entry.expect("an entry").file_name().to_string_lossy()))
-        .filter(|name| name.ends_with(".md"))
-        .collect();
-    names.sort();
-    names.insert(0, "README.md".into());
-    names.iter().flat_map(|name| figures(name, &fs::read_to_string(root().join(name)).expect("a text"))).collect()
+    pages::names().iter().flat_map(|name| figures(name, &pages::read(name))).collect()
 }
 
 /// The numbers with a decimal point that are cells of their own in a row of a Markdown table.
@@ -106,10 +100,7 @@ fn hold(slow: bool) {
     assert!(slow || by_command.len() >= 3, "README.md and docs/ have tables that are cheap to make: {:?}", by_command.keys());
     let mut stale = Vec::new();
     for (command, figures) in by_command {
-        let bench = Bench::new();
-        for folder in ["pipelines", "data"] {
-            std::os::unix::fs::symlink(root().join(folder), bench.path(folder)).expect("a link");
-        }
+        let bench = pages::bench(figures[0].place.split(':').next().unwrap_or_default());
         let mut output = String::new();
         for part in command.split(" && ") {
             let words: Vec<&str> = part.split_whitespace().collect();

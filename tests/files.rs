@@ -118,6 +118,22 @@ fn every_command_knows_what_it_was_given() {
     bench.write("diagnosis.json", "{\"schema\": \"photocurrent-diagnosis/1\"}");
     says(&bench.run(&["run", "diagnosis.json"]), 2, &["this is a diagnosis"]);
     says(&bench.run(&["check", "diagnosis.json"]), 3, &["this is no diagnosis"]);
+    // The same for programs: the same exit code, on stdout.
+    let json = |arguments: &[&str], code: i32| -> serde_json::Value {
+        let done = bench.run(arguments);
+        assert!(done.code == code && done.stderr.is_empty(), "{}", done.stderr);
+        let found: serde_json::Value = serde_json::from_str(&done.stdout).expect("JSON");
+        assert!(found["schema"] == "photocurrent-check/1" && found["exit_code"] == code, "{found}");
+        found
+    };
+    let good = json(&["check", "data.bin", "--json"], 0);
+    assert!(good["checked"] == "24 events, 3 frames" && good["mistakes"].as_array().is_some_and(Vec::is_empty), "{good}");
+    let bad = json(&["check", "bad", "--json"], 3);
+    assert!(bad["mistakes"][0]["message"].as_str().is_some_and(|message| message.starts_with("bad/metrics.jsonl:")), "{bad}");
+    bench.write("typo.toml", &small_pipeline().replace("evs_weight", "evs_wait"));
+    let typo = json(&["check", "typo.toml", "--json"], 2);
+    let line = small_pipeline().lines().position(|line| line.contains("evs_weight")).expect("the line") + 1;
+    assert!(typo["mistakes"][0]["line"] == line && typo["mistakes"][0]["file"].as_str().is_some_and(|file| file.ends_with("typo.toml")), "{typo}");
     // The camera's own file, under another name.
     let clip = support::root().join("data/recordings/davis346_traffic.aedat4");
     std::fs::copy(clip, bench.path("clip")).expect("a copy");
@@ -157,7 +173,7 @@ fn what_run_refuses_in_a_recording_check_finds() {
 }
 
 #[test]
-fn everything_that_a_description_lacks_is_told_at_once() {
+fn everything_that_a_description_lacks_is_reported_at_once() {
     let bench = Bench::new();
     write(&bench.path("rec.h5"), Some(&events()), Some(&frames(3)));
     bench.write("bare.toml", "format = \"photocurrent-sensor/1\"\nname = \"bare\"\n[frames]\nblack_level_dn = 10\n");

@@ -193,7 +193,7 @@ fn write_csv(bench: &Bench, name: &str) -> PathBuf {
 }
 
 #[test]
-fn an_evt3_file_beside_a_folder_of_pictures() {
+fn an_evt3_file_with_a_folder_of_pictures() {
     let bench = Bench::new();
     write_csv(&bench, "events.csv");
     let done = bench.run(&["convert", "events.csv", "clip.raw"]);

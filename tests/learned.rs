@@ -57,8 +57,8 @@ fn a_row_says_which_weights_are_missing_in_a_run_that_succeeds() {
     for (method, missing) in [("time_lens", "time_lens.onnx"), ("cbmnet", "cbmnet.onnx"), ("refid", "refid.onnx"), ("evunroll", "evunroll/fan")] {
         let done = still(&bench, method, &[]);
         assert_eq!(done.code, 0, "{method}: {}", done.stderr);
-        let told = format!("left out: {method}, psnr_{method}, lpips_{method}: cannot read ");
-        assert!(done.stderr.contains(&told), "{method}: {}", done.stderr);
+        let note = format!("left out: {method}, psnr_{method}, lpips_{method}: cannot read ");
+        assert!(done.stderr.contains(&note), "{method}: {}", done.stderr);
         let manifests = [manifest("film"), manifest(method)];
         let done = bench.run(&["table", &manifests[0], &manifests[1], "--metric", "psnr_db", "--rows", "method", "--columns", "scene"]);
         assert_eq!(done.code, 0, "{method}: {}", done.stderr);

@@ -1,6 +1,7 @@
 //! The integration tests, as one binary. What belongs where:
 //!
 //! - `browser`: the pages in a real browser: the report of a run, the page of a diagnosis.
+//! - `commands`: the commands in README.md and docs/ run.
 //! - `conformance`: every node kind keeps the promises that all of them make.
 //! - `manifests`: every mistake in a manifest gives its message (`manifests/bad`).
 //! - `pipelines`: the pipelines that people run, and their ablations, do run.
@@ -16,14 +17,17 @@
 //! - `films`: pictures as light, from files to events.
 //! - `learned`: the manifests of methods whose networks are elsewhere.
 //! - `parts`: rows made apart and merged are the bytes of one process.
+//! - `readers`: the Python and Octave readers of docs/readers against what the command writes.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `reports`: pages of finished runs, by `photocurrent report`.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
 //! - `tidy`: the invariants of docs/architecture.md.
+//! - `words`: the words of docs/vocabulary.md, and none that were retired.
 
 mod browser;
 mod cache;
 mod colour;
+mod commands;
 mod conformance;
 mod crash;
 mod determinism;
@@ -35,10 +39,13 @@ mod first_run;
 mod inspect;
 mod learned;
 mod manifests;
+mod pages;
 mod parts;
 mod pipelines;
+mod readers;
 mod recordings;
 mod reports;
 mod support;
 mod tables;
 mod tidy;
+mod words;

@@ -1,6 +1,6 @@
 //! Every mistake in a manifest gives its message: file, line, what was found, what was expected, what to do.
 //!
-//! `manifests/bad` holds one malformed manifest per family of mistakes, named after it, and beside it what `photocurrent plan` says on
+//! `manifests/bad` holds one malformed manifest per family of mistakes, named after it, and next to it what `photocurrent plan` says on
 //! stderr, to the letter; `manifests/bad/parts` holds the files that they name. A changed message is a changed file here, so that messages are
 //! read when they are reviewed: `UPDATE_EXPECT=1 cargo test --test photocurrent manifests` writes them anew.
 
@@ -133,7 +133,7 @@ fn every_message_names_its_file_and_says_that_nothing_ran() {
         assert_eq!(last.split(' ').next(), Some(count.to_string().as_str()), "{name}: the last line counts the mistakes");
         assert!(!message.contains('\u{1b}'), "{name}: no colours under NO_COLOR");
         assert!(!message.contains(env!("CARGO_MANIFEST_DIR")), "{name}: names paths as the manifest does");
-        // A user without the file at hand must still know where to look. A manifest without a place of the mistake is the exception to mend.
+        // A user without the file at hand must still know where to look. A manifest without a place of the mistake is the exception to correct.
         let placed = message.lines().filter(|line| line.trim_start().starts_with("--> ")).count();
         assert!(placed == count || message.contains(&format!("{name}.toml")), "{name}: {count} mistakes, {placed} places, and the manifest is not named");
     }

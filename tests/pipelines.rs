@@ -90,7 +90,7 @@ fn the_compensation_ablation_agrees_with_the_quickstart() {
         let (here, there) = (varied[&(variant.into(), "psnr".into(), "psnr_db".into())], plain[&("base".into(), node.into(), "psnr_db".into())]);
         assert_eq!(here.to_bits(), there.to_bits(), "{variant}");
     }
-    // The same by another road: what the quickstart made is taken from its cache.
+    // The same in another way: what the quickstart made is taken from its cache.
     assert_eq!(executed(&quickstart.outcome(&arguments)), [""; 0]);
 }
 

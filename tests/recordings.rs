@@ -104,7 +104,7 @@ fn words(text: &str) -> String {
     text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
-/// Refused with this exit code, and told in these words.
+/// Refused with this exit code, and reported in these words.
 fn refuses(bench: &Bench, code: i32, parts: &[&str]) {
     assert_says(&bench.run(&["run", "m.toml"]), code, parts);
     if code == 2 {
@@ -181,7 +181,7 @@ fn one_frame_is_enough() {
 }
 
 #[test]
-fn missing_streams_are_told_before_anything_runs() {
+fn missing_streams_are_reported_before_anything_runs() {
     refuses(
         &bench(None, Some(&frames(3))),
         2,
@@ -247,7 +247,7 @@ fn with_events(change: impl FnOnce(&mut Vec<Event>)) -> Bench {
 }
 
 #[test]
-fn an_event_outside_the_sensor_is_told_with_count_place_and_advice() {
+fn an_event_outside_the_sensor_is_reported_with_count_place_and_advice() {
     let bench = with_events(|events| events[6].x = 12);
     // Events stand by time in the file: 12 ON events come first, and this one was the fourth of them.
     let said = [
@@ -264,7 +264,7 @@ fn an_event_outside_the_sensor_is_told_with_count_place_and_advice() {
 }
 
 #[test]
-fn an_in_pixel_time_after_the_off_pixel_time_is_told() {
+fn an_in_pixel_time_after_the_off_pixel_time_is_reported() {
     let bench = with_events(|events| events[0].t_in = Some(events[0].t + 1));
     let said = [
         "rec.h5",
@@ -276,7 +276,7 @@ fn an_in_pixel_time_after_the_off_pixel_time_is_told() {
 }
 
 #[test]
-fn a_time_resolution_that_is_no_number_of_nanoseconds_is_told() {
+fn a_time_resolution_that_is_no_number_of_nanoseconds_is_reported() {
     let events = events();
     let meta = photocurrent_core::EventsMeta { t_resolution_ns: Some(-1), ..(*events.meta).clone() };
     let band = events.read(events.rows()).expect("the events");
@@ -311,7 +311,7 @@ fn another_format_is_named() {
 }
 
 #[test]
-fn frames_of_another_size_than_the_sensor_are_told() {
+fn frames_of_another_size_than_the_sensor_are_reported() {
     let bench = bench(Some(&events()), Some(&frames(3)));
     let (path, mut bytes) = good_bytes(&bench);
     // The attribute's number follows its name, behind type and shape.
@@ -323,7 +323,7 @@ fn frames_of_another_size_than_the_sensor_are_told() {
 }
 
 #[test]
-fn unsorted_events_are_told() {
+fn unsorted_events_are_reported() {
     // Two stamps of eight bytes without a pattern: a column that does not shrink is stored as it is, the lowest bytes of all numbers
     // first, then the next ones. So the swap of two bytes swaps the order.
     let late = 0x1122_3344_5566_7700_i64;

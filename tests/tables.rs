@@ -29,7 +29,7 @@ fn a_table_shows_the_numbers_of_the_run_in_every_format() {
     let ours = |key| ["evs_weight=1", "evs_weight=1000"].map(|variant| value(variant, "psnr", key));
     let edi = value("evs_weight=1", "psnr_edi", "value");
 
-    // Rows and columns by themselves: the ablation's axis, and the methods beside each other.
+    // Rows and columns by themselves: the ablation's axis, and the methods next to each other.
     let csv = table(&["--format", "csv"]);
     let rows: Vec<Vec<&str>> = csv.lines().map(|line| line.split(',').collect()).collect();
     assert_eq!(rows[0], ["evs_weight", "psnr", "edi"]);

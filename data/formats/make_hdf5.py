@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the small HDF5 files beside this script, as other programs write them.
+"""Writes the small HDF5 files next to this script, as other programs write them.
 
 Needs: pip install h5py==3.16.0 hdf5plugin==7.1.0 numpy. Run in this folder. The numbers follow formulas that src/store/tests/foreign.rs and
 src/formats/hdf/tests.rs repeat; nothing of them comes from a dataset.

@@ -2,7 +2,7 @@
 
     pip install onnx==1.23.2 && python3 stand_ins.py
 
-Each gives (1 - t) before + t after, CBMNet (which is told no time) the mean of both frames, plus the sum of all voxel grids over 1000, so that each input is used.
+Each gives (1 - t) before + t after, CBMNet (which takes no time) the mean of both frames, plus the sum of all voxel grids over 1000, so that each input is used.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-//! `baseline/akf`: the asynchronous Kalman filter: a leak towards deblurred frames whose speed follows how much each source is worth.
+//! `baseline/akf`: the asynchronous Kalman filter: a leak towards deblurred frames whose speed follows the gain of each source.
 //!
 //! Idea: frames are deblurred with the events inside their exposure, and events between them are scaled so that they lead from one latent
 //! frame to the next: a reference known at every event. A state per pixel follows events and leaks towards that reference as a Kalman filter
@@ -112,7 +112,7 @@ pub struct Params {
     pub certainty_width: f64,
     /// Which stamp dates an event.
     pub stamp: Stamp,
-    /// A constant latency to take off every stamp; negative moves events later.
+    /// A constant latency to subtract from every stamp; negative moves events later.
     pub latency: Duration,
 }
 

@@ -78,7 +78,7 @@ pub struct Params {
     pub frame_stamp: FrameStamp,
     /// Which stamp dates an event.
     pub stamp: Stamp,
-    /// A constant latency to take off every stamp; negative moves events later.
+    /// A constant latency to subtract from every stamp; negative moves events later.
     pub latency: Duration,
 }
 

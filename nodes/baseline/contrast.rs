@@ -251,7 +251,7 @@ struct Scene {
 /// What a scene is made with.
 #[derive(Clone, Copy)]
 struct About {
-    /// Taken off every stamp.
+    /// Subtracted from every stamp.
     shift_ns: i64,
     /// DN.
     black: f64,

@@ -7,7 +7,7 @@
 //! of all frames' latent values, where events say how consecutive ones differ (mEDI).
 //!
 //! What its authors leave implicit stands in the open: the exposure is the recording's, the threshold is the sensor description's, a given number or one found by
-//! `baseline/contrast`, and a constant latency can be taken off the stamps. With colour, a mosaic or more pixels than the events, every value of a frame is taken
+//! `baseline/contrast`, and a constant latency can be subtracted from the stamps. With colour, a mosaic or more pixels than the events, every value of a frame is taken
 //! with the events of the event pixel that it lies on. Limits: no front-end delay, no readout latency, no refractory period.
 
 use crate::held::{Exposures, HeldMeans, Knots, Lanes, TILE, develop};
@@ -37,7 +37,7 @@ pub struct Params {
     pub threshold: Option<f64>,
     /// Which stamp dates an event.
     pub stamp: Stamp,
-    /// A constant latency to take off every stamp; negative moves events later.
+    /// A constant latency to subtract from every stamp; negative moves events later.
     pub latency: Duration,
     /// Weight of the equations that chain consecutive frames by the events between them, against those of each frame's blur: 0 leaves each frame to itself (EDI),
     /// 1 weighs both alike (mEDI).

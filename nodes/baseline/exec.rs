@@ -2,7 +2,7 @@
 //!
 //! The command runs in an empty folder that becomes this node's output folder. It finds there `recording.h5` (events, frames, sensor, in the layout of docs/formats.md),
 //! and `times_us.txt`, one line a wanted picture: the middle of its exposure in us. It writes one picture a line into `pictures/` (`*.png`, or `*.npy` of [height, width]),
-//! in the order of their names. What it prints goes to `stdout.txt` and `stderr.txt` beside them.
+//! in the order of their names. What it prints goes to `stdout.txt` and `stderr.txt` next to them.
 //!
 //! It runs again when its inputs, parameters or `files` change, and when `version` does: that text is yours to raise, for everything that cannot be seen from here (the
 //! interpreter, weights, a library). No shell takes part unless `command` names one. Limits: what a command does besides, nobody here knows; one that draws random numbers
@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_command_that_writes_too_little_is_told_what_is_wanted() {
+    fn a_command_that_writes_too_little_learns_what_is_wanted() {
         assert!(run("true\n", false).unwrap_err().message.starts_with("there is no picture in"));
         let error = run(&format!("{PICTURE}\ncp pictures/0.npy pictures/1.npy\n"), false).unwrap_err();
         assert_eq!(error.message, "the command wrote 2 pictures, and 1 are wanted");

@@ -325,7 +325,7 @@ params = { path = "film_output", times = "film_output/times.txt", time_unit = "u
     }
 
     fn files(&self) -> Vec<FileRef> {
-        // A folder that cannot be listed is told by the plan.
+        // A folder that cannot be listed is reported by the plan.
         let listed = pictures(self.params.path.path()).unwrap_or_default().into_iter().map(|path| FileRef { param: "path".into(), path });
         listed.chain(self.params.times.iter().map(|times| FileRef { param: "times".into(), path: times.path().to_path_buf() })).collect()
     }

@@ -1,4 +1,4 @@
-//! Other methods in the same roles, so that they can stand beside ours.
+//! Other methods in the same roles, so that they can be compared with ours.
 
 pub mod akf;
 pub mod cf;

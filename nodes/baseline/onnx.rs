@@ -77,7 +77,7 @@ pub struct Params {
     pub multiple: u32,
     /// Which stamp dates an event.
     pub stamp: Stamp,
-    /// Taken off every stamp besides the description's clock offset.
+    /// Subtracted from every stamp besides the description's clock offset.
     pub latency: Duration,
 }
 

@@ -1,7 +1,7 @@
 //! `diagnose/confirm`: one answer from direct tests and from what was decided on a scene, the description with what was found put in, and the proof.
 //!
 //! The verdict joins what the stages before found; the fitted description is the stated one with the claimed effects; the proof predicts held-out frames,
-//! as stated and as fitted. The report is what `diagnosis.json` holds, byte for byte.
+//! nominal and fitted. The report is what `diagnosis.json` holds, byte for byte.
 //!
 //! Limits: see docs/diagnosis.md. A page is made only when something takes it.
 
@@ -20,7 +20,7 @@ use std::sync::Arc;
 pub struct Params {
     /// Are held-out frames predicted with the stated and the fitted description? It needs an estimate of the light; without it direct tests take a second.
     pub proof: bool,
-    /// What predicts held-out frames worse than the description as stated, by more than this, dB, is withdrawn.
+    /// What predicts held-out frames worse than the nominal description, by more than this, dB, is withdrawn.
     #[schemars(range(min = 0.0))]
     pub most_worse_db: f64,
     /// Where no scene is evidence, what pairs of frames of long exposure propose counts only where it predicts held-out frames better by more than this, dB.
@@ -42,7 +42,7 @@ photocurrent_core::ports! {
         events: Option<EventStream>,
         /// The frames as captured, grey, of the events' pixels.
         frames: Option<FrameSequence>,
-        /// The description as stated.
+        /// The nominal description.
         sensor: Arc<Sensor>,
         /// What direct tests saw, a diagnosis of kind `integrity`.
         integrity: Arc<Diagnosis>,
@@ -58,7 +58,7 @@ photocurrent_core::ports! {
         report: Arc<Diagnosis>,
         /// The same for people: a diagnosis of kind `page`.
         page: Option<Arc<Diagnosis>>,
-        /// The description with what was found put in; as stated when nothing was.
+        /// The description with what was found put in; nominal when nothing was.
         sensor: Arc<Sensor>,
     }
 }

@@ -31,7 +31,7 @@ pub struct Params {
     /// Nor, on a scene that was fitted to frames, where more than this share is left with the best effect.
     #[schemars(range(min = 0.0))]
     pub most_left: f64,
-    /// And silence says nothing where more than this share is left.
+    /// And finding nothing decides nothing where more than this share is left.
     #[schemars(range(min = 0.0))]
     pub most_silent: f64,
     /// Nor where nothing is said from a smaller gain on than this, nats an event.
@@ -52,7 +52,7 @@ pub struct Params {
 #[derive(Clone, Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Numbers {
-    /// Log odds that something differs: constant, and weights of the logarithms of what the best effect gains and a second one beside it, and of the share of the events that count.
+    /// Log odds that something differs: constant, and weights of the logarithms of what the best effect gains and a second one in addition to it, and of the share of the events that count.
     pub something: Option<[f64; SOMETHING]>,
     /// Log odds of a second effect: constant, and weights of the logarithms of its gain and of that over the first's.
     pub second: Option<[f64; SECOND]>,
@@ -62,7 +62,7 @@ pub struct Numbers {
     pub softness: Option<[f64; 2]>,
     /// Log odds of a random effect over one with a size, at the same gain.
     pub random: Option<f64>,
-    /// Log odds of what is in no catalogue: constant, and weights of the logarithms of the best curve's gain beside the best effect, and alone, over that effect's.
+    /// Log odds of what is in no catalogue: constant, and weights of the logarithms of the best curve's gain with the best effect, and alone, over that effect's.
     pub unnamed: Option<[f64; 3]>,
 }
 
@@ -127,7 +127,7 @@ impl Node for DiagnoseDecide {
     const DECL: Decl = Decl {
         kind: "diagnose/decide",
         about: "Makes probabilities of evidence: that something differs, which effect it is, a second one, or none of the catalogue.",
-        revision: 6,
+        revision: 7,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -70,7 +70,7 @@ pub struct Params {
     /// So many of the best effects are fitted exactly.
     #[schemars(range(min = 1, max = 60))]
     pub refined: u32,
-    /// And so many of a second effect beside the first.
+    /// And so many of a second effect in addition to the first.
     #[schemars(range(min = 1, max = 60))]
     pub refined_second: u32,
     /// In so many rounds for each size.
@@ -94,7 +94,7 @@ pub struct Params {
     /// Of a recording with more frame values, only the neighbouring frames with the most events between them are looked at, as many as have so many values: a fit takes some 300 bytes for each.
     #[schemars(range(min = 1_000))]
     pub most_values: u32,
-    /// What a picture is sharpened over for the control, to find what its fit takes away, pixels.
+    /// What a picture is sharpened over for the control, to find what its fit removes, pixels.
     #[schemars(range(min = 0.0, max = 4.0))]
     pub sharpest: f64,
 }
@@ -149,11 +149,11 @@ photocurrent_core::ports! {
         events: Option<EventStream>,
         /// The frames as captured, grey, of the events' pixels.
         frames: Option<FrameSequence>,
-        /// The description as stated.
+        /// The nominal description.
         sensor: Arc<Sensor>,
         /// What direct tests saw, a diagnosis of kind `integrity`; without it nothing is amended.
         integrity: Option<Arc<Diagnosis>>,
-        /// A known target, a diagnosis of kind `target`: no picture is fitted then, and what is free of the target is fitted beside every effect.
+        /// A known target, a diagnosis of kind `target`: no picture is fitted then, and what is free of the target is fitted with every effect.
         target: Option<Arc<Diagnosis>>,
         /// Light that is known, of the array's pixels, grey: no picture is fitted then, either.
         light: Option<Light>,
@@ -308,7 +308,7 @@ impl Node for DiagnoseEvidence {
     const DECL: Decl = Decl {
         kind: "diagnose/evidence",
         about: "Asks every effect of the catalogue how much it explains of what events miss their thresholds by, on a scene that frames alone state, or on known light.",
-        revision: 6,
+        revision: 7,
         grain: Grain::Whole,
         draws: true,
         exports: false,

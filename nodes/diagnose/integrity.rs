@@ -4,7 +4,7 @@
 //! frames, leaks, lost light, late events; and flicker of the light, which is no fault of the sensor. What is found is put into a copy of the description, so that later
 //! stages look for the rest.
 //!
-//! Limits: every test is strict, and its silence proves nothing. Hot rows and pixels stand in the findings only: they are left out, not described.
+//! Limits: every test is strict, and finding nothing proves nothing. Hot rows and pixels stand in the findings only: they are left out, not described.
 
 use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_diagnosis::diagnose::{amend, check};
@@ -50,7 +50,7 @@ photocurrent_core::ports! {
     pub struct Out {
         /// What was seen: a diagnosis of kind `integrity`.
         findings: Arc<Diagnosis>,
-        /// The description with what was found put in; as stated when nothing was.
+        /// The description with what was found put in; nominal when nothing was.
         sensor: Arc<Sensor>,
     }
 }
@@ -64,7 +64,7 @@ impl Node for DiagnoseIntegrity {
     const DECL: Decl = Decl {
         kind: "diagnose/integrity",
         about: "Looks for what shows in a recording without its scene: broken data, stamps, hot rows and pixels, noise, loss.",
-        revision: 8,
+        revision: 9,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -97,11 +97,11 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let found = check(&case)?;
         let found = match self.params.tests {
             Tests::All => found,
-            Tests::BrokenData => Integrity { findings: Vec::new(), masked: Vec::new(), laws: Vec::new(), ..found },
+            Tests::BrokenData => Integrity { findings: Vec::new(), masked: Vec::new(), dependences: Vec::new(), ..found },
         };
         found.broken.iter().chain(&found.lacking).for_each(|why| cx.note(why.as_str()));
         found.findings.iter().for_each(|finding| cx.note(format!("{}: {}", finding.id, finding.seen)));
-        found.laws.iter().for_each(|law| cx.note(law.equation()));
+        found.dependences.iter().for_each(|dependence| cx.note(dependence.equation()));
         Ok(Out { findings: Arc::new(write_integrity(&found)?), sensor: Arc::new(amend(&case, &found)?.sensor) })
     }
 }

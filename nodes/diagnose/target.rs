@@ -2,7 +2,7 @@
 //!
 //! A rotating star, a fan, a sliding board: what it looks like is stated as for `simulate/scene`; where it stands, how fast it turns and when it began is only known to a range.
 //! Each range is searched, then the best few are fitted by damped Gauss-Newton with robust weights (Student's t) to a sample of the frame values, each the mean of the scene over its
-//! row's exposure. `target` is the fitted scene with what is free of it, for `diagnose/evidence`, which fits it beside every effect; `light` is the light of it over the recording, for
+//! row's exposure. `target` is the fitted scene with what is free of it, for `diagnose/evidence`, which fits it with every effect; `light` is the light of it over the recording, for
 //! everything that takes light.
 //!
 //! Source: docs/diagnosis.md, known targets. Limits: the whole array sees the target; what is free of it hides an effect that is exactly alike (`illuminance` an exposure time), so state
@@ -88,7 +88,7 @@ photocurrent_core::ports! {
         events: Option<EventStream>,
         /// The frames as captured, grey.
         frames: FrameSequence,
-        /// The description as stated.
+        /// The nominal description.
         sensor: Arc<Sensor>,
     }
 }
@@ -98,7 +98,7 @@ photocurrent_core::ports! {
     pub struct Out {
         /// Photocurrent of every pixel over the recording.
         light: Light,
-        /// The free parameters as fitted, with standard errors.
+        /// The fitted free parameters, with standard errors.
         fitted: Arc<Table>,
         /// The same target with what is free of it, for `diagnose/evidence`: a diagnosis of kind `target`.
         target: Arc<Diagnosis>,
@@ -259,7 +259,7 @@ impl Form for Family {
 /// A fitted target as a document.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Fitted {
-    /// As stated, with the ranges.
+    /// Nominal, with the ranges.
     params: Value,
     seed: u64,
     /// The free parameters, as shares of their ranges.

@@ -31,7 +31,7 @@ fn environment(library: &Path) -> Result<Environment, NodeError> {
         if path == library {
             return Ok(environment.clone());
         }
-        return Err(NodeError::usage(format!("{} was loaded before, and one process cannot use {} beside it", path.display(), library.display()))
+        return Err(NodeError::usage(format!("{} was loaded before, and one process cannot use {} as well", path.display(), library.display()))
             .hint("name one library in all nodes")
             .param("runtime"));
     }
@@ -67,7 +67,7 @@ impl Runtime {
         let first = runtime.session()?;
         let names = |outlets: &[ort::value::Outlet]| outlets.iter().map(|outlet| outlet.name().to_string()).collect();
         runtime.sockets = Sockets { inputs: names(first.inputs()), outputs: names(first.outputs()) };
-        runtime.put_back(first);
+        runtime.give_back(first);
         Ok(runtime)
     }
 
@@ -83,7 +83,7 @@ impl Runtime {
         builder.commit_from_memory(&self.content).map_err(|error| refused(error.to_string()))
     }
 
-    fn put_back(&self, session: Session) {
+    fn give_back(&self, session: Session) {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner).push(session);
     }
 
@@ -112,7 +112,7 @@ impl Network for Runtime {
     fn run_all(&self, inputs: &[(&str, &Tensor)], outputs: &[&str]) -> Result<Vec<Tensor>, NodeError> {
         let mut session = self.session()?;
         let result = self.calculate(&mut session, inputs, outputs);
-        self.put_back(session);
+        self.give_back(session);
         result
     }
 

@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn the_recorders_row_time_wins_and_the_difference_is_told() {
+    fn the_recorders_row_time_wins_and_the_difference_is_noted() {
         let frames = testing::captured(EXTENT, vec![Exposure::new(0, 10)], 30_000, |_, _, _| 1.0);
         let (_folder, node) = node(&RecordingContent { frames: Some(&frames), sensor: Some(SENSOR), ..RecordingContent::empty(EXTENT) });
         let Meta::Frames(meta) = &plan(&node).unwrap()[1] else { panic!("frames") };

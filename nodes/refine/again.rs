@@ -176,7 +176,7 @@ impl Again {
         Posed { model: self.model.sensor(), added: self.model.added() }
     }
 
-    /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best foretell frames that were kept back
+    /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best predict frames that were kept back
     /// from them; `hints_of` as for [`Again::solve`], but its hints must know nothing of those frames.
     pub fn caution(&mut self, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Caution {
         let of_pixel = |row: &mut Row, model: &Model, x: usize, hints: &[Hint]| {

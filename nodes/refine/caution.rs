@@ -1,4 +1,4 @@
-//! How careful to be with hints, for each region of the sensor: what foretells frames that were kept back best.
+//! How careful to be with hints, for each region of the sensor: what predicts frames that were kept back best.
 //!
 //! Pixels spread over the sensor are solved without some of their frames, with hints believed more or less, and asked for those frames. A
 //! region takes the caution that served the pixels near it best; far ones count a little, so that a few lucky hits choose nothing.

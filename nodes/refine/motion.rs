@@ -2,8 +2,8 @@
 //!
 //! Idea: where something moves, neighbouring pixels see the same light one after the other. A pixel that had no event for a while knows little
 //! about its light, but what passed its neighbours a moment ago passes it now. So the motion is found from the tracks themselves,
-//! every pixel's light is foretold by its neighbours' tracks carried along the motion, and the pixel is solved again with that as a further
-//! measurement beside its own events and frames ([`photocurrent_sensor::map::Hint`]). Better tracks give a better motion: a few rounds.
+//! every pixel's light is predicted by its neighbours' tracks carried along the motion, and the pixel is solved again with that as a further
+//! measurement in addition to its own events and frames ([`photocurrent_sensor::map::Hint`]). Better tracks give a better motion: a few rounds.
 //!
 //! The error of what neighbours say is measured, not assumed: past and future neighbours must agree with each other, and with the pixel's own
 //! events and frames. Where they do not (something is uncovered, two things move through each other, nothing moves at all), the pixel stays
@@ -37,7 +37,7 @@ pub struct Params {
     /// As in `solve/pixel`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub event_noise: Option<f64>,
-    /// As in `solve/pixel`: part of a frame value that is not believed.
+    /// As in `solve/pixel`: model error of a frame value, as a part of it.
     #[schemars(range(min = 0.0))]
     pub frame_noise: f64,
     /// As in `solve/pixel`: knots lie at most this far apart; neighbours are asked at every second one.

@@ -3,11 +3,11 @@
 //! Idea: where something rigid moves, all its frames are views of one picture. Between events and between exposures a pixel by itself knows
 //! nothing of a smooth texture; the picture does, because other exposures saw the same place, from elsewhere. So the scene of a diagnosis
 //! ([`photocurrent_diagnosis::residual::mosaic`]) is fitted to the frames alone: one moving picture, or one before a still ground, or pictures of tiles. What it predicts for a pixel is a
-//! further measurement beside the pixel's own events and frames (and what its neighbours say, as in `refine/motion`), with which the pixel is solved again.
+//! further measurement in addition to the pixel's own events and frames (and what its neighbours say, as in `refine/motion`), with which the pixel is solved again.
 //!
-//! Is it right? Nothing is assumed. It speaks only where it predicts the frames around ([`Gate`]). The pixel's own events, of which it knows nothing, judge it between frames ([`Trust`]). And
+//! Is it right? Nothing is assumed. It counts only where it predicts the frames around ([`Gate`]). The pixel's own events, of which it knows nothing, judge it between frames ([`Trust`]). And
 //! before every round the whole is tried on pixels without one frame in three: they must predict those frames better with the picture than without, or it is left away; how far it is
-//! believed is what predicts them best, region by region ([`Caution`](super::caution::Caution)).
+//! trusted is what predicts them best, region by region ([`Caution`](super::caution::Caution)).
 //!
 //! Limits: it needs the whole sensor at once; edges sharper than a pixel are blurred; with fewer than four frames nothing can be tried, and no picture is used. A long recording is
 //! fitted in parts of `most_values` frame values; an array so large that three frames are more than that has no picture.
@@ -54,7 +54,7 @@ pub struct Params {
     /// As in `solve/pixel`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub event_noise: Option<f64>,
-    /// As in `solve/pixel`: part of a frame value that is not believed.
+    /// As in `solve/pixel`: model error of a frame value, as a part of it.
     #[schemars(range(min = 0.0))]
     pub frame_noise: f64,
     /// As in `solve/pixel`: knots lie at most this far apart; the picture is asked at every second one.

@@ -8,7 +8,7 @@
 //! Only moving pixels are touched, and knots stay where they are: each gets the film's correction at its instant (of a held value, the mean over the hold).
 //!
 //! Limits: it knows nothing of events and frames, so it takes away noise and with it whatever is finer than the Gaussian. It is meant for rough solutions;
-//! `pipelines/ablations/steered.toml` tells what it does to better ones.
+//! `pipelines/ablations/steered.toml` shows what it does to better ones.
 //! Motion of more than about a pixel in a step of the film is not seen. The film takes eight bytes for each pixel and step
 //! of the rows that are worked on.
 

@@ -160,10 +160,10 @@ impl View<'_> {
         let mut rgb = [own; 3];
         let measured = self.channel(x, y);
         if measured == 1 {
-            // The colour beside green in its row, and the one above and below it.
-            let beside = self.channel(x + 1, y);
-            rgb[beside] = (5.0 * own + 4.0 * row - far_row - corners + 0.5 * far_column) / 8.0;
-            rgb[2 - beside] = (5.0 * own + 4.0 * column - far_column - corners + 0.5 * far_row) / 8.0;
+            // The colour next to green in its row, and the one above and below it.
+            let next = self.channel(x + 1, y);
+            rgb[next] = (5.0 * own + 4.0 * row - far_row - corners + 0.5 * far_column) / 8.0;
+            rgb[2 - next] = (5.0 * own + 4.0 * column - far_column - corners + 0.5 * far_row) / 8.0;
         } else {
             rgb[1] = (4.0 * own + 2.0 * (row + column) - far_row - far_column) / 8.0;
             rgb[2 - measured] = (6.0 * own + 2.0 * corners - 1.5 * (far_row + far_column)) / 8.0;
@@ -227,7 +227,7 @@ mod tests {
         let noise = |x: u32, y: u32| ((x * 37 + y * 101 + x * y * 11) % 97) as f32;
         let frames = mosaic("bayer_rggb", |_, x, y| noise(x, y));
         let found = run(None, &frames);
-        // At (4, 4) red, (5, 4) green beside red, (4, 5) green above and below red, (5, 5) blue.
+        // At (4, 4) red, (5, 4) green next to red, (4, 5) green above and below red, (5, 5) blue.
         let filters = [
             (4, 4, 1, GREEN_AT_RED),
             (4, 4, 2, RED_AT_BLUE),

@@ -65,7 +65,7 @@ pub struct Params {
     pub sampling: Sampling,
     /// Only pixels in this rectangle are rendered, and frames have its size; absent = the whole sensor.
     pub roi: Option<Roi>,
-    /// How tracks that are held between knots are read; those that are log-linear already say nothing else.
+    /// How tracks that are held between knots are read; those that are log-linear already are not changed by it.
     pub between: Reading,
 }
 
@@ -395,7 +395,7 @@ mod tests {
     }
 
     #[test]
-    fn standard_deviations_are_rendered_beside_the_frames() {
+    fn standard_deviations_are_rendered_with_the_frames() {
         let mut band = TrackBand::begin(0, 2);
         // Light e^0.1 times brighter and known half as well after 10 ms; the second pixel is unknown.
         let known = [(0, 2.0, 0.1), (10_000_000, 2.0 * libm::exp(0.1) as f32, 0.2)];

@@ -2,7 +2,7 @@
 //!
 //! A rectangle is stated around each straight edge; [`super::edge`] says how its width is found: on linear DN, along the normal of the edge, between 10 and
 //! 90 % of the contrast. Larger is blurrier. An ideal step under square pixels has 0.80 pixels; a smaller value is sharpening, gets a mark, and has
-//! overshoot beside it, so that ringing cannot win unseen. More than one crossing of 50 % is a ghost: it is counted, and there is no width.
+//! overshoot with it, so that ringing cannot win unseen. More than one crossing of 50 % is a ghost: it is counted, and there is no width.
 //!
 //! The paper's own definition is not public, and its lowest figure (0.7) lies below the floor: compare methods and trends, not single figures.
 //! `profile = "row"` over a segment of 40 pixels is the closest imitation of its Fig. 10(i). Limits: one edge a rectangle, straight, with plateaus on both

@@ -1,4 +1,4 @@
-//! Metric cards: what has to be said beside a number, so that it can be compared with another one.
+//! Metric cards: what has to be said with a number, so that it can be compared with another one.
 //!
 //! Figures of one name differ between papers because channel, value range, crop, weights and matching of frames are not stated. Every scorer fills in
 //! a [`Card`]; no field can be forgotten, and the text has one form: `definition: key = text; key = text`, keys in one order.

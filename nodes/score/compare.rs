@@ -1,4 +1,4 @@
-//! Frames beside their true frames: the loop, the peak and the rows of scores that all full-reference metrics share.
+//! Frames with their true frames: the loop, the peak and the rows of scores that all full-reference metrics share.
 
 use super::matching::match_frames;
 use photocurrent_core::quantity::Duration;
@@ -35,7 +35,7 @@ impl<'a> Pairs<'a> {
     ///
     /// # Errors
     /// As [`Pairs::map`].
-    pub fn map_beside<T: Send>(
+    pub fn map_with<T: Send>(
         &self,
         cx: &Context,
         third: &FrameSequence,

@@ -50,7 +50,7 @@ photocurrent_core::ports! {
         sigma: FrameSequence,
         /// What the frames should be.
         truth: Truth,
-        /// For the peak that tells moving pixels.
+        /// For the peak from which moving pixels follow.
         sensor: Option<Arc<Sensor>>,
     }
 }
@@ -104,7 +104,7 @@ in   = { frames = "render.frames", sigma = "render.sigma", truth = "recording.tr
         let pairs = Pairs::new(&input.frames, &input.truth.0, self.params.tolerance)?;
         let peak = Peak::find(None, input.sensor.as_deref(), &input.truth.0, "true")?;
         let mask = self.params.region.mask_in(self.params.roi, &input.truth.0, peak.dn)?;
-        let counted = pairs.map_beside(cx, &input.sigma, |picture, reference, sigma| Ok(Counted::of(picture, reference, sigma, &mask)))?;
+        let counted = pairs.map_with(cx, &input.sigma, |picture, reference, sigma| Ok(Counted::of(picture, reference, sigma, &mask)))?;
         cx.count(counted.iter().map(|counted| counted.unknown).sum(), "values were not known, or not how well, and are left out");
         let mut scores = Vec::new();
         for (n, (_, name)) in WITHIN.iter().enumerate() {

@@ -1,13 +1,13 @@
 //! `score/diagnosis`: a diagnosis held against what is known of the recording's sensor.
 //!
-//! The answers are a file beside recordings that were made to examine a diagnosis (`photocurrent-sealed-answers/1`): for each recording which effects its sensor has
-//! beyond its description, with their numbers, or none, or a law outside the catalogue. This node alone reads such a file; no stage of a diagnosis does.
+//! The answers are a file next to recordings that were made to examine a diagnosis (`photocurrent-sealed-answers/1`): for each recording which effects its sensor has
+//! beyond its description, with their numbers, or none, or a dependence outside the catalogue. This node alone reads such a file; no stage of a diagnosis does.
 //!
-//! Numbers depend on what is concealed: `false_alarm` where nothing is; `first_right`, `in_set`, `set_size`, `surplus`, `f1`, `belief`, `parameter_error` and `covered` where
-//! effects of the catalogue are; `unnamed` and `covariate_right` where a law is that no catalogue lists. What does not apply is left out, so that means over
+//! Numbers depend on what is concealed: `false_alarm` where nothing is; `first_right`, `in_set`, `set_size`, `surplus`, `f1`, `posterior`, `parameter_error` and `covered` where
+//! effects of the catalogue are; `unnamed` and `covariate_right` where a dependence is that no catalogue lists. What does not apply is left out, so that means over
 //! recordings are means over those of their kind. `count` is 1: with the card's fields `truth` and `said`, its sum is a confusion matrix.
 //!
-//! Limits: effects that no recording could tell apart count as wrong when the other one is named; `in_set` is the fairer number.
+//! Limits: effects that no recording could distinguish count as wrong when the other one is named; `in_set` is the fairer number.
 
 use photocurrent_core::quantity::InputPath;
 use photocurrent_core::table::{Column, Score, TableMeta};
@@ -42,7 +42,7 @@ photocurrent_core::ports! {
 photocurrent_core::ports! {
     /// How right it is.
     pub struct Out {
-        /// Pooled: what applies of `count`, `false_alarm`, `first_right`, `in_set`, `set_size`, `surplus`, `f1`, `belief`, `parameter_error`, `covered`, `unnamed`, `covariate_right`.
+        /// Pooled: what applies of `count`, `false_alarm`, `first_right`, `in_set`, `set_size`, `surplus`, `f1`, `posterior`, `parameter_error`, `covered`, `unnamed`, `covariate_right`.
         scores: Arc<Table>,
         /// One row: `recording`, `kind`, `condition`, `truth`, `verdict`, `said`, `also_possible`.
         row: Arc<Table>,
@@ -85,11 +85,11 @@ impl Node for ScoreDiagnosis {
     const DECL: Decl = Decl {
         kind: "score/diagnosis",
         about: "Holds a diagnosis against what is known of the recording's sensor: false alarms, names, sets, parameters.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,
-        sources: &["photocurrent-sealed-answers/1 (data/sealed/README.md)"],
+        sources: &["photocurrent-sealed-answers/1 (data/concealed/README.md)"],
         example: r#"
 [nodes.right]
 kind   = "score/diagnosis"
@@ -162,7 +162,7 @@ fn joined(ids: &[String]) -> String {
     if ids.is_empty() { "none".into() } else { ids.join("+") }
 }
 
-/// The ids of what is concealed, in alphabetical order; `unnamed` for a law outside the catalogue.
+/// The ids of what is concealed, in alphabetical order; `unnamed` for a dependence outside the catalogue.
 fn truth(answer: &Value) -> Vec<String> {
     let ids = answer["effects"].as_array().into_iter().flatten().filter_map(|effect| effect["id"].as_str());
     let mut ids: Vec<String> = ids.map(str::to_owned).collect();
@@ -202,10 +202,10 @@ fn judge(answer: &Value, report: &Value, truth: &[String], said: &Said) -> Vec<(
         scores.push(("false_alarm", is(!said.sets.is_empty())));
         return scores;
     }
-    if let Some(law) = answer["off_catalogue"].as_object() {
+    if let Some(concealed) = answer["off_catalogue"].as_object() {
         let unnamed = report["effects"].as_array().into_iter().flatten().find(|effect| effect["id"] == "unnamed");
         scores.push(("unnamed", is(unnamed.is_some())));
-        let right: BTreeSet<&str> = law.get("covariates").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).collect();
+        let right: BTreeSet<&str> = concealed.get("covariates").and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str).collect();
         let covariate = unnamed.and_then(|effect| effect["location"]["covariate"].as_str());
         scores.push(("covariate_right", is(covariate.is_some_and(|covariate| right.contains(covariate)))));
         return scores;
@@ -220,8 +220,8 @@ fn judge(answer: &Value, report: &Value, truth: &[String], said: &Said) -> Vec<(
     scores.push(("surplus", said.sets.iter().filter(|set| !set.iter().any(|id| truth.contains(id))).count() as f64));
     scores.push(("f1", 2.0 * named as f64 / (truth.len() + said.ids.len()) as f64));
     let first = report["effects"].as_array().into_iter().flatten().next();
-    if let Some(belief) = first.and_then(|effect| effect["evidence"]["belief"].as_f64()) {
-        scores.push(("belief", belief));
+    if let Some(posterior) = first.and_then(|effect| effect["evidence"]["posterior"].as_f64()) {
+        scores.push(("posterior", posterior));
     }
     let errors = parameters(answer, report);
     if !errors.is_empty() {
@@ -329,14 +329,14 @@ mod tests {
     }
 
     #[test]
-    fn a_law_outside_the_catalogue_is_to_stay_without_a_name() {
+    fn a_dependence_outside_the_catalogue_is_to_stay_without_a_name() {
         let right = json!([{ "id": "unnamed", "also_possible": [], "location": { "covariate": "row_rate" } }]);
         close(&scores("00000003", right).0, &[("count", 1.0), ("unnamed", 1.0), ("covariate_right", 1.0)]);
         close(&scores("00000003", json!([{ "id": "blur", "also_possible": [] }])).0, &[("count", 1.0), ("unnamed", 0.0), ("covariate_right", 0.0)]);
     }
 
     #[test]
-    fn a_recording_or_a_file_that_is_not_there_is_told_while_planning() {
+    fn a_recording_or_a_file_that_is_not_there_is_reported_while_planning() {
         let report = || PortMetas::new([("report".to_string(), vec![Meta::Diagnosis(Arc::new(DiagnosisMeta { kind: DiagnosisKind::Report }))])].into());
         let (_folder, unknown) = node("ffffffff");
         let error = unknown.plan(&report()).unwrap_err();

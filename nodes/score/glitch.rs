@@ -88,7 +88,7 @@ in   = { scores = "psnr" }
         frames.sort_by_key(|score| score.frame);
         let changes: Vec<(&Score, f64)> = frames.windows(2).map(|pair| (pair[1], (pair[1].value - pair[0].value).abs())).collect();
         let measured: Vec<f64> = changes.iter().map(|(_, change)| *change).filter(|change| !change.is_nan()).collect();
-        cx.count((changes.len() - measured.len()) as u64, "changes were not measured, as a frame beside them was not");
+        cx.count((changes.len() - measured.len()) as u64, "changes were not measured, as a frame next to them was not");
         if measured.is_empty() {
             return Err(NodeError::input(format!("{} frame(s) of \"{}\" make no pair of measured neighbours", frames.len(), self.params.metric))
                 .hint("score two frames or more"));
@@ -165,7 +165,7 @@ mod tests {
     fn frames_that_were_not_measured_break_the_chain() {
         let (scores, notes) = run(&[30.0, 31.0, f64::NAN, 40.0], "psnr_db").unwrap();
         assert_eq!(pooled(&scores, "glitch_psnr_db"), 1.0);
-        assert_eq!(notes, ["2 changes were not measured, as a frame beside them was not"]);
+        assert_eq!(notes, ["2 changes were not measured, as a frame next to them was not"]);
     }
 
     #[test]

@@ -192,7 +192,7 @@ params = { weights = "data/weights/lpips_alex.onnx" }
         let card = Card {
             definition: "lpips.v0.1",
             channel: format!("{encoding}, {}", if frames.meta.channels() == 1 { "grey in three channels" } else { "RGB" }),
-            range: format!("0 to 1 of {}, black level {black} DN taken off, clipped", peak.describe()),
+            range: format!("0 to 1 of {}, black level {black} DN subtracted, clipped", peak.describe()),
             border: "none".into(),
             frames: pairs.describe(),
             region: self.params.roi.map_or("all pixels".into(), Roi::describe),

@@ -1,7 +1,7 @@
-//! `score/pixel_error`: single pixels over time, beside the truth: DN and the settled voltage V_DC.
+//! `score/pixel_error`: single pixels over time, with the truth: DN and the settled voltage V_DC.
 //!
 //! A mean over pictures hides what happens in the one pixel that a fast object passes. Here chosen pixels are followed through all frames (the paper's
-//! Fig. 8): their DN, the photocurrent that it stands for by Eq. (5), and `V_DC = ln i` of Eq. (6), each beside that of the true frame.
+//! Fig. 8): their DN, the photocurrent that it stands for by Eq. (5), and `V_DC = ln i` of Eq. (6), each with that of the true frame.
 //! `V_FE` is what the front end makes of that light by Eqs. (1) and (2): it settles towards each frame's V_DC, with the time constant of that frame's photocurrent, from
 //! one middle of an exposure to the next. It is close to the pixel's own voltage where frames follow each other faster than the front end does.
 //! Errors in V_DC are relative errors of the light: 0.1 is about 10 %, whether the pixel is bright or dark.
@@ -93,7 +93,7 @@ impl ScorePixelError {
 impl Node for ScorePixelError {
     const DECL: Decl = Decl {
         kind: "score/pixel_error",
-        about: "Follows chosen pixels over time: DN and V_DC beside the truth.",
+        about: "Follows chosen pixels over time: DN and V_DC with the truth.",
         revision: 2,
         grain: Grain::Whole,
         draws: false,

@@ -3,7 +3,7 @@
 //! Everything the simulators share: when frames are exposed, how charge becomes a noisy whole number, how a pixel's events come about
 //! ([`photocurrent_sensor::forward`]) with the effects of the sensor description. Every pixel has its own random numbers, so row bands do not matter.
 //!
-//! An effect that couples all pixels (a queue on their way out) does nothing until [`Camera::inform`] tells it the load.
+//! An effect that couples all pixels (a queue on their way out) does nothing until [`Camera::inform`] gives it the load.
 //!
 //! Limits: photon noise only in the frames; the random part of the readout latency is drawn per event.
 
@@ -96,7 +96,7 @@ impl Camera {
         if let Some(refractory) = sensor.readout.refractory.filter(|refractory| refractory.ns() > span.length_ns()) {
             let message = format!("`readout.refractory` is {refractory}, and the light lasts {}", Duration::new(span.length_ns()));
             return Err(NodeError::usage(message)
-                .note("a pixel is blind for its refractory period after each event: none could tell a second one")
+                .note("a pixel is blind for its refractory period after each event: no second one could be seen")
                 .hint("check the unit of `readout.refractory` in the sensor description, usually 1 us to 10 ms, or make the light longer")
                 .blames(DataType::Sensor));
         }
@@ -126,7 +126,7 @@ impl Camera {
         self.effects.iter().zip(&self.coupling).find_map(|(effect, couples)| couples.then(|| effect.id()))
     }
 
-    /// Tells the effects that couple all pixels what the whole array does; `load` is in order of true off-pixel time.
+    /// Gives the effects that couple all pixels what the whole array does; `load` is in order of true off-pixel time.
     pub fn inform(&mut self, load: &[ArrayEvent]) {
         for (effect, _) in self.effects.iter_mut().zip(&self.coupling).filter(|(_, couples)| **couples) {
             if let Some(informed) = effect.informed(load) {
@@ -193,7 +193,7 @@ impl PixelNoise for Noise {
 
 /// From an exact digital number to a recorded one: shot noise, read noise, saturation, whole numbers.
 fn recorded(model: &Model, exact: f64, random: &mut Random) -> f64 {
-    // Photon counts are large enough for the normal limit of the Poisson law.
+    // Photon counts are large enough for the normal limit of the Poisson distribution.
     let signal = (exact - model.number.black_level).max(0.0);
     let shot = if model.dn_per_electron > 0.0 { (signal * model.dn_per_electron).sqrt() * random.normal() } else { 0.0 };
     let read = model.read_noise_dn * random.normal();

@@ -13,7 +13,7 @@ pub struct Sampler {
     pub step_ns: i64,
     /// How far the logarithm of light between kept instants may be off, natural-log units.
     pub tolerance: f64,
-    /// Do things turn back at once, so that they may touch a pixel for less than a step? Then a pause is only believed when `still_until` says so.
+    /// Do things turn back at once, so that they may touch a pixel for less than a step? Then a pause is only taken as one when `still_until` says so.
     pub graze: bool,
 }
 

@@ -1,7 +1,7 @@
 //! Effects that couple all pixels: what load the array's way out has to bear.
 //!
 //! How long an event waits depends on the events of all pixels before it, and what a pixel fires later depends on how long it waited. So the whole
-//! array is simulated without waiting first; the effects are told what it fired ([`Camera::inform`]); the pixels whose waits that changes
+//! array is simulated without waiting first; the effects are given what it fired ([`Camera::inform`]); the pixels whose waits that changes
 //! are simulated again; and so on until no wait changes. An event's wait depends on earlier events only, so each pass makes at least one more event
 //! of every pixel right, and at a moderate load nearly all.
 //!

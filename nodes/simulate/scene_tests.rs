@@ -87,7 +87,7 @@ fn truth_is_illuminance_times_reflectance_times_exposure() {
     let out = run(params, ROWS);
     assert_eq!(out.truth.0.meta.times.len(), 40);
     let dn = out.truth.0.read_rows(ROWS).unwrap();
-    // The wall beside the disk: 5 DN of darkness + 1000 DN/s x 0.2 / lx x 1000 lx x 0.3 x 2 ms.
+    // The wall next to the disk: 5 DN of darkness + 1000 DN/s x 0.2 / lx x 1000 lx x 0.3 x 2 ms.
     assert_eq!(dn.row(17, 0)[0], 125.0);
     let band = out.light.read(ROWS).unwrap();
     assert_eq!((band.pixel(0, 0).t, band.pixel(0, 0).photocurrent), ([0].as_slice(), [60.0].as_slice()));

@@ -269,7 +269,7 @@ params = { path = "drop/frames", rate = "5 kHz", transfer = "linear", illuminanc
         let paths = match self.listed() {
             Ok(Files::Pictures(paths)) => paths.clone(),
             Ok(Files::Y4m(path)) => vec![path.clone()],
-            // The plan tells what is wrong with it.
+            // The plan reports what is wrong with it.
             Err(_) => vec![self.params.path.path().into()],
         };
         paths.into_iter().map(|path| FileRef { param: "path".into(), path }).collect()
@@ -315,7 +315,7 @@ impl Row {
                 true => now,
                 false => line_at((before_ns, pixel.before), (step.t, now), t),
             };
-            // The light begins and ends between frames when it is told to.
+            // The light begins and ends between frames when that is asked for.
             if step.t >= 0 && pixel.kept.is_none() {
                 pixel.kept = Some(Thinned::new((0, stored(line(0))), tolerance));
             }

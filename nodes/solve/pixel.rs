@@ -4,9 +4,9 @@
 //! delays. Inverting the sensor pixel by pixel undoes blur, rolling shutter and event latency at once. Each pixel is one small least-squares
 //! problem; this node cuts a recording into such problems and puts the answers together.
 //!
-//! `method = "map"` asks for the most probable light ([`photocurrent_sensor::map`]): all frames and events of the pixel at once, with knots that are finer
-//! than the events, the exact reset and a prior. Silences in which events were evidently lost are not believed ([`photocurrent_sensor::map::losses`]).
-//! Nothing is cut into windows there, and its tracks are log-linear between knots. What the description's `[effects]` did to events and frames is taken off by the effects' own equations
+//! `method = "map"` is the MAP estimate of the photocurrent ([`photocurrent_sensor::map`]): all frames and events of the pixel at once, with knots that are finer
+//! than the events, the exact reset and a prior. Gaps in which events were evidently lost are not used as constraints ([`photocurrent_sensor::map::losses`]).
+//! Nothing is cut into windows there, and its tracks are log-linear between knots. What the description's `[effects]` did to events and frames is undone by the effects' own equations
 //! ([`photocurrent_sensor::undo`]); a note names those that cannot be. Those that mix the photocurrent of neighbours take rounds over whole rows ([`neighbours`]), and those that depend on
 //! the load of the array the events of all its pixels, so that the recording is then solved in one piece.
 //!
@@ -113,7 +113,7 @@ const IMPLAUSIBLE: usize = 5;
 /// What stands in [`PLANES`] for a pixel.
 ///
 /// Residuals are measured less predicted, over the standard deviations of `method = "map"` or times the roots of the weights of `method = "paper"`: of all
-/// windows, frames in two of them counting twice. Events in blind times and saturated values that are met say nothing to `map` and are left out; a safe
+/// windows, frames in two of them counting twice. Events in blind times and saturated values that are met carry no information for `map` and are left out; a safe
 /// estimate of `paper` meets its events. `excess` is [`plausible::Plausible::excess`].
 fn planes(status: Status, iterations: usize, cost: f64, misfit: &Misfit, excess: f64) -> [f32; PLANES.len()] {
     [status as u8 as f32, iterations as f32, cost as f32, misfit.event_rms() as f32, misfit.frame_rms() as f32, excess as f32]
@@ -126,7 +126,7 @@ pub(crate) struct Model {
     sensor: SensorModel,
     refractory_s: f64,
     clock_offset_ns: i64,
-    /// The description's `[effects]`, to be taken off the measurements; none for `method = "paper"`.
+    /// The description's `[effects]`, to be undone; none for `method = "paper"`.
     undo: Undo,
     /// How often light is solved again with what they say.
     undo_rounds: u32,
@@ -249,7 +249,7 @@ impl SolvePixel {
     fn not_modelled(&self, sensor: &Sensor, model: &Model) -> Option<String> {
         let mut used = sensor.clone();
         if self.params.method == Method::Map {
-            // The reset law is modelled there, and effects are undone.
+            // The reset rule is modelled there, and effects are undone.
             used.comparator.reset = Reset::Resample;
             used.effects.retain(|id, _| model.undo_rounds == 0 || model.undo.left_out.contains(&id.as_str()));
         }
@@ -333,7 +333,7 @@ params = { method = "map" }
     }
 
     fn grain(&self, inputs: &PortMetas) -> Grain {
-        // The rows of a block share an event pixel; the most probable light looks at whole blocks of rows.
+        // The rows of a block share an event pixel; the MAP estimate looks at whole blocks of rows.
         let lie = inputs.events("events").and_then(|events| CoLocated::new(events, inputs.frames("frames")?));
         let mut blocks = if self.params.method == Method::Map { choice::HALO_ROWS } else { 0 };
         if let (Ok(lie), Ok(model)) = (&lie, inputs.events("events").and_then(|events| self.model(inputs.sensor("sensor")?, events))) {
@@ -400,7 +400,7 @@ fn late_description(what: &str) -> NodeError {
         .hint("write the description to a file and read it with read/sensor, or set `undo_rounds = 0`")
 }
 
-/// The effects of a description, to be undone; its clock offset is taken off with the stamps ([`StepRule`]).
+/// The effects of a description, to be undone; its clock offset is subtracted with the stamps ([`StepRule`]).
 fn undo(sensor: &Sensor) -> Result<Undo, NodeError> {
     let mut effects = from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
     effects.retain(|effect| effect.id() != "clock_offset");

@@ -10,7 +10,7 @@
 //! Without it the black level is not known; numbers are then shown as they are, and a note says so where exposures differ.
 //!
 //! Limits: every sequence must have the same extent. Middles are those of row 0; under a rolling shutter, lower rows are later, so a captured frame
-//! leans against the truth and the events beside it. A value that is not known (NaN) is drawn black; what saturated in a longer exposure looks too dark.
+//! leans against the truth and the events next to it. A value that is not known (NaN) is drawn black; what saturated in a longer exposure looks too dark.
 
 mod events;
 mod sheet;
@@ -54,7 +54,7 @@ pub struct Params {
     /// Show only this part of each frame.
     pub crop: Option<Crop>,
     /// Events are shown from half of this before an instant to half after it. Default: the (median) exposure of the first captured frames among the
-    /// rows, so that events stand beside the blur that they explain; 5 ms when there are none.
+    /// rows, so that events stand next to the blur that they explain; 5 ms when there are none.
     #[schemars(extend("x-min" = "1 us", "x-max" = "1000 s"))]
     pub window: Option<Duration>,
     /// So many events of one polarity in the window give a pixel its full colour, fewer a lighter one in proportion.

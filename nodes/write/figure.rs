@@ -30,7 +30,7 @@ pub struct Panel {
     pub title: String,
     /// Below it, with the unit: `time [ms]`.
     pub x_label: String,
-    /// Beside it, with the unit.
+    /// Next to it, with the unit.
     pub y_label: String,
     /// Are equal ratios of x equally far apart? Ignored where an x is not positive.
     pub is_log: bool,
@@ -49,7 +49,7 @@ pub struct Figure {
     pub height: u32,
 }
 
-/// Colours that colour-blind readers tell apart (Okabe and Ito), dark enough for white paper.
+/// Colours that colour-blind readers can distinguish (Okabe and Ito), dark enough for white paper.
 const COLOURS: [RGBColor; 7] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),

@@ -14,7 +14,7 @@
 //! are for programs; scores take neither.
 //!
 //! With `format = "hdf5_u16"` the same codes go into one file, `frames.h5`, and with `"hdf5_f32"` the values themselves: \[frame, row, column\] in chunks, with
-//! exposures and code beside them (docs/formats.md), for those who want thousands of frames in one piece.
+//! exposures and code next to them (docs/formats.md), for those who want thousands of frames in one piece.
 //!
 //! Limits: 16 bits are 1/65535 of the span between darkest and brightest pixel. A value that is not known (NaN) becomes code 0 and is counted.
 
@@ -55,7 +55,7 @@ pub struct Params {
     pub scale: Option<f64>,
     /// DN of code 0. Default: the lowest value of all frames, or 0 when none is negative; with a saturation, no further below 0 than that is above.
     pub offset: Option<f64>,
-    /// Also write pictures for looking into the folder `preview`, beside PNGs: 8 bits, sRGB, with white where 99.8 percent of the values lie below it (at most
+    /// Also write pictures for looking into the folder `preview`, next to PNGs: 8 bits, sRGB, with white where 99.8 percent of the values lie below it (at most
     /// saturation). A note and a comment in each file say what black and white are. Never measure with them.
     pub preview: bool,
 }
@@ -243,7 +243,7 @@ params = { preview = true }
         }
         let hdf5 = "`format = \"hdf5_u16\"` or \"hdf5_f32\"";
         if params.preview && params.format != Format::Png {
-            return Err(NodeError::usage(format!("`preview` writes pictures beside PNGs, and does nothing with {hdf5}"))
+            return Err(NodeError::usage(format!("`preview` writes pictures next to PNGs, and does nothing with {hdf5}"))
                 .hint("take it out; write/contact_sheet shows frames in one picture")
                 .param("preview"));
         }

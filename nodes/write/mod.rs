@@ -1,4 +1,4 @@
-//! Writers: what the user takes away.
+//! Writers: files for the user.
 //!
 //! A writer puts files into the folder it is given (`cx.export_dir()`); the engine moves the folder to its place when the node is done. What
 //! was written is also an output, a small table, so that a report can list it.
@@ -41,7 +41,7 @@ fn check_labels(labels: &[String], count: usize, port: &str) -> Result<(), NodeE
         if let Some(first) = labels[..i].iter().position(|other| other == label) {
             return Err(NodeError::usage(format!("the label \"{label}\" stands twice in `labels`"))
                 .note(format!("label {} and label {} of the list are the same", first + 1, i + 1))
-                .hint("give each row its own: readers tell rows apart by their label")
+                .hint("give each row its own: readers distinguish rows by their label")
                 .param(format!("labels.{i}")));
         }
     }

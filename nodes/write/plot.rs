@@ -1,6 +1,6 @@
 //! `write/plot`: curves of several tables over each other, as SVG and PNG.
 //!
-//! Scores become a metric over time (the paper's Fig. 7: PSNR frame by frame). Other tables are drawn by column: what one pixel does beside its truth
+//! Scores become a metric over time (the paper's Fig. 7: PSNR frame by frame). Other tables are drawn by column: a pixel and its truth
 //! (Fig. 8, `score/pixel_error.pixels`), an edge's profile (Fig. 10(i), `score/bew.profiles`). Columns of nanoseconds are drawn in milliseconds.
 //!
 //! Files: `plot.svg`, `plot.png` with twice the pixels, and `points.csv`, what was drawn with all digits. A value that was not measured is a gap.
@@ -33,7 +33,7 @@ pub struct Params {
     pub reference: Option<String>,
     /// Only rows with these whole numbers, by column, such as `{ frame = 12, edge = 0 }`. Empty = all rows.
     pub only: BTreeMap<String, i64>,
-    /// Text beside the axis upwards. Default: the metric with its unit, or the column.
+    /// Text next to the axis upwards. Default: the metric with its unit, or the column.
     pub y_label: Option<String>,
     /// Pixels of `plot.svg`.
     #[schemars(range(min = 200, max = 4000))]
@@ -319,7 +319,7 @@ mod tests {
             assert!((ours[1].0 - 0.5 * (ours[0].0 + ours[2].0)).abs() <= 1.0 && (ours[1].1 - 0.5 * (ours[0].1 + ours[2].1)).abs() <= 1.0, "{ours:?}");
             assert!(ours[2].1 < ours[0].1, "more is above");
             assert_eq!(edi[0].1, edi[2].1);
-            // Points stand at the ticks that have their value: 10 ms below, 22 dB beside.
+            // Points stand at the ticks that have their value: 10 ms below, 22 dB to the left.
             assert!(text_at(&svg, "10").iter().any(|(x, _)| (x - ours[1].0).abs() <= 1.0));
             assert!(text_at(&svg, "22").iter().any(|(_, y)| (y - edi[0].1).abs() <= 1.0));
             for text in ["time [ms]", "psnr_db [dB]", "Fan", "ours", "EDI"] {
@@ -362,7 +362,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_are_drawn_beside_their_truth_for_the_rows_asked_for() {
+    fn columns_are_drawn_with_their_truth_for_the_rows_asked_for() {
         let params = Params { y: Some("v_dc".into()), reference: Some("v_dc_true".into()), only: [("x".to_string(), 6)].into(), ..params(&["ours"]) };
         plot(params, vec![pixels()], |table, _, folder| {
             assert_eq!(table.column("curve"), Some(&Column::Texts(["truth", "truth", "ours", "ours"].map(String::from).to_vec())));
@@ -374,7 +374,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_metric_column_or_row_is_told_with_what_there_is() {
+    fn an_unknown_metric_column_or_row_is_reported_with_what_there_is() {
         let run = |params: Params, table: Arc<Table>, look: &dyn Fn(NodeError)| {
             let node = WritePlot::build(params).unwrap();
             exporting(|cx| node.run(In { tables: vec![table] }, cx).err().unwrap(), |error, _, _| look(error));

@@ -183,11 +183,11 @@ impl Report {
             text += &line(std::iter::once(markdown_cell(label)).chain(columns.iter().map(|column| column[row].clone())).collect());
         }
         text += &format!("\nStatistic over frames: {}.\n", self.statistic.name());
-        let mut told: Vec<&str> = Vec::new();
+        let mut shown: Vec<&str> = Vec::new();
         for card in self.cards.iter().map(String::as_str).filter(|card| !card.is_empty()) {
-            if !told.contains(&card) {
+            if !shown.contains(&card) {
                 text += &format!("\n{card}\n");
-                told.push(card);
+                shown.push(card);
             }
         }
         text

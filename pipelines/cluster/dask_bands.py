@@ -32,7 +32,7 @@ def photocurrent(command):
 
 
 def band(command, rows, part):
-    """Makes one part; on a worker. What trying again cannot mend is given back instead of raised, so that Dask does not try again."""
+    """Makes one part; on a worker. What trying again cannot repair is given back instead of raised, so that Dask does not try again."""
     try:
         photocurrent([*command, "--rows", f"{rows[0]}..{rows[1]}", "--part", part, "--quiet"])
     except Refused as refused:

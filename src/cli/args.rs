@@ -10,50 +10,66 @@ use std::path::PathBuf;
 /// Solves for the photocurrent of every pixel of a hybrid frame and event sensor.
 #[derive(Parser)]
 #[command(version, about, long_about = None, max_term_width = 110)]
-#[command(after_help = "First steps: photocurrent run pipelines/quickstart.toml; with your own files: photocurrent init FILE...")]
 pub struct Args {
     #[command(subcommand)]
     pub command: Command,
 }
 
+/// The first lines stand in the first page of help (help.rs): 52 characters at most.
 #[derive(Subcommand)]
 pub enum Command {
-    /// Write a runnable manifest for your files, with what they do not state marked
+    /// Write a runnable manifest for your recording
+    ///
+    /// What the files do not state is proposed and marked with FILL.
     Init(InitOptions),
-    /// Write a recording in another format, whole or a part of it
-    Convert(ConvertOptions),
-    /// Run a pipeline or an ablation; what the cache has is not run again
+    /// Run a pipeline or an ablation
+    ///
+    /// What the cache has is not run again.
     Run(RunOptions),
-    /// Join what `run --rows --part` made of some rows each, and run the rest of the pipeline
-    Merge(MergeOptions),
-    /// Show what a run would do, in order, and why; writes nothing
+    /// Show what a run would do, and why; writes nothing
     Plan(PlanOptions),
-    /// Say why a node would run again, one reason a line
+    /// Say why a node would run again
     Explain(ExplainOptions),
-    /// Look for mistakes in a manifest, a recording or a sensor description, without running anything
+    /// Find mistakes in a manifest, recording, description
+    ///
+    /// Nothing is run, and every mistake is reported at once.
     Check(CheckOptions),
-    /// Print the scores of finished runs as a table: Markdown, CSV, LaTeX or JSON Lines
-    Table(TableOptions),
-    /// Make one HTML page of finished runs: scores, pictures to compare, curves, graph, provenance
+    /// Join rows that were run apart (cluster)
+    ///
+    /// Joins what `run --rows --part` made of some rows each, and runs the rest of the pipeline.
+    Merge(MergeOptions),
+    /// List, measure, trim or verify the cache
+    Cache(CacheOptions),
+    /// Make one HTML page of finished runs
+    ///
+    /// Scores, pictures to compare, curves, graph, provenance.
     Report(ReportOptions),
+    /// Print scores: Markdown, CSV, LaTeX, JSON
+    Table(TableOptions),
     /// Draw the graph of a pipeline
     Graph(GraphOptions),
-    /// Show what recordings of any format hold, and what is wrong with them or unknown
+    /// Show what recordings hold, and their data hazards
     Inspect(InspectOptions),
-    /// Say where a recording and the sensor description differ, and which physics is missing
+    /// Write a recording, or a part, in another format
+    Convert(ConvertOptions),
+    /// Say where recording and sensor description differ
+    ///
+    /// Names the physics that the description lacks, with its evidence, or says why it cannot.
     Diagnose(DiagnoseOptions),
-    /// Make the numbers of the diagnosis' decision anew, from made-up recordings, with cross-validation
+    /// Remake the decision thresholds of the diagnosis
+    ///
+    /// From simulated recordings, with cross-validation.
     Calibrate(CalibrateOptions),
-    /// List the node kinds, or print the manual of one
+    /// List node kinds, or print the manual of one
     Nodes(NodesOptions),
-    /// List what a sensor may do beyond the paper's model, or print the page of one effect
+    /// List sensor effects, or print the page of one
     Effects(EffectsOptions),
-    /// Print the JSON Schema of manifests, for completion in an editor
+    /// Print the JSON Schema of manifests, for editors
     Schema,
+    /// Print a manual page, or write all of them
+    Man(ManOptions),
     /// Print completions for a shell
     Completions(CompletionOptions),
-    /// Look after the cache
-    Cache(CacheOptions),
 }
 
 /// Which part of which manifest.
@@ -237,6 +253,9 @@ pub struct CheckOptions {
     /// What a recording does not say
     #[command(flatten)]
     pub declared: crate::declared::DeclaredOptions,
+    /// Print what was found as JSON
+    #[arg(long)]
+    pub json: bool,
 }
 
 /// How a table is written.
@@ -250,6 +269,8 @@ pub enum TableFormat {
     Latex,
     /// One JSON object a cell, all digits
     Jsonl,
+    /// The same as one JSON array
+    Json,
 }
 
 /// Among which cells the best is looked for.
@@ -313,6 +334,9 @@ pub struct TableOptions {
     /// How to write it
     #[arg(long, value_enum, default_value = "md")]
     pub format: TableFormat,
+    /// Print as JSON: the same as --format json
+    #[arg(long, conflicts_with = "format")]
+    pub json: bool,
     /// Draw it as well, the rows along the axis: levels are numbers with a unit (73rpm), the file ends in .svg or .png
     #[arg(long, value_name = "FILE")]
     pub plot: Option<PathBuf>,
@@ -364,6 +388,9 @@ pub struct GraphOptions {
     /// How to draw
     #[arg(long, value_enum, default_value = "dot")]
     pub format: GraphStyle,
+    /// Print as JSON: the same as --format json
+    #[arg(long, conflicts_with = "format")]
+    pub json: bool,
     /// Lay a value over the manifest
     #[arg(long = "set", value_name = "PATH=VALUE")]
     pub sets: Vec<String>,
@@ -482,6 +509,15 @@ pub struct EffectsOptions {
     /// Print the whole catalogue as Markdown (docs/effects.md)
     #[arg(long, conflicts_with_all = ["id", "json"])]
     pub markdown: bool,
+}
+
+#[derive(ClapArgs)]
+pub struct ManOptions {
+    /// A command, such as run [default: the first page, which lists them]
+    pub command: Option<String>,
+    /// Write all pages to this folder instead
+    #[arg(short, long, value_name = "FOLDER", conflicts_with = "command")]
+    pub out: Option<PathBuf>,
 }
 
 #[derive(ClapArgs)]

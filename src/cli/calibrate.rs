@@ -73,7 +73,7 @@ pub fn calibrate(options: &CalibrateOptions) -> Done {
         let model = model_of(&of_kind.iter().collect::<Vec<&Example>>());
         let validation = validate(&of_kind, options.folds as usize, &decision);
         if !options.quiet {
-            tell(&kind, &validation);
+            report(&kind, &validation);
         }
         (kind, Fitted { model, validation })
     };
@@ -102,7 +102,7 @@ fn kept(path: &Path, example: Example) -> Result<Example, Failure> {
     Ok(example)
 }
 
-fn tell(kind: &str, found: &Validation) {
+fn report(kind: &str, found: &Validation) {
     let share = |part: usize, of: usize| 100.0 * part as f64 / f64::max(of as f64, 1.0);
     say!("{kind}: cross-validated, {} recordings:", found.recordings);
     say!("  nothing    {:4}  something claimed in {} ({:.1} %)", found.nothing.0, found.nothing.1, share(found.nothing.1, found.nothing.0));
@@ -118,7 +118,7 @@ fn tell(kind: &str, found: &Validation) {
     let (count, unnamed, forced) = found.other;
     say!("  no catalogue {count:2}  unnamed {unnamed} ({:.0} %), named {forced} ({:.0} %)", share(unnamed, count), share(forced, count));
     for (from, to, claims, right) in found.reliability.iter().filter(|bin| bin.2 > 0) {
-        say!("  belief {from:.1} to {to:.1}: {right} of {claims} right");
+        say!("  posterior {from:.1} to {to:.1}: {right} of {claims} right");
     }
 }
 

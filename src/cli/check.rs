@@ -10,7 +10,7 @@ use crate::file_kind::{FileKind, Reader};
 use crate::inspect::{Seen, look};
 use crate::parts::Parts;
 use crate::problems;
-use crate::terminal::say;
+use crate::terminal::{print_json, say};
 use photocurrent_core::document::{Problem, Source};
 use photocurrent_core::{Rows, Sensor};
 use photocurrent_engine::{Plan, Selection};
@@ -19,13 +19,25 @@ use photocurrent_formats::{Declared, Format, recognise};
 use photocurrent_nodes::{read_effects, spans};
 use photocurrent_store::recording::Recording;
 use photocurrent_store::{StoreError, open_value};
-use std::path::Path;
+use serde_json::json;
+use std::path::{Path, PathBuf};
 
 /// The exit code of data that failed a check.
 const BROKEN: u8 = 3;
 
-/// Checks a file by what it is.
+/// Checks a file by what it is, and reports for people or for programs.
 pub fn check(options: &CheckOptions) -> Done {
+    let path = &options.files[0];
+    match look_at(options) {
+        Ok(found) if options.json => found.print_json(),
+        Ok(found) => found.show(),
+        Err(Failure::Problems(problems)) if options.json => Findings { problems, code: 2, ..Findings::new(path) }.print_json(),
+        Err(Failure::Other { message, code }) if options.json => Findings { lines: vec![message], code, ..Findings::new(path) }.print_json(),
+        Err(failure) => Err(failure),
+    }
+}
+
+fn look_at(options: &CheckOptions) -> Result<Findings, Failure> {
     let path = &options.files[0];
     if options.files.len() > 1 {
         return check_together(options);
@@ -43,8 +55,7 @@ pub fn check(options: &CheckOptions) -> Done {
         FileKind::Diagnosis => check_diagnosis(path),
         FileKind::Artefact => {
             let value = open_value(path).map_err(|error| data(error.to_string()))?;
-            say!("{}: a cached result of type {}; `photocurrent cache verify` reads all of it", path.display(), value.data_type());
-            Ok(0)
+            Ok(Findings::new(path).of(format!("the header of a cached result of type {} (`photocurrent cache verify` reads all of it)", value.data_type())))
         }
         FileKind::Other(_) => Err(kind.refuse(path, "check", "a manifest, a recording, a sensor description or the output folder of a run")),
     }
@@ -55,26 +66,45 @@ fn data(message: String) -> Failure {
     Failure::Other { message, code: BROKEN }
 }
 
-fn check_manifest(options: &CheckOptions) -> Done {
+fn check_manifest(options: &CheckOptions) -> Result<Findings, Failure> {
     let catalogue = photocurrent_nodes::catalogue();
     let selection = Selection { memory: options.memory, ..Selection::default() };
     let (_, plan) = Plan::load(&options.files[0], &options.sets, &catalogue, &selection)?;
-    say!("{}: {} nodes in {} variant(s), no mistake found", options.files[0].display(), plan.tasks.len(), plan.variants.len());
-    Ok(0)
+    Ok(Findings::new(&options.files[0]).of(format!("{} nodes in {} variant(s)", plan.tasks.len(), plan.variants.len())))
 }
 
-/// Mistakes of data, as they are found.
-struct Findings<'a> {
-    path: &'a Path,
-    /// Said in one line each.
+/// What a check found: mistakes, and what is only suspicious or worth knowing.
+struct Findings {
+    path: PathBuf,
+    /// What was looked at.
+    what: String,
+    /// Suspicious, but data may be like this.
+    hazards: Vec<String>,
+    notes: Vec<String>,
+    /// Mistakes that are said in one line each.
     lines: Vec<String>,
-    /// In a text inside the file, at their places.
+    /// Mistakes in a text, at their places.
     problems: Vec<Problem>,
+    /// The exit code where there are mistakes.
+    code: u8,
 }
 
-impl<'a> Findings<'a> {
-    fn new(path: &'a Path) -> Findings<'a> {
-        Findings { path, lines: Vec::new(), problems: Vec::new() }
+impl Findings {
+    fn new(path: &Path) -> Findings {
+        Findings {
+            path: path.to_path_buf(),
+            what: String::new(),
+            hazards: Vec::new(),
+            notes: Vec::new(),
+            lines: Vec::new(),
+            problems: Vec::new(),
+            code: BROKEN,
+        }
+    }
+
+    /// States what was looked at.
+    fn of(self, what: impl Into<String>) -> Findings {
+        Findings { what: what.into(), ..self }
     }
 
     fn add(&mut self, error: StoreError) {
@@ -90,35 +120,60 @@ impl<'a> Findings<'a> {
             let text = format!("{}: {} ({})\n  hint: {}", self.path.display(), finding.message, finding.evidence, finding.what_to_do);
             match finding.severity {
                 Severity::Error => self.lines.push(text),
-                Severity::Hazard => say!("hazard: {text}"),
+                Severity::Hazard => self.hazards.push(text),
                 Severity::Question | Severity::Fact => {}
             }
         }
     }
 
-    /// Reports all of them, or that there is none; `what` was looked at.
-    fn finish(self, what: &str) -> Done {
-        let count = self.lines.len() + self.problems.len();
-        if count == 0 {
-            say!("{}: {what}, no mistake found", self.path.display());
-            return Ok(0);
-        }
+    fn mistakes(&self) -> usize {
+        self.lines.len() + self.problems.len()
+    }
+
+    fn exit_code(&self) -> u8 {
+        if self.mistakes() == 0 { 0 } else { self.code }
+    }
+
+    /// Reports all of it on stderr.
+    fn show(&self) -> Done {
+        self.hazards.iter().for_each(|text| say!("hazard: {text}"));
+        self.notes.iter().for_each(|text| say!("note: {}: {text}", self.path.display()));
         problems::lines(&self.lines);
         problems::render(&self.problems);
-        say!("{}: {what}; {}", self.path.display(), print_count(count, "mistake"));
-        Ok(BROKEN)
+        match self.mistakes() {
+            0 => say!("{}: {}, no mistake found", self.path.display(), self.what),
+            count => say!("{}: {}; {}", self.path.display(), self.what, print_count(count, "mistake")),
+        }
+        Ok(self.exit_code())
+    }
+
+    /// Prints all of it on stdout, `photocurrent-check/1`.
+    fn print_json(&self) -> Done {
+        let place = |problem: &Problem| {
+            let place = problem.at.as_ref().map(|at| (at.source.name.clone(), at.line_column()));
+            json!({
+                "message": problem.message, "notes": problem.notes, "help": problem.help, "file": place.as_ref().map(|(file, _)| file),
+                "line": place.as_ref().map(|(_, (line, _))| line), "column": place.as_ref().map(|(_, (_, column))| column),
+            })
+        };
+        let mistakes = self.lines.iter().map(|line| json!({"message": line})).chain(self.problems.iter().map(place));
+        print_json(&json!({
+            "schema": "photocurrent-check/1", "file": self.path.display().to_string(), "checked": self.what, "mistakes": mistakes.collect::<Vec<_>>(),
+            "hazards": self.hazards, "notes": self.notes, "exit_code": self.exit_code(),
+        }))?;
+        Ok(self.exit_code())
     }
 }
 
 /// Reads a whole recording of this project's form: events, frames, description, and whether its clocks agree.
-fn check_recording(options: &CheckOptions) -> Done {
+fn check_recording(options: &CheckOptions) -> Result<Findings, Failure> {
     let path = &options.files[0];
     let mut findings = Findings::new(path);
     let recording = match Recording::open(path) {
         Ok(recording) => recording,
         Err(error) => {
             findings.add(error);
-            return findings.finish("the header was read");
+            return Ok(findings.of("the header was read"));
         }
     };
     let sensor = recording.sensor_text().and_then(|text| {
@@ -143,7 +198,7 @@ fn check_recording(options: &CheckOptions) -> Done {
         let broken = (0..frames.times.len()).find_map(|l| source.read(l..l + 1, frames.extent.rows()).err());
         findings.lines.extend(broken.map(|error| error.message));
         if row_time_ns.is_none() {
-            say!("note: {}: the row time of the frames is stated nowhere; who reads them must state it (0 is a global shutter)", path.display());
+            findings.notes.push("the row time of the frames is stated nowhere; who reads them must state it (0 is a global shutter)".into());
         }
     }
     // The judge of every format, once the form is right.
@@ -153,11 +208,11 @@ fn check_recording(options: &CheckOptions) -> Done {
         findings.judge(&look(path, format, &options.declared.declared(), true).map_err(|error| refused(&error))?);
     }
     let count = recording.exposures().map_or(0, <[_]>::len);
-    findings.finish(&format!("{} events, {count} frames", recording.event_count()))
+    Ok(findings.of(format!("{} events, {count} frames", recording.event_count())))
 }
 
 /// Events and frames that lie in several files.
-fn check_together(options: &CheckOptions) -> Done {
+fn check_together(options: &CheckOptions) -> Result<Findings, Failure> {
     let names = || options.files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(", ");
     let Some(parts) = Parts::one_recording(&options.files).filter(|_| options.sets.is_empty()) else {
         let hint = "hint: name one file, or a file of events with its frames (and their stamps)";
@@ -167,12 +222,12 @@ fn check_together(options: &CheckOptions) -> Done {
 }
 
 /// Reads a whole recording of any format: what was lost, and what makes its data meaningless; what is only suspicious is noted.
-fn check_format(path: &Path, format: &'static Format, declared: &Declared) -> Done {
+fn check_format(path: &Path, format: &'static Format, declared: &Declared) -> Result<Findings, Failure> {
     let mut findings = Findings::new(path);
     let seen = look(path, format, declared, true).map_err(|error| refused(&error))?;
     findings.lines.extend(seen.survey.losses.iter().map(|loss| format!("{}: {}: {}", path.display(), loss.at, loss.what)));
     findings.judge(&seen);
-    findings.finish(format.name)
+    Ok(findings.of(format.name))
 }
 
 /// The description, and every mistake in it; its effects are held against the catalogue.
@@ -188,15 +243,14 @@ fn parse_sensor(source: &std::sync::Arc<Source>) -> (Option<Sensor>, Vec<Problem
     }
 }
 
-fn check_sensor(path: &Path) -> Done {
+fn check_sensor(path: &Path) -> Result<Findings, Failure> {
     let text = std::fs::read_to_string(path).map_err(|error| Failure::Other { message: photocurrent_core::error::cannot_read(path, &error), code: 2 })?;
     let (sensor, mistakes) = parse_sensor(&Source::new(path.display().to_string(), path.parent().unwrap_or(path), text));
     let Some(sensor) = sensor.filter(|_| mistakes.is_empty()) else { return Err(Failure::Problems(mistakes)) };
     let absent = absent(&sensor);
     let unknown =
         if absent.is_empty() { "every field that methods ask for is stated".into() } else { format!("not stated, so unknown: {}", absent.join(", ")) };
-    say!("{}: the sensor description \"{}\", no mistake found\n{unknown}", path.display(), sensor.name);
-    Ok(0)
+    Ok(Findings { notes: vec![unknown], ..Findings::new(path).of(format!("the sensor description \"{}\"", sensor.name)) })
 }
 
 /// The fields that some method asks for and this description leaves out.
@@ -207,7 +261,7 @@ fn absent(sensor: &Sensor) -> Vec<&'static str> {
 }
 
 /// Lines of scores: of a folder that a run wrote, or of one file.
-fn check_scores(path: &Path) -> Done {
+fn check_scores(path: &Path) -> Result<Findings, Failure> {
     let names = ["metrics.jsonl", "metrics.pooled.jsonl", "pooled.jsonl"];
     let files: Vec<_> = if path.is_dir() { names.iter().map(|name| path.join(name)).filter(|file| file.is_file()).collect() } else { vec![path.to_path_buf()] };
     let mut findings = Findings::new(path);
@@ -225,20 +279,18 @@ fn check_scores(path: &Path) -> Done {
             findings.lines.extend(wrong.map(|wrong| format!("{}:{}: {wrong}", file.display(), number + 1)));
         }
     }
-    findings.finish(&format!("the output of a run, {}", print_count(scores, "score")))
+    Ok(findings.of(format!("the output of a run, {}", print_count(scores, "score"))))
 }
 
-fn check_diagnosis(path: &Path) -> Done {
+fn check_diagnosis(path: &Path) -> Result<Findings, Failure> {
     let file = if path.is_dir() { path.join("diagnosis.json") } else { path.to_path_buf() };
     if file.extension().is_some_and(|extension| extension == "html") {
-        say!("{}: the page of a diagnosis: open it in a browser", file.display());
-        return Ok(0);
+        return Ok(Findings::new(&file).of("the page of a diagnosis (open it in a browser; its numbers are in diagnosis.json next to it)"));
     }
     let text = std::fs::read_to_string(&file).map_err(|error| data(photocurrent_core::error::cannot_read(&file, &error)))?;
     let report: photocurrent_diagnosis::report::Report =
         serde_json::from_str(&text).map_err(|error| data(format!("{}: this is no diagnosis: {error}", file.display())))?;
-    say!("{}: a diagnosis, no mistake found\n{}: {}", file.display(), report.verdict.name(), report.summary);
-    Ok(0)
+    Ok(Findings { notes: vec![format!("{}: {}", report.verdict.name(), report.summary)], ..Findings::new(&file).of("a diagnosis") })
 }
 
 #[cfg(test)]

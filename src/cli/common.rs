@@ -85,7 +85,7 @@ impl Target {
     }
 }
 
-/// Tells on stderr which nodes failed and why, and which were left out for it.
+/// Reports on stderr which nodes failed and why, and which were left out for it.
 pub fn failed_nodes(outcome: &Outcome) {
     for (_, task) in outcome.failures() {
         let error = task.error.as_ref().map(ToString::to_string).unwrap_or_default();

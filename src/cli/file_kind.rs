@@ -1,7 +1,7 @@
 //! What a file is, by its content: so that every command knows what it was given, whatever it is called.
 //!
 //! A recording is recognised by the formats' own signatures ([`photocurrent_formats::recognise`]), everything else by its first bytes. Nothing but the start of a file is
-//! read. Limits: a text that looks like TOML and says nothing of itself counts as a manifest, whose mistakes are then reported.
+//! read. Limits: a text that looks like TOML and does not constrain itself counts as a manifest, whose mistakes are then reported.
 
 use crate::common::Failure;
 use photocurrent_formats::Format;

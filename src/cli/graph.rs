@@ -20,6 +20,7 @@ pub fn graph(options: &GraphOptions) -> Done {
         })?,
     };
     let format = match options.format {
+        _ if options.json => GraphFormat::Json,
         GraphStyle::Dot => GraphFormat::Dot,
         GraphStyle::Mermaid => GraphFormat::Mermaid,
         GraphStyle::Svg => GraphFormat::Svg,

@@ -17,6 +17,7 @@ mod diagnose;
 mod effects;
 mod file_kind;
 mod graph;
+mod help;
 mod init;
 mod inspect;
 mod nodes;
@@ -33,12 +34,12 @@ mod terminal;
 
 use crate::terminal::say;
 use args::{Args, Command};
-use clap::Parser;
+use clap::FromArgMatches;
 use common::Failure;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let args = Args::parse();
+    let args = Args::from_arg_matches(&help::command().get_matches()).unwrap_or_else(|error| error.exit());
     let done = match &args.command {
         Command::Init(options) => init::init(options),
         Command::Convert(options) => convert::convert(options),
@@ -56,7 +57,8 @@ fn main() -> ExitCode {
         Command::Nodes(options) => nodes::nodes(options),
         Command::Effects(options) => effects::effects(options),
         Command::Schema => nodes::schema(),
-        Command::Completions(options) => nodes::completions(options),
+        Command::Man(options) => help::man(options),
+        Command::Completions(options) => help::completions(options),
         Command::Cache(options) => cache::cache(options),
     };
     match done {

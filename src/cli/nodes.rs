@@ -1,10 +1,9 @@
-//! `photocurrent nodes`, `schema`, `completions`: what there is to wire, for people, editors and shells.
+//! `photocurrent nodes`, `schema`: what there is to wire, for people and editors.
 
-use crate::args::{Args, CompletionOptions, NodesOptions};
+use crate::args::NodesOptions;
 use crate::common::{Done, Failure};
 use crate::tables::draw;
 use crate::terminal::{print, print_json, say};
-use clap::CommandFactory;
 use photocurrent_core::document::Problem;
 use photocurrent_core::ports::{Arity, PortSpec};
 use photocurrent_core::{Grain, Kind};
@@ -45,14 +44,6 @@ pub fn nodes(options: &NodesOptions) -> Done {
 /// Prints the JSON Schema of manifests.
 pub fn schema() -> Done {
     print_json(&photocurrent_engine::manifest_schema(&photocurrent_nodes::catalogue()))?;
-    Ok(0)
-}
-
-/// Prints completions for a shell.
-pub fn completions(options: &CompletionOptions) -> Done {
-    let mut script = Vec::new();
-    clap_complete::generate(options.shell, &mut Args::command(), "photocurrent", &mut script);
-    print(&String::from_utf8_lossy(&script))?;
     Ok(0)
 }
 

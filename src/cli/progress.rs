@@ -114,7 +114,7 @@ impl Observer for Watcher {
                     };
                     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> ").with_key("left", left));
                     if bar.length().is_none() {
-                        // What came before the first item says nothing of how fast they go.
+                        // What came before the first item does not show how fast they go.
                         bar.reset_elapsed();
                     }
                     // Each row band begins anew: the bar's length grows with them.
@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_time_left_is_told_when_enough_is_done_to_know_it() {
+    fn the_time_left_is_shown_when_enough_is_done_to_know_it() {
         assert_eq!((time_left(100.0, 0, 10), time_left(1.9, 5, 10), time_left(60.0, 49, 1000), time_left(60.0, 10, 10)), (None, None, None, None));
         assert_eq!((time_left(60.0, 50, 1000), time_left(2.0, 5, 10)), (Some(1140.0), Some(2.0)));
     }

@@ -40,10 +40,12 @@ pub fn table(options: &TableOptions) -> Done {
         plot::save(&grid, &style, path)?;
     }
     print(&match options.format {
+        _ if options.json => formats::json(&grid, &style),
         TableFormat::Md => formats::markdown(&grid, &style),
         TableFormat::Csv => formats::csv(&grid, &style),
         TableFormat::Latex => formats::latex(&grid, &style),
         TableFormat::Jsonl => formats::json_lines(&grid, &style),
+        TableFormat::Json => formats::json(&grid, &style),
     })?;
     Ok(0)
 }

@@ -18,9 +18,9 @@ pub enum Order {
     Rggb,
     /// Blue first.
     Bggr,
-    /// Green first, red beside it.
+    /// Green first, red next to it.
     Grbg,
-    /// Green first, blue beside it.
+    /// Green first, blue next to it.
     Gbrg,
 }
 

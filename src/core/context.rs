@@ -29,7 +29,7 @@ impl Progress for Silent {
 /// How a note begins that says that data were damaged and left out: a run that has one ends with exit code 3.
 pub const LOSS: &str = "data lost: ";
 
-/// What a node told the user while it ran, whatever the number of row bands and threads.
+/// What a node reported while it ran, whatever the number of row bands and threads.
 #[derive(Default)]
 pub struct Notes(Mutex<NoteBook>);
 
@@ -134,7 +134,7 @@ impl<'a> Context<'a> {
         self.export.ok_or_else(|| NodeError::failed("this node writes files but does not declare `exports`"))
     }
 
-    /// Tells the user something that is no error: "row_time of the recording wins over the description's". Kept with the result, shown
+    /// Reports something that is no error: "row_time of the recording wins over the description's". Kept with the result, shown
     /// again on a cache hit. The same text said for several row bands counts once.
     pub fn note(&self, text: impl Into<String>) {
         self.notes.say(text.into());
@@ -145,7 +145,7 @@ impl<'a> Context<'a> {
         self.notes.say(format!("{LOSS}{}", text.as_ref()));
     }
 
-    /// Tells the user how many of something there were: `count(31, "pixels did not converge")`. Counts of one text add up over threads and row
+    /// Reports how many of something there were: `count(31, "pixels did not converge")`. Counts of one text add up over threads and row
     /// bands, so the sum does not depend on either; a zero is not shown.
     pub fn count(&self, n: u64, what: &str) {
         self.notes.count(n, what);

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
-/// Which stage speaks.
+/// Which stage this is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum DiagnosisKind {
@@ -51,7 +51,7 @@ impl fmt::Display for DiagnosisKind {
 /// What is known about a document before its data.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct DiagnosisMeta {
-    /// Which stage speaks.
+    /// Which stage this is.
     pub kind: DiagnosisKind,
 }
 
@@ -103,7 +103,7 @@ impl Diagnosis {
         }
     }
 
-    /// Which stage speaks.
+    /// Which stage this is.
     pub fn kind(&self) -> DiagnosisKind {
         self.kind
     }

@@ -27,7 +27,7 @@ impl Digest {
         Digest(bytes)
     }
 
-    /// The first ten digits: enough to tell artefacts apart on a terminal.
+    /// The first ten digits: enough to distinguish artefacts on a terminal.
     pub fn short(&self) -> String {
         self.to_string()[..10].to_string()
     }

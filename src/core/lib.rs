@@ -7,7 +7,7 @@
 //! - [`colour`]: grey, three channels, or a mosaic of filters.
 //! - [`events`], [`frames`], [`tracks`], [`light`], [`map`], [`table`], [`sensor`], [`diagnosis`]: the data, each with one
 //!   canonical order.
-//! - [`lacking`]: what to tell of fields that a sensor description does not state.
+//! - [`lacking`]: what to report of fields that a sensor description does not state.
 //! - [`value`]: the closed set of things that flow between nodes, and [`value::Meta`], what is known of them before data.
 //! - [`node`], [`ports`], [`context`]: what a node is, what its sockets are, what it may ask while it runs.
 //! - [`digest`]: the name of a content. [`random`]: numbers that depend on (seed, pixel, index) only.

@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_quantity_is_told_from_a_wrong_unit_and_from_a_wrong_number() {
+    fn a_wrong_quantity_is_distinguished_from_a_wrong_unit_and_from_a_wrong_number() {
         let said = |error: QuantityError| error.what;
         assert_eq!(said("8 ms".parse::<Rate>().unwrap_err()), "`ms` is a unit of time, not of rate");
         assert_eq!(said("10 kHz".parse::<Duration>().unwrap_err()), "`kHz` is a unit of rate, not of time");

@@ -20,7 +20,7 @@ struct Checker<'a> {
     what: &'a str,
 }
 
-/// Follows `$ref` and a nullable `anyOf` to the schema that counts; keys beside `$ref` (such as `x-min`) are looked up by the caller first.
+/// Follows `$ref` and a nullable `anyOf` to the schema that counts; keys next to `$ref` (such as `x-min`) are looked up by the caller first.
 fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
     loop {
         if let Some(target) = schema["$ref"].as_str().and_then(|r| r.strip_prefix('#')).and_then(|pointer| root.pointer(pointer)) {

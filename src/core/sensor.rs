@@ -138,7 +138,7 @@ pub struct Comparator {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Reset {
-    /// `V_ref := V_FE` at `t_off + refractory`: the paper's law.
+    /// `V_ref := V_FE` at `t_off + refractory`: the paper's rule.
     #[default]
     Resample,
     /// `V_ref` moves by one threshold at `t_in`; a crossing inside the blind time fires at its end.
@@ -276,7 +276,7 @@ impl Sensor {
         value.ok_or_else(|| self.lacks(&[field], who))
     }
 
-    /// Refuses a description that does not state all of several fields, so that those that are missing are told at once. Each field is given with
+    /// Refuses a description that does not state all of several fields, so that those that are missing are reported at once. Each field is given with
     /// whether it is stated.
     ///
     /// # Errors

@@ -17,7 +17,7 @@ pub trait SeriesMeta: BandMeta<Band = SeriesBand<Self>> + Clone + fmt::Debug + P
     /// The name of the data type, `tracks`: it stands in the digests of rows, in messages and in the layout of the store.
     const NAME: &'static str;
 
-    /// Grey, or the colours whose series stand beside each other.
+    /// Grey, or the colours whose series stand next to each other.
     fn colour(&self) -> Colour;
 
     /// Does every sample carry a standard deviation?

@@ -6,7 +6,7 @@ use crate::report::Verdict;
 use crate::verdict::Answer;
 use photocurrent_sensor::effects::catalogue;
 
-/// Advice for a diagnosis; nothing when there is nothing to tell apart.
+/// Advice for a diagnosis; nothing when there is nothing to separate.
 pub fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> Vec<String> {
     let mut advice = Vec::new();
     for claim in &answer.claims {
@@ -15,7 +15,7 @@ pub fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> 
         for (k, one) in set.iter().enumerate() {
             for other in &set[k + 1..] {
                 advice.push(apart(one, other).or_else(|| apart(other, one)).unwrap_or_else(|| {
-                    format!("to tell {one} from {other}: the same scene at another speed and in other light, as the two do not scale alike")
+                    format!("to separate {one} from {other}: the same scene at another speed and in other light, as the two do not scale alike")
                 }));
             }
         }
@@ -32,11 +32,11 @@ pub fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> 
     advice
 }
 
-/// What tells an effect from another one, by the catalogue's word of the first.
+/// What separates an effect from another one, by the catalogue's word of the first.
 fn apart(one: &str, other: &str) -> Option<String> {
     let kind = catalogue().into_iter().find(|kind| kind.decl.id == one)?;
     let (_, what) = kind.decl.apart.iter().find(|(id, _)| *id == other)?;
-    Some(format!("to tell {one} from {other}: {what}"))
+    Some(format!("to separate {one} from {other}: {what}"))
 }
 
 #[cfg(test)]
@@ -44,10 +44,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pair_is_told_apart_by_the_word_of_the_one_that_has_it() {
+    fn a_pair_is_separated_by_the_word_of_the_one_that_has_it() {
         assert_eq!(
             apart("clock_drift", "clock_offset").unwrap(),
-            "to tell clock_drift from clock_offset: a recording four times as long: a drift grows with it"
+            "to separate clock_drift from clock_offset: a recording four times as long: a drift grows with it"
         );
         assert_eq!(apart("clock_offset", "clock_drift"), None);
     }

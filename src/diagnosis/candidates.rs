@@ -1,6 +1,6 @@
 //! Every effect of the catalogue as a candidate: what its file says of the numbers that are sought ([`Sought`]), on a recording.
 //!
-//! An effect with several independent parameters gives several candidates of the same id ("time_constant" by `tau_0` or by `alpha`). A *strength* of 1 is an effect that
+//! An effect with several independent parameters gives several candidates of the same id ("time_constant" by `tau_0` or by `alpha`). An *effect size* of 1 is an effect that
 //! an engineer would care for, 0 none; what parameter value that is depends on the recording's light and speed ([`Scales`]).
 
 use crate::case::Case;
@@ -8,11 +8,11 @@ use crate::nominal::Nominal;
 use crate::record::Described;
 use photocurrent_core::sensor::Reset;
 pub use photocurrent_sensor::effects::sought::Signs;
-use photocurrent_sensor::effects::sought::{Field, Grows, Measure, PutOn, Size, Sought};
+use photocurrent_sensor::effects::sought::{Applied, Field, Grows, Measure, Size, Sought};
 use photocurrent_sensor::effects::{EffectDecl, ParameterDecl, Unit, catalogue};
 use std::sync::LazyLock;
 
-/// What strengths of effects are measured by: how bright, fast and busy a recording is.
+/// What effect sizes of effects are measured by: how bright, fast and busy a recording is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Scales {
     /// Median photocurrent.
@@ -101,7 +101,7 @@ impl Scales {
 pub struct Candidate {
     /// Catalogue id.
     pub id: &'static str,
-    /// TOML key of the number; empty for a switch, `reset` for another reset law.
+    /// TOML key of the number; empty for a switch, `reset` for another reset rule.
     pub parameter: &'static str,
     /// Signs.
     pub signs: Signs,
@@ -167,7 +167,7 @@ impl Candidate {
         self.sought.grows == Grows::AsItFalls
     }
 
-    /// Is it the reset law of the description, which is another one?
+    /// Is it the reset rule of the description, which is another one?
     pub fn is_reset(&self) -> bool {
         self.sought.field == Some(Field::Reset)
     }
@@ -177,26 +177,26 @@ impl Candidate {
         CANDIDATES.iter().find(|candidate| candidate.id == id && candidate.parameter == parameter)
     }
 
-    /// The parameter at a strength, in the unit of its declaration.
-    pub fn value(&self, strength: f64, scales: &Scales, nominal: &Nominal) -> f64 {
+    /// The parameter at an effect size, in the unit of its declaration.
+    pub fn value(&self, effect_size: f64, scales: &Scales, nominal: &Nominal) -> f64 {
         let typical = scales.size(&self.sought.typical, nominal);
         if self.is_limit() {
             // The faster the limit, the less it matters.
-            return typical / f64::max(strength, 1e-6);
+            return typical / f64::max(effect_size, 1e-6);
         }
-        let value = self.nominal_value(nominal) + strength * typical;
+        let value = self.nominal_value(nominal) + effect_size * typical;
         let (least, most) = self.parameter_decl().map_or((f64::NEG_INFINITY, f64::INFINITY), |decl| decl.allowed);
         value.clamp(least, most)
     }
 
-    /// The strength at which the parameter has a value.
-    pub fn strength(&self, value: f64, scales: &Scales, nominal: &Nominal) -> f64 {
+    /// The effect size at which the parameter has a value.
+    pub fn effect_size(&self, value: f64, scales: &Scales, nominal: &Nominal) -> f64 {
         let typical = scales.size(&self.sought.typical, nominal);
         if self.is_limit() { typical / value } else { (value - self.nominal_value(nominal)) / typical }
     }
 
-    /// Puts the effect on a trial, at a strength.
-    pub fn put_on(&self, trial: &mut Trial, strength: f64, scales: &Scales) {
+    /// Applies the effect to a trial, at an effect size.
+    pub fn apply(&self, trial: &mut Trial, effect_size: f64, scales: &Scales) {
         if self.is_reset() {
             trial.effects.remove(self.id);
             trial.nominal.reset = if trial.nominal.reset == Reset::Resample { Reset::Advance } else { Reset::Resample };
@@ -206,15 +206,15 @@ impl Candidate {
         if self.signs == Signs::Switch {
             return;
         }
-        let value = self.value(strength, scales, &trial.nominal);
+        let value = self.value(effect_size, scales, &trial.nominal);
         let written = |name: &str, value: f64| self.decl.parameter(name).map(|decl| (name.to_owned(), decl.unit.written(value)));
         parameters.extend(written(self.parameter, value));
-        for (name, size) in self.sought.beside.iter().filter(|(name, _)| !parameters.contains_key(*name)).collect::<Vec<_>>() {
+        for (name, size) in self.sought.others.iter().filter(|(name, _)| !parameters.contains_key(*name)).collect::<Vec<_>>() {
             parameters.extend(written(name, scales.size(size, &trial.nominal)));
         }
         let Some(companion) = self.sought.companion else { return };
-        let put_on = PutOn { strength, value, light: scales.light, model: &trial.nominal };
-        if let Some(seconds) = (companion.seconds)(&put_on) {
+        let applied = Applied { effect_size, value, light: scales.light, model: &trial.nominal };
+        if let Some(seconds) = (companion.seconds)(&applied) {
             let stated = [(companion.parameter.to_owned(), Unit::Time.written(seconds))].into_iter().collect();
             trial.effects.entry(companion.id.to_owned()).or_insert(stated);
         }
@@ -228,9 +228,9 @@ impl Trial {
     }
 
     /// The stated sensor with one effect.
-    pub fn with(nominal: &Nominal, candidate: &Candidate, strength: f64, scales: &Scales) -> Trial {
+    pub fn with(nominal: &Nominal, candidate: &Candidate, effect_size: f64, scales: &Scales) -> Trial {
         let mut trial = Trial::stated(nominal);
-        candidate.put_on(&mut trial, strength, scales);
+        candidate.apply(&mut trial, effect_size, scales);
         trial
     }
 }
@@ -257,23 +257,23 @@ mod tests {
     }
 
     #[test]
-    fn every_candidate_can_be_put_on_at_any_strength_and_read_back() {
+    fn every_candidate_can_be_applied_at_any_effect_size_and_read_back() {
         let case = testing::case();
         let nominal = case.nominal().unwrap();
         let scales = Scales::of(&case, &nominal);
         for candidate in CANDIDATES.iter() {
-            for strength in [0.3, 1.0, 2.0, -0.5] {
-                if strength < 0.0 && candidate.signs != Signs::Both {
+            for effect_size in [0.3, 1.0, 2.0, -0.5] {
+                if effect_size < 0.0 && candidate.signs != Signs::Both {
                     continue;
                 }
-                let trial = Trial::with(&nominal, candidate, strength, &scales);
+                let trial = Trial::with(&nominal, candidate, effect_size, &scales);
                 from_description(&trial.effects).unwrap_or_else(|why| panic!("{}: {why}", candidate.label()));
                 if candidate.signs != Signs::Switch {
-                    let value = candidate.value(strength, &scales, &nominal);
+                    let value = candidate.value(effect_size, &scales, &nominal);
                     let decl = candidate.parameter_decl().unwrap();
                     let is_cut = value == decl.allowed.0 || value == decl.allowed.1;
-                    let back = candidate.strength(value, &scales, &nominal);
-                    assert!(is_cut || (back - strength).abs() < 1e-9, "{}: {back}", candidate.label());
+                    let back = candidate.effect_size(value, &scales, &nominal);
+                    assert!(is_cut || (back - effect_size).abs() < 1e-9, "{}: {back}", candidate.label());
                 }
             }
         }

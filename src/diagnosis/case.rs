@@ -84,7 +84,7 @@ pub struct Case {
     pub t_resolution_ns: i64,
     /// The frames, if there are any.
     pub frames: Option<CaseFrames>,
-    /// The sensor as stated.
+    /// The nominal sensor.
     pub sensor: Sensor,
 }
 

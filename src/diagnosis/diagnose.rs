@@ -2,7 +2,7 @@
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::{Case, PixelEvents};
-use crate::fitted::{fitted, put_beside};
+use crate::fitted::{add_numbers, fitted};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
 use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
@@ -27,7 +27,7 @@ pub struct Setting {
     pub scene: SceneSetting,
     /// Are held-out frames not predicted?
     pub without_proof: bool,
-    /// What predicts held-out frames worse than the description as stated, by more than this, dB, is withdrawn.
+    /// What predicts held-out frames worse than the nominal description, by more than this, dB, is withdrawn.
     pub most_worse_db: f64,
     /// How what pairs of frames propose is judged where no scene is evidence.
     pub judging: Judging,
@@ -52,7 +52,7 @@ pub struct Diagnosis {
     pub proposed: Proposed,
     /// Ids of effects that were withdrawn, as held-out frames are predicted worse with them.
     pub withdrawn: Vec<String>,
-    /// Held-out frames predicted as stated, and as fitted.
+    /// Held-out frames predicted with the nominal and with the fitted description.
     pub predictions: (Option<Prediction>, Option<Prediction>),
     /// The pixels of the predictions.
     pub sample: Option<Sample>,
@@ -121,7 +121,7 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
         judged(case, &nominal, &setting.judging, &mut integrity)?;
     }
     let mut answer = verdict(case, &nominal, &integrity, proposed.decided());
-    // Silence of a test that could not be made says nothing.
+    // A test that could not be made decides nothing.
     if answer.verdict == Verdict::Consistent {
         if let Proposed::Nothing(why) = &proposed {
             answer.verdict = Verdict::Insufficient;
@@ -161,7 +161,7 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
 fn description(case: &Case, nominal: &Nominal, scales: &Scales, claims: &[Claim]) -> Option<Sensor> {
     let values: Vec<(usize, f64)> = claims.iter().flat_map(|claim| claim.values.iter().map(|(candidate, value, _)| (*candidate, *value))).collect();
     let mut changed = (!values.is_empty()).then(|| fitted(&case.sensor, nominal, scales, &values))?;
-    claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| put_beside(&mut changed.effects, finding.id, &finding.parameters));
+    claims.iter().filter_map(|claim| claim.finding.as_ref()).for_each(|finding| add_numbers(&mut changed.effects, finding.id, &finding.parameters));
     Some(changed)
 }
 
@@ -206,7 +206,7 @@ pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Inte
     let rest = integrity.findings.iter().filter(|finding| !hot::IDS.contains(&finding.id));
     let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
     amended.sensor = fitted(&case.sensor, nominal, scales, &values);
-    rest.for_each(|finding| put_beside(&mut amended.sensor.effects, finding.id, &finding.parameters));
+    rest.for_each(|finding| add_numbers(&mut amended.sensor.effects, finding.id, &finding.parameters));
     if let Some(step) = values.iter().find(|(which, _)| CANDIDATES[*which].id == stamps::GRID).map(|(_, step)| *step) {
         amended.t_resolution_ns = (step * 1e9).round() as i64;
     }
@@ -236,7 +236,7 @@ fn report(
         let mut location = everywhere(case, None);
         of_unnamed(proposed.decided(), found).into_iter().for_each(|located| located.put(&mut location));
         location.covariate.clone_from(&found.covariate);
-        let is_direct = found.law.as_ref().is_some_and(|law| law.moved == crate::law::Moved::EventRate);
+        let is_direct = found.dependence.as_ref().is_some_and(|dependence| dependence.moved == crate::dependence::Moved::EventRate);
         let by = if is_direct { DIRECT } else { proposed.decided().map_or(DIRECT, |decided| decided.name.as_str()) };
         let evidence = Evidence { statistic: found.score, heldout_nats_per_event: Some(found.nats), found_by: vec![by.to_owned()], ..Evidence::default() };
         effects.push(EffectReport {
@@ -254,7 +254,7 @@ fn report(
     let decided = proposed.decided();
     let gained: f64 = answer.claims.iter().filter(|claim| claim.finding.is_none()).filter_map(|claim| claim.heldout_nats_per_event).sum();
     let nats = decided.and_then(|decided| decided.nats_per_event).filter(|_| gained > 0.0).map(|before| BeforeAfter { before, after: before + gained });
-    // A second effect is fitted on top of the first, so the last one speaks for both.
+    // A second effect is fitted on top of the first, so the last one describes both.
     let left = answer.claims.iter().rev().find_map(|claim| claim.ks);
     let calibration_ks = decided.and_then(|decided| decided.ks).zip(left).map(|(before, after)| BeforeAfter { before, after });
     Report {
@@ -307,7 +307,7 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
         p_value: None,
         heldout_nats: claim.heldout_nats,
         heldout_nats_ci95: claim.heldout_nats_ci95,
-        belief: claim.belief,
+        posterior: claim.posterior,
         heldout_nats_per_event: claim.heldout_nats_per_event,
         found_by: claim.found_by.clone(),
     };
@@ -321,7 +321,7 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
     }
     if let Some(finding) = &claim.finding {
         effect.plain = format!("{}: {}", decl.about, finding.seen);
-        // Numbers that are no candidates of their own stand beside.
+        // Numbers that are no candidates of their own are added.
         for (parameter, value) in &finding.parameters {
             if let Some(of) = decl.parameters.iter().find(|of| of.name == *parameter).filter(|_| Candidate::find(claim.id, parameter).is_none()) {
                 let key = format!("{parameter}{}", of.unit.suffix());

@@ -1,4 +1,4 @@
-//! A whole diagnosis of small recordings, with something decided that is told beforehand.
+//! A whole diagnosis of small recordings, with something decided that is given beforehand.
 
 use super::*;
 use crate::testing;
@@ -14,7 +14,7 @@ fn clock(value: f64) -> Proposed {
         Proposal { candidate, score: 1.1, probability: 0.9, value, passed: true, heldout_nats_per_event: Some(0.5), ks: Some(0.02), ..Proposal::default() };
     Proposed::Decided(Box::new(Decided {
         name: "picture".into(),
-        alarm: true,
+        detected: true,
         proposals: vec![proposal],
         nats_per_event: Some(-2.0),
         ks: Some(0.2),
@@ -57,7 +57,7 @@ fn a_sound_recording_is_consistent_and_says_what_was_not_tested() {
 }
 
 #[test]
-fn silence_where_the_scene_is_no_evidence_is_not_consistency() {
+fn finding_nothing_where_the_scene_is_no_evidence_is_not_consistency() {
     let found = diagnosed(&testing::case(), Proposed::Nothing("too few events".into()));
     assert_eq!(found.report.verdict, Verdict::Insufficient);
     assert!(found.report.summary.contains("too few events"), "{}", found.report.summary);

@@ -1,6 +1,6 @@
 //! The fitted description: the stated one with what was found put in, in the form that simulator and solver load.
 //!
-//! An effect whose number has a field of its own in a description (time constants, thresholds, blind time, black level, row time, reset law) changes that field; all
+//! An effect whose number has a field of its own in a description (time constants, thresholds, blind time, black level, row time, reset rule) changes that field; all
 //! others stand under `[effects]`.
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
@@ -20,8 +20,8 @@ pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usi
         let candidate = &CANDIDATES[*which];
         let value = six_digits(*value);
         if !put_in_field(&mut sensor, nominal, candidate, value) {
-            let strength = candidate.strength(value, scales, nominal);
-            candidate.put_on(&mut trial, strength, scales);
+            let effect_size = candidate.effect_size(value, scales, nominal);
+            candidate.apply(&mut trial, effect_size, scales);
         }
     }
     for (id, parameters) in trial.effects {
@@ -30,9 +30,9 @@ pub fn fitted(sensor: &Sensor, nominal: &Nominal, scales: &Scales, found: &[(usi
     sensor
 }
 
-/// Puts numbers of an effect that are no candidates of their own (the phase of a coupling, the rate of hot pixels) beside those that are; each in the unit of its
+/// Puts numbers of an effect that are no candidates of their own (the phase of a coupling, the rate of hot pixels) with those that are; each in the unit of its
 /// declaration. Nothing where the description does not state the effect under `[effects]`.
-pub fn put_beside(effects: &mut Described, id: &str, numbers: &[(&'static str, f64)]) {
+pub fn add_numbers(effects: &mut Described, id: &str, numbers: &[(&'static str, f64)]) {
     let Some(stated) = effects.get_mut(id) else { return };
     let Some(decl) = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == id) else { return };
     for (name, value) in numbers.iter().filter(|(name, _)| Candidate::find(id, name).is_none()) {
@@ -68,7 +68,7 @@ fn put_in_field(sensor: &mut Sensor, nominal: &Nominal, candidate: &Candidate, v
         Field::Refractory => sensor.readout.refractory = duration(value),
         Field::Reset => {
             let mut trial = Trial::stated(nominal);
-            candidate.put_on(&mut trial, 1.0, &Scales::default());
+            candidate.apply(&mut trial, 1.0, &Scales::default());
             sensor.comparator.reset = trial.nominal.reset;
         }
         Field::BlackLevel => sensor.frames.black_level_dn = Some(value),
@@ -113,11 +113,11 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_not_sought_stand_beside_those_that_are() {
+    fn numbers_that_are_not_sought_are_added_to_those_that_are() {
         let mut sensor = fitted_with(&[("frame_coupling", "step", 0.03), ("hot_pixels", "fraction", 0.002)]);
-        put_beside(&mut sensor.effects, "frame_coupling", &[("step", 0.5), ("period", 0.04), ("phase", 4.7e-4), ("row_time", 35.25e-6)]);
-        put_beside(&mut sensor.effects, "hot_pixels", &[("rate", 900.0)]);
-        put_beside(&mut sensor.effects, "hot_rows", &[("rate", 900.0)]);
+        add_numbers(&mut sensor.effects, "frame_coupling", &[("step", 0.5), ("period", 0.04), ("phase", 4.7e-4), ("row_time", 35.25e-6)]);
+        add_numbers(&mut sensor.effects, "hot_pixels", &[("rate", 900.0)]);
+        add_numbers(&mut sensor.effects, "hot_rows", &[("rate", 900.0)]);
         let coupling = &sensor.effects["frame_coupling"];
         assert!((coupling["step"].as_f64().unwrap() - 0.03).abs() < 1e-12);
         assert_eq!(["period", "phase", "row_time"].map(|name| coupling[name].clone()), ["40000000 ns", "470000 ns", "35250 ns"].map(|text| json!(text)));
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn another_reset_law_and_a_common_threshold_error_change_fields_too() {
+    fn another_reset_rule_and_a_common_threshold_error_change_fields_too() {
         let sensor = fitted_with(&[("refractory", "reset", 1.0), ("threshold_scale", "fraction", -0.25), ("black_level", "black_level_dn", 31.5)]);
         assert_eq!(sensor.comparator.reset, Reset::Advance);
         assert!((sensor.comparator.threshold_on.unwrap() - 0.15).abs() < 1e-12);

@@ -1,6 +1,6 @@
-//! The loop closed: frames that are kept back, predicted from the events and the other frames, with the description as stated and with the fitted one.
+//! Frames that are held out, predicted from the events and the other frames, with the nominal description and with the fitted one.
 //!
-//! Every third frame is kept back, the light is estimated from what is left as `solve/pixel` does with the description, effects undone, and the kept frames are what the camera would
+//! Every third frame is held out, the light is estimated from what is left as `solve/pixel` does with the description, effects undone, and the held-out frames are what the camera would
 //! read of it.
 //!
 //! Limit: the light of the sample's pixels alone is estimated, so effects that mix that of neighbours are not undone here.
@@ -8,14 +8,14 @@
 use crate::case::Case;
 use crate::nominal::Nominal;
 use crate::sample::Sample;
-use crate::scene::{Scene, SceneSetting, Told, pixel_data, task};
+use crate::scene::{Given, Scene, SceneSetting, pixel_data, task};
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_sensor::conditional::{Conditional, Look, Track, frame_values};
 use photocurrent_sensor::effects::from_description;
 use photocurrent_sensor::map::MapFrame;
 use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
 
-/// Of each three frames this one is kept back.
+/// Of each three frames this one is held out.
 const KEPT: usize = 1;
 /// Light is estimated again so often with what effects did to events.
 const ROUNDS: usize = 2;
@@ -44,7 +44,7 @@ impl Prediction {
     }
 }
 
-/// Predicts every third frame with a description, its `[effects]` undone where the light is estimated ([`photocurrent_sensor::undo`]) and put on again where frames are read; none with
+/// Predicts every third frame with a description, its `[effects]` undone where the light is estimated ([`photocurrent_sensor::undo`]) and applied again where frames are read; none with
 /// fewer than five frames, or when nothing can be predicted.
 ///
 /// # Errors
@@ -57,7 +57,7 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSet
         undo.inform((0..case.events.pixels()).flat_map(of_pixel));
     }
     let Some(frames) = &case.frames else { return Ok(None) };
-    let Some((rest, kept)) = kept_back(case) else { return Ok(None) };
+    let Some((rest, kept)) = hold_out(case) else { return Ok(None) };
     let scene = estimate(&rest, &nominal, &undo, sample, setting);
     let mut by_pixel = vec![f64::NAN; sample.len()];
     let mut by_frame = vec![(0.0, 0.0); kept.len()];
@@ -112,23 +112,23 @@ fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, settin
         events.iter_mut().for_each(|event| *event = undo.event(&site, event));
         undo.frames(nominal, &site, &mut frames);
         frames.iter_mut().for_each(|frame| undo.raise(nominal, frame));
-        Told { data: (events, frames), sensor: nominal.map_sensor(), beyond: Vec::new() }
+        Given { data: (events, frames), sensor: nominal.map_sensor(), beyond: Vec::new() }
     };
-    let solve = |told: &(dyn Fn(usize) -> Told + Sync)| {
-        Scene::estimate_from(sample, &priors, told, |told| task(case, setting, &told.data, told.sensor, &told.beyond), case.span.0)
+    let solve = |given: &(dyn Fn(usize) -> Given + Sync)| {
+        Scene::estimate_from(sample, &priors, given, |given| task(case, setting, &given.data, given.sensor, &given.beyond), case.span.0)
     };
     let mut scene = solve(&first);
     for _ in 0..if undo.needs_light() { ROUNDS } else { 0 } {
         let again = |n: usize| {
-            let mut told = first(n);
+            let mut given = first(n);
             if scene.is_known[n] {
                 let (mut known, site) = (Known::default(), case.site(sample.pixels[n] as usize, 0));
                 let (t_ns, own) = scene.pixel(n);
                 let light = Estimate { t_ns, own, seen: None };
-                undo.at_light(nominal, &site, light, &recorded(n).0, &told.data.0, &mut known, &mut Memory::default());
-                (told.data.0, told.beyond) = (known.events, known.beyond);
+                undo.at_light(nominal, &site, light, &recorded(n).0, &given.data.0, &mut known, &mut Memory::default());
+                (given.data.0, given.beyond) = (known.events, known.beyond);
             }
-            told
+            given
         };
         scene = solve(&again);
     }
@@ -136,8 +136,8 @@ fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, settin
     scene
 }
 
-/// A recording without every third frame, and which of them are foretold: not the last one, which has no frame after it. None with fewer than five frames.
-pub fn kept_back(case: &Case) -> Option<(Case, Vec<usize>)> {
+/// A recording without every third frame, and which of them are predicted: not the last one, which has no frame after it. None with fewer than five frames.
+pub fn hold_out(case: &Case) -> Option<(Case, Vec<usize>)> {
     let count = case.frame_count();
     if count < 5 {
         return None;

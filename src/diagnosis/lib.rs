@@ -1,6 +1,6 @@
 //! Where a recording and the sensor model differ, and which physics is missing.
 //!
-//! The scene is unknown: it is estimated with the model as stated, and an effect shows in what that scene cannot explain. Everything physical is called
+//! The scene is unknown: it is estimated with the nominal model, and an effect shows in what that scene cannot explain. Everything physical is called
 //! from [`photocurrent_sensor`]: an effect that is added to the catalogue there is a candidate here.
 //!
 //! In reading order:
@@ -9,9 +9,9 @@
 //! - [`nominal`]: the sensor as the description states it, ready to simulate and to solve.
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
 //! - [`picture`]: a scene that frames alone state.
-//! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is put on.
+//! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is applied.
 //! - [`residual`]: by how much events miss their thresholds on a scene, and what each effect explains of that.
-//! - [`covariates`], [`law`], [`rhythm`]: what may depend on what, where no effect has a name for it.
+//! - [`covariates`], [`dependence`], [`rhythm`]: what may depend on what, where no effect has a name for it.
 //! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`], [`targets`]: made-up recordings).
 //! - [`verdict`]: one answer from direct tests and from what was decided.
 //! - [`fitted`]: the description with what was found put in.
@@ -30,12 +30,12 @@ pub mod candidates;
 pub mod case;
 pub mod covariates;
 pub mod decide;
+pub mod dependence;
 pub mod diagnose;
 pub mod fitted;
 pub mod heldout;
 pub mod integrity;
 pub mod judge;
-pub mod law;
 pub mod made;
 pub mod nominal;
 pub mod page;

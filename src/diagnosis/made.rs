@@ -19,7 +19,7 @@ use std::sync::Arc;
 /// What is wrong with a recording.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Fault {
-    /// Effects of the catalogue: id, parameter, strength.
+    /// Effects of the catalogue: id, parameter, effect size.
     pub effects: Vec<(String, String, f64)>,
     /// What is in no catalogue: the covariate it depends on.
     pub other: Option<Covariate>,
@@ -62,8 +62,8 @@ pub struct MadeSetting {
     pub shares: [f64; 3],
     /// Share of recordings whose frames have noise.
     pub noisy: f64,
-    /// Strengths of effects, from and to; evenly over their logarithm.
-    pub strengths: (f64, f64),
+    /// Effect sizes of effects, from and to; evenly over their logarithm.
+    pub effect_sizes: (f64, f64),
 }
 
 impl MadeSetting {
@@ -72,7 +72,7 @@ impl MadeSetting {
         let usual = MadeSetting { kind, ..MadeSetting::default() };
         match kind {
             Kind::Picture => usual,
-            Kind::Parts => MadeSetting { strengths: (0.2, 2.0), ..usual },
+            Kind::Parts => MadeSetting { effect_sizes: (0.2, 2.0), ..usual },
             Kind::Given => MadeSetting { extent: Extent { width: 40, height: 30 }, duration_s: 0.1, ..usual },
         }
     }
@@ -86,7 +86,7 @@ impl Default for MadeSetting {
             duration_s: 0.12,
             shares: [0.42, 0.12, 0.1],
             noisy: 0.4,
-            strengths: (0.06, 1.3),
+            effect_sizes: (0.06, 1.3),
         }
     }
 }
@@ -123,12 +123,12 @@ pub fn made(seed: u64, index: u64, setting: &MadeSetting) -> Result<Made, String
     let choice: Vec<usize> = (0..CANDIDATES.len()).filter(|&n| CANDIDATES[n].sought.is_made).collect();
     while truth.effects.len() < count {
         let candidate = &CANDIDATES[choice[(random.uniform() * choice.len() as f64) as usize % choice.len()]];
-        let (from, to) = setting.strengths;
+        let (from, to) = setting.effect_sizes;
         let size = from * libm::pow(to / from, random.uniform());
-        let strength = if candidate.signs == Signs::Both && random.uniform() < 0.5 { -size } else { size };
+        let effect_size = if candidate.signs == Signs::Both && random.uniform() < 0.5 { -size } else { size };
         if truth.effects.iter().all(|(id, ..)| *id != candidate.id) {
-            candidate.put_on(&mut trial, strength, &scales);
-            truth.effects.push((candidate.id.to_owned(), candidate.parameter.to_owned(), strength));
+            candidate.apply(&mut trial, effect_size, &scales);
+            truth.effects.push((candidate.id.to_owned(), candidate.parameter.to_owned(), effect_size));
         }
     }
     let case = if count == 0 { plain } else { scene.recording_through(Some(&trial))? };

@@ -2,7 +2,7 @@
 //!
 //! Light is log-linear between knots in a scene and linear in the forward model: steep pieces are cut until both agree to a part in a thousand. Beyond the sample
 //! the nearest pixel of the same row or column stands in where an effect mixes neighbours' light. The load of a readout queue is that of the recording.
-//! Stamps are put on the recording's grid, frames get the noise that the description states and that the caller estimated.
+//! Stamps are rounded to the recording's grid, frames get the noise that the description states and that the caller estimated.
 
 use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
 use crate::nominal::Nominal;
@@ -45,7 +45,7 @@ pub struct Conditions {
 /// Effects with their parameters, by catalogue id, as `[effects]` of a sensor description states them.
 pub type Described = BTreeMap<String, Map<String, Value>>;
 
-/// Records the sampled pixels with the nominal sensor and `more` effects beside (or, of the same id, instead of) those that the description states. Pixels outside
+/// Records the sampled pixels with the nominal sensor and `more` effects in addition to (or, of the same id, instead of) those that the description states. Pixels outside
 /// the sample stay without events and with NaN in the frames.
 ///
 /// # Errors
@@ -96,7 +96,7 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, mo
     Ok(Case { events: PixelEvents::new(pixels), frames, sensor: case.sensor.clone(), ..*case })
 }
 
-/// What the description states with `more` beside (or, of the same id, instead of) it, told what the recording holds.
+/// What the description states with `more` in addition to (or, of the same id, instead of) it, given what the recording holds.
 ///
 /// # Errors
 /// When an effect or its parameters are not understood.
@@ -108,7 +108,7 @@ pub(crate) fn effects_of(case: &Case, more: &Described) -> Result<Vec<Box<dyn Ef
     Ok(effects)
 }
 
-/// Tells effects that depend on the load what the recording holds.
+/// Gives effects that depend on the load what the recording holds.
 fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
     if effects.iter().all(|effect| effect.informed(&[]).is_none()) {
         return;

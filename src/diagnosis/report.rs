@@ -17,11 +17,11 @@ pub const SCHEMA: &str = "photocurrent-diagnosis/1";
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// Nothing that the recording shows speaks against the description.
+    /// Nothing that the recording shows contradicts the description.
     Consistent,
     /// One cause is named for what differs.
     Named,
-    /// Several causes would do; the recording cannot tell.
+    /// Several causes would do; the recording cannot decide.
     Ambiguous,
     /// Something differs, and no effect of the catalogue explains it.
     Unnamed,
@@ -91,7 +91,7 @@ pub struct Location {
 /// The most pixels that a location lists.
 pub const MASK_LIMIT: usize = 4096;
 
-/// How strongly the recording speaks for an effect. What was not measured is absent.
+/// The evidence of the recording for an effect. What was not measured is absent.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
     /// The statistic that the effect was found by, over the value from which it counts (1 = just).
@@ -110,7 +110,7 @@ pub struct Evidence {
     pub heldout_nats_per_event: Option<f64>,
     /// Probability that the effect is this one, given that there is something; absent for direct tests.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub belief: Option<f64>,
+    pub posterior: Option<f64>,
     /// What found it: `direct`, or the scene it was found on (`picture`, `patches`, `given`).
     pub found_by: Vec<String>,
 }
@@ -132,16 +132,16 @@ pub struct EffectReport {
     pub parameters: BTreeMap<String, Parameter>,
     /// Where it shows.
     pub location: Location,
-    /// Why it is believed.
+    /// Its evidence.
     pub evidence: Evidence,
 }
 
-/// A number with the description as stated, and with the fitted one.
+/// A number with the nominal description, and with the fitted one.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BeforeAfter {
-    /// As stated.
+    /// Nominal.
     pub before: f64,
-    /// As fitted.
+    /// Fitted.
     pub after: f64,
 }
 
@@ -151,7 +151,7 @@ pub struct Fit {
     /// Log-likelihood of held-out measurements, nats per event.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heldout_nats_per_event: Option<BeforeAfter>,
-    /// Frames that were kept back, predicted from events and the other frames, dB of the largest value.
+    /// Frames that were held out, predicted from events and the other frames, dB of the largest value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heldout_frame_psnr_db: Option<BeforeAfter>,
     /// Distance of residuals from uniform (Kolmogorov-Smirnov).
@@ -189,7 +189,7 @@ pub struct SceneProperty {
     pub depth: f64,
 }
 
-/// An effect that this recording can say nothing about.
+/// An effect that is not identifiable from this recording.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct NotTestable {
     /// Catalogue id.
@@ -237,7 +237,7 @@ pub struct Report {
     /// Share of the misfit that the named effects leave; absent when it was not measured.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub residual_left: Option<f64>,
-    /// The fitted description beside the report; absent when there is none.
+    /// The fitted description, next to the report; absent when there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sensor_fitted: Option<String>,
     /// From what.

@@ -9,13 +9,13 @@ use rayon::prelude::*;
 /// How the light is estimated.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneSetting {
-    /// How far events are believed.
+    /// Assumed standard deviation of events.
     pub noise: Noise,
-    /// Frame values are believed to this share of the signal, beyond their stated noise.
+    /// Frame values are assumed good to this share of the signal, beyond their stated noise.
     pub frame_share: f64,
     /// And to this, DN.
     pub frame_dn: f64,
-    /// Softness of silence, natural-log units; 0 = not used.
+    /// Softness of the no-event constraint, natural-log units; 0 = not used.
     pub silence_sigma: f64,
     /// Prior, spacing of knots, steps.
     pub options: MapOptions,
@@ -29,7 +29,7 @@ impl Default for SceneSetting {
 }
 
 impl SceneSetting {
-    /// Events are believed closely and more steps are taken: more of them come again from such light.
+    /// Events are trusted closely and more steps are taken: more of them match events of such light.
     pub fn close() -> SceneSetting {
         let usual = SceneSetting::default();
         SceneSetting { noise: Noise { event: 0.01, ..usual.noise }, options: MapOptions { max_iterations: 8, ..usual.options }, ..usual }
@@ -49,7 +49,7 @@ pub struct Scene {
     pub log_light: Vec<f64>,
     /// Which pixels of the sample have an estimate; the others have no usable frame or did not converge, and carry one constant knot.
     pub is_known: Vec<bool>,
-    /// How well the prior foretold each pixel's measurements; 0 where the light was not estimated.
+    /// How well the prior predicted each pixel's measurements; 0 where the light was not estimated.
     pub log_evidence: Vec<f64>,
 }
 
@@ -66,8 +66,8 @@ impl Scene {
     /// # Panics
     /// When there is not one prior for each pixel.
     pub fn estimate_with(case: &Case, nominal: &Nominal, sample: &Sample, setting: &SceneSetting, priors: &[Prior]) -> Scene {
-        let told = |n: usize| Told { data: pixel_data(case, nominal, setting, sample.pixels[n] as usize), sensor: nominal.map_sensor(), beyond: Vec::new() };
-        Scene::estimate_from(sample, priors, told, |told| task(case, setting, &told.data, told.sensor, &told.beyond), case.span.0)
+        let given = |n: usize| Given { data: pixel_data(case, nominal, setting, sample.pixels[n] as usize), sensor: nominal.map_sensor(), beyond: Vec::new() };
+        Scene::estimate_from(sample, priors, given, |given| task(case, setting, &given.data, given.sensor, &given.beyond), case.span.0)
     }
 
     /// The light of every pixel of a sample, from measurements and sensor of each (by its place in the sample) and the problem that they make.
@@ -77,8 +77,8 @@ impl Scene {
     pub fn estimate_from(
         sample: &Sample,
         priors: &[Prior],
-        told: impl Fn(usize) -> Told + Sync,
-        task: impl for<'a> Fn(&'a Told) -> MapTask<'a> + Sync,
+        given: impl Fn(usize) -> Given + Sync,
+        task: impl for<'a> Fn(&'a Given) -> MapTask<'a> + Sync,
         start_ns: i64,
     ) -> Scene {
         const CHUNK: usize = 64;
@@ -87,13 +87,13 @@ impl Scene {
         let parts: Vec<Vec<(Found, f64)>> = places
             .par_chunks(CHUNK)
             .map_init(MapGroup::default, |group, places| {
-                let told: Vec<Told> = places.iter().map(|&n| told(n)).collect();
+                let given: Vec<Given> = places.iter().map(|&n| given(n)).collect();
                 let mut found = vec![((vec![start_ns], vec![0.0], false), 0.0); places.len()];
-                let lit: Vec<usize> = (0..places.len()).filter(|&n| told[n].data.1.iter().any(|frame| !frame.saturated)).collect();
+                let lit: Vec<usize> = (0..places.len()).filter(|&n| given[n].data.1.iter().any(|frame| !frame.saturated)).collect();
                 let tasks: Vec<MapTask<'_>> = lit
                     .iter()
                     .map(|&n| {
-                        let task = task(&told[n]);
+                        let task = task(&given[n]);
                         MapTask { options: MapOptions { prior: priors[places[n]], ..task.options }, ..task }
                     })
                     .collect();
@@ -152,9 +152,9 @@ impl Scene {
 /// A pixel's measurements as the solver takes them.
 pub type PixelData = (Vec<MapEvent>, Vec<MapFrame>);
 
-/// What the solver is told of a pixel.
+/// What the solver gets of a pixel.
 #[derive(Clone, Debug)]
-pub struct Told {
+pub struct Given {
     /// What was measured.
     pub data: PixelData,
     /// By which sensor.

@@ -1,5 +1,5 @@
 //! Scenes and sensors made up for training: a drifting or shaken texture, a turning star, discs that fly over a slow texture, a photograph that shakes, zooms and turns, a layer that moves
-//! before another one, a fan, a walking figure, a thrown ball, the last three before a still ground; light, speed, thresholds, time constants, reset laws, exposures and stamps over the ranges of cameras that such recordings are made with.
+//! before another one, a fan, a walking figure, a thrown ball, the last three before a still ground; light, speed, thresholds, time constants, reset rules, exposures and stamps over the ranges of cameras that such recordings are made with.
 //!
 //! Everything follows from a seed. Light is analytic in place and time, so its size, length and number of pixels can be anything.
 //! Limits: grey, no flicker, no noise of the light; objects are opaque and bright or dark.
@@ -182,15 +182,15 @@ impl MadeUp {
         let (low, high) = (between(26.0, 38.0), between(150.0, 205.0));
         let us = |us: f64| Some(Duration::new((us * 1e3).round() as i64));
         let mut sensor = Sensor::unknown("made up");
-        let law = between(0.0, 1.0);
+        let which = between(0.0, 1.0);
         let threshold = between(0.15, 0.25);
         sensor.comparator.threshold_on = Some(threshold);
         sensor.comparator.threshold_off = Some(threshold * between(0.92, 1.09));
-        sensor.comparator.reset = if law < 0.4 { Reset::Resample } else { Reset::Advance };
-        sensor.readout.refractory = us(if law < 0.4 { between(30.0, 90.0).round() } else { 0.0 });
+        sensor.comparator.reset = if which < 0.4 { Reset::Resample } else { Reset::Advance };
+        sensor.readout.refractory = us(if which < 0.4 { between(30.0, 90.0).round() } else { 0.0 });
         sensor.readout.latency_min = us(1.0);
         let tau_0 = between(8.0, 48.0);
-        sensor.front_end.tau_0 = us(if law < 0.2 { 0.0 } else { tau_0 });
+        sensor.front_end.tau_0 = us(if which < 0.2 { 0.0 } else { tau_0 });
         sensor.front_end.alpha = us(between(7_500.0, 31_000.0));
         let exposure_ns = (between(3.0e6, 4.5e6)).round() as i64;
         sensor.frames.gain = Some(between(600.0, 1200.0) * if between(0.0, 1.0) < 0.5 { 0.8 } else { 1.0 });
@@ -204,9 +204,9 @@ impl MadeUp {
             .map(|l| Exposure::new(first_ns + l * period_ns, first_ns + l * period_ns + exposure_ns))
             .take_while(|exposure| exposure.end.0 + rows_ns < span.1)
             .collect();
-        let resolution_ns = if law < 0.2 || (0.4..0.7).contains(&law) {
+        let resolution_ns = if which < 0.2 || (0.4..0.7).contains(&which) {
             1_000
-        } else if law < 0.4 {
+        } else if which < 0.4 {
             1
         } else {
             20_000

@@ -195,7 +195,7 @@ mod tests {
             share: 0.83,
             span_ns: Some((0, 40_000_000)),
             name: "picture".into(),
-            alarm: true,
+            detected: true,
             proposals: vec![proposal.clone()],
             second: vec![proposal],
             unexplained: Some(Unexplained { covariate: "row".into(), ..Unexplained::default() }),

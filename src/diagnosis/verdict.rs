@@ -1,15 +1,15 @@
 //! One answer from the direct tests and from what was decided on a scene.
 //!
-//! A direct test that speaks is believed: it needs no scene. It does not end the search: the scene is looked at with what it found in the description, and speaks of the rest.
+//! A direct test that finds something counts: it needs no scene. It does not end the search: the scene is looked at with what it found in the description, and reports the rest.
 //! Where no scene is evidence, direct tests answer alone.
 //!
 //! An effect is named only when it matters ([`is_material`]), not only when it is certain: in a million events a microsecond is a hundred standard deviations.
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Signs};
 use crate::case::Case;
+use crate::dependence::Dependence;
 use crate::integrity::regular;
 use crate::integrity::{Finding, Integrity};
-use crate::law::Law;
 use crate::nominal::Nominal;
 use crate::report::{Detectable, Verdict};
 use crate::residual::located::Locations;
@@ -56,19 +56,19 @@ pub struct Unexplained {
     /// Held-out gain in log-likelihood, nats an event.
     pub nats: f64,
     /// As it was measured.
-    pub law: Option<Law>,
+    pub dependence: Option<Dependence>,
 }
 
 impl Unexplained {
     /// By a curve, `score` over the least that counts.
-    pub fn by(law: &Law, score: f64) -> Unexplained {
+    pub fn by(dependence: &Dependence, score: f64) -> Unexplained {
         Unexplained {
-            covariate: law.covariate.name().to_owned(),
-            equation: law.equation(),
-            insertion: law.moved.insertion().to_owned(),
+            covariate: dependence.covariate.name().to_owned(),
+            equation: dependence.equation(),
+            insertion: dependence.moved.insertion().to_owned(),
             score,
-            nats: law.nats_per_event,
-            law: Some(law.clone()),
+            nats: dependence.nats_per_event,
+            dependence: Some(dependence.clone()),
         }
     }
 }
@@ -85,10 +85,10 @@ pub struct Decided {
     #[serde(default)]
     pub span_ns: Option<(i64, i64)>,
     /// Does the recording differ from the description at all?
-    pub alarm: bool,
+    pub detected: bool,
     /// For one more effect, best first.
     pub proposals: Vec<Proposal>,
-    /// For a second one beside the first of `proposals`, best first.
+    /// For a second one in addition to the first of `proposals`, best first.
     pub second: Vec<Proposal>,
     /// What explains more than any candidate does, and is none.
     pub unexplained: Option<Unexplained>,
@@ -117,10 +117,10 @@ pub struct Claim {
     pub also_possible: Vec<&'static str>,
     /// Its numbers.
     pub values: Vec<Valued>,
-    /// Over the value from which what found it speaks.
+    /// Over the value from which what found it counts.
     pub score: f64,
     /// Probability that it is this one, given that there is something, 0 to 1; none for direct tests.
-    pub belief: Option<f64>,
+    pub posterior: Option<f64>,
     /// Who found it.
     pub found_by: Vec<String>,
     /// Gain in log-likelihood on held-out events, nats.
@@ -161,7 +161,7 @@ impl Answer {
 
 /// Direct tests, as one that found something.
 pub const DIRECT: &str = "direct";
-/// An effect with this share of the best one's probability is told with it.
+/// An effect with this share of the best one's probability is reported with it.
 pub const IN_SET_SHARE: f64 = 0.25;
 /// The largest set.
 const LARGEST_SET: usize = 3;
@@ -175,7 +175,7 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, decided: O
     let known: Vec<&str> = claims.iter().map(|claim| claim.id).collect();
     let decided = decided.map(|decided| without(case, nominal, decided, &known));
     // What shows without a scene comes first.
-    let shown = integrity.laws.first().map(|law| Unexplained::by(law, regular::score(law)));
+    let shown = integrity.dependences.first().map(|dependence| Unexplained::by(dependence, regular::score(dependence)));
     let unexplained = shown.or_else(|| decided.as_ref().and_then(|decided| decided.unexplained.clone()));
     // No name is forced on what explains more than any effect does.
     if let Some(decided) = decided.filter(|_| !claims.is_empty() || unexplained.is_none()) {
@@ -191,10 +191,10 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, decided: O
     answer
 }
 
-/// The claims of what was decided: an effect, and one beside it.
+/// The claims of what was decided: an effect, and a second one.
 fn of_scene(decided: &Decided) -> Vec<Claim> {
     let Some(mut first) = best(&decided.name, &decided.proposals) else { return Vec::new() };
-    // It was fitted with the first one applied: what looks alike is told apart there.
+    // It was fitted with the first one applied: what looks alike is distinguished there.
     let apart = |one: &&Proposal| !first.also_possible.contains(&CANDIDATES[one.candidate].id);
     let rest: Vec<Proposal> = decided.second.iter().filter(apart).cloned().collect();
     match best(&decided.name, &rest) {
@@ -210,16 +210,16 @@ fn of_scene(decided: &Decided) -> Vec<Claim> {
     }
 }
 
-/// The most probable of the proposals that passed, with those that are not told apart from it.
+/// The most probable of the proposals that passed, with those that are not distinguished from it.
 fn best(scene: &str, proposals: &[Proposal]) -> Option<Claim> {
     let passed = proposals.iter().filter(|one| one.passed);
     let one = passed.max_by(|a, b| a.probability.total_cmp(&b.probability).then(b.candidate.cmp(&a.candidate)))?;
     Some(Claim {
         id: CANDIDATES[one.candidate].id,
-        also_possible: beside(one, proposals),
+        also_possible: alternatives(one, proposals),
         values: vec![(one.candidate, one.value, one.ci95)],
         score: one.score,
-        belief: Some(one.probability),
+        posterior: Some(one.probability),
         found_by: vec![scene.to_owned()],
         heldout_nats: one.heldout_nats,
         heldout_nats_ci95: one.heldout_nats_ci95,
@@ -230,7 +230,7 @@ fn best(scene: &str, proposals: &[Proposal]) -> Option<Claim> {
 }
 
 /// Effects that are nearly as probable as one, most first, whether they passed or not.
-fn beside(one: &Proposal, proposals: &[Proposal]) -> Vec<&'static str> {
+fn alternatives(one: &Proposal, proposals: &[Proposal]) -> Vec<&'static str> {
     let mut near: Vec<&Proposal> = proposals.iter().filter(|other| other.probability > IN_SET_SHARE * one.probability).collect();
     near.sort_by(|a, b| b.probability.total_cmp(&a.probability).then(a.candidate.cmp(&b.candidate)));
     let mut ids = vec![CANDIDATES[one.candidate].id];
@@ -257,7 +257,7 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
         also_possible: Vec::new(),
         values,
         score: finding.statistic / finding.threshold,
-        belief: None,
+        posterior: None,
         found_by: vec![DIRECT.into()],
         heldout_nats: finding.heldout.map(|heldout| heldout.nats),
         heldout_nats_ci95: None,

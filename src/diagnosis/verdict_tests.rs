@@ -9,7 +9,7 @@ fn proposal(id: &str, parameter: &str, score: f64, probability: f64, value: f64)
 }
 
 fn decided(proposals: Vec<Proposal>) -> Decided {
-    Decided { name: "picture".into(), alarm: proposals.iter().any(|proposal| proposal.passed), proposals, ..Decided::default() }
+    Decided { name: "picture".into(), detected: proposals.iter().any(|proposal| proposal.passed), proposals, ..Decided::default() }
 }
 
 fn answer(decided: &Decided) -> Answer {
@@ -37,7 +37,7 @@ fn asymmetry(score: f64, probability: f64) -> Proposal {
 #[test]
 fn the_most_probable_is_named_with_what_is_nearly_as_probable() {
     let sure = answer(&decided(vec![leak(1.1, 0.9), asymmetry(1.1, 0.02)]));
-    assert_eq!((sure.verdict, ids(&sure), sure.claims[0].belief), (Verdict::Named, vec!["leak_events"], Some(0.9)));
+    assert_eq!((sure.verdict, ids(&sure), sure.claims[0].posterior), (Verdict::Named, vec!["leak_events"], Some(0.9)));
     assert_eq!(sure.claims[0].found_by, ["picture"]);
     let unsure = answer(&decided(vec![leak(1.1, 0.55), asymmetry(1.1, 0.45)]));
     assert_eq!((unsure.verdict, ids(&unsure)), (Verdict::Ambiguous, vec!["leak_events"]));
@@ -53,7 +53,7 @@ fn what_is_certain_but_immaterial_is_not_claimed() {
 }
 
 #[test]
-fn a_second_effect_stands_behind_the_first_and_another_number_of_it_beside() {
+fn a_second_effect_stands_behind_the_first_and_another_number_of_it_is_added() {
     let with = |second: Proposal| Decided { second: vec![second], ..decided(vec![leak(1.05, 0.9)]) };
     assert_eq!(ids(&answer(&with(asymmetry(1.6, 0.9)))), ["leak_events", "threshold_asymmetry"]);
     assert_eq!(ids(&answer(&with(asymmetry(0.9, 0.9)))), ["leak_events"]);
@@ -86,7 +86,7 @@ fn a_direct_finding_is_named_and_a_stronger_term_stands_before_it() {
 fn too_little_is_consistent_and_something_unexplained_has_no_name() {
     assert_eq!(answer(&decided(vec![leak(0.7, 0.9)])).verdict, Verdict::Consistent);
     let unexplained = Unexplained { covariate: "frame_phase".into(), score: 3.0, ..Unexplained::default() };
-    let found = answer(&Decided { alarm: true, unexplained: Some(unexplained), ..decided(Vec::new()) });
+    let found = answer(&Decided { detected: true, unexplained: Some(unexplained), ..decided(Vec::new()) });
     assert!(found.claims.is_empty());
     assert_eq!(found.unexplained.map(|found| found.covariate), Some("frame_phase".to_owned()));
     assert_eq!(found.verdict, Verdict::Unnamed);
@@ -94,8 +94,8 @@ fn too_little_is_consistent_and_something_unexplained_has_no_name() {
 
 #[test]
 fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
-    let law = Law {
-        moved: crate::law::Moved::EventRate,
+    let dependence = Dependence {
+        moved: crate::dependence::Moved::EventRate,
         covariate: crate::covariates::Covariate::RowParity,
         period_s: None,
         at: vec![0.0, 1.0],
@@ -105,7 +105,7 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
         significance: 16.0,
         nats_per_event: 0.01,
     };
-    let integrity = Integrity { laws: vec![law], ..Integrity::default() };
+    let integrity = Integrity { dependences: vec![dependence], ..Integrity::default() };
     let alone = answer_with(&integrity, Some(&decided(vec![leak(40.0, 0.9)])));
     assert_eq!((alone.verdict, alone.claims.len()), (Verdict::Unnamed, 0));
     let said = alone.unexplained.unwrap();
@@ -122,8 +122,8 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
         seen: String::new(),
         heldout: None,
     };
-    let beside = answer_with(&Integrity { findings: vec![hot], ..integrity }, None);
-    assert_eq!((beside.verdict, beside.claims[0].id), (Verdict::Named, "hot_pixels"));
+    let both = answer_with(&Integrity { findings: vec![hot], ..integrity }, None);
+    assert_eq!((both.verdict, both.claims[0].id), (Verdict::Named, "hot_pixels"));
 }
 
 #[test]
@@ -142,6 +142,6 @@ fn what_looks_like_a_direct_finding_is_its_remainder() {
     let integrity = Integrity { findings: vec![finding], ..Integrity::default() };
     let scale = proposal("threshold_scale", "fraction", 60.0, 0.9, 0.2);
     assert_eq!(ids(&answer_with(&integrity, Some(&decided(vec![scale])))), ["event_loss"]);
-    // Something of another kind is named beside.
+    // Something of another kind is named as well.
     assert_eq!(ids(&answer_with(&integrity, Some(&decided(vec![leak(1.1, 0.9)])))), ["event_loss", "leak_events"]);
 }

@@ -38,7 +38,7 @@ pub struct Trim {
     pub end_ns: i64,
     /// Are the stamps in order, so that nothing after `end_ns` is wanted?
     pub ordered: bool,
-    /// Taken away from every stamp.
+    /// Subtracted from every stamp.
     pub zero_ns: i64,
 }
 

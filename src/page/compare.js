@@ -82,8 +82,8 @@
     };
     const draw = () => {
       if (!shown) return;
-      const { a, b } = shown, beside = view.mode === "beside";
-      const parts = beside ? 2 : 1, wide = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio));
+      const { a, b } = shown, pair = view.mode === "pair";
+      const parts = pair ? 2 : 1, wide = Math.max(1, Math.round(canvas.clientWidth * devicePixelRatio));
       const tall = Math.round((wide / parts) * (group.height / group.width));
       if (canvas.width !== wide || canvas.height !== tall) (canvas.width = wide), (canvas.height = tall);
       context.imageSmoothingEnabled = false;
@@ -96,7 +96,7 @@
       } else if (view.mode === "flicker") {
         put((view.second ? b : a).canvas, 0);
         label(names[Number(view.second)], 0, false);
-      } else if (beside) {
+      } else if (pair) {
         put(a.canvas, 0);
         put(b.canvas, width);
         label(names[0], 0, false);
@@ -135,7 +135,7 @@
     };
     // The picture with its controls fits a screen.
     const size = () => {
-      const parts = view.mode === "beside" ? 2 : 1;
+      const parts = view.mode === "pair" ? 2 : 1;
       stage.style.maxWidth = `max(18rem, ${((parts * 68 * group.width) / group.height).toFixed(1)}vh)`;
     };
     const load = async () => {
@@ -170,7 +170,7 @@
       draw();
     };
     const place = (event) => {
-      const box = canvas.getBoundingClientRect(), [sx, sy, sw, sh] = cut(), parts = view.mode === "beside" ? 2 : 1;
+      const box = canvas.getBoundingClientRect(), [sx, sy, sw, sh] = cut(), parts = view.mode === "pair" ? 2 : 1;
       const share = (((event.clientX - box.left) / box.width) * parts) % 1;
       return { x: sx + share * sw, y: sy + ((event.clientY - box.top) / box.height) * sh, share: 100 * share, perPixel: box.width / parts / sw };
     };
@@ -243,7 +243,7 @@
       const keys = {
         ArrowLeft: () => move(-1, 0), ArrowRight: () => move(1, 0), ArrowUp: () => move(0, -1), ArrowDown: () => move(0, 1),
         "+": () => setZoom(view.zoom * 1.5), "-": () => setZoom(view.zoom / 1.5), 0: () => setZoom(1), ",": () => frame(-1), ".": () => frame(1),
-        s: () => setMode("slider"), f: () => setMode("flicker"), b: () => setMode("beside"), d: () => setMode("difference"), x: () => find("swap").click(),
+        s: () => setMode("slider"), f: () => setMode("flicker"), b: () => setMode("pair"), d: () => setMode("difference"), x: () => find("swap").click(),
         Enter: () => probe(pixel.x, pixel.y),
       };
       if (!keys[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;

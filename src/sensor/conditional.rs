@@ -7,11 +7,13 @@
 //! The voltage follows log-linear light in short steps with the time constant of their middle: exact for low-pass, second pole and the exponential
 //! transistor at constant time constants, and to the step where a slew limit cuts it.
 //!
-//! Limits: a stamp is taken off to first order; events that come without a crossing and lost ones have no place here; a pixel that an effect blinds beyond its next event
+//! Limits: a stamp is undone to first order; events that come without a crossing and lost ones have no place here; a pixel that an effect blinds beyond its next event
 //! takes its reference at that event.
 
 use crate::comparator::signed_step;
-use crate::effects::{BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds};
+use crate::effects::{
+    BURST_GAP_NS, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Reading, RowSite, Site, Thresholds,
+};
 use crate::elementary::{exp, exp_m1, ln};
 use crate::exposure::log_linear_mean;
 use crate::front_end::FrontEnd;
@@ -23,7 +25,7 @@ use photocurrent_core::sensor::Reset;
 use photocurrent_core::{Exposure, Timestamp};
 use std::sync::OnceLock;
 
-/// An event this soon after the blind time may be one that was held back, ns: as in the solver of the most probable light.
+/// An event this soon after the blind time may be one that was held back, ns: as in the MAP solver.
 const LATE_NS: i64 = 1_000;
 /// Time constants below this are taken as that, seconds.
 const TAU_LEAST_S: f64 = 1e-9;
@@ -171,7 +173,7 @@ fn time_constant(tau_0_s: f64, alpha_s: f64, one_over_light: f64) -> f64 {
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Mark {
-    Kick(usize),
+    Impulse(usize),
     Latch(usize),
     Fire(usize),
 }
@@ -186,18 +188,18 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     let mut front_end = FrontEndModel::plain(model.pixel.front_end);
     let stated = Thresholds { on: model.pixel.threshold_on, off: model.pixel.threshold_off };
     let mut leak = Leak::default();
-    let mut kicks: Vec<Kick> = Vec::new();
+    let mut impulses: Vec<Impulse> = Vec::new();
     let (start_ns, end_ns) = (track.t_ns[0], track.t_ns[track.t_ns.len() - 1]);
     for effect in effects {
         effect.front_end(site, &mut front_end);
         let more = effect.leak(site, &stated);
         leak.constant_per_s += more.constant_per_s;
         leak.per_photocurrent_per_s += more.per_photocurrent_per_s;
-        effect.kicks(site, start_ns, end_ns, &mut kicks);
+        effect.impulses(site, start_ns, end_ns, &mut impulses);
     }
-    kicks.retain(|kick| kick.t_ns >= start_ns && kick.t_ns < end_ns);
+    impulses.retain(|impulse| impulse.t_ns >= start_ns && impulse.t_ns < end_ns);
     let times = times(model, effects, look, seen, &mut random);
-    let mut marks: Vec<(i64, u8, Mark)> = kicks.iter().enumerate().map(|(n, kick)| (kick.t_ns, 1, Mark::Kick(n))).collect();
+    let mut marks: Vec<(i64, u8, Mark)> = impulses.iter().enumerate().map(|(n, impulse)| (impulse.t_ns, 1, Mark::Impulse(n))).collect();
     for (k, time) in times.iter().enumerate() {
         marks.push((time.fired_ns, 3, Mark::Fire(k)));
         if model.reset == Reset::Resample {
@@ -252,7 +254,7 @@ pub fn conditional(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, 
     for (t_ns, _, mark) in marks {
         walk.go_to(t_ns);
         match mark {
-            Mark::Kick(n) => walk.kick(&kicks[n]),
+            Mark::Impulse(n) => walk.impulse(&impulses[n]),
             Mark::Latch(_) => (reference, thresholds) = reset(walk.input(), fired_value, t_ns, before, &mut history),
             Mark::Fire(k) => {
                 let (event, time) = (&look.events[k], &times[k]);
@@ -325,7 +327,7 @@ fn times(model: &Model, effects: &[Box<dyn Effect>], look: &Look<'_>, seen: &[f6
     let mut all: Vec<Times> = Vec::with_capacity(look.events.len());
     let (mut blind_until, mut before) = (i64::MIN, i64::MIN);
     for (k, event) in look.events.iter().enumerate() {
-        // The rules of the solver of the most probable light.
+        // The rules of the MAP solver.
         let is_armed = match model.reset {
             Reset::Resample => event.t_in_ns >= blind_until && event.t_in_ns > before,
             Reset::Advance | Reset::AdvanceLossy => {
@@ -400,7 +402,7 @@ struct Walk<'a> {
     low: f64,
     second: f64,
     level: f64,
-    /// Leaks and kicks of the comparator so far.
+    /// Leaks and impulses of the comparator so far.
     drift: f64,
 }
 
@@ -431,12 +433,12 @@ impl Walk<'_> {
         self.before_high_pass() + self.drift - if self.model.high_pass_s.is_finite() { self.level } else { 0.0 }
     }
 
-    fn kick(&mut self, kick: &Kick) {
-        match kick.target {
-            KickTarget::Comparator => self.drift += kick.change,
-            KickTarget::FrontEnd => {
-                self.low += kick.change;
-                self.second += kick.change;
+    fn impulse(&mut self, impulse: &Impulse) {
+        match impulse.target {
+            ImpulseTarget::Comparator => self.drift += impulse.change,
+            ImpulseTarget::FrontEnd => {
+                self.low += impulse.change;
+                self.second += impulse.change;
             }
         }
     }

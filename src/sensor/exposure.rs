@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn a_digital_number_tells_its_integral() {
+    fn a_digital_number_gives_its_integral() {
         let number = DigitalNumber { black_level: 20.0, gain: 800.0 };
         assert!((number.integral(140.0) - 0.15).abs() < 1e-15 && (number.integral(12.0) + 0.01).abs() < 1e-15);
         assert!((number.of(number.integral(731.5)) - 731.5).abs() < 1e-12);

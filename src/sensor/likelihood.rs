@@ -2,10 +2,10 @@
 //!
 //! The base noise is a threshold drawn anew at each reset, normal around the stated one. From the end of the blind time on, with D the voltage above the
 //! reference and M+ and M- the largest D and -D so far, the pixel is still silent with probability `S = Q(z+) Q(z-)`, where `z = (M - threshold) / sigma` and Q is the
-//! upper tail of the normal law; when one draw moves both thresholds, `S = Q(max(z+, z-))`. Hence, exactly:
+//! upper tail of the normal distribution; when one draw moves both thresholds, `S = Q(max(z+, z-))`. Hence, exactly:
 //!
 //! - `Lambda = -ln S` at the next event is exponential with mean 1, and `1 - S` is uniform ([`Interval::uniform`]);
-//! - the sum of Lambda over all intervals, the silent end of the recording included, expects the number of events ([`Interval::compensator`]): silence counts as much
+//! - the sum of Lambda over all intervals, the silent end of the recording included, expects the number of events ([`Interval::compensator`]): time without events counts as much
 //!   as events;
 //! - an event's polarity is that of the side that is advancing ([`Interval::mark`]).
 //!
@@ -14,7 +14,7 @@
 //!
 //! The naive residual `(D - threshold) / sigma` at events does not have mean zero even when everything is right: low thresholds fire before the light turns round.
 //!
-//! Source: the time-rescaling theorem (Brown et al., Neural Computation 14, 2002) with the threshold's normal law. Limits: noise of the voltage itself is not
+//! Source: the time-rescaling theorem (Brown et al., Neural Computation 14, 2002) with the threshold's normal distribution. Limits: noise of the voltage itself is not
 //! modelled; light that was fitted to the same events makes residuals too small.
 
 use crate::map::{MapEvent, MapSensor, ramp_voltage};
@@ -49,8 +49,8 @@ pub struct Since {
     /// The reference falls by this much a second: a leak.
     pub drift_per_s: f64,
     /// The voltage steps at these instants (ns, rising) by so much.
-    pub kicks: Vec<(i64, f64)>,
-    /// From when on drift and kicks count, ns.
+    pub impulses: Vec<(i64, f64)>,
+    /// From when on drift and impulses count, ns.
     pub reset_ns: i64,
 }
 
@@ -58,8 +58,9 @@ impl Since {
     /// What the comparator sees beyond the voltage at an instant.
     fn added(&self, t_ns: i64) -> f64 {
         let drift = self.drift_per_s * f64::max((t_ns - self.reset_ns) as f64 * 1e-9, 0.0);
-        let kicked: f64 = self.kicks.iter().filter(|(kick_ns, _)| *kick_ns >= self.reset_ns && *kick_ns < t_ns).map(|(_, change)| change).sum();
-        drift + kicked - self.left
+        let by_impulses: f64 =
+            self.impulses.iter().filter(|(impulse_ns, _)| *impulse_ns >= self.reset_ns && *impulse_ns < t_ns).map(|(_, change)| change).sum();
+        drift + by_impulses - self.left
     }
 }
 
@@ -82,7 +83,7 @@ pub struct Interval {
 
 /// The intervals of one pixel's events (in order of in-pixel time) under `log_light` at `t_ns`, linear between and constant beyond.
 ///
-/// An event inside the blind time of the one before has an interval of no length: it is told as an event with compensator 0.
+/// An event inside the blind time of the one before has an interval of no length: it counts as an event with compensator 0.
 ///
 /// # Panics
 /// When there is no knot of light.
@@ -91,7 +92,7 @@ pub fn intervals(light: (&[i64], &[f64]), sensor: &MapSensor, noise: &BaseNoise,
     intervals_since(light, sensor, noise, events, |_| &usual, span, random)
 }
 
-/// The same with what each interval has of its own: `since` tells it of the interval before an event (by its number), and of the silent end (by the number of events).
+/// The same with what each interval has of its own: `since` gives it for the interval before an event (by its number), and of the silent end (by the number of events).
 ///
 /// # Panics
 /// When there is no knot of light.
@@ -169,7 +170,7 @@ pub fn ks_uniform(numbers: &mut [f64]) -> f64 {
     numbers.iter().enumerate().map(gap).fold(0.0, f64::max)
 }
 
-/// Upper tail of the standard normal law.
+/// Upper tail of the standard normal distribution.
 ///
 /// ```
 /// use photocurrent_sensor::likelihood::normal_tail;
@@ -215,15 +216,15 @@ struct Pixel<'a> {
 }
 
 impl Pixel<'_> {
-    /// Lets time pass until `t_ns`, telling the voltage after every step; does nothing when it has passed.
-    fn go_to(&mut self, t_ns: i64, mut tell: impl FnMut(i64, f64)) {
+    /// Lets time pass until `t_ns`, reporting the voltage after every step; does nothing when it has passed.
+    fn go_to(&mut self, t_ns: i64, mut report: impl FnMut(i64, f64)) {
         while self.now_ns < t_ns {
             let first = self.light.at(self.now_ns);
             let next = t_ns.min(self.light.next_knot(self.now_ns)).min(self.now_ns + STEP_NS);
             let last = self.light.at(next);
             self.voltage = ramp_voltage(&self.sensor.front_end, self.voltage, first, last, (next - self.now_ns) as f64 * 1e-9);
             self.now_ns = next;
-            tell(next, self.voltage);
+            report(next, self.voltage);
         }
     }
 }
@@ -361,7 +362,7 @@ mod tests {
         assert!(ks(&together(&SENSOR, 2.0 * sigma)) > 2.0 * limit);
         assert!(ks(&together(&MapSensor { threshold_on: 0.21, ..SENSOR }, sigma)) > 2.0 * limit);
         assert!(ks(&together(&MapSensor { refractory_ns: 400_000, ..SENSOR }, sigma)) > 2.0 * limit);
-        // Silence counts: all intervals together expect as many events as there are.
+        // Time without events counts: all intervals together expect as many events as there are.
         let expected: f64 = right.iter().map(|interval| interval.compensator).sum();
         assert!((expected - events as f64).abs() < 3.0 * libm::sqrt(events as f64), "{expected} for {events}");
         // The side that advances is the one that fires.
@@ -369,7 +370,7 @@ mod tests {
     }
 
     #[test]
-    fn a_leak_and_thresholds_of_the_moment_are_uniform_when_they_are_told() {
+    fn a_leak_and_thresholds_of_the_moment_are_uniform_when_they_are_stated() {
         // The light stands still: a reference that falls at a constant rate reaches a threshold drawn at each reset after (threshold / rate), in closed form.
         let (rate, sigma) = (8.0, 0.02);
         let threshold = |k: usize| 0.2 + 0.05 * (k % 3) as f64;
@@ -391,21 +392,21 @@ mod tests {
         assert!(ks(&with(&all)) < limit, "{} of {limit}", ks(&with(&all)));
         let slower: Vec<Since> = all.iter().map(|since| Since { drift_per_s: 0.98 * rate, ..since.clone() }).collect();
         assert!(ks(&with(&slower)) > 2.0 * limit);
-        // A kick stands for the drift of the whole interval.
-        let kicked: Vec<Since> = all
+        // An impulse stands for the drift of the whole interval.
+        let pushed: Vec<Since> = all
             .iter()
             .zip(&events)
             .map(|(since, event)| Since {
                 drift_per_s: 0.0,
-                kicks: vec![(event.t_in_ns - 1, rate * (event.t_in_ns - since.reset_ns) as f64 * 1e-9)],
+                impulses: vec![(event.t_in_ns - 1, rate * (event.t_in_ns - since.reset_ns) as f64 * 1e-9)],
                 ..since.clone()
             })
             .collect();
-        assert!(ks(&with(&kicked)) < limit);
+        assert!(ks(&with(&pushed)) < limit);
     }
 
     #[test]
-    fn rounded_stamps_stay_uniform_when_that_is_told() {
+    fn rounded_stamps_stay_uniform_when_that_is_stated() {
         let (sigma, step_ns) = (0.004, 300_000);
         let rounded = |seed: u64| {
             let mut events = events(sigma, seed);
@@ -417,13 +418,13 @@ mod tests {
         let all: Vec<Vec<MapEvent>> = (10..16).map(rounded).collect();
         let with = |noise: BaseNoise| all.iter().flat_map(|events| found(&SENSOR, &noise, events)).collect::<Vec<Interval>>();
         let limit = 1.63 / libm::sqrt(all.iter().map(Vec::len).sum::<usize>() as f64);
-        let told = ks(&with(BaseNoise { stamp_width_ns: step_ns, ..noise(sigma) }));
-        let untold = ks(&with(noise(sigma)));
-        assert!(told < limit && untold > 1.5 * limit, "{told} and {untold} of {limit}");
+        let stated = ks(&with(BaseNoise { stamp_width_ns: step_ns, ..noise(sigma) }));
+        let unstated = ks(&with(noise(sigma)));
+        assert!(stated < limit && unstated > 1.5 * limit, "{stated} and {unstated} of {limit}");
     }
 
     #[test]
-    fn background_events_fill_the_silence() {
+    fn background_events_fill_quiet_times() {
         // No light changes: only the background fires, at its rate.
         let (t, u) = ([0_i64], [4.0]);
         let rate = 25.0;

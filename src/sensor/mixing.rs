@@ -9,7 +9,7 @@
 use crate::effects::{Effect, Kernel, Tap};
 use crate::forward::neighbours::{TwoDomains, joined, mixed_log, stand_in};
 
-/// Taps are left out while their weights sum to less than this part of all: a blur's far taps are many, and even beside pixels a hundred times as bright their photocurrent is a percent.
+/// Taps are left out while their weights sum to less than this part of all: a blur's far taps are many, and even next to pixels a hundred times as bright their photocurrent is a percent.
 const LEAST_PART: f64 = 1e-4;
 
 /// The joined kernel of some effects.

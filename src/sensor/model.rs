@@ -11,7 +11,7 @@ use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::sensor::Reset;
 
-/// The sensor as stated, but for its `[effects]`.
+/// The nominal sensor, but for its `[effects]`.
 #[derive(Clone, Debug)]
 pub struct Model {
     /// The pixel.
@@ -61,7 +61,7 @@ impl Model {
         }
     }
 
-    /// For the solver of the most probable light.
+    /// For the MAP solver.
     pub fn map_sensor(&self) -> MapSensor {
         MapSensor {
             front_end: self.pixel.front_end,
@@ -75,7 +75,7 @@ impl Model {
         }
     }
 
-    /// Standard deviation of a frame value as stated, DN.
+    /// Standard deviation of a frame value by the description, DN.
     pub fn stated_frame_sigma_dn(&self, dn: f64) -> f64 {
         let signal = f64::max(dn - self.number.black_level, 0.0);
         libm::sqrt(self.read_noise_dn * self.read_noise_dn + self.dn_per_electron * signal)

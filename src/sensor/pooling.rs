@@ -5,7 +5,7 @@
 //! grey light is as strong for the event pixel as for each frame pixel, whatever the weights.
 //!
 //! A frame pixel sees its own colour at its own place. As long as neither colour nor the pattern inside the block changes, its light is the event pixel's times
-//! one factor, so that steps of log light are the same for both: that is what lets an event speak for each pixel of its block. It fails where an edge between
+//! one factor, so that steps of log light are the same for both: that is what lets an event stand for each pixel of its block. It fails where an edge between
 //! two colours of like brightness passes (frames change, no event fires), and where an edge crosses the block's pixels one after the other.
 
 use photocurrent_core::Colour;

@@ -15,10 +15,10 @@
 
 use crate::scalar::Scalar;
 
-/// The largest blind-to-armed ratio that is believed.
+/// The largest blind-to-armed ratio that is used.
 ///
 /// An event that fires right after the reference was taken implies an almost vertical slope; Eq. (9) would turn
-/// one threshold into hundreds. Beyond this ratio the local slope says nothing about the blind time.
+/// one threshold into hundreds. Beyond this ratio the local slope does not constrain the blind time.
 pub const RATIO_LIMIT: f64 = 20.0;
 
 /// The shortest armed time, in seconds, that is divided by.

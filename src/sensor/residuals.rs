@@ -12,7 +12,7 @@ use crate::scalar::{Dual, Scalar};
 
 /// How far one pixel's measurements are from what its solution predicts: sums of squares of whitened residuals, apart for events and frames.
 ///
-/// Where noise is as large as believed, the root mean squares are near 1, and smaller by what the solution has taken up of it.
+/// Where noise is as large as assumed, the root mean squares are near 1, and smaller by what the solution has taken up of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Misfit {
     /// Of events: the sum of squares, each over its variance.

@@ -1,4 +1,4 @@
-//! What effects did to the measurements of a pixel, taken off again, so that the stated sensor explains what is left.
+//! What effects did to the measurements of a pixel, undone, so that the stated sensor explains what is left.
 //!
 //! Every effect is asked by its own hooks, the ones the simulator asks: nothing here knows any effect.
 //!
@@ -10,7 +10,7 @@
 //!   stated sensor would have it ([`crate::conditional`]); that is given to the solver as known ([`crate::map::MapProblem::beyond`]) and the light is solved again (defect
 //!   correction; Stetter, Numerische Mathematik 29, 1978).
 //!
-//! What is drawn cannot be undone: measurements are believed that much less ([`Chance`]).
+//! What is drawn cannot be undone: measurements are trusted that much less ([`Chance`]).
 //!
 //! - Waits that depend on the load of the array: the recorded events of all pixels are the load ([`Undo::inform`]); before it is given, such effects stand in [`Undo::left_out`].
 //!
@@ -18,7 +18,7 @@
 //!   estimates of all ([`Estimate::seen`]). Each round multiplies what is wrong by what the kernel takes from the pixel itself, so a strong mixture of fine detail needs more rounds.
 //!
 //! Limits: effects of which everything is drawn, and kernels that act before and behind the logarithm at once, are left out and named in [`Undo::left_out`]; events that were lost are missing in the load;
-//! an event that a sudden kick fires passed its threshold by an unknown part of the kick, and is taken as if it had met it.
+//! an event that a sudden impulse fires passed its threshold by an unknown part of the impulse, and is taken as if it had met it.
 
 use crate::conditional::{Conditional, Look, Track, at, conditional};
 use crate::effects::{ArrayEvent, Chance, Effect, FrontEndModel, PixelEvent, Reading, RowSite, Site};
@@ -40,7 +40,7 @@ const DARKEST: f64 = 1e-3;
 const SECANTS: usize = 12;
 const NEAR: f64 = 1e-10;
 
-/// A set of effects to be taken off.
+/// A set of effects to be undone.
 pub struct Undo {
     effects: Vec<Box<dyn Effect>>,
     /// Effects that need the load of the array before they say anything.
@@ -147,7 +147,7 @@ impl Undo {
         self.coupled.first().map(|effect| effect.id())
     }
 
-    /// Gives effects that depend on the load the events of the whole array, as recorded and in any order; from then on they are taken off as well. Does nothing the second time.
+    /// Gives effects that depend on the load the events of the whole array, as recorded and in any order; from then on they are undone as well. Does nothing the second time.
     pub fn inform(&mut self, recorded: impl Iterator<Item = (Site, MapEvent)>) {
         if self.coupled.is_empty() {
             return;
@@ -164,12 +164,12 @@ impl Undo {
         }
     }
 
-    /// The effects that are taken off: their known parts.
+    /// The effects that are undone: their known parts.
     pub fn known(&self) -> &[Box<dyn Effect>] {
         &self.effects
     }
 
-    /// Is there nothing to take off?
+    /// Is there nothing to undo?
     pub fn is_none(&self) -> bool {
         self.effects.is_empty()
     }

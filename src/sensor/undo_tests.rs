@@ -1,4 +1,4 @@
-//! Every effect that can be taken off is: the forward model records a pixel with it, and the light is solved with and without knowing of it.
+//! Every effect that can be undone is: the forward model records a pixel with it, and the light is solved with and without knowing of it.
 
 use super::*;
 use crate::effects::from_description;
@@ -102,7 +102,7 @@ fn effects(described: Value) -> Vec<Box<dyn Effect>> {
 }
 
 #[test]
-fn each_effect_that_can_be_taken_off_is() {
+fn each_effect_that_can_be_undone_is() {
     let model = model();
     let clean = error(&model, &Undo::new(Vec::new()), &recorded(&model, &[]), 0);
     // Each with the share of the harm that may be left.

@@ -48,7 +48,7 @@ pub struct VoxelInput {
     /// From when to when events count.
     #[serde(default)]
     pub window: Window,
-    /// How ON and OFF events are told apart.
+    /// How ON and OFF events are distinguished.
     #[serde(default)]
     pub polarity: Signs,
     /// What cells are divided by.

@@ -149,7 +149,7 @@ fn ranges_and_encodings_are_undone() {
 }
 
 #[test]
-fn a_layout_that_does_not_fit_the_network_is_told_with_what_it_has() {
+fn a_layout_that_does_not_fit_the_network_is_reported_with_what_it_has() {
     let refused = |params: Params| run(params).err().unwrap();
     let error = refused(Params { time: Some("time".into()), ..blend() });
     assert_eq!((error.message.as_str(), error.param.as_deref()), ("the network blend.onnx has no input `time`", Some("time")));
@@ -172,7 +172,7 @@ fn a_layout_that_does_not_fit_the_network_is_told_with_what_it_has() {
 }
 
 #[test]
-fn instants_without_a_frame_on_either_side_and_missing_events_are_told() {
+fn instants_without_a_frame_on_either_side_and_missing_events_are_reported() {
     let node = BaselineOnnx::build(blend()).unwrap();
     let one = testing::captured(EXTENT, vec![Exposure::new(0, 2_000_000)], 0, |_, _, _| 1.0);
     let metas = |frames: &FrameSequence, with_events: bool| {

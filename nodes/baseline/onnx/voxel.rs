@@ -11,7 +11,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
-/// How ON and OFF events are told apart.
+/// How ON and OFF events are distinguished.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Signs {
@@ -52,7 +52,7 @@ pub enum Stretch {
 pub struct Grid {
     /// Instants, at least 1.
     pub bins: usize,
-    /// How ON and OFF events are told apart.
+    /// How ON and OFF events are distinguished.
     pub signs: Signs,
     /// What cells are divided by.
     pub normalise: Normalise,

@@ -69,7 +69,7 @@ fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
 }
 
 #[test]
-fn neighbours_along_the_motion_foretell_a_pixel() {
+fn neighbours_along_the_motion_predict_a_pixel() {
     let hints = hints(0.0, 0.0, [0.7, 0.2]);
     assert!(hints.len() > 70);
     for hint in hints {

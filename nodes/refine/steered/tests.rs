@@ -42,7 +42,7 @@ fn tracks(log: impl Fn(usize, usize, f64) -> f64, noise: f64) -> TrackSet {
 }
 
 #[test]
-fn noise_on_a_sliding_texture_is_taken_away() {
+fn noise_on_a_sliding_texture_is_removed() {
     let rough = tracks(texture, 0.05);
     let (before, after) = (error(&rough, texture), error(&steer(&rough), texture));
     // Independent noise bends the tensor too: 2.8 dB are found.
@@ -78,7 +78,7 @@ fn an_edge_that_moves_across_is_not_blurred_across_its_motion() {
 }
 
 #[test]
-fn still_pixels_stay_bit_by_bit_beside_moving_ones() {
+fn still_pixels_stay_bit_by_bit_next_to_moving_ones() {
     let half = |x: usize, y: usize, ms: f64| if x < 12 { texture(x, y, 0.0) } else { texture(x, y, ms) };
     let rough = tracks(half, 0.01);
     let (before, after) = (rough.read(EXTENT.rows()).unwrap(), steer(&rough).read(EXTENT.rows()).unwrap());

@@ -51,13 +51,13 @@ impl Line {
         self.middle + self.slope * n + self.bend * n * n
     }
 
-    /// Distance along the normal of a pixel `beside` the edge on line `j`.
+    /// Distance along the normal of a pixel `along` the edge on line `j`.
     ///
     /// A bent edge is taken as its circle of curvature there, to second order: the tangent's distance less the sagitta at the foot of the normal.
-    pub fn distance(&self, j: usize, beside: f64) -> f64 {
+    pub fn distance(&self, j: usize, along: f64) -> f64 {
         let slope = self.slope + 2.0 * self.bend * (j as f64 - self.half);
         let stretch = 1.0 + slope * slope;
-        let tangent = beside / stretch.sqrt();
+        let tangent = along / stretch.sqrt();
         if self.bend == 0.0 { tangent } else { tangent - self.bend / (stretch * stretch.sqrt()) * (tangent * slope) * (tangent * slope) }
     }
 

@@ -1,6 +1,6 @@
 //! The width of one blurred edge in a picture: `bew.v1`.
 //!
-//! Per line the edge is found as the centroid of the windowed derivative, a straight line is fitted through these, and all pixels are put on one axis: their
+//! Per line the edge is found as the centroid of the windowed derivative, a straight line is fitted through these, and all pixels are projected on one axis: their
 //! distance along the edge's normal. Averages in bins of a quarter pixel are the edge spread function (ESF). Between the plateaus (medians of the outer
 //! fifths) its 10 % and 90 % crossings nearest the 50 % crossing are the width.
 //!

@@ -8,7 +8,7 @@ const FULL_SCALE: f64 = 1000.0;
 /// A picture of 40 x 30 pixels of an edge through its middle, `tilt` degrees off the vertical; `profile` gives 0 to 1 at a distance along the normal.
 fn picture(tilt: f64, profile: impl Fn(f64) -> f64) -> Vec<f64> {
     let (sin, cos) = (libm::sin(tilt.to_radians()), libm::cos(tilt.to_radians()));
-    // 0.3 pixels beside the middle: no symmetry with the pixels.
+    // 0.3 pixels from the middle: no symmetry with the pixels.
     let distance = |x: f64, y: f64| (x - 19.8) * cos + (y - 14.5) * sin;
     (0..30).flat_map(|y| (0..40).map(move |x| (f64::from(x), f64::from(y)))).map(|(x, y)| 200.0 + 400.0 * profile(distance(x, y))).collect()
 }
@@ -112,7 +112,7 @@ fn the_other_thresholds_give_another_width() {
 }
 
 #[test]
-fn ringing_narrows_the_edge_and_is_told() {
+fn ringing_narrows_the_edge_and_is_reported() {
     // 7 % at each side, 3 pixels long.
     let ringing = |d: f64| step(d) + if d.abs() < 3.0 { 0.07 * d.signum() } else { 0.0 };
     let edge = measured(&under_square_pixels(5.0, ringing));
@@ -149,7 +149,7 @@ fn the_interval_covers_the_width_and_grows_with_noise() {
 fn a_row_profile_reads_what_stands_on_the_segment() {
     let segment: Vec<f64> = (0..40).map(|x| 200.0 + 400.0 * gaussian(2.0)(f64::from(x) - 18.3)).collect();
     let edge = measure(&segment, 40, &Question { direction: Direction::Row, ..question() });
-    // A straight line between two columns lies up to f''/8 beside the curve, f'' = 1.282 phi(1.282) / sigma^2: 0.08 pixels at either threshold, outwards.
+    // A straight line between two columns lies up to f''/8 off the curve, f'' = 1.282 phi(1.282) / sigma^2: 0.08 pixels at either threshold, outwards.
     assert!((0.0..0.16).contains(&(edge.width - 2.0 * TEN_TO_NINETY)), "{}", edge.width);
     assert!(edge.interval[0].is_nan(), "one row has nothing to draw from");
     assert_eq!(edge.profile.len(), 40);

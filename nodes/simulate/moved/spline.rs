@@ -3,7 +3,7 @@
 //! A photo's value is the mean over its pixel, so where the sensor's pixels are as large, a shifted photo is what a smooth curve through the values says
 //! there. The cubic B-spline through them (Unser, Aldroubi and Eden 1993) is that curve: twice smooth, so that motion makes no kinks and no events of
 //! its own, and off by at most (TAU / wavelength)^4 / 360 of the amplitude for a wave of `wavelength` pixels: 0.1 percent at 8 pixels. Where the photo is shrunk, its pixels are
-//! `spacing` > 1 to one of the sensor; the kernel is then widened by as much and normalised, which blurs away what the sensor's pixels could not tell apart
+//! `spacing` > 1 to one of the sensor; the kernel is then widened by as much and normalised, which blurs away what the sensor's pixels could not resolve
 //! instead of letting it alias. The width changes smoothly with the motion, as a filter with steps (a pyramid, a count of samples) would not.
 //!
 //! The price: next to hard edges the curve overshoots by up to a tenth of the edge; a shrunk photo is softer than a box average would make it.
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_sensors_pixels_cannot_tell_apart_becomes_grey() {
+    fn what_the_sensors_pixels_cannot_resolve_becomes_grey() {
         // Stripes of one pixel: the finest there are. Seen at one sensor pixel for two of the photo they are beyond its limit.
         let photo = Spline::new(64, 64, (0..64 * 64).map(|k| f64::from(k % 2)).collect(), Outside::Mirror);
         let contrast = |spacing: f64| {

@@ -88,7 +88,7 @@ impl Scene for Fan {
         if reach == 0.0 {
             return wall;
         }
-        // Greys from 0.9 down to 0.5, so that each blade is told from the next.
+        // Greys from 0.9 down to 0.5, so that each blade differs from the next.
         let grey = |blade: f64| blend(0.9, 0.5, blade / self.blades);
         let arc = self.arc(distance).max(1e-9);
         // Across the gap's middle the nearest blade is the next one.

@@ -94,7 +94,7 @@ pub struct RunningMan {
     height: f64,
     ground: f64,
     start: f64,
-    /// Pixels after which the figure comes again.
+    /// Pixels after which the figure repeats.
     span: f64,
     /// Pixels per nanosecond.
     speed: f64,
@@ -140,7 +140,7 @@ impl RunningMan {
     }
 
     /// Is a place far enough that no limb can be near, and how far?
-    fn beside(&self, place: Place) -> f64 {
+    fn aside(&self, place: Place) -> f64 {
         hypot(place.0, place.1 + 0.5 * self.height) - 0.62 * self.height
     }
 
@@ -158,7 +158,7 @@ impl Scene for RunningMan {
     fn reflectance(&self, x: f64, y: f64, t_ns: i64) -> f64 {
         let wall = self.wall.at(x, y);
         let place = self.in_figure(x, y, t_ns);
-        if self.beside(place) > 0.5 {
+        if self.aside(place) > 0.5 {
             return wall;
         }
         let limbs = self.distances(place, t_ns).into_iter().zip(LIMBS);
@@ -171,9 +171,9 @@ impl Scene for RunningMan {
 
     fn still_until(&self, x: f64, y: f64, t_ns: i64) -> i64 {
         let place = self.in_figure(x, y, t_ns);
-        let beside = self.beside(place);
-        if beside > 2.0 {
-            return arrival(t_ns, beside, self.speed);
+        let aside = self.aside(place);
+        if aside > 2.0 {
+            return arrival(t_ns, aside, self.speed);
         }
         // A line's distance changes no faster than its ends move.
         let nearest = self.distances(place, t_ns).into_iter().map(f64::abs).fold(f64::INFINITY, f64::min);

@@ -102,7 +102,7 @@ fn transparent_damaged_and_differing_pictures_are_refused() {
     save(&path("b.png"), 3, 3, (ColorType::Grayscale, BitDepth::Eight), &[0; 9]);
     assert_eq!(refused(vec![path("a.png"), path("a.png"), path("b.png")]), "b.png has 3 x 3 pixels, and a.png has 3 x 2");
     assert!(refused(vec![path("gone.png")]).ends_with("gone.png: there is no such file"));
-    // Cut off inside its pixels: the header is whole, so reading tells.
+    // Cut off inside its pixels: the header is whole, so reading finds it.
     let noise: Vec<u8> = (0..64 * 64u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     save(&path("cut.png"), 64, 64, (ColorType::Grayscale, BitDepth::Eight), &noise);
     let bytes = std::fs::read(path("cut.png")).unwrap();

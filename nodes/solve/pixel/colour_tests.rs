@@ -106,7 +106,7 @@ fn a_value_sees_its_share_of_the_event_pixels_light() {
 }
 
 #[test]
-fn a_channels_gain_is_taken_off_and_rendered_again() {
+fn a_channels_gain_is_removed_and_rendered_again() {
     let events = walk(EVENTS, 30_000_000);
     let gains = [2.0, 1.0, 0.5];
     let mut coloured = (*sensor()).clone();

@@ -69,7 +69,7 @@ fn error(tracks: &TrackBand, log_light: impl Fn(u32, u32, i64) -> f64) -> f64 {
 }
 
 #[test]
-fn photocurrent_that_neighbours_mix_in_is_taken_off() {
+fn photocurrent_that_neighbours_mix_in_is_subtracted() {
     let stated = sensor("");
     let clean = error(&solve(&record(&stated, waves), &stated).0, waves);
     let (mut lines, mut failed) = (Vec::new(), Vec::new());

@@ -208,7 +208,7 @@ impl RowSolver {
         (0..taken).map(|n| pixels[(2 * n + 1) * pixels.len() / (2 * taken)]).collect()
     }
 
-    /// How badly hints, one set after the other, and its other measurements foretell the frames of a pixel that are kept back
+    /// How badly hints, one set after the other, and its other measurements predict the frames of a pixel that are kept back
     /// ([`estimate::prediction_errors`]).
     pub fn prediction_errors(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Vec<Hint>]) -> Vec<f64> {
         let RowSolver { group, data, given, .. } = self;

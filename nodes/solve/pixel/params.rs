@@ -1,6 +1,6 @@
 //! The parameters of `solve/pixel`.
 //!
-//! Its two methods share few of them. Those that one method reads alone are `Option`s, so that one that was stated can be told from one that was not:
+//! Its two methods share few of them. Those that one method reads alone are `Option`s, so that one that was stated can be distinguished from one that was not:
 //! what would do nothing is refused.
 
 use photocurrent_core::NodeError;
@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub enum Method {
     /// The paper's least squares: one unknown per event, held between events.
     Paper,
-    /// The most probable light: fine knots, exact reset, all frames at once, and a prior.
+    /// The MAP estimate: fine knots, exact reset, all frames at once, and a prior.
     #[default]
     Map,
 }
@@ -93,21 +93,21 @@ pub struct Params {
     /// the other.
     pub method: Method,
     /// For `map`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows so that frames
-    /// that are kept back are predicted best.
+    /// that are held out are predicted best.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub event_noise: Option<f64>,
-    /// For `map`: part of a frame value that is not believed, beside the noise that the sensor description states, 1 DN, and what pixels without
+    /// For `map`: model error of a frame value, as a part of it, in addition to the noise that the sensor description states, 1 DN, and what pixels without
     /// events show beyond that; absent = 0.02.
     #[schemars(range(min = 0.0))]
     pub frame_noise: Option<f64>,
     /// For `map`: knots near events lie at most this far apart; in quiet gaps they widen with the distance from an event, to 8 ms; absent = 250 us.
     #[schemars(extend("x-min" = "10 us"))]
     pub knot_spacing: Option<Duration>,
-    /// For `map`: every knot of the tracks carries a standard deviation: what measurements and prior leave open, widened where frames that are kept back
+    /// For `map`: every knot of the tracks carries a standard deviation: what measurements and prior leave open, widened where frames that are held out
     /// show that to be too little; absent = true.
     pub sigma: Option<bool>,
     /// For `map`: how often the light is solved again with what the description's `[effects]` did to events at the light found before; 0 = `[effects]` are left as they are, in events
-    /// and frames; absent = 2, or 4 where effects mix the photocurrent of neighbours. Without `[effects]` it says nothing.
+    /// and frames; absent = 2, or 4 where effects mix the photocurrent of neighbours. Without `[effects]` it has no effect.
     #[schemars(range(max = 20))]
     pub undo_rounds: Option<u32>,
     /// How the front end's delay is treated.
@@ -195,7 +195,7 @@ impl Params {
         (self.cis_weight.unwrap_or(1.0), self.evs_weight.unwrap_or(1.0))
     }
 
-    /// Refuses what was stated and would do nothing: a reader of the manifest would believe it.
+    /// Refuses what was stated and would do nothing: a reader of the manifest would count on it.
     pub(super) fn check(&self) -> Result<(), NodeError> {
         if self.plausible_range.is_nan() || self.plausible_range <= 0.0 {
             return Err(NodeError::usage(format!("`plausible_range` is {}, and must be above 0", self.plausible_range)).param("plausible_range"));
@@ -254,7 +254,7 @@ mod tests {
         assert_eq!(error.hint.as_deref(), Some("take them out, or set `method = \"map\"`"));
     }
 
-    /// Every parameter with a value, beside each method: `method` accepts those of its own and the shared ones, and no others.
+    /// Every parameter with a value, for each method: `method` accepts those of its own and the shared ones, and no others.
     #[test]
     fn each_parameter_is_read_by_one_method_or_by_both() {
         let of_map =

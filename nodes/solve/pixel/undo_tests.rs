@@ -1,4 +1,4 @@
-//! The loop closed: what effects of the description did to a recording is taken off by the solver, and put on again where captured frames are foretold.
+//! The loop closed: what effects of the description did to a recording is taken off by the solver, and put on again where captured frames are predicted.
 
 use super::*;
 use crate::render::rows::{self, RenderRows};
@@ -82,10 +82,10 @@ fn errors(recorded: &(Vec<Event>, FrameSequence), description: &Arc<Sensor>) -> 
     let held = part(frames, true);
     let render = RenderRows::build(rows::Params::default()).unwrap();
     let input = rows::In { tracks, sensor: description.clone(), at: Some(held.clone()) };
-    let foretold = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx)).0.unwrap().frames;
-    let (foretold, held) = (foretold.read_rows(EXTENT.rows()).unwrap(), held.read_rows(EXTENT.rows()).unwrap());
+    let predicted = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(input, cx)).0.unwrap().frames;
+    let (predicted, held) = (predicted.read_rows(EXTENT.rows()).unwrap(), held.read_rows(EXTENT.rows()).unwrap());
     let pairs =
-        (0..3).flat_map(|l| EXTENT.rows().iter().map(move |y| (l, y))).flat_map(|(l, y)| foretold.row(l, y).iter().zip(held.row(l, y)).collect::<Vec<_>>());
+        (0..3).flat_map(|l| EXTENT.rows().iter().map(move |y| (l, y))).flat_map(|(l, y)| predicted.row(l, y).iter().zip(held.row(l, y)).collect::<Vec<_>>());
     let squares: Vec<f64> = pairs.map(|(a, b)| f64::from(a - b) * f64::from(a - b)).collect();
     (f64::sqrt(square / count), f64::sqrt(squares.iter().sum::<f64>() / squares.len() as f64))
 }
@@ -113,9 +113,9 @@ fn a_description_that_states_its_effects_gives_better_light_and_better_frames() 
         let recorded = record(&actual);
         let (before, after) = (errors(&recorded, &stated), errors(&recorded, &actual));
         let is_of_frames = actual.effects.keys().any(|id| ["exposure_time", "image_lag", "vignetting", "frame_nonlinearity"].contains(&id.as_str()));
-        // A gain that all frames share is in the light and in the foretold frames alike: those cannot tell.
-        let is_foretold = after.1 < before.1 || (is_of_frames && after.1 < 1.1 * clean.1 + 0.5);
-        if !(after.0 < 0.55 * before.0 && is_foretold) {
+        // A gain that all frames share is in the light and in the predicted frames alike: those cannot tell.
+        let is_predicted = after.1 < before.1 || (is_of_frames && after.1 < 1.1 * clean.1 + 0.5);
+        if !(after.0 < 0.55 * before.0 && is_predicted) {
             failed.push(format!("{effects}: clean {clean:.3?}, nominal {before:.3?}, fitted {after:.3?}"));
         }
     }

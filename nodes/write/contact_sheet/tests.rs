@@ -88,7 +88,7 @@ fn colour_next_to_grey_gives_a_colour_sheet() {
 }
 
 #[test]
-fn rows_whose_numbers_stand_for_different_exposures_are_told() {
+fn rows_whose_numbers_stand_for_different_exposures_are_reported() {
     let of = |length: i64| testing::captured(EXTENT, vec![Exposure::new(0, length)], 0, |_, x, _| x as f32);
     draw_sheet(Params { columns: 1, ..params(&["a", "b"]) }, vec![of(10), of(20)], None, |_, notes, _| {
         assert_eq!(notes[0], "brightness differs by exposure: \"a\" has DN of 10 ns, \"b\" of 20 ns; connect `sensor` to show them alike");

@@ -34,7 +34,7 @@ pub struct Answered {
     pub warnings: Vec<String>,
 }
 
-/// Runs the stages in `folder`, which is empty and goes away afterwards; the exit code when they did not come to an end, which was told.
+/// Runs the stages in `folder`, which is empty and goes away afterwards; the exit code when they did not come to an end, which was reported.
 pub fn run(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Result<Answered, u8>, Failure> {
     let plan = plan(options, case, folder)?;
     let cancel = Arc::new(AtomicBool::new(false));

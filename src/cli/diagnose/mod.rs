@@ -1,4 +1,4 @@
-//! `photocurrent diagnose`: looks at what it is given, runs the stages as a graph ([`graph`]), puts the report in place and tells it.
+//! `photocurrent diagnose`: looks at what it is given, runs the stages as a graph ([`graph`]), puts the report in place and prints its summary.
 
 mod graph;
 
@@ -29,35 +29,35 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
     let folder = options.out.clone().unwrap_or_else(|| Path::new("out").join(options.recording.file_stem().unwrap_or_default()));
     check_free(&folder)?;
     need_recording(&options.recording, "diagnose")?;
-    // What is wrong with the input is told in the words of this command, before the graph begins.
+    // What is wrong with the input is reported in the words of this command, before the graph begins.
     let case = match case::read(&options.recording, options.sensor.as_deref(), options.memory) {
         Ok(case) => case,
         Err(Unread::Content(why)) => {
             let report = broken(&why, options.seed);
-            let beside = beside(&folder)?;
-            std::fs::write(beside.path().join(REPORT), text(&report)?)?;
+            let scratch = scratch(&folder)?;
+            std::fs::write(scratch.path().join(REPORT), text(&report)?)?;
             std::fs::write(
-                beside.path().join(PAGE),
+                scratch.path().join(PAGE),
                 with_names(&page(&report, None, None), Some(&graph::file_name(&options.recording)), options.sensor.as_deref().map(graph::file_name).as_deref()),
             )?;
-            put(beside.path(), &folder, &beside)?;
+            put(scratch.path(), &folder, &scratch)?;
             show(options, &report, &folder, started)?;
             return Ok(BROKEN);
         }
         Err(Unread::Other(failure)) => return Err(failure),
     };
     case.nominal().map_err(|error| usage(format!("{}: {error}", options.recording.display())))?;
-    let beside = beside(&folder)?;
-    let answered = match graph::run(options, &case, beside.path())? {
+    let scratch = scratch(&folder)?;
+    let answered = match graph::run(options, &case, scratch.path())? {
         Ok(answered) => answered,
         Err(code) => return Ok(code),
     };
     let report = std::fs::read_to_string(answered.files.join(REPORT))?;
     let report: Report = serde_json::from_str(&report).map_err(|error| Failure::other(format!("the report cannot be read again: {error}")))?;
-    put(&answered.files, &folder, &beside)?;
+    put(&answered.files, &folder, &scratch)?;
     answered.warnings.iter().for_each(|why| say!("warning: {why}"));
-    let told = first_line(&report);
-    for (node, note) in answered.notes.iter().filter(|(_, note)| *note != told) {
+    let summary = first_line(&report);
+    for (node, note) in answered.notes.iter().filter(|(_, note)| *note != summary) {
         if !options.quiet {
             say!("note: {node}: {note}");
         }
@@ -85,24 +85,24 @@ fn check_free(folder: &Path) -> Result<(), Failure> {
     }
 }
 
-/// A folder beside the report's, on the same disk, that goes away with what is left in it.
-fn beside(folder: &Path) -> Result<TempDir, Failure> {
+/// A folder next to the report's, on the same disk, that goes away with what is left in it.
+fn scratch(folder: &Path) -> Result<TempDir, Failure> {
     let parent: PathBuf = folder.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new(".")).into();
-    let failed = |error: std::io::Error| Failure::other(format!("{}: cannot make a folder beside it: {error}", folder.display()));
+    let failed = |error: std::io::Error| Failure::other(format!("{}: cannot make a folder next to it: {error}", folder.display()));
     std::fs::create_dir_all(&parent).map_err(failed)?;
     tempfile::Builder::new().prefix(".diagnosis-").tempdir_in(&parent).map_err(failed)
 }
 
 /// Puts the files of a report that lie in `files` in place of the earlier one, all or none.
-fn put(files: &Path, folder: &Path, beside: &TempDir) -> Result<(), Failure> {
+fn put(files: &Path, folder: &Path, scratch: &TempDir) -> Result<(), Failure> {
     let failed = |doing: &'static str| move |error: std::io::Error| Failure::other(format!("{}: cannot {doing}: {error}", folder.display()));
-    let new = beside.path().join("new");
-    std::fs::create_dir(&new).map_err(failed("make a folder beside it"))?;
+    let new = scratch.path().join("new");
+    std::fs::create_dir(&new).map_err(failed("make a folder next to it"))?;
     for name in [REPORT, PAGE, SENSOR].into_iter().filter(|name| files.join(name).exists()) {
         std::fs::rename(files.join(name), new.join(name)).map_err(failed("gather the report"))?;
     }
     if folder.exists() {
-        std::fs::rename(folder, beside.path().join("old")).map_err(failed("replace the earlier report"))?;
+        std::fs::rename(folder, scratch.path().join("old")).map_err(failed("replace the earlier report"))?;
     }
     std::fs::rename(&new, folder).map_err(failed("put the report in place"))
 }

@@ -83,7 +83,7 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, F
     let path = &parts.recording;
     let events_meta = arranged.events.clone().map_err(|why| usage(format!("{why}: there is nothing to reconstruct from")))?;
     let frames = arranged.frames.clone().map_err(|why| {
-        let hint = "hint: name the frames too: a folder of pictures beside the event file; events alone do not state the light's level";
+        let hint = "hint: name the frames too: a folder of pictures next to the event file; events alone do not state the light's level";
         usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
     })?;
     let found = measured(recording.as_ref(), &arranged, &parts, &mut all, &mut reader)?;

@@ -206,10 +206,21 @@ fn escaped(text: &str) -> String {
     out.replace("@UP@", "$\\uparrow$").replace("@DOWN@", "$\\downarrow$")
 }
 
-/// One JSON object a cell: its levels, metric, value with all digits (`null` when not measured), unit, direction, mark and card.
+/// One JSON object a cell, a line each.
 pub fn json_lines(grid: &Grid, style: &Style) -> String {
+    json_cells(grid, style).iter().map(|cell| format!("{cell}\n")).collect()
+}
+
+/// The same cells as one JSON array.
+pub fn json(grid: &Grid, style: &Style) -> String {
+    let lines: Vec<String> = json_cells(grid, style).iter().map(|cell| format!("  {cell}")).collect();
+    format!("[\n{}\n]\n", lines.join(",\n"))
+}
+
+/// Of every cell: its levels, metric, value with all digits (`null` when not measured), unit, direction, mark and card.
+fn json_cells(grid: &Grid, style: &Style) -> Vec<serde_json::Value> {
     let marks = style.marks(grid);
-    let mut text = String::new();
+    let mut cells = Vec::new();
     for (row, levels) in grid.rows.iter().enumerate() {
         for (column, cell) in grid.cells[row].iter().enumerate() {
             let Some(cell) = cell else { continue };
@@ -232,10 +243,10 @@ pub fn json_lines(grid: &Grid, style: &Style) -> String {
                 line.insert("missing".into(), json!(name));
                 line.insert("why".into(), json!(why));
             }
-            text += &format!("{}\n", serde_json::Value::Object(line));
+            cells.push(serde_json::Value::Object(line));
         }
     }
-    text
+    cells
 }
 
 #[cfg(test)]
@@ -316,7 +327,7 @@ ball & 20.0 & \\textbf{0.20} & \\textbf{21.0} & 0.21 & -- & -- \\\\
     }
 
     #[test]
-    fn json_lines_tell_everything_about_a_cell() {
+    fn json_lines_have_everything_about_a_cell() {
         let text = json_lines(&grid(&["scene"], &["method", "metric"]), &style(Among::Row));
         let lines: Vec<serde_json::Value> = text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
         assert_eq!(lines.len(), 12);
@@ -324,6 +335,8 @@ ball & 20.0 & \\textbf{0.20} & \\textbf{21.0} & 0.21 & -- & -- \\\\
             json!({"scene": "fan", "method": "edi", "metric": "lpips", "value": 0.28, "unit": "", "higher_is_better": false, "mark": "best", "card": "a card"});
         assert_eq!(lines[3], expected);
         assert_eq!(lines[10]["value"], serde_json::Value::Null);
+        let array = super::json(&grid(&["scene"], &["method", "metric"]), &style(Among::Row));
+        assert_eq!(serde_json::from_str::<Vec<serde_json::Value>>(&array).expect("one array"), lines);
     }
 
     #[test]

@@ -246,7 +246,7 @@ pub mod tests {
     }
 
     #[test]
-    fn two_numbers_in_one_cell_and_unknown_axes_are_told() {
+    fn two_numbers_in_one_cell_and_unknown_axes_are_reported() {
         let message = |rows: &[&str], columns: &[&str]| Grid::new(&records(), &request(rows, columns)).err().expect("a mistake");
         let found = message(&["scene"], &["metric"]);
         assert!(found.starts_with("two scores fall into one cell (fan, psnr_db): they differ in `node`, `method`"), "{found}");

@@ -241,7 +241,7 @@ mod tests {
     fn a_field_of_the_card_is_an_axis_when_it_is_asked_for() {
         let line = json!({"variant": "recording=a", "node": "right", "metric": "count", "frame": -1, "value": 1.0, "unit": "", "card": "d.v1: truth = blur; said = none"});
         let asked = Choice { card: vec!["truth".into(), "colour".into()], ..wish(false) };
-        let found = record(&line, "sealed", &asked).expect("a line").expect("pooled");
+        let found = record(&line, "concealed", &asked).expect("a line").expect("pooled");
         assert_eq!((found.level("card.truth"), found.level("card.said"), found.level("card.colour")), (Some("blur"), None, None));
     }
 

@@ -62,8 +62,8 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
     let Made { case, mut truth, target } = made(seed, index, setting)?;
     let nominal = case.nominal().map_err(|why| why.to_string())?;
     let scales = Scales::of(&case, &nominal);
-    truth.effects.retain(|(id, parameter, strength)| {
-        Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*strength, &scales, &nominal)))
+    truth.effects.retain(|(id, parameter, effect_size)| {
+        Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*effect_size, &scales, &nominal)))
     });
     let picture = PictureSetting::default();
     let look = |source: &dyn Source| evidence(&case, &nominal, source, &EvidenceSetting::default());
@@ -168,13 +168,13 @@ fn prior(model: &Model) -> f64 {
 
 /// Log probability of one of the true names, given that something is there.
 fn log_of_truth(model: &Model, one: &Example, facts: &Facts) -> f64 {
-    let belief = model.first(facts);
+    let posterior = model.first(facts);
     let right = if one.truth.other.is_some() {
-        belief.unnamed
+        posterior.unnamed
     } else {
-        facts.first.iter().zip(&belief.each).filter(|(first, _)| one.has(&first.0)).map(|(_, p)| p).sum()
+        facts.first.iter().zip(&posterior.each).filter(|(first, _)| one.has(&first.0)).map(|(_, p)| p).sum()
     };
-    // What never was a hypothesis tells nothing of the model.
+    // What never was a hypothesis does not constrain the model.
     if right > 0.0 { libm::log(right.max(1e-4)) } else { 0.0 }
 }
 
@@ -189,13 +189,13 @@ pub struct Validation {
     pub nothing: (usize, usize),
     /// With one effect: how many, something claimed, it named first, it in the set.
     pub one: (usize, usize, usize, usize),
-    /// With one effect: a second one named beside it.
+    /// With one effect: a second one named in addition.
     pub surplus: usize,
     /// With two: how many, both named and nothing else, and the sum of F1.
     pub two: (usize, usize, f64),
     /// In no catalogue: how many, unnamed, named with an effect.
     pub other: (usize, usize, usize),
-    /// Reliability of what is claimed: belief from and to, claims, right ones.
+    /// Reliability of what is claimed: posterior from and to, claims, right ones.
     pub reliability: Vec<(f64, f64, usize, usize)>,
     /// Mean log probability of whether something differs.
     pub log_something: f64,
@@ -219,23 +219,23 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
         sums.abstained += 1;
         return;
     };
-    let belief = model.first(facts);
-    sums.log_something += libm::log(f64::max(if one.is_something() { belief.something } else { 1.0 - belief.something }, 1e-9));
-    let claimed = belief.something >= decision.least;
-    let top = facts.first.iter().zip(&belief.each).max_by(|a, b| a.1.total_cmp(b.1));
-    let is_unnamed = top.is_none_or(|(_, p)| belief.unnamed > *p);
+    let posterior = model.first(facts);
+    sums.log_something += libm::log(f64::max(if one.is_something() { posterior.something } else { 1.0 - posterior.something }, 1e-9));
+    let claimed = posterior.something >= decision.least;
+    let top = facts.first.iter().zip(&posterior.each).max_by(|a, b| a.1.total_cmp(b.1));
+    let is_unnamed = top.is_none_or(|(_, p)| posterior.unnamed > *p);
     let first = top.filter(|_| claimed && !is_unnamed);
     let set: Vec<&str> = first.map_or_else(Vec::new, |(_, most)| {
-        facts.first.iter().zip(&belief.each).filter(|(_, p)| **p > IN_SET * most).map(|((id, ..), _)| id.as_str()).collect()
+        facts.first.iter().zip(&posterior.each).filter(|(_, p)| **p > IN_SET * most).map(|((id, ..), _)| id.as_str()).collect()
     });
     let second = model
         .second(facts)
         .filter(|second| first.is_some() && second.something >= decision.least_second)
-        .and_then(|second| facts.beside.iter().zip(second.each).max_by(|a, b| a.1.total_cmp(&b.1)).map(|((id, ..), _)| id.as_str()))
+        .and_then(|second| facts.second.iter().zip(second.each).max_by(|a, b| a.1.total_cmp(&b.1)).map(|((id, ..), _)| id.as_str()))
         .filter(|id| !set.contains(id));
     let right = first.is_some_and(|((id, ..), _)| one.has(id));
     if let Some((_, p)) = first {
-        let sure = belief.something * p;
+        let sure = posterior.something * p;
         if let Some(bin) = sums.reliability.iter_mut().find(|bin| sure <= bin.1) {
             bin.2 += 1;
             bin.3 += usize::from(right);
@@ -277,9 +277,9 @@ mod tests {
     fn facts(gain: f64, share_of_other: f64) -> Facts {
         Facts {
             gains: Gains { sized: libm::log(gain), random: -6.0, swing: -6.0 },
-            beside_gains: Some(Gains { sized: libm::log(0.1 * gain), random: -6.0, swing: -6.0 }),
+            second_gains: Some(Gains { sized: libm::log(0.1 * gain), random: -6.0, swing: -6.0 }),
             first: vec![("clock_offset".into(), 1.0, false), ("second_pole".into(), share_of_other, false)],
-            beside: vec![("leak_events".into(), 1.0, false)],
+            second: vec![("leak_events".into(), 1.0, false)],
             open: [-3.0, -2.0],
             share: 0.0,
             scene: String::new(),
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_is_right_with_a_clear_lead_is_believed_and_one_without_is_not() {
+    fn a_name_that_is_right_with_a_clear_lead_is_claimed_and_one_without_is_not() {
         let mut examples = examples(600);
         // With a close second, either is as often right.
         for (n, one) in examples.iter_mut().enumerate().filter(|(n, _)| n % 2 == 0) {

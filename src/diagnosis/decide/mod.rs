@@ -11,7 +11,7 @@ use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::located::{Located, Locations};
 use crate::verdict::{Decided, Proposal, Unexplained};
-use model::{Belief, Facts, KINDS, Models, hypotheses};
+use model::{Facts, KINDS, Models, Posterior, hypotheses};
 use serde::{Deserialize, Serialize};
 
 pub mod calibrate;
@@ -30,9 +30,9 @@ pub struct Decision {
     pub most_control: f64,
     /// Nor does it call consistent what leaves a larger median absolute residual over the threshold than this.
     pub most_left: f64,
-    /// And silence says nothing where more than this is left.
+    /// And finding nothing decides nothing where more than this is left.
     pub most_silent: f64,
-    /// Nor where nothing is said from a smaller gain on than this, nats an event: the scene errs too much to tell.
+    /// Nor where nothing is said from a smaller gain on than this, nats an event: the scene errs too much to decide.
     pub most_needed: f64,
     /// Error of sizes that all blocks share, as a share of the departure.
     pub shared_error: f64,
@@ -70,12 +70,12 @@ pub fn decide(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Resul
         return Err(format!("events miss their thresholds by {:.2} of them, and no effect explains it on this scene", found.left[0]));
     }
     let said = said(found, nominal, decision);
-    if !said.alarm && found.left[0] > decision.most_silent {
+    if !said.detected && found.left[0] > decision.most_silent {
         return Err(format!("events miss their thresholds by {:.2} of them on this scene: an effect of that size would not be seen", found.left[0]));
     }
     let needed = needed_gain(found, decision);
-    if !said.alarm && needed > decision.most_needed {
-        return Err("what events say on this scene does not tell effects from what the scene gets wrong, but for the largest".to_owned());
+    if !said.detected && needed > decision.most_needed {
+        return Err("what events say on this scene does not separate effects from errors of the scene, but for the largest".to_owned());
     }
     Ok(said)
 }
@@ -88,24 +88,25 @@ fn needed_gain(found: &Evidence, decision: &Decision) -> f64 {
 
 fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
     let facts = Facts::of(found);
-    let belief = decision.models.of(&found.scene).first(&facts);
-    let is_something = belief.something >= decision.least;
-    let first = proposals(found, &hypotheses(&found.ranked, &found.random, found.noise[0]), &belief, belief.something / decision.least, nominal, decision);
+    let posterior = decision.models.of(&found.scene).first(&facts);
+    let is_something = posterior.something >= decision.least;
+    let first =
+        proposals(found, &hypotheses(&found.ranked, &found.random, found.noise[0]), &posterior, posterior.something / decision.least, nominal, decision);
     let most = first.iter().map(|one| one.probability).fold(0.0, f64::max);
-    let is_unnamed = is_something && belief.unnamed > most;
-    let second = decision.models.of(&found.scene).second(&facts).map_or_else(Vec::new, |belief| {
+    let is_unnamed = is_something && posterior.unnamed > most;
+    let second = decision.models.of(&found.scene).second(&facts).map_or_else(Vec::new, |posterior| {
         let list = hypotheses(&found.second, &found.random_second, found.noise[1]);
-        proposals(found, &list, &belief, belief.something / decision.least_second, nominal, decision)
+        proposals(found, &list, &posterior, posterior.something / decision.least_second, nominal, decision)
     });
     let curve = found.open_second.first().or(found.open.first()).filter(|_| is_unnamed);
     Decided {
         name: found.scene.clone(),
         share: found.share,
         span_ns: found.span_ns,
-        alarm: is_something,
+        detected: is_something,
         proposals: if is_unnamed { Vec::new() } else { first },
         second: if is_unnamed { Vec::new() } else { second },
-        unexplained: curve.map(|curve| Unexplained::by(&curve.law, belief.something / decision.least)),
+        unexplained: curve.map(|curve| Unexplained::by(&curve.dependence, posterior.something / decision.least)),
         detectability: limits(found, nominal, decision),
         nats_per_event: Some(found.nats_per_event),
         ks: Some(found.ks),
@@ -116,7 +117,7 @@ fn said(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Decided {
 
 /// What could have been seen of each effect that has a size: the size whose gain just says that something differs, and what was estimated.
 ///
-/// A strength s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at which the model's probability is [`Decision::least`].
+/// An effect size s gains `information s^2 / 2` nats an event to first order, and is said from the gain on at which the model's probability is [`Decision::least`].
 pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<Detectable> {
     let needed = needed_gain(found, decision);
     let has_limit = |one: &&Ranked| {
@@ -130,7 +131,7 @@ pub fn limits(found: &Evidence, nominal: &Nominal, decision: &Decision) -> Vec<D
         Detectable {
             id: kind.id.to_owned(),
             parameter,
-            estimate: Some(kind.nominal_value(nominal) + one.strength * one.unit),
+            estimate: Some(kind.nominal_value(nominal) + one.effect_size * one.unit),
             standard_error: Some((one.error * one.unit).abs()),
             minimal_detectable: (libm::sqrt(2.0 * needed / one.information) * one.unit).abs(),
             unit: unit.to_owned(),
@@ -147,10 +148,10 @@ fn located(ranked: &[Ranked]) -> Vec<(usize, Located)> {
 }
 
 /// One proposal for each hypothesis, best first; `score`: how far over what is said something is.
-fn proposals(found: &Evidence, list: &[&Ranked], belief: &Belief, score: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
+fn proposals(found: &Evidence, list: &[&Ranked], posterior: &Posterior, score: f64, nominal: &Nominal, decision: &Decision) -> Vec<Proposal> {
     let events = found.events as f64;
     let one = |(one, probability): (&&Ranked, &f64)| {
-        let width = one.error / f64::max(one.strength.abs(), 1e-12);
+        let width = one.error / f64::max(one.effect_size.abs(), 1e-12);
         let nothing = CANDIDATES[one.candidate].nominal_value(nominal);
         let error = 1.96 * libm::hypot(width, decision.shared_error) * (one.value - nothing).abs();
         Proposal {
@@ -166,7 +167,7 @@ fn proposals(found: &Evidence, list: &[&Ranked], belief: &Belief, score: f64, no
             ks: Some(one.ks).filter(|ks| *ks > 0.0),
         }
     };
-    list.iter().zip(&belief.each).map(one).collect()
+    list.iter().zip(&posterior.each).map(one).collect()
 }
 
 #[cfg(test)]
@@ -177,7 +178,7 @@ mod tests {
 
     fn ranked(id: &str, gain: f64, control_gain: f64) -> Ranked {
         let candidate = CANDIDATES.iter().position(|one| one.id == id).unwrap();
-        Ranked { candidate, gain, control_gain, strength: 1.0, value: 1.0, is_exact: true, is_material: true, ..Ranked::default() }
+        Ranked { candidate, gain, control_gain, effect_size: 1.0, value: 1.0, is_exact: true, is_material: true, ..Ranked::default() }
     }
 
     fn said(found: &Evidence) -> Decided {
@@ -189,15 +190,15 @@ mod tests {
         let found =
             Evidence { share: 1.0, left: [0.01; 2], ranked: vec![ranked("clock_offset", 0.5, 0.1), ranked("leak_events", 0.2, 0.19)], ..Evidence::default() };
         let said = said(&found);
-        assert!(said.alarm && said.proposals[0].passed);
+        assert!(said.detected && said.proposals[0].passed);
         assert!((said.proposals[0].heldout_nats_per_event.unwrap() - 0.4).abs() < 1e-12);
         assert!(said.proposals[0].probability > 0.9);
     }
 
     #[test]
-    fn what_gains_next_to_nothing_is_no_finding() {
+    fn what_gains_almost_nothing_is_no_finding() {
         let found = Evidence { share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.004, 0.001)], ..Evidence::default() };
-        assert!(!said(&found).alarm);
+        assert!(!said(&found).detected);
     }
 
     #[test]
@@ -208,29 +209,29 @@ mod tests {
         let of = |id: &str| Evidence { share: 1.0, ranked: vec![Ranked { information: 2.0, unit: 1.0, ..ranked(id, 0.3, 0.0) }], ..Evidence::default() };
         let said = |id: &str| super::said(&of(id), &nominal, &decision);
         // 6 + 2 ln 0.3 is 3.6, and 4 less for a swing.
-        assert!(said("clock_offset").alarm && !said("threshold_scale").alarm);
+        assert!(said("clock_offset").detected && !said("threshold_scale").detected);
         let [clock, swing] = ["clock_offset", "threshold_scale"].map(|id| said(id).detectability[0].minimal_detectable);
         assert!((swing / clock - libm::exp(1.0)).abs() < 1e-9, "gains grow with the square of a size");
     }
 
     #[test]
-    fn silence_counts_only_where_an_effect_would_be_seen() {
+    fn finding_nothing_counts_only_where_an_effect_would_be_seen() {
         let nominal = testing::case().nominal().unwrap();
         let of = |left: f64, gain: f64| Evidence { share: 1.0, left: [left; 2], ranked: vec![ranked("clock_offset", gain, 0.0)], ..Evidence::default() };
-        let decided = |left: f64, gain: f64| decide(&of(left, gain), &nominal, &Decision::default()).map(|said| said.alarm);
+        let decided = |left: f64, gain: f64| decide(&of(left, gain), &nominal, &Decision::default()).map(|said| said.detected);
         assert_eq!((decided(0.05, 0.01), decided(0.2, 2.0)), (Ok(false), Ok(true)));
         assert!(decided(0.2, 0.01).unwrap_err().contains("would not be seen"));
         assert!(decided(0.4, 2.0).unwrap_err().contains("no effect explains it"));
     }
 
     #[test]
-    fn where_no_gain_would_be_believed_silence_is_no_answer() {
+    fn where_no_gain_would_count_finding_nothing_decides_nothing() {
         let nominal = testing::case().nominal().unwrap();
         let of =
             |scene: &str| Evidence { scene: scene.into(), share: 1.0, left: [0.05; 2], ranked: vec![ranked("clock_offset", 0.01, 0.0)], ..Evidence::default() };
-        assert_eq!(decide(&of("picture"), &nominal, &Decision::default()).map(|said| said.alarm), Ok(false));
+        assert_eq!(decide(&of("picture"), &nominal, &Decision::default()).map(|said| said.detected), Ok(false));
         let deaf = Decision { most_needed: 1e-4, ..Decision::default() };
-        assert!(decide(&of("picture"), &nominal, &deaf).unwrap_err().contains("does not tell effects"));
+        assert!(decide(&of("picture"), &nominal, &deaf).unwrap_err().contains("does not separate effects"));
     }
 
     #[test]

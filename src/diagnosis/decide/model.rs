@@ -1,8 +1,8 @@
 //! The one model of the decision: from what residuals say of every hypothesis to probabilities.
 //!
-//! - That something differs: a logistic function of what the best effect gains and a second one beside it.
+//! - That something differs: a logistic function of what the best effect gains and a second one in addition to it.
 //! - Which it is: gains relative to the best one, softly; random effects and what is in no catalogue with an offset of their own.
-//! - That there is a second one beside the first: a logistic function of its gain, alone and over the first one's.
+//! - That there is a second one in addition to the first: a logistic function of its gain, alone and over the first one's.
 //!
 //! Its numbers are calibrated on made-up recordings ([`super::calibrate`]).
 
@@ -25,7 +25,7 @@ pub struct Model {
     pub softness: [f64; 2],
     /// Log odds of a random effect over one with a size, at the same gain.
     pub random: f64,
-    /// Log odds of what is in no catalogue over the best effect: constant, weight of the logarithm of the gain of the best curve beside that effect over the effect's own gain, and of
+    /// Log odds of what is in no catalogue over the best effect: constant, weight of the logarithm of the gain of the best curve with that effect over the effect's own gain, and of
     /// the gain of the best curve alone over that.
     pub unnamed: [f64; 3],
 }
@@ -120,7 +120,7 @@ pub struct Gains {
     pub sized: f64,
     /// Of random ones.
     pub random: f64,
-    /// Of those that change how far light swings from event to event; nothing in lists that do not tell them apart.
+    /// Of those that change how far light swings from event to event; nothing in lists that do not distinguish them.
     #[serde(default = "nothing")]
     pub swing: f64,
 }
@@ -144,13 +144,13 @@ impl Gains {
 pub struct Facts {
     /// Of the first effect.
     pub gains: Gains,
-    /// Of one beside it; none where there is none.
-    pub beside_gains: Option<Gains>,
+    /// Of a second one; none where there is none.
+    pub second_gains: Option<Gains>,
     /// Hypotheses, best first: catalogue id, gain over the best one's, is it random.
     pub first: Vec<(String, f64, bool)>,
-    /// The same beside the first.
-    pub beside: Vec<(String, f64, bool)>,
-    /// Logarithms of the gains of curves over that of the best effect: beside it, and alone.
+    /// The same in addition to the first.
+    pub second: Vec<(String, f64, bool)>,
+    /// Logarithms of the gains of curves over that of the best effect: with it, and alone.
     pub open: [f64; 2],
     /// Logarithm of the share of the events that count: where the scene explains few of them, it may err in those as well.
     pub share: f64,
@@ -166,7 +166,7 @@ impl Facts {
         let second = hypotheses(&found.second, &found.random_second, found.noise[1]);
         // What a size that does not matter explains needs no other explanation.
         let small = explained_by_little(&found.ranked, &found.random);
-        let beside_small = explained_by_little(&found.second, &found.random_second);
+        let second_small = explained_by_little(&found.second, &found.random_second);
         let gain = |list: &[&Ranked], small: f64, kind: [bool; 2]| {
             let of_kind = |one: &&&Ranked| [CANDIDATES[one.candidate].is_random, CANDIDATES[one.candidate].sought.is_of_swing] == kind;
             libm::log(list.iter().filter(of_kind).map(|one| one.beyond() - small).fold(LEAST_GAIN, f64::max))
@@ -185,10 +185,10 @@ impl Facts {
         let curve = |list: &[Open], small: f64| libm::log(list.first().map_or(LEAST_GAIN, |one| (one.beyond() - small).max(LEAST_GAIN)));
         Facts {
             gains: of_first,
-            beside_gains: (!second.is_empty()).then(|| gains(&second, beside_small)),
+            second_gains: (!second.is_empty()).then(|| gains(&second, second_small)),
             first: named(&first, found.noise[0]),
-            beside: named(&second, found.noise[1]),
-            open: [curve(&found.open_second, beside_small) - best, curve(&found.open, small) - best],
+            second: named(&second, found.noise[1]),
+            open: [curve(&found.open_second, second_small) - best, curve(&found.open, small) - best],
             share: libm::log(found.share.clamp(LEAST_GAIN, 1.0)),
             scene: found.scene.clone(),
         }
@@ -201,24 +201,24 @@ impl Facts {
         let list = |of: &[(String, f64, bool)]| of.iter().map(|(id, share, is_random)| (id.clone(), round(*share), *is_random)).collect();
         Facts {
             gains: gains(self.gains),
-            beside_gains: self.beside_gains.map(gains),
+            second_gains: self.second_gains.map(gains),
             first: list(&self.first),
-            beside: list(&self.beside),
+            second: list(&self.second),
             open: self.open.map(round),
             share: round(self.share),
             scene: self.scene.clone(),
         }
     }
 
-    /// 1, the logarithm of what the best effect gains and another beside it, as some only show together, and that of the share of the events that count.
+    /// 1, the logarithm of what the best effect gains and another in addition to it, as some only show together, and that of the share of the events that count.
     pub fn something(&self, discount: [f64; 2]) -> [f64; SOMETHING] {
-        let beside = self.beside_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
-        [1.0, libm::log(libm::exp(self.gains.discounted(discount)) + beside), self.share]
+        let second = self.second_gains.map_or(0.0, |gains| libm::exp(gains.discounted(discount)));
+        [1.0, libm::log(libm::exp(self.gains.discounted(discount)) + second), self.share]
     }
 
     /// 1, the logarithm of the second gain, and of that over the first; none where there is no second.
     pub fn second(&self, discount: [f64; 2]) -> Option<[f64; SECOND]> {
-        let other = self.beside_gains?.discounted(discount);
+        let other = self.second_gains?.discounted(discount);
         Some([1.0, other, other - self.gains.discounted(discount)])
     }
 }
@@ -252,7 +252,7 @@ pub fn hypotheses<'a>(ranked: &'a [Ranked], random: &'a [Ranked], noise: f64) ->
 
 /// Probabilities of one place: that there is something, of each hypothesis, and of what is in no catalogue.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Belief {
+pub struct Posterior {
     /// That there is anything.
     pub something: f64,
     /// Of each hypothesis in its order, given that there is something.
@@ -262,26 +262,26 @@ pub struct Belief {
 }
 
 impl Model {
-    /// What is believed of the first effect.
-    pub fn first(&self, facts: &Facts) -> Belief {
+    /// Posterior of the first effect.
+    pub fn first(&self, facts: &Facts) -> Posterior {
         let odds = self.unnamed[0] + self.unnamed[1] * facts.open[0] + self.unnamed[2] * facts.open[1];
-        self.belief(dot(&self.something, &facts.something(self.discount)), facts.gains.best(), &facts.first, Some(odds))
+        self.posterior(dot(&self.something, &facts.something(self.discount)), facts.gains.best(), &facts.first, Some(odds))
     }
 
-    /// And of one beside it.
-    pub fn second(&self, facts: &Facts) -> Option<Belief> {
-        let gains = facts.beside_gains?;
-        Some(self.belief(dot(&self.second, &facts.second(self.discount)?), gains.best(), &facts.beside, None))
+    /// And of a second one.
+    pub fn second(&self, facts: &Facts) -> Option<Posterior> {
+        let gains = facts.second_gains?;
+        Some(self.posterior(dot(&self.second, &facts.second(self.discount)?), gains.best(), &facts.second, None))
     }
 
     /// `ln_gain`: of the best hypothesis, nats an event.
-    fn belief(&self, log_odds: f64, ln_gain: f64, list: &[(String, f64, bool)], unnamed: Option<f64>) -> Belief {
+    fn posterior(&self, log_odds: f64, ln_gain: f64, list: &[(String, f64, bool)], unnamed: Option<f64>) -> Posterior {
         let softness = libm::exp((self.softness[0] + self.softness[1] * ln_gain).clamp(SOFTNESS.0, SOFTNESS.1));
         let score = |(_, share, is_random): &(String, f64, bool)| libm::exp((share - 1.0) / softness + if *is_random { self.random } else { 0.0 });
         let each: Vec<f64> = list.iter().map(score).collect();
         let unnamed = unnamed.map_or(0.0, |odds| libm::exp(odds.clamp(-50.0, 50.0)));
         let sum = (each.iter().sum::<f64>() + unnamed).max(1e-300);
-        Belief { something: logistic(log_odds), each: each.iter().map(|one| one / sum).collect(), unnamed: unnamed / sum }
+        Posterior { something: logistic(log_odds), each: each.iter().map(|one| one / sum).collect(), unnamed: unnamed / sum }
     }
 }
 

@@ -2,12 +2,12 @@
 //!
 //! Events of a pixel between two frames say how far its log light went: a threshold each. They agree best with the frames when they are moved by as much as their clock or
 //! their path is late. An event stands for the light that made its step before it, and for the light that is lost after it: half an interval less a blind time, which
-//! is no delay and is taken off. A pixel that is blind after each event does not see what the light does meanwhile: the faster its events follow each other, the further the light
+//! is no delay and is subtracted. A pixel that is blind after each event does not see what the light does meanwhile: the faster its events follow each other, the further the light
 //! went for each. `change = threshold * interval / (interval - blind)` for steady light, which is fitted; without a blind time the change for an event does not depend on
 //! how fast they come, whatever the scene does.
 //!
 //! Limits: frames that average over a large part of their period are the business of [`super::means`]; finer delays, and bandwidths that depend on light, are the
-//! business of tests that estimate the scene. Another threshold than stated changes neither. Estimates are good to a third.
+//! business of tests that estimate the scene. Another threshold than stated changes neither. Estimates have an error of up to a third.
 
 use super::still::noise_dn;
 use super::{Finding, Heldout, half, quantile};
@@ -16,7 +16,7 @@ use crate::nominal::Nominal;
 
 /// Exposures longer than this share of the period say too little.
 pub(super) const LONGEST_EXPOSURE: f64 = 0.25;
-/// As few changes say nothing.
+/// So few changes decide nothing.
 const FEWEST: usize = 1000;
 /// A frame value must be so many standard deviations of its noise above black.
 const SIGNAL: f64 = 12.0;
@@ -126,7 +126,7 @@ impl Sums {
         sum
     }
 
-    /// The best factors of the first `n`; none where they cannot be told apart.
+    /// The best factors of the first `n`; none where they cannot be separated.
     pub fn solve(&self, n: usize) -> Option<[f64; 3]> {
         let mut rows = self.products;
         let mut right = self.with;
@@ -169,7 +169,7 @@ pub(super) struct Predicted {
 }
 
 impl Predicted {
-    /// With the factors that are best on `from`; none where they cannot be told apart.
+    /// With the factors that are best on `from`; none where they cannot be separated.
     pub fn new(these: Sums, from: Sums, n: usize) -> Option<Predicted> {
         Some(Predicted { these, from, factors: from.solve(n)? })
     }
@@ -255,14 +255,14 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         Some((k as f64 - SHIFTS as f64 + between) * step)
     };
     let curve = |tried: &[[Sums; 2]]| -> Vec<f64> { tried.iter().map(|[a, b]| left(&a.and(b))).collect() };
-    let told = tried(&middles);
-    let Some(late_ns) = best(&curve(&told)) else { return (0.0, None) };
+    let of_shift = tried(&middles);
+    let Some(late_ns) = best(&curve(&of_shift)) else { return (0.0, None) };
     let raw_ns = best(&curve(&tried(&plain))).unwrap_or(late_ns);
-    // Each half is told at the shift that is best on the other.
-    let shift_of = |side: usize| -> Option<usize> { (0..told.len()).min_by(|&a, &b| left(&told[a][side]).total_cmp(&left(&told[b][side]))) };
-    let unmoved = &told[SHIFTS as usize];
+    // Each half is evaluated at the shift that is best on the other.
+    let shift_of = |side: usize| -> Option<usize> { (0..of_shift.len()).min_by(|&a, &b| left(&of_shift[a][side]).total_cmp(&left(&of_shift[b][side]))) };
+    let unmoved = &of_shift[SHIFTS as usize];
     let gain = |side: usize| -> Option<f64> {
-        let (other, moved) = (1 - side, &told[shift_of(1 - side)?]);
+        let (other, moved) = (1 - side, &of_shift[shift_of(1 - side)?]);
         let better = Predicted::new(moved[side], moved[other], 2)?;
         Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
     };

@@ -17,7 +17,7 @@ fn camera(late_ns: i64, blind_ns: i64) -> Case {
     let mut frames = vec![0.0; FRAMES as usize * extent.pixels()];
     let pixels: Vec<Vec<Recorded>> = (0..extent.pixels())
         .map(|pixel| {
-            // Up for 90 ms and down for 90 ms, by 1 to 4.5 in log light; in the last ten columns nothing moves, and they tell that frames are without noise.
+            // Up for 90 ms and down for 90 ms, by 1 to 4.5 in log light; in the last ten columns nothing moves, and they show that frames are without noise.
             let (height, phase) = (if pixel % 40 < 30 { 1.0 + 3.5 * random.uniform() } else { 0.0 }, random.uniform());
             let log = |t_ns: i64| {
                 let turn = (t_ns as f64 / 180e6 + phase).rem_euclid(1.0);
@@ -66,7 +66,7 @@ fn a_sensor_as_stated_but_for_its_thresholds_is_neither_late_nor_blind() {
 }
 
 #[test]
-fn events_of_a_late_clock_are_told_by_how_much() {
+fn events_of_a_late_clock_show_by_how_much() {
     for late_ms in [4.0, -7.0] {
         let (offset, blind) = found(&camera((late_ms * 1e6) as i64, 0));
         let offset = offset.unwrap();
@@ -97,7 +97,7 @@ fn light_that_is_lost_after_events_is_a_blind_time() {
 }
 
 #[test]
-fn both_at_once_are_told_apart() {
+fn both_at_once_are_separated() {
     let (offset, blind) = found(&camera(5_000_000, 2_000_000));
     let (offset, blind) = (offset.unwrap(), blind.unwrap());
     assert!((offset.parameters[0].1 - 5e-3).abs() < 0.7e-3, "{offset:?}");
@@ -105,7 +105,7 @@ fn both_at_once_are_told_apart() {
 }
 
 #[test]
-fn frames_that_average_over_their_period_say_nothing() {
+fn frames_that_average_over_their_period_decide_nothing() {
     let mut case = camera(4_000_000, 0);
     if let Some(frames) = &mut case.frames {
         let exposures = (0..FRAMES).map(|l| Exposure::new(l * PERIOD_NS - 9_000_000, l * PERIOD_NS + 9_000_000)).collect();

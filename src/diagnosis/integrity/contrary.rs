@@ -12,7 +12,7 @@ use crate::case::Case;
 
 /// The eight around must have fired so often between the two.
 const NEIGHBOURS: usize = 8;
-/// Fewer events against the light say nothing.
+/// Fewer events against the light decide nothing.
 const FEWEST: usize = 25;
 /// As a share of all events.
 const SHARE: f64 = 6e-4;

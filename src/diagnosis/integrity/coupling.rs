@@ -1,11 +1,11 @@
 //! Events that come when the frame's row is read: the readout shakes the pixels of its row, and what is nearly due fires.
 //!
-//! Where nothing moves ([`super::still`]) nearly all events are of that kind; where all moves, those of a strong kick stand out of the others. Their time since the start of the frame, less a delay for every row, is tried for all delays
+//! Where nothing moves ([`super::still`]) nearly all events are of that kind; where all moves, those of a strong impulse stand out of the others. Their time since the start of the frame, less a delay for every row, is tried for all delays
 //! at which the readout is over within a period; the delay that piles them up is the readout's, and the pile is the instant. One half of the array chooses, the other is
-//! foretold. Source: Brandli et al. (2014), the shared readout of DAVIS pixels.
+//! predicted. Source: Brandli et al. (2014), the shared readout of DAVIS pixels.
 //!
-//! How strong a kick is shows where light changes steadily: between two events of one sign the way that is left to the threshold is anywhere in the threshold, so a kick
-//! of `step` fires in `step / threshold` of the pixels on their way. Limits: a front end that is slow, or a kick that lasts, fires later events as well; they are not counted.
+//! How strong an impulse is shows where light changes steadily: between two events of one sign the way that is left to the threshold is anywhere in the threshold, so an impulse
+//! of `step` fires in `step / threshold` of the pixels on their way. Limits: a front end that is slow, or an impulse that lasts, fires later events as well; they are not counted.
 
 use super::{Finding, Heldout, half, quantile};
 use crate::case::Case;
@@ -15,7 +15,7 @@ use crate::nominal::Nominal;
 const BINS: usize = 50;
 /// Delays of rows that are tried, each way: the last is a readout that takes the whole period.
 const DELAYS: i64 = 2 * BINS as i64;
-/// As few events of one sign say nothing.
+/// So few events of one sign decide nothing.
 const FEWEST_EVENTS: usize = 30;
 /// Events where nothing moves must gain so much on the half that was not looked at, nats an event; as if half of them came in a fifth of the time.
 const NATS_AN_EVENT: f64 = 0.3;
@@ -73,7 +73,7 @@ impl Phases {
         best.0
     }
 
-    /// Nats that one half gains when it is foretold from the other.
+    /// Nats that one half gains when it is predicted from the other.
     fn heldout(&self) -> f64 {
         (0..2)
             .map(|side| {
@@ -111,7 +111,7 @@ impl Phases {
     }
 }
 
-/// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those that are left out. Where still pixels say nothing, all are asked.
+/// Events in step with the rows of the frame; `still` are the pixels in which nothing moves, `masked` those that are left out. Where still pixels decide nothing, all are asked.
 pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -> Option<Finding> {
     let count = |pixels: &[u32], polarity: i8| -> usize {
         let events = pixels.iter().map(|&pixel| case.events.of(pixel as usize));
@@ -177,7 +177,7 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
     let (delay, since_start) = phases.line(phases.delay(number), peak);
     let phase = (starts[0] as f64 + since_start).rem_euclid(period);
     let mut parameters = vec![("period", period * 1e-9), ("phase", phase * 1e-9), ("row_time", delay * 1e-9)];
-    if let Some(step) = kick(case, nominal, masked, polarity, &starts, (since_start, delay, period)) {
+    if let Some(step) = impulse(case, nominal, masked, polarity, &starts, (since_start, delay, period)) {
         parameters.insert(0, ("step", step));
     }
     let sign = if polarity > 0 { "ON" } else { "OFF" };
@@ -200,20 +200,20 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
     })
 }
 
-/// Jump of the front-end voltage at a readout, natural-log units with its sign; none when events of moving pixels do not come at readouts more often than beside.
+/// Jump of the front-end voltage at a readout, natural-log units with its sign; none when events of moving pixels do not come at readouts more often than around them.
 ///
 /// `readout` is the time of row 0 since the start of a frame, the delay of a row and the period, ns.
-fn kick(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts: &[i64], readout: (f64, f64, f64)) -> Option<f64> {
+fn impulse(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts: &[i64], readout: (f64, f64, f64)) -> Option<f64> {
     let (since_start, delay, period) = readout;
     let window = period / BINS as f64;
-    let (mut hits, mut beside, mut chances) = (0.0, 0.0, 0.0);
+    let (mut hits, mut around, mut chances) = (0.0, 0.0, 0.0);
     for pixel in (0..case.events.pixels()).filter(|&pixel| masked.binary_search(&(pixel as u32)).is_err()) {
         let row = f64::from(case.place(pixel).1);
         // Time since the readout of row 0 of the first frame, in readouts of the own row.
         let readouts = |t_ns: i64| ((t_ns - starts[0]) as f64 - since_start - row * delay) / period;
         for pair in case.events.of(pixel).windows(2).filter(|pair| pair[0].polarity == polarity && pair[1].polarity == polarity) {
             let (before, after) = (readouts(pair[0].t_off_ns), readouts(pair[1].t_off_ns));
-            // Slower light keeps step with the kicks: the way that is left at one is no longer anywhere in the threshold.
+            // Slower light keeps step with the impulses: the way that is left at one is no longer anywhere in the threshold.
             if after - before > 0.5 {
                 continue;
             }
@@ -222,11 +222,11 @@ fn kick(case: &Case, nominal: &Nominal, masked: &[u32], polarity: i8, starts: &[
             if since < window {
                 hits += 1.0;
             } else if (2.0 * window..4.0 * window).contains(&since) || (period - 3.0 * window..period - window).contains(&since) {
-                beside += 0.25;
+                around += 0.25;
             }
         }
     }
-    let excess = hits - beside;
+    let excess = hits - around;
     let threshold = if polarity > 0 { nominal.pixel.threshold_on } else { nominal.pixel.threshold_off };
-    (chances >= 100.0 && excess > 5.0 * libm::sqrt(hits + beside)).then(|| f64::from(polarity) * threshold * excess / chances)
+    (chances >= 100.0 && excess > 5.0 * libm::sqrt(hits + around)).then(|| f64::from(polarity) * threshold * excess / chances)
 }

@@ -12,7 +12,7 @@ use crate::report::SceneProperty;
 const ZONES: usize = 4;
 /// Of the zones' amplitudes, so much must be common.
 const COHERENCE: f64 = 0.9;
-/// Shallower is not told, as a share of the light.
+/// Shallower is not reported, as a share of the light.
 const SHALLOWEST: f64 = 0.02;
 /// Steps of time.
 const STEP_NS: i64 = 500_000;
@@ -31,7 +31,7 @@ pub fn flicker(case: &Case, nominal: &Nominal, stream: &Stream) -> Vec<SceneProp
     let zone = |pixel: usize| (pixel / width * ZONES / height) * ZONES + pixel % width * ZONES / width;
     let mut change = vec![vec![0.0; steps + 1]; ZONES * ZONES];
     let mut pixels = [0.0; ZONES * ZONES];
-    // A pixel that never fires says nothing: the rhythm may be below its threshold.
+    // A pixel that never fires carries no information: the rhythm may be below its threshold.
     let mut size = [0.0; ZONES * ZONES];
     for pixel in 0..width * height {
         size[zone(pixel)] += 1.0;

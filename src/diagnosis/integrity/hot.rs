@@ -36,7 +36,7 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>) -> (Option<Finding>, Vec<u32
     let medians: Vec<f64> = (0..height).map(|y| median(&mut (0..width).map(|x| count(x, y)).collect::<Vec<_>>())).collect();
     // What stands at the rim has nothing on its other side to be held against.
     for y in 1..height - 1 {
-        // Two rows may stand beside each other: of the four around, the quieter two pairs decide.
+        // Two rows may stand next to each other: of the four around, the quieter two pairs decide.
         let around: Vec<usize> = [y.checked_sub(2), y.checked_sub(1), Some(y + 1), Some(y + 2)].into_iter().flatten().filter(|row| *row < height).collect();
         let mut levels: Vec<f64> = around.iter().map(|&row| medians[row]).collect();
         let middle = median(&mut levels);

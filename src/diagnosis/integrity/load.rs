@@ -1,4 +1,4 @@
-//! Counts of the whole array in windows of time: one and the same count again and again (something takes away what is beyond it), and bursts in step with the frames.
+//! Counts of the whole array in windows of time: one and the same count again and again (something removes what is beyond it), and bursts in step with the frames.
 
 use super::{Finding, Stream};
 use crate::case::Case;
@@ -34,13 +34,13 @@ fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, 
     let mut with = vec![0_usize; most + 6];
     counts.iter().for_each(|count| with[count.0] += 1);
     let cap = (20..=most).max_by_key(|&count| (with[count], count))?;
-    let beside = (cap - 5..=cap + 5).filter(|&count| count != cap).map(|count| with[count]).sum::<usize>() as f64 / 10.0;
-    let ratio = with[cap] as f64 / f64::max(beside, 1.0);
+    let around = (cap - 5..=cap + 5).filter(|&count| count != cap).map(|count| with[count]).sum::<usize>() as f64 / 10.0;
+    let ratio = with[cap] as f64 / f64::max(around, 1.0);
     let over = with[cap + 1..].iter().sum::<usize>();
     if with[cap] < FULL_WINDOWS || ratio < FULL_OVER_NEXT || over as f64 > OVERFULL * counts.len() as f64 {
         return None;
     }
-    // Where the last event of a full window stands tells how much more would have come.
+    // Where the last event of a full window stands shows how much more would have come.
     let step = case.t_resolution_ns.max(1);
     let lost = |last: i64| cap as f64 * (window as f64 / ((last + step).clamp(window / 10, window)) as f64 - 1.0);
     let lost: f64 = counts.iter().filter(|count| count.0 == cap).map(|count| lost(count.1)).sum();

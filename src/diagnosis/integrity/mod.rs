@@ -1,7 +1,7 @@
 //! What shows without an estimate of the scene: data that contradict themselves, stamps on a coarser grid, a readout queue, hot rows and pixels, noise events, lost
 //! events, events in step with the frames, leaks, blind times, late events; and flicker of the light, which is a property of the scene.
 //!
-//! Each test is strict: it speaks only where a sound sensor could hardly look like this whatever it sees. Silence of a test is no proof of health; what is finer
+//! Each test is strict: it reports only where a sound sensor could hardly look like this whatever it sees. A test that finds nothing is no proof of health; what is finer
 //! than these tests see is the business of the tests that estimate the scene.
 //!
 //! In reading order:
@@ -36,7 +36,7 @@ pub mod still;
 
 use crate::case::Case;
 use crate::covariates::Covariate;
-use crate::law::Law;
+use crate::dependence::Dependence;
 use crate::nominal::Nominal;
 use crate::report::SceneProperty;
 use serde::{Deserialize, Serialize};
@@ -67,7 +67,7 @@ pub struct Finding {
 /// Gain in log-likelihood on one half of the blocks of pixels with what was estimated on the other, both ways.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Heldout {
-    /// Over the description as stated, nats.
+    /// Over the nominal description, nats.
     pub nats: f64,
     /// The events that it was measured on.
     pub events: usize,
@@ -100,7 +100,7 @@ pub struct Integrity {
     pub findings: Vec<Finding>,
     /// Rates of events that depend on what no scene knows of, and that no effect of the catalogue makes, strongest first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub laws: Vec<Law>,
+    pub dependences: Vec<Dependence>,
     /// Not mismatches.
     pub scene: Vec<SceneProperty>,
     /// Pixels that later stages should leave out, rising.
@@ -126,7 +126,7 @@ pub const TESTED: [&str; 15] = [
     "dark_current",
 ];
 
-/// All direct tests of a recording; `nominal` is the description as stated, none when it lacks what the model needs.
+/// All direct tests of a recording; `nominal` is the nominal description, none when it lacks what the model needs.
 pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     let mut found = Integrity { broken: data::broken(case), lacking: data::lacking(case), ..Integrity::default() };
     if !found.broken.is_empty() || case.events.all().len() < data::FEWEST_EVENTS {
@@ -160,9 +160,9 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         found.findings.extend(changes::findings(case, nominal, &found.masked));
         found.findings.extend(steps::findings(case, nominal, &found.masked));
     }
-    found.laws = regular::laws(case, &found.masked);
+    found.dependences = regular::dependences(case, &found.masked);
     if found.findings.iter().any(|finding| finding.id == "frame_coupling") {
-        found.laws.retain(|law| law.covariate != Covariate::FramePhase);
+        found.dependences.retain(|dependence| dependence.covariate != Covariate::FramePhase);
     }
     found.scene = nominal.map_or_else(Vec::new, |nominal| flicker::flicker(case, nominal, &stream));
     // The same effect by two tests is one finding, the stronger.

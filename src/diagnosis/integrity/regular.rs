@@ -5,7 +5,7 @@
 //! sensor's. Light that flickers with the frames repeats too, but on one clock for all rows: so what repeats must do so less when all rows are given the first one's clock.
 //! A global shutter has one clock alone, and the test is silent.
 //!
-//! Textures do not know odd rows from even ones. A row is held against the mean of the two beside it, in parts of the array and of the recording: what has one sign in nearly
+//! Textures do not know odd rows from even ones. A row is held against the mean of the two next to it, in parts of the array and of the recording: what has one sign in nearly
 //! all of these parts, and in most rows, is the sensor's.
 //!
 //! `frame_coupling` of the catalogue makes events of one sign at one phase, and keeps those of the other away: it is the business of its own tests, which come first. Here both signs have to
@@ -13,7 +13,7 @@
 
 use crate::case::Case;
 use crate::covariates::Covariate;
-use crate::law::{Law, Moved};
+use crate::dependence::{Dependence, Moved};
 
 /// Width of a bin of phase, ns.
 const BIN_NS: f64 = 250_000.0;
@@ -22,7 +22,7 @@ const AROUND: usize = 6;
 /// Fewest frames, and events in a bin of a frame.
 const FEWEST_FRAMES: usize = 8;
 const FEWEST_EVENTS: f64 = 8.0;
-/// What repeats over what differs must be so much. By chance it is 1; recordings without such a law come to 3.6, those with one to 40 and more.
+/// What repeats over what differs must be so much. By chance it is 1; recordings without such a dependence come to 3.6, those with one to 40 and more.
 const LEAST_REGULARITY: f64 = 12.0;
 /// And so much more than on one clock for all rows.
 const BY_ROWS: f64 = 1.2;
@@ -32,7 +32,7 @@ const LEAST_SHARE: f64 = 0.15;
 const OF_OTHER_SIGN: f64 = 0.3;
 /// Parts of the array, and of the recording, in which rows are compared.
 const PARTS: (usize, usize) = (6, 10);
-/// Rows differ by parity by so many standard errors; recordings without such a law come to 4.3.
+/// Rows differ by parity by so many standard errors; recordings without such a dependence come to 4.3.
 const LEAST_SIGMAS: f64 = 8.0;
 /// By this share,
 const LEAST_PARITY: f64 = 0.02;
@@ -41,15 +41,15 @@ const SAME_PARTS: f64 = 0.9;
 const SAME_ROWS: f64 = 0.8;
 
 /// What repeats, strongest first; pixels of `masked` are left out.
-pub fn laws(case: &Case, masked: &[u32]) -> Vec<Law> {
-    let mut found: Vec<Law> = by_phase(case, masked).into_iter().chain(by_parity(case, masked)).collect();
+pub fn dependences(case: &Case, masked: &[u32]) -> Vec<Dependence> {
+    let mut found: Vec<Dependence> = by_phase(case, masked).into_iter().chain(by_parity(case, masked)).collect();
     found.sort_by(|a, b| score(b).total_cmp(&score(a)));
     found
 }
 
-/// What a law of [`laws`] measured, over the least that counts.
-pub fn score(law: &Law) -> f64 {
-    law.significance / if law.covariate == Covariate::RowParity { LEAST_SIGMAS } else { LEAST_REGULARITY }
+/// What a dependence of [`dependences`] measured, over the least that counts.
+pub fn score(dependence: &Dependence) -> f64 {
+    dependence.significance / if dependence.covariate == Covariate::RowParity { LEAST_SIGMAS } else { LEAST_REGULARITY }
 }
 
 /// Counts by frame and phase.
@@ -94,7 +94,7 @@ impl Folded {
         Some(Folded { frames, bins, counts, around })
     }
 
-    /// Departures of a phase from what is around, in standard deviations of chance, frame by frame.
+    /// Departures of a phase from what is around, in standard deviations of pure chance, frame by frame.
     fn departures(&self, bin: usize) -> impl Iterator<Item = f64> {
         (0..self.frames).map(move |frame| frame * self.bins + bin).map(|k| (self.counts[k] - self.around[k]) / libm::sqrt(f64::max(self.around[k], 1.0)))
     }
@@ -132,7 +132,7 @@ impl Folded {
     }
 }
 
-fn by_phase(case: &Case, masked: &[u32]) -> Option<Law> {
+fn by_phase(case: &Case, masked: &[u32]) -> Option<Dependence> {
     let folded = Folded::new(case, masked, true, &[-1, 1])?;
     let regularity = folded.regularity();
     let value: Vec<f64> = (0..folded.bins).map(|bin| folded.share(bin, |_| true)).collect();
@@ -157,7 +157,7 @@ fn by_phase(case: &Case, masked: &[u32]) -> Option<Law> {
         (before + one * one, after + (one - mean) * (one - mean))
     });
     let period_s = case.frames.as_ref()?.times.mean_period_ns()? * 1e-9;
-    Some(Law {
+    Some(Dependence {
         moved: Moved::EventRate,
         covariate: Covariate::FramePhase,
         period_s: None,
@@ -185,7 +185,7 @@ fn rows_of_parts(case: &Case, masked: &[u32]) -> Vec<Vec<f64>> {
     parts
 }
 
-fn by_parity(case: &Case, masked: &[u32]) -> Option<Law> {
+fn by_parity(case: &Case, masked: &[u32]) -> Option<Dependence> {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     // A row of which much is left out is none.
     let mut left_out = vec![0; height];
@@ -196,41 +196,41 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Law> {
     }
     let parts = rows_of_parts(case, masked);
     let sign = |y: usize| if y.is_multiple_of(2) { 1.0 } else { -1.0 };
-    // Even rows less odd ones, half of the difference, as each row tells it.
-    let tells = |part: &[f64], y: usize| 0.5 * sign(y) * (part[y] - 0.5 * (part[y - 1] + part[y + 1]));
+    // Even rows less odd ones, half of the difference, as each row has it.
+    let contrast = |part: &[f64], y: usize| 0.5 * sign(y) * (part[y] - 0.5 * (part[y - 1] + part[y + 1]));
     let all = |part: &[f64]| rows.iter().map(|y| part[*y]).sum::<f64>();
     let usual = parts.iter().map(|part| all(part)).sum::<f64>() / parts.len() as f64;
-    let told: Vec<(f64, f64)> =
-        parts.iter().filter(|part| all(part) > 0.1 * usual).map(|part| (rows.iter().map(|y| tells(part, *y)).sum::<f64>(), all(part))).collect();
-    let n = told.len() as f64;
-    let (sum, events) = told.iter().fold((0.0, 0.0), |sums, one| (sums.0 + one.0, sums.1 + one.1));
-    let spread = libm::sqrt(told.iter().map(|one| (one.0 - sum / n) * (one.0 - sum / n)).sum::<f64>() / f64::max(n - 1.0, 1.0));
+    let contrasts: Vec<(f64, f64)> =
+        parts.iter().filter(|part| all(part) > 0.1 * usual).map(|part| (rows.iter().map(|y| contrast(part, *y)).sum::<f64>(), all(part))).collect();
+    let n = contrasts.len() as f64;
+    let (sum, events) = contrasts.iter().fold((0.0, 0.0), |sums, one| (sums.0 + one.0, sums.1 + one.1));
+    let spread = libm::sqrt(contrasts.iter().map(|one| (one.0 - sum / n) * (one.0 - sum / n)).sum::<f64>() / f64::max(n - 1.0, 1.0));
     let (share, sigmas) = (sum / f64::max(events, 1.0), sum.abs() / f64::max(spread * libm::sqrt(n), 1e-9));
     let same = |values: &mut dyn Iterator<Item = f64>| {
         let (agree, count) = values.fold((0.0, 0.0), |(agree, count), one| (agree + f64::from(u8::from(one * sum > 0.0)), count + 1.0));
         agree / f64::max(count, 1.0)
     };
-    let of_row = |y: &usize| parts.iter().map(|part| tells(part, *y)).sum::<f64>();
-    let is_steady = same(&mut told.iter().map(|one| one.0)) >= SAME_PARTS && same(&mut rows.iter().map(of_row)) >= SAME_ROWS;
+    let of_row = |y: &usize| parts.iter().map(|part| contrast(part, *y)).sum::<f64>();
+    let is_steady = same(&mut contrasts.iter().map(|one| one.0)) >= SAME_PARTS && same(&mut rows.iter().map(of_row)) >= SAME_ROWS;
     if events < FEWEST_EVENTS * parts.len() as f64 || sigmas < LEAST_SIGMAS || share.abs() < LEAST_PARITY || !is_steady {
         return None;
     }
-    // Rows of each half of the parts, foretold from those beside them with the share of the other half.
+    // Rows of each half of the parts, predicted from those next to them with the share of the other half.
     let (mut gain, mut before, mut after) = (0.0, 0.0, 0.0);
     for half in 0..2 {
         let of = |which: usize| parts.iter().enumerate().filter(move |(k, _)| (k / PARTS.0 + k % PARTS.0) % 2 == which).map(|(_, part)| part);
-        let (sum, events) = of(1 - half).fold((0.0, 0.0), |sums, part| (sums.0 + rows.iter().map(|y| tells(part, *y)).sum::<f64>(), sums.1 + all(part)));
+        let (sum, events) = of(1 - half).fold((0.0, 0.0), |sums, part| (sums.0 + rows.iter().map(|y| contrast(part, *y)).sum::<f64>(), sums.1 + all(part)));
         let share = (sum / f64::max(events, 1.0)).clamp(-0.9, 0.9);
         for (part, y) in of(half).flat_map(|part| rows.iter().map(move |y| (part, *y))) {
-            let beside = 0.5 * (part[y - 1] + part[y + 1]);
+            let mean = 0.5 * (part[y - 1] + part[y + 1]);
             let ratio = (1.0 + sign(y) * share) / (1.0 - sign(y) * share);
-            gain += part[y] * libm::log(ratio) - beside * (ratio - 1.0);
-            before += (part[y] - beside) * (part[y] - beside);
-            after += (part[y] - ratio * beside) * (part[y] - ratio * beside);
+            gain += part[y] * libm::log(ratio) - mean * (ratio - 1.0);
+            before += (part[y] - mean) * (part[y] - mean);
+            after += (part[y] - ratio * mean) * (part[y] - ratio * mean);
         }
     }
     let error = share.abs() / sigmas;
-    Some(Law {
+    Some(Dependence {
         moved: Moved::EventRate,
         covariate: Covariate::RowParity,
         period_s: None,

@@ -1,6 +1,6 @@
 //! Rates that a scene cannot have, thinned by hand out of a scene's.
 
-use super::regular::laws;
+use super::regular::dependences;
 use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
 use crate::covariates::Covariate;
 use photocurrent_core::random::Random;
@@ -39,48 +39,48 @@ fn is_blind(row: u32, t: i64) -> bool {
 }
 
 #[test]
-fn a_scene_alone_has_no_such_law() {
-    assert_eq!(laws(&waves(|_, _, _| 1.0), &[]), []);
+fn a_scene_alone_has_no_such_dependence() {
+    assert_eq!(dependences(&waves(|_, _, _| 1.0), &[]), []);
 }
 
 #[test]
-fn events_that_stay_away_at_one_phase_of_every_row_are_told_with_that_phase() {
-    let found = laws(&waves(|row, t, _| if is_blind(row, t) { 0.3 } else { 1.0 }), &[]);
-    let [law] = &found[..] else { panic!("{found:?}") };
-    assert_eq!(law.covariate, Covariate::FramePhase);
-    for (at, value) in law.at.iter().zip(&law.value) {
+fn events_that_stay_away_at_one_phase_of_every_row_are_reported_with_that_phase() {
+    let found = dependences(&waves(|row, t, _| if is_blind(row, t) { 0.3 } else { 1.0 }), &[]);
+    let [dependence] = &found[..] else { panic!("{found:?}") };
+    assert_eq!(dependence.covariate, Covariate::FramePhase);
+    for (at, value) in dependence.at.iter().zip(&dependence.value) {
         // Of 13 bins around the dip, its four hold 0.3: 0.3 / (1 - 0.7 * 4 / 13) less 1, or near that.
         if (4e-3..5e-3).contains(at) { assert!((value + 0.62).abs() < 0.08, "{at} {value}") } else { assert!(*value > -0.1 && *value < 0.4, "{at} {value}") }
     }
-    assert!(law.error.iter().all(|error| *error < 0.05) && law.taken > 0.5 && law.nats_per_event > 0.01, "{law:?}");
+    assert!(dependence.error.iter().all(|error| *error < 0.05) && dependence.taken > 0.5 && dependence.nats_per_event > 0.01, "{dependence:?}");
 }
 
 #[test]
 fn events_of_one_sign_at_one_phase_are_the_coupling_s() {
     let more = |signs: &'static [i8]| waves(move |row, t, sign| if is_blind(row, t) && signs.contains(&sign) { 1.0 } else { 0.5 });
-    assert_eq!(laws(&more(&[1]), &[]), []);
-    assert_eq!(laws(&more(&[1, -1]), &[]).len(), 1);
+    assert_eq!(dependences(&more(&[1]), &[]), []);
+    assert_eq!(dependences(&more(&[1, -1]), &[]).len(), 1);
 }
 
 #[test]
 fn light_that_flickers_with_the_frames_is_the_scene_s() {
-    assert_eq!(laws(&waves(|_, t, _| if is_blind(0, t) { 0.3 } else { 1.0 }), &[]), []);
-    // Nor can it be told apart where all rows have one clock.
+    assert_eq!(dependences(&waves(|_, t, _| if is_blind(0, t) { 0.3 } else { 1.0 }), &[]), []);
+    // Nor can it be distinguished where all rows have one clock.
     let mut global = waves(|_, t, _| if is_blind(0, t) { 0.3 } else { 1.0 });
     let frames = global.frames.as_mut().unwrap();
     frames.times = FrameTimes::new(frames.times.exposures.to_vec(), 0).unwrap();
-    assert_eq!(laws(&global, &[]), []);
+    assert_eq!(dependences(&global, &[]), []);
 }
 
 #[test]
-fn rows_that_differ_by_parity_are_told_with_their_share() {
-    let found = laws(&waves(|row, _, _| if row % 2 == 1 { 0.8 } else { 1.0 }), &[]);
-    let [law] = &found[..] else { panic!("{found:?}") };
-    assert_eq!(law.covariate, Covariate::RowParity);
+fn rows_that_differ_by_parity_are_reported_with_their_share() {
+    let found = dependences(&waves(|row, _, _| if row % 2 == 1 { 0.8 } else { 1.0 }), &[]);
+    let [dependence] = &found[..] else { panic!("{found:?}") };
+    assert_eq!(dependence.covariate, Covariate::RowParity);
     // (1 - 0.8) / (1 + 0.8)
-    assert!((law.value[0] - 0.111).abs() < 0.02 && (law.value[1] + law.value[0]).abs() < 1e-12, "{law:?}");
-    assert!(law.nats_per_event > 0.003 && law.error[0] < 0.02, "{law:?}");
+    assert!((dependence.value[0] - 0.111).abs() < 0.02 && (dependence.value[1] + dependence.value[0]).abs() < 1e-12, "{dependence:?}");
+    assert!(dependence.nats_per_event > 0.003 && dependence.error[0] < 0.02, "{dependence:?}");
     // Some busy rows are no parity.
     let busy = waves(|row, _, _| if [6, 14, 22, 30].contains(&row) { 1.0 } else { 0.6 });
-    assert_eq!(laws(&busy, &[]), []);
+    assert_eq!(dependences(&busy, &[]), []);
 }

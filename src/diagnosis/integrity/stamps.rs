@@ -69,7 +69,7 @@ fn on_grid(unique: &[i64], step: f64) -> Option<(f64, f64)> {
     }
     let first = unique[0];
     let mut refined = step;
-    // The further out, the better the step is known: each round believes twice as many stamps.
+    // The further out, the better the step is known: each round uses twice as many stamps.
     let mut reach = 8;
     loop {
         let (mut up, mut down) = (0.0, 0.0);

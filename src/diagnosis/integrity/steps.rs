@@ -4,7 +4,7 @@
 //! other thresholds than stated gain is judged on the other half of the picture.
 //!
 //! Limits: frames of short exposure and little skew only; pixels that lose events at strong change make thresholds look larger, and frames that are not linear give thresholds of their
-//! curve: good to a tenth, so that only more than that is a finding.
+//! curve, within a tenth, so that only more than that is a finding.
 
 use super::changes::LONGEST_EXPOSURE;
 use super::{Finding, Heldout};

@@ -4,7 +4,7 @@
 //! between two frames, but it comes from somewhere. Events of one sign there are a leak ([`leak`]); events that come when their row of the frame is read are coupling
 //! ([`coupling`]). A leak fills the gap to the threshold, coupling decides when it is crossed, so both are often met together.
 //!
-//! Limits: a scene in which all moves has no still pixels, and these tests are silent. A leak that fires only at readouts says nothing of how strong the coupling is;
+//! Limits: a scene in which all moves has no still pixels, and these tests are silent. A leak that fires only at readouts does not show how strong the coupling is;
 //! that is counted where light rises.
 
 use super::{Finding, Heldout, half, median};
@@ -21,7 +21,7 @@ const NOISE_RANGE: f64 = 10.0;
 const THRESHOLD_SHARE: f64 = 0.25;
 /// What moves must be farther away than this, pixels in rows and columns.
 const DISTANCE: usize = 4;
-/// As few events of one sign say nothing.
+/// So few events of one sign decide nothing.
 const FEWEST_EVENTS: usize = 30;
 /// ON events must be so many times as many as OFF events.
 const ON_OVER_OFF: usize = 4;
@@ -37,7 +37,7 @@ const BY_LIGHT: f64 = 10.0;
 /// And nats that a rate in proportion to the light may be worse than one that has a part without light.
 const ALL_BY_LIGHT: f64 = 3.0;
 
-/// The pixels that are still, rising; none where frames do not tell. `masked` are left out.
+/// The pixels that are still, rising; none where frames do not show it. `masked` are left out.
 pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
     let Some(frames) = case.frames.as_ref().filter(|frames| frames.times.len() >= FEWEST_FRAMES) else { return Vec::new() };
     let (pixels, noise) = (case.extent.pixels(), noise_dn(case, frames));
@@ -51,8 +51,8 @@ pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
             }
             let signal = sum / f64::max(count, 1.0) - nominal.number.black_level;
             // A saturated pixel shows no motion, and has it nevertheless.
-            let is_told = count >= FEWEST_FRAMES as f64 && high < nominal.saturation_dn;
-            !is_told || high - low > f64::max(NOISE_RANGE * noise, THRESHOLD_SHARE * threshold * signal)
+            let is_seen = count >= FEWEST_FRAMES as f64 && high < nominal.saturation_dn;
+            !is_seen || high - low > f64::max(NOISE_RANGE * noise, THRESHOLD_SHARE * threshold * signal)
         })
         .collect();
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
@@ -109,7 +109,7 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
         return None;
     }
     let rate = a_pixel / ((case.span.1 - case.span.0) as f64 * 1e-9);
-    // Held against noise that has no sign, of the same rate: one half tells the share of ON events, the other is foretold with it.
+    // Held against noise that has no sign, of the same rate: one half gives the share of ON events, the other is predicted with it.
     let nats: f64 = (0..2)
         .map(|side| {
             let share = (on[1 - side] as f64 + 1.0) / ((on[1 - side] + off[1 - side]) as f64 + 2.0);
@@ -163,7 +163,7 @@ impl ByLight {
         let excess = |pixel: u32| case.events.of(pixel as usize).iter().map(|event| f64::from(event.polarity)).sum::<f64>();
         let net: Vec<(f64, f64)> =
             still.iter().zip(&lights).map(|(&pixel, light)| (excess(pixel), light / mean)).filter(|(excess, _)| *excess != 0.0).collect();
-        // Where the light is next to nothing, its noise would decide.
+        // Where the light is nearly zero, its noise would decide.
         let nats = |share: f64| net.iter().map(|(excess, light)| excess * libm::log(f64::max(1.0 - share + share * light, 0.01))).sum::<f64>();
         let grows = (0..=20).map(|k| nats(f64::from(k) / 20.0)).fold(f64::NEG_INFINITY, f64::max);
         ByLight { in_proportion: nats(1.0), grows, mean }

@@ -61,9 +61,9 @@ fn value(finding: &super::Finding, parameter: &str) -> f64 {
 #[test]
 fn still_pixels_keep_their_distance_from_what_moves() {
     let (still, leak, coupling) = found(&camera(|_, random| (any_time(random), pixel(random), if random.uniform() < 0.5 { 1 } else { -1 })));
-    // 42 columns stand still, and the four beside the strip are too near.
+    // 42 columns stand still, and the four next to the strip are too near.
     assert!((still as f64 / (38.0 * HEIGHT as f64) - 1.0).abs() < 0.05, "{still}");
-    // As many OFF as ON, at any time: noise, of which these tests do not speak.
+    // As many OFF as ON, at any time: noise, of which these tests do not report.
     assert!(leak.is_none() && coupling.is_none(), "{leak:?} {coupling:?}");
 }
 
@@ -137,7 +137,7 @@ fn events_when_their_row_is_read_are_coupling_with_its_delay() {
 }
 
 #[test]
-fn the_strength_of_a_kick_is_counted_where_light_rises() {
+fn the_size_of_an_impulse_is_counted_where_light_rises() {
     // Log light of the strip rises by 40 to 80 ln/s all the time; thresholds are 0.2. At each readout pixels with less than 0.05 to go fire at once.
     let mut case = camera(|_, random| {
         let pixel = pixel(random);

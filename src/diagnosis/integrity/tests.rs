@@ -243,7 +243,7 @@ fn events_against_the_light_are_noise_with_its_rate() {
 }
 
 #[test]
-fn a_strong_kick_at_the_readout_shows_where_all_moves() {
+fn a_strong_impulse_at_the_readout_shows_where_all_moves() {
     let exposures = (0..15).map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000)).collect();
     let frames = crate::case::CaseFrames {
         times: photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),

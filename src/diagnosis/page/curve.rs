@@ -4,33 +4,37 @@ use super::plot::{Plot, Scale};
 use super::svg::COLOURS;
 use super::{escaped, number};
 use crate::covariates::Covariate;
-use crate::law::{Law, Moved};
+use crate::dependence::{Dependence, Moved};
 use std::fmt::Write;
 
 const GREY: &str = "var(--edge)";
 
 /// The curve of what has no name.
-pub fn unnamed(html: &mut String, law: &Law) {
-    let (what, unit, factor) = match law.moved {
+pub fn unnamed(html: &mut String, dependence: &Dependence) {
+    let (what, unit, factor) = match dependence.moved {
         Moved::Stamps => ("how much later stamps are", "us", 1e6),
         Moved::Threshold => ("how much higher thresholds are", "%", 100.0),
         Moved::Rate => ("how many more ON than OFF events without light a pixel fires", "Hz", 1.0),
         Moved::EventRate => ("how much more often events come", "%", 100.0),
     };
-    let rhythm = law.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", number(1.0 / period_s)));
-    let (name, measured) = (escaped(law.covariate.name()), number(law.significance));
-    let against = if law.moved == Moved::EventRate { "than around" } else { "than described" };
-    let unit_of_strength =
-        if law.moved == Moved::EventRate && law.covariate == Covariate::FramePhase { "times the strength of chance" } else { "standard errors from nothing" };
+    let rhythm = dependence.period_s.map_or_else(String::new, |period_s| format!(" of {} Hz", number(1.0 / period_s)));
+    let (name, measured) = (escaped(dependence.covariate.name()), number(dependence.significance));
+    let against = if dependence.moved == Moved::EventRate { "than around" } else { "than described" };
+    let unit_of_significance = if dependence.moved == Moved::EventRate && dependence.covariate == Covariate::FramePhase {
+        "times what chance gives"
+    } else {
+        "standard errors from nothing"
+    };
     let _ = writeln!(
         html,
-        "<p class=\"note\">{what} {against}, over {name}{rhythm}; bars: 95 %. It is {measured} {unit_of_strength}, takes away {:.1} % of the squares \
+        "<p class=\"note\">{what} {against}, over {name}{rhythm}; bars: 95 %. It is {measured} {unit_of_significance}, removes {:.1} % of the squares \
          and gains {} nats an event on events that it was not fitted to.</p>",
-        100.0 * law.taken,
-        number(law.nats_per_event)
+        100.0 * dependence.taken,
+        number(dependence.nats_per_event)
     );
-    let points: Vec<(f64, f64, f64)> = (0..law.at.len()).map(|k| (law.at[k], factor * law.value[k], 1.96 * factor * law.error[k])).collect();
-    html.push_str(&over(law.covariate, &points, unit));
+    let points: Vec<(f64, f64, f64)> =
+        (0..dependence.at.len()).map(|k| (dependence.at[k], factor * dependence.value[k], 1.96 * factor * dependence.error[k])).collect();
+    html.push_str(&over(dependence.covariate, &points, unit));
 }
 
 /// Points with half lengths of their bars over a covariate, joined by a line, and a flat line at 0.

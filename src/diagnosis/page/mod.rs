@@ -14,9 +14,9 @@ mod units;
 
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
+use crate::dependence::Dependence;
 use crate::diagnose::{Diagnosis, Proposed};
 use crate::heldout::Prediction;
-use crate::law::Law;
 use crate::report::{BeforeAfter, EffectReport, Parameter, Report, Verdict, short as number};
 use crate::verdict::Proposal;
 use photocurrent_page::{Page, Section, escaped};
@@ -51,8 +51,8 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
             }
         }),
         part("curve", "The curve without a name", &|html| {
-            if let Some(law) = found.and_then(|found| unnamed(report, found)) {
-                curve::unnamed(html, law);
+            if let Some(dependence) = found.and_then(|found| unnamed(report, found)) {
+                curve::unnamed(html, dependence);
             }
         }),
         part("where", "Where it is", &|html| {
@@ -129,10 +129,10 @@ fn nearly(report: &Report, found: &Diagnosis) -> Vec<String> {
 }
 
 /// The curve of what is reported without a name.
-fn unnamed<'a>(report: &Report, found: &'a Diagnosis) -> Option<&'a Law> {
+fn unnamed<'a>(report: &Report, found: &'a Diagnosis) -> Option<&'a Dependence> {
     let is_reported = report.effects.iter().any(|effect| effect.id == "unnamed");
-    let decided = || found.proposed.decided().and_then(|decided| decided.unexplained.as_ref()?.law.as_ref());
-    found.integrity.laws.first().or_else(decided).filter(|_| is_reported)
+    let decided = || found.proposed.decided().and_then(|decided| decided.unexplained.as_ref()?.dependence.as_ref());
+    found.integrity.dependences.first().or_else(decided).filter(|_| is_reported)
 }
 
 fn effects(html: &mut String, report: &Report) {

@@ -1,4 +1,4 @@
-//! Example pixels: what was recorded, and the light that the sensor must have seen, with the description as stated and as fitted.
+//! Example pixels: what was recorded, and the light that the sensor must have seen, with the nominal and with the fitted description.
 
 use super::plot::{Plot, Scale};
 use super::svg::COLOURS;
@@ -12,7 +12,7 @@ use std::fmt::Write;
 /// Fewest events of an example.
 const FEWEST: usize = 5;
 
-/// Three pixels: from those whose held-out frames the description as stated predicts worst, as usual, and best.
+/// Three pixels: from those whose held-out frames the nominal description predicts worst, as usual, and best.
 pub fn examples(html: &mut String, case: &Case, found: &Diagnosis) {
     let (Ok(nominal), Some(before), Some(sample)) = (case.nominal(), &found.predictions.0, &found.sample) else { return };
     let after = found.predictions.1.as_ref();

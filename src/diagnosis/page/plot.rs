@@ -108,11 +108,11 @@ impl Plot {
         let _ = write!(self.svg, "<polyline points=\"{}\" fill=\"none\" stroke=\"{colour}\" stroke-width=\"1.5\"{dashes}/>", path.trim_end());
     }
 
-    /// Points with bars of `error` up and down, moved across by `beside` pixels so that two sets stand beside each other.
-    pub fn points(&mut self, points: &[(f64, f64, f64)], colour: &str, beside: f64) {
+    /// Points with bars of `error` up and down, moved across by `shift` pixels so that two sets stand next to each other.
+    pub fn points(&mut self, points: &[(f64, f64, f64)], colour: &str, shift: f64) {
         for &(at, value, error) in points {
             let ((x, y), (_, high), (_, low)) = (self.place((at, value)), self.place((at, value + error)), self.place((at, value - error)));
-            let x = x + beside;
+            let x = x + shift;
             let _ = write!(self.svg, "<line x1=\"{x:.1}\" x2=\"{x:.1}\" y1=\"{high:.1}\" y2=\"{low:.1}\" stroke=\"{colour}\"/>");
             let _ = write!(self.svg, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\" fill=\"{colour}\"/>");
         }

@@ -6,18 +6,18 @@ use std::fmt::Write;
 
 /// A bar of a chart.
 pub struct Bar {
-    /// Beside it.
+    /// Next to it.
     pub label: String,
-    /// Its length, in multiples of the alarm.
+    /// Its length, in multiples of the detection threshold.
     pub value: f64,
-    /// Over its alarm?
+    /// Over its detection threshold?
     pub is_marked: bool,
 }
 
-/// Colours that colour-blind readers tell apart, as the style of the page has them for light and dark.
+/// Colours that colour-blind readers can distinguish, as the style of the page has them for light and dark.
 pub const COLOURS: [&str; 4] = ["var(--c0)", "var(--c1)", "var(--c2)", "var(--c6)"];
 
-/// Horizontal bars on a logarithmic axis from a tenth of the alarm up, with a line at the alarm.
+/// Horizontal bars on a logarithmic axis from a tenth of the detection threshold up, with a line at that threshold.
 pub fn bars(bars: &[Bar]) -> String {
     const LEFT: f64 = 220.0;
     const WIDTH: f64 = 420.0;
@@ -34,8 +34,9 @@ pub fn bars(bars: &[Bar]) -> String {
         let _ = write!(svg, "<rect x=\"{LEFT:.1}\" y=\"{y:.1}\" width=\"{:.1}\" height=\"16\" fill=\"{colour}\"/>", f64::max(x(bar.value) - LEFT, 1.0));
         let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\">{:.2}</text>", x(bar.value) + 6.0, y + 13.0, bar.value);
     }
-    let alarm = x(1.0);
-    let _ = writeln!(svg, "<line x1=\"{alarm:.1}\" x2=\"{alarm:.1}\" y1=\"0\" y2=\"{height:.1}\" stroke=\"var(--bad)\" stroke-dasharray=\"4 3\"/></svg>");
+    let threshold = x(1.0);
+    let _ =
+        writeln!(svg, "<line x1=\"{threshold:.1}\" x2=\"{threshold:.1}\" y1=\"0\" y2=\"{height:.1}\" stroke=\"var(--bad)\" stroke-dasharray=\"4 3\"/></svg>");
     svg
 }
 

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::covariates::Covariate;
+use crate::dependence::{Dependence, Moved};
 use crate::diagnose::{Setting, broken, check, confirm};
-use crate::law::{Law, Moved};
 use crate::residual::located::{Ground, LocatedSetting, Locations};
 use crate::testing;
 use crate::verdict::{Decided, Proposal, Unexplained};
@@ -27,7 +27,7 @@ fn diagnosed(case: &Case, proposed: Proposed) -> Diagnosis {
 }
 
 #[test]
-fn a_page_is_whole_and_needs_nothing_beside_it() {
+fn a_page_is_whole_and_needs_no_other_file() {
     let case = testing::case();
     let found = diagnosed(&case, Proposed::NotAsked);
     let html = page(&found.report, Some(&case), Some(&found));
@@ -45,7 +45,8 @@ fn what_is_claimed_is_shown_before_and_after() {
     let case = testing::case_with(&[("leak_events".to_owned(), leak.as_object().unwrap().clone())].into_iter().collect());
     let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
     let proposal = Proposal { candidate, score: 1.1, probability: 0.9, value: 25.0, passed: true, ..Proposal::default() };
-    let found = diagnosed(&case, Proposed::Decided(Box::new(Decided { name: "picture".into(), alarm: true, proposals: vec![proposal], ..Decided::default() })));
+    let found =
+        diagnosed(&case, Proposed::Decided(Box::new(Decided { name: "picture".into(), detected: true, proposals: vec![proposal], ..Decided::default() })));
     let html = page(&found.report, Some(&case), Some(&found));
     is_sound(&html);
     for part in ["What the description lacks", "leak_events.rate", "PSNR of held-out frames", "<td class=\"number\">25 Hz</td>"] {
@@ -59,7 +60,7 @@ fn what_is_claimed_is_shown_before_and_after() {
 #[test]
 fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
     let case = testing::case();
-    let law = Law {
+    let dependence = Dependence {
         moved: Moved::Threshold,
         covariate: Covariate::RowParity,
         period_s: None,
@@ -70,8 +71,8 @@ fn a_curve_without_a_name_is_drawn_as_it_was_measured() {
         significance: 9.0,
         nats_per_event: 0.1,
     };
-    let unexplained = Unexplained { covariate: law.covariate.name().into(), score: 2.0, law: Some(law), ..Unexplained::default() };
-    let decided = Decided { name: "picture".into(), alarm: true, unexplained: Some(unexplained), ..Decided::default() };
+    let unexplained = Unexplained { covariate: dependence.covariate.name().into(), score: 2.0, dependence: Some(dependence), ..Unexplained::default() };
+    let decided = Decided { name: "picture".into(), detected: true, unexplained: Some(unexplained), ..Decided::default() };
     let found = diagnosed(&case, Proposed::Decided(Box::new(decided)));
     assert_eq!(found.report.verdict, Verdict::Unnamed);
     let html = page(&found.report, Some(&case), Some(&found));
@@ -102,7 +103,7 @@ fn a_part_of_the_array_is_reported_and_framed_on_a_picture_of_the_scene() {
     assert_eq!(located.columns.range, [0, 5]);
     let candidate = CANDIDATES.iter().position(|one| one.id == "leak_events").unwrap();
     let proposal = Proposal { candidate, score: 1.1, probability: 0.9, value: 25.0, passed: true, ..Proposal::default() };
-    let decided = Decided { name: "picture".into(), alarm: true, proposals: vec![proposal], ..Decided::default() };
+    let decided = Decided { name: "picture".into(), detected: true, proposals: vec![proposal], ..Decided::default() };
     let with_place = Decided { located: Locations { first: vec![(candidate, located)], ..Locations::default() }, ..decided.clone() };
     let found = diagnosed(&case, Proposed::Decided(Box::new(with_place)));
     let place = &found.report.effects[0].location;

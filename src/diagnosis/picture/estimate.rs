@@ -47,7 +47,7 @@ pub struct PictureSetting {
     pub least_misfit: f64,
     /// A further round is taken while the misfit falls by this share.
     pub gain: f64,
-    /// Second differences of the picture that are always believed possible, as a share of its mean.
+    /// Second differences of the picture that are always possible, as a share of its mean.
     pub least_roughness: f64,
     /// Share of the picture's overall roughness in the local one.
     pub pooled: f64,
@@ -71,7 +71,7 @@ pub struct PictureSetting {
     pub draw_steps: usize,
     /// Seed of draws of what frames leave open.
     pub seed: u64,
-    /// What a picture is sharpened over to find what its fit takes away, pixels.
+    /// What a picture is sharpened over to find what its fit removes, pixels.
     pub sharpest: f64,
 }
 
@@ -213,7 +213,7 @@ impl Picture {
         Begin { counts, ground: (!self.ground.is_empty()).then_some(&self.ground[..]) }
     }
 
-    /// Standard deviation that a frame value of `signal` DN above black was believed to have.
+    /// Standard deviation that a frame value of `signal` DN above black was assumed to have.
     pub fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
         nominal.frame_sigma_dn(signal, self.report.noise)
     }
@@ -434,7 +434,7 @@ impl<'a> Fit<'a> {
         misfit / (self.scale * self.scale) + roughness(&self.picture.grid, smooth, &self.picture.surface)
     }
 
-    /// The standard deviation that a row's value is believed to, without robustness.
+    /// The standard deviation that a row's value is assumed to have, without robustness.
     fn sigma_of(&self, rows: &Rows, r: usize) -> f64 {
         self.sigma(f64::from(rows.signal[r]))
     }

@@ -143,7 +143,7 @@ pub fn squares(rows: &Rows, width: usize, range: Range<usize>, factor: &[f32], s
     }
 }
 
-/// Adds the products of what rows of one run have beside the picture, each times its factor: the first `rest` numbers.
+/// Adds the products of what rows of one run have in addition to the picture, each times its factor: the first `rest` numbers.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 pub fn of_rest(rows: &Rows, run: Range<usize>, rest: usize, factor: &[f32], sum: &mut [[f32; REST]; REST]) {
     for r in run {

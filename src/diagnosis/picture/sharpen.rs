@@ -1,4 +1,4 @@
-//! A picture with edges as sharp as a fit on its grid cannot tell: the scene that a control is recorded of begins with it.
+//! A picture with edges sharper than a fit on its grid resolves: the scene that a control is recorded of begins with it.
 
 use super::Picture;
 

@@ -161,7 +161,7 @@ impl Rows {
         (0..parts).map(|n| (n * length).min(self.count())..((n + 1) * length).min(self.count())).collect()
     }
 
-    /// Rows of a range that touch the same knots, and how many numbers they have beside the picture.
+    /// Rows of a range that touch the same knots, and how many numbers they have in addition to the picture.
     fn runs(&self, range: Range<usize>) -> impl Iterator<Item = (Range<usize>, usize)> {
         let mut at = range.start;
         std::iter::from_fn(move || {
@@ -605,7 +605,7 @@ mod tests {
             let one = draw(&rows, &grid, &smooth, knots, 200, &mut random);
             squares.iter_mut().zip(&one).for_each(|(sum, c)| *sum += f64::from(c * c) / DRAWS as f64);
         }
-        // The mean over coefficients is good to a percent or two, each to a sixth (three standard deviations).
+        // The mean over coefficients has an error of a percent or two, each of a sixth (three standard deviations).
         let ratio: Vec<f64> = squares.iter().enumerate().map(|(k, square)| square / open[(k, k)]).collect();
         assert!((ratio.iter().sum::<f64>() / n as f64 - 1.0).abs() < 0.05, "{ratio:?}");
         assert!(ratio.iter().all(|ratio| (0.75..1.3).contains(ratio)), "{ratio:?}");

@@ -1,4 +1,4 @@
-//! Random effects, read off the same residuals: each as a further part of their distribution, with its gain in nats an event, so that it stands beside effects that have a column.
+//! Random effects, read off the same residuals: each as a further part of their distribution, with its gain in nats an event, so that it stands with effects that have a column.
 //!
 //! With u = polarity times residual over threshold: thresholds that differ from pixel to pixel are a size of the threshold's column of each pixel's own, refractory periods that differ
 //! one of the refractory period's; threshold noise and stamp noise widen u; an event without a crossing has any u between -2 and 0; after a lost event the next has a whole
@@ -33,7 +33,7 @@ pub struct Ground<'a> {
     pub events: &'a Residuals,
     /// Their residuals, natural-log units, with whatever was found applied.
     pub residual: &'a [f64],
-    /// Columns of the threshold's scale and of the refractory period, natural-log units per strength.
+    /// Columns of the threshold's scale and of the refractory period, natural-log units per effect size.
     pub columns: [&'a [f32]; 2],
     /// Share of the squares that is noise of pixels, 0 to 1.
     pub white: f64,
@@ -156,7 +156,7 @@ impl Ground<'_> {
         Some(((gain, jitter), rest))
     }
 
-    /// A size of a column of each pixel's own, or of each of its polarities: gain of predicting each event from the others of its pixel, the standard deviation over pixels in strengths, and the
+    /// A size of a column of each pixel's own, or of each of its polarities: gain of predicting each event from the others of its pixel, the standard deviation over pixels in effect sizes, and the
     /// residuals with each pixel's size applied.
     fn of_pixels(&self, noise: &EventNoise, column: &[f32], by_polarity: bool) -> ((f64, f64), Vec<f64>) {
         let n = self.residual.len();
@@ -245,14 +245,14 @@ impl Ground<'_> {
     }
 }
 
-/// The parameter of a part's size beyond the control's, in the unit of its declaration. `strengths`: what one strength of the threshold's scale and of the refractory
+/// The parameter of a part's size beyond the control's, in the unit of its declaration. `effect_sizes`: what one effect size of the threshold's scale and of the refractory
 /// period are, as shares of the threshold and in seconds.
-pub fn value(part: &Part, control: f64, threshold: f64, strengths: (f64, f64), nominal: &Nominal, events_per_pixel_s: f64) -> f64 {
+pub fn value(part: &Part, control: f64, threshold: f64, effect_sizes: (f64, f64), nominal: &Nominal, events_per_pixel_s: f64) -> f64 {
     let beyond = libm::sqrt(f64::max(part.size * part.size - control * control, 0.0));
     match CANDIDATES[part.candidate].id {
-        MISMATCH => beyond * strengths.0 * threshold,
+        MISMATCH => beyond * effect_sizes.0 * threshold,
         // In log of the period.
-        SPREAD => beyond * strengths.1 / f64::max(nominal.pixel.refractory_ns as f64 * 1e-9, LEAST_REFRACTORY_S),
+        SPREAD => beyond * effect_sizes.1 / f64::max(nominal.pixel.refractory_ns as f64 * 1e-9, LEAST_REFRACTORY_S),
         "background_activity" => f64::max(part.size - control, 0.0) * events_per_pixel_s,
         "event_loss" => f64::max(part.size - control, 0.0),
         _ => beyond,

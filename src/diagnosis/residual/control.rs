@@ -19,7 +19,7 @@ pub struct Behind {
     pub frames: Vec<f32>,
 }
 
-/// Of light, this share is left at least when it is corrected for what a fit takes away.
+/// Of light, this share is left at least when it is corrected for what a fit removes.
 const LEAST_LEFT: f64 = 0.3;
 
 impl Behind {
@@ -28,7 +28,7 @@ impl Behind {
         Behind { frames: light.frames(case, nominal), light }
     }
 
-    /// The scene that gives a fitted one when its frames are fitted, to first order: it has what the fit takes away, and what frames leave open is drawn at random.
+    /// The scene that gives a fitted one when its frames are fitted, to first order: it has what the fit removes, and what frames leave open is drawn at random.
     ///
     /// A fit of frames of the scene s gives f(s) = s + b(s). With r rough around s' = f(s), s' + a (r - f(r)) is fitted as s' where b changes little between the two; a, 0 to 1, is how much of
     /// the pattern that frames of r lose is in the residuals of frames. `light`: of s'.
@@ -133,7 +133,7 @@ mod tests {
             let found = evidence(&case, &nominal, source.as_ref(), &EvidenceSetting::default()).unwrap();
             found.control_median / found.median
         };
-        // How sharp edges are follows from the frames to a factor of two or three; the picture as it is says nothing of it.
+        // How sharp edges are follows from the frames to a factor of two or three; the picture as it is does not constrain it.
         let (sharp, soft) = (ratio(PictureSetting::default().sharpest), ratio(0.0));
         assert!((0.3..3.0).contains(&sharp) && soft < 0.5 * sharp, "the control misses by {sharp} of what the recording does, on the picture by {soft}");
     }

@@ -1,7 +1,7 @@
 //! Which effects explain the events, on a scene that frames alone (or the user) state.
 //!
 //! 1. Events count where the scene predicts the frames around them ([`super::gate`]).
-//! 2. Every effect of the catalogue that has a size gets a column: what a small strength of it changes of every residual. It is fitted with its own noise and judged on
+//! 2. Every effect of the catalogue that has a size gets a column: what a small effect size of it changes of every residual. It is fitted with its own noise and judged on
 //!    the half of the blocks that it was not fitted to ([`super::table`]).
 //! 3. The best are evaluated exactly, at their size, until it moves no more.
 //! 4. A control goes the same way ([`super::control`]): what it gains is what a regularised picture costs, and every gain and size is counted from there.
@@ -45,7 +45,7 @@ pub struct EvidenceSetting {
     pub block: usize,
     /// Least threshold noise, as a share of the threshold.
     pub least_noise: f64,
-    /// Strength of the finite differences, as a share of a usual one.
+    /// Effect size of the finite differences, as a share of a usual one.
     pub probe: f64,
     /// So many of the best are evaluated exactly.
     pub refined: usize,
@@ -57,8 +57,8 @@ pub struct EvidenceSetting {
     pub refined_second: usize,
     /// A size that moves by less than this share stands.
     pub still: f64,
-    /// Largest strength of a search.
-    pub most_strength: f64,
+    /// Largest effect size of a search.
+    pub largest_effect_size: f64,
     /// Least noise of single events that matters, of thresholds or of stamps at the median slope, as a share of the threshold.
     pub least_event_noise: f64,
     /// On known light, noise of thresholds below this share of them is none that a description without `threshold_noise` contradicts.
@@ -77,8 +77,8 @@ pub struct EvidenceSetting {
     pub located: LocatedSetting,
     /// How what is in no catalogue is looked for.
     pub open: OpenSetting,
-    /// So many of it are told.
-    pub laws: usize,
+    /// So many of it are reported.
+    pub dependences: usize,
 }
 
 impl Default for EvidenceSetting {
@@ -100,7 +100,7 @@ impl Default for EvidenceSetting {
             worth_refining: 0.3,
             refined_second: 4,
             still: 0.003,
-            most_strength: 12.0,
+            largest_effect_size: 12.0,
             least_event_noise: 0.015,
             least_unstated_noise: 0.05,
             least_spread: 0.1,
@@ -110,7 +110,7 @@ impl Default for EvidenceSetting {
             seed: 1,
             located: LocatedSetting::default(),
             open: OpenSetting::default(),
-            laws: 6,
+            dependences: 6,
         }
     }
 }
@@ -120,9 +120,9 @@ impl Default for EvidenceSetting {
 pub struct Ranked {
     /// Number in [`CANDIDATES`].
     pub candidate: usize,
-    /// Its size, in strengths, less what the control finds.
-    pub strength: f64,
-    /// Standard error, strengths.
+    /// Its size, in effect sizes, less what the control finds.
+    pub effect_size: f64,
+    /// Standard error, effect sizes.
     pub error: f64,
     /// The parameter, in the unit of its declaration.
     pub value: f64,
@@ -130,20 +130,20 @@ pub struct Ranked {
     pub gain: f64,
     /// Its standard error.
     pub gain_error: f64,
-    /// Fisher information of an event about the strength: half of it times the strength's square is what a small one gains.
+    /// Fisher information of an event about the effect size: half of it times the effect size's square is what a small one gains.
     #[serde(default)]
     pub information: f64,
-    /// What a strength of 1 adds to the parameter's nominal value, in the unit of its declaration.
+    /// What an effect size of 1 adds to the parameter's nominal value, in the unit of its declaration.
     #[serde(default)]
     pub unit: f64,
     /// The same of the control.
     pub control_gain: f64,
-    /// And the size that the control finds, strengths.
-    pub control_strength: f64,
+    /// And the size that the control finds, effect sizes.
+    pub control_effect_size: f64,
     /// Was it evaluated at its size?
     pub is_exact: bool,
-    /// Strength of the first effect beside this one, of a second effect.
-    pub beside: Option<f64>,
+    /// Effect size of the first effect together with this one, of a second effect.
+    pub of_first: Option<f64>,
     /// Median absolute residual over the threshold that it leaves.
     pub left: f64,
     /// Distance of what it leaves from the control's noise ([`EventNoise::distance`]); 0 where it was not evaluated exactly.
@@ -169,7 +169,7 @@ impl Ranked {
     /// What it stands for among others where wider noise of events alone gains `noise` ([`Evidence::noise`]), nats per event.
     ///
     /// Wider noise is held against the control's noise, and every other effect against the noise that its own residuals have, which is wider already: what that alone gains is theirs as well.
-    /// Noise by itself lets the others gain next to nothing.
+    /// Noise by itself lets the others gain almost nothing.
     pub fn standing(&self, noise: f64) -> f64 {
         let is_noise = NOISE.contains(&CANDIDATES[self.candidate].id);
         if is_noise || self.beyond() <= 0.0 { self.beyond() } else { self.beyond() + f64::max(noise - OVER_NOISE, 0.0) }
@@ -314,13 +314,13 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let swing = table.residual().iter().enumerate().map(|(k, left)| (table.events.t_ns[k], f64::from(table.events.polarity[k]) * left));
     let frame_ns = case.frames.as_ref().and_then(|frames| frames.times.mean_period_ns()).map(|period| period as i64);
     let period_ns = strongest_period_ns(swing, case.span, frame_ns);
-    let control_laws = control_seen.laws(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
-    let laws = |seen: &Seen<'_>, table: &Table, laid: &[Laid], places: &Places<'_>| -> Vec<Open> {
-        let mut found = seen.laws(table, laid);
-        open::beyond(&mut found, &control_laws);
-        found.truncate(setting.laws);
+    let control_dependences = control_seen.dependences(&control_table, &control_seen.lay(&control_table, nominal, period_ns)[0]);
+    let dependences = |seen: &Seen<'_>, table: &Table, laid: &[Laid], places: &Places<'_>| -> Vec<Open> {
+        let mut found = seen.dependences(table, laid);
+        open::beyond(&mut found, &control_dependences);
+        found.truncate(setting.dependences);
         if let Some(best) = found.first_mut() {
-            seen.locate_law(table, laid, places, best);
+            seen.locate_dependence(table, laid, places, best);
         }
         found
     };
@@ -335,7 +335,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let ranked = seen.rank(&stated, &table, &control_table, None, setting.refined, nominal, &places)?;
     let white = seen.white(&stated, source)?;
     let (random, of_chance) = control_ground.beyond(&table, white);
-    let open = laws(&seen, &table, &laid[0], &places);
+    let open = dependences(&seen, &table, &laid[0], &places);
     // What a known scene leaves open is no misfit.
     let left_of = |table: &Table| median_share(if source.is_known() { table.sharp() } else { table.residual() }, scales.threshold);
     let base_median = left_of(&table);
@@ -347,8 +347,8 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let (mut second, mut random_second, mut open_second) = (Vec::new(), Vec::new(), Vec::new());
     if let Some(first) = &first {
         let is_random = CANDIDATES[first.candidate].is_random;
-        let strength = first.strength + first.control_strength;
-        let with = if is_random { stated.clone() } else { on_top(&stated, first.candidate, strength, &scales) };
+        let effect_size = first.effect_size + first.control_effect_size;
+        let with = if is_random { stated.clone() } else { on_top(&stated, first.candidate, effect_size, &scales) };
         let shifted = of_chance.iter().find(|part| is_random && part.candidate == first.candidate).and_then(|part| part.left.as_ref());
         if let Some(left) = shifted {
             // Each pixel with its own size, each event with its mean delay from here on.
@@ -360,15 +360,15 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
         }
         let table = seen.table(&with, Some(first.candidate), softest)?;
         left = [left_of(&table); 2];
-        let beside = (!is_random).then_some((first.candidate, strength));
+        let first_effect = (!is_random).then_some((first.candidate, effect_size));
         let laid = seen.lay(&table, nominal, period_ns);
         let places = seen.places(&table, &laid);
-        second = seen.rank(&stated, &table, &control_table, beside, setting.refined_second, nominal, &places)?;
+        second = seen.rank(&stated, &table, &control_table, first_effect, setting.refined_second, nominal, &places)?;
         let white = seen.white(&with, source)?;
         random_second = control_ground.beyond(&table, white).0;
         random_second.retain(|other| other.candidate != first.candidate);
         noise[1] = of_noise(&random_second, source.is_known());
-        open_second = laws(&seen, &table, &laid[0], &places);
+        open_second = dependences(&seen, &table, &laid[0], &places);
         if let Some(other) = second.first().filter(|other| other.is_exact) {
             left[1] = other.left;
         }
@@ -414,8 +414,8 @@ struct Chance<'a> {
     slope_per_s: f64,
     /// Events a second and a pixel.
     rate: f64,
-    /// What one strength of [`OF_PIXELS`] is.
-    strengths: [f64; 2],
+    /// What one effect size of [`OF_PIXELS`] is.
+    effect_sizes: [f64; 2],
 }
 
 impl<'a> Chance<'a> {
@@ -430,12 +430,12 @@ impl<'a> Chance<'a> {
     ) -> Chance<'a> {
         let least = setting.least_noise * scales.threshold;
         let noise = EventNoise::estimate(control.sharp(), &control.events.slope_per_s, least);
-        let strengths = OF_PIXELS.map(|(id, parameter)| {
+        let effect_sizes = OF_PIXELS.map(|(id, parameter)| {
             Candidate::find(id, parameter).map_or(0.0, |candidate| candidate.value(1.0, scales, nominal) - candidate.value(0.0, scales, nominal))
         });
         let rate = case.events.all().len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
         let of_control = of_table(control, white, setting, scales.threshold, &noise);
-        Chance { setting, scales, nominal, is_known, noise, control: of_control, slope_per_s, rate, strengths }
+        Chance { setting, scales, nominal, is_known, noise, control: of_control, slope_per_s, rate, effect_sizes }
     }
 
     /// Best first, and the parts themselves.
@@ -454,11 +454,11 @@ impl<'a> Chance<'a> {
             .zip(&self.control)
             .map(|(part, control)| Ranked {
                 candidate: part.candidate,
-                strength: part.size,
-                value: part_value(part, control.size, threshold, (self.strengths[0], self.strengths[1]), self.nominal, self.rate),
+                effect_size: part.size,
+                value: part_value(part, control.size, threshold, (self.effect_sizes[0], self.effect_sizes[1]), self.nominal, self.rate),
                 gain: part.gain,
                 control_gain: control.gain.max(0.0),
-                control_strength: control.size,
+                control_effect_size: control.size,
                 is_exact: true,
                 ..Ranked::default()
             })

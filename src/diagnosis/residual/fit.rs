@@ -94,7 +94,7 @@ fn probability_t(z: f64) -> f64 {
     0.5 + (s / (1.0 + s * s) + libm::atan(s)) / std::f64::consts::PI
 }
 
-/// What stands beside residuals: events first, then frame values (of a scene that does not hang on them), each kind with a noise of its own.
+/// What stands with residuals: events first, then frame values (of a scene that does not hang on them), each kind with a noise of its own.
 #[derive(Clone, Copy, Debug)]
 pub struct Rows<'a> {
     /// How fast the voltage moves at events, ln/s; how bright frame values are, DN.
@@ -105,9 +105,9 @@ pub struct Rows<'a> {
     pub events: usize,
     /// Least noise, natural-log units.
     pub least: f64,
-    /// What a picture that is too soft leaves, and how much of it may be taken off: fitted beside everything.
+    /// What a picture that is too soft leaves, and how much of it may be subtracted: fitted with everything.
     pub soft: Option<Soft<'a>>,
-    /// What the free parameters of the scene change of each row, each per standard deviation that it has before the recording: fitted beside everything.
+    /// What the free parameters of the scene change of each row, each per standard deviation that it has before the recording: fitted with everything.
     pub free: &'a [Column],
 }
 
@@ -199,7 +199,7 @@ pub struct Fitted {
     pub gain: f64,
     /// Standard error of the gain, by blocks.
     pub gain_error: f64,
-    /// Sizes of what is free of the scene ([`Rows::free`]) beside them.
+    /// Sizes of what is free of the scene ([`Rows::free`]) with them.
     pub free: Vec<f64>,
     /// Of one column, Fisher information of an event about its size: a small size gains half of this times its square, nats an event.
     pub information: f64,
@@ -482,7 +482,7 @@ mod tests {
         let (without, with, half) = (gain(0.0), gain(-0.2), gain(-0.02));
         assert!(without.gain > 0.3, "{without:?}");
         assert!(with.gain.abs() < 0.01 && with.size[0].abs() < 0.003, "{with:?}");
-        assert!((0.05..without.gain).contains(&half.gain), "only as much is taken off as is allowed: {half:?}");
+        assert!((0.05..without.gain).contains(&half.gain), "only as much is subtracted as is allowed: {half:?}");
         let left = without_softness(&residual, &rows(&slope, &block, Some(Soft { column: &soft, log_slope: &flat, most: -0.2 })));
         left.iter().zip(&noise).for_each(|(left, noise)| assert!((left - noise).abs() < 0.01));
     }

@@ -94,7 +94,7 @@ mod tests {
         // Nine normal values all within 4.5 median absolute deviations: 0.9976 to the ninth power, and their mean.
         let everywhere = |_: usize| true;
         assert!(share(&Gate::new(&case, &residual, (1.0, 0.0), 4.5), &everywhere) > 0.94);
-        // Half of the array misses by twice the noise: the median of all is then larger, but differences of neighbours tell.
+        // Half of the array misses by twice the noise: the median of all is then larger, but differences of neighbours show it.
         let left = |k: usize| k % 24 < 11;
         residual.iter_mut().enumerate().filter(|(k, _)| k % 24 < 12).for_each(|(_, r)| *r += 10.0);
         let gate = Gate::new(&case, &residual, (1.0, 0.0), 4.5);

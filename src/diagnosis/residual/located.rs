@@ -2,16 +2,16 @@
 //!
 //! Each event gains the log density of its residual with the effect less that without it, both under the noise that is left with the effect ([`super::fit::gains`]): an event that
 //! the effect changes nothing of gains nothing. The mean gain per event is then compared between parts of the array, of the time, of the light and of the polarities, with errors from
-//! blocks of pixels. A part is reported only where the rest gains next to nothing compared with it ([`LocatedSetting::rest`]) and the two differ by many standard errors
+//! blocks of pixels. A part is reported only where the rest gains almost nothing compared with it ([`LocatedSetting::rest`]) and the two differ by many standard errors
 //! ([`LocatedSetting::certain`]), and still differ where the part is chosen on one half of the blocks and judged on the other; otherwise the whole range is.
 //!
-//! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate leaves out say nothing; random effects are not located.
+//! Limits: gains are those of the fit, not held out; one contiguous part for each axis; events that the gate leaves out carry no information; random effects are not located.
 
 use super::open::Laid;
 use crate::candidates::CANDIDATES;
 use crate::case::Case;
 use crate::covariates::Covariate;
-use crate::law::Law;
+use crate::dependence::Dependence;
 use crate::report::Location;
 use crate::verdict::{Answer, Claim, Decided, Unexplained};
 use serde::{Deserialize, Serialize};
@@ -181,9 +181,9 @@ impl Located {
 
     /// The same of a curve that has no name: the covariate and how it runs are the curve's own.
     #[must_use]
-    pub fn of_law(self, law: &Law, setting: &LocatedSetting) -> Located {
-        let shape = if law.covariate.is_class() { "differs" } else { shape(&law.value, setting.straight) };
-        Located { covariate: law.covariate.name().to_owned(), shape: shape.to_owned(), ..self }
+    pub fn of_dependence(self, dependence: &Dependence, setting: &LocatedSetting) -> Located {
+        let shape = if dependence.covariate.is_class() { "differs" } else { shape(&dependence.value, setting.straight) };
+        Located { covariate: dependence.covariate.name().to_owned(), shape: shape.to_owned(), ..self }
     }
 }
 
@@ -218,7 +218,7 @@ pub fn of_claim<'a>(decided: Option<&'a Decided>, claim: &Claim) -> Option<&'a L
 
 /// Where what has no name is; none where it is not the curve that was located.
 pub fn of_unnamed<'a>(decided: Option<&'a Decided>, found: &Unexplained) -> Option<&'a Located> {
-    let is_it = |own: &Unexplained| own.law.is_some() && own.law == found.law;
+    let is_it = |own: &Unexplained| own.dependence.is_some() && own.dependence == found.dependence;
     decided.filter(|decided| decided.unexplained.as_ref().is_some_and(is_it))?.located.unnamed.as_ref()
 }
 
@@ -421,7 +421,7 @@ impl<'a> Ground<'a> {
         let is_own = |covariate: Covariate| own.split('*').any(|factor| factor == covariate.name() || (factor == "dn" && covariate == Covariate::Photocurrent));
         let own_curve = best_of(&is_own);
         let by_own = own_curve.map_or(0.0, |n| explained[n]);
-        // Where every event gains about as much, what little it varies by says nothing of the effect.
+        // Where every event gains about as much, what little it varies by does not constrain the effect.
         let displaces = |n: &usize| {
             explained[*n] >= self.setting.least_displacing && explained[*n] > self.setting.displaces * by_own && self.is_uneven(gains, &self.bins[*n].1)
         };

@@ -1,4 +1,4 @@
-//! Effects that were put on a part of a recording are found there, and one that is everywhere is found everywhere.
+//! Effects that were applied to a part of a recording are found there, and one that is everywhere is found everywhere.
 
 use super::*;
 use crate::candidates::{Candidate, Scales, Trial};
@@ -20,10 +20,10 @@ fn texture() -> (MadeUp, Case, Nominal) {
     (scene, case, nominal)
 }
 
-/// The same scene recorded with an effect at a strength.
-fn with_effect(scene: &MadeUp, plain: &Case, nominal: &Nominal, id: &str, parameter: &str, strength: f64) -> Case {
+/// The same scene recorded with an effect at an effect size.
+fn with_effect(scene: &MadeUp, plain: &Case, nominal: &Nominal, id: &str, parameter: &str, effect_size: f64) -> Case {
     let candidate = Candidate::find(id, parameter).unwrap();
-    scene.recording_through(Some(&Trial::with(nominal, candidate, strength, &Scales::of(plain, nominal)))).unwrap()
+    scene.recording_through(Some(&Trial::with(nominal, candidate, effect_size, &Scales::of(plain, nominal)))).unwrap()
 }
 
 /// Events of one recording where `is_other` says so (pixel, time in ns), and of another elsewhere.

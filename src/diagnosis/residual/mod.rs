@@ -1,6 +1,6 @@
 //! By how much every event missed its threshold when the scene is given, and what each effect would change of that.
 //!
-//! For an event of polarity p: e = V(t) - V_ref - p theta, with V the front end's answer to the pixel's light and V_ref what the reset law gives from the event before. Events stand
+//! For an event of polarity p: e = V(t) - V_ref - p theta, with V the front end's answer to the pixel's light and V_ref what the reset rule gives from the event before. Events stand
 //! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that
 //! frames imply: [`through_frames`] takes it off.
 //!

@@ -17,7 +17,7 @@ use crate::picture::{Begin, Picture, PictureSetting};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// When parts are fitted, and which are believed.
+/// When parts are fitted, and which are used.
 #[derive(Clone, Copy, Debug)]
 pub struct MosaicSetting {
     /// How the array and the recording are cut.

@@ -1,13 +1,13 @@
 //! What no effect of the catalogue has: the threshold, the delay of stamps, or a rate without light, free in every bin of a covariate.
 //!
 //! With residuals that are small, looking for the unknown is a regression. Each bin gets a size of its own, judged on the blocks that it was not fitted to, and what one size for all
-//! bins would gain is taken off: that is an effect of the catalogue.
+//! bins would gain is subtracted: that is an effect of the catalogue.
 
 use super::Residuals;
 use super::fit::{self, Column, Fitted, Plain, Rows, Seen, heldout};
 use super::located::Located;
 use crate::covariates::{Covariate, Surroundings};
-use crate::law::{Law, Moved};
+use crate::dependence::{Dependence, Moved};
 use serde::{Deserialize, Serialize};
 
 /// How the open set is looked at.
@@ -31,7 +31,7 @@ impl Default for OpenSetting {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Open {
     /// The curve.
-    pub law: Law,
+    pub dependence: Dependence,
     /// Gain beyond one size for all bins, nats an event.
     pub gain: f64,
     /// Its standard error by blocks.
@@ -53,7 +53,7 @@ impl Open {
 /// Takes what the control finds off, and sorts again, best first.
 pub fn beyond(found: &mut [Open], control: &[Open]) {
     for one in found.iter_mut() {
-        let same = |other: &&Open| (other.law.covariate, other.law.moved) == (one.law.covariate, one.law.moved);
+        let same = |other: &&Open| (other.dependence.covariate, other.dependence.moved) == (one.dependence.covariate, one.dependence.moved);
         one.control_gain = control.iter().find(same).map_or(0.0, |other| other.gain);
     }
     found.sort_by(|a, b| b.beyond().total_cmp(&a.beyond()));
@@ -90,12 +90,12 @@ pub fn lay(events: &Residuals, surroundings: &Surroundings<'_>, period_ns: Optio
 /// Every covariate with everything that may be moved, best first.
 ///
 /// `residual`: natural-log units, by event; `block`: of each event; `threshold`: mean one, natural-log units; `least`: least noise.
-pub fn laws(events: &Residuals, residual: &[f64], block: &[u32], laid: &[Laid], threshold: f64, least: f64, setting: &OpenSetting) -> Vec<Open> {
+pub fn dependences(events: &Residuals, residual: &[f64], block: &[u32], laid: &[Laid], threshold: f64, least: f64, setting: &OpenSetting) -> Vec<Open> {
     let mut found: Vec<Open> = laid
         .iter()
         .filter(|laid| !LEFT_OUT.contains(&laid.covariate))
         .flat_map(|laid| [Moved::Threshold, Moved::Stamps, Moved::Rate].into_iter().map(move |moved| (laid, moved)))
-        .filter_map(|(laid, moved)| law(events, residual, block, laid, moved, threshold, least, setting))
+        .filter_map(|(laid, moved)| dependence(events, residual, block, laid, moved, threshold, least, setting))
         .collect();
     found.sort_by(|a, b| b.gain.total_cmp(&a.gain));
     found
@@ -143,13 +143,13 @@ pub fn gains(
     residual: &[f64],
     block: &[u32],
     laid: &[Laid],
-    law: &Law,
+    dependence: &Dependence,
     threshold: f64,
     least: f64,
     setting: &OpenSetting,
 ) -> Option<Vec<f64>> {
-    let laid = laid.iter().find(|laid| laid.covariate == law.covariate)?;
-    let free = Free::new(events, laid, law.moved, threshold, setting)?;
+    let laid = laid.iter().find(|laid| laid.covariate == dependence.covariate)?;
+    let free = Free::new(events, laid, dependence.moved, threshold, setting)?;
     let rows = Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] };
     let left = |columns: &[&Column]| -> Vec<f64> {
         let of: Vec<&[f32]> = columns.iter().map(|column| &column.of[..]).collect();
@@ -161,7 +161,16 @@ pub fn gains(
     Some(fit::gains((seen(&one), &rows), (seen(&all), &rows)))
 }
 
-fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: Moved, threshold: f64, least: f64, setting: &OpenSetting) -> Option<Open> {
+fn dependence(
+    events: &Residuals,
+    residual: &[f64],
+    block: &[u32],
+    laid: &Laid,
+    moved: Moved,
+    threshold: f64,
+    least: f64,
+    setting: &OpenSetting,
+) -> Option<Open> {
     let Free { bins, of, columns, whole } = Free::new(events, laid, moved, threshold, setting)?;
     let count = bins.count();
     let plain = Plain::new(residual, Rows { slope: &events.slope_per_s, block, events: residual.len(), least, soft: None, free: &[] });
@@ -172,7 +181,7 @@ fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: 
     let weight = |bin: usize| of.iter().filter(|at| **at == Some(bin)).count() as f64;
     let mean = (0..count).map(|bin| weight(bin) * value[bin]).sum::<f64>() / f64::max((0..count).map(weight).sum(), 1.0);
     let taken = 1.0 - libm::exp(-2.0 * gain.max(0.0));
-    let law = Law {
+    let dependence = Dependence {
         moved,
         covariate: laid.covariate,
         period_s: laid.period_ns.map(|period_ns| period_ns as f64 * 1e-9),
@@ -183,7 +192,7 @@ fn law(events: &Residuals, residual: &[f64], block: &[u32], laid: &Laid, moved: 
         significance: gain / f64::max(all.gain_error, 1e-9),
         nats_per_event: gain,
     };
-    Some(Open { law, gain, gain_error: all.gain_error, control_gain: 0.0, located: None })
+    Some(Open { dependence, gain, gain_error: all.gain_error, control_gain: 0.0, located: None })
 }
 
 /// Bins of a covariate with about as many events each; classes are their own.
@@ -268,18 +277,18 @@ mod tests {
             residual[k] += 2e-4 * parity[k] * (events.slope_per_s[k] - events.slope_before_per_s[k]);
         }
         let laid = [laid(parity, Covariate::RowParity), laid(row, Covariate::Row)];
-        let found = laws(&events, &residual, &block, &laid, 0.2, 1e-4, &OpenSetting::default());
-        assert_eq!((found[0].law.covariate, found[0].law.moved), (Covariate::RowParity, Moved::Stamps));
-        assert!((found[0].law.value[1] - found[0].law.value[0] - 2e-4).abs() < 5e-6, "{:?}", found[0].law.value);
+        let found = dependences(&events, &residual, &block, &laid, 0.2, 1e-4, &OpenSetting::default());
+        assert_eq!((found[0].dependence.covariate, found[0].dependence.moved), (Covariate::RowParity, Moved::Stamps));
+        assert!((found[0].dependence.value[1] - found[0].dependence.value[0] - 2e-4).abs() < 5e-6, "{:?}", found[0].dependence.value);
         assert!(found[1].gain < 0.2 * found[0].gain, "{:?}", found[1]);
     }
 
     #[test]
-    fn one_size_for_all_bins_is_no_law() {
+    fn one_size_for_all_bins_is_no_dependence() {
         let (events, block, mut residual) = events(8_000);
         let row: Vec<f64> = events.pixel.iter().map(|pixel| f64::from(pixel / 64)).collect();
         residual.iter_mut().zip(&events.polarity).for_each(|(residual, polarity)| *residual += 0.02 * f64::from(*polarity));
-        let found = laws(&events, &residual, &block, &[laid(row, Covariate::Row)], 0.2, 1e-4, &OpenSetting::default());
+        let found = dependences(&events, &residual, &block, &[laid(row, Covariate::Row)], 0.2, 1e-4, &OpenSetting::default());
         assert!(found.iter().all(|one| one.gain < 0.01), "{:?}", found[0]);
     }
 }

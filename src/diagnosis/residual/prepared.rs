@@ -1,4 +1,4 @@
-//! A trial ready to be evaluated: its effects built and told the load of the recording, and the mixture of neighbours that they make.
+//! A trial ready to be evaluated: its effects built and given the load of the recording, and the mixture of neighbours that they make.
 
 use crate::candidates::Trial;
 use crate::case::Case;
@@ -7,7 +7,7 @@ use crate::record::effects_of;
 use photocurrent_sensor::effects::{Effect, Kernel};
 use photocurrent_sensor::forward::neighbours::joined;
 
-/// A trial with its effects built and told the load of the recording.
+/// A trial with its effects built and given the load of the recording.
 pub struct Prepared {
     /// The base fields.
     pub nominal: Nominal,

@@ -58,7 +58,7 @@ pub trait Source: Sync {
     /// When that recording's frames cannot be fitted.
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String>;
 
-    /// The same scene as rough as it may be: what frames leave open of it drawn at random, edges as sharp as the fit cannot tell; none where nothing is open.
+    /// The same scene as rough as it may be: what frames leave open of it drawn at random, edges as sharp as the fit cannot resolve; none where nothing is open.
     ///
     /// # Errors
     /// When the recording's frames cannot be fitted.
@@ -74,7 +74,7 @@ pub trait Source: Sync {
     fn misfit(&self) -> f64;
 }
 
-/// Where something moves before something else, most frame values are those of what stands still and say nothing of how well the rest is predicted: errors below this share of a threshold
+/// Where something moves before something else, most frame values are those of what stands still and do not constrain how well the rest is predicted: errors below this share of a threshold
 /// are small enough for its events.
 pub const STEP: f64 = 0.15;
 
@@ -281,11 +281,12 @@ mod tests {
     fn seen(scene: &MadeUp, effect: Option<(&str, &str, f64)>) -> (Evidence, Option<f64>) {
         let nominal = scene.recording().unwrap().nominal().unwrap();
         let scales = Scales::of(&scene.recording().unwrap(), &nominal);
-        let candidate = effect.map(|(id, parameter, strength)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), strength));
-        let trial = candidate.map(|(one, strength)| Trial::with(&nominal, one, strength, &scales));
+        let candidate =
+            effect.map(|(id, parameter, effect_size)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), effect_size));
+        let trial = candidate.map(|(one, effect_size)| Trial::with(&nominal, one, effect_size, &scales));
         let case = scene.recording_through(trial.as_ref()).unwrap();
         let source = Given::new(&case, &nominal, scene.light().into(), &PictureSetting::default());
-        let truth = candidate.map(|(one, strength)| one.value(strength, &scales, &nominal));
+        let truth = candidate.map(|(one, effect_size)| one.value(effect_size, &scales, &nominal));
         (evidence(&case, &nominal, &source, &EvidenceSetting::default()).unwrap(), truth)
     }
 

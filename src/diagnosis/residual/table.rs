@@ -41,7 +41,7 @@ pub(super) struct Seen<'a> {
     pub by: Vec<f64>,
     /// And the light with each of them moved from there by a step ([`Seen::steps`]).
     pub near: Vec<(f64, Light)>,
-    /// What each pixel's own size of a random effect takes off each residual; nothing, or of the stated sensor's events.
+    /// What each pixel's own size of a random effect subtracts from each residual; nothing, or of the stated sensor's events.
     pub own: Vec<f32>,
 }
 
@@ -63,7 +63,7 @@ pub(super) struct Table {
     /// Logarithms of the events' slopes.
     log_slope: Vec<f32>,
     least: f64,
-    /// At most so much of the blur's column is taken off beside everything, below 0.
+    /// At most so much of the blur's column is subtracted in addition to everything, below 0.
     softest: f64,
     /// Columns of the candidates.
     columns: Vec<(usize, Column)>,
@@ -105,14 +105,14 @@ impl Table {
         self.columns.iter().find(|(n, _)| is_it(*n)).map(|(_, column)| column)
     }
 
-    /// Fits every column beside what a picture that is too soft leaves, `softest` of it at most.
+    /// Fits every column with what a picture that is too soft leaves, `softest` of it at most.
     pub fn fit(&mut self, softest: f64) {
         self.softest = softest;
         let plain = |is_sharp: bool| Plain::new(&self.base, self.rows(is_sharp));
         let (soft, sharp) = (plain(false), plain(true));
-        let beside = |n: usize| if CANDIDATES[n].id == SOFTNESS { &sharp } else { &soft };
+        let base = |n: usize| if CANDIDATES[n].id == SOFTNESS { &sharp } else { &soft };
         let nats_per_event = soft.nats_per_event(&self.log_slope);
-        self.fitted = self.columns.iter().map(|(n, column)| (*n, heldout(beside(*n), &[column]))).collect();
+        self.fitted = self.columns.iter().map(|(n, column)| (*n, heldout(base(*n), &[column]))).collect();
         let mut left = without_softness(&self.base, &self.rows(false));
         left.truncate(self.events.pixel.len());
         self.nats_per_event = nats_per_event;
@@ -153,7 +153,7 @@ impl Evaluated {
 
 /// Sizes of some effects together, and their gain over a table's residuals.
 pub(super) struct Refined {
-    pub strength: Vec<f64>,
+    pub effect_size: Vec<f64>,
     pub error: Vec<f64>,
     pub gain: f64,
     pub gain_error: f64,
@@ -231,7 +231,7 @@ impl Seen<'_> {
         near.iter().map(one).collect()
     }
 
-    /// Where sizes of what is free of the scene move it from shares `by`; none where that is next to nothing.
+    /// Where sizes of what is free of the scene move it from shares `by`; none where that is nearly zero.
     fn further(&self, by: &[f64], sizes: &[f64], trial: &Trial) -> Option<(Vec<f64>, Light)> {
         let free = self.source.free();
         let far = |(size, (_, step)): (&f64, &(f64, f64))| (OPEN * size).abs() > NEAR * step.abs();
@@ -320,15 +320,15 @@ impl Seen<'_> {
     }
 
     /// What no effect of the catalogue has, on the residuals of a table.
-    pub fn laws(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
-        open::laws(&table.events, table.sharp(), &table.block[..table.events.pixel.len()], laid, self.scales.threshold, self.least, &self.setting.open)
+    pub fn dependences(&self, table: &Table, laid: &[Laid]) -> Vec<Open> {
+        open::dependences(&table.events, table.sharp(), &table.block[..table.events.pixel.len()], laid, self.scales.threshold, self.least, &self.setting.open)
     }
 
     /// Where the best of them is.
-    pub fn locate_law(&self, table: &Table, laid: &[Laid], places: &Places<'_>, best: &mut Open) {
+    pub fn locate_dependence(&self, table: &Table, laid: &[Laid], places: &Places<'_>, best: &mut Open) {
         let (events, block) = (&table.events, &table.block[..table.events.pixel.len()]);
-        let gains = open::gains(events, table.sharp(), block, laid, &best.law, self.scales.threshold, self.least, &self.setting.open);
-        best.located = gains.map(|gains| places.events.locate(&gains, best.law.covariate.name()).of_law(&best.law, &self.setting.located));
+        let gains = open::gains(events, table.sharp(), block, laid, &best.dependence, self.scales.threshold, self.least, &self.setting.open);
+        best.located = gains.map(|gains| places.events.locate(&gains, best.dependence.covariate.name()).of_dependence(&best.dependence, &self.setting.located));
     }
 
     fn block_of(&self, pixel: usize) -> u32 {
@@ -337,7 +337,7 @@ impl Seen<'_> {
         (2 * (by * width.div_ceil(side) + bx) + (bx + by) % 2) as u32
     }
 
-    /// First-order fits of every effect on top of a sensor, but for one candidate; beside a picture that is too soft by `softest` at most.
+    /// First-order fits of every effect on top of a sensor, but for one candidate; with a picture that is too soft by `softest` at most.
     pub fn table(&self, trial: &Trial, without: Option<usize>, softest: f64) -> Result<Table, String> {
         // One that cannot be combined with what is there is no candidate.
         let can_be = |n: &usize| Prepared::new(self.case, &on_top(trial, *n, self.probe(*n), self.scales)).is_ok();
@@ -384,9 +384,10 @@ impl Seen<'_> {
 
     /// Sizes of effects on top of a sensor by Gauss-Newton on their exact models, from first ones; their gain is that over the residuals of `table`.
     pub fn refine(&self, trial: &Trial, table: &Table, which: &[usize], begin: &[f64]) -> Result<Refined, String> {
-        let put = |strengths: &[f64]| which.iter().zip(strengths).fold(trial.clone(), |trial, (&n, &strength)| on_top(&trial, n, strength, self.scales));
+        let put =
+            |effect_sizes: &[f64]| which.iter().zip(effect_sizes).fold(trial.clone(), |trial, (&n, &effect_size)| on_top(&trial, n, effect_size, self.scales));
         let is_free: Vec<bool> = which.iter().map(|&n| CANDIDATES[n].signs != Signs::Switch).collect();
-        let mut strength: Vec<f64> = (0..which.len()).map(|i| if is_free[i] { self.bounded(which[i], begin[i]) } else { 1.0 }).collect();
+        let mut effect_size: Vec<f64> = (0..which.len()).map(|i| if is_free[i] { self.bounded(which[i], begin[i]) } else { 1.0 }).collect();
         let mut error = vec![0.0; which.len()];
         let free: Vec<usize> = (0..which.len()).filter(|&i| is_free[i]).collect();
         let rows = table.rows(which.iter().any(|&n| CANDIDATES[n].id == SOFTNESS));
@@ -397,18 +398,18 @@ impl Seen<'_> {
         // Columns, and the sizes that they were taken at.
         let mut known: Option<(Vec<Column>, Vec<f64>)> = None;
         for _ in 0..rounds {
-            let is_near = |at: &Vec<f64>| at.iter().zip(&strength).all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe));
+            let is_near = |at: &Vec<f64>| at.iter().zip(&effect_size).all(|(at, now)| (now - at).abs() < SAME_COLUMN * f64::max(now.abs(), self.setting.probe));
             let is_known = known.as_ref().is_some_and(|(_, at)| is_near(at));
-            let mut trials = vec![put(&strength)];
-            let further: Vec<f64> = free.iter().map(|&i| self.setting.probe * f64::max(0.2, strength[i].abs())).collect();
+            let mut trials = vec![put(&effect_size)];
+            let further: Vec<f64> = free.iter().map(|&i| self.setting.probe * f64::max(0.2, effect_size[i].abs())).collect();
             for (&i, by) in free.iter().zip(&further).filter(|_| !is_known) {
-                let mut moved = strength.clone();
+                let mut moved = effect_size.clone();
                 moved[i] += by;
                 trials.push(put(&moved));
             }
             let found = self.evaluate_on(&light, &trials, Some(table))?;
             if !is_known {
-                known = Some((further.iter().enumerate().map(|(n, by)| found.column(1 + n, 0, *by)).collect(), strength.clone()));
+                known = Some((further.iter().enumerate().map(|(n, by)| found.column(1 + n, 0, *by)).collect(), effect_size.clone()));
             }
             let columns: Vec<&Column> = known.iter().flat_map(|(columns, _)| columns).collect();
             let open_now = match open.take() {
@@ -419,10 +420,10 @@ impl Seen<'_> {
             let step = heldout(&Plain::new(&wide(&found.left[0]), rows), &columns);
             let mut is_still = true;
             for (n, &i) in free.iter().enumerate() {
-                let most = 1.0 + strength[i].abs();
-                let next = self.bounded(which[i], strength[i] + step.size[n].clamp(-most, most));
-                is_still &= (next - strength[i]).abs() < self.setting.still * f64::max(strength[i].abs(), self.setting.probe);
-                (strength[i], error[i]) = (next, step.error[n]);
+                let most = 1.0 + effect_size[i].abs();
+                let next = self.bounded(which[i], effect_size[i] + step.size[n].clamp(-most, most));
+                is_still &= (next - effect_size[i]).abs() < self.setting.still * f64::max(effect_size[i].abs(), self.setting.probe);
+                (effect_size[i], error[i]) = (next, step.error[n]);
             }
             if let Some((moved, there)) = self.further(&by, &step.free, &trials[0]) {
                 near = Cow::Owned(self.steps(&moved));
@@ -435,8 +436,8 @@ impl Seen<'_> {
                 break;
             }
         }
-        let found = self.evaluate_on(&light, &[put(&strength)], Some(table))?;
-        let open = if is_open { self.free(&put(&strength), &near, Some(table), &found.left[0], &found.log_slope[0])? } else { Vec::new() };
+        let found = self.evaluate_on(&light, &[put(&effect_size)], Some(table))?;
+        let open = if is_open { self.free(&put(&effect_size), &near, Some(table), &found.left[0], &found.log_slope[0])? } else { Vec::new() };
         let with_rows = Rows { free: &open, ..rows };
         let mut left = wide(&found.left[0]);
         let before = (fit::Seen { residual: &table.base, log_slope: &table.log_slope }, &rows);
@@ -447,24 +448,24 @@ impl Seen<'_> {
             left = without_softness(&left, &with_rows);
         }
         left.truncate(table.events.pixel.len());
-        Ok(Refined { strength, error, gain, gain_error, left, gains, by })
+        Ok(Refined { effect_size, error, gain, gain_error, left, gains, by })
     }
 
-    /// Strengths that a search may reach, within physics.
-    fn bounded(&self, candidate: usize, strength: f64) -> f64 {
-        let most = self.setting.most_strength;
+    /// Effect sizes that a search may reach, within physics.
+    fn bounded(&self, candidate: usize, effect_size: f64) -> f64 {
+        let most = self.setting.largest_effect_size;
         let least = if CANDIDATES[candidate].signs == Signs::Both { -most } else { 0.0 };
-        strength.clamp(least, most)
+        effect_size.clamp(least, most)
     }
 
-    /// All effects on top of a table's sensor, best first; the best few are exact. With `beside`, an effect that the table's sensor has and its strength, both sizes are fitted together
+    /// All effects on top of a table's sensor, best first; the best few are exact. With `first`, an effect that the table's sensor has and its effect size, both sizes are fitted together
     /// on top of `bare`.
     pub fn rank(
         &self,
         bare: &Trial,
         table: &Table,
         control: &Table,
-        beside: Option<(usize, f64)>,
+        first: Option<(usize, f64)>,
         refined: usize,
         nominal: &Nominal,
         places: &Places<'_>,
@@ -473,16 +474,16 @@ impl Seen<'_> {
         ranked.sort_by(by_gain);
         let best = ranked.first().map_or(0.0, Ranked::beyond);
         for one in ranked.iter_mut().take(refined).filter(|one| one.beyond() > self.setting.worth_refining * best && one.beyond() > 0.0) {
-            let begin = one.strength + one.control_strength;
-            let found = match beside {
-                Some((other, strength)) => self.refine(bare, table, &[one.candidate, other], &[begin, strength])?,
+            let begin = one.effect_size + one.control_effect_size;
+            let found = match first {
+                Some((other, effect_size)) => self.refine(bare, table, &[one.candidate, other], &[begin, effect_size])?,
                 None => self.refine(bare, table, &[one.candidate], &[begin])?,
             };
             let is_switch = CANDIDATES[one.candidate].signs == Signs::Switch;
-            one.strength = if is_switch { found.strength[0] } else { found.strength[0] - one.control_strength };
+            one.effect_size = if is_switch { found.effect_size[0] } else { found.effect_size[0] - one.control_effect_size };
             (one.error, one.gain, one.gain_error, one.is_exact) = (found.error[0], found.gain, found.gain_error, true);
-            one.value = CANDIDATES[one.candidate].value(one.strength, self.scales, nominal);
-            one.beside = beside.map(|_| found.strength[1]);
+            one.value = CANDIDATES[one.candidate].value(one.effect_size, self.scales, nominal);
+            one.of_first = first.map(|_| found.effect_size[1]);
             one.left = median_share(&found.left, self.scales.threshold);
             one.ks = control.noise.distance(&found.left, &table.events.slope_per_s);
             one.located = Some(places.locate(&found.gains, one.candidate));
@@ -496,18 +497,18 @@ impl Seen<'_> {
         let none = Fitted { size: vec![0.0], error: vec![0.0], ..Fitted::default() };
         let control = control.fitted.iter().find(|(n, _)| *n == candidate).map_or(&none, |(_, fitted)| fitted);
         let gain = |of: &Fitted| if is_physics(candidate, of.size[0]) { of.gain } else { 0.0 };
-        let strength = fitted.size[0] - control.size[0];
+        let effect_size = fitted.size[0] - control.size[0];
         Ranked {
             candidate,
-            strength,
+            effect_size,
             error: fitted.error[0],
-            value: CANDIDATES[candidate].value(strength, self.scales, nominal),
+            value: CANDIDATES[candidate].value(effect_size, self.scales, nominal),
             gain: gain(fitted),
             gain_error: fitted.gain_error,
             information: fitted.information,
             unit: CANDIDATES[candidate].value(1.0, self.scales, nominal) - CANDIDATES[candidate].nominal_value(nominal),
             control_gain: gain(control).max(0.0),
-            control_strength: control.size[0],
+            control_effect_size: control.size[0],
             ..Ranked::default()
         }
     }
@@ -530,12 +531,12 @@ pub(super) fn median_share(residual: &[f64], threshold: f64) -> f64 {
 }
 
 /// A sensor with one more effect.
-pub(super) fn on_top(trial: &Trial, candidate: usize, strength: f64, scales: &Scales) -> Trial {
+pub(super) fn on_top(trial: &Trial, candidate: usize, effect_size: f64, scales: &Scales) -> Trial {
     let mut trial = trial.clone();
-    CANDIDATES[candidate].put_on(&mut trial, strength, scales);
+    CANDIDATES[candidate].apply(&mut trial, effect_size, scales);
     trial
 }
 
-fn is_physics(candidate: usize, strength: f64) -> bool {
-    CANDIDATES[candidate].signs == Signs::Both || strength > 0.0
+fn is_physics(candidate: usize, effect_size: f64) -> bool {
+    CANDIDATES[candidate].signs == Signs::Both || effect_size > 0.0
 }

@@ -1,7 +1,7 @@
 //! A known target: a scene in closed form whose free parameters are fitted to the frames, and which says what the frames leave open of them.
 //!
 //! The fit is damped Gauss-Newton with robust weights (Student's t) on a sample of the frame values, each the mean of the scene over its row's exposure, from the best places of a search
-//! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the sensor put into the fit, is fitted beside every effect: the
+//! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the sensor put into the fit, is fitted with every effect: the
 //! derivative of every residual by each free parameter ([`Source::free`], [`Source::moved`]).
 
 use super::control::Behind;
@@ -219,7 +219,7 @@ impl Fit<'_> {
         let median = left.get(left.len() / 2).copied().unwrap_or(f64::NAN);
         let scale = if median.is_finite() { median / 0.765 } else { 1.0 };
         let round = self.round(at, &self.measured);
-        // A parameter that frames say nothing of is open to a third of its range.
+        // A parameter that frames do not constrain is open to a third of its range.
         let least = 1.0 / (OPEN * OPEN);
         let root = round.and_then(|round| {
             let curvature = DMatrix::from_fn(n, n, |i, j| round.normal[(i, j)] / (scale * scale) + if i == j { least } else { 0.0 });

@@ -1,4 +1,4 @@
-//! A known target is found where it is, effects of frames that move the fit are told all the same, and derivatives by its free parameters are those of the residuals.
+//! A known target is found where it is, effects of frames that move the fit are reported all the same, and derivatives by its free parameters are those of the residuals.
 
 use super::*;
 use crate::candidates::{CANDIDATES, Scales, Trial};
@@ -20,13 +20,13 @@ fn recorded(effect: Option<(&str, &str, f64)>) -> (Case, Nominal, Target, Vec<f6
     let plain = scene.recording().unwrap();
     let nominal = plain.nominal().unwrap();
     let scales = Scales::of(&plain, &nominal);
-    let candidate = effect.map(|(id, parameter, strength)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), strength));
-    let trial = candidate.map(|(one, strength)| Trial::with(&nominal, one, strength, &scales));
+    let candidate = effect.map(|(id, parameter, effect_size)| (CANDIDATES.iter().find(|one| one.id == id && one.parameter == parameter).unwrap(), effect_size));
+    let trial = candidate.map(|(one, effect_size)| Trial::with(&nominal, one, effect_size, &scales));
     let case = scene.recording_through(trial.as_ref()).unwrap();
     let (shows, shares) = Shows::around(&scene, 3, STAR);
     let near: Vec<f64> = shares.iter().map(|share| share + 0.01).collect();
     let target = Target::near(&case, &nominal, Arc::new(shows), SETTING, &PictureSetting::default(), &near).unwrap();
-    let truth = candidate.map(|(one, strength)| one.value(strength, &scales, &nominal));
+    let truth = candidate.map(|(one, effect_size)| one.value(effect_size, &scales, &nominal));
     (case, nominal, target, shares, truth)
 }
 

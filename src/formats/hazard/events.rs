@@ -150,7 +150,7 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
                 stamps.longest_equal,
                 time(stamps.common_step_ns as f64)
             ),
-            "nothing, if the read-out gives a row one stamp; order within a stamp says nothing",
+            "nothing, if the read-out gives a row one stamp; order within a stamp carries no information",
         ));
     }
     if stamps.step_ns >= limits.coarse_times * stamps.tick_ns {

@@ -68,7 +68,7 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             Severity::Error,
             "most values of the frames are negative, and no light is",
             format!("{}; from {} to {}", of(values.negative), values.min, values.max),
-            "look for a sign, or a black level that was taken off twice",
+            "look for a sign, or a black level that was subtracted twice",
         ));
     } else if values.negative as f64 > limits.some_negative * all {
         found.push(Finding::new(
@@ -76,7 +76,7 @@ fn values(frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             Severity::Hazard,
             "some values of the frames are negative",
             format!("{}; the least is {}", of(values.negative), values.min),
-            "noise about a black level of zero does this; state `frames.black_level_dn` if one was taken off",
+            "noise about a black level of zero does this; state `frames.black_level_dn` if one was subtracted",
         ));
     }
     let (constant, read) = (values.constant.len(), values.read.len());

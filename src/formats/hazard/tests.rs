@@ -176,7 +176,7 @@ fn frames_that_no_light_makes_are_errors() {
 }
 
 #[test]
-fn clocks_that_do_not_meet_are_told_with_the_offset() {
+fn clocks_that_do_not_meet_are_reported_with_the_offset() {
     let mut made = sound();
     let day = 1_700_000_000_000_000_000;
     made.frames
@@ -191,7 +191,7 @@ fn clocks_that_do_not_meet_are_told_with_the_offset() {
 }
 
 #[test]
-fn events_that_are_late_or_mirrored_are_told() {
+fn events_that_are_late_or_mirrored_are_reported() {
     assert_eq!(with(|made| made.events.t.iter_mut().for_each(|t| *t += 5 * MS)), ["events_late"]);
     assert_eq!(with(|_| {}), Vec::<&str>::new());
 }
@@ -214,7 +214,7 @@ fn a_counter_that_started_again_is_an_error() {
 }
 
 #[test]
-fn stamps_that_stand_still_or_come_in_clumps_are_told() {
+fn stamps_that_stand_still_or_come_in_clumps_are_reported() {
     assert!(with(|made| made.events.t.fill(30 * MS)).contains(&"clock_stands"));
     // A clock of 5 ms; and clumps at times that a clock of 1 us may well have.
     assert!(with(|made| made.events.t.iter_mut().for_each(|t| *t -= *t % (5 * MS))).contains(&"coarse_stamps"));
@@ -224,13 +224,13 @@ fn stamps_that_stand_still_or_come_in_clumps_are_told() {
 }
 
 #[test]
-fn no_events_and_one_polarity_are_told() {
+fn no_events_and_one_polarity_are_reported() {
     assert_eq!(with(|made| made.events.clear())[0], "no_events");
     assert!(with(|made| made.events.on.fill(1)).contains(&"one_polarity"));
 }
 
 #[test]
-fn coordinates_that_do_not_fit_are_told() {
+fn coordinates_that_do_not_fit_are_reported() {
     let scaled = with(|made| {
         made.about.extent = None;
         made.events.x.iter_mut().chain(&mut made.events.y).for_each(|at| *at *= 32);
@@ -257,7 +257,7 @@ fn what_is_not_recorded_is_a_question() {
 }
 
 #[test]
-fn missing_and_repeated_frames_and_long_exposures_are_told() {
+fn missing_and_repeated_frames_and_long_exposures_are_reported() {
     let gap = with(|made| {
         made.frames.stamps.remove(5);
         made.values.remove(5);
@@ -269,7 +269,7 @@ fn missing_and_repeated_frames_and_long_exposures_are_told() {
 }
 
 #[test]
-fn bursts_in_step_with_the_frames_are_told() {
+fn bursts_in_step_with_the_frames_are_reported() {
     let found = with(|made| {
         let mut random = Random::new(9, &[]);
         let events = &made.events;
@@ -288,7 +288,7 @@ fn bursts_in_step_with_the_frames_are_told() {
 }
 
 #[test]
-fn triggers_that_miss_an_edge_are_told() {
+fn triggers_that_miss_an_edge_are_reported() {
     let edges = |made: &mut Made| {
         made.frames
             .stamps

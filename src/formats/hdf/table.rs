@@ -189,7 +189,7 @@ impl EventTable {
             match self.stamp(middle) {
                 Some(t) if t >= t_ns => range.end = middle,
                 Some(_) => range.start = middle + 1,
-                // A stamp that cannot be read says nothing: begin before it.
+                // A stamp that cannot be read carries no information: begin before it.
                 None => break,
             }
         }

@@ -10,7 +10,7 @@ use serde::Serialize;
 
 /// Bins from one frame to the next.
 pub const PHASES: usize = 64;
-/// A frame with fewer events says nothing.
+/// A frame with fewer events decides nothing.
 const FEWEST: u32 = 2 * PHASES as u32;
 
 /// Events by the time since the frame before them.
@@ -50,7 +50,7 @@ pub(super) struct Phase {
 }
 
 impl Phase {
-    /// With the instants at which frames begin, and the pixels whose rows are told apart; none when there are too few frames to be in step with.
+    /// With the instants at which frames begin, and the pixels whose rows are distinguished; none when there are too few frames to be in step with.
     pub fn new(mut starts: Vec<i64>, extent: Extent) -> Option<Phase> {
         starts.sort_unstable();
         starts.dedup();

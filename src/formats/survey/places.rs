@@ -15,7 +15,7 @@ const FEWEST_OF_HOT: u32 = 32;
 /// And so many times as many as the second of the eight around it, one being added to those: the pixels of a line have two like themselves.
 const HOT_TIMES: u32 = 24;
 /// A row or column is silent when its neighbours have so many events on average.
-const FEWEST_BESIDE: f64 = 50.0;
+const FEWEST_AROUND: f64 = 50.0;
 /// Half the width of the window of rows or columns that a line is compared with.
 const WINDOW: usize = 4;
 
@@ -86,7 +86,7 @@ pub struct PlacesSurvey {
 }
 
 impl PlacesSurvey {
-    /// The time below which a share of the same-sign intervals of a pixel lies, ns, good to a factor of two; none without intervals.
+    /// The time below which a share of the same-sign intervals of a pixel lies, ns, within a factor of two; none without intervals.
     pub fn interval_quantile_ns(&self, share: f64) -> Option<f64> {
         let all: u64 = self.intervals.iter().sum();
         let mut below = 0;
@@ -246,16 +246,16 @@ fn lines(counts: &[u64]) -> LinesSurvey {
         let middle = neighbours.get(neighbours.len() / 2).copied().unwrap_or(0) as f64;
         // An edge of the picture has neighbours on one side only: lines outside of the scene are not silent lines.
         let is_between = from + WINDOW == line && to == line + WINDOW + 1 && counts[line - 1] > 0 && counts[line + 1] > 0;
-        if count == 0 && is_between && middle >= FEWEST_BESIDE {
+        if count == 0 && is_between && middle >= FEWEST_AROUND {
             found.silent += 1;
             found.silent_list.push(line as u32);
         }
-        if count as f64 > 3.0 * (middle + FEWEST_BESIDE) {
+        if count as f64 > 3.0 * (middle + FEWEST_AROUND) {
             found.loud += 1;
             found.loud_list.push(line as u32);
         }
         ratios
-            .push((middle >= FEWEST_BESIDE && count > 0).then(|| libm::log(count as f64 / (neighbours.iter().sum::<u64>() as f64 / neighbours.len() as f64))));
+            .push((middle >= FEWEST_AROUND && count > 0).then(|| libm::log(count as f64 / (neighbours.iter().sum::<u64>() as f64 / neighbours.len() as f64))));
     }
     found.silent_list.truncate(MOST_LISTED);
     found.loud_list.truncate(MOST_LISTED);

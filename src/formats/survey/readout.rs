@@ -186,7 +186,7 @@ mod tests {
     fn rows_that_fire_when_they_are_read_give_delay_and_phase() {
         let found = counted(0.4, 70_000.0, false);
         let on = found.iter().find(|found| found.is_on).unwrap();
-        // 128 rows x 0.4 beside 2000 / 64 on the line.
+        // 128 rows x 0.4 next to 2000 / 64 on the line.
         assert!(on.over > 2.0 && on.sigma > 8.0, "{on:?}");
         assert!((on.row_ns - 70_000.0).abs() < 3_000.0 && (on.phase_ns - 19e6).abs() < 0.6e6, "{on:?}");
         let off = found.iter().find(|found| !found.is_on).unwrap();

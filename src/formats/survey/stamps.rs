@@ -171,7 +171,7 @@ impl Stamps {
         }
     }
 
-    /// Exact where the median lies among the differences that were counted one by one, otherwise good to a factor of 1.4.
+    /// Exact where the median lies among the differences that were counted one by one, otherwise within a factor of 1.4.
     fn median(&self) -> i64 {
         let all: u64 = self.coarse.iter().sum();
         let mut below = 0;

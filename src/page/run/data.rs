@@ -158,7 +158,7 @@ pub struct Panel {
     pub title: String,
     /// Text below the axis to the right.
     pub x: String,
-    /// Text beside the axis upwards.
+    /// Text next to the axis upwards.
     pub y: String,
     /// Is x the recording's time in ms?
     #[serde(rename = "isTime")]

@@ -100,7 +100,7 @@ pub fn pictures(page: &RunPage) -> String {
 <label>Right <select data-part="right"></select></label>
 <button type="button" data-part="swap">Swap</button>
 <span class="group" role="group" aria-label="How the two are compared">
-<button type="button" data-mode="slider">Slider</button><button type="button" data-mode="flicker">Flicker</button><button type="button" data-mode="beside">Side by side</button><button type="button" data-mode="difference">Difference</button>
+<button type="button" data-mode="slider">Slider</button><button type="button" data-mode="flicker">Flicker</button><button type="button" data-mode="pair">Side by side</button><button type="button" data-mode="difference">Difference</button>
 </span>
 </div>
 <figure>

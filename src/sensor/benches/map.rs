@@ -1,4 +1,4 @@
-//! Time to find the most probable light of pixels, one after the other and eight at a time, and to choose the noise and the prior of a row, per event.
+//! Time of the MAP estimate of pixels, one after the other and eight at a time, and to choose the noise and the prior of a row, per event.
 //!
 //! Run with `cargo bench -p photocurrent-sensor --bench map`. Pixels come from the forward model with the values of `data/sensors/hybrid.toml` and its
 //! noise: 250 ms, 30 frames at 120 fps of 6.5 ms. Three kinds of light: edges (quiet between them), texture (never still), and a
@@ -169,7 +169,7 @@ fn events_solved_in_groups(bencher: Bencher<'_, '_>, kind: &str) {
     solve_in_groups(bencher, kind, MapOptions::default());
 }
 
-/// The same with the standard deviation of the light at every knot, as `solve/pixel` asks for it unless told not to.
+/// The same with the standard deviation of the light at every knot, as `solve/pixel` asks for it unless it is switched off.
 #[divan::bench(args = KINDS)]
 fn events_solved_in_groups_with_sigma(bencher: Bencher<'_, '_>, kind: &str) {
     solve_in_groups(bencher, kind, MapOptions { with_sigma: true, ..MapOptions::default() });

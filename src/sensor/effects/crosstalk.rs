@@ -1,7 +1,7 @@
 //! Crosstalk: part of a pixel's light ends up in its neighbours.
 //!
 //! Photons cross under the microlens and charge diffuses to the next photodiode, so the event pixel keeps `1 - fraction` of its own
-//! light and takes `fraction / 4` from each of the four nearest. Unlike a blur it reaches one pixel far, whatever the strength. Typical: 1 to 10 %.
+//! light and takes `fraction / 4` from each of the four nearest. Unlike a blur it reaches one pixel far, whatever the fraction. Typical: 1 to 10 %.
 //!
 //! Source: textbooks on image sensors, such as Nakamura (2006).
 //! Limits: the same for all pixels; only the events' excess over the frames is meant: crosstalk that both share cannot be seen.
@@ -25,7 +25,7 @@ pub const KIND: EffectKind = EffectKind {
             about: "share of a pixel's light that its four nearest neighbours get, a quarter each",
         }],
         covariate: "laplacian",
-        signature: "frames differ from what events predict in proportion to pixel minus mean of neighbours; dark pixels beside bright ones fire too early",
+        signature: "frames differ from what events predict in proportion to pixel minus mean of neighbours; dark pixels next to bright ones fire too early",
         confused_with: &["blur", "lateral_inhibition", "dark_current"],
         source: "Nakamura 2006",
         apart: &[],

@@ -103,11 +103,11 @@ pub struct History {
     pub last_event: Option<LastEvent>,
     /// Events so far.
     pub events: u64,
-    /// Position of the last event in its burst, from 1; a burst ends with [`BURST_GAP_NS`] of silence. 0 before any event.
+    /// Position of the last event in its burst, from 1; a burst ends after [`BURST_GAP_NS`] without an event. 0 before any event.
     pub burst_index: u32,
 }
 
-/// Silence that ends a burst, nanoseconds.
+/// Time without an event that ends a burst, nanoseconds.
 pub const BURST_GAP_NS: i64 = 10_000_000;
 
 /// Both contrast thresholds, positive, natural-log units.
@@ -199,7 +199,7 @@ impl FrontEndModel {
 
 /// What a sudden disturbance moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum KickTarget {
+pub enum ImpulseTarget {
     /// The front-end voltage, which then settles back with its time constant.
     FrontEnd,
     /// The comparator's input, for good: until the next reset takes a new reference.
@@ -208,13 +208,13 @@ pub enum KickTarget {
 
 /// A sudden disturbance of the voltage.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Kick {
+pub struct Impulse {
     /// When.
     pub t_ns: i64,
     /// By how much, natural-log units; positive pushes towards an ON event.
     pub change: f64,
     /// What is moved.
-    pub target: KickTarget,
+    pub target: ImpulseTarget,
 }
 
 /// A steady drift of voltage against reference, positive towards ON events.
@@ -283,7 +283,7 @@ pub struct ArrayEvent {
     pub event: PixelEvent,
 }
 
-/// What of an effect is drawn, so that nobody can take it off a measurement again: by how much measurements are believed less, and what is known all the same.
+/// What of an effect is drawn, so that it cannot be undone: by how much measurements are trusted less, and what is known all the same.
 #[derive(Default)]
 pub struct Chance {
     /// Standard deviation of a pixel's own thresholds, natural-log units.
@@ -330,7 +330,7 @@ pub trait Effect: Send + Sync {
     fn front_end(&self, _site: &Site, _model: &mut FrontEndModel) {}
 
     /// Adds sudden disturbances between `start_ns` and `end_ns`, in any order.
-    fn kicks(&self, _site: &Site, _start_ns: i64, _end_ns: i64, _out: &mut Vec<Kick>) {}
+    fn impulses(&self, _site: &Site, _start_ns: i64, _end_ns: i64, _out: &mut Vec<Impulse>) {}
 
     /// Changes the thresholds that hold from the reset at `t_reset_ns` on; asked once at the start (without a last event) and after each event.
     fn thresholds(&self, _site: &Site, _history: &History, _random: &mut Random, _t_reset_ns: i64, _thresholds: &mut Thresholds) {}
@@ -340,7 +340,7 @@ pub trait Effect: Send + Sync {
         Leak::default()
     }
 
-    /// The reference after a reset, natural-log units. `ideal` is what the reset law gives, `before` the reference of the event that caused it.
+    /// The reference after a reset, natural-log units. `ideal` is what the reset rule gives, `before` the reference of the event that caused it.
     fn reference(&self, _site: &Site, _history: &History, _random: &mut Random, ideal: f64, _before: f64) -> f64 {
         ideal
     }
@@ -368,7 +368,7 @@ pub trait Effect: Send + Sync {
 
     /// The same effect knowing the load: everything that all pixels fired in a pass before, in order of true off-pixel time. Events that are lost
     /// ([`Effect::keeps`]) are among them, as they have gone the whole way to the reset of their pixel and are lost behind it. The simulator then runs
-    /// the pixels again, and tells anew what they did, until nothing moves. None = the load does not matter.
+    /// the pixels again, and reports anew what they did, until nothing moves. None = the load does not matter.
     ///
     /// An informed effect answers otherwise in [`Effect::latency`] only, by load, pixel and instant without a random number: the simulator sees by
     /// that which pixels another load moves.

@@ -12,7 +12,7 @@
 //! Limits: strictly periodic, instantaneous, equal for all pixels of a row.
 
 use super::sought::{Measure, SPREAD, Search, Size, Sought};
-use super::{Effect, EffectDecl, EffectKind, Kick, KickTarget, ParameterDecl, Parameters, Site, Stage, Unit};
+use super::{Effect, EffectDecl, EffectKind, Impulse, ImpulseTarget, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
 pub const KIND: EffectKind = EffectKind {
@@ -56,7 +56,7 @@ pub const KIND: EffectKind = EffectKind {
         search: Search::For(&[Sought {
             typical: Size::Of(0.4, Measure::Threshold),
             material: SPREAD,
-            beside: &[("period", Size::Of(1.0, Measure::FramePeriod)), ("phase", Size::Of(1.0, Measure::FramePhase))],
+            others: &[("period", Size::Of(1.0, Measure::FramePeriod)), ("phase", Size::Of(1.0, Measure::FramePhase))],
             is_made: false,
             ..Sought::both("step")
         }]),
@@ -87,15 +87,15 @@ impl Effect for FrameCoupling {
         KIND.decl.id
     }
 
-    /// One kick per readout of the row from `start_ns`, included, to `end_ns`, excluded.
-    fn kicks(&self, site: &Site, start_ns: i64, end_ns: i64, out: &mut Vec<Kick>) {
+    /// One impulse per readout of the row from `start_ns`, included, to `end_ns`, excluded.
+    fn impulses(&self, site: &Site, start_ns: i64, end_ns: i64, out: &mut Vec<Impulse>) {
         if self.step == 0.0 {
             return;
         }
         let readout_ns = self.phase_ns + i64::from(site.y) * self.row_time_ns;
         let mut t_ns = start_ns + (readout_ns - start_ns).rem_euclid(self.period_ns);
         while t_ns < end_ns {
-            out.push(Kick { t_ns, change: self.step, target: KickTarget::FrontEnd });
+            out.push(Impulse { t_ns, change: self.step, target: ImpulseTarget::FrontEnd });
             t_ns += self.period_ns;
         }
     }
@@ -112,25 +112,25 @@ mod tests {
     const COUPLING: FrameCoupling = FrameCoupling { step: -0.1, period_ns: 1_000, phase_ns: 300, row_time_ns: 10 };
 
     fn times(y: u32, start_ns: i64, end_ns: i64) -> Vec<i64> {
-        let mut kicks = Vec::new();
-        COUPLING.kicks(&Site { x: 0, y, width: 4, height: 100, seed: 1 }, start_ns, end_ns, &mut kicks);
-        assert!(kicks.iter().all(|kick| kick.change == -0.1 && kick.target == KickTarget::FrontEnd));
-        kicks.iter().map(|kick| kick.t_ns).collect()
+        let mut impulses = Vec::new();
+        COUPLING.impulses(&Site { x: 0, y, width: 4, height: 100, seed: 1 }, start_ns, end_ns, &mut impulses);
+        assert!(impulses.iter().all(|impulse| impulse.change == -0.1 && impulse.target == ImpulseTarget::FrontEnd));
+        impulses.iter().map(|impulse| impulse.t_ns).collect()
     }
 
     #[test]
-    fn every_frame_kicks_at_its_phase_before_and_after_zero() {
+    fn every_frame_gives_an_impulse_at_its_phase_before_and_after_zero() {
         assert_eq!(times(0, -1_000, 2_000), [-700, 300, 1_300]);
     }
 
     #[test]
-    fn each_row_is_kicked_when_it_is_read() {
+    fn each_row_gets_its_impulse_when_it_is_read() {
         assert_eq!(times(3, 0, 2_000), [330, 1_330]);
         assert_eq!(times(90, 0, 2_000), [200, 1_200]); // 300 + 90 x 10 is past one period
     }
 
     #[test]
-    fn abutting_spans_lose_and_double_no_kick() {
+    fn abutting_spans_lose_and_double_no_impulse() {
         let parts: Vec<i64> = (0..40).flat_map(|part| times(0, 50 * part, 50 * part + 50)).collect();
         assert_eq!(parts, times(0, 0, 2_000));
         assert_eq!(times(0, 300, 300), [0; 0]);
@@ -152,8 +152,8 @@ mod tests {
     #[test]
     fn phase_and_row_time_may_be_left_out() {
         let effect = KIND.read(json!({ "step": 0.1, "period": "1 ms" }).as_object().unwrap()).unwrap();
-        let mut kicks = Vec::new();
-        effect.kicks(&Site { x: 0, y: 7, width: 9, height: 9, seed: 1 }, 0, 1_500_000, &mut kicks);
-        assert_eq!(kicks.iter().map(|kick| kick.t_ns).collect::<Vec<_>>(), [0, 1_000_000]);
+        let mut impulses = Vec::new();
+        effect.impulses(&Site { x: 0, y: 7, width: 9, height: 9, seed: 1 }, 0, 1_500_000, &mut impulses);
+        assert_eq!(impulses.iter().map(|impulse| impulse.t_ns).collect::<Vec<_>>(), [0, 1_000_000]);
     }
 }

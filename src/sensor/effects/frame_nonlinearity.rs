@@ -16,7 +16,7 @@
 use super::sought::{GAIN, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit};
 
-/// Full scale of what is sought: over the range that is used, as the rest of it says nothing.
+/// Full scale of what is sought: over the range that is used, as the rest of it carries no information.
 const FULL_SCALE: &[(&str, Size)] = &[("full_scale_dn", Size::Of(1.0, Measure::LargestDn))];
 
 /// The catalogue entry.
@@ -58,8 +58,8 @@ pub const KIND: EffectKind = EffectKind {
         source: "EMVA 1288",
         apart: &[("black_level", "a series of exposures of a static scene: a straight line that misses zero, or a curve")],
         search: Search::For(&[
-            Sought { typical: Size::Fixed(0.06), material: GAIN, beside: FULL_SCALE, is_made: false, is_of_swing: true, ..Sought::both("fraction") },
-            Sought { typical: Size::Fixed(0.15), material: GAIN, beside: FULL_SCALE, comes_last: true, is_of_swing: true, ..Sought::positive("compression") },
+            Sought { typical: Size::Fixed(0.06), material: GAIN, others: FULL_SCALE, is_made: false, is_of_swing: true, ..Sought::both("fraction") },
+            Sought { typical: Size::Fixed(0.15), material: GAIN, others: FULL_SCALE, comes_last: true, is_of_swing: true, ..Sought::positive("compression") },
         ]),
     },
     build,

@@ -45,7 +45,7 @@ pub const KIND: EffectKind = EffectKind {
         search: Search::For(&[Sought {
             typical: Size::Fixed(0.005),
             material: SHARE,
-            beside: &[("rate", Size::Fixed(200.0))],
+            others: &[("rate", Size::Fixed(200.0))],
             is_made: false,
             ..Sought::random("fraction")
         }]),

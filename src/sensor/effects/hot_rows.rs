@@ -46,14 +46,14 @@ pub const KIND: EffectKind = EffectKind {
             },
         ],
         covariate: "row",
-        signature: "whole rows fire at a high rate all the time, both signs, the rows beside them do not",
+        signature: "whole rows fire at a high rate all the time, both signs, the rows next to them do not",
         confused_with: &["hot_pixels", "background_activity", "a horizontal edge in the scene"],
         source: "counts per row of recordings; no published rate",
         apart: &[],
         search: Search::For(&[Sought {
             typical: Size::Fixed(0.03),
             material: SHARE,
-            beside: &[("rate", Size::Fixed(60.0))],
+            others: &[("rate", Size::Fixed(60.0))],
             is_made: false,
             ..Sought::random("fraction")
         }]),

@@ -4,7 +4,7 @@
 //! added. Bright objects that move leave a faint ghost one frame behind. Typical: 0.1 to 2 %.
 //!
 //! Parameter: `fraction`, of the charge of the frame before. In a static scene everything is brighter by the same factor, which a gain hides;
-//! the ghost behind motion is what tells. A late exposure start shifts, it does not repeat.
+//! the ghost behind motion is the signature. A late exposure start shifts, it does not repeat.
 //!
 //! Source: Fossum and Hondongwa, "A review of the pinned photodiode for CCD and CMOS image sensors" (2014).
 //! Limits: linear. The simulator knows the frame before by its light alone, so the ghost lasts one frame; the ghost's own ghost, `fraction^2`,

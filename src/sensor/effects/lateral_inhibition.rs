@@ -2,7 +2,7 @@
 //!
 //! Neighbouring pixels are coupled behind the logarithm (a resistive network, a shared supply), so the pixel answers to
 //! `ln i - fraction * mean of ln i over its eight neighbours`. A change common to all pixels is weakened to `1 - fraction` of itself; a lone
-//! spot keeps its full contrast, and pixels beside an edge see a shadow of the other sign. Typical: 5 to 50 % where it is wanted,
+//! spot keeps its full contrast, and pixels next to an edge see a shadow of the other sign. Typical: 5 to 50 % where it is wanted,
 //! about 1 % where it is not.
 //!
 //! A common threshold error weakens all changes alike; here the deficit follows the neighbours' change.
@@ -30,7 +30,7 @@ pub const KIND: EffectKind = EffectKind {
             about: "share of the surround's mean voltage that is subtracted",
         }],
         covariate: "laplacian",
-        signature: "a change of the whole field makes too few events; beside an edge events of the other sign",
+        signature: "a change of the whole field makes too few events; next to an edge events of the other sign",
         confused_with: &["threshold_scale", "crosstalk", "blur"],
         source: "Delbruck et al. 2022",
         apart: &[],
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn beside_an_edge_the_shadow_has_the_other_sign() {
+    fn next_to_an_edge_the_shadow_has_the_other_sign() {
         let shadow = seen(0.3, |dx, _| if dx > 0 { 0.5 } else { 0.0 });
         assert!((shadow + 0.3 * 3.0 / 8.0 * 0.5).abs() < 1e-15);
     }

@@ -1,11 +1,11 @@
-//! Misalignment: what a frame shows at a pixel, the events show a little beside it.
+//! Misalignment: what a frame shows at a pixel, the events show a little to the side of it.
 //!
 //! Two optical paths, different pixel pitches or a wrong registration shift the event image against the frame image. An edge
 //! at column `x` of a frame is at `x + shift_x` in the events, so the event pixel sees the light of `(x - shift_x, y - shift_y)`, taken bilinearly
 //! between four pixels. Typical: 0.1 to 3 pixels.
 //!
 //! Parameters: `shift_x` (positive = right), `shift_y` (positive = down, the direction of growing rows), pixels. At one constant speed of the
-//! whole image it cannot be told from a clock offset: two directions or speeds separate them.
+//! whole image it cannot be distinguished from a clock offset: two directions or speeds separate them.
 //!
 //! Source: geometry.
 //! Limits: a translation, no rotation or scale; between pixels bilinear interpolation softens the image, at half a pixel by a sigma of

@@ -58,8 +58,8 @@ pub mod timestamp_quantization;
 pub mod vignetting;
 
 pub use effect::{
-    ArrayEvent, BURST_GAP_NS, Chance, Domain, Drive, Effect, FrontEndModel, History, Kernel, Kick, KickTarget, LastEvent, Latency, Leak, PixelEvent, Reading,
-    RowSite, SecondPole, Site, Spontaneous, Tap, Thresholds, row_random,
+    ArrayEvent, BURST_GAP_NS, Chance, Domain, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, Kernel, LastEvent, Latency, Leak, PixelEvent,
+    Reading, RowSite, SecondPole, Site, Spontaneous, Tap, Thresholds, row_random,
 };
 pub use parameters::{EffectDecl, EffectKind, ParameterDecl, Parameters, Stage, Unit};
 

@@ -125,7 +125,7 @@ pub struct EffectDecl {
     pub confused_with: &'static [&'static str],
     /// Where it is described.
     pub source: &'static str,
-    /// Ids of what looks alike, and what to record next to tell the two apart; each pair stands with one of them.
+    /// Ids of what looks alike, and what to record next, to separate the two; each pair stands with one of them.
     pub apart: &'static [(&'static str, &'static str)],
     /// By which numbers a diagnosis looks for it.
     pub search: Search,

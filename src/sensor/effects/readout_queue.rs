@@ -1,4 +1,4 @@
-//! Readout queue: when many pixels fire at once they wait for each other, and no stamp tells how long.
+//! Readout queue: when many pixels fire at once they wait for each other, and no stamp shows how long.
 //!
 //! All pixels share one way out, which serves one event after the other. An event that finds others waiting keeps its pixel blind until its
 //! turn comes; the pixel takes its new reference that much later and has missed more of the edge. The stamps are those of

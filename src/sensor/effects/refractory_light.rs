@@ -10,7 +10,7 @@
 //! Limits: the light when the event leaves holds for the whole period; the stated period is that of darkness.
 
 use super::refractory::{self, SOME_REFRACTORY_S};
-use super::sought::{Companion, Measure, PutOn, Search, Size, Sought};
+use super::sought::{Applied, Companion, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -43,9 +43,9 @@ pub const KIND: EffectKind = EffectKind {
 };
 
 /// What an engineer meets is a period that grows in the dark beyond the stated one, seconds; the stated one is what it comes down to in bright light.
-fn period(put_on: &PutOn) -> Option<f64> {
-    let bright = f64::max(put_on.model.pixel.refractory_ns as f64 * 1e-9, SOME_REFRACTORY_S);
-    Some(bright * (1.0 + 4.0 * put_on.strength.max(0.0)) * (1.0 + put_on.value * put_on.light))
+fn period(applied: &Applied) -> Option<f64> {
+    let bright = f64::max(applied.model.pixel.refractory_ns as f64 * 1e-9, SOME_REFRACTORY_S);
+    Some(bright * (1.0 + 4.0 * applied.effect_size.max(0.0)) * (1.0 + applied.value * applied.light))
 }
 
 fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {

@@ -9,7 +9,7 @@
 //! Limits: log-normal with the stated period as its median; constant in time and light.
 
 use super::refractory::{self, SOME_REFRACTORY_S};
-use super::sought::{Companion, PutOn, SPREAD, Search, Size, Sought};
+use super::sought::{Applied, Companion, SPREAD, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
@@ -43,8 +43,8 @@ pub const KIND: EffectKind = EffectKind {
     build,
 };
 
-fn period(put_on: &PutOn) -> Option<f64> {
-    (put_on.model.pixel.refractory_ns == 0).then_some(SOME_REFRACTORY_S)
+fn period(applied: &Applied) -> Option<f64> {
+    (applied.model.pixel.refractory_ns == 0).then_some(SOME_REFRACTORY_S)
 }
 
 fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {

@@ -1,6 +1,6 @@
 //! What a diagnosis must know of an effect: which of its numbers may be missing from a description, how large each usually is, and from which size it matters.
 //!
-//! A *strength* of 1 is an effect that an engineer would care for, 0 none. Sizes go with how bright, fast and busy a recording is ([`Measure`]); who has the recording says how much
+//! An *effect size* of 1 is an effect that an engineer would care for, 0 none. Sizes go with how bright, fast and busy a recording is ([`Measure`]); who has the recording says how much
 //! of a measure it has.
 
 use crate::model::Model;
@@ -28,13 +28,13 @@ impl Search {
 /// One number of an effect that may be missing from a description.
 #[derive(Clone, Copy, Debug)]
 pub struct Sought {
-    /// TOML key of the number; empty for an effect without one, `reset` for another reset law.
+    /// TOML key of the number; empty for an effect without one, `reset` for another reset rule.
     pub parameter: &'static str,
-    /// Which signs of a strength are physics.
+    /// Which signs of an effect size are physics.
     pub signs: Signs,
     /// Is what happens random, so that another seed gives another recording with the same statistics?
     pub is_random: bool,
-    /// What a strength of 1 adds to the number, in the unit of its declaration.
+    /// What an effect size of 1 adds to the number, in the unit of its declaration.
     pub typical: Size,
     /// The size beyond which somebody cares, in the unit of the declaration; of switches and limits, any.
     pub material: Size,
@@ -43,7 +43,7 @@ pub struct Sought {
     /// The field of a description that states it; none where only `[effects]` can.
     pub field: Option<Field>,
     /// Parameters that are not sought and must be there, with a value each in the unit of its declaration.
-    pub beside: &'static [(&'static str, Size)],
+    pub others: &'static [(&'static str, Size)],
     /// Another effect that it means nothing without.
     pub companion: Option<Companion>,
     /// Of a random number: the effect and the parameter whose sizes it spreads over pixels.
@@ -68,7 +68,7 @@ impl Sought {
             material: Size::Fixed(0.0),
             grows: Grows::Linearly,
             field: None,
-            beside: &[],
+            others: &[],
             companion: None,
             spread_of: None,
             is_counted: false,
@@ -104,7 +104,7 @@ impl Sought {
     }
 }
 
-/// Which signs of a strength are physics.
+/// Which signs of an effect size are physics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Signs {
     /// Only more than nothing.
@@ -122,7 +122,7 @@ pub enum Grows {
     Linearly,
     /// With its square.
     WithSquare,
-    /// It is a limit or a time constant that means nothing when it is infinite, not when it is 0: a strength divides the typical value.
+    /// It is a limit or a time constant that means nothing when it is infinite, not when it is 0: an effect size divides the typical value.
     AsItFalls,
 }
 
@@ -140,7 +140,7 @@ pub enum Field {
     },
     /// `comparator.threshold_noise`.
     ThresholdNoise,
-    /// `comparator.reset`: the other law.
+    /// `comparator.reset`: the other rule.
     Reset,
     /// `readout.refractory`.
     Refractory,
@@ -172,14 +172,14 @@ pub struct Companion {
     /// TOML key of the time.
     pub parameter: &'static str,
     /// The time, seconds; none where the description's own will do.
-    pub seconds: fn(&PutOn) -> Option<f64>,
+    pub seconds: fn(&Applied) -> Option<f64>,
 }
 
-/// A number as it is put on a description.
+/// A number as it is written into a description.
 #[derive(Clone, Copy, Debug)]
-pub struct PutOn<'a> {
-    /// Its strength.
-    pub strength: f64,
+pub struct Applied<'a> {
+    /// Its effect size.
+    pub effect_size: f64,
     /// Its value, in the unit of its declaration.
     pub value: f64,
     /// Median photocurrent of the recording.

@@ -46,7 +46,7 @@ fn every_effect_is_sought_by_numbers_of_its_own_or_says_why_it_is_not() {
             let has_field = sought.field.is_some_and(|field| field != Field::Reset);
             let null = decl.parameter(sought.parameter).map_or(Some(0.0), |parameter| parameter.null);
             assert!(null.is_some() || has_field, "{}.{}", decl.id, sought.parameter);
-            for (name, _) in sought.beside {
+            for (name, _) in sought.others {
                 assert!(decl.parameter(name).is_some() && decl.search.numbers().iter().all(|other| other.parameter != *name), "{}.{name}", decl.id);
             }
             let others = sought.companion.map(|companion| (companion.id, companion.parameter)).into_iter().chain(sought.spread_of);
@@ -59,7 +59,7 @@ fn every_effect_is_sought_by_numbers_of_its_own_or_says_why_it_is_not() {
 }
 
 #[test]
-fn pairs_that_a_further_recording_tells_apart_are_of_the_catalogue_and_stand_once() {
+fn pairs_that_a_further_recording_separates_are_of_the_catalogue_and_stand_once() {
     let mut pairs: Vec<[&str; 2]> = Vec::new();
     for EffectKind { decl, .. } in catalogue() {
         for (other, what) in decl.apart {

@@ -2,7 +2,7 @@
 //!
 //! Events follow sharp edges too late or too early: by `alpha / i` (more in the dark) or by the same time everywhere.
 //!
-//! Source: Eq. (3); both depend on bias and temperature. Absolute values: what is not given stays as stated.
+//! Source: Eq. (3); both depend on bias and temperature. Absolute values: what is not given stays nominal.
 //! Confused with: a clock offset (the same delay for frames and events at every light) and a second pole.
 
 use super::sought::{DELAY, Field, Measure, Search, Size, Sought};
@@ -45,7 +45,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
     Ok(Box::new(TimeConstant { tau_0_s, alpha_s }))
 }
 
-/// The true low-pass; what is absent is as stated.
+/// The true low-pass; what is absent is nominal.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TimeConstant {
     /// Seconds, at least zero.

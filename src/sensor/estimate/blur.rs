@@ -5,7 +5,7 @@
 //! residual is the exposure.
 //!
 //! Limits: the middle of the exposure must be right ([`super::offset()`] gives it up to the latency of events). Only light that bends within an
-//! exposure tells its length: slow scenes have none. Noise of events is smoothed by a mean over any time, so that some length always explains
+//! exposure shows its length: slow scenes have none. Noise of events is smoothed by a mean over any time, so that some length always explains
 //! noisy events a little better, the wrong one: only a length that explains much is given. Dark places are left out, as for thresholds.
 
 use super::draw::{estimate, top};

@@ -3,7 +3,7 @@
 use super::Estimate;
 use photocurrent_core::random::Random;
 
-/// Draws: the ends of the interval are then good to about a tenth of it.
+/// Draws: the ends of the interval then have an error of about a tenth of it.
 const DRAWS: usize = 200;
 
 /// An estimate from `units` that count once, with the interval from units that count as often as they are drawn. None when the estimate is none, or in a tenth of the draws.
@@ -25,7 +25,7 @@ pub(super) fn estimate(units: usize, of: impl Fn(&[f64]) -> Option<f64>) -> Opti
     Some(Estimate { value, ci95: (at(0.025).min(value), at(0.975).max(value)) })
 }
 
-/// Where a curve over even steps has its top, in steps, by a parabola through the largest value and those beside it; none at an end, or where nothing is finite.
+/// Where a curve over even steps has its top, in steps, by a parabola through the largest value and those next to it; none at an end, or where nothing is finite.
 pub(super) fn top(curve: &[f64]) -> Option<f64> {
     peak(curve, (0..curve.len()).filter(|n| curve[*n].is_finite()).max_by(|a, b| curve[*a].total_cmp(&curve[*b]))?)
 }

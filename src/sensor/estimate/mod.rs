@@ -5,7 +5,7 @@
 //! ([`thresholds()`]), and the length of the exposure that blurs as the frames are blurred ([`exposure()`]). Each comes with a 95 % interval, by drawing
 //! parts of the picture and pairs of frames again and again.
 //!
-//! These are proposals for a description that lacks a value: good to the size of the interval in scenes that move, none where nothing does.
+//! These are proposals for a description that lacks a value, within the size of the interval in scenes that move, none where nothing does.
 //!
 //! - [`displacement()`]: the shift in whole pixels at which the two agree, over patches ([`Patch`]) of the array's own pixels.
 //! - [`Panel`]: events and frames of some places, side by side; [`Centring`]: when light changed, from when events came.

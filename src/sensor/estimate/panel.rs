@@ -8,7 +8,7 @@ pub const NOWHERE: u32 = u32::MAX;
 
 /// When light changed, from when events came.
 ///
-/// An event comes when its change is complete, and the change went on since the event before: its middle is half of that time earlier. After silence, the time
+/// An event comes when its change is complete, and the change went on since the event before: its middle is half of that time earlier. After a quiet time, the time
 /// to the next event says how fast the light changes. So an event is put earlier by half of the shorter of the two, which needs the next one to be known.
 #[derive(Clone, Debug)]
 pub struct Centring {

@@ -23,7 +23,7 @@ struct Made {
     row_time_ns: i64,
     /// Pixels a second.
     speed: f64,
-    /// Share of events that are lost, and of noise events that come beside; stamps wander by as many periods.
+    /// Share of events that are lost, and of noise events that are added; stamps wander by as many periods.
     noise: f64,
 }
 

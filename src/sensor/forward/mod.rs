@@ -10,7 +10,7 @@
 //! `log_step` divides the error by eight.
 //! Front ends without a closed form are integrated with error control instead (`numeric`).
 //!
-//! - [`LinearLight`]: the light. [`Chain`]: the pixel, its reset law and its effects. [`simulate`]: events. [`simulate_events`]: the same
+//! - [`LinearLight`]: the light. [`Chain`]: the pixel, its reset rule and its effects. [`simulate`]: events. [`simulate_events`]: the same
 //!   for the paper's pixel.
 //! - [`read_frames`]: digital numbers of one pixel. [`neighbours`]: light that comes from other pixels.
 //!

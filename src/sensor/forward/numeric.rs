@@ -1,7 +1,7 @@
 //! The front end that has no closed form: second pole, exponential transistor, slew limits, high-pass.
 //!
 //! Three states in a cascade: the low-pass `v1`, the second pole `v2`, the level `h` that a high-pass subtracts. They are stiff
-//! (microseconds beside milliseconds), so the method is implicit: Rodas3, a Rosenbrock method of order 3 that is L-stable and needs no
+//! (microseconds and milliseconds), so the method is implicit: Rodas3, a Rosenbrock method of order 3 that is L-stable and needs no
 //! iteration (Sandu et al., "Benchmarking stiff ODE solvers II", 1997); the Jacobian is triangular. Steps are chosen
 //! so that the estimated error stays below a tolerance, [`TOLERANCE`] unless a caller asks for less. Inside a step the state is the same method with a shorter step, so a crossing
 //! time is as good as the integration itself, not as an interpolation.

@@ -7,7 +7,7 @@ use super::steps::Steps;
 use super::{Pixel, PixelNoise};
 use crate::comparator::{fired_polarity, signed_step};
 use crate::effects::{
-    Effect, FrontEndModel, History, Kick, KickTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous, Thresholds, effect::BURST_GAP_NS, effect::Streams,
+    Effect, FrontEndModel, History, Impulse, ImpulseTarget, LastEvent, Leak, PixelEvent, Site, Spontaneous, Thresholds, effect::BURST_GAP_NS, effect::Streams,
 };
 use crate::elementary;
 use crate::front_end::settled_voltage;
@@ -16,7 +16,7 @@ use photocurrent_core::sensor::Reset;
 /// A threshold never falls below this, whatever noise is added: at zero a pixel would fire without end.
 const THRESHOLD_FLOOR: f64 = 1e-6;
 
-/// A pixel as a description states it, its reset law, and what goes beyond.
+/// A pixel as a description states it, its reset rule, and what goes beyond.
 #[derive(Clone, Copy)]
 pub struct Chain<'a> {
     /// The stated pixel.
@@ -56,18 +56,18 @@ pub fn simulate(chain: &Chain<'_>, site: &Site, light: &LinearLight<'_>, start_n
     let mut model = FrontEndModel::plain(chain.pixel.front_end);
     let stated = Thresholds { on: chain.pixel.threshold_on, off: chain.pixel.threshold_off };
     let mut leak = Leak::default();
-    let (mut kicks, mut spontaneous): (Vec<Kick>, Vec<Spontaneous>) = (Vec::new(), Vec::new());
+    let (mut impulses, mut spontaneous): (Vec<Impulse>, Vec<Spontaneous>) = (Vec::new(), Vec::new());
     let mut streams: Vec<Streams> = chain.effects.iter().map(|effect| Streams::new(site, effect.id())).collect();
     for (effect, streams) in chain.effects.iter().zip(&mut streams) {
         effect.front_end(site, &mut model);
         let more = effect.leak(site, &stated);
         leak.constant_per_s += more.constant_per_s;
         leak.per_photocurrent_per_s += more.per_photocurrent_per_s;
-        effect.kicks(site, start_ns, end_ns, &mut kicks);
+        effect.impulses(site, start_ns, end_ns, &mut impulses);
         effect.spontaneous(site, &mut streams.spontaneous, start_ns, end_ns, &mut spontaneous);
     }
-    kicks.retain(|kick| kick.t_ns >= start_ns && kick.t_ns < end_ns);
-    kicks.sort_by_key(|kick| kick.t_ns);
+    impulses.retain(|impulse| impulse.t_ns >= start_ns && impulse.t_ns < end_ns);
+    impulses.sort_by_key(|impulse| impulse.t_ns);
     spontaneous.retain(|event| event.t_ns >= start_ns && event.t_ns < end_ns);
     spontaneous.sort_by_key(|event| event.t_ns);
     let start_voltage = settled_voltage(seen.at(start_ns));
@@ -95,7 +95,7 @@ pub fn simulate(chain: &Chain<'_>, site: &Site, light: &LinearLight<'_>, start_n
     run.reference = run.input();
     run.threshold_offset = run.noise.threshold_offset();
     run.draw_thresholds(start_ns);
-    run.run(start_ns, end_ns, &kicks, &spontaneous);
+    run.run(start_ns, end_ns, &impulses, &spontaneous);
     run.fired
 }
 
@@ -131,7 +131,7 @@ struct Run<'a, N> {
     noise: &'a mut N,
     streams: Vec<Streams>,
     front: Front,
-    /// Leaks and kicks of the comparator's input so far; the reference is held in the same units, drift included.
+    /// Leaks and impulses of the comparator's input so far; the reference is held in the same units, drift included.
     drift: f64,
     reference: f64,
     /// The reference at the last event, and the comparator's input that fired it.
@@ -145,13 +145,13 @@ struct Run<'a, N> {
 }
 
 impl<N: PixelNoise> Run<'_, N> {
-    fn run(&mut self, start_ns: i64, end_ns: i64, kicks: &[Kick], spontaneous: &[Spontaneous]) {
-        let (mut kicks, mut spontaneous) = (kicks.iter().peekable(), spontaneous.iter().peekable());
+    fn run(&mut self, start_ns: i64, end_ns: i64, impulses: &[Impulse], spontaneous: &[Spontaneous]) {
+        let (mut impulses, mut spontaneous) = (impulses.iter().peekable(), spontaneous.iter().peekable());
         let mut steps = Steps::new();
         let (mut from, mut next) = (start_ns, 0);
         while from < end_ns {
-            while let Some(kick) = kicks.next_if(|kick| kick.t_ns <= from) {
-                self.kick(kick);
+            while let Some(impulse) = impulses.next_if(|impulse| impulse.t_ns <= from) {
+                self.impulse(impulse);
             }
             while let Some(event) = spontaneous.next_if(|event| event.t_ns <= from) {
                 if self.blind_until_ns.is_none() {
@@ -159,7 +159,7 @@ impl<N: PixelNoise> Run<'_, N> {
                     self.fire(from, event.polarity, value, Cause::Spontaneous);
                 }
             }
-            let limit = [kicks.peek().map(|kick| kick.t_ns), spontaneous.peek().map(|event| event.t_ns)].into_iter().flatten().min();
+            let limit = [impulses.peek().map(|impulse| impulse.t_ns), spontaneous.peek().map(|event| event.t_ns)].into_iter().flatten().min();
             let limit = limit.unwrap_or(end_ns).min(end_ns);
             from = match self.front {
                 Front::Plain(_) => {
@@ -224,21 +224,21 @@ impl<N: PixelNoise> Run<'_, N> {
         }
     }
 
-    fn kick(&mut self, kick: &Kick) {
-        let pushed = self.input() + kick.change;
-        match (kick.target, &mut self.front) {
-            (KickTarget::Comparator, _) => self.drift += kick.change,
-            (KickTarget::FrontEnd, Front::Plain(voltage)) => *voltage += kick.change,
-            // The kick arrives behind the poles: it is what the comparator sees that jumps.
-            (KickTarget::FrontEnd, Front::Numeric { state, .. }) => {
-                state[0] += kick.change;
-                state[1] += kick.change;
+    fn impulse(&mut self, impulse: &Impulse) {
+        let pushed = self.input() + impulse.change;
+        match (impulse.target, &mut self.front) {
+            (ImpulseTarget::Comparator, _) => self.drift += impulse.change,
+            (ImpulseTarget::FrontEnd, Front::Plain(voltage)) => *voltage += impulse.change,
+            // The impulse arrives behind the poles: it is what the comparator sees that jumps.
+            (ImpulseTarget::FrontEnd, Front::Numeric { state, .. }) => {
+                state[0] += impulse.change;
+                state[1] += impulse.change;
             }
         }
         if self.blind_until_ns.is_none()
             && let Some(polarity) = fired_polarity(pushed, self.reference, self.thresholds.on, self.thresholds.off)
         {
-            self.fire(kick.t_ns, polarity, pushed, Cause::Crossing);
+            self.fire(impulse.t_ns, polarity, pushed, Cause::Crossing);
         }
     }
 
@@ -300,7 +300,7 @@ impl<N: PixelNoise> Run<'_, N> {
             }
             self.fire(origin.nanoseconds_at(fired_s), polarity, value, Cause::Crossing);
             if is_late && self.blind_until_ns.is_none() {
-                // A reference that stays behind the voltage fires again at once; a nanosecond is the fastest that stamps can tell.
+                // A reference that stays behind the voltage fires again at once; a nanosecond is the fastest that stamps can resolve.
                 now_s += 1e-9;
                 if now_s >= length_s {
                     break;

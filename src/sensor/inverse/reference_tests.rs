@@ -183,7 +183,7 @@ fn a_pixel_does_not_depend_on_its_lane_or_its_neighbours() {
     for_each_problem(|_, problem, _| {
         group.solve(&[*problem]);
         let alone = bits(&group, 0);
-        // Beside shorter pixels, which settle sooner or later, and beside itself.
+        // Next to shorter pixels, which settle sooner or later, and next to itself.
         let cut = |knots: usize| PixelProblem { t_s: &problem.t_s[..knots], steps: &problem.steps[..knots], ..*problem };
         group.solve(&[cut(2), cut(problem.t_s.len() / 2 + 2), *problem, cut(3), *problem]);
         assert!(bits(&group, 2) == alone && bits(&group, 4) == alone);

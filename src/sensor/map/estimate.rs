@@ -143,7 +143,7 @@ impl Tried<'_> {
     }
 }
 
-/// How badly each problem's frames that are kept back are foretold by its other measurements: the sum of relative errors, at most
+/// How badly each problem's frames that are kept back are predicted by its other measurements: the sum of relative errors, at most
 /// [`LARGEST_ERROR`] each.
 pub fn prediction_errors(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<f64> {
     let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| kept(problem.frames)).collect();

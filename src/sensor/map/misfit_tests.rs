@@ -84,7 +84,7 @@ fn misfit(event: f64, frame: f64) -> Misfit {
 }
 
 #[test]
-fn noise_that_is_so_many_times_the_believed_one_gives_that_root_mean_square() {
+fn noise_that_is_so_many_times_the_assumed_one_gives_that_root_mean_square() {
     for (event, frame) in [(1.0, 1.0), (3.0, 0.5), (0.4, 4.0)] {
         let misfit = misfit(event, frame);
         assert!(misfit.events > 1_000 && misfit.frames == 100, "{misfit:?}");

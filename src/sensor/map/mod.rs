@@ -172,7 +172,7 @@ pub struct MapProblem<'a> {
     /// Frame values, in order of time, exposures apart from each other.
     pub frames: &'a [MapFrame],
     /// What is known from elsewhere, in order of time; may be empty. No part of `log_evidence`, which then says how well the pixel's own
-    /// measurements were foretold.
+    /// measurements were predicted.
     pub hints: &'a [Hint],
     /// First instant that is asked for, ns; the pixel is taken as settled there.
     pub start_ns: i64,

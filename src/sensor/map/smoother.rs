@@ -47,7 +47,7 @@ pub(super) enum Want {
     Evidence,
     /// The evidence and standard deviations; the change as well.
     Variance,
-    /// The same, and each measurement as the others foretell it.
+    /// The same, and each measurement as the others predict it.
     LeftOut,
 }
 

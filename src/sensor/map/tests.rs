@@ -186,7 +186,7 @@ impl Recorded {
 }
 
 #[test]
-fn steep_light_comes_back_for_both_reset_laws() {
+fn steep_light_comes_back_for_both_reset_rules() {
     for reset in [Reset::Resample, Reset::Advance] {
         let recorded = recorded(reset);
         assert!(recorded.events.len() > 20, "{}", recorded.events.len());
@@ -251,7 +251,7 @@ fn more_noise_is_found_where_thresholds_jump() {
 }
 
 #[test]
-fn events_are_believed_less_where_they_mislead_about_frames() {
+fn events_are_trusted_less_where_they_mislead_about_frames() {
     let recorded = recorded(Reset::Resample);
     let mut group = MapGroup::default();
     let right = recorded.problem(Reset::Resample);
@@ -380,7 +380,7 @@ fn light_that_would_have_fired_is_pulled_back() {
 }
 
 #[test]
-fn light_that_frames_cannot_have_seen_is_beyond_belief() {
+fn light_that_frames_cannot_have_seen_is_implausible() {
     let frames = [MapFrame { start_ns: 0, end_ns: 5_000_000, dn: 425.0, sigma_dn: 1.0, saturated: false }];
     let recorded = recorded(Reset::Resample);
     let problem = MapProblem { frames: &frames, ..recorded.problem(Reset::Resample) };
@@ -545,7 +545,7 @@ fn thresholds_of_their_own_are_found_where_pixels_differ() {
 }
 
 #[test]
-fn lost_events_are_found_where_frames_contradict_the_silence_and_nowhere_else() {
+fn lost_events_are_found_where_frames_contradict_the_gap_and_nowhere_else() {
     for reset in [Reset::Resample, Reset::Advance] {
         let whole = recorded(reset);
         // One edge goes unseen: light falls by 1.4 while the pixel is silent, and rises again after it.

@@ -144,19 +144,19 @@ fn linearise(task: &MapTask<'_>, u: &[f64], shift: Column<'_>, workspace: &mut M
     first_u[0]
 }
 
-/// A measurement as all others foretell it.
+/// A measurement as all others predict it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LeftOut {
     /// `k` of an event, or `events + l` of a frame.
     pub measurement: u32,
-    /// Measured less foretold, natural-log units or DN.
+    /// Measured less predicted, natural-log units or DN.
     pub residual: f64,
     /// Its variance, its own noise included.
     pub variance: f64,
 }
 
 /// One Gauss-Newton step of the light `u` of a pixel (at the knots that solving the task gives) when `shift` is added to what the sensor of the task predicts; no part of it
-/// is longer than `longest`. `out` says how each measurement was foretold by the others before the step. Gives the length of the step, or nothing when `u` does not fit the task.
+/// is longer than `longest`. `out` says how each measurement was predicted by the others before the step. Gives the length of the step, or nothing when `u` does not fit the task.
 ///
 /// A caller who computes the shift anew after each step solves the pixel under any model, as long as the task's sensor is near enough for its derivatives. Silence says nothing.
 pub fn refine(task: &MapTask<'_>, u: &mut [f64], shift: Column<'_>, longest: f64, workspace: &mut MapWorkspace, out: &mut Vec<LeftOut>) -> Option<f64> {
@@ -299,15 +299,15 @@ mod tests {
             assert!((found / expected - 1.0).abs() < 1e-5, "{found} against {expected}");
         }
 
-        let (mut moved, mut foretold) = (u.clone(), Vec::new());
-        refine(&MapTask { problem, options }, &mut moved, column, 100.0, &mut MapWorkspace::default(), &mut foretold).unwrap();
+        let (mut moved, mut predicted) = (u.clone(), Vec::new());
+        refine(&MapTask { problem, options }, &mut moved, column, 100.0, &mut MapWorkspace::default(), &mut predicted).unwrap();
         let shifted = &here - &says;
         let change = jacobian.clone().svd(true, true).solve(&-&shifted, 1e-12).unwrap();
         for (k, moved) in moved.iter().enumerate() {
             assert!((moved - u[k] - change[k]).abs() < 1e-6, "knot {k}");
         }
         // The residual of a row that is left out, from the rest by dense algebra.
-        let one = foretold[3];
+        let one = predicted[3];
         let row = from + chain.rows.iter().enumerate().filter(|(_, row)| row.sight != Sight::None).nth(3).unwrap().0;
         let mut unit = DVector::zeros(here.len());
         unit[row] = 1.0;

@@ -245,7 +245,7 @@ fn a_plain_file_of_another_program_is_read() {
 }
 
 #[test]
-fn events_that_contradict_the_format_are_told_with_count_and_place() {
+fn events_that_contradict_the_format_are_reported_with_count_and_place() {
     let good = Plain::good;
     let cases = [
         (Plain { x: vec![1, 3, 2, 9], ..good() }, "/events/x, /events/y: found 2 events outside the sensor, the first at index 1 (x = 3, y = 1)"),
@@ -287,7 +287,7 @@ fn with_frames(shape: (usize, usize, usize), start: &[i64], end: &[i64]) -> impl
 }
 
 #[test]
-fn a_header_that_contradicts_the_format_is_told() {
+fn a_header_that_contradicts_the_format_is_reported() {
     let says = |make: Box<dyn FnOnce(&Path)>, expected: &str| {
         let found = complaint(make);
         assert!(found.contains(expected), "{found}\nshould contain {expected}");
@@ -331,7 +331,7 @@ fn a_header_that_contradicts_the_format_is_told() {
 }
 
 #[test]
-fn independent_mistakes_are_told_together() {
+fn independent_mistakes_are_reported_together() {
     let found = complaint(|path| {
         let file = Plain::good().write(path);
         file.delete_attr("width").unwrap();

@@ -171,7 +171,7 @@ fn a_fast_and_a_slow_low_pass_agree() {
 }
 
 #[test]
-fn blind_time_and_reset_laws_agree() {
+fn blind_time_and_reset_rules_agree() {
     for reset in [Reset::Resample, Reset::Advance] {
         agree("blind", Case { latency_ns: 20_000, refractory_ns: 100_000, reset, ..plain(20e-6, 100e-6) });
     }

@@ -3,7 +3,7 @@
 use super::super::neighbours::{event_plane, halo, joined};
 use super::super::*;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, recorded};
-use crate::effects::{Domain, Effect, Kernel, Kick, KickTarget, Latency, Reading, RowSite, Spontaneous, Tap, Thresholds};
+use crate::effects::{Domain, Effect, Impulse, ImpulseTarget, Kernel, Latency, Reading, RowSite, Spontaneous, Tap, Thresholds};
 use crate::exposure::DigitalNumber;
 use photocurrent_core::Exposure;
 use photocurrent_core::random::Random;
@@ -64,33 +64,33 @@ fn a_spontaneous_event_resets_an_armed_pixel_and_leaves_a_blind_one_alone() {
     assert_eq!(found, [(5, -1), (12, -1), (24, 1)]);
 }
 
-struct Kicks(KickTarget, f64);
+struct Impulses(ImpulseTarget, f64);
 
-impl Effect for Kicks {
+impl Effect for Impulses {
     fn id(&self) -> &'static str {
-        "kicks"
+        "impulses"
     }
 
-    fn kicks(&self, _: &Site, _: i64, _: i64, out: &mut Vec<Kick>) {
-        out.push(Kick { t_ns: 5 * MS, change: self.1, target: self.0 });
+    fn impulses(&self, _: &Site, _: i64, _: i64, out: &mut Vec<Impulse>) {
+        out.push(Impulse { t_ns: 5 * MS, change: self.1, target: self.0 });
     }
 }
 
 #[test]
-fn a_kick_fires_at_its_instant_and_the_front_end_settles_back() {
+fn an_impulse_fires_at_its_instant_and_the_front_end_settles_back() {
     let slow = Pixel { front_end: FrontEnd { tau_0_s: 1e-3, alpha_s: 0.0 }, ..ideal_pixel() };
     let light = Samples::constant(1.0);
-    let of = |target, change| recorded(slow, vec![Box::new(Kicks(target, change))], &light, 20 * MS);
+    let of = |target, change| recorded(slow, vec![Box::new(Impulses(target, change))], &light, 20 * MS);
     // Up by 0.25: ON at once; then back from 0.05 above that reference to 0.2 below it, which is where the light is: asymptotically never.
-    assert_eq!(of(KickTarget::FrontEnd, 0.25).iter().map(|event| (event.t_in_ns, event.polarity)).collect::<Vec<_>>()[0], (5 * MS, 1));
-    let events = of(KickTarget::FrontEnd, -0.45);
+    assert_eq!(of(ImpulseTarget::FrontEnd, 0.25).iter().map(|event| (event.t_in_ns, event.polarity)).collect::<Vec<_>>()[0], (5 * MS, 1));
+    let events = of(ImpulseTarget::FrontEnd, -0.45);
     // Down by 0.45: two OFF at once, reference -0.4; back up through -0.2 after ln(0.45 / 0.2) ms, and 0 is reached asymptotically.
     assert_eq!(events.iter().map(|event| event.polarity).collect::<Vec<_>>()[..3], [-1, -1, 1]);
     let expected_ns = 5e6 + 1e6 * libm::log(0.45 / 0.2);
     assert!((events[2].t_in_ns as f64 - expected_ns).abs() < 2.0);
     // The comparator's input stays where it was pushed.
-    assert_eq!(of(KickTarget::Comparator, -0.45).len(), 2);
-    assert_eq!(of(KickTarget::Comparator, 0.15).len(), 0);
+    assert_eq!(of(ImpulseTarget::Comparator, -0.45).len(), 2);
+    assert_eq!(of(ImpulseTarget::Comparator, 0.15).len(), 0);
 }
 
 made!(Stamps {

@@ -58,7 +58,7 @@ fn openeb_fires_the_same_events_at_the_same_times() {
 }
 
 #[test]
-fn another_reset_law_does_not_pass_for_theirs() {
+fn another_reset_rule_does_not_pass_for_theirs() {
     // The paper samples the reference anew, which misses what the voltage moves between firing and stamp.
     assert!(met(&ours(Reset::Resample), &theirs()) < 0.6);
 }

@@ -1,4 +1,4 @@
-//! What the reference does after an event, by each reset law.
+//! What the reference does after an event, by each reset rule.
 
 use super::super::*;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, intervals_s};
@@ -9,7 +9,7 @@ fn events(pixel: Pixel, reset: Reset, samples: &Samples, end_ns: i64) -> Vec<Pix
 }
 
 #[test]
-fn without_blind_time_all_laws_are_one() {
+fn without_blind_time_all_rules_are_one() {
     let light = Samples::of_log(80 * MS, |t| -1.0 + libm::sin(200.0 * t));
     let resampled = events(ideal_pixel(), Reset::Resample, &light, 80 * MS);
     assert!(resampled.len() > 40);
@@ -53,7 +53,7 @@ fn after_a_jump_advance_catches_up_one_blind_time_at_a_time() {
 }
 
 #[test]
-fn a_lost_crossing_moves_the_reference_of_the_lossy_law_by_whole_thresholds() {
+fn a_lost_crossing_moves_the_reference_of_the_lossy_rule_by_whole_thresholds() {
     // 0.9, then 0.15 more: 5.25 thresholds of which 4 were taken at the first jump, so 0.25 - 0.2 is left over for a fifth.
     let second = |first: f64, second: f64| Samples {
         t_ns: vec![0, MS, MS + 1, 10 * MS, 10 * MS + 1],
