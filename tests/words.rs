@@ -85,7 +85,7 @@ fn retired_words_do_not_come_back() {
         println!("skipped: no git here to list the project's files");
         return;
     };
-    let endings = ["rs", "md", "toml", "py", "js", "css", "html", "m", "sh", "form"];
+    let endings = ["rs", "md", "toml", "py", "js", "css", "html", "m", "sh", "form", "stderr"];
     let mut found = Vec::new();
     for name in String::from_utf8_lossy(&listed.stdout).split('\0') {
         let is_text = name.rsplit_once('.').is_some_and(|(_, ending)| endings.contains(&ending)) || ["Makefile", "pipelines/cluster/Snakefile"].contains(&name);
