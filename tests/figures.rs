@@ -168,10 +168,10 @@ fn the_readmes_blind_rates_are_those_of_the_lists() {
     let (moving, star) = (concealed("A moving scene", "One effect"), concealed("A known target", "One effect"));
     let nothing = concealed("A moving scene", "Nothing");
     let quiet = ["consistent", "insufficient"];
-    let alarms = nothing.iter().filter(|(_, said)| !quiet.iter().any(|word| said.contains(word))).count();
+    let false_alarms = nothing.iter().filter(|(_, said)| !quiet.iter().any(|word| said.contains(word))).count();
     let undecided = moving.iter().filter(|(_, said)| said.contains("insufficient")).count();
     let wanted = format!(
-        "{alarms} false alarm in {}; of {} small effects {} are named and on {undecided} nothing is decided; with a known target {} of {} are named",
+        "{false_alarms} false alarm in {}; of {} small effects {} are named and on {undecided} nothing is decided; with a known target {} of {} are named",
         nothing.len(),
         moving.len(),
         named(&moving),

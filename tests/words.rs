@@ -70,7 +70,9 @@ fn plain(line: &str) -> String {
 
 /// The retired words of a line.
 fn retired(line: &str) -> Vec<&'static str> {
-    let line = ORDINARY.iter().fold(line.replace("False alarm", "false alarm").replace("false_alarm", ""), |line, (around, _)| line.replace(around, " "));
+    let line = ORDINARY
+        .iter()
+        .fold(line.replace("False alarm", "false alarm").replace("false_alarms", "").replace("false_alarm", ""), |line, (around, _)| line.replace(around, " "));
     let text = plain(&line);
     let is_word = |c: Option<char>| c.is_some_and(char::is_alphanumeric);
     let stands =
