@@ -150,6 +150,37 @@ fn tables_of_scores_in_the_readme_say_what_makes_them() {
     }
 }
 
+/// The rows of a list of docs/concealed.md: truth, and what was said.
+fn concealed(section: &str, list: &str) -> Vec<(String, String)> {
+    let text = pages::read("docs/concealed.md");
+    let after = |text: &str, mark: &str| text.split_once(mark).unwrap_or_else(|| panic!("docs/concealed.md has {mark}")).1.to_string();
+    let text = after(&after(&text, &format!("## {section}")), &format!("**{list}**"));
+    let rows = text.lines().skip_while(|line| !line.starts_with('|')).take_while(|line| line.starts_with('|')).skip(2);
+    rows.map(|row| row.split('|').map(|cell| cell.trim().to_string()).collect::<Vec<_>>()).map(|cells| (cells[2].clone(), cells[4].clone())).collect()
+}
+
+#[test]
+fn the_readmes_blind_rates_are_those_of_the_lists() {
+    let named = |rows: &[(String, String)]| {
+        let holds = |(truth, said): &&(String, String)| said.split([',', '(', ' ', '`']).any(|name| name == truth);
+        rows.iter().filter(holds).count()
+    };
+    let (moving, star) = (concealed("A moving scene", "One effect"), concealed("A known target", "One effect"));
+    let nothing = concealed("A moving scene", "Nothing");
+    let quiet = ["consistent", "insufficient"];
+    let false_alarms = nothing.iter().filter(|(_, said)| !quiet.iter().any(|word| said.contains(word))).count();
+    let undecided = moving.iter().filter(|(_, said)| said.contains("insufficient")).count();
+    let wanted = format!(
+        "{false_alarms} false alarm in {}; of {} small effects {} are named and on {undecided} nothing is decided; with a known target {} of {} are named",
+        nothing.len(),
+        moving.len(),
+        named(&moving),
+        named(&star),
+        star.len()
+    );
+    assert!(pages::read("README.md").contains(&wanted), "README.md should say: {wanted}");
+}
+
 #[test]
 fn a_figure_that_differs_in_a_digit_is_found() {
     let text = "x\n<!-- made by: photocurrent run a.toml -->\n```\n$ photocurrent run a.toml\nlabel  psnr\n-----  ----\nours   1.25\n```\n<!-- made by, slowly: photocurrent run b.toml -->\n\n| a | b |\n| --- | --- |\n| ours (0.3) | **2.50** |\n\ny\n";

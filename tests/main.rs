@@ -3,6 +3,7 @@
 //! - `browser`: the pages in a real browser: the report of a run, the page of a diagnosis.
 //! - `commands`: the commands in README.md and docs/ run.
 //! - `conformance`: every node kind keeps the promises that all of them make.
+//! - `pages`: the pages of README.md and docs/, their code blocks and links.
 //! - `manifests`: every mistake in a manifest gives its message (`manifests/bad`).
 //! - `pipelines`: the pipelines that people run, and their ablations, do run.
 //! - `cache`: what runs again after a change, and what does not.

@@ -1,6 +1,7 @@
 //! The pages of README.md and docs/, and the code blocks in them.
 
 use crate::support::{Bench, root};
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
@@ -71,4 +72,67 @@ pub fn bench(page: &str) -> Bench {
         }
     }
     bench
+}
+
+/// The anchor of a heading, as GitHub makes it.
+fn anchor(heading: &str) -> String {
+    let kept = heading.trim().chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c));
+    kept.collect::<String>().to_lowercase().replace(' ', "-")
+}
+
+/// The anchors of a text: its headings, outside of code blocks.
+fn anchors(text: &str) -> BTreeSet<String> {
+    let mut inside = false;
+    let lines = text.lines().filter(|line| {
+        inside ^= line.trim_start().starts_with("```");
+        !inside && line.starts_with('#')
+    });
+    lines.map(|line| anchor(line.trim_start_matches('#'))).collect()
+}
+
+/// The targets of links in a text, outside of code.
+fn links(text: &str) -> Vec<String> {
+    let mut inside = false;
+    let mut found = Vec::new();
+    for line in text.lines() {
+        inside ^= line.trim_start().starts_with("```");
+        // What stands between single back-ticks is code.
+        let line: String = line.split('`').step_by(2).collect();
+        if !inside {
+            found.extend(line.split("](").skip(1).filter_map(|rest| Some(rest.split_once(')')?.0.to_string())));
+        }
+    }
+    found
+}
+
+#[test]
+fn no_link_is_dead() {
+    let mut pages = names();
+    pages.extend(["CHANGELOG.md", "data/README.md", "data/concealed/README.md", "data/diagnosis/README.md", "data/recordings/README.md"].map(String::from));
+    let (mut dead, mut count) = (Vec::new(), 0);
+    for name in &pages {
+        let text = read(name);
+        let folder = Path::new(name).parent().unwrap_or(Path::new(""));
+        for link in links(&text).into_iter().filter(|link| !link.contains("://") && !link.starts_with("mailto:")) {
+            count += 1;
+            let (file, heading) = link.split_once('#').map_or((link.as_str(), None), |(file, heading)| (file, Some(heading)));
+            let path = root().join(folder).join(file);
+            if !file.is_empty() && !path.exists() {
+                dead.push(format!("{name}: {link}: there is no such file"));
+            } else if let Some(heading) = heading {
+                let target = if file.is_empty() { text.clone() } else { fs::read_to_string(&path).unwrap_or_default() };
+                if !anchors(&target).contains(heading) {
+                    dead.push(format!("{name}: {link}: there is no such heading"));
+                }
+            }
+        }
+    }
+    assert!(count > 100 && dead.is_empty(), "dead links:\n{}\n", dead.join("\n"));
+}
+
+#[test]
+fn links_and_headings_are_read_as_they_are_shown() {
+    assert_eq!(anchor(" `method = \"map\"`, in short"), "method--map-in-short");
+    assert_eq!(links("see [a](b.md#c) and `[no](link)`\n```\n[none](x)\n```\n[d](e)"), ["b.md#c", "e"]);
+    assert!(anchors("# One two\n```\n# no\n```\n## Three").contains("three"));
 }

@@ -70,7 +70,9 @@ fn plain(line: &str) -> String {
 
 /// The retired words of a line.
 fn retired(line: &str) -> Vec<&'static str> {
-    let line = ORDINARY.iter().fold(line.replace("False alarm", "false alarm").replace("false_alarm", ""), |line, (around, _)| line.replace(around, " "));
+    let line = ORDINARY
+        .iter()
+        .fold(line.replace("False alarm", "false alarm").replace("false_alarms", "").replace("false_alarm", ""), |line, (around, _)| line.replace(around, " "));
     let text = plain(&line);
     let is_word = |c: Option<char>| c.is_some_and(char::is_alphanumeric);
     let stands =
@@ -85,7 +87,7 @@ fn retired_words_do_not_come_back() {
         println!("skipped: no git here to list the project's files");
         return;
     };
-    let endings = ["rs", "md", "toml", "py", "js", "css", "html", "m", "sh", "form"];
+    let endings = ["rs", "md", "toml", "py", "js", "css", "html", "m", "sh", "form", "stderr"];
     let mut found = Vec::new();
     for name in String::from_utf8_lossy(&listed.stdout).split('\0') {
         let is_text = name.rsplit_once('.').is_some_and(|(_, ending)| endings.contains(&ending)) || ["Makefile", "pipelines/cluster/Snakefile"].contains(&name);

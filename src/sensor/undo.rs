@@ -174,7 +174,7 @@ impl Undo {
         self.effects.is_empty()
     }
 
-    /// Is there anything to take off that an estimate of the light must be known for ([`Undo::at_light`])?
+    /// Is there anything to undo that an estimate of the light must be known for ([`Undo::at_light`])?
     pub fn needs_light(&self) -> bool {
         self.effects.iter().any(|effect| effect.added_photocurrent() == 0.0)
     }

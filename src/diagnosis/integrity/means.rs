@@ -5,7 +5,7 @@
 //! light that follows them, so thresholds are a least-squares fit, for every shift of the clock and for every dark current: events see `ln(i + current)`, so with one, it is that sum that
 //! their thresholds must explain. An event is taken at the middle of the light that it stands for ([`super::changes::centred`]), and earlier by the delay that is stated for its pixel's light.
 //!
-//! Limits: one delay for all pixels, so that a front end slower than stated looks like a clock; thresholds are good to a tenth, as events that are lost make them look larger. Light that
+//! Limits: one delay for all pixels, so that a front end slower than stated looks like a clock; thresholds have an error of up to a tenth, as events that are lost make them look larger. Light that
 //! neighbours mix in, and frames whose black level is too low, look like a dark current.
 
 use super::changes::{LONGEST_EXPOSURE, Predicted, Sums, centred, intervals};
@@ -16,7 +16,7 @@ use crate::nominal::Nominal;
 use photocurrent_core::sensor::Reset;
 use photocurrent_sensor::front_end::time_constant;
 
-/// As few pairs of frames say nothing.
+/// So few pairs of frames decide nothing.
 const FEWEST: usize = 1000;
 /// More pixels than make about so many pairs are not looked at.
 const MOST: usize = 60_000;
@@ -230,7 +230,7 @@ impl Mean {
 pub struct Proposed {
     /// An offset of the clock.
     pub late: Option<Finding>,
-    /// Thresholds, and the same with a dark current; the simpler first, none that says nothing.
+    /// Thresholds, and the same with a dark current; the simpler first, none that gains nothing.
     pub contrast: Vec<Vec<Finding>>,
 }
 

@@ -31,7 +31,7 @@ fn camera(actual: Actual) -> Case {
     let log = |pixel: usize, t_ns: i64| {
         let (x, y) = ((pixel % 30) as f64, (pixel / 30) as f64);
         let phase = 0.35 * x + 0.5 * y - 60.0 * t_ns as f64 * 1e-9;
-        // In the last columns nothing moves, and they tell that frames are without noise.
+        // In the last columns nothing moves, and they show that frames are without noise.
         let swing = if x < 22.0 { 1.0 } else { 0.0 };
         1.0 + 1.2 * libm::sin(0.11 * x + 0.17 * y) + swing * (0.6 * libm::sin(phase) + 0.3 * libm::sin(1.7 * phase + 1.0))
     };
@@ -91,7 +91,7 @@ fn of_a_sensor_as_stated_nothing_is_proposed() {
 }
 
 #[test]
-fn events_that_come_late_are_told_by_how_much() {
+fn events_that_come_late_show_by_how_much() {
     for late_ms in [4.0, -6.0] {
         let found = of(Actual { late_ns: (late_ms * 1e6) as i64, ..Actual::default() });
         let late = found.late.unwrap();
