@@ -149,6 +149,17 @@ fn wait_for_start(child: &mut Child, node: &str) -> bool {
 
 #[test]
 fn an_interrupt_ends_with_130_and_the_next_run_goes_on() {
+    ends_with_130_and_goes_on("INT");
+    ends_with_130_and_goes_on("TERM");
+}
+
+/// The shell's own `kill` is there wherever a shell is.
+fn send(signal: &str, child: &Child) {
+    let sent = std::process::Command::new("sh").args(["-c", &format!("kill -{signal} {}", child.id())]).status();
+    assert!(sent.is_ok_and(|status| status.success()), "{signal} was not sent");
+}
+
+fn ends_with_130_and_goes_on(signal: &str) {
     let bench = bench();
     let mut interrupted = None;
     // A run may be over before the signal arrives; another seed then tries again.
@@ -156,10 +167,11 @@ fn an_interrupt_ends_with_130_and_the_next_run_goes_on() {
         let set = format!("pipeline.seed={seed}");
         let mut child = start(&bench, &["--set", &set]);
         assert!(wait_for_start(&mut child, "scene"));
-        // The shell's own `kill` is there wherever a shell is.
-        let sent = std::process::Command::new("sh").args(["-c", &format!("kill -INT {}", child.id())]).status().expect("a shell");
+        if child.try_wait().expect("a child").is_none() {
+            send(signal, &child);
+        }
         let code = child.wait().expect("it ends").code();
-        assert!(code == Some(130) || code == Some(0), "{code:?}, signal sent: {sent}");
+        assert!(code == Some(130) || code == Some(0), "{code:?} after {signal}");
         assert_cache_is_whole(&bench, &set);
         assert_exports_are_whole(&bench.path("out/m"), &set);
         if code == Some(130) {
@@ -174,6 +186,118 @@ fn an_interrupt_ends_with_130_and_the_next_run_goes_on() {
     let plan: Value = serde_json::from_str(&plan.stdout).expect("JSON");
     assert_eq!((&plan["tasks"][0]["node"], &plan["tasks"][0]["state"]), (&"sensor".into(), &"hit".into()));
     assert_ends_as(&bench, &after, &undisturbed(&after), &set);
+}
+
+#[test]
+fn a_diagnosis_in_the_middle_of_a_long_step_stops_and_leaves_nothing_behind() {
+    let bench = Bench::new();
+    recordings::write(&bench.path("rec.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
+    std::fs::create_dir(bench.path("temporary")).expect("a folder");
+    let sensor = support::root().join("data/sensors/hybrid.toml");
+    let mut command = bench.command(&["diagnose", "rec.h5", "--sensor", sensor.to_str().expect("UTF-8"), "-o", "answer"]);
+    let command = command.env("TMPDIR", bench.path("temporary")).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+    let mut child = command.spawn().expect("the command starts");
+    let begun = wait_for_start(&mut child, "integrity");
+    if begun && child.try_wait().expect("a child").is_none() {
+        send("TERM", &child);
+    }
+    let code = child.wait().expect("it ends").code();
+    // It may be over before the signal arrives.
+    assert!(begun && (code == Some(130) || code == Some(0)), "{code:?}");
+    assert_eq!(files(&bench.path("temporary")).len(), 0);
+    if bench.path(".photocurrent").is_dir() {
+        assert_cache_is_whole(&bench, "after a diagnosis");
+    }
+}
+
+#[test]
+fn a_disk_that_is_full_ends_what_it_must_and_spoils_nothing() {
+    let bench = bench();
+    let expected = undisturbed(&[]);
+    let mut ended = 0;
+    // A process that may write files of so many blocks only is told the same as one on a full disk: that a write failed.
+    for blocks in [8, 32, 128, 300, 600] {
+        let limited = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
+        let mut command = std::process::Command::new("sh");
+        command.args(["-c", &limited, env!("CARGO_BIN_EXE_photocurrent"), "run", "m.toml", "-q"]).current_dir(bench.path(""));
+        let output = command.output().expect("a shell");
+        let (when, said) = (format!("{blocks} blocks"), String::from_utf8_lossy(&output.stderr).into_owned());
+        match output.status.code() {
+            Some(1) => {
+                assert!(said.contains("cannot write") || said.contains("is the disk full?"), "{when}: {said}");
+                assert!(said.contains(".photocurrent") || said.contains("out/m"), "{when}: no file is named: {said}");
+                ended += 1;
+            }
+            code => assert_eq!(code, Some(0), "{when}: {said}"),
+        }
+        assert_cache_is_whole(&bench, &when);
+        assert_exports_are_whole(&bench.path("out/m"), &when);
+    }
+    assert!(ended > 0, "no run came to the limit: nothing was tested");
+    assert_ends_as(&bench, &[], &expected, "with room again");
+}
+
+#[test]
+fn a_cache_that_cannot_be_written_is_said_before_anything_runs() {
+    let bench = bench();
+    bench.write("file", "not a folder");
+    let done = bench.run(&["run", "m.toml", "--cache", "file/cache"]);
+    assert_eq!(done.code, 1, "{}", done.stderr);
+    assert!(done.stderr.contains("file/cache") && !done.stderr.contains("started"), "{}", done.stderr);
+    assert_eq!(std::fs::read_to_string(bench.path("file")).expect("the file"), "not a folder");
+
+    // A finished cache that may only be read.
+    let expected = undisturbed(&[]);
+    bench.outcome(&["m.toml"]);
+    let data = bench.path(".photocurrent/data");
+    let mode = |mode: u32| std::fs::set_permissions(&data, std::os::unix::fs::PermissionsExt::from_mode(mode)).expect("a mode");
+    mode(0o555);
+    // The superuser may write nevertheless.
+    if std::fs::write(data.join("probe"), "").is_err() {
+        let done = bench.run(&["run", "m.toml", "--set", "pipeline.seed=9"]);
+        assert_eq!(done.code, 1, "{}", done.stderr);
+        assert!(done.stderr.contains(".photocurrent"), "{}", done.stderr);
+    }
+    mode(0o755);
+    let _ = std::fs::remove_file(data.join("probe"));
+    assert_cache_is_whole(&bench, "after it was read-only");
+    assert_ends_as(&bench, &[], &expected, "after it was read-only");
+}
+
+#[test]
+fn an_output_folder_that_cannot_be_made_is_said_before_anything_runs() {
+    let bench = bench();
+    bench.write("file", "not a folder");
+    for out in ["file", "file/out"] {
+        let done = bench.run(&["run", "m.toml", "--out", out]);
+        assert_eq!(done.code, 1, "{}", done.stderr);
+        assert!(done.stderr.contains(&format!("{out}: cannot make the folder")) && done.stderr.contains("--out"), "{}", done.stderr);
+        assert!(!done.stderr.contains("started"), "{}", done.stderr);
+    }
+    assert_eq!(std::fs::read_to_string(bench.path("file")).expect("the file"), "not a folder");
+}
+
+#[test]
+fn an_input_file_that_goes_away_midway_fails_its_reader_alone() {
+    let bench = Bench::new();
+    let write = || recordings::write(&bench.path("rec.h5"), Some(&recordings::events()), Some(&recordings::frames(3)));
+    write();
+    // The scene is longer than it takes to remove a file, and one thread takes nodes in order.
+    let scene = support::small_pipeline().replace("width = 32, height = 24, duration = \"40 ms\"", "width = 96, height = 72, duration = \"100 ms\"");
+    let given = "[nodes.given]\nkind = \"read/recording\"\nparams = { path = \"rec.h5\" }\n\
+        [nodes.repeated]\nkind = \"baseline/repeat\"\nin = { frames = \"given.frames\", sensor = \"sensor\", at = \"given.frames\" }\n";
+    bench.write("m.toml", &format!("{scene}{given}"));
+    let mut child = start(&bench, &["--threads", "1"]);
+    assert!(wait_for_start(&mut child, "scene"));
+    std::fs::remove_file(bench.path("rec.h5")).expect("removed");
+    assert_eq!(child.wait().expect("it ends").code(), Some(1));
+    assert_cache_is_whole(&bench, "after the file went away");
+    assert_exports_are_whole(&bench.path("out/m"), "after the file went away");
+    // It is named, what does not need it was done, and with the file it goes on from there.
+    let again = bench.run(&["run", "m.toml"]);
+    assert!(again.code != 0 && again.stderr.contains("rec.h5"), "{}", again.stderr);
+    write();
+    assert_eq!(executed(&bench.outcome(&["m.toml"])), ["given", "repeated"]);
 }
 
 #[test]

@@ -3,10 +3,11 @@
 use super::caution::{CAUTIONS, Caution, Lost, take_care};
 use super::film::Fired;
 use super::film::STEP_NS;
+use super::lively::Lively;
 use super::trust::{Measured, Posed};
 use crate::co_located::CoLocated;
 use crate::solve::pixel::choice::Settings;
-use crate::solve::pixel::map::{RowSetting, RowSolver};
+use crate::solve::pixel::map::{RowSetting, RowSolver, Taken};
 use crate::solve::pixel::neighbours;
 use crate::solve::pixel::row::Recorded;
 use crate::solve::pixel::shares::Colours;
@@ -110,17 +111,16 @@ impl Solver {
         let recorded = Recorded { meta: &meta, times, colours: &colours, rows, events: &events, frames: &values };
         let known = neighbours::known(self.node.params(), &model, &recorded, rows, cx)?;
         let settings = Settings::choose(self.node.params(), &model, &recorded, rows, known.as_ref())?;
-        let prepare = |row: u32| -> Result<Row, NodeError> {
-            let mut solver = RowSolver::default();
+        let prepare = |solver: &mut RowSolver, row: u32| -> Result<Row, NodeError> {
             let setting = *settings.of(row);
             solver.take(&model, &setting, &recorded, row)?;
             if let Some(known) = &known {
                 solver.give(known.of(row).to_vec());
             }
             cx.advance(1)?;
-            Ok(Row { row, solver, setting })
+            Ok(Row { row, taken: solver.hand_over(), setting })
         };
-        let rows: Result<Vec<Row>, NodeError> = rows.iter().into_par_iter().map(prepare).collect();
+        let rows: Result<Vec<Row>, NodeError> = rows.iter().into_par_iter().map_init(RowSolver::default, prepare).collect();
         Ok(Again { model, meta, rows: rows? })
     }
 }
@@ -128,7 +128,7 @@ impl Solver {
 /// A row, taken in once.
 pub(super) struct Row {
     pub row: u32,
-    solver: RowSolver,
+    taken: Taken,
     setting: RowSetting,
 }
 
@@ -140,7 +140,7 @@ impl Row {
 
     /// The events of pixel x, in order of in-pixel time.
     pub fn events_of(&self, x: usize) -> &[MapEvent] {
-        self.solver.data().events_of(x)
+        self.taken.data().events_of(x)
     }
 
     /// Pixel x and what it measured, with some of its frame values.
@@ -150,7 +150,7 @@ impl Row {
 
     /// The frame values of pixel x.
     pub fn frames_of(&self, x: usize) -> &[MapFrame] {
-        self.solver.data().frames_of(x)
+        self.taken.data().frames_of(x)
     }
 }
 
@@ -171,69 +171,89 @@ impl Again {
         Arc::new(Fired::new(self.rows.iter().flat_map(|row| (0..width).map(move |x| times(row, x)))))
     }
 
+    /// Where and when pixels fired in company.
+    pub fn lively(&self) -> Lively {
+        let width = self.meta.extent.width as usize;
+        let events = self.rows.iter().flat_map(|row| (0..width).map(move |x| (x, row.row as usize, row.events_of(x))));
+        Lively::new(self.meta.extent, (self.meta.span.start.0, self.meta.span.end.0), events)
+    }
+
     /// The sensor as the solver sees it.
     pub fn sensor(&self) -> Posed {
         Posed { model: self.model.sensor(), added: self.model.added() }
     }
 
-    /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best predict frames that were kept back
-    /// from them; `hints_of` as for [`Again::solve`], but its hints must know nothing of those frames.
-    pub fn caution(&mut self, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Caution {
-        let of_pixel = |row: &mut Row, model: &Model, x: usize, hints: &[Hint]| {
+    /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best predict frames that were held out
+    /// from them; `of_row` and `hints_of` as for [`Again::solve`], but hints must know nothing of those frames.
+    pub fn caution<L>(&mut self, of_row: impl Fn(&Row) -> L + Sync, hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync) -> Caution {
+        let of_pixel = |solver: &mut RowSolver, (row, setting): (usize, &RowSetting), model: &Model, x: usize, hints: &[Hint]| {
             let cautious = CAUTIONS.map(|caution| {
                 let mut hints = hints.to_vec();
                 take_care(&mut hints, caution);
                 hints
             });
-            let lost = row.solver.prediction_errors(model, &row.setting, x, &cautious);
-            vec![Lost { x, y: row.row as usize, errors: std::array::from_fn(|n| lost[n]) }]
+            let lost = solver.prediction_errors(model, setting, x, &cautious);
+            vec![Lost { x, y: row, errors: std::array::from_fn(|n| lost[n]) }]
         };
-        let lost = self.ask(hints_of, of_pixel);
+        let lost = self.ask(of_row, hints_of, of_pixel);
         Caution::choose(self.meta.extent, &lost)
     }
 
     /// Widens standard deviations so far as frames that were kept back show that to be needed with the same hints as will be given; they must know
     /// nothing of those frames.
-    pub fn widen(&mut self, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) {
-        let of_pixel = |row: &mut Row, model: &Model, x: usize, hints: &[Hint]| row.solver.misses(model, &row.setting, x, hints);
-        let factor = estimate::too_narrow_by(&mut self.ask(hints_of, of_pixel));
+    pub fn widen<L>(&mut self, of_row: impl Fn(&Row) -> L + Sync, hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync) {
+        let of_pixel =
+            |solver: &mut RowSolver, (_, setting): (usize, &RowSetting), model: &Model, x: usize, hints: &[Hint]| solver.misses(model, setting, x, hints);
+        let factor = estimate::too_narrow_by(&mut self.ask(of_row, hints_of, of_pixel));
         self.rows.iter_mut().for_each(|row| row.setting.sigma_factor = factor);
     }
 
     /// What `answer` says of pixels that are spread over the sensor, each with its hints.
-    fn ask<T: Send>(
+    fn ask<L, T: Send>(
         &mut self,
-        hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync,
-        answer: impl Fn(&mut Row, &Model, usize, &[Hint]) -> Vec<T> + Sync,
+        of_row: impl Fn(&Row) -> L + Sync,
+        hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync,
+        answer: impl Fn(&mut RowSolver, (usize, &RowSetting), &Model, usize, &[Hint]) -> Vec<T> + Sync,
     ) -> Vec<T> {
         let Again { model, rows, .. } = self;
         let stride = usize::max(rows.len() / SAMPLED_ROWS, 1);
-        let of_row = |row: &mut Row| -> Vec<T> {
-            let (pixels, mut hints) = (row.solver.sample(), Vec::new());
+        let ask_row = |solver: &mut RowSolver, row: &mut Row| -> Vec<T> {
+            let pixels = solver.with(&mut row.taken, |solver| solver.sample());
+            let (known, mut hints) = (of_row(row), Vec::new());
             let of_pixel = |x: usize| {
-                hints_of(row, x, model.threshold(), &mut hints);
-                answer(row, model, x, &hints)
+                hints_of(&known, row, x, model.threshold(), &mut hints);
+                let Row { row, taken, setting } = row;
+                solver.with(taken, |solver| answer(solver, (*row as usize, &*setting), model, x, &hints))
             };
             pixels.into_iter().flat_map(of_pixel).collect()
         };
-        rows.par_iter_mut().skip(stride / 2).step_by(stride).flat_map_iter(of_row).collect()
+        let asked: Vec<Vec<T>> = rows.par_iter_mut().skip(stride / 2).step_by(stride).map_init(RowSolver::default, ask_row).collect();
+        asked.into_iter().flatten().collect()
     }
 
-    /// Solves every pixel with the hints that `hints_of` gives for a row and column; its last argument is how exactly a pixel knows its light
+    /// Solves every pixel with the hints that `hints_of` gives for a row and column, from what `of_row` says of the row; its last argument but one is how exactly a pixel knows its light
     /// by itself, natural-log units. Standard deviations are found in the last round only.
-    pub fn solve(&mut self, cx: &Context, is_last: bool, hints_of: impl Fn(&Row, usize, f64, &mut Vec<Hint>) + Sync) -> Result<TrackBand, NodeError> {
+    pub fn solve<L>(
+        &mut self,
+        cx: &Context,
+        is_last: bool,
+        of_row: impl Fn(&Row) -> L + Sync,
+        hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync,
+    ) -> Result<TrackBand, NodeError> {
         let Again { model, meta, rows } = self;
-        let solve_row = |row: &mut Row| -> Result<TrackBand, NodeError> {
+        let solve_row = |solver: &mut RowSolver, row: &mut Row| -> Result<TrackBand, NodeError> {
             let mut hints = vec![Vec::new(); meta.extent.width as usize];
+            let known = of_row(row);
             for (x, hints) in hints.iter_mut().enumerate() {
-                hints_of(row, x, model.threshold(), hints);
+                hints_of(&known, row, x, model.threshold(), hints);
             }
             row.setting.options.with_sigma = is_last && meta.has_sigma;
-            let band = row.solver.solve(model, &row.setting, meta, row.row, Some(&hints)).0;
+            let Row { row, taken, setting } = row;
+            let band = solver.with(taken, |solver| solver.solve(model, setting, meta, *row, Some(&hints)).0);
             cx.advance(1)?;
             Ok(band)
         };
-        let solved: Result<Vec<TrackBand>, NodeError> = rows.par_iter_mut().map(solve_row).collect();
+        let solved: Result<Vec<TrackBand>, NodeError> = rows.par_iter_mut().map_init(RowSolver::default, solve_row).collect();
         Ok(TrackBand::concat(solved?))
     }
 }

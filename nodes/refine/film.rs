@@ -1,7 +1,8 @@
 //! Tracks as functions of time, and as a film of log light for the eye that looks for motion.
 
-use photocurrent_core::{Extent, Rows, TrackBand};
+use photocurrent_core::{Extent, TrackBand};
 use rayon::prelude::*;
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Log light of every pixel at any instant.
@@ -11,30 +12,53 @@ pub(super) struct LogTracks {
     pub fired: Arc<Fired>,
     offsets: Vec<usize>,
     t_ns: Vec<i64>,
-    log: Vec<f64>,
+    log: Vec<f32>,
 }
 
 impl LogTracks {
     /// Of a band that holds all rows.
-    pub fn new(extent: Extent, band: &TrackBand, fired: &Arc<Fired>) -> LogTracks {
-        let log = band.photocurrent.iter().map(|&i| libm::log(f64::max(f64::from(i), f64::MIN_POSITIVE))).collect();
-        LogTracks { extent, fired: fired.clone(), offsets: band.offsets().to_vec(), t_ns: band.t.clone(), log }
+    pub fn new(extent: Extent, band: TrackBand, fired: &Arc<Fired>) -> LogTracks {
+        let offsets = band.offsets().to_vec();
+        let log = band.photocurrent.par_iter().map(|&i| libm::log(f64::max(f64::from(i), f64::MIN_POSITIVE)) as f32).collect();
+        LogTracks { extent, fired: fired.clone(), offsets, t_ns: band.t, log }
     }
 
     /// Log light of a pixel at an instant; `None` where nothing is known.
     pub fn at(&self, x: usize, y: usize, t_ns: i64) -> Option<f64> {
-        let pixel = y * self.extent.width as usize + x;
-        let range = self.offsets[pixel]..self.offsets[pixel + 1];
-        let (t, log) = (&self.t_ns[range.clone()], &self.log[range]);
-        let after = t.partition_point(|&knot| knot <= t_ns);
-        match (after.checked_sub(1), t.get(after)) {
-            (None, None) => None,
-            (None, Some(_)) => Some(log[0]),
-            (Some(before), None) => Some(log[before]),
-            (Some(before), Some(&next)) => {
-                let share = (t_ns - t[before]) as f64 / (next - t[before]) as f64;
-                Some(log[before] + share * (log[after] - log[before]))
+        let (t, log) = self.knots(y * self.extent.width as usize + x);
+        between(t, log, t.partition_point(|&knot| knot <= t_ns), t_ns)
+    }
+
+    /// Log light of a pixel at instants in rising order.
+    fn each(&self, pixel: usize, instants: impl Iterator<Item = i64>) -> impl Iterator<Item = Option<f64>> {
+        let (t, log) = self.knots(pixel);
+        let mut after = None;
+        instants.map(move |t_ns| {
+            let mut now = after.unwrap_or_else(|| t.partition_point(|&knot| knot <= t_ns));
+            while t.get(now).is_some_and(|knot| *knot <= t_ns) {
+                now += 1;
             }
+            after = Some(now);
+            between(t, log, now, t_ns)
+        })
+    }
+
+    fn knots(&self, pixel: usize) -> (&[i64], &[f32]) {
+        let range = self.offsets[pixel]..self.offsets[pixel + 1];
+        (&self.t_ns[range.clone()], &self.log[range])
+    }
+}
+
+/// Log light at an instant; `after` is the number of the first knot behind it.
+fn between(t: &[i64], log: &[f32], after: usize, t_ns: i64) -> Option<f64> {
+    let log = |k: usize| f64::from(log[k]);
+    match (after.checked_sub(1), t.get(after)) {
+        (None, None) => None,
+        (None, Some(_)) => Some(log(0)),
+        (Some(before), None) => Some(log(before)),
+        (Some(before), Some(&next)) => {
+            let share = (t_ns - t[before]) as f64 / (next - t[before]) as f64;
+            Some(log(before) + share * (log(after) - log(before)))
         }
     }
 }
@@ -69,31 +93,44 @@ impl Fired {
 /// Pictures in which motion is looked for lie so far apart, ns.
 pub(super) const STEP_NS: i64 = 500_000;
 
-/// Log light of all pixels at steady instants.
+/// Log light of all pixels at some of the steady instants of a recording.
 pub(super) struct Film {
     pub width: usize,
     pub height: usize,
-    pub start_ns: i64,
-    pub step_ns: i64,
+    /// The first picture's number, of all instants of the recording.
+    pub first: usize,
     /// Pictures as [y * width + x].
     pub pictures: Vec<Vec<f32>>,
 }
 
 impl Film {
-    /// Of tracks between two instants. A pixel without a track counts as grey.
-    pub fn new(tracks: &LogTracks, span: (i64, i64)) -> Film {
+    /// Number of instants between two.
+    pub fn count(span: (i64, i64)) -> usize {
+        ((span.1 - span.0) / STEP_NS + 1) as usize
+    }
+
+    /// Pictures of these numbers of tracks from an instant on. A pixel without a track counts as grey.
+    pub fn new(tracks: &LogTracks, start_ns: i64, numbers: Range<usize>) -> Film {
         let (width, height) = (tracks.extent.width as usize, tracks.extent.height as usize);
-        let count = ((span.1 - span.0) / STEP_NS + 1) as usize;
-        let picture = |n: usize| -> Vec<f32> {
-            let t = span.0 + n as i64 * STEP_NS;
-            let known: Vec<Option<f64>> =
-                Rows { start: 0, end: height as u32 }.iter().flat_map(|y| (0..width).map(move |x| (x, y as usize))).map(|(x, y)| tracks.at(x, y, t)).collect();
-            let sum = known.iter().flatten().fold((0.0, 0.0), |(sum, n), u| (sum + u, n + 1.0));
-            let grey = if sum.1 > 0.0 { sum.0 / sum.1 } else { 0.0 };
-            known.iter().map(|u| u.unwrap_or(grey) as f32).collect()
+        let row = |y: usize| -> Vec<f32> {
+            let mut lines = vec![f32::NAN; numbers.len() * width];
+            for x in 0..width {
+                let instants = numbers.clone().map(|n| start_ns + n as i64 * STEP_NS);
+                for (n, log) in tracks.each(y * width + x, instants).enumerate() {
+                    lines[n * width + x] = log.map_or(f32::NAN, |log| log as f32);
+                }
+            }
+            lines
         };
-        let pictures = (0..count).into_par_iter().map(picture).collect();
-        Film { width, height, start_ns: span.0, step_ns: STEP_NS, pictures }
+        let rows: Vec<Vec<f32>> = (0..height).into_par_iter().map(row).collect();
+        let picture = |n: usize| -> Vec<f32> {
+            let mut picture: Vec<f32> = rows.iter().flat_map(|lines| &lines[n * width..(n + 1) * width]).copied().collect();
+            let sum = picture.iter().filter(|u| !u.is_nan()).fold((0.0, 0.0), |(sum, n), u| (sum + f64::from(*u), n + 1.0));
+            let grey = if sum.1 > 0.0 { (sum.0 / sum.1) as f32 } else { 0.0 };
+            picture.iter_mut().filter(|u| u.is_nan()).for_each(|u| *u = grey);
+            picture
+        };
+        Film { width, height, first: numbers.start, pictures: (0..numbers.len()).into_par_iter().map(picture).collect() }
     }
 
     /// The film with every picture smoothed by a Gaussian of `sigma` pixels.

@@ -82,7 +82,7 @@ pub(super) fn solve(events: &EventStream, frames: &FrameSequence) -> TrackSet {
 
 /// Rms error of log light, every half millisecond from the first frame to the last.
 pub(super) fn error(tracks: &TrackSet, log: impl Fn(usize, usize, f64) -> f64) -> f64 {
-    let tracks = LogTracks::new(EXTENT, &tracks.read(EXTENT.rows()).unwrap(), &Arc::new(Fired::new(std::iter::empty())));
+    let tracks = LogTracks::new(EXTENT, tracks.read(EXTENT.rows()).unwrap(), &Arc::new(Fired::new(std::iter::empty())));
     let (mut sum, mut count) = (0.0, 0.0);
     for y in 0..EXTENT.height as usize {
         for x in 0..EXTENT.width as usize {

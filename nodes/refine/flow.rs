@@ -5,28 +5,68 @@
 //! shrink. A neighbourhood without contrast keeps the motion it has. Time distances grow as windows shrink, so that the field ends up
 //! precise to a small part of a pixel.
 //!
+//! A long recording is looked at part after part, and only where pixels fire in company ([`Lively`]): elsewhere nothing is seen to move. Of a large sensor every second pixel of every second row
+//! is asked; the field is much smoother than that.
+//!
 //! Limits: motion that cannot be seen (along an edge, in a flat place) is the affine one or none; speeds over [`FASTEST`] are cut.
 
-use super::film::{Film, smooth};
+use super::film::{Film, LogTracks, STEP_NS, smooth};
+use super::lively::Lively;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Pictures between two instants of the field.
 const STRIDE: usize = 4;
+/// Instants of the field that are worked out together.
+const TOGETHER: usize = 32;
+/// Farthest picture from its instant that is looked at.
+const REACH: usize = 6;
+/// A sensor of more pixels is asked at every second pixel of every second row.
+const LARGE: usize = 20_000;
 /// Speeds are cut to this, pixels per picture.
 const FASTEST: f64 = 3.0;
 /// Differences of log light of this size count half.
 const ROBUST: f64 = 0.1;
 /// What a motion must explain, as squared log light, to be believed.
 const LEAST_CONTRAST: f64 = 1e-4;
+/// A step that is smaller changes nothing, pixels per picture.
+const NO_STEP: f64 = 1e-4;
 
 /// Velocities in pixels per millisecond.
 pub(super) struct Flow {
-    width: usize,
-    height: usize,
+    lattice: Lattice,
     start_ns: i64,
     step_ns: i64,
-    /// One field per instant, as [y * width + x].
+    /// One field per instant, as [line * columns + column].
     fields: Vec<Vec<[f32; 2]>>,
+}
+
+/// The pixels at which the field is known.
+#[derive(Clone, Copy)]
+struct Lattice {
+    /// Pixels from one to the next.
+    pitch: usize,
+    columns: usize,
+    lines: usize,
+    /// The sensor.
+    width: usize,
+    height: usize,
+}
+
+impl Lattice {
+    fn new(width: usize, height: usize) -> Lattice {
+        let pitch = if width * height > LARGE { 2 } else { 1 };
+        Lattice { pitch, columns: width.div_ceil(pitch), lines: height.div_ceil(pitch), width, height }
+    }
+
+    fn len(&self) -> usize {
+        self.columns * self.lines
+    }
+
+    /// The pixel of a place.
+    fn pixel(&self, at: usize) -> (usize, usize) {
+        (at % self.columns * self.pitch, at / self.columns * self.pitch)
+    }
 }
 
 /// An affine field of velocities, pixels per picture: `v_x = p0 + p1 a + p2 b`, `v_y = p3 + p4 a + p5 b`, with (a, b) the place relative to
@@ -34,23 +74,39 @@ pub(super) struct Flow {
 type Affine = [f64; 6];
 
 impl Flow {
-    /// Of a film.
-    pub fn new(film: &Film) -> Flow {
-        let coarse = film.smoothed(2.0);
-        let fine = film.smoothed(0.7);
-        let bins = film.pictures.len().div_ceil(STRIDE);
-        let per_ms = 1e6 / film.step_ns as f64;
-        let fields = (0..bins)
-            .into_par_iter()
-            .map(|bin| estimate(&coarse, &fine, bin * STRIDE).iter().map(|v| [(v[0] * per_ms) as f32, (v[1] * per_ms) as f32]).collect())
-            .collect();
-        Flow { width: film.width, height: film.height, start_ns: film.start_ns, step_ns: film.step_ns * STRIDE as i64, fields }
+    /// Of tracks between two instants.
+    pub fn of_tracks(tracks: &LogTracks, span: (i64, i64), lively: &Lively) -> Flow {
+        let size = (tracks.extent.width as usize, tracks.extent.height as usize);
+        Flow::new(size, span.0, Film::count(span), lively, |numbers| Film::new(tracks, span.0, numbers))
+    }
+
+    /// From a film of so many pictures from an instant on, of which `film` gives those of any numbers.
+    pub fn new((width, height): (usize, usize), start_ns: i64, count: usize, lively: &Lively, film: impl Fn(Range<usize>) -> Film) -> Flow {
+        let lattice = Lattice::new(width, height);
+        let bins = count.div_ceil(STRIDE);
+        let mut fields = Vec::with_capacity(bins);
+        for first in (0..bins).step_by(TOGETHER) {
+            let bins = first..usize::min(first + TOGETHER, bins);
+            let numbers = (bins.start * STRIDE).saturating_sub(REACH)..usize::min((bins.end - 1) * STRIDE + REACH + 1, count);
+            let at_ns = |n: usize| start_ns + n as i64 * STEP_NS;
+            let places = lively.places((at_ns(numbers.start), at_ns(numbers.end)), (0..lattice.len()).map(|at| lattice.pixel(at)));
+            if places.is_empty() {
+                fields.extend(bins.map(|_| vec![[0.0; 2]; lattice.len()]));
+                continue;
+            }
+            let film = film(numbers);
+            let look = Look { lattice, coarse: &film.smoothed(2.0), fine: &film.smoothed(0.7), count, places: &places };
+            let per_ms = 1e6 / STEP_NS as f64;
+            let of = |bin: usize| -> Vec<[f32; 2]> { look.estimate(bin * STRIDE).iter().map(|v| v.map(|v| (v * per_ms) as f32)).collect() };
+            fields.par_extend(bins.into_par_iter().map(of));
+        }
+        Flow { lattice, start_ns, step_ns: STEP_NS * STRIDE as i64, fields }
     }
 
     /// The same velocity everywhere and always, pixels per millisecond.
     #[cfg(test)]
     pub fn steady(width: usize, height: usize, velocity: [f32; 2]) -> Flow {
-        Flow { width, height, start_ns: 0, step_ns: 1, fields: vec![vec![velocity; width * height]] }
+        Flow { lattice: Lattice::new(width, height), start_ns: 0, step_ns: 1, fields: vec![vec![velocity; width * height]] }
     }
 
     /// The fields before and after an instant, and the share of the later one.
@@ -63,14 +119,15 @@ impl Flow {
 
     /// The velocity at a place and an instant; beyond the borders as at them.
     pub fn at(&self, x: f64, y: f64, t_ns: i64) -> [f64; 2] {
+        let Lattice { pitch, columns, lines, .. } = self.lattice;
         let (before, after, share) = self.around(t_ns);
-        let (i, dx) = whole_and_rest(x, self.width);
-        let (j, dy) = whole_and_rest(y, self.height);
+        let (i, dx) = whole_and_rest(x / pitch as f64, columns);
+        let (j, dy) = whole_and_rest(y / pitch as f64, lines);
         let mut velocity = [0.0; 2];
         for (axis, value) in velocity.iter_mut().enumerate() {
             let at = |field: usize| {
                 let f = &self.fields[field];
-                let v = |x: usize, y: usize| f64::from(f[usize::min(y, self.height - 1) * self.width + usize::min(x, self.width - 1)][axis]);
+                let v = |i: usize, j: usize| f64::from(f[usize::min(j, lines - 1) * columns + usize::min(i, columns - 1)][axis]);
                 (1.0 - dy) * ((1.0 - dx) * v(i, j) + dx * v(i + 1, j)) + dy * ((1.0 - dx) * v(i, j + 1) + dx * v(i + 1, j + 1))
             };
             *value = (1.0 - share) * at(before) + share * at(after);
@@ -100,6 +157,8 @@ fn look(picture: &[f32], width: usize, height: usize, x: f64, y: f64) -> Option<
 /// Pairs of pictures that are compared, as (middle, distance of each from it).
 struct Pairs<'a> {
     film: &'a Film,
+    /// Pictures of the whole film.
+    count: usize,
     middle: usize,
     /// How far the middles of pairs lie from the instant, pictures.
     beside: &'a [i64],
@@ -112,9 +171,10 @@ impl Pairs<'_> {
         for &beside in self.beside {
             for &distance in self.distances {
                 let (early, late) = (self.middle as i64 + beside - distance as i64, self.middle as i64 + beside + distance as i64);
-                if early >= 0 && (late as usize) < self.film.pictures.len() {
+                if early >= 0 && (late as usize) < self.count {
                     let at = |n: i64| (n - self.middle as i64) as f64;
-                    with(&self.film.pictures[early as usize], &self.film.pictures[late as usize], at(early), at(late));
+                    let picture = |n: i64| &self.film.pictures[n as usize - self.film.first][..];
+                    with(picture(early), picture(late), at(early), at(late));
                 }
             }
         }
@@ -130,24 +190,108 @@ impl Pairs<'_> {
     }
 }
 
-/// The field at picture `middle`, pixels per picture.
-fn estimate(coarse: &Film, fine: &Film, middle: usize) -> Vec<[f64; 2]> {
-    let (width, height) = (coarse.width, coarse.height);
-    let middle = middle.clamp(1, usize::max(coarse.pictures.len().saturating_sub(2), 1));
-    let pairs = |film, distances| Pairs { film, middle, beside: &[-2, 0, 2], distances };
-    let affine = affine(&pairs(coarse, &[1]), [0.0; 6], 6);
-    let affine = self::affine(&pairs(fine, &[1, 2]), affine, 4);
-    let affine = self::affine(&pairs(fine, &[2, 4]), affine, 3);
-    let mut field = Vec::with_capacity(width * height);
-    for y in 0..height {
-        for x in 0..width {
-            field.push(velocity_of(&affine, width, height, x, y));
+/// Pictures in which motion is looked for, and where.
+struct Look<'a> {
+    lattice: Lattice,
+    coarse: &'a Film,
+    fine: &'a Film,
+    /// Pictures of the whole film.
+    count: usize,
+    /// Places of the lattice where something may move.
+    places: &'a [usize],
+}
+
+impl Look<'_> {
+    /// The field at picture `middle`, pixels per picture.
+    fn estimate(&self, middle: usize) -> Vec<[f64; 2]> {
+        let Look { lattice, coarse, fine, count, places } = *self;
+        let middle = middle.clamp(1, usize::max(count.saturating_sub(2), 1));
+        let pairs = |film, distances| Pairs { film, count, middle, beside: &[-2, 0, 2], distances };
+        let affine = self.affine(&pairs(coarse, &[1]), [0.0; 6], 6);
+        let affine = self.affine(&pairs(fine, &[1, 2]), affine, 4);
+        let affine = self.affine(&pairs(fine, &[2, 4]), affine, 3);
+        let mut field = vec![[0.0; 2]; lattice.len()];
+        for &at in places {
+            let (x, y) = lattice.pixel(at);
+            field[at] = velocity_of(&affine, lattice.width, lattice.height, x, y);
+        }
+        self.local(&pairs(coarse, &[1]), &mut field, 6.0, 3);
+        self.local(&pairs(fine, &[1, 2]), &mut field, 5.0, 3);
+        self.local(&pairs(fine, &[2, 4]), &mut field, 4.0, 3);
+        field
+    }
+
+    /// Improves one affine motion of all places.
+    fn affine(&self, pairs: &Pairs<'_>, mut p: [f64; 6], steps: usize) -> [f64; 6] {
+        let Lattice { width, height, .. } = self.lattice;
+        for _step in 0..steps {
+            let mut a = [[0.0; 6]; 6];
+            let mut b = [0.0; 6];
+            pairs.each(|early, late, t0, t1| {
+                for &at in self.places {
+                    let (x, y) = self.lattice.pixel(at);
+                    let v = velocity_of(&p, width, height, x, y);
+                    let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, v) else { continue };
+                    let square = e * e / (ROBUST * ROBUST);
+                    let w = 1.0 / ((1.0 + square) * (1.0 + square));
+                    let (cx, cy) = centred(width, height, x, y);
+                    let g = [gx, gx * cx, gx * cy, gy, gy * cx, gy * cy];
+                    for i in 0..6 {
+                        b[i] -= w * g[i] * e;
+                        for j in i..6 {
+                            a[i][j] += w * g[i] * g[j];
+                        }
+                    }
+                }
+            });
+            for i in 0..6 {
+                a[i][i] += LEAST_CONTRAST * self.places.len() as f64;
+                for j in 0..i {
+                    a[i][j] = a[j][i];
+                }
+            }
+            let Some(step) = solve(a, b) else { break };
+            for (p, step) in p.iter_mut().zip(step) {
+                *p += step.clamp(-1.0, 1.0);
+            }
+            if step.iter().all(|step| step.abs() < NO_STEP) {
+                break;
+            }
+        }
+        p
+    }
+
+    /// Improves the motion of every neighbourhood of `sigma` pixels.
+    fn local(&self, pairs: &Pairs<'_>, field: &mut [[f64; 2]], sigma: f64, steps: usize) {
+        let Lattice { pitch, columns, lines, .. } = self.lattice;
+        for _step in 0..steps {
+            let mut sums: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; columns * lines]);
+            pairs.each(|early, late, t0, t1| {
+                for &at in self.places {
+                    let (x, y) = self.lattice.pixel(at);
+                    let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, field[at]) else { continue };
+                    let w = 1.0 / (1.0 + e * e / (ROBUST * ROBUST));
+                    for (sum, value) in sums.iter_mut().zip([gx * gx, gx * gy, gy * gy, gx * e, gy * e]) {
+                        sum[at] += (w * value) as f32;
+                    }
+                }
+            });
+            let sums = sums.map(|sum| smooth(&sum, columns, lines, sigma / pitch as f64));
+            let mut most = 0.0;
+            for &at in self.places {
+                let [xx, xy, yy, xe, ye] = [0, 1, 2, 3, 4].map(|k: usize| f64::from(sums[k][at]));
+                let (xx, yy) = (xx + LEAST_CONTRAST, yy + LEAST_CONTRAST);
+                let determinant = xx * yy - xy * xy;
+                let step = [-(yy * xe - xy * ye) / determinant, -(xx * ye - xy * xe) / determinant];
+                let v = &mut field[at];
+                *v = cut([v[0] + step[0].clamp(-0.5, 0.5), v[1] + step[1].clamp(-0.5, 0.5)]);
+                most = f64::max(most, f64::max(step[0].abs(), step[1].abs()));
+            }
+            if most < NO_STEP {
+                break;
+            }
         }
     }
-    local(&pairs(coarse, &[1]), &mut field, 6.0, 3);
-    local(&pairs(fine, &[1, 2]), &mut field, 5.0, 3);
-    local(&pairs(fine, &[2, 4]), &mut field, 4.0, 3);
-    field
 }
 
 fn velocity_of(p: &Affine, width: usize, height: usize, x: usize, y: usize) -> [f64; 2] {
@@ -165,41 +309,6 @@ fn cut(v: [f64; 2]) -> [f64; 2] {
     let speed = (v[0] * v[0] + v[1] * v[1]).sqrt();
     let share = if speed > FASTEST { FASTEST / speed } else { 1.0 };
     [v[0] * share, v[1] * share]
-}
-
-/// Improves one affine motion of all pixels.
-fn affine(pairs: &Pairs<'_>, mut p: [f64; 6], steps: usize) -> [f64; 6] {
-    let (width, height) = (pairs.film.width, pairs.film.height);
-    for _step in 0..steps {
-        let mut a = [[0.0; 6]; 6];
-        let mut b = [0.0; 6];
-        pairs.each(|early, late, t0, t1| {
-            for y in 0..height {
-                for x in 0..width {
-                    let v = velocity_of(&p, width, height, x, y);
-                    let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, v) else { continue };
-                    let square = e * e / (ROBUST * ROBUST);
-                    let w = 1.0 / ((1.0 + square) * (1.0 + square));
-                    let (cx, cy) = centred(width, height, x, y);
-                    let g = [gx, gx * cx, gx * cy, gy, gy * cx, gy * cy];
-                    for i in 0..6 {
-                        b[i] -= w * g[i] * e;
-                        for j in 0..6 {
-                            a[i][j] += w * g[i] * g[j];
-                        }
-                    }
-                }
-            }
-        });
-        for (i, row) in a.iter_mut().enumerate() {
-            row[i] += LEAST_CONTRAST * (width * height) as f64;
-        }
-        let Some(step) = solve(a, b) else { break };
-        for (p, step) in p.iter_mut().zip(step) {
-            *p += step.clamp(-1.0, 1.0);
-        }
-    }
-    p
 }
 
 /// Gaussian elimination of a symmetric positive matrix; `None` when it is not.
@@ -225,32 +334,4 @@ fn solve(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> Option<[f64; 6]> {
         b[i] /= a[i][i];
     }
     Some(b)
-}
-
-/// Improves the motion of every neighbourhood of `sigma` pixels.
-fn local(pairs: &Pairs<'_>, field: &mut [[f64; 2]], sigma: f64, steps: usize) {
-    let (width, height) = (pairs.film.width, pairs.film.height);
-    for _step in 0..steps {
-        let mut sums: [Vec<f32>; 5] = std::array::from_fn(|_| vec![0.0; width * height]);
-        pairs.each(|early, late, t0, t1| {
-            for y in 0..height {
-                for x in 0..width {
-                    let at = y * width + x;
-                    let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, field[at]) else { continue };
-                    let w = 1.0 / (1.0 + e * e / (ROBUST * ROBUST));
-                    for (sum, value) in sums.iter_mut().zip([gx * gx, gx * gy, gy * gy, gx * e, gy * e]) {
-                        sum[at] += (w * value) as f32;
-                    }
-                }
-            }
-        });
-        let sums = sums.map(|sum| smooth(&sum, width, height, sigma));
-        for (at, v) in field.iter_mut().enumerate() {
-            let [xx, xy, yy, xe, ye] = [0, 1, 2, 3, 4].map(|k: usize| f64::from(sums[k][at]));
-            let (xx, yy) = (xx + LEAST_CONTRAST, yy + LEAST_CONTRAST);
-            let determinant = xx * yy - xy * xy;
-            let step = [-(yy * xe - xy * ye) / determinant, -(xx * ye - xy * xe) / determinant];
-            *v = cut([v[0] + step[0].clamp(-0.5, 0.5), v[1] + step[1].clamp(-0.5, 0.5)]);
-        }
-    }
 }

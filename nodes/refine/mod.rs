@@ -6,6 +6,7 @@ mod film;
 #[cfg(test)]
 mod fixtures;
 mod flow;
+mod lively;
 pub mod motion;
 pub mod onnx;
 pub mod picture;

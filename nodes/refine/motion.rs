@@ -9,18 +9,19 @@
 //! events and frames. Where they do not (something is uncovered, two things move through each other, nothing moves at all), the pixel stays
 //! as it was.
 //!
-//! Limits: it needs the whole sensor at once. Light that changes without moving is what it must reject, not what it can use.
+//! Limits: it needs the whole sensor at once, as tracks and measurements; pictures of the motion are made for a part of the time after the other. Light that changes without moving is what it must reject, not what it can use.
 
 pub(super) mod advect;
 #[cfg(test)]
 mod tests;
 
-use super::again::{In, Out, Setting, Solver};
-use super::film::{Film, LogTracks};
+use super::again::{In, Out, Row, Setting, Solver};
+use super::film::LogTracks;
 use super::flow::Flow;
 use crate::solve::pixel::{FRAME_NOISE, FrontEndModel, KNOT_SPACING};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
+use photocurrent_sensor::map::Hint;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -61,7 +62,7 @@ impl Node for RefineMotion {
     const DECL: Decl = Decl {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the motion.",
-        revision: 12,
+        revision: 13,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -98,16 +99,18 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         cx.begin(cx.rows().len() as u64 * (1 + u64::from(self.params.rounds)), "rows");
         let mut tracks = input.tracks.read(cx.rows())?;
         let mut again = self.solver.take_in(meta, &input.events, &input.frames, &input.sensor, cx)?;
-        let fired = again.fired();
-        let (extent, span, sensor) = (again.meta.extent, again.meta.span, again.sensor());
+        let (fired, lively) = (again.fired(), again.lively());
+        let (extent, sensor) = (again.meta.extent, again.sensor());
+        let span = (again.meta.span.start.0, again.meta.span.end.0);
         let step_ns = 2 * self.params.knot_spacing.ns();
         for round in 1..=self.params.rounds {
-            let log = LogTracks::new(extent, &tracks, &fired);
-            let flow = Flow::new(&Film::new(&log, (span.start.0, span.end.0)));
-            tracks = again.solve(cx, round == self.params.rounds, |row, x, threshold, hints| {
+            let log = LogTracks::new(extent, tracks, &fired);
+            let flow = Flow::of_tracks(&log, span, &lively);
+            let hints_of = |(): &(), row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
                 let measured = row.measured(x, &sensor, extent, row.frames_of(x), threshold);
                 advect::hints(&log, &flow, (row.span(), step_ns), &measured, hints);
-            })?;
+            };
+            tracks = again.solve(cx, round == self.params.rounds, |_| (), hints_of)?;
         }
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(again.meta), tracks) })
     }

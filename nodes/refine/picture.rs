@@ -9,6 +9,8 @@
 //! before every round the whole is tried on pixels without one frame in three: they must predict those frames better with the picture than without, or it is left away; how far it is
 //! trusted is what predicts them best, region by region ([`Caution`](super::caution::Caution)).
 //!
+//! Where most pixels never fire, the scene is fitted only around those that do: nobody asks for the others.
+//!
 //! Limits: it needs the whole sensor at once; edges sharper than a pixel are blurred; with fewer than four frames nothing can be tried, and no picture is used. A long recording is
 //! fitted in parts of `most_values` frame values; an array so large that three frames are more than that has no picture.
 
@@ -18,7 +20,7 @@ mod tests;
 
 use super::again::{In, Out, Row, Setting, Solver};
 use super::caution::take_care;
-use super::film::{Film, LogTracks};
+use super::film::LogTracks;
 use super::flow::Flow;
 use super::motion::advect;
 use super::trust::Trust;
@@ -29,7 +31,7 @@ use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::picture::PictureSetting;
 use photocurrent_sensor::map::estimate::is_kept_back;
 use photocurrent_sensor::map::{Hint, MapFrame};
-use scene::Pictures;
+use scene::{OfRow, Pictures};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -44,7 +46,7 @@ pub struct Params {
     /// Distance of the picture's coefficients, pixels.
     #[schemars(range(min = 0.25, max = 2.0))]
     pub pitch: f64,
-    /// So many frame values are fitted at a time, at 300 bytes each; of a longer recording part after part.
+    /// So many frame values of pixels near events are fitted at a time, at 300 bytes each; of a longer recording part after part.
     #[schemars(range(min = 10_000))]
     pub most_values: u64,
     /// Neighbouring pixels along the motion are asked as well, as `refine/motion` does.
@@ -88,7 +90,7 @@ impl Node for RefinePicture {
     const DECL: Decl = Decl {
         kind: "refine/picture",
         about: "Solves tracks again with a moving picture that explains the frames, and with what neighbouring pixels saw.",
-        revision: 10,
+        revision: 11,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -125,43 +127,49 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let meta = self.solver.meta(Self::DECL.kind, &input.tracks.meta, &input.events.meta, &input.frames.meta)?;
         cx.begin(cx.rows().len() as u64 * (1 + u64::from(self.params.rounds)), "rows");
-        let mut tracks = input.tracks.read(cx.rows())?;
         let mut again = self.solver.take_in(meta, &input.events, &input.frames, &input.sensor, cx)?;
-        let fired = again.fired();
+        let (fired, lively) = (again.fired(), again.lively());
         let (extent, sensor) = (again.meta.extent, again.sensor());
         let span = again.rows.first().map_or((0, 0), |row| row.span());
         let step_ns = 2 * self.params.knot_spacing.ns();
         let case = Case::read(Some(&input.events), Some(&input.frames), &input.sensor)?;
         let setting = PictureSetting { pitch: self.params.pitch, most_values: self.params.most_values as usize, ..PictureSetting::default() };
-        let pictures = Pictures::fit(&case, &sensor.model, &setting, self.params.knot_spacing.ns());
+        let width = extent.width as usize;
+        let asked = |span: (i64, i64)| lively.pixels(span, extent);
+        let pictures = Pictures::fit(&case, &sensor.model, &setting, self.params.knot_spacing.ns(), asked);
         drop(case);
         if let Err(why) = &pictures {
             cx.note(format!("no picture is used: {why}"));
         }
         let pictures = pictures.unwrap_or_default();
+        // Only pixels with events are told anything.
+        let of_row = |row: &Row| {
+            let columns: Vec<usize> = (0..width).filter(|x| !row.events_of(*x).is_empty()).collect();
+            pictures.of_row(row.row as usize, width, &columns)
+        };
+        let mut tracks = input.tracks.read(cx.rows())?;
         for round in 1..=self.params.rounds {
-            let log = LogTracks::new(extent, &tracks, &fired);
-            let flow = Flow::new(&Film::new(&log, span));
-            let of_picture = |keep_back: bool, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
+            let log = LogTracks::new(extent, tracks, &fired);
+            let flow = Flow::of_tracks(&log, span, &lively);
+            let of_picture = |keep_back: bool, light: &OfRow, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
                 let (y, count) = (row.row as usize, row.frames_of(x).len());
                 let known = row.frames_of(x).iter().enumerate().filter(|(l, _)| !(keep_back && is_kept_back(*l, count)));
                 let frames: Vec<MapFrame> = known.map(|(_, frame)| *frame).collect();
-                let pixel = y * extent.width as usize + x;
                 let measured = row.measured(x, &sensor, extent, &frames, threshold);
-                Trust::default().hints(|t_ns| pictures.predict(pixel, t_ns), &log, (row.span(), step_ns), &measured, hints);
+                Trust::default().hints(|t_ns| pictures.predict(light, (x, y), t_ns), &log, (row.span(), step_ns), &measured, hints);
             };
             // First without frames that are held out from the pixels: do they come out better with the picture than without?
-            let caution = again.caution(|row, x, threshold, hints| of_picture(true, row, x, threshold, hints));
+            let caution = again.caution(of_row, |light, row, x, threshold, hints| of_picture(true, light, row, x, threshold, hints));
             if round == self.params.rounds && caution.believes_some() {
-                again.widen(|row, x, threshold, hints| {
-                    of_picture(true, row, x, threshold, hints);
+                again.widen(of_row, |light, row, x, threshold, hints| {
+                    of_picture(true, light, row, x, threshold, hints);
                     take_care(hints, caution.at(x, row.row as usize));
                 });
             }
-            tracks = again.solve(cx, round == self.params.rounds, |row, x, threshold, hints| {
+            tracks = again.solve(cx, round == self.params.rounds, of_row, |light, row, x, threshold, hints| {
                 let caution = caution.at(x, row.row as usize);
                 if caution.is_finite() {
-                    of_picture(false, row, x, threshold, hints);
+                    of_picture(false, light, row, x, threshold, hints);
                 }
                 take_care(hints, caution);
                 if self.params.neighbours {

@@ -19,6 +19,8 @@ const TOGETHER: f64 = 4.0;
 const POOLED_MS: f64 = 3.0;
 /// And over this, to see whether there is anything in the hints at all.
 const WIDE_MS: f64 = 15.0;
+/// What lies so many such times away counts no more: it would weigh a part in 65,000.
+const FAR: f64 = 16.0;
 /// What a frame weighs beside an event when a pixel judges its hints.
 const FRAME_WEIGHT: f64 = 3.0;
 /// One source alone can contradict nobody: its variance counts so many times.
@@ -76,6 +78,8 @@ pub(super) struct Trust {
     expected: Vec<f64>,
     /// Instants, squared contradictions in terms of what was expected, weights.
     own: Vec<(i64, f64, f64)>,
+    /// The same of what two sources contradict each other by.
+    contradicted: Vec<(i64, f64, f64)>,
     /// The predicted light.
     t_ns: Vec<i64>,
     log: Vec<f64>,
@@ -117,20 +121,14 @@ impl Trust {
         }
         self.expect(step_ns);
         self.judge(step_ns, measured);
+        self.contradicted.clear();
+        self.contradicted.extend(self.said.iter().filter_map(|s| s.contradiction.map(|c| (s.t_ns, c / (FLOOR * FLOOR), 1.0))));
+        let mut contradicted = Pool::new(&self.contradicted, POOLED_MS);
+        let (mut own, mut wide) = (Pool::new(&self.own, POOLED_MS), Pool::new(&self.own, WIDE_MS));
         for (said, expected) in self.said.iter().zip(&self.expected) {
-            let pooled = |list: &mut dyn Iterator<Item = (i64, f64, f64)>, start: f64, over_ms: f64| {
-                let mut sum = (start, start);
-                for (t, square, weight) in list {
-                    let apart = (t - said.t_ns) as f64 * 1e-6 / over_ms;
-                    let weight = weight / (1.0 + apart * apart * apart * apart);
-                    sum = (sum.0 + weight * square, sum.1 + weight);
-                }
-                sum.0 / sum.1
-            };
-            let contradiction = pooled(&mut self.said.iter().filter_map(|s| s.contradiction.map(|c| (s.t_ns, c / (FLOOR * FLOOR), 1.0))), 0.1, POOLED_MS);
-            let contradiction = FLOOR * FLOOR * contradiction;
-            let own = expected * pooled(&mut self.own.iter().copied(), 0.1, POOLED_MS);
-            let wide = expected * pooled(&mut self.own.iter().copied(), 0.1, WIDE_MS);
+            let contradiction = FLOOR * FLOOR * contradicted.at(said.t_ns);
+            let own = expected * own.at(said.t_ns);
+            let wide = expected * wide.at(said.t_ns);
             let trust = 1.0 - BEYOND_TRUST * f64::max(own, wide) / (measured.threshold * measured.threshold);
             if trust <= 0.0 {
                 continue;
@@ -157,7 +155,7 @@ impl Trust {
 
     /// What the pixel's own events and frames miss the predicted light by, seen through the sensor.
     fn judge(&mut self, step_ns: i64, measured: &Measured<'_>) {
-        let Trust { said, expected, own, t_ns, log, seen } = self;
+        let Trust { said, expected, own, t_ns, log, seen, .. } = self;
         let Measured { sensor: Posed { model: sensor, .. }, extent, place: (x, y), events, frames, .. } = *measured;
         own.clear();
         let track = Track::new(t_ns, log, SEEN_NS);
@@ -192,6 +190,37 @@ impl Trust {
                 own.push((i64::midpoint(frame.start_ns, frame.end_ns), f64::max(off * off - noise * noise, 0.0) / (FLOOR * FLOOR), FRAME_WEIGHT));
             }
         }
+        own.sort_by_key(|(t_ns, ..)| *t_ns);
+    }
+}
+
+/// Means of squares around instants that are asked in rising order; each weighs less the farther away it is, and a little of one is in all of them.
+struct Pool<'a> {
+    /// Instants, squares, weights, in order of time.
+    list: &'a [(i64, f64, f64)],
+    over_ms: f64,
+    /// Those before are too far away for all instants to come.
+    first: usize,
+}
+
+impl Pool<'_> {
+    fn new(list: &[(i64, f64, f64)], over_ms: f64) -> Pool<'_> {
+        Pool { list, over_ms, first: 0 }
+    }
+
+    fn at(&mut self, t_ns: i64) -> f64 {
+        const START: f64 = 0.1;
+        let far_ns = (FAR * self.over_ms * 1e6) as i64;
+        while self.list.get(self.first).is_some_and(|(t, ..)| *t < t_ns - far_ns) {
+            self.first += 1;
+        }
+        let mut sum = (START, START);
+        for (t, square, weight) in self.list[self.first..].iter().take_while(|(t, ..)| *t <= t_ns + far_ns) {
+            let apart = (t - t_ns) as f64 * 1e-6 / self.over_ms;
+            let weight = weight / (1.0 + apart * apart * apart * apart);
+            sum = (sum.0 + weight * square, sum.1 + weight);
+        }
+        sum.0 / sum.1
     }
 }
 
@@ -224,7 +253,7 @@ mod tests {
         let light: Vec<(i64, f64)> = (0..=4800).map(|n| (n * 10_000, libm::exp(squares(n as f64 * 0.01)))).collect();
         let mut band = TrackBand::begin(0, 1);
         band.push(light.iter().map(|(t, i)| (*t, *i as f32)));
-        let tracks = LogTracks::new(EXTENT, &band, &Arc::new(Fired::new(std::iter::empty())));
+        let tracks = LogTracks::new(EXTENT, band, &Arc::new(Fired::new(std::iter::empty())));
         // Each edge is 2 high: a crossing of 0.4 every tenth of a millisecond.
         let edges = (0..8).flat_map(|edge| [0.1, 0.2, 0.3, 0.4].map(|ms| (((6.0 * f64::from(edge) + ms) * 1e6) as i64, if edge % 2 == 0 { 1 } else { -1 })));
         let event = |(t_in_ns, polarity): (i64, i8)| MapEvent { t_in_ns, t_off_ns: t_in_ns + 1_000, polarity, is_lone: false };

@@ -10,6 +10,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::io::IsTerminal;
 use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
 
 /// Who watches a run.
 pub enum Watcher {
@@ -71,8 +72,18 @@ impl Bars {
 /// One JSON object a line.
 pub struct Lines {
     labels: Labels,
-    /// Items done and in all per task, and the tenth last reported: progress is worth ten lines a node, not thousands.
-    done: Mutex<BTreeMap<TaskId, (u64, u64, u64)>>,
+    /// Progress is worth ten lines a node, not thousands.
+    done: Mutex<BTreeMap<TaskId, Done>>,
+}
+
+/// How far a task is.
+#[derive(Default)]
+struct Done {
+    at: u64,
+    total: u64,
+    /// The tenth last reported.
+    tenth: u64,
+    since: Option<Instant>,
 }
 
 fn line(value: serde_json::Value) {
@@ -121,7 +132,12 @@ impl Observer for Watcher {
                     bar.set_length(bar.length().unwrap_or(0) + total);
                 }
             }
-            Watcher::Lines(lines) => locked(&lines.done).entry(task).or_default().1 += total,
+            Watcher::Lines(lines) => {
+                let mut done = locked(&lines.done);
+                let done = done.entry(task).or_default();
+                done.total += total;
+                done.since.get_or_insert_with(Instant::now);
+            }
             Watcher::Plain(_) | Watcher::Quiet => {}
         }
     }
@@ -135,12 +151,13 @@ impl Observer for Watcher {
             }
             Watcher::Lines(lines) => {
                 let mut done = locked(&lines.done);
-                let (at, total, reported) = done.entry(task).or_default();
+                let Done { at, total, tenth, since } = done.entry(task).or_default();
                 *at += items;
-                let tenth = (10 * *at).checked_div(*total).unwrap_or(0);
-                if tenth > *reported {
-                    *reported = tenth;
-                    line(json!({"event": "progress", "node": lines.labels[task].0, "done": *at, "total": *total}));
+                let now = (10 * *at).checked_div(*total).unwrap_or(0);
+                if now > *tenth {
+                    *tenth = now;
+                    let left = since.and_then(|since| time_left(since.elapsed().as_secs_f64(), *at, *total));
+                    line(json!({"event": "progress", "node": lines.labels[task].0, "done": *at, "total": *total, "seconds_left": left}));
                 }
             }
             Watcher::Plain(_) | Watcher::Quiet => {}

@@ -16,7 +16,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Runs a pipeline or an ablation.
 pub fn run(options: &RunOptions) -> Done {
@@ -33,7 +33,7 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
     let (project, plan) = options.target.plan(if parts.is_empty() { "run" } else { "merge" })?;
     check_forced(options, &plan)?;
     let cancel = Arc::new(AtomicBool::new(false));
-    stop_on_signal(&cancel)?;
+    stop_on_signal(&cancel, None)?;
     let cache = Cache::open(&options.target.cache)?;
     let out_dir = options.target.out_dir();
     let parts = if parts.is_empty() { Vec::new() } else { photocurrent_engine::join(&plan, &cache, parts).map_err(refused)? };
@@ -57,6 +57,9 @@ fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
         let all = plan.rows().map_err(refused)?;
         return part_report(options, (rows, all), folder, end, started.elapsed().as_secs_f64());
     }
+    // Before hours are spent on what could not be put down.
+    std::fs::create_dir_all(&out_dir)
+        .map_err(|error| Failure::other(format!("{}: cannot make the folder: {error}; --out names another", out_dir.display())))?;
     let outcome = photocurrent_engine::run(&plan, &cache, &how, &watcher, &cancel);
     let seconds = started.elapsed().as_secs_f64();
     RunRecord::of(&project, &plan, &outcome, &options.target.sets, &options.target.cache, &out_dir, seconds).save(&out_dir)?;
@@ -105,14 +108,29 @@ fn check_forced(options: &RunOptions, plan: &Plan) -> Result<(), Failure> {
     if problems.is_empty() { Ok(()) } else { Err(problems.into()) }
 }
 
-/// The first Ctrl-C lets running nodes stop at their next step; the second one ends the process, which the cache survives too.
-pub fn stop_on_signal(cancel: &Arc<AtomicBool>) -> Result<(), Failure> {
-    let cancel = cancel.clone();
+/// Nodes that have not come to their next step so long after a signal are left where they are.
+const PATIENCE: Duration = Duration::from_millis(1500);
+
+/// The first Ctrl-C (or SIGTERM) lets running nodes stop at their next step; a second one ends the process, and so does [`PATIENCE`]: the cache survives that too. `leave` is then cleared
+/// away.
+pub fn stop_on_signal(cancel: &Arc<AtomicBool>, leave: Option<&Path>) -> Result<(), Failure> {
+    let (cancel, leave) = (cancel.clone(), leave.map(Path::to_path_buf));
+    let end = move || {
+        // What cannot be cleared away is no reason to stay.
+        let _ = leave.as_ref().map(std::fs::remove_dir_all);
+        std::process::exit(130);
+    };
     ctrlc::set_handler(move || {
         if cancel.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
+            end();
         }
         say!("\nstopping; what is finished stays (again to stop at once)");
+        let end = end.clone();
+        std::thread::spawn(move || {
+            std::thread::sleep(PATIENCE);
+            say!("stopped in the middle of a long step; what is finished stays in the cache");
+            end();
+        });
     })
     .map_err(|error| Failure::other(format!("cannot listen for Ctrl-C: {error}")))
 }

@@ -1,8 +1,9 @@
 //! Claims about the node, on small recordings whose light is known.
 
 use super::*;
-use crate::refine::film::Fired;
+use crate::refine::film::{Film, Fired};
 use crate::refine::fixtures::{EXTENT, GAIN, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
+use crate::refine::lively::Lively;
 use crate::refine::trust::{Measured, Posed};
 use crate::solve::pixel::Params as SolveParams;
 use crate::solve::pixel::SolvePixel;
@@ -36,8 +37,11 @@ fn pixels_that_have_nothing_to_do_with_each_other_stay_as_they_are() {
 #[test]
 fn the_motion_of_a_sliding_texture_is_found() {
     // From the light itself, so that only the eye is judged.
-    let pictures = (0..41).map(|n| (0..384).map(|p| texture(p % 24, p / 24, 0.5 * n as f64) as f32).collect()).collect();
-    let flow = Flow::new(&Film { width: 24, height: 16, start_ns: 0, step_ns: crate::refine::film::STEP_NS, pictures });
+    let picture = |n: usize| (0..384).map(|p| texture(p % 24, p / 24, 0.5 * n as f64) as f32).collect();
+    let film = |numbers: std::ops::Range<usize>| Film { width: 24, height: 16, first: numbers.start, pictures: numbers.map(picture).collect() };
+    let event = photocurrent_sensor::map::MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
+    let lively = Lively::new(EXTENT, (0, 20_000_000), std::iter::once((12, 8, &[event][..])));
+    let flow = Flow::new((24, 16), 0, 41, &lively, film);
     for (x, y, t_ns) in [(12.0, 8.0, 10_000_000), (5.0, 4.0, 5_000_000), (18.5, 11.5, 15_300_000)] {
         let [vx, vy] = flow.at(x, y, t_ns);
         // A twentieth of a pixel over the three lines that are looked at.
@@ -54,7 +58,7 @@ fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
         band.push((0..400).map(|n| (n * 100_000, libm::exp(texture(x, y, n as f64 * 0.1) + moved) as f32)));
     }
     let fired = Fired::new((0..EXTENT.pixels()).map(|_| vec![20_000_000]));
-    let tracks = LogTracks::new(EXTENT, &band, &Arc::new(fired));
+    let tracks = LogTracks::new(EXTENT, band, &Arc::new(fired));
     let event = photocurrent_sensor::map::MapEvent { t_in_ns: 20_000_000, t_off_ns: 20_001_000, polarity: 1, is_lone: false };
     // The mean light of an exposure of 4 ms.
     let light: f64 = (0..400).map(|n| libm::exp(texture(12, 8, 18.0 + 0.01 * (n as f64 + 0.5)))).sum::<f64>() / 400.0;

@@ -1,23 +1,27 @@
 //! The scene of all frames, part after part of a long recording, and where it may be asked.
 
 use crate::refine::trust::Said;
-use photocurrent_diagnosis::case::Case;
+use photocurrent_diagnosis::case::{Case, PixelEvents};
 use photocurrent_diagnosis::nominal::Nominal;
 use photocurrent_diagnosis::picture::PictureSetting;
 use photocurrent_diagnosis::residual::evidence::EvidenceSetting;
 use photocurrent_diagnosis::residual::gate::Gate;
-use photocurrent_diagnosis::residual::light::Light;
-use photocurrent_diagnosis::residual::mosaic::{MosaicSetting, scene};
+use photocurrent_diagnosis::residual::light::between;
+use photocurrent_diagnosis::residual::mosaic::{MosaicSetting, scene_where};
+use photocurrent_diagnosis::residual::source::Source;
 
 /// Neighbouring parts share so many frames.
 const SHARED: usize = 2;
 /// With fewer frames no motion is seen.
 const FEWEST_FRAMES: usize = 3;
+/// Where more than this share of the pixels is asked for, all of them are fitted.
+const MOST_ASKED: f64 = 0.6;
 
 /// A part of the recording.
 struct Part {
-    span: (i64, i64),
-    light: Light,
+    /// Without its events and its frames' values.
+    case: Case,
+    source: Box<dyn Source>,
     gate: Gate,
 }
 
@@ -25,26 +29,49 @@ struct Part {
 #[derive(Default)]
 pub(super) struct Pictures {
     parts: Vec<Part>,
+    step_ns: i64,
+}
+
+/// What is said of some pixels of a row, part after part: log light of each at the steady instants of the part.
+pub(super) struct OfRow {
+    parts: Vec<Vec<Vec<f32>>>,
+    /// Where the light of each column stands.
+    at: Vec<Option<usize>>,
 }
 
 impl Pictures {
-    /// Fits scenes to the frames; light is worked out every `step_ns`.
+    /// Fits scenes to the frames, to those of pixels that `asked` says are asked for between two instants; light is worked out every `step_ns`.
     ///
     /// # Errors
     /// With the reason of the first part, when no part has a scene.
-    pub fn fit(case: &Case, sensor: &Nominal, setting: &PictureSetting, step_ns: i64) -> Result<Pictures, String> {
-        let (count, most) = (case.frame_count(), setting.most_values / usize::max(case.extent.pixels(), 1));
+    pub fn fit(case: &Case, sensor: &Nominal, setting: &PictureSetting, step_ns: i64, asked: impl Fn((i64, i64)) -> Vec<bool>) -> Result<Pictures, String> {
+        let pixels = usize::max(case.extent.pixels(), 1);
+        // Nothing where all are fitted.
+        let asked = |span: (i64, i64)| -> Result<Option<Vec<bool>>, String> {
+            let asked = asked(span);
+            let count = asked.iter().filter(|is| **is).count();
+            if count == 0 {
+                return Err("no pixels near each other fire, so nothing is seen to move".into());
+            }
+            Ok((count as f64 <= MOST_ASKED * pixels as f64).then_some(asked))
+        };
+        // A part of the recording may ask for less, never for more.
+        let at_most = asked(case.span)?.map_or(pixels, |asked| asked.iter().filter(|is| **is).count());
+        let (count, most) = (case.frame_count(), setting.most_values / at_most);
         if count < FEWEST_FRAMES || most < FEWEST_FRAMES {
-            return Err(format!("{count} frames of {} pixels, of which {most} are fitted at a time; a picture needs {FEWEST_FRAMES}", case.extent));
+            return Err(format!("{count} frames of {at_most} pixels, of which {most} are fitted at a time; a picture needs {FEWEST_FRAMES}"));
         }
         let nominal = Nominal { row_time_ns: case.frames.as_ref().map_or(0, |frames| frames.times.row_time_ns), ..sensor.clone() };
         let EvidenceSetting { least_dn, spread, .. } = EvidenceSetting::default();
         let fit = |from: usize, to: usize| -> Result<Part, String> {
-            let part = case.part(from..to);
+            let mut part = case.part(from..to);
             let parts = MosaicSetting::default();
             let parts = MosaicSetting { picture: PictureSetting { pitch: setting.pitch, ..parts.picture }, ..parts };
-            let source = scene(&part, &nominal, setting, &parts)?;
-            Ok(Part { span: part.span, light: source.light(&part, step_ns), gate: source.gate(&part, least_dn, spread) })
+            let source = scene_where(&part, &nominal, setting, &parts, asked(part.span)?.as_deref())?;
+            let gate = source.gate(&part, least_dn, spread);
+            part.events = PixelEvents::default();
+            part.frames.iter_mut().for_each(|frames| frames.dn = Vec::new());
+            Ok(Part { case: part, source, gate })
         };
         // Parts of about equal length, the last one ending with the last frame.
         let number = if count <= most { 1 } else { (count - SHARED).div_ceil(most - SHARED.min(most - 1)) };
@@ -53,17 +80,26 @@ impl Pictures {
         let fitted: Vec<Result<Part, String>> = (0..number).map(|n| fit(first(n), first(n) + length)).collect();
         let why = fitted.iter().find_map(|part| part.as_ref().err().cloned());
         let parts: Vec<Part> = fitted.into_iter().flatten().collect();
-        if parts.is_empty() { Err(why.unwrap_or_default()) } else { Ok(Pictures { parts }) }
+        if parts.is_empty() { Err(why.unwrap_or_default()) } else { Ok(Pictures { parts, step_ns }) }
     }
 
-    /// What the part in whose middle an instant is nearest says of a pixel.
-    pub fn predict(&self, pixel: usize, t_ns: i64) -> Option<Said> {
-        let inside = self.parts.iter().filter(|part| (part.span.0..=part.span.1).contains(&t_ns));
-        let part = inside.min_by_key(|part| (i64::midpoint(part.span.0, part.span.1) - t_ns).abs())?;
-        if !part.gate.keeps(pixel, t_ns) {
+    /// The light of these columns of a row: kept for a row at a time, as that of all pixels would be more than everything else together.
+    pub fn of_row(&self, row: usize, width: usize, columns: &[usize]) -> OfRow {
+        let pixels: Vec<usize> = columns.iter().map(|x| row * width + x).collect();
+        let mut at = vec![None; width];
+        columns.iter().enumerate().for_each(|(n, x)| at[*x] = Some(n));
+        OfRow { parts: self.parts.iter().map(|part| part.source.log_of(&part.case, self.step_ns, &pixels)).collect(), at }
+    }
+
+    /// What the part in whose middle an instant is nearest says of pixel `x` of a row.
+    pub fn predict(&self, light: &OfRow, (x, row): (usize, usize), t_ns: i64) -> Option<Said> {
+        let inside = self.parts.iter().zip(&light.parts).filter(|(part, _)| (part.case.span.0..=part.case.span.1).contains(&t_ns));
+        let (part, log) = inside.min_by_key(|(part, _)| (i64::midpoint(part.case.span.0, part.case.span.1) - t_ns).abs())?;
+        if !part.gate.keeps(row * light.at.len() + x, t_ns) {
             return None;
         }
         // Nobody contradicts it but the pixel's own events.
-        part.light.at(pixel, t_ns).map(|log| Said { t_ns, log, contradiction: Some(0.0) })
+        let log = between(&log[light.at[x]?], (part.case.span.0, self.step_ns), t_ns)?;
+        Some(Said { t_ns, log, contradiction: Some(0.0) })
     }
 }

@@ -63,12 +63,25 @@ pub(crate) struct RowSetting {
 #[derive(Default)]
 pub(crate) struct RowSolver {
     group: MapGroup,
-    data: RowData,
-    /// What is known of the events of every pixel of the row that was taken in; empty = to be worked out from each alone.
-    given: Vec<Known>,
+    taken: Taken,
     /// Knots of the pixels of the row with their standard deviations, in the order in which they were solved, and where each pixel's stand.
     knots: Vec<(i64, f32, f32)>,
     knots_of: Vec<std::ops::Range<usize>>,
+}
+
+/// A row that was taken in.
+#[derive(Default)]
+pub(crate) struct Taken {
+    data: RowData,
+    /// What is known of the events of every pixel; empty = to be worked out from each alone.
+    given: Vec<Known>,
+}
+
+impl Taken {
+    /// What was taken in.
+    pub fn data(&self) -> &RowData {
+        &self.data
+    }
 }
 
 /// Estimates of the pixels of a row.
@@ -111,19 +124,32 @@ impl RowSolver {
 
     /// Takes in a row.
     pub fn take(&mut self, model: &Model, setting: &RowSetting, recorded: &Recorded<'_>, row: u32) -> Result<(), NodeError> {
-        self.given.clear();
-        self.data.take(model, recorded, row, setting.frame_dn)
+        self.taken.given.clear();
+        self.taken.data.take(model, recorded, row, setting.frame_dn)
     }
 
     /// What is known of the events of every pixel of the row that was taken in.
     pub fn give(&mut self, known: Vec<Known>) {
-        self.given = known;
+        self.taken.given = known;
+    }
+
+    /// The row that was taken in, by itself: the solver's memory is much larger, and serves many rows.
+    pub fn hand_over(&mut self) -> Taken {
+        std::mem::take(&mut self.taken)
+    }
+
+    /// Takes in a row that was handed over, for as long as `with` goes on.
+    pub fn with<T>(&mut self, taken: &mut Taken, with: impl FnOnce(&mut RowSolver) -> T) -> T {
+        std::mem::swap(&mut self.taken, taken);
+        let done = with(self);
+        std::mem::swap(&mut self.taken, taken);
+        done
     }
 
     /// Estimates of the pixels of the row that was taken in, without more than what was given.
     pub fn light(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta) -> RowLight {
         let width = meta.extent.width as usize;
-        let RowSolver { group, data, given, knots, .. } = self;
+        let RowSolver { group, taken: Taken { data, given }, knots, .. } = self;
         let lit: Vec<usize> = (0..width).filter(|&x| !data.frames_of(x).is_empty()).collect();
         let setting = RowSetting { options: MapOptions { with_sigma: false, ..setting.options }, ..*setting };
         let tasks: Vec<MapTask<'_>> = lit.iter().map(|&x| task(model, &setting, data, x, &[])).collect();
@@ -145,7 +171,7 @@ impl RowSolver {
 
     /// What was taken in.
     pub fn data(&self) -> &RowData {
-        &self.data
+        &self.taken.data
     }
 
     /// Solves the row that was taken in, with what is known from elsewhere for each of its pixels.
@@ -154,7 +180,7 @@ impl RowSolver {
         let width = meta.extent.width as usize;
         let mut tracks = TrackBand::begin(row, meta.extent.width);
         let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
-        let RowSolver { group, data, given, knots, knots_of } = self;
+        let RowSolver { group, taken: Taken { data, given }, knots, knots_of } = self;
         // As it stays where a pixel has no frame.
         for (plane, value) in planes(Status::NoFrame, 0, 0.0, &Misfit::default(), 0.0).into_iter().enumerate() {
             map.row_mut(plane, row).fill(value);
@@ -202,8 +228,9 @@ impl RowSolver {
 
     /// Pixels of the row that was taken in that have events and frames, spread over their number of events; at most [`SAMPLED_PIXELS`].
     pub fn sample(&self) -> Vec<usize> {
-        let mut pixels: Vec<usize> = (0..self.data.width()).filter(|&x| !self.data.events_of(x).is_empty() && !self.data.frames_of(x).is_empty()).collect();
-        pixels.sort_by_key(|&x| (self.data.events_of(x).len(), x));
+        let data = &self.taken.data;
+        let mut pixels: Vec<usize> = (0..data.width()).filter(|&x| !data.events_of(x).is_empty() && !data.frames_of(x).is_empty()).collect();
+        pixels.sort_by_key(|&x| (data.events_of(x).len(), x));
         let taken = usize::min(pixels.len(), SAMPLED_PIXELS);
         (0..taken).map(|n| pixels[(2 * n + 1) * pixels.len() / (2 * taken)]).collect()
     }
@@ -211,7 +238,7 @@ impl RowSolver {
     /// How badly hints, one set after the other, and its other measurements predict the frames of a pixel that are kept back
     /// ([`estimate::prediction_errors`]).
     pub fn prediction_errors(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Vec<Hint>]) -> Vec<f64> {
-        let RowSolver { group, data, given, .. } = self;
+        let RowSolver { group, taken: Taken { data, given }, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
         let task = [MapTask { problem, options: setting.options }];
         let known = known_of(model, &task, &[x], data, given, group);
@@ -222,7 +249,7 @@ impl RowSolver {
 
     /// How the frames of a pixel that are kept back are missed by hints and its other measurements ([`estimate::misses`]).
     pub fn misses(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> Vec<Miss> {
-        let RowSolver { group, data, given, .. } = self;
+        let RowSolver { group, taken: Taken { data, given }, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
         let task = [MapTask { problem, options: setting.options }];
         let known = known_of(model, &task, &[x], data, given, group);

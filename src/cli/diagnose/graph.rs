@@ -38,7 +38,7 @@ pub struct Answered {
 pub fn run(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Result<Answered, u8>, Failure> {
     let plan = plan(options, case, folder)?;
     let cancel = Arc::new(AtomicBool::new(false));
-    stop_on_signal(&cancel)?;
+    stop_on_signal(&cancel, Some(folder))?;
     // An answer does not hang on what is kept of it.
     let mut warnings = Vec::new();
     let cache = Cache::open(&options.cache).or_else(|error| {

@@ -2,6 +2,7 @@
 
 use super::estimate::PictureSetting;
 use super::motion::{DEGREES, Map, Motion, Pose, pose_of};
+use super::patches::moving;
 use super::register::Image;
 use crate::case::Case;
 use crate::nominal::Nominal;
@@ -24,6 +25,18 @@ pub fn images(case: &Case, nominal: &Nominal) -> Vec<Image> {
             Image { width, height, values: (0..pixels).map(value).collect() }
         })
         .collect()
+}
+
+/// The share of frame values that are those of the frame before, within a few standard deviations of one.
+pub(super) fn unchanged(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> f64 {
+    let changes = moving(case, nominal, (setting.frame_dn, setting.frame_share), setting.robust);
+    changes.iter().filter(|changes| !**changes).count() as f64 / changes.len().max(1) as f64
+}
+
+/// Length of a row's exposure, s.
+pub(super) fn exposure_s(case: &Case, l: usize, y: u32) -> f64 {
+    let exposure = case.frames.as_ref().expect("frames are there").times.exposure(l, y);
+    f64::max((exposure.end.0 - exposure.start.0) as f64 * 1e-9, 1e-9)
 }
 
 /// Splines through the poses of the frames.

@@ -1,6 +1,6 @@
 //! The rounds of the fit: registration, then picture, motion and shading together, with noise and smoothness estimated on the way.
 
-use super::begin::{begin_motion, images};
+use super::begin::{begin_motion, exposure_s, images, unchanged};
 use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivatives, map_of};
 use super::products;
 use super::register::{Search, register};
@@ -147,13 +147,21 @@ impl Picture {
     /// # Errors
     /// With fewer than three frames, an array below 8 x 8 pixels, or frames without light.
     pub fn fit(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Result<Picture, String> {
+        Picture::fit_where(case, nominal, setting, None)
+    }
+
+    /// The same, to the values of pixels that are asked for ([`Begin::asked`]).
+    ///
+    /// # Errors
+    /// As [`Picture::fit`].
+    pub fn fit_where(case: &Case, nominal: &Nominal, setting: &PictureSetting, asked: Option<&[bool]>) -> Result<Picture, String> {
         let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 3).ok_or("a moving picture needs at least three frames")?;
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
         if width.min(height) < 8 {
             return Err(format!("a moving picture needs at least 8 x 8 pixels, the array has {}", case.extent));
         }
         let count = frames.times.len();
-        let values = count * width * height;
+        let values = count * asked.map_or(width * height, |asked| asked.iter().filter(|is| **is).count());
         if values > setting.most_values {
             return Err(format!("a moving picture is fitted to at most {} frame values, the recording has {values}", setting.most_values));
         }
@@ -168,7 +176,7 @@ impl Picture {
         let still = vec![poses[0]; count];
         let motions = [&poses[..], &still[..]];
         let tried = if unchanged(case, nominal, setting) > setting.still { &motions[..] } else { &motions[..1] };
-        let mut picture = Picture::fit_from(case, nominal, setting, tried, Begin::default());
+        let mut picture = Picture::fit_from(case, nominal, setting, tried, Begin { asked, ..Begin::default() });
         picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
         Ok(picture)
     }
@@ -210,7 +218,7 @@ impl Picture {
     }
 
     fn begin<'a>(&'a self, counts: Option<&'a [bool]>) -> Begin<'a> {
-        Begin { counts, ground: (!self.ground.is_empty()).then_some(&self.ground[..]) }
+        Begin { counts, ground: (!self.ground.is_empty()).then_some(&self.ground[..]), asked: None }
     }
 
     /// Standard deviation that a frame value of `signal` DN above black was assumed to have.
@@ -253,6 +261,8 @@ pub struct Begin<'a> {
     pub counts: Option<&'a [bool]>,
     /// The still ground behind the picture, photocurrent, for each pixel; not finite where it is not known.
     pub ground: Option<&'a [f32]>,
+    /// Which pixels anybody asks for; the others have no part in anything, as if they had no frame values. All of them without it.
+    pub asked: Option<&'a [bool]>,
 }
 
 /// One instant of a row's exposure.
@@ -270,6 +280,7 @@ struct Fit<'a> {
     nominal: &'a Nominal,
     setting: &'a PictureSetting,
     counts: Option<&'a [bool]>,
+    asked: Option<&'a [bool]>,
     picture: Picture,
     /// What frame values of the fitted picture would be, over the signal's factor; kept for the weights.
     typical: f64,
@@ -300,7 +311,7 @@ impl<'a> Fit<'a> {
             residual: Vec::new(),
             centre,
         };
-        Fit { case, nominal, setting, counts: begin.counts, picture, typical, scale: 1.0 }
+        Fit { case, nominal, setting, counts: begin.counts, asked: begin.asked, picture, typical, scale: 1.0 }
     }
 
     /// Fitted on the coarse grid, from poses of the frames on.
@@ -575,7 +586,7 @@ impl<'a> Fit<'a> {
             let pixel = y * self.case.extent.width as usize + x;
             let dn = self.case.dn(l, pixel);
             let behind = ground.get(pixel).map(|ground| f64::from(*ground));
-            if !dn.is_finite() || behind.is_some_and(|ground| !ground.is_finite()) {
+            if !dn.is_finite() || self.asked.is_some_and(|asked| !asked[pixel]) || behind.is_some_and(|ground| !ground.is_finite()) {
                 continue;
             }
             let place = (x as f64 - centre.0, y as f64 - centre.1);
@@ -655,17 +666,6 @@ impl<'a> Fit<'a> {
         }
         rows
     }
-}
-
-fn exposure_s(case: &Case, l: usize, y: u32) -> f64 {
-    let exposure = case.frames.as_ref().expect("frames are there").times.exposure(l, y);
-    f64::max((exposure.end.0 - exposure.start.0) as f64 * 1e-9, 1e-9)
-}
-
-/// The share of frame values that are those of the frame before, within a few standard deviations of one.
-fn unchanged(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> f64 {
-    let changes = super::patches::moving(case, nominal, (setting.frame_dn, setting.frame_share), setting.robust);
-    changes.iter().filter(|changes| !**changes).count() as f64 / changes.len().max(1) as f64
 }
 
 /// A grid over everything that the array sees during exposures.

@@ -22,7 +22,7 @@ fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
     let nominal = case.nominal().unwrap();
     let setting = PictureSetting::default();
     let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
-    let mut fit = Fit::new(case, &nominal, &setting, begin_motion(case, &poses, &setting), Begin { counts: None, ground });
+    let mut fit = Fit::new(case, &nominal, &setting, begin_motion(case, &poses, &setting), Begin { counts: None, ground, asked: None });
     let mut random = Random::new(3, &[]);
     let typical = fit.typical as f32;
     fit.picture.surface.iter_mut().for_each(|c| *c += 0.2 * typical * random.normal() as f32);
@@ -85,7 +85,7 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
         let exposure_s = exposure_s(&case, 0, 0);
         let ground: Vec<f32> = still.iter().map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * exposure_s)) as f32).collect();
         let poses = crate::picture::patches::follow(&case, &nominal, &counts, &crate::picture::patches::PatchSetting::default());
-        let picture = Picture::fit_from(&case, &nominal, &PictureSetting::default(), &[&poses], Begin { counts: None, ground: Some(&ground) });
+        let picture = Picture::fit_from(&case, &nominal, &PictureSetting::default(), &[&poses], Begin { counts: None, ground: Some(&ground), asked: None });
         // Between frames, at instants that no exposure covers, where something moves.
         let (mut of_picture, mut of_ground) = (Vec::new(), Vec::new());
         for l in 2..case.frame_count() - 2 {

@@ -33,6 +33,11 @@ impl Default for Search {
     }
 }
 
+/// Turns and shifts are searched in images that are halved until no side is longer.
+const COARSE: usize = 96;
+/// Of an image of more pixels every second one of every second row takes part in steps of Gauss-Newton.
+const LARGE: usize = 20_000;
+
 /// A picture on a plane of pixels, row-major; values are finite.
 #[derive(Clone, Debug)]
 pub struct Image {
@@ -108,7 +113,21 @@ pub fn register(still: &Image, moved: &Image, search: &Search, begin: Option<Aff
     let (a, b) = (still.smoothed(1), moved.smoothed(1));
     let mut best: Option<(Affine, f64)> = None;
     let half = a.centre().0.max(a.centre().1).max(1.0);
-    let mut starts = coarse(&a.halved(), &b.halved(), search);
+    // At least once.
+    let mut halved = vec![(a.halved(), b.halved())];
+    while let Some((still, moved)) = halved.last().filter(|(still, _)| still.width.max(still.height) > COARSE) {
+        halved.push((still.halved(), moved.halved()));
+    }
+    let (still, moved) = halved.pop().expect("one is there");
+    let mut starts = coarse(&still, &moved, 2 << halved.len(), search);
+    // What lies between is no more than a pixel or two off.
+    for start in &mut starts {
+        for (n, (still, moved)) in halved.iter().enumerate().rev() {
+            let scaled = |map: &Affine, by: f64| [map[0] * by, map[1], map[2], map[3] * by, map[4], map[5]];
+            let by = (2 << n) as f64;
+            *start = scaled(&refine(&still.smoothed(2), &moved.smoothed(2), scaled(start, 1.0 / by), search, search.rounds / 2), by);
+        }
+    }
     starts.extend(begin);
     for start in starts {
         let coarse = refine(&a.smoothed(2), &b.smoothed(2), start, search, search.rounds / 2);
@@ -133,8 +152,8 @@ fn cost(map: &Affine, search: &Search, width: usize) -> f64 {
     search.turn_cost * turn + search.shift_cost * libm::hypot(map[0], map[3]) / width as f64
 }
 
-/// Turns and shifts of half-size images whose correlation is largest, in full pixels.
-fn coarse(a: &Image, b: &Image, search: &Search) -> Vec<Affine> {
+/// Turns and shifts of images that were made smaller `by` so much whose correlation is largest, in full pixels.
+fn coarse(a: &Image, b: &Image, by: usize, search: &Search) -> Vec<Affine> {
     let reach = (search.shift * a.width.max(a.height) as f64).ceil() as i64;
     let steps = (search.turn / search.turn_step).floor() as i64;
     let mut found: Vec<(f64, Affine)> = Vec::new();
@@ -146,8 +165,8 @@ fn coarse(a: &Image, b: &Image, search: &Search) -> Vec<Affine> {
         let mut best: Option<(f64, Affine)> = None;
         for dy in -reach..=reach {
             for dx in -reach..=reach {
-                let full = [2.0 * dx as f64, c, -s, 2.0 * dy as f64, s, c];
-                let score = still.correlation(&moved, dx as isize, dy as isize) - cost(&full, search, 2 * a.width);
+                let full = [by as f64 * dx as f64, c, -s, by as f64 * dy as f64, s, c];
+                let score = still.correlation(&moved, dx as isize, dy as isize) - cost(&full, search, by * a.width);
                 if best.is_none_or(|(least, _)| score > least) {
                     best = Some((score, full));
                 }
@@ -264,13 +283,14 @@ fn refine(a: &Image, b: &Image, start: Affine, search: &Search, rounds: usize) -
     let mut pose = pose_of(&start, half);
     let (mut gain, mut offset) = (1.0, 0.0);
     let mut scale = f64::INFINITY;
+    let stride = if b.values.len() > LARGE { 2 } else { 1 };
     for _ in 0..rounds {
         let map = map_of(&pose, half);
         let mut normal = SMatrix::<f64, VALUES, VALUES>::zeros();
         let mut right = SVector::<f64, VALUES>::zeros();
         let mut sizes = Vec::with_capacity(b.values.len());
-        for j in 0..b.height {
-            for i in 0..b.width {
+        for j in (0..b.height).step_by(stride) {
+            for i in (0..b.width).step_by(stride) {
                 let (x, y) = (i as f64 - cx, j as f64 - cy);
                 let place = apply(&map, x, y);
                 let Some((value, gx, gy)) = a.look(place.0 + cx, place.1 + cy) else { continue };
@@ -289,7 +309,7 @@ fn refine(a: &Image, b: &Image, start: Affine, search: &Search, rounds: usize) -
                 right += weight * residual * row;
             }
         }
-        if sizes.len() < b.values.len() / 3 {
+        if sizes.len() < b.values.len() / (3 * stride * stride) {
             break;
         }
         let middle = sizes.len() / 2;
@@ -320,10 +340,9 @@ fn refine(a: &Image, b: &Image, start: Affine, search: &Search, rounds: usize) -
 mod tests {
     use super::*;
 
-    fn scene(map: &Affine) -> Image {
-        let (width, height) = (60, 44);
+    fn scene(map: &Affine, (width, height): (usize, usize)) -> Image {
         let of = |k: usize| {
-            let (x, y) = ((k % width) as f64 - 29.5, (k / width) as f64 - 21.5);
+            let (x, y) = ((k % width) as f64 - 0.5 * (width as f64 - 1.0), (k / width) as f64 - 0.5 * (height as f64 - 1.0));
             let (x, y) = (map[0] + map[1] * x + map[2] * y, map[3] + map[4] * x + map[5] * y);
             let waves = [(0.21, 0.05, 0.3), (-0.09, 0.17, 1.1), (0.13, 0.19, 2.0), (0.31, -0.22, 0.7)];
             waves.iter().map(|(a, b, c)| libm::sin(a * x + b * y + c)).sum::<f64>() as f32
@@ -333,10 +352,12 @@ mod tests {
 
     #[test]
     fn a_turned_and_shifted_image_is_found() {
-        for (angle, dx, dy) in [(0.0, 2.3, -1.2), (0.3, 1.0, 0.5), (-0.75, 0.0, 3.0)] {
+        // The last one is halved twice, and looked at at every second pixel.
+        let (small, large) = ((60, 44), (346, 260));
+        for (angle, dx, dy, size) in [(0.0, 2.3, -1.2, small), (0.3, 1.0, 0.5, small), (-0.75, 0.0, 3.0, small), (0.3, 21.3, -8.4, large)] {
             let (c, s) = (libm::cos(angle), libm::sin(angle));
             let map = [dx, c, -s, dy, s, c];
-            let (found, correlation) = register(&scene(&[0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), &scene(&map), &Search::default(), None);
+            let (found, correlation) = register(&scene(&[0.0, 1.0, 0.0, 0.0, 0.0, 1.0], size), &scene(&map, size), &Search::default(), None);
             assert!(correlation > 0.99, "{correlation}");
             for k in 0..6 {
                 let far = (found[k] - map[k]).abs() * if k % 3 == 0 { 1.0 } else { 20.0 };

@@ -25,8 +25,14 @@ impl Light {
     /// When `step_ns` is not positive.
     pub fn blank(case: &Case, step_ns: i64) -> Light {
         assert!(step_ns > 0, "steps of light are positive");
-        let count = ((case.span.1 - case.span.0) / step_ns + 2) as usize;
+        let count = Light::instants(case, step_ns).count();
         Light { start_ns: case.span.0, step_ns, count, log: vec![Vec::new(); case.extent.pixels()] }
+    }
+
+    /// The instants of [`Light::blank`], ns.
+    pub fn instants(case: &Case, step_ns: i64) -> impl Iterator<Item = i64> {
+        let (start, end) = case.span;
+        (0..(end - start) / step_ns + 2).map(move |k| start + k * step_ns)
     }
 
     /// Instant number `k`, ns.
@@ -36,11 +42,7 @@ impl Light {
 
     /// Log photocurrent of a pixel at any instant, by straight lines; none where it is not known.
     pub fn at(&self, pixel: usize, t_ns: i64) -> Option<f64> {
-        let log = self.log.get(pixel).filter(|log| !log.is_empty())?;
-        let place = ((t_ns - self.start_ns) as f64 / self.step_ns as f64).clamp(0.0, (log.len() - 1) as f64);
-        let k = (place as usize).min(log.len().saturating_sub(2));
-        let (a, b) = (f64::from(log[k]), f64::from(log[(k + 1).min(log.len() - 1)]));
-        Some(a + (b - a) * (place - k as f64))
+        between(self.log.get(pixel)?, (self.start_ns, self.step_ns), t_ns)
     }
 
     /// The frames that it gives, without noise and without saturation, DN as [frame][y][x]; NaN where it is not known.
@@ -57,6 +59,15 @@ impl Light {
         let found: Vec<Vec<f32>> = (0..pixels).into_par_iter().map(of).collect();
         (0..count * pixels).map(|k| found[k % pixels][k / pixels]).collect()
     }
+}
+
+/// Log photocurrent of one pixel, known at steady instants, at any instant; none where it is not known.
+pub fn between(log: &[f32], (start_ns, step_ns): (i64, i64), t_ns: i64) -> Option<f64> {
+    let last = log.len().checked_sub(1)?;
+    let place = ((t_ns - start_ns) as f64 / step_ns as f64).clamp(0.0, last as f64);
+    let k = (place as usize).min(last.saturating_sub(1));
+    let (a, b) = (f64::from(log[k]), f64::from(log[(k + 1).min(last)]));
+    Some(a + (b - a) * (place - k as f64))
 }
 
 #[cfg(test)]

@@ -85,8 +85,16 @@ pub struct Mosaic {
 /// # Errors
 /// When neither predicts anything, with the reason of [`Picture::fit`].
 pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting) -> Result<Box<dyn Source>, String> {
+    scene_where(case, nominal, whole, setting, None)
+}
+
+/// The same, to the values of pixels that are asked for ([`Begin::asked`]); of the others it knows nothing.
+///
+/// # Errors
+/// As [`scene`].
+pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting, asked: Option<&[bool]>) -> Result<Box<dyn Source>, String> {
     let of_whole = whole;
-    let mut whole = MovingPicture::fit(case, nominal, of_whole);
+    let mut whole = MovingPicture::fit_where(case, nominal, of_whole, asked);
     if case.frame_count() < 3 || case.extent.width.min(case.extent.height) < 8 {
         return whole.map(|whole| Box::new(whole) as Box<dyn Source>);
     }
@@ -97,13 +105,16 @@ pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &M
     if !is_there {
         still.fill(f64::NAN);
     }
-    let moves = foreground(case, nominal, &still, noise, setting.patches.moves);
+    let mut moves = foreground(case, nominal, &still, noise, setting.patches.moves);
+    if let Some(asked) = asked {
+        moves.iter_mut().enumerate().for_each(|(n, moves)| *moves &= asked[n % asked.len()]);
+    }
     let ground = is_there.then(|| light_of_ground(case, nominal, &still));
     let everywhere = (0..case.extent.width, 0..case.extent.height);
     let misses = |picture: &Picture| usual(case, nominal, &moves, &everywhere, &(0..case.frame_count()), |l, x, y| of_picture(case, picture, l, x, y));
     let of_one = whole.as_ref().map_or(f64::INFINITY, |whole| misses(&whole.picture));
     if let Some(ground) = ground.as_ref().filter(|_| of_one > setting.well) {
-        let before = before_ground(case, nominal, of_whole, &moves, ground, setting);
+        let before = before_ground(case, nominal, of_whole, &moves, (ground, asked), setting);
         if misses(&before) < of_one {
             whole = Ok(MovingPicture::new(before, of_whole, case, nominal));
         }
@@ -152,7 +163,14 @@ fn light_of_ground(case: &Case, nominal: &Nominal, ground: &[f64]) -> Vec<f32> {
 }
 
 /// One picture that moves before a still ground, turning and shifting as neighbouring frames do, or shifting steadily.
-fn before_ground(case: &Case, nominal: &Nominal, of_picture: &PictureSetting, moves: &[bool], ground: &[f32], setting: &MosaicSetting) -> Picture {
+fn before_ground(
+    case: &Case,
+    nominal: &Nominal,
+    of_picture: &PictureSetting,
+    moves: &[bool],
+    (ground, asked): (&[f32], Option<&[bool]>),
+    setting: &MosaicSetting,
+) -> Picture {
     let count = case.frame_count();
     let images = images(case, nominal);
     let pairs: Vec<Map> = (1..count).into_par_iter().map(|l| register(&images[l - 1], &images[l], &of_picture.search, None).0).collect();
@@ -161,7 +179,7 @@ fn before_ground(case: &Case, nominal: &Nominal, of_picture: &PictureSetting, mo
         chained.push(compose(chained.last().expect("one is there"), pair));
     }
     let steady = follow(case, nominal, moves, &setting.patches);
-    Picture::fit_from(case, nominal, of_picture, &[&chained, &steady], Begin { counts: None, ground: Some(ground) })
+    Picture::fit_from(case, nominal, of_picture, &[&chained, &steady], Begin { counts: None, ground: Some(ground), asked })
 }
 
 impl Mosaic {
@@ -341,42 +359,27 @@ impl Source for Mosaic {
         "patches"
     }
 
-    fn light(&self, case: &Case, step_ns: i64) -> Light {
-        let mut light = match &self.whole {
-            Some(whole) => whole.light(case, step_ns),
-            None => Light::blank(case, step_ns),
+    fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let mut of_whole = match &self.whole {
+            Some(whole) => whole.log_of(case, step_ns, pixels),
+            None => vec![Vec::new(); pixels.len()],
         };
-        let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
-        let of_tile = |(n, tile): (usize, &(Range<u32>, Range<u32>))| -> Vec<(usize, Vec<f32>)> {
-            let patches = self.of_tile(n);
-            if patches.is_empty() {
-                return Vec::new();
+        let instants: Vec<i64> = Light::instants(case, step_ns).collect();
+        // Patches of a tile with where they lie at every instant; neighbouring pixels mostly share them.
+        let mut tile = usize::MAX;
+        let mut patches: Vec<(&Patch, Vec<Map>)> = Vec::new();
+        for (pixel, log) in pixels.iter().zip(&mut of_whole) {
+            let (x, y) = case.place(*pixel);
+            let Some(here) = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y)) else { continue };
+            if here != tile {
+                tile = here;
+                patches = self.of_tile(tile).into_iter().map(|(_, patch)| (patch, instants.iter().map(|t| patch.picture.motion.at(*t)).collect())).collect();
             }
-            let maps: Vec<Vec<_>> = patches.iter().map(|(_, patch)| instants.iter().map(|t| patch.picture.motion.at(*t)).collect()).collect();
-            let of = |pixel: usize| {
-                let (x, y) = case.place(pixel);
-                let mut sum = vec![0.0; instants.len()];
-                let mut weights = vec![0.0; instants.len()];
-                for ((_, patch), maps) in patches.iter().zip(&maps) {
-                    let share: Vec<f64> = instants.iter().map(|t| weight(case, patch, y, *t)).collect();
-                    let Some(first) = share.iter().position(|share| *share > 0.0) else { continue };
-                    let last = share.iter().rposition(|share| *share > 0.0).unwrap_or(first);
-                    let place = ((x - patch.part.columns.start) as usize, (y - patch.part.rows.start) as usize);
-                    let Some(log) = patch.picture.log_light(place.0, place.1, &maps[first..=last]) else { continue };
-                    for (k, log) in (first..=last).zip(log) {
-                        sum[k] += share[k] * log;
-                        weights[k] += share[k];
-                    }
-                }
-                let known: Vec<Option<f32>> =
-                    (0..instants.len()).map(|k| if weights[k] > 0.0 { Some((sum[k] / weights[k]) as f32) } else { light.log[pixel].get(k).copied() }).collect();
-                (pixel, filled(&known))
-            };
-            pixels_of(case, tile).map(of).collect()
-        };
-        let found: Vec<Vec<(usize, Vec<f32>)>> = self.tiles.par_iter().enumerate().map(of_tile).collect();
-        found.into_iter().flatten().for_each(|(pixel, log)| light.log[pixel] = log);
-        light
+            if !patches.is_empty() {
+                *log = of_patches(case, *pixel, &patches, &instants, log);
+            }
+        }
+        of_whole
     }
 
     fn residual(&self) -> &[f32] {
@@ -440,6 +443,27 @@ impl Mosaic {
         other.look(case);
         other
     }
+}
+
+/// What patches, with where they lie at every instant, say of a pixel; `of_whole` is what the moving picture says, where they say nothing.
+fn of_patches(case: &Case, pixel: usize, patches: &[(&Patch, Vec<Map>)], instants: &[i64], of_whole: &[f32]) -> Vec<f32> {
+    let (x, y) = case.place(pixel);
+    let mut sum = vec![0.0; instants.len()];
+    let mut weights = vec![0.0; instants.len()];
+    for (patch, maps) in patches {
+        let share: Vec<f64> = instants.iter().map(|t| weight(case, patch, y, *t)).collect();
+        let Some(first) = share.iter().position(|share| *share > 0.0) else { continue };
+        let last = share.iter().rposition(|share| *share > 0.0).unwrap_or(first);
+        let place = ((x - patch.part.columns.start) as usize, (y - patch.part.rows.start) as usize);
+        let Some(log) = patch.picture.log_light(place.0, place.1, &maps[first..=last]) else { continue };
+        for (k, log) in (first..=last).zip(log) {
+            sum[k] += share[k] * log;
+            weights[k] += share[k];
+        }
+    }
+    let known: Vec<Option<f32>> =
+        (0..instants.len()).map(|k| if weights[k] > 0.0 { Some((sum[k] / weights[k]) as f32) } else { of_whole.get(k).copied() }).collect();
+    filled(&known)
 }
 
 /// Unknown values are the nearest known one before, or behind; nothing where none is known.

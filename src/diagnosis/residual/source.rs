@@ -20,8 +20,16 @@ pub trait Source: Sync {
     /// In a word, for reports.
     fn name(&self) -> &'static str;
 
+    /// Log photocurrent of some pixels at the instants of [`Light::blank`]; empty where it is not known.
+    fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>>;
+
     /// Log photocurrent of every pixel at steady instants; empty where it is not known.
-    fn light(&self, case: &Case, step_ns: i64) -> Light;
+    fn light(&self, case: &Case, step_ns: i64) -> Light {
+        let mut light = Light::blank(case, step_ns);
+        let rows: Vec<Vec<usize>> = (0..case.extent.pixels()).collect::<Vec<_>>().chunks(case.extent.width.max(1) as usize).map(<[usize]>::to_vec).collect();
+        light.log = rows.par_iter().flat_map(|pixels| self.log_of(case, step_ns, pixels)).collect();
+        light
+    }
 
     /// Does it stand without the recording's frames? Then effects of frames show in their values; otherwise they show in the light that frames imply.
     fn is_known(&self) -> bool {
@@ -105,7 +113,12 @@ impl MovingPicture {
     /// # Errors
     /// As [`Picture::fit`].
     pub fn fit(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Result<MovingPicture, String> {
-        Ok(MovingPicture::new(Picture::fit(case, nominal, setting)?, setting, case, nominal))
+        MovingPicture::fit_where(case, nominal, setting, None)
+    }
+
+    /// The same, to the values of pixels that are asked for.
+    pub(super) fn fit_where(case: &Case, nominal: &Nominal, setting: &PictureSetting, asked: Option<&[bool]>) -> Result<MovingPicture, String> {
+        Ok(MovingPicture::new(Picture::fit_where(case, nominal, setting, asked)?, setting, case, nominal))
     }
 
     /// Of a picture that was fitted.
@@ -124,15 +137,13 @@ impl Source for MovingPicture {
         if self.picture.ground.is_empty() && self.is_one { "picture" } else { "patches" }
     }
 
-    fn light(&self, case: &Case, step_ns: i64) -> Light {
-        let mut light = Light::blank(case, step_ns);
-        let maps: Vec<_> = (0..light.count).map(|k| self.picture.motion.at(light.instant(k))).collect();
-        let of = |pixel: usize| {
+    fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let maps: Vec<_> = Light::instants(case, step_ns).map(|t_ns| self.picture.motion.at(t_ns)).collect();
+        let of = |&pixel: &usize| {
             let (x, y) = case.place(pixel);
             self.picture.log_light(x as usize, y as usize, &maps).map_or_else(Vec::new, |log| log.iter().map(|u| *u as f32).collect())
         };
-        light.log = (0..case.extent.pixels()).into_par_iter().map(of).collect();
-        light
+        pixels.iter().map(of).collect()
     }
 
     fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
@@ -222,17 +233,16 @@ impl Source for Given {
         "given"
     }
 
-    fn light(&self, case: &Case, step_ns: i64) -> Light {
-        let mut light = Light::blank(case, step_ns);
-        let instants: Vec<i64> = (0..light.count).map(|k| light.instant(k)).collect();
-        let of = |(t, photocurrent): &Knots| -> Vec<f32> {
+    fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let instants: Vec<i64> = Light::instants(case, step_ns).collect();
+        let of = |&pixel: &usize| -> Vec<f32> {
+            let (t, photocurrent) = &self.light[pixel];
             if t.is_empty() {
                 return Vec::new();
             }
             instants.iter().map(|&at_ns| ln(f64::max(at(t, photocurrent, at_ns), f64::MIN_POSITIVE)) as f32).collect()
         };
-        light.log = self.light.par_iter().map(of).collect();
-        light
+        pixels.iter().map(of).collect()
     }
 
     fn is_known(&self) -> bool {

@@ -307,8 +307,8 @@ impl Source for Target {
         self.given.name()
     }
 
-    fn light(&self, case: &Case, step_ns: i64) -> Light {
-        self.given.light(case, step_ns)
+    fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        self.given.log_of(case, step_ns, pixels)
     }
 
     fn is_known(&self) -> bool {

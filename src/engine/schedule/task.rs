@@ -14,7 +14,7 @@ use photocurrent_core::ports::PortValues;
 use photocurrent_core::{Context, Digest, Meta, NodeError, Rows, Value};
 use photocurrent_store::{Cache, Export, Ingredients, Lookup, Record, StoredOutput, TOOL_VERSION};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 /// Computes a task's key and looks it up: ends it as reused, or lets it wait for memory.
@@ -186,17 +186,13 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
     let mut kept = BTreeMap::new();
     let stored: Vec<&Meta> = task.stored().map(|output| &output.meta).collect();
     let mut cutter = Cutter::new(&bands, bands.rows, &stored, &inputs);
-    let mut progress = TaskProgress { observer: shared.observer, task: id, silent: false };
+    let mut progress = TaskProgress { observer: shared.observer, task: id, of_band: None };
     let mut written: Option<Receiver<()>> = None;
     let may_reuse = bands.halo.is_some() && !shared.state().slots[id].force;
     let kept_bands = if may_reuse { shared.kept.of(id) } else { Vec::new() };
     let mut is_kept = false;
     loop {
         if let Some(stored) = cutter.at().and_then(|row| kept_bands.iter().find_map(|band| shared.kept.load(band, row, task))) {
-            if !progress.silent {
-                progress.silent = true;
-                shared.observer.progress_begin(id, bands.rows.len() as u64, "rows");
-            }
             let (rows, outputs, said) = stored;
             notes.absorb(said);
             for (port, value) in outputs {
@@ -205,15 +201,18 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
             }
             cutter.skip_to(rows.end);
             is_kept = true;
-            shared.observer.progress_advance(id, rows.len() as u64);
             continue;
         }
         let limit = kept_bands.iter().map(|band| band.rows().start).filter(|start| Some(*start) > cutter.at()).min().unwrap_or(u32::MAX);
         let Some(band) = cutter.next(limit) else { break };
         let whole = band == bands.rows;
-        if !whole && !progress.silent {
-            progress.silent = true;
-            shared.observer.progress_begin(id, bands.rows.len() as u64, "rows");
+        if !whole {
+            if progress.of_band.is_none() {
+                // What is there already says nothing of how fast the rest goes.
+                let there: u64 = kept_bands.iter().map(|band| band.rows().len() as u64).sum();
+                shared.observer.progress_begin(id, (bands.rows.len() as u64).saturating_sub(there).max(1), "rows");
+            }
+            progress.of_band = Some(OfBand { rows: band.len() as u64, ..OfBand::default() });
         }
         if shared.cancel.load(Ordering::Relaxed) {
             return Err(NodeError::interrupted());
@@ -252,9 +251,7 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
         let (reply, answer) = bounded(1);
         writer.send(Message::Reached { reply }).map_err(|_| NodeError::failed("the writer has stopped"))?;
         written = Some(answer);
-        if progress.silent {
-            shared.observer.progress_advance(id, band.len() as u64);
-        }
+        progress.end_of_band();
     }
     let (reply, answer) = bounded(1);
     let finish = Message::Finish { task: id, reply };
@@ -318,23 +315,57 @@ pub(crate) fn checked(task: &Task, mut given: PortValues, band: Option<Rows>) ->
     Ok(outputs)
 }
 
-/// Passes a node's progress on; a task in bands counts its bands' rows instead.
+/// Passes a node's progress on; a task in bands counts its rows, and within a band what the node has done of it.
 struct TaskProgress<'a> {
     observer: &'a dyn Observer,
     task: TaskId,
-    silent: bool,
+    of_band: Option<OfBand>,
+}
+
+/// How far a node is with a band.
+#[derive(Default)]
+struct OfBand {
+    rows: u64,
+    /// Items that the node has to do in it, and has done.
+    items: AtomicU64,
+    done: AtomicU64,
+    /// Rows that were told to be done.
+    told: AtomicU64,
+}
+
+impl TaskProgress<'_> {
+    fn end_of_band(&self) {
+        self.tell(u64::MAX);
+    }
+
+    /// So many rows of the band are done, all of them at most.
+    fn tell(&self, rows: u64) {
+        let Some(band) = &self.of_band else { return };
+        let rows = rows.min(band.rows);
+        let told = band.told.fetch_max(rows, Ordering::Relaxed);
+        if rows > told {
+            self.observer.progress_advance(self.task, rows - told);
+        }
+    }
 }
 
 impl Progress for TaskProgress<'_> {
     fn begin(&self, total: u64, unit: &str) {
-        if !self.silent {
-            self.observer.progress_begin(self.task, total, unit);
+        match &self.of_band {
+            Some(band) => {
+                band.items.fetch_add(total, Ordering::Relaxed);
+            }
+            None => self.observer.progress_begin(self.task, total, unit),
         }
     }
 
     fn advance(&self, items: u64) {
-        if !self.silent {
-            self.observer.progress_advance(self.task, items);
+        match &self.of_band {
+            Some(band) => {
+                let done = band.done.fetch_add(items, Ordering::Relaxed) + items;
+                self.tell((band.rows * done).checked_div(band.items.load(Ordering::Relaxed)).unwrap_or(0));
+            }
+            None => self.observer.progress_advance(self.task, items),
         }
     }
 }
