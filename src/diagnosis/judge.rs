@@ -2,7 +2,7 @@
 //!
 //! A delay, thresholds and a dark current that make events and frames agree on average may still be the wrong physics: events that a fast edge loses make thresholds look larger. A right one lets the
 //! solver predict frames better that it was not given; so that decides, and only where no scene is evidence: on a scene there is more to go by. Of 106 simulated recordings of other people's simulators
-//! four would be given a wrong name (thresholds for a blur, twice, and for a slow front end; a dark current for compressed frames), and none of the 38 without a fault.
+//! four would be given a wrong name (thresholds for a blur, twice, and for a reset with memory; a dark current for compressed frames), and none of the 38 without a fault.
 
 use crate::candidates::Scales;
 use crate::case::Case;
