@@ -215,7 +215,7 @@ fn a_disk_that_is_full_ends_what_it_must_and_spoils_nothing() {
     let bench = bench();
     let expected = undisturbed(&[]);
     let mut ended = 0;
-    // A process that may write files of so many blocks only is told the same as one on a full disk: that a write failed.
+    // A process that may write files of so many blocks only gets the same message as one on a full disk: that a write failed.
     for blocks in [8, 32, 128, 300, 600] {
         let limited = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
         let mut command = std::process::Command::new("sh");

@@ -445,7 +445,7 @@ impl Mosaic {
     }
 }
 
-/// What patches, with where they lie at every instant, say of a pixel; `of_whole` is what the moving picture says, where they say nothing.
+/// What patches, with where they lie at every instant, say of a pixel; `of_whole` is what the moving picture says, where they predict nothing.
 fn of_patches(case: &Case, pixel: usize, patches: &[(&Patch, Vec<Map>)], instants: &[i64], of_whole: &[f32]) -> Vec<f32> {
     let (x, y) = case.place(pixel);
     let mut sum = vec![0.0; instants.len()];
