@@ -403,8 +403,12 @@ fn completions_are_printed_for_every_common_shell() {
 
 /// The subcommands that a help text lists, with what it says about each.
 fn commands(help: &str) -> Vec<(String, String)> {
-    let lines = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| line.starts_with("  "));
-    let split = lines.filter_map(|line| line.trim().split_once(' '));
+    let listed = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| line.starts_with("  "));
+    // The program's own help groups them: the group stands before the first command of it.
+    const GROUPS: usize = 15;
+    let grouped =
+        help.lines().skip_while(|line| !line.starts_with("Run pipelines  ")).take_while(|line| !line.is_empty()).filter_map(|line| line.get(GROUPS..));
+    let split = listed.chain(grouped).filter_map(|line| line.trim().split_once(' '));
     split.map(|(name, about)| (name.to_string(), about.trim().to_string())).filter(|(name, _)| name != "help").collect()
 }
 

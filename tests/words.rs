@@ -35,7 +35,7 @@ const RETIRED: [(&[&str], &str); 24] = [
 ];
 
 /// Where a word means something else: what stands around it is taken out before the search.
-const ORDINARY: [(&str, &str); 13] = [
+const ORDINARY: [(&str, &str); 11] = [
     ("false alarm", "the standard term"),
     ("cos^4 law", "the name of natural vignetting's formula"),
     ("sealed physics, ", "the seeds of the concealed recordings, which make their content"),
@@ -47,12 +47,10 @@ const ORDINARY: [(&str, &str); 13] = [
     ("`law`", "a field of the answers to the concealed recordings"),
     ("`law.rs`", "a file of their generator"),
     ("(\"law\")", "that field, read"),
-    ("silence_sigma", "a field of the MAP solver's problem"),
-    ("`silence`", "a function of the MAP solver"),
 ];
 
-/// Left out: a program of its own whose answers are data, and what still has old words in its names (`silence_sigma`, `Believed`, `Glide`).
-const OTHERS: [&str; 6] = ["data/concealed/generator/", "src/sensor/map/", "nodes/solve/", "nodes/refine/", "src/engine/", "src/store/"];
+/// Left out: a program of its own whose answers are data.
+const OTHERS: [&str; 1] = ["data/concealed/generator/"];
 
 /// The words of a text in lower case, a space between them.
 fn plain(line: &str) -> String {

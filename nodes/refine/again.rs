@@ -199,7 +199,7 @@ impl Again {
         Caution::choose(self.meta.extent, &lost)
     }
 
-    /// Widens standard deviations so far as frames that were kept back show that to be needed with the same hints as will be given; they must know
+    /// Widens standard deviations so far as frames that were held out show that to be needed with the same hints as will be given; they must know
     /// nothing of those frames.
     pub fn widen<L>(&mut self, of_row: impl Fn(&Row) -> L + Sync, hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync) {
         let of_pixel =

@@ -1,6 +1,6 @@
-//! How careful to be with hints, for each region of the sensor: what predicts frames that were kept back best.
+//! How careful to be with hints, for each region of the sensor: what predicts frames that were held out best.
 //!
-//! Pixels spread over the sensor are solved without some of their frames, with hints believed more or less, and asked for those frames. A
+//! Pixels spread over the sensor are solved without some of their frames, with hints trusted more or less, and asked for those frames. A
 //! region takes the caution that served the pixels near it best; far ones count a little, so that a few lucky hits choose nothing.
 
 use photocurrent_core::Extent;
@@ -8,16 +8,16 @@ use photocurrent_sensor::map::Hint;
 
 /// The factors of the hints' variances that are tried, most careful first.
 pub(super) const CAUTIONS: [f64; 6] = [f64::INFINITY, 16.0, 4.0, 1.0, 0.25, 0.0625];
-/// Hints must make the error smaller by this factor to be believed at all.
+/// Hints must make the error smaller by this factor to be trusted at all.
 const CLEARLY_BETTER: f64 = 0.97;
 /// Side of the squares that share a caution, pixels.
 const SQUARE: u32 = 4;
 /// Pixels count half so far away, pixels.
 const NEAR: f64 = 8.0;
-/// What the mean of all pixels weighs beside those near, in pixels.
+/// What the mean of all pixels weighs against those near, in pixels.
 const EVERYWHERE: f64 = 6.0;
 
-/// Believes hints less by a factor of their variances; infinity takes them all away.
+/// Trusts pseudo-measurements less by a factor of their variances; infinity removes them all.
 pub(super) fn take_care(hints: &mut Vec<Hint>, caution: f64) {
     if caution.is_infinite() {
         hints.clear();
@@ -71,7 +71,7 @@ impl Caution {
     }
 
     /// Is any pixel given hints?
-    pub fn believes_some(&self) -> bool {
+    pub fn trusts_some(&self) -> bool {
         self.of_square.iter().any(|caution| caution.is_finite())
     }
 }
@@ -82,7 +82,7 @@ mod tests {
 
     const EXTENT: Extent = Extent { width: 60, height: 20 };
 
-    /// Left of column 30 hints help by `left` of an error of 1, right of it by `right`; more the more they are believed.
+    /// Left of column 30 hints help by `left` of an error of 1, right of it by `right`; more the more they are trusted.
     fn halves(left: f64, right: f64) -> Vec<Lost> {
         let lost = |x: usize, y: usize| {
             let gain = if x < 30 { left } else { right };
@@ -96,19 +96,19 @@ mod tests {
         let caution = Caution::choose(EXTENT, &halves(0.5, -0.5));
         assert_eq!(caution.at(5, 10), CAUTIONS[5]);
         assert_eq!(caution.at(55, 10), CAUTIONS[0]);
-        assert!(caution.believes_some());
+        assert!(caution.trusts_some());
     }
 
     #[test]
-    fn nothing_is_believed_that_helps_nowhere() {
-        assert!(!Caution::choose(EXTENT, &halves(-0.1, 0.0)).believes_some());
-        assert!(!Caution::choose(EXTENT, &[]).believes_some());
+    fn nothing_is_trusted_that_helps_nowhere() {
+        assert!(!Caution::choose(EXTENT, &halves(-0.1, 0.0)).trusts_some());
+        assert!(!Caution::choose(EXTENT, &[]).trusts_some());
     }
 
     #[test]
     fn one_lucky_pixel_chooses_nothing() {
         let mut lost = halves(-0.3, -0.3);
         lost[30].errors = [1.0, 1.0, 0.9, 0.8, 0.7, 0.6];
-        assert!(!Caution::choose(EXTENT, &lost).believes_some());
+        assert!(!Caution::choose(EXTENT, &lost).trusts_some());
     }
 }

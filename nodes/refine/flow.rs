@@ -27,7 +27,7 @@ const LARGE: usize = 20_000;
 const FASTEST: f64 = 3.0;
 /// Differences of log light of this size count half.
 const ROBUST: f64 = 0.1;
-/// What a motion must explain, as squared log light, to be believed.
+/// What a motion must explain, as squared log light, to be trusted.
 const LEAST_CONTRAST: f64 = 1e-4;
 /// A step that is smaller changes nothing, pixels per picture.
 const NO_STEP: f64 = 1e-4;
@@ -161,16 +161,16 @@ struct Pairs<'a> {
     count: usize,
     middle: usize,
     /// How far the middles of pairs lie from the instant, pictures.
-    beside: &'a [i64],
+    shifts: &'a [i64],
     distances: &'a [usize],
 }
 
 impl Pairs<'_> {
     /// Calls with (earlier picture, later picture, time from the middle to each).
     fn each(&self, mut with: impl FnMut(&[f32], &[f32], f64, f64)) {
-        for &beside in self.beside {
+        for &shift in self.shifts {
             for &distance in self.distances {
-                let (early, late) = (self.middle as i64 + beside - distance as i64, self.middle as i64 + beside + distance as i64);
+                let (early, late) = (self.middle as i64 + shift - distance as i64, self.middle as i64 + shift + distance as i64);
                 if early >= 0 && (late as usize) < self.count {
                     let at = |n: i64| (n - self.middle as i64) as f64;
                     let picture = |n: i64| &self.film.pictures[n as usize - self.film.first][..];
@@ -206,7 +206,7 @@ impl Look<'_> {
     fn estimate(&self, middle: usize) -> Vec<[f64; 2]> {
         let Look { lattice, coarse, fine, count, places } = *self;
         let middle = middle.clamp(1, usize::max(count.saturating_sub(2), 1));
-        let pairs = |film, distances| Pairs { film, count, middle, beside: &[-2, 0, 2], distances };
+        let pairs = |film, distances| Pairs { film, count, middle, shifts: &[-2, 0, 2], distances };
         let affine = self.affine(&pairs(coarse, &[1]), [0.0; 6], 6);
         let affine = self.affine(&pairs(fine, &[1, 2]), affine, 4);
         let affine = self.affine(&pairs(fine, &[2, 4]), affine, 3);

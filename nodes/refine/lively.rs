@@ -23,7 +23,7 @@ pub(super) struct Lively {
 }
 
 impl Lively {
-    /// From the events of all pixels, with column and row; an event that has no other of its polarity near says nothing.
+    /// From the events of all pixels, with column and row; an event that has no other of its polarity near carries no information.
     pub fn new<'a>(extent: Extent, span: (i64, i64), events: impl Iterator<Item = (usize, usize, &'a [MapEvent])>) -> Lively {
         let (columns, lines) = ((extent.width as usize).div_ceil(SIDE), (extent.height as usize).div_ceil(SIDE));
         let times = ((span.1 - span.0) / STEP_NS + 1) as usize;
@@ -62,7 +62,7 @@ impl Lively {
         squares
     }
 
-    /// Which pixels, row by row, lie in or beside a square that fires in company between two instants.
+    /// Which pixels, row by row, lie in or next to a square that fires in company between two instants.
     pub fn pixels(&self, between: (i64, i64), extent: Extent) -> Vec<bool> {
         let squares = self.around(&self.at_some(&self.fires, between), 1);
         let of_row = |y: usize| (0..extent.width as usize).map(move |x| y / SIDE * self.columns + x / SIDE);

@@ -29,7 +29,7 @@ use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::picture::PictureSetting;
-use photocurrent_sensor::map::estimate::is_kept_back;
+use photocurrent_sensor::map::estimate::is_held_out;
 use photocurrent_sensor::map::{Hint, MapFrame};
 use scene::{OfRow, Pictures};
 use schemars::JsonSchema;
@@ -142,7 +142,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             cx.note(format!("no picture is used: {why}"));
         }
         let pictures = pictures.unwrap_or_default();
-        // Only pixels with events are told anything.
+        // Only pixels with events get pseudo-measurements.
         let of_row = |row: &Row| {
             let columns: Vec<usize> = (0..width).filter(|x| !row.events_of(*x).is_empty()).collect();
             pictures.of_row(row.row as usize, width, &columns)
@@ -151,16 +151,16 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
             let flow = Flow::of_tracks(&log, span, &lively);
-            let of_picture = |keep_back: bool, light: &OfRow, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
+            let of_picture = |hold_out: bool, light: &OfRow, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
                 let (y, count) = (row.row as usize, row.frames_of(x).len());
-                let known = row.frames_of(x).iter().enumerate().filter(|(l, _)| !(keep_back && is_kept_back(*l, count)));
+                let known = row.frames_of(x).iter().enumerate().filter(|(l, _)| !(hold_out && is_held_out(*l, count)));
                 let frames: Vec<MapFrame> = known.map(|(_, frame)| *frame).collect();
                 let measured = row.measured(x, &sensor, extent, &frames, threshold);
                 Trust::default().hints(|t_ns| pictures.predict(light, (x, y), t_ns), &log, (row.span(), step_ns), &measured, hints);
             };
             // First without frames that are held out from the pixels: do they come out better with the picture than without?
             let caution = again.caution(of_row, |light, row, x, threshold, hints| of_picture(true, light, row, x, threshold, hints));
-            if round == self.params.rounds && caution.believes_some() {
+            if round == self.params.rounds && caution.trusts_some() {
                 again.widen(of_row, |light, row, x, threshold, hints| {
                     of_picture(true, light, row, x, threshold, hints);
                     take_care(hints, caution.at(x, row.row as usize));

@@ -7,7 +7,7 @@
 //!
 //! Only moving pixels are touched, and knots stay where they are: each gets the film's correction at its instant (of a held value, the mean over the hold).
 //!
-//! Limits: it knows nothing of events and frames, so it takes away noise and with it whatever is finer than the Gaussian. It is meant for rough solutions;
+//! Limits: it knows nothing of events and frames, so it removes noise and with it whatever is finer than the Gaussian. It is meant for rough solutions;
 //! `pipelines/ablations/steered.toml` shows what it does to better ones.
 //! Motion of more than about a pixel in a step of the film is not seen. The film takes eight bytes for each pixel and step
 //! of the rows that are worked on.
@@ -124,7 +124,7 @@ in   = { tracks = "solve.tracks" }
     }
 }
 
-/// Rows beside a row that its values depend on: gradients reach one further than they are pooled.
+/// Rows next to a row that its values depend on: gradients reach one further than they are pooled.
 const HALO: u32 = POOLED as u32 + 1;
 
 /// What is said of smoothed tracks: how well they are known is not found out.
@@ -178,7 +178,7 @@ struct Film {
     step_ns: i64,
     count: usize,
     values: Vec<f64>,
-    /// Pixels with a track; the others say nothing and are not asked.
+    /// Pixels with a track; the others are unknown and are not asked.
     known: Vec<bool>,
 }
 
@@ -309,7 +309,7 @@ fn mean(tensors: &[Tensor]) -> Tensor {
     sum.map(|sum| sum / tensors.len() as f64)
 }
 
-/// Adds the products of a pixel's gradients at all instants; a pixel beside an unknown one has no gradient in that direction.
+/// Adds the products of a pixel's gradients at all instants; a pixel next to an unknown one has no gradient in that direction.
 fn add_products(film: &Film, x: usize, y: usize, column: &mut [Tensor]) {
     let (width, height, count) = (film.width, film.rows.len(), film.count);
     if !film.known[film.pixel(x, y)] {

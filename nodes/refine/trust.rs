@@ -1,4 +1,4 @@
-//! How far a predicted light may be believed, and the hints that are left of it.
+//! How far a predicted light may be trusted, and the hints that are left of it.
 //!
 //! Whoever predicts a pixel's light (its neighbours along the motion, a picture that moves) knows nothing of the pixel's own events. So they are the judge of what lies between frames: seen
 //! through the sensor, the predicted light must bring the voltage to a threshold when they fired, and to no frame value another one than the pixel's own. What it misses them by is its error there, and
@@ -21,7 +21,7 @@ const POOLED_MS: f64 = 3.0;
 const WIDE_MS: f64 = 15.0;
 /// What lies so many such times away counts no more: it would weigh a part in 65,000.
 const FAR: f64 = 16.0;
-/// What a frame weighs beside an event when a pixel judges its hints.
+/// What a frame weighs against an event when a pixel judges its hints.
 const FRAME_WEIGHT: f64 = 3.0;
 /// One source alone can contradict nobody: its variance counts so many times.
 const ONE_SIDED: f64 = 4.0;

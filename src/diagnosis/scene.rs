@@ -16,7 +16,7 @@ pub struct SceneSetting {
     /// And to this, DN.
     pub frame_dn: f64,
     /// Softness of the no-event constraint, natural-log units; 0 = not used.
-    pub silence_sigma: f64,
+    pub no_event_sigma: f64,
     /// Prior, spacing of knots, steps.
     pub options: MapOptions,
 }
@@ -24,7 +24,7 @@ pub struct SceneSetting {
 impl Default for SceneSetting {
     fn default() -> SceneSetting {
         let noise = Noise { event: 0.03, ..Noise::default() };
-        SceneSetting { noise, frame_share: 0.005, frame_dn: 0.5, silence_sigma: 0.03, options: MapOptions::default() }
+        SceneSetting { noise, frame_share: 0.005, frame_dn: 0.5, no_event_sigma: 0.03, options: MapOptions::default() }
     }
 }
 
@@ -195,7 +195,7 @@ pub fn task<'a>(case: &Case, setting: &SceneSetting, data: &'a PixelData, sensor
         sensor,
         noise: setting.noise,
         stamp_sigma_s: case.t_resolution_ns as f64 * 1e-9 / libm::sqrt(12.0),
-        silence_sigma: setting.silence_sigma,
+        no_event_sigma: setting.no_event_sigma,
         lost_before: &[],
         beyond,
     };

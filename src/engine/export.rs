@@ -1,4 +1,4 @@
-//! Files for the user: written beside their place, stamped, and swapped in at once.
+//! Files for the user: written next to their place, stamped, and swapped in at once.
 //!
 //! A node that exports gets an empty folder next to its destination. When it is done the engine adds a stamp (the key, each file's size and
 //! digest), makes everything reach the disk, and exchanges the two folders in one step: a reader sees the old files or the new ones,
@@ -94,7 +94,7 @@ fn list(folder: &Path) -> io::Result<Vec<String>> {
 /// How the name of a folder in the making ends.
 const PARTIAL: &str = ".partial";
 
-/// Removes half-made folders beside a destination whose makers are gone. What cannot be removed does no harm where it is.
+/// Removes half-made folders next to a destination whose makers are gone. What cannot be removed does no harm where it is.
 fn remove_what_the_dead_left(parent: &Path, name: &str) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
         let found = entry.file_name();
@@ -118,7 +118,7 @@ pub(crate) struct Staging {
 }
 
 impl Staging {
-    /// An empty folder beside `destination`.
+    /// An empty folder next to `destination`.
     pub fn create(destination: &Path) -> Result<Staging, NodeError> {
         static COUNT: AtomicU64 = AtomicU64::new(0);
         check_free(destination)?;

@@ -76,7 +76,7 @@ pub struct NodeSpec {
 }
 
 impl Pipeline {
-    /// The pipeline that `table` describes: `manifest` with a variant's overlays, which is told what is wrong.
+    /// The pipeline that `table` describes: `manifest` with a variant's overlays, which collects what is wrong.
     pub(crate) fn from_table(table: &Table, variant: Variant, manifest: &mut Manifest) -> Pipeline {
         let pipeline = table.get("pipeline").and_then(Tree::as_table).cloned().unwrap_or_default();
         let seed = match pipeline.get("seed").map(|tree| &tree.item) {

@@ -2,7 +2,7 @@
 //!
 //! Every node says what its outputs will look like before data exist; what cannot work is refused here, at its line, and nothing has
 //! run yet. Tasks of different variants that do the same to the same are one task, found by a hash over kind, revision, parameters, files,
-//! seed and the tasks before them. That hash only tells tasks apart inside one plan; what names results for ever is the key (`key`),
+//! seed and the tasks before them. That hash only distinguishes tasks inside one plan; what names results for ever is the key (`key`),
 //! which knows contents.
 
 use crate::lacking::Lacking;
@@ -150,7 +150,7 @@ impl Plan {
     /// # Errors
     /// Every independent mistake, each at its place.
     pub fn new(project: &Project, catalogue: &Catalogue, selection: &Selection) -> Result<Plan, Vec<Problem>> {
-        Plan::beside(project, catalogue, selection, Vec::new())
+        Plan::after(project, catalogue, selection, Vec::new())
     }
 
     /// Reads a manifest as [`Project::load`] does and plans the selected variants, in one round: what is sound is planned even when something else is
@@ -160,12 +160,12 @@ impl Plan {
     /// Every independent mistake, each at its place.
     pub fn load(path: &Path, sets: &[String], catalogue: &Catalogue, selection: &Selection) -> Result<(Project, Plan), Vec<Problem>> {
         let (project, problems) = Project::resolve(path, sets, catalogue);
-        let plan = Plan::beside(&project, catalogue, selection, problems)?;
+        let plan = Plan::after(&project, catalogue, selection, problems)?;
         Ok((project, plan))
     }
 
-    /// Plans beside mistakes that were found before.
-    fn beside(project: &Project, catalogue: &Catalogue, selection: &Selection, mut problems: Vec<Problem>) -> Result<Plan, Vec<Problem>> {
+    /// Plans with mistakes that were found before.
+    fn after(project: &Project, catalogue: &Catalogue, selection: &Selection, mut problems: Vec<Problem>) -> Result<Plan, Vec<Problem>> {
         let mut unknown = Vec::new();
         let selected = select_variants(project, &selection.variants, &mut unknown);
         // A broken ablation has no variants to name: that the named one is not there only follows.
@@ -511,7 +511,7 @@ fn missing(node: &TypedNode<'_>, error: &NodeError) -> Missing {
     (name.unwrap_or_else(|| error.message.clone()), format!("{}{hint}", error.message))
 }
 
-/// Tells tasks of one plan apart.
+/// Distinguishes tasks of one plan.
 fn structure(decl: &Decl, params: &serde_json::Value, inputs: &[TaskInput], files: &[FileRef], seed: Option<u64>, export: Option<&Path>) -> Digest {
     let mut hash = DigestBuilder::new("photocurrent-task/1");
     // Paths count here, as two files of one content are still two files to watch.

@@ -86,8 +86,8 @@ pub(crate) fn distinct(common: Vec<Problem>, variants: Vec<(&str, Vec<Problem>)>
         }
         _ => problem,
     });
-    let mut told: HashSet<Mark> = HashSet::new();
-    common.into_iter().chain(placed).filter(|problem| told.insert(mark(problem))).collect()
+    let mut seen: HashSet<Mark> = HashSet::new();
+    common.into_iter().chain(placed).filter(|problem| seen.insert(mark(problem))).collect()
 }
 
 /// What two reports of one mistake have in common: text and place, and the words there.
@@ -126,7 +126,7 @@ pub(crate) fn merge(base: &mut Table, over: &Table) {
     }
 }
 
-/// Checks that an overlay speaks of nodes that exist, and of nothing but nodes and the pipeline; notes what does not.
+/// Checks that an overlay names nodes that exist, and nothing but nodes and the pipeline; notes what does not.
 pub(crate) fn check_targets(over: &mut Table, manifest: &mut Manifest) {
     let known: Vec<String> = node_names(&manifest.table);
     for (key, tree) in &over.entries {

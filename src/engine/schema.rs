@@ -114,7 +114,7 @@ fn inline(schema: &Json, root: &Json, depth: usize) -> Json {
                 Some(target) if depth < DEEPEST => inline(target, root, depth + 1).as_object().cloned().unwrap_or_default(),
                 _ => Map::new(),
             };
-            // What stands beside a reference (a description, a bound) is about this use of it, and wins.
+            // What stands next to a reference (a description, a bound) is about this use of it, and wins.
             for (name, value) in map.iter().filter(|(name, _)| *name != "$ref") {
                 result.insert(name.clone(), inline(value, root, depth));
             }

@@ -114,7 +114,7 @@ impl<'a> Checker<'a, '_> {
                 Err(error) => self.problems.extend(node_problem(node, &error)),
             }
         }
-        // A mistake in a parameter says nothing about the sockets: they are still checked, but nothing is planned from here on.
+        // A mistake in a parameter does not affect the sockets: they are still checked, but nothing is planned from here on.
         None
     }
 

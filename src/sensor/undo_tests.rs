@@ -81,7 +81,7 @@ fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<MapEvent>, Vec<f64>),
             sensor: model.map_sensor(),
             noise: Noise::default(),
             stamp_sigma_s: 0.0,
-            silence_sigma: 0.03,
+            no_event_sigma: 0.03,
             lost_before: &[],
             beyond: &known.beyond,
         };

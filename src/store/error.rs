@@ -4,7 +4,7 @@ use photocurrent_core::document::Problem;
 use photocurrent_core::{DataError, NodeError};
 use std::path::{Path, PathBuf};
 
-/// A file could not be read, written or believed.
+/// A file could not be read, written or trusted.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// The operating system refused.
@@ -99,7 +99,7 @@ impl StoreError {
         StoreError::Content { path: path.into(), at: at.into(), found: found.into(), expected: expected.into(), hint: hint.into() }
     }
 
-    /// Would running the node again mend it? True for what is wrong with one entry of the cache, false for a full disk.
+    /// Would running the node again repair it? True for what is wrong with one entry of the cache, false for a full disk.
     pub fn is_damage(&self) -> bool {
         match self {
             StoreError::Damaged { .. }

@@ -1,7 +1,7 @@
 //! Packing and unpacking side by side, without waiting for the pool.
 //!
 //! A task's thread and the writer's thread are no part of rayon's pool. What they hand to it waits until a thread of the pool has nothing else to
-//! do, and beside a long solve that is at the end of the solve: a recording of two seconds took forty. So they start threads of their
+//! do, and during a long solve that is at the end of the solve: a recording of two seconds took forty. So they start threads of their
 //! own, as many as the pool has, which the system lets run at once. Inside the pool its own threads do the work.
 
 use rayon::prelude::*;

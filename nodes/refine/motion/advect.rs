@@ -2,7 +2,7 @@
 //!
 //! What passes a pixel now passed the next pixel line a moment ago, and will pass the one on the other side a moment later. So log light
 //! is read off where the path crosses the next [`LINES`] lines of pixels, backward and forward, never at the pixel itself and never more than
-//! [`LONGEST_MS`] away. How far that may be believed is for [`Trust`] to say: past and future must not contradict each other.
+//! [`LONGEST_MS`] away. How far that may be trusted is for [`Trust`] to say: past and future must not contradict each other.
 
 use crate::refine::film::LogTracks;
 use crate::refine::flow::Flow;

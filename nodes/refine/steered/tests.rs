@@ -70,7 +70,7 @@ fn an_edge_that_moves_across_is_not_blurred_across_its_motion() {
         }
         worst
     };
-    // Noise of 0.035 is what the Gaussian may take; a mean over its window of 1.5 pixels would be off by about 0.25 beside the edge.
+    // Noise of 0.035 is what the Gaussian may take; a mean over its window of 1.5 pixels would be off by about 0.25 next to the edge.
     let (off, rough) = (worst(&steer(&exact)), tracks(edge, 0.05));
     assert!(off < 0.05, "{off}");
     let gain = decibels(error(&rough, edge), error(&steer(&rough), edge));
@@ -103,9 +103,9 @@ fn an_unknown_pixel_stays_unknown_and_is_not_asked() {
     let after = steer(&TrackSet::in_memory(rough.meta.clone(), holed)).read(EXTENT.rows()).unwrap();
     assert!(after.pixel(12, 8).t.is_empty());
     // Its neighbour is not drawn towards a light that nobody knows; what is left is noise of 0.02, at most five times.
-    let beside = after.pixel(13, 8);
-    let off = |k: usize| (libm::log(f64::from(beside.photocurrent[k])) - texture(13, 8, beside.t[k] as f64 * 1e-6)).abs();
-    assert!((0..beside.t.len()).all(|k| off(k) < 0.1));
+    let edge = after.pixel(13, 8);
+    let off = |k: usize| (libm::log(f64::from(edge.photocurrent[k])) - texture(13, 8, edge.t[k] as f64 * 1e-6)).abs();
+    assert!((0..edge.t.len()).all(|k| off(k) < 0.1));
 }
 
 /// What the paper's solver makes of the recording of a texture: held tracks.

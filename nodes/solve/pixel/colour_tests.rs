@@ -118,7 +118,7 @@ fn a_channels_gain_is_removed_and_rendered_again() {
         let captured = frames(1, Colour::Rgb, 1, shown);
         let mono = solve(params.clone(), &events, &frames(1, Colour::Mono, 1, |l, x, y, _| grey(l, x, y)), sensor());
         let out = solve(params.clone(), &events, &captured, coloured.clone());
-        // What is believed of a frame depends on its DN, so the most probable light may differ a little with gain.
+        // What is trusted of a frame depends on its DN, so the MAP estimate may differ a little with gain.
         let tolerance = if params.method == Method::Map { 0.02 } else { ROUNDING };
         for v in 0..9 {
             assert_alike(&track(&out, v, 1), &track(&mono, v / 3, 1), 1.0, tolerance);
@@ -128,7 +128,7 @@ fn a_channels_gain_is_removed_and_rendered_again() {
         let again = testing::with_context(captured.rows(), &["frames"], |cx| node.run(input, cx)).0.unwrap().frames;
         assert_eq!(again.meta, captured.meta);
         let (again, captured) = (again.read_rows(again.rows()).unwrap().dn, captured.read_rows(captured.rows()).unwrap().dn);
-        // The most probable light follows a frame to twice the noise that is assumed of it, 2 %.
+        // the MAP estimate follows a frame to twice the noise that is assumed of it, 2 %.
         let followed = if params.method == Method::Map { 0.04 } else { 0.02 };
         assert!(again.iter().zip(&captured).all(|(again, dn)| (again / dn - 1.0).abs() < followed), "{again:?}\n{captured:?}");
     }

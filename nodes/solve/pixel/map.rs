@@ -1,4 +1,4 @@
-//! `method = "map"`: a row of pixels cut out of the recording, and their most probable light put together.
+//! `method = "map"`: a row of pixels cut out of the recording, and their MAP estimates put together.
 
 use super::neighbours::KnownOfRows;
 use super::plausible::Plausible;
@@ -12,12 +12,12 @@ use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, M
 use photocurrent_sensor::residuals::Misfit;
 use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
 
-/// Frame values are not believed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
+/// Frame values are not assumed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
 pub(super) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
 /// So many pixels of a row are looked at to estimate the noise of its events.
 const SAMPLED_PIXELS: usize = 16;
 /// How far voltage and reference may be apart beyond a threshold without an event, natural-log units.
-const SILENCE_SIGMA: f64 = 0.03;
+const NO_EVENT_SIGMA: f64 = 0.03;
 /// A knot is left away where the line between its neighbours misses it by less than this, natural-log units.
 const THINNED_TO: f64 = 2e-4;
 /// The same of the logarithm of its standard deviation.
@@ -235,7 +235,7 @@ impl RowSolver {
         (0..taken).map(|n| pixels[(2 * n + 1) * pixels.len() / (2 * taken)]).collect()
     }
 
-    /// How badly hints, one set after the other, and its other measurements predict the frames of a pixel that are kept back
+    /// How badly hints, one set after the other, and its other measurements predict the frames of a pixel that are held out
     /// ([`estimate::prediction_errors`]).
     pub fn prediction_errors(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Vec<Hint>]) -> Vec<f64> {
         let RowSolver { group, taken: Taken { data, given }, .. } = self;
@@ -247,7 +247,7 @@ impl RowSolver {
         estimate::prediction_errors(&problems, &setting.options, group)
     }
 
-    /// How the frames of a pixel that are kept back are missed by hints and its other measurements ([`estimate::misses`]).
+    /// How the frames of a pixel that are held out are missed by hints and its other measurements ([`estimate::misses`]).
     pub fn misses(&mut self, model: &Model, setting: &RowSetting, x: usize, hints: &[Hint]) -> Vec<Miss> {
         let RowSolver { group, taken: Taken { data, given }, .. } = self;
         let problem = problem(model, data.events_of(x), data.frames_of(x), setting.span, setting.noise);
@@ -264,8 +264,8 @@ fn task<'a>(model: &Model, setting: &RowSetting, data: &'a RowData, x: usize, hi
     let off = |sigma: f64, unit: f64| if unrest > 0.0 { libm::sqrt(sigma * sigma + unrest / (unit * unit)) } else { sigma };
     let noise = Noise { event: off(noise.event, model.threshold()), ..noise };
     let problem = problem(model, data.events_of(x), data.frames_of(x), span, noise);
-    let silence_sigma = if data.has_event_pixel(x) { off(problem.silence_sigma, 1.0) } else { 0.0 };
-    MapTask { problem: MapProblem { hints, silence_sigma, ..problem }, options }
+    let no_event_sigma = if data.has_event_pixel(x) { off(problem.no_event_sigma, 1.0) } else { 0.0 };
+    MapTask { problem: MapProblem { hints, no_event_sigma, ..problem }, options }
 }
 
 /// What was given of the events of pixels `lit` of a row, or what each alone says.
@@ -306,11 +306,11 @@ pub(super) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[M
 pub(super) fn with_known<'a>(tasks: &[MapTask<'a>], known: &'a [Known]) -> Vec<MapTask<'a>> {
     let of = |(n, task): (usize, &MapTask<'a>)| {
         let problem = known.get(n).map_or(task.problem, |known| {
-            let silence_sigma = match task.problem.silence_sigma {
+            let no_event_sigma = match task.problem.no_event_sigma {
                 sigma if sigma > 0.0 && known.apart > 0.0 => libm::hypot(sigma, known.apart),
                 sigma => sigma,
             };
-            MapProblem { events: &known.events, beyond: &known.beyond, silence_sigma, ..task.problem }
+            MapProblem { events: &known.events, beyond: &known.beyond, no_event_sigma, ..task.problem }
         });
         MapTask { problem, ..*task }
     };
@@ -328,7 +328,7 @@ pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
         sensor: model.sensor.map_sensor(),
         noise: Noise { threshold: libm::hypot(noise.threshold, model.undo.chance.of_pixels), ..noise },
         stamp_sigma_s: libm::hypot(model.stamp_sigma_s, model.undo.chance.of_stamps_s),
-        silence_sigma: SILENCE_SIGMA,
+        no_event_sigma: NO_EVENT_SIGMA,
         lost_before: &[],
         beyond: &[],
     }
@@ -337,7 +337,7 @@ pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [Ma
 /// Keeps as few knots as join up to the same light, without what effects add to it and times `light_ratio`, within [`THINNED_TO`], and to the same standard deviation, where there is one, times
 /// `sigma_factor`, within [`SIGMA_THINNED_TO`].
 ///
-/// Light is held at what is plausible; its standard deviation is then at least as large as what was taken away.
+/// Light is held at what is plausible; its standard deviation is then at least as large as what was removed.
 fn thin(solution: &MapSolution<'_>, undo: &Undo, light_ratio: f64, sigma_factor: f64, plausible: Plausible, knots: &mut Vec<(i64, f32, f32)>) {
     let (t, sum, variance) = (solution.t_ns, solution.log_photocurrent, solution.variance);
     let u = |k: usize| undo.own(sum[k]);

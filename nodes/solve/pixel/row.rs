@@ -1,4 +1,4 @@
-//! What the pixels of a row measured, as the most probable light wants it: events in order of time, frame values with their noise.
+//! What the pixels of a row measured, as the MAP estimate needs it: events in order of time, frame values with their noise.
 
 use super::Model;
 use super::plausible::Plausible;
@@ -134,7 +134,7 @@ impl RowData {
         (column + 1 < self.events.first.len()).then_some(column)
     }
 
-    /// Does an event pixel see pixel x? Else no event says nothing.
+    /// Does an event pixel see pixel x? Else the absence of events is no constraint.
     pub fn has_event_pixel(&self, x: usize) -> bool {
         self.event_column(x).is_some()
     }

@@ -8,7 +8,7 @@
 //!
 //! Where colours do not stay, the ratio does not: an event's step is then right for the mixture and wrong for the value. How wrong on average is known from the
 //! frames, as the changes of `ln r` from frame to frame: spread over the pixel's events, they are the standard deviation by which a step may be off
-//! ([`RowShares::unrest`]). `method = "map"` believes events and silence that much less.
+//! ([`RowShares::unrest`]). `method = "map"` trusts events and the no-event constraint that much less.
 //!
 //! Limits: the ratio follows colours from problem to problem, not inside one; blur hides changes that a frame averages out. Neither `r` nor `g` changes what a pixel alone on its event pixel means: it is 1.
 
@@ -102,7 +102,7 @@ impl RowShares {
         Share { ratio, scale: ratio * gain }
     }
 
-    /// Sum over consecutive frames of the squared change of `ln r`, what noise makes of it taken off: `noise` is the relative variance of a value whose DN is so
+    /// Sum over consecutive frames of the squared change of `ln r`, what noise makes of it subtracted: `noise` is the relative variance of a value whose DN is so
     /// far above black. 0 where nothing is mixed.
     pub fn unrest(&self, value: usize, noise: impl Fn(f64) -> f64) -> f64 {
         let width = self.gain.len();
@@ -166,7 +166,7 @@ mod tests {
         // DN above a black level of 10, over gain and ratio; a weight goes with the square.
         assert!((later.dn(10.0 + 4.0 * later.ratio, 10.0) - 12.0).abs() < 1e-12);
         assert!((later.weight(1.0) / (4.0 * later.ratio * later.ratio) - 1.0).abs() < 1e-12);
-        // Darkness says nothing about colour.
+        // Darkness carries no colour.
         assert_eq!(RowShares { gain: vec![1.0], own: vec![-3.0], seen: vec![5.0] }.of(0, 0..1).ratio, 1.0);
     }
 
@@ -181,7 +181,7 @@ mod tests {
         assert!((shares.unrest(1, |_| 0.0) - 1.0).abs() < 1e-12);
         assert!((shares.unrest(1, |_| 0.1) - (1.0 - 6.0 * 0.1)).abs() < 1e-12);
         assert_eq!((shares.unrest(0, |_| 0.0), shares.unrest(0, |_| 0.1)), (0.0, 0.0));
-        // A frame in which the value is not known joins the two beside it.
+        // A frame in which the value is not known joins the two next to it.
         let mut holed = self::shares(e_times(50.0));
         holed.own[3] = f64::NAN;
         assert!((holed.unrest(1, |_| 0.0) - 1.0).abs() < 1e-12);

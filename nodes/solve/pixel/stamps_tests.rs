@@ -175,9 +175,9 @@ fn pixels_that_lose_their_events_for_a_while_recover_and_leave_other_rows_alone(
     let (before, after) = (of(&whole, (13, 27)), of(&holed, (13, 27)));
     assert!(after > before && after < 1.2 * repeated, "{before} became {after}, and {repeated} by repeating frames");
     // Away from the stretch the pixel knows what it knew.
-    for beside in [(2, 12), (30, 42)] {
-        let (before, after) = (of(&whole, beside), of(&holed, beside));
-        assert!(after < 1.5 * before, "{before} became {after} beside the stretch, {beside:?}");
+    for outside in [(2, 12), (30, 42)] {
+        let (before, after) = (of(&whole, outside), of(&holed, outside));
+        assert!(after < 1.5 * before, "{before} became {after} outside of the stretch, {outside:?}");
     }
 }
 

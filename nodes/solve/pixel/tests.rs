@@ -102,7 +102,7 @@ fn most_probable() -> Params {
 }
 
 #[test]
-fn rows_have_the_same_most_probable_light_whatever_the_band() {
+fn rows_have_the_same_map_estimate_whatever_the_band() {
     let (events, frames) = (walk(EXTENT, 30_000_000), frames(4));
     let (whole, _) = solve(most_probable(), events.clone(), frames.clone(), EXTENT.rows());
     assert_eq!(whole.tracks.meta.between, Between::LogLinear);
@@ -114,7 +114,7 @@ fn rows_have_the_same_most_probable_light_whatever_the_band() {
 }
 
 #[test]
-fn the_most_probable_light_reads_like_the_frames_and_moves_like_the_events() {
+fn the_map_estimate_reads_like_the_frames_and_moves_like_the_events() {
     // Every pixel brightens by e^0.8 = 2.2255 around 7 ms, between two exposures, in four ON events of 0.2 that come 300 us apart.
     let mut events = Vec::new();
     for y in 0..EXTENT.height {

@@ -1,4 +1,4 @@
-//! The loop closed: what effects of the description did to a recording is taken off by the solver, and put on again where captured frames are predicted.
+//! What effects of the description did to a recording is undone by the solver, and applied again where captured frames are predicted.
 
 use super::*;
 use crate::render::rows::{self, RenderRows};
@@ -113,7 +113,7 @@ fn a_description_that_states_its_effects_gives_better_light_and_better_frames() 
         let recorded = record(&actual);
         let (before, after) = (errors(&recorded, &stated), errors(&recorded, &actual));
         let is_of_frames = actual.effects.keys().any(|id| ["exposure_time", "image_lag", "vignetting", "frame_nonlinearity"].contains(&id.as_str()));
-        // A gain that all frames share is in the light and in the predicted frames alike: those cannot tell.
+        // A gain that all frames share is in the light and in the predicted frames alike: those cannot decide.
         let is_predicted = after.1 < before.1 || (is_of_frames && after.1 < 1.1 * clean.1 + 0.5);
         if !(after.0 < 0.55 * before.0 && is_predicted) {
             failed.push(format!("{effects}: clean {clean:.3?}, nominal {before:.3?}, fitted {after:.3?}"));

@@ -1,6 +1,6 @@
 //! Where every task stands, and which one a worker takes next.
 //!
-//! A task is looked up first, which needs no memory; when the cache does not have it, it waits until its estimate fits beside what runs. The
+//! A task is looked up first, which needs no memory; when the cache does not have it, it waits until its estimate fits in what is left. The
 //! first task in the plan's order that can go, goes. A task larger than the whole budget runs when nothing else does.
 
 use super::bands::Bands;
@@ -31,7 +31,7 @@ pub(crate) struct Slot {
     /// Run it whatever the cache says: asked for, or its result was found damaged.
     pub force: bool,
     /// How often it was run again because its stored result was damaged.
-    pub mended: u32,
+    pub repaired: u32,
     /// Another task that makes the same under the same key: this one is looked up again when that has ended.
     pub twin: Option<TaskId>,
     pub ingredients: Option<Ingredients>,
@@ -83,7 +83,7 @@ impl State {
         let slot = |task| Slot {
             phase: Phase::Waiting,
             force: forced(task),
-            mended: 0,
+            repaired: 0,
             twin: None,
             ingredients: None,
             bands: None,
@@ -208,9 +208,9 @@ impl State {
 
     /// A stored result of `producer` cannot be read: it is made again, and `consumer` waits for that. False when that was tried already.
     pub fn send_back(&mut self, producer: TaskId, consumer: TaskId) -> bool {
-        // Two consumers may find the same damage; the second one only waits, or finds it mended when it looks again. A result that is
+        // Two consumers may find the same damage; the second one only waits, or finds it repaired when it looks again. A result that is
         // damaged again and again means a failing disk.
-        if self.ended_well(producer) && self.slots[producer].mended >= 2 {
+        if self.ended_well(producer) && self.slots[producer].repaired >= 2 {
             return false;
         }
         self.slots[consumer].phase = Phase::Waiting;
@@ -218,7 +218,7 @@ impl State {
             let slot = &mut self.slots[producer];
             slot.phase = Phase::Waiting;
             slot.force = true;
-            slot.mended += 1;
+            slot.repaired += 1;
             slot.values.clear();
             self.retained -= std::mem::take(&mut slot.retained);
         }

@@ -208,7 +208,7 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
         let whole = band == bands.rows;
         if !whole {
             if progress.of_band.is_none() {
-                // What is there already says nothing of how fast the rest goes.
+                // What is there already carries no information of how fast the rest goes.
                 let there: u64 = kept_bands.iter().map(|band| band.rows().len() as u64).sum();
                 shared.observer.progress_begin(id, (bands.rows.len() as u64).saturating_sub(there).max(1), "rows");
             }
@@ -329,22 +329,22 @@ struct OfBand {
     /// Items that the node has to do in it, and has done.
     items: AtomicU64,
     done: AtomicU64,
-    /// Rows that were told to be done.
-    told: AtomicU64,
+    /// Rows that were reported to be done.
+    reported: AtomicU64,
 }
 
 impl TaskProgress<'_> {
     fn end_of_band(&self) {
-        self.tell(u64::MAX);
+        self.report(u64::MAX);
     }
 
     /// So many rows of the band are done, all of them at most.
-    fn tell(&self, rows: u64) {
+    fn report(&self, rows: u64) {
         let Some(band) = &self.of_band else { return };
         let rows = rows.min(band.rows);
-        let told = band.told.fetch_max(rows, Ordering::Relaxed);
-        if rows > told {
-            self.observer.progress_advance(self.task, rows - told);
+        let reported = band.reported.fetch_max(rows, Ordering::Relaxed);
+        if rows > reported {
+            self.observer.progress_advance(self.task, rows - reported);
         }
     }
 }
@@ -363,7 +363,7 @@ impl Progress for TaskProgress<'_> {
         match &self.of_band {
             Some(band) => {
                 let done = band.done.fetch_add(items, Ordering::Relaxed) + items;
-                self.tell((band.rows * done).checked_div(band.items.load(Ordering::Relaxed)).unwrap_or(0));
+                self.report((band.rows * done).checked_div(band.items.load(Ordering::Relaxed)).unwrap_or(0));
             }
             None => self.observer.progress_advance(self.task, items),
         }

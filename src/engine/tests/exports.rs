@@ -103,7 +103,7 @@ fn somebody_s_own_files_are_never_replaced() {
         "/out/text holds files that this tool did not write there\n  found thesis.tex\n  hint: move them away, or choose another output folder with `--out`"
     );
     assert_eq!(bench.names(), ["text/thesis.tex"]);
-    // Nor are those that were put beside ours.
+    // Nor are those that lie next to ours.
     std::fs::remove_file(bench.out("text/thesis.tex")).unwrap();
     bench.run(TEXT, &[]);
     bench.folder.write("out/text/rows/notes.txt", "mine");

@@ -168,7 +168,7 @@ fn a_manifest_that_is_no_text_is_shown_at_its_first_wrong_byte() {
 }
 
 #[test]
-fn what_is_sound_is_planned_beside_what_is_not() {
+fn what_is_sound_is_planned_with_what_is_not() {
     let add = "[nodes.solve]\nkind = \"solve/add\"\nin.plane = \"source\"\nparams = { amount = 13.0 }\n";
     assert_eq!(
         said_after(&format!("{add}[nodes.c]\nkind = \"solve/ad\"\n[nodes.d]\nkind = \"solve/add\"\nin.plane = \"c\"\n[pipelin]\n")),

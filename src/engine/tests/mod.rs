@@ -1,4 +1,4 @@
-//! The engine's claims, told with toy nodes: graphs without sensors.
+//! The engine's claims, shown with toy nodes: graphs without sensors.
 
 mod exports;
 mod folder;

@@ -231,7 +231,7 @@ fn the_memory_budget_is_kept() {
     let bench = Bench::new();
     let heavy: String = (0..6).map(|i| format!("[nodes.h{i}]\nkind = \"solve/heavy\"\nin.plane = \"source\"\nparams.amount = {i}\n")).collect();
     let text = format!("format = 1\n[nodes.source]\nkind = \"read/source\"\nparams = {{ width = 100, height = 100 }}\n{heavy}");
-    // One heavy node counts 3 x 40 000 bytes: two fit beside each other and beside what is kept, three do not.
+    // One heavy node counts 3 x 40 000 bytes: two fit next to each other and to what is kept, three do not.
     let options = Options { threads: 6, memory: 360_000, ..bench.options() };
     let outcome = bench.run_with(&bench.plan(&text, &[]), &options);
     assert_well(&outcome);
@@ -448,8 +448,8 @@ fn the_status_names_what_changed_and_writes_nothing() {
     std::fs::write(&data, "five!").unwrap();
     assert_eq!(bench.status(&text, &[])[0], format!("source: file {} changed content", data.display()));
     assert_eq!(snapshot(&bench.folder.path("cache")), before);
-    let told = explain(&bench.plan(&text, &["nodes.solve.params.amount=3"]), &bench.cache, &bench.folder.path("out"), "solve").unwrap();
-    assert_eq!(told[0].lines, ["waits for source", "params.amount 2.0 -> 3.0"]);
+    let explained = explain(&bench.plan(&text, &["nodes.solve.params.amount=3"]), &bench.cache, &bench.folder.path("out"), "solve").unwrap();
+    assert_eq!(explained[0].lines, ["waits for source", "params.amount 2.0 -> 3.0"]);
     let problem = explain(&bench.plan(&text, &[]), &bench.cache, &bench.folder.path("out"), "slove").unwrap_err();
     assert_eq!(problem.help.as_deref(), Some("did you mean `solve`?"));
 }

@@ -144,7 +144,7 @@ impl Recorded {
             sensor,
             noise: Noise::default(),
             stamp_sigma_s: 0.0,
-            silence_sigma: 0.03,
+            no_event_sigma: 0.03,
             lost_before: &[],
             beyond: &[],
         }

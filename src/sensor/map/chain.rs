@@ -58,12 +58,12 @@ pub(super) struct Chain {
     pub slopes: Vec<Slopes>,
     /// One for each op of the knots.
     pub rows: Vec<Row>,
-    /// Silence that is broken at a knot: how far to move back, and the polarity of the threshold; polarity 0 where all is well.
-    pub silence: Vec<(f64, i8)>,
-    /// Twice the negative log of the likelihood and of the offsets' prior, less constants, without silence.
+    /// The no-event constraint that is broken at a knot: how far to move back, and the polarity of the threshold; polarity 0 where all is well.
+    pub no_event: Vec<(f64, i8)>,
+    /// Twice the negative log of the likelihood and of the offsets' prior, less constants, without the no-event constraint.
     measured_cost: f64,
-    /// The sum of squares of broken silence.
-    silence_square: f64,
+    /// The sum of squares of the broken no-event constraint.
+    no_event_square: f64,
     pieces: Pieces,
 }
 
@@ -75,9 +75,9 @@ impl Chain {
         self.pieces.fill(&sensor.front_end, u, &segments.length_s);
         self.slopes.clear();
         self.rows.clear();
-        self.silence.clear();
+        self.no_event.clear();
         let mut cost = 0.0;
-        let mut silence_square = 0.0;
+        let mut no_event_square = 0.0;
         let mut voltage = u[0];
         let mut reference = voltage + offsets.reference;
         let (on, off) = (sensor.threshold_on + offsets.on, sensor.threshold_off + offsets.off);
@@ -165,12 +165,12 @@ impl Chain {
                 } else if change < -off {
                     broken = (-off - change, -1);
                 }
-                silence_square += broken.0 * broken.0;
+                no_event_square += broken.0 * broken.0;
             }
-            self.silence.push(broken);
+            self.no_event.push(broken);
         }
         self.measured_cost = cost + offsets.cost(noise);
-        self.silence_square = silence_square;
+        self.no_event_square = no_event_square;
     }
 
     /// Adds to what is predicted of the measurements, frames in standard deviations: `events` of each firing in order, `frames` of each frame; empty = nothing.
@@ -188,7 +188,7 @@ impl Chain {
         }
     }
 
-    /// How far the pixel's events and frames are from the predictions; those that say nothing (unarmed events, lower bounds that hold) are left away. And the largest
+    /// How far the pixel's events and frames are from the predictions; those that carry no information (unarmed events, lower bounds that hold) are left away. And the largest
     /// of the squares that are summed up.
     pub fn misfit(&self) -> (Misfit, f64) {
         let (mut misfit, mut largest) = (Misfit::default(), 0.0);
@@ -200,10 +200,10 @@ impl Chain {
         (misfit, largest)
     }
 
-    /// Twice the negative log of the posterior density, less constants, when `prior_cost` is the prior's part and `silence_sigma` the
-    /// softness of silence (0 = it does not count).
-    pub fn cost(&self, prior_cost: f64, silence_sigma: f64) -> f64 {
-        let silence = if silence_sigma > 0.0 { self.silence_square / (silence_sigma * silence_sigma) } else { 0.0 };
-        self.measured_cost + prior_cost + silence
+    /// Twice the negative log of the posterior density, less constants, when `prior_cost` is the prior's part and `no_event_sigma` the
+    /// softness of the no-event constraint (0 = it does not count).
+    pub fn cost(&self, prior_cost: f64, no_event_sigma: f64) -> f64 {
+        let no_event = if no_event_sigma > 0.0 { self.no_event_square / (no_event_sigma * no_event_sigma) } else { 0.0 };
+        self.measured_cost + prior_cost + no_event
     }
 }

@@ -1,9 +1,9 @@
-//! How far events may be believed, and which prior suits: estimated from the recording itself.
+//! How far events may be trusted, and which prior suits: estimated from the recording itself.
 //!
 //! A stated noise is often wrong, and too small a value is far worse than too large a one: the light then bends to meet every threshold, and is
-//! wrong where no event holds it. So some pixels are solved with several values while every third of their frames is kept back, and
+//! wrong where no event holds it. So some pixels are solved with several values while every third of their frames is held out, and
 //! the value is taken that predicts those frames best. With too few frames for that, the marginal likelihood of the measurements decides;
-//! it is the weaker judge, because it believes that the model is right.
+//! it is the weaker judge, because it assumes that the model is right.
 
 use super::frame_noise::NORMAL_MEDIAN;
 use super::segment::collected_between;
@@ -11,14 +11,14 @@ use super::{Evidence, Local, LoneEvents, MapFrame, MapGroup, MapOptions, MapProb
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
 pub const EVENT_NOISES: [f64; 5] = [0.32, 0.16, 0.08, 0.04, 0.02];
-/// Spreads of thresholds over the pixels that are tried, as parts of a threshold, beside none.
+/// Spreads of thresholds over the pixels that are tried, as parts of a threshold, in addition to none.
 pub const THRESHOLD_SPREADS: [f64; 2] = [0.07, 0.15];
 /// With fewer events than this in all pixels together nothing is estimated.
 pub const FEWEST_EVENTS: usize = 40;
-/// Frames are kept back where there are at least so many.
+/// Frames are held out where there are at least so many.
 pub const FEWEST_FRAMES: usize = 4;
-/// One in so many frames is kept back, never the first or the last.
-const KEPT_BACK: usize = 3;
+/// One in so many frames is held out, never the first or the last.
+const HELD_OUT: usize = 3;
 /// Added to a frame value that an error is compared with, as a share of the range from darkness to saturation: in the dark, noise is not relative, and a few
 /// dark pixels whose light ran away must not pass for good.
 const DARK_SHARE: f64 = 0.2;
@@ -37,13 +37,13 @@ const LEAST_VARIANCE: f64 = 1e-8;
 /// What suits a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Choice {
-    /// How far its events are believed.
+    /// How far its events are trusted.
     pub noise: Noise,
     /// How light is expected to move.
     pub prior: Prior,
 }
 
-/// The priors that are tried where frames can be kept back: the usual one, two for light that is hardly ever still (the second for smooth
+/// The priors that are tried where frames can be held out: the usual one, two for light that is hardly ever still (the second for smooth
 /// motion), one for edges that last longer, and Student's t of increments and of changes of slope.
 pub const PRIORS: [Prior; 6] = [
     Prior::USUAL,
@@ -51,12 +51,12 @@ pub const PRIORS: [Prior; 6] = [
     Prior::Local(Local { floor_per_s: 60.0, memory_s: 5e-3, ..Local::USUAL }),
     Prior::Local(Local { memory_s: 4e-3, reach_s: 0.5e-3, ..Local::USUAL }),
     Prior::Walk { per_s: 1.0, nu: 1.0 },
-    Prior::Glide { per_s3: 3e6, nu: 3.0 },
+    Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 },
 ];
 
 /// The noise of events and the prior that explain `problems` best; the usual ones when they have hardly an event.
 ///
-/// `event` is taken where it is given. Without enough frames to keep back, only the event noise is chosen.
+/// `event` is taken where it is given. Without enough frames to hold out, only the event noise is chosen.
 pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOptions, group: &mut MapGroup) -> Choice {
     let events: usize = problems.iter().map(|problem| problem.events.len()).sum();
     let given = problems.first().map_or_else(Noise::default, |problem| problem.noise);
@@ -85,7 +85,7 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
     if !by_frames {
         return best.1;
     }
-    // Events may be believed more when their thresholds are right, so both are chosen together.
+    // Events may be trusted more when their thresholds are right, so both are chosen together.
     let threshold = mean_threshold(problems);
     let spreads = THRESHOLD_SPREADS.iter().map(|part| Noise { threshold: part * threshold, ..usual.noise });
     let choices = spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
@@ -99,20 +99,20 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
     best.1
 }
 
-/// Is frame `l` of a pixel's `count` kept back where a choice is judged by its prediction?
-pub fn is_kept_back(l: usize, count: usize) -> bool {
-    count >= FEWEST_FRAMES && l % KEPT_BACK == 1 && l + 1 < count
+/// Is frame `l` of a pixel's `count` held out where a choice is judged by its prediction?
+pub fn is_held_out(l: usize, count: usize) -> bool {
+    count >= FEWEST_FRAMES && l % HELD_OUT == 1 && l + 1 < count
 }
 
-/// The frames that are not kept back.
+/// The frames that are not held out.
 fn kept(frames: &[MapFrame]) -> Vec<MapFrame> {
-    frames.iter().enumerate().filter(|(l, _)| !is_kept_back(*l, frames.len())).map(|(_, frame)| *frame).collect()
+    frames.iter().enumerate().filter(|(l, _)| !is_held_out(*l, frames.len())).map(|(_, frame)| *frame).collect()
 }
 
 /// What choices are tried on.
 struct Tried<'a> {
     problems: &'a [MapProblem<'a>],
-    /// The frames of each problem without those that are kept back, where frames decide.
+    /// The frames of each problem without those that are held out, where frames decide.
     kept: Option<Vec<Vec<MapFrame>>>,
     /// What is added to a frame value that an error is compared with, DN.
     dark_dn: f64,
@@ -120,7 +120,7 @@ struct Tried<'a> {
 }
 
 impl Tried<'_> {
-    /// What each choice loses: by the frames that were kept back, else by the evidence.
+    /// What each choice loses: by the frames that were held out, else by the evidence.
     ///
     /// Always from the usual start: from the light that another noise or prior has found, a few steps do not show what this one would find.
     fn losses(&self, choices: &[Choice], group: &mut MapGroup) -> Vec<f64> {
@@ -143,7 +143,7 @@ impl Tried<'_> {
     }
 }
 
-/// How badly each problem's frames that are kept back are predicted by its other measurements: the sum of relative errors, at most
+/// How badly each problem's frames that are held out are predicted by its other measurements: the sum of relative errors, at most
 /// [`LARGEST_ERROR`] each.
 pub fn prediction_errors(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<f64> {
     let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| kept(problem.frames)).collect();
@@ -155,7 +155,7 @@ pub fn prediction_errors(problems: &[MapProblem<'_>], options: &MapOptions, grou
     errors
 }
 
-/// How a frame that was kept back is missed.
+/// How a frame that was held out is missed.
 #[derive(Clone, Copy, Debug)]
 pub struct Miss {
     /// Predicted less recorded, absolute value, DN.
@@ -166,7 +166,7 @@ pub struct Miss {
     frames: f64,
 }
 
-/// How each problem's frames that are kept back are missed by its other measurements.
+/// How each problem's frames that are held out are missed by its other measurements.
 pub fn misses(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<Miss> {
     let kept: Vec<Vec<MapFrame>> = problems.iter().map(|problem| kept(problem.frames)).collect();
     let options = MapOptions { with_sigma: true, ..*options };
@@ -175,7 +175,7 @@ pub fn misses(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut Map
     group.solve_with(&tasks, Evidence::Unwanted, |n, solution| {
         let MapProblem { frames, sensor, .. } = problems[n];
         let spread: Vec<f64> = solution.log_photocurrent.iter().zip(solution.variance).map(|(u, variance)| u + log_sigma(*variance)).collect();
-        for (_, frame) in frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l, frames.len()) && !frame.saturated) {
+        for (_, frame) in frames.iter().enumerate().filter(|(l, frame)| is_held_out(*l, frames.len()) && !frame.saturated) {
             let over = |log: &[f64]| sensor.gain * collected_between(solution.t_ns, log, frame.start_ns, frame.end_ns);
             let (predicted, sigma) = (sensor.black_level_dn + over(solution.log_photocurrent), over(&spread));
             misses.push((n, Miss { size_dn: (predicted - frame.dn).abs(), ours: sigma * sigma, frames: frame.sigma_dn * frame.sigma_dn }));
@@ -229,10 +229,10 @@ fn dark_dn(problems: &[MapProblem<'_>]) -> f64 {
     DARK_SHARE * (top - sensor.black_level_dn)
 }
 
-/// The sum of relative errors of frames that were kept back.
+/// The sum of relative errors of frames that were held out.
 fn prediction_error(problem: &MapProblem<'_>, dark_dn: f64, solution: &MapSolution<'_>) -> f64 {
     let mut error = 0.0;
-    for (_, frame) in problem.frames.iter().enumerate().filter(|(l, frame)| is_kept_back(*l, problem.frames.len()) && !frame.saturated) {
+    for (_, frame) in problem.frames.iter().enumerate().filter(|(l, frame)| is_held_out(*l, problem.frames.len()) && !frame.saturated) {
         let light = collected_between(solution.t_ns, solution.log_photocurrent, frame.start_ns, frame.end_ns);
         let predicted = problem.sensor.black_level_dn + problem.sensor.gain * light;
         let bright = f64::max(frame.dn - problem.sensor.black_level_dn, 0.0);

@@ -7,11 +7,11 @@
 //! Light that bends without reaching a threshold looks like noise. Where many pixels are at rest the median does not mind; where hardly one is, the few
 //! silent ones are those that bend a little less than a threshold, and nothing is said of noise.
 //!
-//! Limits: one number for all values, however bright; where everything moves, noise is taken as stated.
+//! Limits: one number for all values, however bright; where everything moves, noise is taken from the description.
 
 use super::{MapEvent, MapFrame};
 
-/// With fewer differences than this, noise is taken as stated.
+/// With fewer differences than this, noise is taken from the description.
 pub const FEWEST_DIFFERENCES: usize = 60;
 /// The median of the absolute value of a normal variable of unit variance.
 pub(super) const NORMAL_MEDIAN: f64 = 0.674_489_750_196_081_7;
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_that_fire_say_nothing() {
+    fn pixels_that_fire_are_left_out() {
         let event = |l: i64| MapEvent { t_in_ns: l * 8_000_000 + 3_000_000, t_off_ns: l * 8_000_000 + 3_001_000, polarity: 1, is_lone: false };
         let busy: Vec<MapEvent> = (0..12).step_by(3).map(event).collect();
         let film = film(200, |_, _| 100.0);
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn light_that_bends_in_silence_is_no_noise_where_nothing_is_at_rest() {
+    fn light_that_bends_without_events_is_no_noise_where_nothing_is_at_rest() {
         // Light swings by 4 % of itself, the noise is stated. Of a hundred times as many differences these are the silent ones.
         let found = |possible: usize| {
             let mut film = film(200, |_, l| if l % 2 == 0 { 98.0 } else { 102.0 });

@@ -23,7 +23,7 @@ pub(super) enum Op {
     Expose(u32),
     /// The reference becomes the voltage of now.
     Latch,
-    /// From here to the next latch silence says nothing: events were lost.
+    /// From here to the next latch the no-event constraint is left out: events were lost.
     Lose,
     /// Log light is known from elsewhere, by this hint.
     Hint(u32),
@@ -33,9 +33,9 @@ pub(super) enum Op {
         event: u32,
         /// Its polarity.
         polarity: i8,
-        /// Was the comparator surely watching, and is it believed that light made it fire?
+        /// Was the comparator surely watching, and is it assumed that light made it fire?
         armed: bool,
-        /// Does it say nothing of light at all?
+        /// Does it carry no information on light at all?
         doubted: bool,
     },
 }
@@ -132,7 +132,7 @@ impl Knots {
         let mut before = i64::MIN;
         for (k, event) in events.iter().enumerate().filter(|(_, event)| inside(event.t_in_ns)) {
             let latch_ns = event.t_off_ns + sensor.refractory_ns;
-            // Two events of a pixel at one instant: under "resample" the second says nothing more, under "advance" it counts twice.
+            // Two events of a pixel at one instant: under "resample" the second carries no information, under "advance" it counts twice.
             let watching = match sensor.reset {
                 Reset::Resample => event.t_in_ns >= blind_until && event.t_in_ns > before,
                 // One that fires as the blind time ends may have crossed long before.

@@ -1,9 +1,9 @@
-//! Where events were lost: silences that the rest of a pixel's measurements contradict.
+//! Where events were lost: gaps that the rest of a pixel's measurements contradict.
 //!
 //! A readout that is too busy, or a file with a hole, loses events. To the solver the pixel was then silent: light that stays within a threshold of an old
 //! reference, and a first event after it that is one threshold away from that. Frames say otherwise, and the wrong event bends light and thresholds far
-//! around. So where a measurement is far off, the pixel's longest silences are tried: solved again as stretches in which events were lost. Nothing in them
-//! is believed but frames, and the first event after them only takes the reference anew. What makes the measurements clearly more likely is kept.
+//! around. So where a measurement is far off, the pixel's longest gaps are tried: solved again as stretches in which events were lost. Nothing in them
+//! is trusted but frames, and the first event after them only takes the reference anew. What makes the measurements clearly more likely is kept.
 //!
 //! Limits: a stretch must hold the middle of an exposure and end with an event.
 
@@ -11,9 +11,9 @@ use super::{Evidence, MapGroup, MapOptions, MapProblem, MapSolution, MapTask};
 
 /// Pixels with an event or a frame that is further off than this, in squared standard deviations, are looked at.
 const SUSPICIOUS: f64 = 6.0;
-/// So many silences of a pixel are tried, the longest.
+/// So many gaps of a pixel are tried, the longest.
 const MOST_TRIED: usize = 3;
-/// A silence is tried when it is so many times as long as the pixel's events are apart on average, ...
+/// A gap is tried when it is so many times as long as the pixel's events are apart on average, ...
 const LONG: i64 = 3;
 /// ... and events were lost there when the measurements become more likely by this much, natural-log units: an event that is left away saves 2 at most where it
 /// fits.
@@ -37,13 +37,13 @@ impl Plain {
 
 /// For each task, the events before which events were lost, rising: what belongs in [`MapProblem::lost_before`]. `plain` says how each came out.
 ///
-/// The silence that gains most is taken first, the others only for what they gain beside it: one that is contradicted bends light in all. Costs up to
+/// The gap that gains most is taken first, the others only for what they gain in addition: one that is contradicted bends light in all. Costs up to
 /// three solutions for each pixel that is suspicious, more only where something is found, and nothing for the others.
 pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup) -> Vec<Vec<u32>> {
     let mut found = vec![Vec::new(); tasks.len()];
     let mut now = plain.to_vec();
-    let silences = |(task, plain): (&MapTask<'_>, &Plain)| if plain.largest_square > SUSPICIOUS { long_silences(&task.problem) } else { Vec::new() };
-    let mut left: Vec<Vec<u32>> = tasks.iter().zip(plain).map(silences).collect();
+    let gaps = |(task, plain): (&MapTask<'_>, &Plain)| if plain.largest_square > SUSPICIOUS { long_gaps(&task.problem) } else { Vec::new() };
+    let mut left: Vec<Vec<u32>> = tasks.iter().zip(plain).map(gaps).collect();
     for _round in 0..MOST_TRIED {
         let suspects: Vec<(usize, Vec<u32>)> = left
             .iter()
@@ -87,18 +87,18 @@ pub fn lost_before(tasks: &[MapTask<'_>], plain: &[Plain], group: &mut MapGroup)
     found
 }
 
-/// The events that end the longest silences with the middle of an exposure inside, at most [`MOST_TRIED`].
-fn long_silences(problem: &MapProblem<'_>) -> Vec<u32> {
+/// The events that end the longest gaps with the middle of an exposure inside, at most [`MOST_TRIED`].
+fn long_gaps(problem: &MapProblem<'_>) -> Vec<u32> {
     let MapProblem { events, frames, start_ns, end_ns, .. } = *problem;
     let apart_ns = (end_ns - start_ns) / (events.len() as i64 + 1);
-    let mut silences: Vec<(i64, u32)> = Vec::new();
+    let mut gaps: Vec<(i64, u32)> = Vec::new();
     for (k, pair) in events.windows(2).enumerate() {
         let (from, to) = (pair[0].t_off_ns + problem.sensor.refractory_ns, pair[1].t_in_ns);
         if to - from > LONG * apart_ns && frames.iter().any(|frame| (from..to).contains(&(frame.start_ns + (frame.end_ns - frame.start_ns) / 2))) {
-            silences.push((from - to, k as u32 + 1));
+            gaps.push((from - to, k as u32 + 1));
         }
     }
-    silences.sort_unstable_by_key(|silence| std::cmp::Reverse(*silence));
-    silences.truncate(MOST_TRIED);
-    silences.into_iter().map(|(_, event)| event).collect()
+    gaps.sort_unstable_by_key(|no_event| std::cmp::Reverse(*no_event));
+    gaps.truncate(MOST_TRIED);
+    gaps.into_iter().map(|(_, event)| event).collect()
 }

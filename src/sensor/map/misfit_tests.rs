@@ -1,4 +1,4 @@
-//! Claims about the misfit: measurements that are noisier than believed show by how much.
+//! Claims about the misfit: measurements that are noisier than assumed show by how much.
 
 use super::*;
 use photocurrent_core::random::Random;
@@ -24,7 +24,7 @@ fn log(t_ns: i64) -> f64 {
     3.0 + 3.2 * i64::min(phase, 2 * PERIOD_NS - phase) as f64 / PERIOD_NS as f64
 }
 
-/// What an ideal front end gives, to the microsecond: each event is `shaken` believed standard deviations, times a normal number, off its threshold. The
+/// What an ideal front end gives, to the microsecond: each event is `shaken` assumed standard deviations, times a normal number, off its threshold. The
 /// reference is where light is as the blind time ends.
 fn events(shaken: f64, random: &mut Random) -> Vec<MapEvent> {
     let mut events = Vec::new();
@@ -76,7 +76,7 @@ fn misfit(event: f64, frame: f64) -> Misfit {
         sensor: SENSOR,
         noise: Noise { event: EVENT, ..Noise::default() },
         stamp_sigma_s: 0.0,
-        silence_sigma: 0.0,
+        no_event_sigma: 0.0,
         lost_before: &[],
         beyond: &[],
     };

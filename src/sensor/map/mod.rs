@@ -1,6 +1,6 @@
-//! The most probable light of one pixel: all its events and frames at once, through the exact sensor.
+//! The MAP estimate of one pixel: all its events and frames at once, through the exact sensor.
 //!
-//! Unknown is u(t) = ln i(t), linear between knots, so light is positive without being told. The voltage follows by the exact response to ramps;
+//! Unknown is u(t) = ln i(t), linear between knots, so light is positive without a constraint. The voltage follows by the exact response to ramps;
 //! the reference is latched when the readout is over ("resample") or when the event fires ("advance"); every event says that
 //! voltage and reference were one threshold apart when it fired; every frame says how much light its own row collected. A prior says that
 //! light moves with a speed that lasts a while, with a variance of its own at every place in time ([`Prior`]).
@@ -8,7 +8,7 @@
 //! The maximum of the posterior is found by Gauss-Newton steps. Each is one pass forward and one backward over a chain of small states: the cost is
 //! linear in the number of knots. The posterior standard deviation comes from the same passes.
 //!
-//! Nothing of this is trusted blindly: how far events are believed and which prior suits is chosen by frames that are kept back ([`estimate`]).
+//! Nothing of this is trusted blindly: how far events are trusted and which prior suits is chosen by frames that are held out ([`estimate`]).
 //!
 //! Limits: one pixel alone, nothing from its neighbours; the local variance is estimated from the estimate, so standard deviations are too small
 //! where nothing was measured; the time constant is held over a segment.
@@ -111,12 +111,12 @@ pub struct MapSensor {
 pub enum LoneEvents {
     /// As much as any other.
     #[default]
-    Believed,
+    Trusted,
     /// Nothing: it only resets the pixel.
     Doubted,
 }
 
-/// How far measurements of events are believed.
+/// How far measurements of events are trusted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Noise {
     /// Standard deviation of an event, as a part of its threshold.
@@ -131,7 +131,7 @@ pub struct Noise {
 
 impl Default for Noise {
     fn default() -> Noise {
-        Noise { event: 0.1, reference: 0.05, threshold: 0.0, lone: LoneEvents::Believed }
+        Noise { event: 0.1, reference: 0.05, threshold: 0.0, lone: LoneEvents::Trusted }
     }
 }
 
@@ -180,16 +180,16 @@ pub struct MapProblem<'a> {
     pub end_ns: i64,
     /// The pixel.
     pub sensor: MapSensor,
-    /// How far events are believed.
+    /// How far events are trusted.
     pub noise: Noise,
     /// Standard deviation of a stamp, seconds.
     pub stamp_sigma_s: f64,
     /// Softness of "no event, so no threshold was crossed", natural-log units; 0 = not used. Counts in the last steps only.
-    pub silence_sigma: f64,
-    /// Numbers of events before which events were lost, rising; may be empty. The silence before them says nothing, and they only take the reference anew.
+    pub no_event_sigma: f64,
+    /// Numbers of events before which events were lost, rising; may be empty. The gap before them is no constraint, and they only take the reference anew.
     pub lost_before: &'a [u32],
     /// What each event's signed step from the reference is known to be beyond its threshold (drift of the reference since the reset, thresholds of that moment),
-    /// natural-log units; empty = nothing. Silence does not know of it.
+    /// natural-log units; empty = nothing. The no-event constraint does not know of it.
     pub beyond: &'a [f64],
 }
 
@@ -294,7 +294,7 @@ pub struct MapSolution<'a> {
     pub iterations: usize,
     /// Log of the measurements' marginal likelihood, of the problem linearised at the answer.
     pub log_evidence: f64,
-    /// How far its events and frames are from the predictions, in the standard deviations that they are believed to.
+    /// How far its events and frames are from the predictions, in the standard deviations that they are assumed to.
     pub misfit: Misfit,
     /// The largest of the squares that the misfit sums up.
     pub largest_square: f64,
@@ -317,9 +317,9 @@ pub struct MapWorkspace {
 const LONGEST_STEP: f64 = 1.5;
 /// First damping: a standard deviation of a change of a tenth.
 const FIRST_DAMPING: f64 = 100.0;
-/// The step from which silence counts, from 1.
-const SILENCE_FROM: usize = 4;
-/// Light brighter than the brightest frame's mean by more than this is not believed, natural-log units.
+/// The step from which the no-event constraint counts, from 1.
+const NO_EVENT_FROM: usize = 4;
+/// Light brighter than the brightest frame's mean by more than this is not trusted, natural-log units.
 const RUN_AWAY: f64 = 2.5;
 /// Log light stays inside plus and minus this.
 const LOG_LIMIT: f64 = 40.0;
@@ -359,7 +359,7 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
         }
     }
     let MapWorkspace { knots, segments, chain, smoother, start, u, .. } = workspace;
-    let Found { mut status, iterations, mut offsets, silence_sigma, .. } = found;
+    let Found { mut status, iterations, mut offsets, no_event_sigma, .. } = found;
     if status == MapStatus::Failed || has_run_away(problem, u) {
         status = MapStatus::Failed;
         start.fill(problem, knots, u);
@@ -370,7 +370,7 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
     if evidence == Evidence::Wanted || options.with_sigma {
         segments.adapt(u, &options.prior);
         segments.cost(u);
-        smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, silence_sigma, 0.0, want));
+        smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, no_event_sigma, 0.0, want));
     }
     let variance: &[f64] = if options.with_sigma { &smoother.variance } else { &[] };
     let log_evidence = if evidence == Evidence::Wanted { smoother.log_evidence } else { 0.0 };
@@ -384,14 +384,14 @@ struct Found {
     offsets: Offsets,
     status: MapStatus,
     iterations: usize,
-    silence_sigma: f64,
-    /// Sum of the squares of misfits and of broken silence.
+    no_event_sigma: f64,
+    /// Sum of the squares of misfits and of the broken no-event constraint.
     misfit: f64,
 }
 
 impl Default for Found {
     fn default() -> Found {
-        Found { offsets: Offsets::default(), status: MapStatus::Unfinished, iterations: 0, silence_sigma: 0.0, misfit: f64::INFINITY }
+        Found { offsets: Offsets::default(), status: MapStatus::Unfinished, iterations: 0, no_event_sigma: 0.0, misfit: f64::INFINITY }
     }
 }
 
@@ -401,26 +401,26 @@ fn descend(problem: &MapProblem<'_>, options: &MapOptions, first: f64, mut offse
     let mut damping = 0.0;
     let mut status = MapStatus::Unfinished;
     let mut iterations = 0;
-    // Silence traps a start that is far away, so it has its say only in the last steps.
-    let mut silence_sigma = 0.0;
+    // The no-event constraint traps a start that is far away, so it has its say only in the last steps.
+    let mut no_event_sigma = 0.0;
     chain.run(problem, knots, segments, u, &offsets);
     while iterations < options.max_iterations {
         iterations += 1;
-        if iterations == SILENCE_FROM {
-            silence_sigma = problem.silence_sigma;
+        if iterations == NO_EVENT_FROM {
+            no_event_sigma = problem.no_event_sigma;
         }
         segments.adapt(u, &options.prior);
         let prior_cost = segments.cost(u);
         let expected = thresholds::expected(problem, prior_cost, &offsets);
         let pulled = |offsets: &Offsets| thresholds::pulled(&expected, offsets, &problem.noise);
-        let cost = chain.cost(prior_cost, silence_sigma) - pulled(&offsets);
+        let cost = chain.cost(prior_cost, no_event_sigma) - pulled(&offsets);
         if !cost.is_finite() {
             status = MapStatus::Failed;
             break;
         }
         let mut longest = f64::INFINITY;
         for _attempt in 0..6 {
-            let step = Ask { expected, ..ask(problem, knots, segments, chain, u, first, &offsets, silence_sigma, damping, Want::Step) };
+            let step = Ask { expected, ..ask(problem, knots, segments, chain, u, first, &offsets, no_event_sigma, damping, Want::Step) };
             smoother.solve(&step);
             longest = smoother.change.iter().fold(0.0, |longest, change| f64::max(longest, change.abs()));
             if !longest.is_finite() {
@@ -433,7 +433,7 @@ fn descend(problem: &MapProblem<'_>, options: &MapOptions, first: f64, mut offse
             let moved = offsets.moved(&smoother.offsets, share);
             trial_chain.run(problem, knots, segments, trial, &moved);
             // A step at the level of rounding may go up by rounding.
-            if trial_chain.cost(segments.cost(trial), silence_sigma) - pulled(&moved) <= cost * (1.0 + 1e-9) + 1e-9 {
+            if trial_chain.cost(segments.cost(trial), no_event_sigma) - pulled(&moved) <= cost * (1.0 + 1e-9) + 1e-9 {
                 std::mem::swap(u, trial);
                 std::mem::swap(chain, trial_chain);
                 offsets = moved;
@@ -455,11 +455,11 @@ fn descend(problem: &MapProblem<'_>, options: &MapOptions, first: f64, mut offse
             break;
         }
     }
-    Found { offsets, status, iterations, silence_sigma, misfit: chain.cost(0.0, problem.silence_sigma) }
+    Found { offsets, status, iterations, no_event_sigma, misfit: chain.cost(0.0, problem.no_event_sigma) }
 }
 
-/// Posterior variance of log light at each knot, for light and offsets that were found elsewhere; `silence_sigma` as it was there.
-fn variance_at<'w>(task: &MapTask<'_>, found: &[f64], offsets: &Offsets, silence_sigma: f64, workspace: &'w mut MapWorkspace) -> &'w [f64] {
+/// Posterior variance of log light at each knot, for light and offsets that were found elsewhere; `no_event_sigma` as it was there.
+fn variance_at<'w>(task: &MapTask<'_>, found: &[f64], offsets: &Offsets, no_event_sigma: f64, workspace: &'w mut MapWorkspace) -> &'w [f64] {
     let MapTask { problem, options } = task;
     let MapWorkspace { knots, segments, chain, smoother, start, u, .. } = workspace;
     knots.lay(problem, options.spacing_ns);
@@ -471,11 +471,11 @@ fn variance_at<'w>(task: &MapTask<'_>, found: &[f64], offsets: &Offsets, silence
     chain.run(problem, knots, segments, u, offsets);
     segments.adapt(u, &options.prior);
     segments.cost(u);
-    smoother.solve(&ask(problem, knots, segments, chain, u, first, offsets, silence_sigma, 0.0, Want::Variance));
+    smoother.solve(&ask(problem, knots, segments, chain, u, first, offsets, no_event_sigma, 0.0, Want::Variance));
     &smoother.variance
 }
 
-/// Is the light anywhere beyond belief, given what the frames collected?
+/// Is the light anywhere implausible, given what the frames collected?
 fn has_run_away(problem: &MapProblem<'_>, u: &[f64]) -> bool {
     let collected = |frame: &MapFrame| frame.dn - problem.sensor.black_level_dn + 3.0 * frame.sigma_dn;
     let brightest = problem.frames.iter().fold(0.0, |most, frame| f64::max(most, collected(frame) / (frame.end_ns - frame.start_ns) as f64));
@@ -492,10 +492,10 @@ fn ask<'a>(
     u: &'a [f64],
     first: f64,
     offsets: &'a Offsets,
-    silence_sigma: f64,
+    no_event_sigma: f64,
     damping: f64,
     want: Want,
 ) -> Ask<'a> {
     let (noise, reset) = (&problem.noise, problem.sensor.reset);
-    Ask { knots, segments, chain, u, first, offsets, noise, reset, silence_sigma, damping, want, expected: Offsets::default() }
+    Ask { knots, segments, chain, u, first, offsets, noise, reset, no_event_sigma, damping, want, expected: Offsets::default() }
 }

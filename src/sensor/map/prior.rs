@@ -6,8 +6,8 @@
 //! pools over time. `s_j` is how far a slope of one that lasts for the memory m takes light over the segment's length h, root mean
 //! square: `s^2 = 2 m^2 (h / m - 1 + exp(-h / m))`, which is h^2 for a short segment and 2 m h for a long one. So knots may stand anywhere.
 //!
-//! Beside it stand the two families with Student's t, each place for itself: [`Family::Walk`], whose increments are independent, and
-//! [`Family::Glide`], whose slopes change by independent increments (an integrated Wiener process). Their weights are those of iteratively
+//! In addition there are the two families with Student's t, each place for itself: [`Family::Walk`], whose increments are independent, and
+//! [`Family::IntegratedWalk`], whose slopes change by independent increments (an integrated Wiener process). Their weights are those of iteratively
 //! re-weighted least squares: the variance of an increment e with scale s^2 and nu degrees of freedom is `(nu s^2 + e^2) / (nu + 1)`.
 
 use crate::elementary::{exp, exp_m1};
@@ -37,7 +37,7 @@ pub enum Prior {
         nu: f64,
     },
     /// Slopes that change by independent increments with Student's t.
-    Glide {
+    IntegratedWalk {
         /// Squared scale of a change of slope over its time, per second cubed.
         per_s3: f64,
         /// Degrees of freedom.
@@ -61,7 +61,7 @@ impl Default for Prior {
     }
 }
 
-/// Variance of the first slope of a glide, per second squared: any speed will do.
+/// Variance of the first slope of an integrated walk, per second squared: any speed will do.
 pub(super) const FIRST_SLOPE_VARIANCE: f64 = 1e6;
 
 /// The prior of each segment of one pixel: entry j belongs to the segment that ends at knot j; entry 0 to none.
@@ -73,7 +73,7 @@ pub(super) struct Segments {
     pub per_s: Vec<f64>,
     /// Correlation of z with the segment before; 0 for the first.
     pub correlation: Vec<f64>,
-    /// Increment of log light per z: the square root of q; of a glide, whose z is the slope, the length.
+    /// Increment of log light per z: the square root of q; of an integrated walk, whose z is the slope, the length.
     pub scale: Vec<f64>,
     /// s, seconds.
     pub reach_s: Vec<f64>,
@@ -114,7 +114,7 @@ impl Segments {
                 self.correlation.fill(0.0);
                 self.fresh.fill(1.0);
             }
-            Prior::Glide { .. } => {
+            Prior::IntegratedWalk { .. } => {
                 self.scale.copy_from_slice(&self.length_s);
                 self.correlation.fill(1.0);
                 if knots > 1 {
@@ -155,7 +155,7 @@ impl Segments {
                     self.scale[j] = ((nu * per_s * self.length_s[j] + w * w) / (nu + 1.0)).sqrt();
                 }
             }
-            Prior::Glide { per_s3, nu } => {
+            Prior::IntegratedWalk { per_s3, nu } => {
                 let mut before = None;
                 for j in 1..u.len() {
                     let slope = (u[j] - u[j - 1]) * self.per_s[j];
@@ -279,19 +279,19 @@ mod tests {
     }
 
     #[test]
-    fn the_weights_of_walk_and_glide_have_the_gradient_of_students_t() {
+    fn the_weights_of_both_walks_have_the_gradient_of_students_t() {
         let t_ns = [0, 250_000, 400_000, 1_400_000, 1_650_000];
         let at = [4.0, 4.02, 4.3, 4.28, 4.9];
         let seconds: Vec<f64> = t_ns.iter().map(|&t| t as f64 * 1e-9).collect();
         let walk = |u: &[f64]| -> f64 { (1..5).map(|j| student(u[j] - u[j - 1], 1.0 * (seconds[j] - seconds[j - 1]), 1.0)).sum() };
-        let glide = |u: &[f64]| -> f64 {
+        let integrated_walk = |u: &[f64]| -> f64 {
             let slope = |j: usize| (u[j] - u[j - 1]) / (seconds[j] - seconds[j - 1]);
             let middle = |j: usize| 0.5 * (seconds[j] + seconds[j - 1]);
             let first = slope(1) * slope(1) / FIRST_SLOPE_VARIANCE;
             first + (2..5).map(|j| student(slope(j) - slope(j - 1), 3e6 * (middle(j) - middle(j - 1)), 3.0)).sum::<f64>()
         };
         type Cost<'a> = &'a dyn Fn(&[f64]) -> f64;
-        for (prior, cost) in [(Prior::Walk { per_s: 1.0, nu: 1.0 }, &walk as Cost<'_>), (Prior::Glide { per_s3: 3e6, nu: 3.0 }, &glide)] {
+        for (prior, cost) in [(Prior::Walk { per_s: 1.0, nu: 1.0 }, &walk as Cost<'_>), (Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 }, &integrated_walk)] {
             let mut segments = Segments::default();
             segments.lay(&t_ns, &prior);
             segments.adapt(&at, &prior);

@@ -34,7 +34,7 @@ pub(super) struct Smoother {
     /// Of each measurement, in order, where asked for: `C^-1 y` and the diagonal of `C^-1`, so that their ratio is the residual when it is left out and one over the
     /// diagonal its variance.
     pub left_out: Vec<(f64, f64)>,
-    /// Log of the marginal likelihood of all measurements, damping and silence left out, where asked for.
+    /// Log of the marginal likelihood of all measurements, damping and the no-event constraint left out, where asked for.
     pub log_evidence: f64,
 }
 
@@ -62,8 +62,8 @@ pub(super) struct Ask<'a> {
     pub offsets: &'a Offsets,
     pub noise: &'a Noise,
     pub reset: Reset,
-    /// 0 where silence does not count.
-    pub silence_sigma: f64,
+    /// 0 where the no-event constraint does not count.
+    pub no_event_sigma: f64,
     /// Levenberg's damping: one over the variance of a change, per knot; 0 for none.
     pub damping: f64,
     pub want: Want,
@@ -133,9 +133,9 @@ impl Smoother {
                     Op::Fire { polarity, .. } => state.add_threshold(polarity),
                 }
             }
-            let (back, polarity) = ask.chain.silence[j];
-            if polarity != 0 && ask.silence_sigma > 0.0 {
-                let taken = state.take_event(polarity, back, ask.silence_sigma * ask.silence_sigma);
+            let (back, polarity) = ask.chain.no_event[j];
+            if polarity != 0 && ask.no_event_sigma > 0.0 {
+                let taken = state.take_event(polarity, back, ask.no_event_sigma * ask.no_event_sigma);
                 if KEEP {
                     self.taken.push(taken);
                 }
@@ -174,7 +174,7 @@ impl Smoother {
             if ask.damping > 0.0 {
                 untake(&mut adjoint);
             }
-            if ask.chain.silence[j].1 != 0 && ask.silence_sigma > 0.0 {
+            if ask.chain.no_event[j].1 != 0 && ask.no_event_sigma > 0.0 {
                 untake(&mut adjoint);
             }
             for at in ask.knots.ops_of(j).rev() {

@@ -47,7 +47,7 @@ fn whitened(problem: &MapProblem<'_>, knots: &Knots, segments: &Segments, first:
 
 #[test]
 fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
-    let families = [Prior::USUAL, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::Glide { per_s3: 3e6, nu: 3.0 }];
+    let families = [Prior::USUAL, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 }];
     for (reset, prior) in [Reset::Resample, Reset::Advance].into_iter().flat_map(|reset| families.map(|prior| (reset, prior))) {
         let events = [event(2_100_000, 1), event(2_900_000, 1), event(5_000_000, -1), event(5_080_500, -1), event(9_000_000, 1)];
         let frame = |start_ns: i64, dn: f64| MapFrame { start_ns, end_ns: start_ns + 3_000_000, dn, sigma_dn: 2.0, saturated: false };
@@ -65,7 +65,7 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
             sensor: sensor(reset),
             noise,
             stamp_sigma_s: 0.0,
-            silence_sigma: 0.0,
+            no_event_sigma: 0.0,
             lost_before: &[],
             beyond: &[],
         };
@@ -161,7 +161,7 @@ impl Recorded {
             sensor,
             noise,
             stamp_sigma_s: 0.0,
-            silence_sigma: 0.0,
+            no_event_sigma: 0.0,
             lost_before: &[],
             beyond: &[],
         }
@@ -213,7 +213,7 @@ fn light_that_falls_at_once_into_the_dark_is_found_from_a_second_start() {
         libm::log(3.3 + 55.2 * bright)
     };
     let recorded = recorded_of(Reset::Resample, spokes);
-    let problem = MapProblem { silence_sigma: 0.03, ..recorded.problem(Reset::Resample) };
+    let problem = MapProblem { no_event_sigma: 0.03, ..recorded.problem(Reset::Resample) };
     let error = |second| {
         let mut workspace = MapWorkspace::default();
         let solution = solve(&problem, &MapOptions { second, ..MapOptions::default() }, &mut workspace);
@@ -232,7 +232,7 @@ fn more_noise_is_found_where_thresholds_jump() {
     let recorded = recorded(Reset::Resample);
     let mut group = MapGroup::default();
     let options = MapOptions::default();
-    // With three frames none is kept back: the evidence decides.
+    // With three frames none is held out: the evidence decides.
     let few = |recorded: &Recorded, group: &mut MapGroup| {
         let problem = MapProblem { frames: &recorded.frames[..3], ..recorded.problem(Reset::Resample) };
         estimate::choose(&[problem; 2], None, &options, group).noise.event
@@ -265,12 +265,12 @@ fn events_are_trusted_less_where_they_mislead_about_frames() {
 fn standard_deviations_are_widened_where_frames_are_missed_by_more() {
     let recorded = recorded(Reset::Resample);
     let right = recorded.problem(Reset::Resample);
-    // Thresholds told 50 % too large, of which the noise knows nothing.
+    // Thresholds stated 50 % too large, of which the noise knows nothing.
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, threshold_off: 0.315, ..right.sensor }, ..right };
     let factor = |problem, count| estimate::too_narrow_by(&mut estimate::misses(&vec![problem; count], &MapOptions::default(), &mut MapGroup::default()));
-    let (told_right, told_wrong) = (factor(right, 60), factor(wrong, 60));
-    assert!(told_right < 2.0 && told_wrong > 1.5 * told_right, "{told_right} and {told_wrong}");
-    // One frame of each is kept back: too few to tell.
+    let (reported_right, reported_wrong) = (factor(right, 60), factor(wrong, 60));
+    assert!(reported_right < 2.0 && reported_wrong > 1.5 * reported_right, "{reported_right} and {reported_wrong}");
+    // One frame of each is held out: too few to decide.
     assert_eq!(factor(wrong, 10), 1.0);
 }
 
@@ -287,7 +287,7 @@ fn a_pixel_without_events_is_as_bright_as_its_frames() {
         sensor: sensor(Reset::Resample),
         noise: Noise::default(),
         stamp_sigma_s: 0.0,
-        silence_sigma: 0.0,
+        no_event_sigma: 0.0,
         lost_before: &[],
         beyond: &[],
     };
@@ -335,7 +335,7 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
         sensor,
         noise: Noise::default(),
         stamp_sigma_s: 0.0,
-        silence_sigma: 0.0,
+        no_event_sigma: 0.0,
         lost_before: &[],
         beyond: &[],
     };
@@ -344,7 +344,7 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
     let choice = estimate::choose(&copies, None, &MapOptions::default(), &mut group);
     let restless = match choice.prior {
         Prior::Local(local) => local.floor_per_s > Local::USUAL.floor_per_s,
-        Prior::Glide { .. } => true,
+        Prior::IntegratedWalk { .. } => true,
         Prior::Walk { .. } => false,
     };
     assert!(restless, "{choice:?}");
@@ -355,7 +355,7 @@ fn light_that_would_have_fired_is_pulled_back() {
     // Two frames that say 100 and 160, and not one event between them: the change is 0.47 where 0.2 would have fired.
     let frame = |start_ns: i64, dn: f64| MapFrame { start_ns, end_ns: start_ns + 5_000_000, dn, sigma_dn: 20.0, saturated: false };
     let frames = [frame(0, 425.0), frame(8_000_000, 680.0)];
-    let change = |silence_sigma: f64| {
+    let change = |no_event_sigma: f64| {
         let sensor = sensor(Reset::Resample);
         let noise = Noise { reference: 0.001, ..Noise::default() };
         let problem = MapProblem {
@@ -369,7 +369,7 @@ fn light_that_would_have_fired_is_pulled_back() {
             stamp_sigma_s: 0.0,
             lost_before: &[],
             beyond: &[],
-            silence_sigma,
+            no_event_sigma,
         };
         let mut workspace = MapWorkspace::default();
         let u = solve(&problem, &MapOptions { max_iterations: 8, ..MapOptions::default() }, &mut workspace).log_photocurrent.to_vec();
@@ -403,7 +403,7 @@ fn a_saturated_value_is_a_lower_bound_only() {
         sensor: sensor(Reset::Resample),
         noise: Noise::default(),
         stamp_sigma_s: 0.0,
-        silence_sigma: 0.0,
+        no_event_sigma: 0.0,
         lost_before: &[],
         beyond: &[],
     };
@@ -486,7 +486,7 @@ fn a_doubted_event_resets_the_pixel_and_moves_no_light() {
             sensor: sensor(reset),
             noise,
             stamp_sigma_s: 0.0,
-            silence_sigma: 0.0,
+            no_event_sigma: 0.0,
             lost_before: &[],
             beyond: &[],
         };
@@ -495,14 +495,14 @@ fn a_doubted_event_resets_the_pixel_and_moves_no_light() {
         solution.log_photocurrent.iter().fold(0.0, |most, u| f64::max(most, (u - libm::log(100.0)).abs()))
     };
     for reset in [Reset::Resample, Reset::Advance] {
-        let (believed, doubted) = (largest(reset, LoneEvents::Believed), largest(reset, LoneEvents::Doubted));
-        assert!(believed > 0.04 && doubted < 1e-6, "{reset:?}: {believed} and {doubted}");
+        let (trusted, doubted) = (largest(reset, LoneEvents::Trusted), largest(reset, LoneEvents::Doubted));
+        assert!(trusted > 0.04 && doubted < 1e-6, "{reset:?}: {trusted} and {doubted}");
     }
 }
 
 #[test]
 fn lone_events_are_doubted_where_they_mislead_about_frames() {
-    // Light at rest, and noise: one event inside each frame that is kept back.
+    // Light at rest, and noise: one event inside each frame that is held out.
     let frames: Vec<MapFrame> =
         (0..12).map(|l| MapFrame { start_ns: l * 8_000_000, end_ns: l * 8_000_000 + 6_000_000, dn: 510.0, sigma_dn: 3.0, saturated: false }).collect();
     let noise_events: Vec<MapEvent> =
@@ -516,7 +516,7 @@ fn lone_events_are_doubted_where_they_mislead_about_frames() {
         sensor: sensor(Reset::Resample),
         noise: Noise::default(),
         stamp_sigma_s: 0.0,
-        silence_sigma: 0.0,
+        no_event_sigma: 0.0,
         lost_before: &[],
         beyond: &[],
     };
@@ -529,9 +529,9 @@ fn thresholds_of_their_own_are_found_where_pixels_differ() {
     // Stated thresholds too small in one pixel, too large in the other.
     let recorded = recorded(Reset::Resample);
     let right = recorded.problem(Reset::Resample);
-    let told = |factor: f64| MapProblem { sensor: MapSensor { threshold_on: 0.2 * factor, threshold_off: 0.21 * factor, ..right.sensor }, ..right };
+    let stated = |factor: f64| MapProblem { sensor: MapSensor { threshold_on: 0.2 * factor, threshold_off: 0.21 * factor, ..right.sensor }, ..right };
     let mut workspace = MapWorkspace::default();
-    let problems = [told(0.85), told(1.15)];
+    let problems = [stated(0.85), stated(1.15)];
     let chosen = estimate::choose(&problems, None, &MapOptions::default(), &mut MapGroup::default()).noise;
     let mut error = |noise: Noise| {
         let of = |problem: &MapProblem<'_>| {
@@ -555,7 +555,7 @@ fn lost_events_are_found_where_frames_contradict_the_gap_and_nowhere_else() {
         assert!(holed.events.len() + 3 < whole.events.len());
         let options = MapOptions { max_iterations: 8, ..MapOptions::default() };
         let mut group = MapGroup::default();
-        let tasks = [&whole, &holed, &whole].map(|recorded| MapTask { problem: MapProblem { silence_sigma: 0.03, ..recorded.problem(reset) }, options });
+        let tasks = [&whole, &holed, &whole].map(|recorded| MapTask { problem: MapProblem { no_event_sigma: 0.03, ..recorded.problem(reset) }, options });
         let mut plain = [losses::Plain::default(); 3];
         group.solve(&tasks, |n, solution| plain[n] = losses::Plain::of(&solution));
         let lost = losses::lost_before(&tasks, &plain, &mut group);
@@ -566,8 +566,8 @@ fn lost_events_are_found_where_frames_contradict_the_gap_and_nowhere_else() {
             let solution = solve(&MapProblem { lost_before, ..task.problem }, &task.options, &mut workspace);
             whole.error_from(24_000_000, solution.t_ns, solution.log_photocurrent)
         };
-        let (before, believed, doubted) = (error(&tasks[0], &[]), error(&tasks[1], &[]), error(&tasks[1], &lost[1]));
-        assert!(believed > 3.0 * before && doubted < 1.5 * before, "{reset:?}: {before} whole, {believed} believed, {doubted} doubted");
+        let (before, trusted, doubted) = (error(&tasks[0], &[]), error(&tasks[1], &[]), error(&tasks[1], &lost[1]));
+        assert!(trusted > 3.0 * before && doubted < 1.5 * before, "{reset:?}: {before} whole, {trusted} trusted, {doubted} doubted");
     }
 }
 
@@ -587,7 +587,7 @@ fn a_step_that_is_known_to_be_more_is_a_higher_threshold() {
             // One variance for both: it goes with the threshold.
             noise: Noise { event: 1e-3, ..Noise::default() },
             stamp_sigma_s: 0.0,
-            silence_sigma: 0.0,
+            no_event_sigma: 0.0,
             lost_before: &[],
             beyond: &[],
         };
@@ -598,11 +598,11 @@ fn a_step_that_is_known_to_be_more_is_a_higher_threshold() {
             light
         };
         let more: Vec<f64> = events.iter().map(|event| 0.05 * f64::from(event.polarity)).collect();
-        let told = light(MapProblem { beyond: &more, ..problem });
+        let stated = light(MapProblem { beyond: &more, ..problem });
         let raised =
             light(MapProblem { sensor: MapSensor { threshold_on: own.threshold_on + 0.05, threshold_off: own.threshold_off + 0.05, ..own }, ..problem });
         let plain = light(problem);
         let off = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        assert!(off(&told, &raised) < 2e-3 && off(&told, &plain) > 0.03, "{} {}", off(&told, &raised), off(&told, &plain));
+        assert!(off(&stated, &raised) < 2e-3 && off(&stated, &plain) > 0.03, "{} {}", off(&stated, &raised), off(&stated, &plain));
     }
 }

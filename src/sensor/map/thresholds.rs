@@ -22,7 +22,7 @@ pub(super) fn expected(problem: &MapProblem<'_>, prior_cost: f64, offsets: &Offs
     Offsets { reference: 0.0, on: per_event * rising, off: per_event * falling }
 }
 
-/// What the expectation takes off twice the negative log of the posterior density.
+/// What the expectation subtracts twice the negative log of the posterior density.
 pub(super) fn pulled(expected: &Offsets, offsets: &Offsets, noise: &Noise) -> f64 {
     let variance = noise.threshold * noise.threshold;
     if variance > 0.0 { 2.0 * (expected.on * offsets.on + expected.off * offsets.off) / variance } else { 0.0 }

@@ -1,10 +1,10 @@
-//! What a pixel's measurements say that no light explains: residuals and columns beside them, with the scene projected out.
+//! What a pixel's measurements say that no light explains: residuals and columns with them, with the scene projected out.
 //!
-//! With residuals y and a column s of the same measurements (what an effect of unit strength would change of each), the score of the effect is `s' C^-1 y` and its
+//! With residuals y and a column s of the same measurements (what an effect of unit size would change of each), the score of the effect is `s' C^-1 y` and its
 //! information `s' C^-1 s`, where `C = noise + J Q J'` holds everything that light of the prior could do. The Kalman pass that solves a step gives a factor of
 //! `C^-1`: its innovations over their standard deviations. So columns are sent through the same pass, one after another at once, and scores are plain products of what comes out.
 //!
-//! Limits: the problem as linearised at the given light; thresholds exact; silence says nothing here.
+//! Limits: the problem as linearised at the given light; thresholds exact; the no-event constraint is left out here.
 
 use super::chain::Sight;
 use super::knots::Op;
@@ -32,7 +32,7 @@ pub struct Whitened {
     pub measurement: Vec<u32>,
     /// The residual as it is, natural-log units or DN: measured less predicted.
     pub residual: Vec<f64>,
-    /// Standard deviation that the measurement is believed to, in the same unit.
+    /// Standard deviation that the measurement is assumed to, in the same unit.
     pub sigma: Vec<f64>,
 }
 
@@ -158,7 +158,7 @@ pub struct LeftOut {
 /// One Gauss-Newton step of the light `u` of a pixel (at the knots that solving the task gives) when `shift` is added to what the sensor of the task predicts; no part of it
 /// is longer than `longest`. `out` says how each measurement was predicted by the others before the step. Gives the length of the step, or nothing when `u` does not fit the task.
 ///
-/// A caller who computes the shift anew after each step solves the pixel under any model, as long as the task's sensor is near enough for its derivatives. Silence says nothing.
+/// A caller who computes the shift anew after each step solves the pixel under any model, as long as the task's sensor is near enough for its derivatives. The no-event constraint is left out.
 pub fn refine(task: &MapTask<'_>, u: &mut [f64], shift: Column<'_>, longest: f64, workspace: &mut MapWorkspace, out: &mut Vec<LeftOut>) -> Option<f64> {
     let MapTask { problem, options } = task;
     out.clear();
@@ -234,7 +234,7 @@ mod tests {
             sensor,
             noise,
             stamp_sigma_s: 1e-4,
-            silence_sigma: 0.0,
+            no_event_sigma: 0.0,
             lost_before,
             beyond: &[],
         };
@@ -253,7 +253,7 @@ mod tests {
         whiten(&MapTask { problem, options }, &u, Column::default(), &[column, column], &mut MapWorkspace::default(), &mut out);
         assert_eq!(out.measurement, [0, 1, 5, 2, 6, 4]);
 
-        // All that is believed, in standard deviations, by light at the knots and the first reference.
+        // All that is trusted, in standard deviations, by light at the knots and the first reference.
         let mut chain = Chain::default();
         chain.run(&problem, &knots, &segments, &u, &Offsets::default());
         let fixed: Vec<f64> = chain.rows.iter().map(|row| row.variance.sqrt()).collect();

@@ -141,7 +141,7 @@ pub(super) fn hash_file(path: &Path) -> Result<Digest, StoreError> {
                 Err(error) => return Err(io(error)),
             }
         }
-        // Not in parallel: beside a long solve, rayon's pool would let it wait.
+        // Not in parallel: during a long solve, rayon's pool would let it wait.
         hasher.update(&buffer[..filled]);
         if filled < buffer.len() {
             return Ok(Digest::from_bytes(*hasher.finalize().as_bytes()));
@@ -149,7 +149,7 @@ pub(super) fn hash_file(path: &Path) -> Result<Digest, StoreError> {
     }
 }
 
-/// Which file this is, as far as the system tells without reading it.
+/// Which file this is, as far as the system says without reading it.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub(super) struct Identity {
     pub bytes: u64,

@@ -78,7 +78,7 @@ pub struct CheckReport {
     pub good_records: u64,
     /// Contents that are whole.
     pub good_contents: u64,
-    /// What is damaged, one line each. A run mends it, and gc removes it.
+    /// What is damaged, one line each. A run makes it again, and gc removes it.
     pub damaged: Vec<String>,
     /// Files that no record needs.
     pub orphans: Vec<PathBuf>,

@@ -153,13 +153,13 @@ enum Change<'a, V> {
     Other(&'a V, &'a V),
 }
 
-fn compare<K: Ord, V: PartialEq>(old: &BTreeMap<K, V>, new: &BTreeMap<K, V>, mut tell: impl FnMut(&K, Change<V>)) {
+fn compare<K: Ord, V: PartialEq>(old: &BTreeMap<K, V>, new: &BTreeMap<K, V>, mut report: impl FnMut(&K, Change<V>)) {
     let names: std::collections::BTreeSet<&K> = old.keys().chain(new.keys()).collect();
     for name in names {
         match (old.get(name), new.get(name)) {
-            (Some(old), Some(new)) if old != new => tell(name, Change::Other(old, new)),
-            (Some(old), None) => tell(name, Change::Removed(old)),
-            (None, Some(new)) => tell(name, Change::Added(new)),
+            (Some(old), Some(new)) if old != new => report(name, Change::Other(old, new)),
+            (Some(old), None) => report(name, Change::Removed(old)),
+            (None, Some(new)) => report(name, Change::Added(new)),
             _ => {}
         }
     }

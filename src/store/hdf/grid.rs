@@ -37,7 +37,7 @@ impl<T: Item> Grid<T> {
 
     /// The numbers of the box that begins at `start` and has `count` numbers along each dimension, last dimension fastest.
     pub fn read(&self, start: &[usize], count: &[usize]) -> Result<Vec<T>, StoreError> {
-        // A box that is not inside is refused below, before it is believed in size.
+        // A box that is not inside is refused below, before it is trusted in size.
         let inside = start.len() == count.len() && count.iter().zip(&self.shape).all(|(count, length)| count <= length);
         let mut values = vec![T::default(); if inside { count.iter().product() } else { 0 }];
         self.chunks.read(start, count, bytemuck::cast_slice_mut(&mut values), None)?;

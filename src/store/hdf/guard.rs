@@ -13,7 +13,7 @@ pub(crate) struct Limits {
     /// Processor time between two reports.
     pub cpu: Duration,
     /// Time on the clock between two reports: what waits for a slow disk is not stuck.
-    pub silence: Duration,
+    pub quiet: Duration,
     /// Memory beyond what this process has, bytes of address space.
     pub memory: u64,
 }
@@ -78,7 +78,7 @@ pub(crate) fn attempt(limits: Limits, work: impl FnOnce(&mut dyn FnMut(Report)))
         while libc::read(ends[0], (&raw mut ready).cast(), 1) < 0 && std::io::Error::last_os_error().kind() == std::io::ErrorKind::Interrupted {}
         Ok(())
     })?;
-    let (last, end) = follow(ends[0], limits.silence);
+    let (last, end) = follow(ends[0], limits.quiet);
     let mut status = 0;
     // SAFETY: `copy` is a child of this process that was not waited for yet, and the descriptor is ours.
     unsafe {
@@ -90,7 +90,7 @@ pub(crate) fn attempt(limits: Limits, work: impl FnOnce(&mut dyn FnMut(Report)))
     }
     let how = match end {
         End::Done => return Ok(Ok(())),
-        End::Silent => format!("it does not come back within {} s", limits.silence.as_secs()),
+        End::Silent => format!("it does not come back within {} s", limits.quiet.as_secs()),
         End::Dead => death(status, limits),
     };
     Ok(Err(Death { at: last, how }))
@@ -228,13 +228,13 @@ enum End {
 
 /// Reads reports until they end; gives the last thing that was named.
 #[cfg(unix)]
-fn follow(reports: i32, silence: Duration) -> (String, End) {
+fn follow(reports: i32, quiet: Duration) -> (String, End) {
     let (mut tail, mut last, mut buffer) = (Vec::new(), String::new(), [0u8; 4096]);
     loop {
         let mut waiting = libc::pollfd { fd: reports, events: libc::POLLIN, revents: 0 };
         // SAFETY: one descriptor that is open; the buffer has the stated length.
         let got = unsafe {
-            match libc::poll(&mut waiting, 1, i32::try_from(silence.as_millis()).unwrap_or(i32::MAX)) {
+            match libc::poll(&mut waiting, 1, i32::try_from(quiet.as_millis()).unwrap_or(i32::MAX)) {
                 0 => return (last, End::Silent),
                 1.. => libc::read(reports, buffer.as_mut_ptr().cast(), buffer.len()),
                 _ => -1,
@@ -282,7 +282,7 @@ fn death(status: i32, limits: Limits) -> String {
 mod tests {
     use super::*;
 
-    const LIMITS: Limits = Limits { cpu: Duration::from_millis(300), silence: Duration::from_secs(20), memory: 64 << 20 };
+    const LIMITS: Limits = Limits { cpu: Duration::from_millis(300), quiet: Duration::from_secs(20), memory: 64 << 20 };
 
     fn died(work: impl FnOnce(&mut dyn FnMut(Report))) -> Death {
         attempt(LIMITS, work).unwrap().unwrap_err()
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn endless_work_and_silence_end() {
+    fn endless_work_and_waiting_end() {
         let death = died(|report| {
             report(Report::At("/loop"));
             let mut turns = 0u64;
@@ -321,7 +321,7 @@ mod tests {
             }
         });
         assert!(death.at == "/loop" && death.how.contains("0.3 s of processor time"), "{death:?}");
-        let quiet = Limits { silence: Duration::from_millis(200), ..LIMITS };
+        let quiet = Limits { quiet: Duration::from_millis(200), ..LIMITS };
         let death = attempt(quiet, |_| std::thread::sleep(Duration::from_secs(30))).unwrap().unwrap_err();
         assert!(death.how.contains("does not come back"), "{death:?}");
     }

@@ -203,7 +203,7 @@ mod tests {
             let mut out = vec![0; room];
             let _ = pipeline(&[ALL[step]]).undo(bytes.clone(), 0, &mut out);
             let _ = pipeline(&[Step::Fletcher32, ALL[step]]).undo(bytes.clone(), 1, &mut out);
-            // Headers that are believed further: Blosc's, and ECF's.
+            // Headers that are trusted further: Blosc's, and ECF's.
             let size = room as u32;
             let mut blosc = vec![2, 1, flags, 4];
             [size, block, bytes.len() as u32 + 16].iter().for_each(|n| blosc.extend(n.to_le_bytes()));

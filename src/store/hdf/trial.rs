@@ -20,7 +20,7 @@ const CPU: Duration = Duration::from_secs(1);
 /// And this much more for a file: an index is a part of it.
 const CPU_PER_GIB: Duration = Duration::from_secs(10);
 /// Without a report for so long, the library waits for something that does not come. A slow disk answers earlier.
-const SILENCE: Duration = Duration::from_secs(60);
+const QUIET: Duration = Duration::from_secs(60);
 /// Memory that a trial may take. The library keeps a few MB for a file; an attribute or text that claims more is a lie.
 const MEMORY: u64 = 1 << 30;
 /// Objects that are looked at: a recording with a dataset for each of 100,000 frames has a tenth of that.
@@ -44,7 +44,7 @@ impl State {
     fn of(metadata: &Metadata) -> Option<State> {
         use std::os::unix::fs::MetadataExt;
         let changed = metadata.modified().ok()?;
-        // A time in the future says nothing of when the file changed last.
+        // A time in the future does not show when the file changed last.
         let settled = SystemTime::now().duration_since(changed).is_ok_and(|age| age > SETTLED);
         settled.then_some(State { file: (metadata.dev(), metadata.ino()), bytes: metadata.len(), changed })
     }
@@ -70,7 +70,7 @@ pub(super) fn pass(path: &Path) -> Result<(), StoreError> {
         None => {
             let gib = metadata.len() as f64 / (1u64 << 30) as f64;
             // A file that is cut is mapped whole.
-            let limits = Limits { cpu: CPU + CPU_PER_GIB.mul_f64(gib), silence: SILENCE, memory: MEMORY + metadata.len() };
+            let limits = Limits { cpu: CPU + CPU_PER_GIB.mul_f64(gib), quiet: QUIET, memory: MEMORY + metadata.len() };
             let outcome = attempt(limits, |report| walk(path, report));
             let death = outcome.map_err(|error| StoreError::io(path, "start a process that tries the file", error))?.err();
             if let Some(state) = state {

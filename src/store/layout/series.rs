@@ -1,4 +1,4 @@
-//! Tracks and light: one layout for both, flat columns with an offset per pixel, in a group named like the type; `sigma` stands beside `photocurrent`
+//! Tracks and light: one layout for both, flat columns with an offset per pixel, in a group named like the type; `sigma` stands next to `photocurrent`
 //! where it is known.
 
 use super::columns::{DAMAGED, between, column, create_group, each_band, relative, required};

@@ -78,7 +78,7 @@ pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<u64, S
     })
 }
 
-/// Lets `fill` write a new file beside `path`, and moves it there when it is complete and synced.
+/// Lets `fill` write a new file next to `path`, and moves it there when it is complete and synced.
 pub(crate) fn whole_file<T>(path: &Path, fill: impl FnOnce(&Opened) -> Result<T, StoreError>) -> Result<T, StoreError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     // The umask still applies: temporary files are private by default, and a recording is not.

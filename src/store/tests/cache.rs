@@ -90,7 +90,7 @@ fn every_type_can_be_stored() {
 }
 
 #[test]
-fn a_damaged_data_file_is_a_miss_and_a_rerun_mends_it() {
+fn a_damaged_data_file_is_a_miss_and_a_rerun_replaces_it() {
     let root = tempfile::tempdir().unwrap();
     let stored = store(&Cache::open(root.path()).unwrap(), &tracks());
     let path = data_file(root.path(), &stored.digest);

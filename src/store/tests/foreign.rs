@@ -1,4 +1,4 @@
-//! Files of other programs: `data/formats/filters.h5` was written by h5py and hdf5plugin (see the script beside it), so every number here comes from
+//! Files of other programs: `data/formats/filters.h5` was written by h5py and hdf5plugin (see the script next to it), so every number here comes from
 //! outside the code under test.
 #![allow(clippy::unwrap_used)]
 

@@ -1,4 +1,4 @@
-//! Recordings: what is written comes back, and every contradiction is told with file, dataset, finding and next step.
+//! Recordings: what is written comes back, and every contradiction is reported with file, dataset, finding and next step.
 #![allow(clippy::unwrap_used)]
 
 use hdf5::types::VarLenUnicode;
@@ -387,7 +387,7 @@ fn a_file_that_somebody_writes_is_not_called_damaged() {
     write_full(&path);
     let writer = std::fs::OpenOptions::new().write(true).open(&path).unwrap();
     writer.lock().unwrap();
-    // A library that was built or told not to lock reads it all the same.
+    // A library that was built or set not to lock reads it all the same.
     if let Err(error) = Recording::open(&path) {
         let error = error.to_string();
         assert!(error.contains("egg.h5") && error.contains("another program has the file open for writing"), "{error}");

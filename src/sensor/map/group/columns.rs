@@ -4,7 +4,7 @@ use super::super::chain::Slopes;
 use super::super::prior::{FIRST_SLOPE_VARIANCE, Prior, Segments};
 use super::super::segment::fill_pieces;
 use super::passes::{Expected, Line, WideOffsets};
-use super::stream::{BOUND, EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, RISE, SEGMENT, SILENCE, Stream};
+use super::stream::{BOUND, EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, NO_EVENT, RISE, SEGMENT, Stream};
 use crate::elementary::exp;
 use crate::front_end::FrontEnd;
 use crate::residuals::Misfit;
@@ -33,7 +33,7 @@ pub(super) struct Given {
 /// What the prior's local variance is made of, at a step.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Nearby {
-    /// How far a slope takes light; of a glide, how far segments are apart.
+    /// How far a slope takes light; of an integrated walk, how far segments are apart.
     pub reach_s: Wide,
     pub per_nearby: Wide,
     /// The steps between whose energies the nearby slopes lie.
@@ -60,7 +60,7 @@ pub(super) enum Family {
     /// Degrees of freedom times the variance per second, and one more degree.
     Walk(Wide, Wide),
     /// The same of slopes.
-    Glide(Wide, Wide),
+    IntegratedWalk(Wide, Wide),
 }
 
 impl Default for Family {
@@ -74,18 +74,18 @@ impl Family {
     pub fn of(priors: [Prior; WIDTH]) -> Family {
         let wide = |of: fn(&Prior) -> f64| Wide(std::array::from_fn(|l| of(&priors[l])));
         let tails = |prior: &Prior| match *prior {
-            Prior::Walk { nu, .. } | Prior::Glide { nu, .. } => nu + 1.0,
+            Prior::Walk { nu, .. } | Prior::IntegratedWalk { nu, .. } => nu + 1.0,
             Prior::Local(_) => 0.0,
         };
         let spread = |prior: &Prior| match *prior {
             Prior::Local(local) => local.floor_per_s * local.floor_per_s,
             Prior::Walk { per_s, nu } => nu * per_s,
-            Prior::Glide { per_s3, nu } => nu * per_s3,
+            Prior::IntegratedWalk { per_s3, nu } => nu * per_s3,
         };
         match priors[0] {
             Prior::Local(_) => Family::Local(wide(spread)),
             Prior::Walk { .. } => Family::Walk(wide(spread), wide(tails)),
-            Prior::Glide { .. } => Family::Glide(wide(spread), wide(tails)),
+            Prior::IntegratedWalk { .. } => Family::IntegratedWalk(wide(spread), wide(tails)),
         }
     }
 }
@@ -112,7 +112,7 @@ pub(super) struct Pixel<'a> {
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Cost {
     pub measured: Wide,
-    pub silence_square: Wide,
+    pub no_event_square: Wide,
     pub prior: Wide,
 }
 
@@ -152,7 +152,7 @@ impl Columns {
                             (nearby.low[l], nearby.high[l]) = (pixel.stream.first_step[low as usize - 1], pixel.stream.first_step[high as usize]);
                         }
                         Family::Walk(..) => {}
-                        Family::Glide(..) => nearby.reach_s.0[l] = if k > 1 { segments.middle_s[k] - segments.middle_s[k - 1] } else { 0.0 },
+                        Family::IntegratedWalk(..) => nearby.reach_s.0[l] = if k > 1 { segments.middle_s[k] - segments.middle_s[k - 1] } else { 0.0 },
                     }
                     (expected.correlation.0[l], expected.fresh.0[l]) = (segments.correlation[k], segments.fresh[k]);
                 }
@@ -199,7 +199,7 @@ pub(super) fn adapt(columns: &mut Columns, common: &Common, u: &[Wide]) -> Wide 
                 (expected[s].scale, expected[s].per_scale) = (scale, Wide::ONE / scale);
             }
         }
-        Family::Glide(spread, tails) => {
+        Family::IntegratedWalk(spread, tails) => {
             let mut before = Wide::ZERO;
             for s in 1..steps {
                 let is = |value: Wide, or: Wide| what[s].choose(SEGMENT, value, or);
@@ -310,17 +310,17 @@ pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &Wide
             let change = voltage - reference;
             let above = change.above(on, on - change, Wide::ZERO);
             let below = (-off).above(change, -off - change, Wide::ZERO);
-            let broken = is(SILENCE, above + below, Wide::ZERO);
+            let broken = is(NO_EVENT, above + below, Wide::ZERO);
             for l in 0..WIDTH {
-                // More light than a lower bound is no contradiction, and silence that is not broken none either.
+                // More light than a lower bound is no contradiction, and a no-event constraint that is not broken none either.
                 let beyond = if dark.0[l] < 0.0 { BOUND } else { 0 };
-                let unbroken = if broken.0[l] == 0.0 { SILENCE } else { 0 };
-                let counts = if then.0[l] & (beyond | unbroken) == 0 { EVENT | FRAME | LIGHT | SILENCE | RISE } else { 0 };
+                let unbroken = if broken.0[l] == 0.0 { NO_EVENT } else { 0 };
+                let counts = if then.0[l] & (beyond | unbroken) == 0 { EVENT | FRAME | LIGHT | NO_EVENT | RISE } else { 0 };
                 // Too high a voltage is too high for the ON threshold.
                 let rises = if broken.0[l] < 0.0 { RISE } else { 0 };
                 line.sight.0[l] = (then.0[l] & counts) | rises;
             }
-            line.residual = is(EVENT, level - voltage, is(LIGHT, given.target - here, is(SILENCE, broken, dark)));
+            line.residual = is(EVENT, level - voltage, is(LIGHT, given.target - here, is(NO_EVENT, broken, dark)));
             line.variance = given.variance;
             let mut information = given.information;
             if has_stamps {
@@ -333,7 +333,7 @@ pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &Wide
             }
             let part = line.residual * line.residual * information;
             cost.measured = cost.measured + line.sight.choose(EVENT | FRAME | LIGHT, part, Wide::ZERO);
-            cost.silence_square = cost.silence_square + broken * broken;
+            cost.no_event_square = cost.no_event_square + broken * broken;
             light = is(EXPOSE, Wide::ZERO, light);
             if common.advances {
                 reference = is(MOVE, level, reference);

@@ -16,14 +16,14 @@ use super::smoother::FIRST_VARIANCE;
 use super::start::Start;
 use super::state::{ON, STATES};
 use super::{
-    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, Noise, Offsets, SILENCE_FROM, SecondStart,
+    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, NO_EVENT_FROM, Noise, Offsets, SecondStart,
     has_run_away, solve_with, thresholds, variance_at,
 };
 use crate::residuals::Misfit;
 use crate::wide::{Flags, WIDTH, Wide};
 use columns::{Columns, Common, Cost, Family, Pixel, adapt, misfits, moved, run};
 use passes::{Ask, Line, Memory, WideOffsets, step};
-use stream::{EVENT, SEGMENT, SILENCE, Stream};
+use stream::{EVENT, NO_EVENT, SEGMENT, Stream};
 
 /// A pixel that is to be solved, and how.
 #[derive(Clone, Copy, Debug)]
@@ -76,12 +76,12 @@ struct LaneState {
     offsets: Offsets,
     /// What the prior expects of the thresholds at the current step.
     expected: Offsets,
-    /// 0 while silence does not count.
-    silence_sigma: f64,
+    /// 0 while the no-event constraint does not count.
+    no_event_sigma: f64,
     /// Of where it stands: all, and the parts that do not depend on the prior.
     cost: f64,
     measured: f64,
-    silence_square: f64,
+    no_event_square: f64,
     /// How much of the step is taken.
     share: f64,
     /// As the task states it.
@@ -98,10 +98,10 @@ impl Default for LaneState {
             damping: 0.0,
             offsets: Offsets::default(),
             expected: Offsets::default(),
-            silence_sigma: 0.0,
+            no_event_sigma: 0.0,
             cost: 0.0,
             measured: 0.0,
-            silence_square: 0.0,
+            no_event_square: 0.0,
             share: 1.0,
             noise: Noise::default(),
         }
@@ -109,14 +109,14 @@ impl Default for LaneState {
 }
 
 impl LaneState {
-    fn silence(&self, square: f64) -> f64 {
-        if self.silence_sigma > 0.0 { square / (self.silence_sigma * self.silence_sigma) } else { 0.0 }
+    fn no_event(&self, square: f64) -> f64 {
+        if self.no_event_sigma > 0.0 { square / (self.no_event_sigma * self.no_event_sigma) } else { 0.0 }
     }
 
-    /// Sum of the squares of misfits and of broken silence.
+    /// Sum of the squares of misfits and of the broken no-event constraint.
     fn misfit(&self, problem: &MapProblem<'_>) -> f64 {
-        let sigma = problem.silence_sigma;
-        self.measured + if sigma > 0.0 { self.silence_square / (sigma * sigma) } else { 0.0 }
+        let sigma = problem.no_event_sigma;
+        self.measured + if sigma > 0.0 { self.no_event_square / (sigma * sigma) } else { 0.0 }
     }
 
     /// Out of attempts: as good as it gets when some step went down, else a failure.
@@ -146,7 +146,7 @@ impl MapGroup {
         let family = |n: usize| match tasks[n].options.prior {
             Prior::Local(_) => 0,
             Prior::Walk { .. } => 1,
-            Prior::Glide { .. } => 2,
+            Prior::IntegratedWalk { .. } => 2,
         };
         order.sort_by_key(|&n| (is_exact(&tasks[n]), family(n), tasks[n].problem.events.len(), tasks[n].problem.hints.len(), n));
         let mut rest = order.as_slice();
@@ -185,7 +185,7 @@ impl MapGroup {
                 continue;
             }
             let LaneState { offsets, status, iterations, .. } = lane.state;
-            let variance: &[f64] = if task.options.with_sigma { variance_at(task, &lane.u, &offsets, lane.state.silence_sigma, &mut self.alone) } else { &[] };
+            let variance: &[f64] = if task.options.with_sigma { variance_at(task, &lane.u, &offsets, lane.state.no_event_sigma, &mut self.alone) } else { &[] };
             let (log_evidence, (misfit, largest_square)) = (log_evidence[l], misfits[l]);
             take(
                 n,
@@ -292,7 +292,7 @@ impl MapGroup {
         let cost = run(&self.columns, common, &self.u, &offsets(&self.lanes), &mut self.lines);
         for (l, lane) in self.lanes.iter_mut().enumerate() {
             let of_offsets = lane.state.offsets.cost(&lane.state.noise);
-            (lane.state.measured, lane.state.silence_square) = (cost.measured.0[l] + of_offsets, cost.silence_square.0[l]);
+            (lane.state.measured, lane.state.no_event_square) = (cost.measured.0[l] + of_offsets, cost.no_event_square.0[l]);
         }
     }
 
@@ -377,7 +377,7 @@ fn ask<'a>(lanes: &[Lane; WIDTH], columns: &'a Columns, lines: &'a [Line], (firs
         lines,
         expected: &columns.expected,
         what: &columns.what,
-        events: Flags(std::array::from_fn(|l| if lanes[l].state.silence_sigma > 0.0 { EVENT | SILENCE } else { EVENT })),
+        events: Flags(std::array::from_fn(|l| if lanes[l].state.no_event_sigma > 0.0 { EVENT | NO_EVENT } else { EVENT })),
         damping,
         first: first - here,
         offsets: WideOffsets { on: offsets.on - wide(lanes, |state| state.expected.on), off: offsets.off - wide(lanes, |state| state.expected.off), ..offsets },
@@ -414,12 +414,12 @@ fn begin_step(state: &mut LaneState, task: &MapTask<'_>, prior_cost: f64) {
         return;
     }
     state.iterations += 1;
-    if state.iterations == SILENCE_FROM {
-        state.silence_sigma = task.problem.silence_sigma;
+    if state.iterations == NO_EVENT_FROM {
+        state.no_event_sigma = task.problem.no_event_sigma;
     }
     state.expected = thresholds::expected(&task.problem, prior_cost, &state.offsets);
     let pulled = thresholds::pulled(&state.expected, &state.offsets, &task.problem.noise);
-    state.cost = state.measured + prior_cost + state.silence(state.silence_square) - pulled;
+    state.cost = state.measured + prior_cost + state.no_event(state.no_event_square) - pulled;
     if !state.cost.is_finite() {
         state.status = MapStatus::Failed;
         state.steps = false;
@@ -433,7 +433,7 @@ fn judge(state: &mut LaneState, task: &MapTask<'_>, cost: &Cost, l: usize, longe
     }
     let measured = cost.measured.0[l] + offsets.cost(&task.problem.noise);
     let pulled = thresholds::pulled(&state.expected, &offsets, &task.problem.noise);
-    let total = measured + cost.prior.0[l] + state.silence(cost.silence_square.0[l]) - pulled;
+    let total = measured + cost.prior.0[l] + state.no_event(cost.no_event_square.0[l]) - pulled;
     // A step at the level of rounding may go up by rounding.
     let goes_down = longest.is_finite() && total <= state.cost * (1.0 + 1e-9) + 1e-9;
     if !goes_down {
@@ -444,7 +444,7 @@ fn judge(state: &mut LaneState, task: &MapTask<'_>, cost: &Cost, l: usize, longe
         }
         return false;
     }
-    (state.measured, state.silence_square, state.offsets) = (measured, cost.silence_square.0[l], offsets);
+    (state.measured, state.no_event_square, state.offsets) = (measured, cost.no_event_square.0[l], offsets);
     state.damping = if state.damping > FIRST_DAMPING { state.damping * 0.1 } else { 0.0 };
     state.attempts = 0;
     if longest < task.options.tolerance {

@@ -14,7 +14,7 @@ use multiversion::multiversion;
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Line {
     pub slopes: Slopes<Wide>,
-    /// What counts there: [`EVENT`], [`FRAME`], [`LIGHT`], `SILENCE` or nothing.
+    /// What counts there: [`EVENT`], [`FRAME`], [`LIGHT`], `NO_EVENT` or nothing.
     pub sight: Flags,
     pub residual: Wide,
     pub variance: Wide,
@@ -88,7 +88,7 @@ pub(super) struct Ask<'a> {
     pub expected: &'a [Expected],
     /// What is at each step.
     pub what: &'a [Flags],
-    /// What is seen as an event: with `SILENCE` in lanes where that counts.
+    /// What is seen as an event: with `NO_EVENT` in lanes where that counts.
     pub events: Flags,
     /// Levenberg's damping of each lane; 0 for none.
     pub damping: Wide,

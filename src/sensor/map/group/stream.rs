@@ -14,8 +14,8 @@ pub(super) const EVENT: u64 = 1;
 pub(super) const FRAME: u64 = 2;
 /// Log light is the target.
 pub(super) const LIGHT: u64 = 4;
-/// Silence: voltage and reference are less than a threshold apart.
-pub(super) const SILENCE: u64 = 8;
+/// NoEvent: voltage and reference are less than a threshold apart.
+pub(super) const NO_EVENT: u64 = 8;
 /// With [`FRAME`]: the value is a lower bound.
 pub(super) const BOUND: u64 = 16;
 /// No measurement: the reference moves by a threshold.
@@ -29,7 +29,7 @@ pub(super) const SEGMENT: u64 = 256;
 /// With [`EVENT`] and [`MOVE`]: the polarity is ON.
 pub(super) const RISE: u64 = 512;
 /// All that can be at a step but once.
-const TAKES: u64 = EVENT | FRAME | LIGHT | SILENCE | MOVE;
+const TAKES: u64 = EVENT | FRAME | LIGHT | NO_EVENT | MOVE;
 
 /// A step of one pixel.
 #[derive(Clone, Copy, Debug)]
@@ -98,8 +98,8 @@ impl Stream {
                 }
             }
             // Where the reference was just taken anew, nothing can be broken.
-            if problem.silence_sigma > 0.0 && !is_blind && !fires && self.last().what & LATCH == 0 {
-                self.measure(SILENCE, 0.0, problem.silence_sigma * problem.silence_sigma);
+            if problem.no_event_sigma > 0.0 && !is_blind && !fires && self.last().what & LATCH == 0 {
+                self.measure(NO_EVENT, 0.0, problem.no_event_sigma * problem.no_event_sigma);
             }
         }
     }
@@ -116,8 +116,8 @@ impl Stream {
     /// A measurement at the last knot, after all that stands there.
     fn measure(&mut self, what: u64, target: f64, variance: f64) {
         let last = *self.last();
-        // Silence does not see what an exposure's begin forgets.
-        if last.what & TAKES != 0 || (last.what & (EXPOSE | LATCH) != 0 && what != SILENCE) {
+        // The no-event constraint does not see what an exposure's begin forgets.
+        if last.what & TAKES != 0 || (last.what & (EXPOSE | LATCH) != 0 && what != NO_EVENT) {
             self.begin(last.knot as usize, 0, 0.0);
         }
         let step = self.last();

@@ -23,7 +23,7 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
             let mut events: Vec<MapEvent> = whole.events.iter().filter(|event| event.t_in_ns <= end_ns).copied().collect();
             let mut frames: Vec<MapFrame> = whole.frames.iter().filter(|frame| frame.end_ns <= end_ns).copied().collect();
             if n % 7 == 3 {
-                // Frames that differ by more than silence allows: steps are refused.
+                // Frames that differ by more than the no-event constraint allows: steps are refused.
                 events.clear();
                 for frame in frames.iter_mut().step_by(2) {
                     frame.dn *= 4.0;
@@ -49,16 +49,16 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
         .iter()
         .enumerate()
         .map(|(n, Cut { events, frames, hints, end_ns })| {
-            let mut problem = MapProblem { events, frames, hints, end_ns: *end_ns, silence_sigma: 0.03, ..whole.problem(reset) };
+            let mut problem = MapProblem { events, frames, hints, end_ns: *end_ns, no_event_sigma: 0.03, ..whole.problem(reset) };
             problem.lost_before = if n % 7 == 1 { &[0, 2, 6] } else { &[] };
             problem.beyond = if n % 5 == 2 { &[0.03, -0.02, 0.0, 0.05, -0.04, 0.01] } else { &[] };
             problem.sensor.threshold_on *= [1.0, 0.3, 2.5, 1.0, 8.0][n % 5];
             problem.noise.threshold = [0.0, 0.02][n / 8 % 2];
             problem.stamp_sigma_s = [0.0, 1e-6][n % 2];
-            problem.noise.lone = [LoneEvents::Doubted, LoneEvents::Believed][n / 4 % 2];
+            problem.noise.lone = [LoneEvents::Doubted, LoneEvents::Trusted][n / 4 % 2];
             let mut options = MapOptions::default();
             let busy = Prior::Local(Local { floor_per_s: 60.0, ..Local::USUAL });
-            options.prior = [Prior::USUAL, busy, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::Glide { per_s3: 3e6, nu: 3.0 }][n / 2 % 4];
+            options.prior = [Prior::USUAL, busy, Prior::Walk { per_s: 1.0, nu: 1.0 }, Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 }][n / 2 % 4];
             options.max_iterations = 5 + n % 9;
             options.with_sigma = n % 3 != 1;
             MapTask { problem, options }
