@@ -168,9 +168,9 @@ fn refuse_foreign_folders(shared: &Shared<'_>) {
 }
 
 /// Stops the other workers when this one breaks off: they would wait for its task for ever.
-struct Alarm<'a, 'b>(&'a Shared<'b>);
+struct StopsOthers<'a, 'b>(&'a Shared<'b>);
 
-impl Drop for Alarm<'_, '_> {
+impl Drop for StopsOthers<'_, '_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.0.state().broken = true;
@@ -180,7 +180,7 @@ impl Drop for Alarm<'_, '_> {
 }
 
 fn work(shared: &Shared<'_>, writer: &crossbeam::channel::Sender<writer::Message>) {
-    let _alarm = Alarm(shared);
+    let _stops = StopsOthers(shared);
     loop {
         let claim = {
             let mut state = shared.state();
