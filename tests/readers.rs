@@ -97,7 +97,7 @@ fn python() -> Option<&'static str> {
     let has_it = |name: &&str| Command::new(name).args(["-c", "import h5py, numpy"]).output().is_ok_and(|output| output.status.success());
     let found = ["python3", "/usr/bin/python3"].into_iter().find(has_it);
     if found.is_none() {
-        println!("skipped: no python3 with h5py and numpy here; `make readers` installs them");
+        eprintln!("skipped: no python3 with h5py and numpy here; `make readers` installs them");
     }
     found
 }
@@ -161,7 +161,7 @@ print(json.dumps({{
 #[test]
 fn the_octave_reader_reads_what_the_command_writes() {
     if !Command::new("octave-cli").arg("--version").output().is_ok_and(|output| output.status.success()) {
-        println!("skipped: no octave-cli here; Debian has it as `octave`");
+        eprintln!("skipped: no octave-cli here; Debian has it as `octave`");
         return;
     }
     let bench = finished();
