@@ -75,6 +75,32 @@ fn a_davis_camera_couples_leaks_is_blind_late_and_more_sensitive_than_stated() {
     }
 }
 
+/// What was read off the clip without this program (data/README.md): events agree with frames best 5 ms later, the wait for a threshold included, and the log change for an event is 0.31 to 0.6.
+#[test]
+fn a_dim_davis_camera_is_late_more_sensitive_and_has_a_dark_current_where_held_out_frames_agree() {
+    let bench = Bench::new();
+    let pipeline = support::root().join("pipelines/cradle.toml");
+    let found = |least_better_db: &str| -> Value {
+        let set = format!("nodes.confirm.params.least_better_db={least_better_db}");
+        let done = bench.run(&["run", pipeline.to_str().expect("UTF-8"), "--to", "answer", "--set", &set, "--out", "found"]);
+        assert_eq!(done.code, 0, "{}", done.stderr);
+        serde_json::from_str(&read(&bench, "found/answer/diagnosis.json")).expect("JSON")
+    };
+    let report = found("1.0");
+    let number = |id: &str, key: &str| {
+        let effect = report["effects"].as_array().and_then(|all| all.iter().find(|effect| effect["id"] == id));
+        effect.and_then(|effect| effect["parameters"][key]["estimate"].as_f64()).unwrap_or_else(|| panic!("{id} in {}", report["summary"]))
+    };
+    assert!((1e-3..5e-3).contains(&number("clock_offset", "offset_s")));
+    // The dark half of the clip is below 25 DN, and 1 is 1 DN.
+    assert!((2.5..25.0).contains(&number("dark_current", "current")));
+    // 0.28 to 0.4 for the stated 0.49 and 0.46, as a dark current leaves less to the thresholds.
+    assert!((-0.43..-0.15).contains(&number("threshold_scale", "fraction")));
+    let none = found("50.0");
+    let is_named = |id: &str| none["effects"].as_array().expect("effects").iter().any(|effect| effect["id"] == id);
+    assert!(!["clock_offset", "dark_current", "threshold_scale"].into_iter().any(is_named), "{}", none["summary"]);
+}
+
 #[test]
 fn what_cannot_be_diagnosed_says_why() {
     let bench = Bench::new();

@@ -10,6 +10,7 @@ use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
 use photocurrent_sensor::model::Model;
+use photocurrent_sensor::undo::sum;
 
 /// No hint is better than this, natural-log units.
 pub(super) const FLOOR: f64 = 0.01;
@@ -48,13 +49,6 @@ pub(super) struct Posed {
     pub model: Model,
     /// What effects add to the photocurrent of the event path; measurements, hints and solutions are those of the sum.
     pub added: f64,
-}
-
-impl Posed {
-    /// The log photocurrent of the sum, the pixel's own given.
-    fn sum(&self, log: f64) -> f64 {
-        if self.added == 0.0 { log } else { libm::log(libm::exp(log) + self.added) }
-    }
 }
 
 /// A pixel and what it measured.
@@ -108,9 +102,9 @@ impl Trust {
         let (x, y) = measured.place;
         let mut t_ns = span.0 + step_ns / 2;
         while t_ns < span.1 {
-            let said = say(t_ns).map(|said| Said { log: measured.sensor.sum(said.log), ..said });
+            let said = say(t_ns).map(|said| Said { log: sum(measured.sensor.added, said.log), ..said });
             self.said.extend(said);
-            if let Some(log) = said.map(|said| said.log).or_else(|| tracks.at(x, y, t_ns).map(|log| measured.sensor.sum(log))) {
+            if let Some(log) = said.map(|said| said.log).or_else(|| tracks.at(x, y, t_ns).map(|log| sum(measured.sensor.added, log))) {
                 self.t_ns.push(t_ns);
                 self.log.push(log);
             }

@@ -97,6 +97,11 @@ pub struct Memory {
     without: Conditional,
 }
 
+/// The log photocurrent of a pixel's own and what is added to it.
+pub fn sum(added: f64, log_own: f64) -> f64 {
+    if added == 0.0 { log_own } else { libm::log(exp(log_own) + added) }
+}
+
 impl Undo {
     /// Of the effects of a description ([`crate::effects::from_description`]).
     pub fn new(effects: Vec<Box<dyn Effect>>) -> Undo {
@@ -197,7 +202,7 @@ impl Undo {
 
     /// The log photocurrent of the sum, the pixel's own given.
     pub fn sum(&self, log_own: f64) -> f64 {
-        if self.added == 0.0 { log_own } else { libm::log(exp(log_own) + self.added) }
+        sum(self.added, log_own)
     }
 
     /// When an event really fired and left, its recorded stamps given.

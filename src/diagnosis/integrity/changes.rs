@@ -10,31 +10,29 @@
 //! business of tests that estimate the scene. Another threshold than stated changes neither. Estimates have an error of up to a third.
 
 use super::still::noise_dn;
-use super::{Finding, Heldout, half, quantile};
+use super::{Finding, NATS, half, lowest, quantile};
 use crate::case::{Case, Recorded};
 use crate::nominal::Nominal;
 
 /// Exposures longer than this share of the period say too little.
 pub(super) const LONGEST_EXPOSURE: f64 = 0.25;
 /// So few changes decide nothing.
-const FEWEST: usize = 1000;
+pub(super) const FEWEST: usize = 1000;
 /// A frame value must be so many standard deviations of its noise above black.
-const SIGNAL: f64 = 12.0;
+pub(super) const SIGNAL: f64 = 12.0;
 /// And below this share of saturation.
-const FULL: f64 = 0.98;
+pub(super) const FULL: f64 = 0.98;
 /// Shifts that are tried, as a share of the frame period each way, and how many.
 const REACH: f64 = 0.4;
 const SHIFTS: i64 = 40;
 /// A delay counts from 1 ms on,
-const DELAY_NS: f64 = 1e6;
+pub(super) const DELAY_NS: f64 = 1e6;
 /// from this share of the exposure,
 const DELAY_EXPOSURES: f64 = 0.3;
 /// and from this share of the period on.
 const DELAY_PERIODS: f64 = 0.04;
-/// Nats that half of the array must gain from what the other half says.
-const NATS: f64 = 30.0;
 /// Events that are early by less than this multiple of the shortest interval may be late enough, and their pixels blind.
-const SHORTEST: f64 = 1.2;
+pub(super) const SHORTEST: f64 = 1.2;
 /// A blind time must be longer than stated by this share of the shortest intervals,
 const BLIND_INTERVALS: f64 = 0.25;
 /// and by this share of the exposure.
@@ -181,6 +179,42 @@ impl Predicted {
     }
 }
 
+/// Sums of both halves for shifts of the events, from the earliest to the latest.
+pub(super) struct Shifts {
+    step_ns: f64,
+    tried: Vec<[Sums; 2]>,
+}
+
+impl Shifts {
+    /// `sums` with events moved earlier by so many ns.
+    pub fn tried(period_ns: f64, sums: impl Fn(i64) -> [Sums; 2]) -> Shifts {
+        let step_ns = REACH * period_ns / SHIFTS as f64;
+        Shifts { step_ns, tried: (-SHIFTS..=SHIFTS).map(|k| sums((k as f64 * step_ns).round() as i64)).collect() }
+    }
+
+    fn left(sums: &Sums) -> f64 {
+        sums.solve(2).map_or(f64::INFINITY, |factors| sums.left(factors))
+    }
+
+    /// By how much events come late, ns; none at the rim.
+    pub fn best_ns(&self) -> Option<f64> {
+        let curve: Vec<f64> = self.tried.iter().map(|[a, b]| Shifts::left(&a.and(b))).collect();
+        Some((lowest(&curve)? - SHIFTS as f64) * self.step_ns)
+    }
+
+    /// Gain over no shift, each half predicted at the shift that is best on the other, nats.
+    pub fn nats(&self) -> f64 {
+        let unmoved = &self.tried[SHIFTS as usize];
+        let gain = |side: usize| -> Option<f64> {
+            let other = 1 - side;
+            let moved = self.tried.iter().min_by(|a, b| Shifts::left(&a[other]).total_cmp(&Shifts::left(&b[other])))?;
+            let better = Predicted::new(moved[side], moved[other], 2)?;
+            Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
+        };
+        gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b)
+    }
+}
+
 /// Events of a pixel at the middle of the light that they stand for: what made their step before them, and what is lost after them while the pixel is blind. The next
 /// interval of the same sign stands in where it is shorter, and `usual_ns` where there is none.
 pub(super) fn centred(events: &[Recorded], usual_ns: i64, blind_ns: i64) -> impl Iterator<Item = i64> {
@@ -233,40 +267,21 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         }
         place.push(plain.len() - 1);
     }
-    let sums = |events: &[Vec<(i64, i8)>], shift_ns: f64| -> [Sums; 2] {
+    let sums = |events: &[Vec<(i64, i8)>], shift_ns: i64| -> [Sums; 2] {
         let mut sums = [Sums::default(); 2];
         for (change, &place) in large.iter().zip(&place) {
-            let at = |t_ns: i64| events[place].partition_point(|event| event.0 < t_ns + shift_ns.round() as i64);
+            let at = |t_ns: i64| events[place].partition_point(|event| event.0 < t_ns + shift_ns);
             let within = &events[place][at(change.span.0)..at(change.span.1)];
             let on = within.iter().filter(|event| event.1 > 0).count() as f64;
             sums[half(case, change.pixel)].add([on, on - within.len() as f64, 0.0], change.log);
         }
         sums
     };
-    let step = REACH * changes.period_ns / SHIFTS as f64;
-    let tried = |events: &[Vec<(i64, i8)>]| -> Vec<[Sums; 2]> { (-SHIFTS..=SHIFTS).map(|k| sums(events, k as f64 * step)).collect() };
-    let left = |sums: &Sums| sums.solve(2).map_or(f64::INFINITY, |factors| sums.left(factors));
-    // The lowest point of a parabola through the best shift and its neighbours, ns; none at the rim.
-    let best = |curve: &[f64]| -> Option<f64> {
-        let k = (0..curve.len()).min_by(|&a, &b| curve[a].total_cmp(&curve[b]))?;
-        let (before, here, after) = (*curve.get(k.checked_sub(1)?)?, curve[k], *curve.get(k + 1)?);
-        let bend = before - 2.0 * here + after;
-        let between = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-        Some((k as f64 - SHIFTS as f64 + between) * step)
-    };
-    let curve = |tried: &[[Sums; 2]]| -> Vec<f64> { tried.iter().map(|[a, b]| left(&a.and(b))).collect() };
-    let of_shift = tried(&middles);
-    let Some(late_ns) = best(&curve(&of_shift)) else { return (0.0, None) };
-    let raw_ns = best(&curve(&tried(&plain))).unwrap_or(late_ns);
-    // Each half is evaluated at the shift that is best on the other.
-    let shift_of = |side: usize| -> Option<usize> { (0..of_shift.len()).min_by(|&a, &b| left(&of_shift[a][side]).total_cmp(&left(&of_shift[b][side]))) };
-    let unmoved = &of_shift[SHIFTS as usize];
-    let gain = |side: usize| -> Option<f64> {
-        let (other, moved) = (1 - side, &of_shift[shift_of(1 - side)?]);
-        let better = Predicted::new(moved[side], moved[other], 2)?;
-        Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
-    };
-    let nats = gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b);
+    let shifted = |events: &[Vec<(i64, i8)>]| Shifts::tried(changes.period_ns, |shift_ns| sums(events, shift_ns));
+    let of_shift = shifted(&middles);
+    let Some(late_ns) = of_shift.best_ns() else { return (0.0, None) };
+    let raw_ns = shifted(&plain).best_ns().unwrap_or(late_ns);
+    let nats = of_shift.nats();
     let least = DELAY_NS.max(DELAY_EXPOSURES * changes.exposure_ns).max(DELAY_PERIODS * changes.period_ns);
     // Light that is lost after events makes them look early by the blind time, which is at most the shortest interval.
     let shortest = quantile(&intervals(case), 0.001);
@@ -279,23 +294,14 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         at(change.span.1) - at(change.span.0)
     };
     let events = large.iter().map(|change| within(change)).sum();
-    let finding = Finding {
-        id: "clock_offset",
-        parameters: vec![("offset", late_ns * 1e-9)],
-        statistic: nats,
-        threshold: NATS,
-        share: 1.0,
-        polarity: "both",
-        pixels: Vec::new(),
-        seen: format!(
-            "{} changes between frames agree best with the events when these are taken {:.2} ms {}; as recorded, with the time that a threshold takes, {:.2} ms",
-            large.len(),
-            late_ns.abs() * 1e-6,
-            if late_ns > 0.0 { "earlier" } else { "later" },
-            raw_ns.abs() * 1e-6
-        ),
-        heldout: Some(Heldout { nats, events }),
-    };
+    let seen = format!(
+        "{} changes between frames agree best with the events when these are taken {:.2} ms {}; as recorded, with the time that a threshold takes, {:.2} ms",
+        large.len(),
+        late_ns.abs() * 1e-6,
+        if late_ns > 0.0 { "earlier" } else { "later" },
+        raw_ns.abs() * 1e-6
+    );
+    let finding = Finding::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, events, seen);
     (late_ns, Some(finding))
 }
 
@@ -387,20 +393,11 @@ fn blind(case: &Case, nominal: &Nominal, changes: &Changes, late_ns: f64) -> Opt
     }
     let shortest = quantile(&intervals(case), 0.001) as f64;
     let value_ns = f64::min(found_ns, shortest);
-    Some(Finding {
-        id: "refractory",
-        parameters: vec![("refractory", value_ns * 1e-9)],
-        statistic: nats,
-        threshold: NATS,
-        share: 1.0,
-        polarity: "both",
-        pixels: Vec::new(),
-        seen: format!(
-            "in {} runs of events between two frames light went the further for an event the faster they came, as if pixels were blind for {:.0} us after each; a thousandth of the intervals is shorter than {:.0} us",
-            runs.len(),
-            found_ns * 1e-3,
-            shortest * 1e-3
-        ),
-        heldout: Some(Heldout { nats, events: within.len() + runs.len() }),
-    })
+    let seen = format!(
+        "in {} runs of events between two frames light went the further for an event the faster they came, as if pixels were blind for {:.0} us after each; a thousandth of the intervals is shorter than {:.0} us",
+        runs.len(),
+        found_ns * 1e-3,
+        shortest * 1e-3
+    );
+    Some(Finding::of_halves("refractory", ("refractory", value_ns * 1e-9), nats, within.len() + runs.len(), seen))
 }

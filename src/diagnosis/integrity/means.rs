@@ -8,34 +8,20 @@
 //! Limits: one delay for all pixels, so that a front end slower than stated looks like a clock; thresholds have an error of up to a tenth, as events that are lost make them look larger. Light that
 //! neighbours mix in, and frames whose black level is too low, look like a dark current.
 
-use super::changes::{LONGEST_EXPOSURE, Predicted, Sums, centred, intervals};
+use super::changes::{DELAY_NS, FEWEST, FULL, LONGEST_EXPOSURE, Predicted, SHORTEST, SIGNAL, Shifts, Sums, centred, intervals};
 use super::still::noise_dn;
-use super::{Finding, Heldout, half, quantile};
+use super::{Finding, NATS, half, lowest, quantile};
 use crate::case::{Case, Recorded};
 use crate::nominal::Nominal;
 use photocurrent_core::sensor::Reset;
 use photocurrent_sensor::front_end::time_constant;
 
-/// So few pairs of frames decide nothing.
-const FEWEST: usize = 1000;
 /// More pixels than make about so many pairs are not looked at.
 const MOST: usize = 60_000;
-/// A frame value must be so many standard deviations of its noise above black.
-const SIGNAL: f64 = 12.0;
-/// And below this share of saturation.
-const FULL: f64 = 0.98;
-/// Shifts that are tried, as a share of the frame period each way, and how many.
-const REACH: f64 = 0.4;
-const SHIFTS: i64 = 40;
-/// A delay counts from 1 ms, from this share of the exposure, and from this share of the period on.
-const DELAY_NS: f64 = 1e6;
+/// A delay counts from [`DELAY_NS`], from this share of the exposure, and from this share of the period on.
 const DELAY_EXPOSURES: f64 = 0.05;
 const DELAY_PERIODS: f64 = 0.02;
-/// Events that are early by less than this multiple of the shortest interval may be late enough, and their pixels blind.
-const SHORTEST: f64 = 1.2;
-/// Nats that half of the array must gain from what the other half says.
-const NATS: f64 = 30.0;
-/// Thresholds that differ by less than this share are within the estimate's own error.
+/// Thresholds that differ by less than this share are not proposed.
 const LEAST_SCALE: f64 = 0.05;
 /// A dark current counts from this share of the median light on.
 const LEAST_DARK: f64 = 0.1;
@@ -251,29 +237,16 @@ fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f
     if large.len() < FEWEST {
         return (0.0, None);
     }
-    let step = REACH * pairs.period_ns / SHIFTS as f64;
-    let sums = |shift: i64| {
+    let of_shift = Shifts::tried(pairs.period_ns, |shift_ns| {
         let mut sums = [Sums::default(); 2];
         for pair in &large {
-            let seen = pairs.seen(pair, stated, (shift as f64 * step).round() as i64);
+            let seen = pairs.seen(pair, stated, shift_ns);
             sums[pair.half].add([seen.on, seen.off, 0.0], pair.change(0.0) - seen.beyond);
         }
         sums
-    };
-    let tried: Vec<[Sums; 2]> = (-SHIFTS..=SHIFTS).map(sums).collect();
-    let left = |sums: &Sums| sums.solve(2).map_or(f64::INFINITY, |factors| sums.left(factors));
-    let curve: Vec<f64> = tried.iter().map(|[a, b]| left(&a.and(b))).collect();
-    let Some(best) = lowest(&curve) else { return (0.0, None) };
-    let late_ns = (best - SHIFTS as f64) * step;
-    // Each half is predicted at the shift that is best on the other.
-    let shift_of = |side: usize| (0..tried.len()).min_by(|&a, &b| left(&tried[a][side]).total_cmp(&left(&tried[b][side])));
-    let unmoved = &tried[SHIFTS as usize];
-    let gain = |side: usize| -> Option<f64> {
-        let (other, moved) = (1 - side, &tried[shift_of(1 - side)?]);
-        let better = Predicted::new(moved[side], moved[other], 2)?;
-        Some(better.log_likelihood() - Predicted::new(unmoved[side], unmoved[other], 2)?.log_likelihood())
-    };
-    let nats = gain(0).zip(gain(1)).map_or(0.0, |(a, b)| a + b);
+    });
+    let Some(late_ns) = of_shift.best_ns() else { return (0.0, None) };
+    let nats = of_shift.nats();
     let least = DELAY_NS.max(DELAY_EXPOSURES * pairs.exposure_ns).max(DELAY_PERIODS * pairs.period_ns);
     let shortest = quantile(&intervals(case), 0.001);
     let is_loss = late_ns < 0.0 && -late_ns < SHORTEST * (shortest - nominal.pixel.refractory_ns) as f64;
@@ -286,7 +259,7 @@ fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f
         late_ns.abs() * 1e-6,
         if late_ns > 0.0 { "earlier" } else { "later" },
     );
-    (late_ns, Some(finding("clock_offset", ("offset", late_ns * 1e-9), nats, large.len(), seen)))
+    (late_ns, Some(Finding::of_halves("clock_offset", ("offset", late_ns * 1e-9), nats, large.len(), seen)))
 }
 
 /// Thresholds that frames contradict at a delay, and thresholds with a dark current.
@@ -335,7 +308,7 @@ fn contrast(pairs: &Pairs, stated: (f64, f64), late_ns: f64) -> Vec<Vec<Finding>
             dark / pairs.median
         );
         let mut findings = thresholds(sums(&seen, dark), stated, seen.len());
-        findings.push(finding("dark_current", ("current", dark), nats, seen.len(), said));
+        findings.push(Finding::of_halves("dark_current", ("current", dark), nats, seen.len(), said));
         all.push(findings);
     }
     all
@@ -364,10 +337,10 @@ fn thresholds(fits: [Fit; 2], stated: (f64, f64), measured: usize) -> Vec<Findin
     let said = format!("in {measured} pairs of frames an ON event comes for a change of {on:.3} of the log light and an OFF event for {off:.3}");
     let mut all = Vec::new();
     if scale.abs() > LEAST_SCALE && of_scale > NATS {
-        all.push(finding("threshold_scale", ("fraction", scale), of_scale, measured, said.clone()));
+        all.push(Finding::of_halves("threshold_scale", ("fraction", scale), of_scale, measured, said.clone()));
     }
     if asymmetry.abs() > LEAST_SCALE && apart > NATS {
-        all.push(finding("threshold_asymmetry", ("fraction", asymmetry), apart, measured, said));
+        all.push(Finding::of_halves("threshold_asymmetry", ("fraction", asymmetry), apart, measured, said));
     }
     all
 }
@@ -392,28 +365,5 @@ impl Fit {
     /// With the thresholds that are best on another one.
     fn predicted_by(&self, other: &Fit) -> Option<f64> {
         Some(Predicted::new(self.sums, other.sums, 2)?.log_likelihood() + self.density)
-    }
-}
-
-/// Where a curve is lowest, by a parabola through the lowest point and its neighbours; none at a rim.
-fn lowest(curve: &[f64]) -> Option<f64> {
-    let k = (0..curve.len()).min_by(|&a, &b| curve[a].total_cmp(&curve[b]))?;
-    let (before, here, after) = (*curve.get(k.checked_sub(1)?)?, curve[k], *curve.get(k + 1)?);
-    let bend = before - 2.0 * here + after;
-    let between = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
-    Some(k as f64 + between)
-}
-
-fn finding(id: &'static str, parameter: (&'static str, f64), nats: f64, measured: usize, seen: String) -> Finding {
-    Finding {
-        id,
-        parameters: vec![parameter],
-        statistic: nats,
-        threshold: NATS,
-        share: 1.0,
-        polarity: "both",
-        pixels: Vec::new(),
-        seen,
-        heldout: Some(Heldout { nats, events: measured }),
     }
 }

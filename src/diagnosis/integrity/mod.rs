@@ -64,6 +64,17 @@ pub struct Finding {
     pub heldout: Option<Heldout>,
 }
 
+/// Nats that half of the array must gain from what the other half says.
+const NATS: f64 = 30.0;
+
+impl Finding {
+    /// Of a test that predicts each half of the array from the other: `nats` in all, on so many events.
+    fn of_halves(id: &'static str, parameter: (&'static str, f64), nats: f64, events: usize, seen: String) -> Finding {
+        let heldout = Some(Heldout { nats, events });
+        Finding { id, parameters: vec![parameter], statistic: nats, threshold: NATS, share: 1.0, polarity: "both", pixels: Vec::new(), seen, heldout }
+    }
+}
+
 /// Gain in log-likelihood on one half of the blocks of pixels with what was estimated on the other, both ways.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Heldout {
@@ -212,6 +223,15 @@ impl Stream {
 pub(crate) fn quantile<T: Copy + Default>(sorted: &[T], share: f64) -> T {
     let at = ((sorted.len() as f64 * share) as usize).min(sorted.len().saturating_sub(1));
     sorted.get(at).copied().unwrap_or_default()
+}
+
+/// Where a curve is lowest, by a parabola through the lowest point and its neighbours; none at a rim.
+fn lowest(curve: &[f64]) -> Option<f64> {
+    let k = (0..curve.len()).min_by(|&a, &b| curve[a].total_cmp(&curve[b]))?;
+    let (before, here, after) = (*curve.get(k.checked_sub(1)?)?, curve[k], *curve.get(k + 1)?);
+    let bend = before - 2.0 * here + after;
+    let between = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
+    Some(k as f64 + between)
 }
 
 /// The median; sorts.

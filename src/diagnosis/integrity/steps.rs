@@ -7,15 +7,13 @@
 //! curve, within a tenth, so that only more than that is a finding.
 
 use super::changes::LONGEST_EXPOSURE;
-use super::{Finding, Heldout};
+use super::{Finding, NATS};
 use crate::case::Case;
 use crate::nominal::Nominal;
 use photocurrent_sensor::estimate::{Centring, NOWHERE, Panel, Steps, Stretch, offset, step_gains, thresholds};
 
 /// Thresholds that differ by less than this are within the estimate's own error.
 const LEAST: f64 = 0.12;
-/// Nats that half of the picture must gain from what the other half says.
-const NATS: f64 = 30.0;
 /// Rows may be exposed one after the other for this share of the period.
 const MOST_SKEW: f64 = 0.1;
 /// Pixels that are looked at, in bands of rows; the busiest, less one of so many that may be hot.
@@ -41,19 +39,12 @@ pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> 
     let ratios = (on.value / stated.0, off.value / stated.1);
     let (scale, asymmetry) = (0.5 * (ratios.0 + ratios.1) - 1.0, (ratios.0 - ratios.1) / (ratios.0 + ratios.1));
     let is_off = !(on.holds(stated.0) && off.holds(stated.1)) && (ratios.0 - 1.0) * (ratios.1 - 1.0) > 0.0;
-    let one = |id: &'static str, fraction: f64, nats: f64| Finding {
-        id,
-        parameters: vec![("fraction", fraction)],
-        statistic: nats,
-        threshold: NATS,
-        share: 1.0,
-        polarity: "both",
-        pixels: Vec::new(),
-        seen: format!(
+    let one = |id: &'static str, fraction: f64, nats: f64| {
+        let seen = format!(
             "in {measured} places and pairs of frames an ON event comes for a change of {:.3} ({:.3} to {:.3}) of the log light and an OFF event for {:.3} ({:.3} to {:.3})",
             on.value, on.ci95.0, on.ci95.1, off.value, off.ci95.0, off.ci95.1
-        ),
-        heldout: Some(Heldout { nats, events: gains.measured }),
+        );
+        Finding::of_halves(id, ("fraction", fraction), nats, gains.measured, seen)
     };
     let mut all = Vec::new();
     if is_off && scale.abs() > LEAST && gains.scale > NATS {
