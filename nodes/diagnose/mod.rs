@@ -76,7 +76,7 @@ fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
         events: PixelEvents::default(),
         has_t_in: events.is_some_and(|events| events.has_t_in),
         t_resolution_ns: events.and_then(|events| events.t_resolution_ns).unwrap_or(0),
-        frames: frames.map(|frames| CaseFrames { times: frames.times.clone(), dn: Vec::new() }),
+        frames: frames.map(|frames| CaseFrames::new(frames.times.clone(), Vec::new())),
         sensor: (**sensor).clone(),
     };
     empty.nominal().map_err(|error| error.blames(DataType::Sensor))?;

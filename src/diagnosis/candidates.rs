@@ -51,7 +51,7 @@ impl Scales {
         if let Some(frames) = &case.frames {
             exposure_s = frames.times.nominal_exposure_ns().unwrap_or(0) as f64 * 1e-9;
             // Every 7th value: enough for a median.
-            signals = frames.dn.iter().step_by(7).filter(|dn| dn.is_finite()).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
+            signals = frames.every(7).filter(|dn| dn.is_finite()).map(|dn| f64::from(dn) - nominal.number.black_level).collect();
             frame_period_s = frames.times.mean_period_ns().map_or(duration_s, |period_ns| period_ns * 1e-9);
             frame_phase_s = frames.times.exposures.first().map_or(0.0, |exposure| exposure.end.0 as f64 * 1e-9).rem_euclid(frame_period_s);
         }
@@ -66,7 +66,7 @@ impl Scales {
         }
         intervals.sort_unstable();
         let short_s = intervals.get(intervals.len() / 20).map_or(1e-2, |ns| f64::max(*ns as f64 * 1e-9, 1e-5));
-        let rate_hz = f64::max(case.events.all().len() as f64 / duration_s, 1.0);
+        let rate_hz = f64::max(case.events.len() as f64 / duration_s, 1.0);
         let (stamp_s, rows, slope_per_s) = (case.t_resolution_ns as f64 * 1e-9, f64::from(case.extent.height), threshold / short_s);
         Scales { light, threshold, duration_s, exposure_s, signal_dn, largest_dn, slope_per_s, rate_hz, frame_period_s, frame_phase_s, stamp_s, rows }
     }

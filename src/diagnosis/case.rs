@@ -1,6 +1,8 @@
 //! What is diagnosed: the events of every pixel in order of time, the frames, and the description of the sensor.
 
-use photocurrent_core::events::Event;
+use crate::recorded::Gathered;
+pub use crate::recorded::{CaseFrames, PixelEvents, Recorded};
+use photocurrent_core::events::{Event, EventRow};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
     Colour, DataError, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Meta, Polarity, Sensor,
@@ -9,67 +11,17 @@ use photocurrent_core::{
 use std::ops::Range;
 use std::sync::Arc;
 
-/// An event as it was recorded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Recorded {
-    /// When it fired, ns: the recorded in-pixel stamp, or the off-pixel stamp less the smallest latency.
-    pub t_in_ns: i64,
-    /// When it left the array, ns, as recorded.
-    pub t_off_ns: i64,
-    /// +1 or -1.
-    pub polarity: i8,
+/// Events are read in at most so many bands of rows: each of them may be a scan of the whole file.
+const MOST_BANDS: u64 = 8;
+/// Fewer events than this are no band of their own.
+const BAND_EVENTS: u64 = 1 << 20;
+
+/// Number of bands in which so many events are read.
+fn bands(events: u64) -> u64 {
+    (events / BAND_EVENTS).clamp(1, MOST_BANDS)
 }
 
-/// The events of all pixels of an array, pixel by pixel, each in order of in-pixel time.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct PixelEvents {
-    first: Vec<usize>,
-    all: Vec<Recorded>,
-}
-
-impl PixelEvents {
-    /// From the events of each pixel, in row-major order of pixels; sorts each.
-    pub fn new(pixels: impl IntoIterator<Item = Vec<Recorded>>) -> PixelEvents {
-        let (mut first, mut all) = (vec![0], Vec::new());
-        for mut events in pixels {
-            events.sort_by_key(|event| (event.t_in_ns, event.t_off_ns));
-            all.extend(events);
-            first.push(all.len());
-        }
-        PixelEvents { first, all }
-    }
-
-    /// Number of pixels.
-    pub fn pixels(&self) -> usize {
-        self.first.len() - 1
-    }
-
-    /// Where the events of a pixel stand in [`PixelEvents::all`].
-    pub fn range(&self, pixel: usize) -> Range<usize> {
-        self.first[pixel]..self.first[pixel + 1]
-    }
-
-    /// The events of a pixel (`y * width + x`).
-    pub fn of(&self, pixel: usize) -> &[Recorded] {
-        &self.all[self.range(pixel)]
-    }
-
-    /// Every event.
-    pub fn all(&self) -> &[Recorded] {
-        &self.all
-    }
-}
-
-/// Frames in memory.
-#[derive(Clone, Debug, PartialEq)]
-pub struct CaseFrames {
-    /// Exposures and row time.
-    pub times: FrameTimes,
-    /// DN as [frame][y][x]; NaN = not known.
-    pub dn: Vec<f32>,
-}
-
-/// A recording that is to be diagnosed.
+/// A recording that is to be diagnosed. A copy shares events and frame values.
 #[derive(Clone, Debug)]
 pub struct Case {
     /// Size of the array.
@@ -89,12 +41,12 @@ pub struct Case {
 }
 
 impl Case {
-    /// About how many bytes reading takes at its peak: events as they are read, by pixel and in one list, and frames.
+    /// About how many bytes reading takes at its peak: events by pixel, a band of them as it is read, and frames.
     pub fn estimated_bytes(events: Option<&Arc<EventsMeta>>, frames: Option<&Arc<FramesMeta>>) -> u64 {
-        let lists = 2 * size_of::<Recorded>() as u64;
         let events = events.map_or(0, |meta| {
             let count = meta.count_hint.unwrap_or(8 * meta.extent.pixels() as u64);
-            count.saturating_mul(lists).saturating_add(Meta::Events(meta.clone()).estimated_bytes())
+            let band = Meta::Events(meta.clone()).estimated_bytes() / bands(count);
+            count.saturating_mul(size_of::<Recorded>() as u64).saturating_add(band)
         });
         events.saturating_add(frames.map_or(0, |meta| Meta::Frames(meta.clone()).estimated_bytes()))
     }
@@ -116,29 +68,27 @@ impl Case {
             return Err(DataError::new(format!("frames have {found}; a diagnosis needs grey frames of {extent} pixels, as the events have")));
         }
         let latency_ns = sensor.readout.latency_min.map_or(0, Duration::ns);
-        let mut pixels = vec![Vec::new(); extent.pixels()];
-        if let Some(events) = events {
-            let band = events.read(extent.rows())?;
-            for y in extent.rows().iter() {
-                let row = band.row(y);
-                for k in 0..row.len() {
-                    let t_off_ns = row.t[k];
-                    let t_in_ns = row.t_in.map_or(t_off_ns - latency_ns, |t_in| t_in[k]);
-                    let recorded = Recorded { t_in_ns, t_off_ns, polarity: if row.on[k] == 1 { 1 } else { -1 } };
-                    pixels[y as usize * extent.width as usize + usize::from(row.x[k])].push(recorded);
+        let count = events.and_then(|events| events.meta.count_hint).unwrap_or(0);
+        let mut gathered = Gathered::with_room(count as usize);
+        match events {
+            Some(events) => {
+                for rows in extent.rows().bands(u64::from(extent.height).div_ceil(bands(count)) as u32) {
+                    let band = events.read(rows)?;
+                    rows.iter().for_each(|y| gather(&band.row(y), extent.width, latency_ns, &mut gathered));
                 }
             }
+            None => (0..extent.pixels()).for_each(|_| gathered.pixel([])),
         }
         let frames = frames.filter(|frames| !frames.is_empty()).map(|frames| -> Result<CaseFrames, DataError> {
             let block = frames.read_rows(extent.rows())?;
-            Ok(CaseFrames { times: frames.meta.times.clone(), dn: block.dn })
+            Ok(CaseFrames::new(frames.meta.times.clone(), block.dn))
         });
         let frames = frames.transpose()?;
         let span = Case::span_of(events.map(|events| &*events.meta), frames.as_ref().map(|frames| (&frames.times, extent.height)));
         Ok(Case {
             extent,
             span,
-            events: PixelEvents::new(pixels),
+            events: gathered.finish(),
             has_t_in: events.is_some_and(|events| events.meta.has_t_in),
             t_resolution_ns: events.and_then(|events| events.meta.t_resolution_ns).unwrap_or(0),
             frames,
@@ -151,7 +101,7 @@ impl Case {
     /// # Errors
     /// When an event lies outside of the array.
     pub fn streams(&self) -> Result<(EventStream, Option<FrameSequence>), DataError> {
-        let mut events = Vec::with_capacity(self.events.all().len());
+        let mut events = Vec::with_capacity(self.events.len());
         for pixel in 0..self.events.pixels() {
             let (x, y) = self.place(pixel);
             events.extend(self.events.of(pixel).iter().map(|event| Event {
@@ -169,7 +119,7 @@ impl Case {
         let events = EventStream::in_memory(Arc::new(self.events_meta()), band);
         let frames = self.frames.as_ref().map(|frames| {
             let mut block = FrameBlock::zeros(0..frames.times.len(), self.extent.rows(), self.extent.width as usize);
-            block.dn.copy_from_slice(&frames.dn);
+            block.dn.iter_mut().zip(frames.values()).for_each(|(to, dn)| *to = dn);
             let meta = FramesMeta { extent: self.extent, colour: Colour::Mono, times: frames.times.clone(), scale: FrameScale::Captured };
             FrameSequence::in_memory(Arc::new(meta), block)
         });
@@ -209,7 +159,7 @@ impl Case {
         }
         let row = self.extent.height - 1;
         let span = |from: usize| (frames.times.exposure(from, 0).start.0, frames.times.exposure(from + count - 1, row).end.0);
-        let mut instants: Vec<i64> = self.events.all().iter().map(|event| event.t_in_ns).collect();
+        let mut instants: Vec<i64> = self.events.iter().map(|event| event.t_in_ns).collect();
         instants.sort_unstable();
         let number = |from: usize| {
             let (begin, end) = span(from);
@@ -227,11 +177,9 @@ impl Case {
         let frames = self.frames.as_ref().expect("frames are there");
         let pixels = self.extent.pixels();
         let span = (frames.times.exposure(of.start, 0).start.0, frames.times.exposure(of.end - 1, self.extent.height - 1).end.0);
-        let chosen: Vec<usize> = of.clone().collect();
         let within = |event: &&Recorded| (span.0..span.1).contains(&event.t_in_ns) && event.t_off_ns < span.1;
         let events = PixelEvents::new((0..pixels).map(|pixel| self.events.of(pixel).iter().filter(within).copied().collect()));
-        let frames = CaseFrames { times: frames.times.select(&chosen), dn: frames.dn[of.start * pixels..of.end * pixels].to_vec() };
-        Case { span, events, frames: Some(frames), sensor: self.sensor.clone(), ..*self }
+        Case { span, events, frames: Some(frames.part(of)), sensor: self.sensor.clone(), ..*self }
     }
 
     /// Column and row of a pixel.
@@ -250,9 +198,26 @@ impl Case {
     /// # Panics
     /// Without frames.
     pub fn dn(&self, frame: usize, pixel: usize) -> f64 {
-        let frames = self.frames.as_ref().expect("frames are there");
-        f64::from(frames.dn[frame * self.extent.pixels() + pixel])
+        f64::from(self.frames.as_ref().expect("frames are there").dn(frame, pixel))
     }
+
+    /// The recording without some pixels: they have no event, and their frame values are not known.
+    #[must_use]
+    pub fn without(&self, pixels: &[u32]) -> Case {
+        let frames = self.frames.as_ref().map(|frames| frames.without_pixels(pixels));
+        Case { events: self.events.without(pixels), frames, sensor: self.sensor.clone(), ..*self }
+    }
+}
+
+/// The events of a row, pixel by pixel.
+fn gather(row: &EventRow<'_>, width: u32, latency_ns: i64, gathered: &mut Gathered) {
+    let mut of = vec![Vec::new(); width as usize];
+    for k in 0..row.len() {
+        let t_off_ns = row.t[k];
+        let t_in_ns = row.t_in.map_or(t_off_ns - latency_ns, |t_in| t_in[k]);
+        of[usize::from(row.x[k])].push(Recorded { t_in_ns, t_off_ns, polarity: if row.on[k] == 1 { 1 } else { -1 } });
+    }
+    of.into_iter().for_each(|events| gathered.pixel(events));
 }
 
 #[cfg(test)]
@@ -284,7 +249,7 @@ mod tests {
         assert_eq!(part.span, (24_000_000, 52_000_000 + 9 * 20_000));
         assert_eq!(part.frame_count(), 4);
         assert_eq!((part.dn(0, 17), part.dn(3, 50)), (case.dn(3, 17), case.dn(6, 50)));
-        let within = case.events.all().iter().filter(|event| event.t_in_ns > 35_000_000 && event.t_off_ns < part.span.1).count();
-        assert_eq!(part.events.all().len(), within);
+        let within = case.events.iter().filter(|event| event.t_in_ns > 35_000_000 && event.t_off_ns < part.span.1).count();
+        assert_eq!(part.events.len(), within);
     }
 }

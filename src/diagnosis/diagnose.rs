@@ -1,7 +1,7 @@
 //! A whole diagnosis: direct tests, what is decided on a scene, verdict, fitted description, proof, report; and its last two stages one by one ([`check`], [`confirm`]).
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
-use crate::case::{Case, PixelEvents};
+use crate::case::Case;
 use crate::fitted::{add_numbers, fitted};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
@@ -96,7 +96,7 @@ pub fn check(case: &Case) -> Result<Integrity, NodeError> {
 
 /// Is there enough, and is it sound enough, to estimate a scene?
 pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
-    integrity.broken.is_empty() && case.events.all().len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES
+    integrity.broken.is_empty() && case.events.len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES
 }
 
 /// The recording with what direct tests found in its description, and without the pixels that they exclude: what is decided on a scene is the rest.
@@ -183,25 +183,9 @@ pub(crate) fn looked_at(case: &Case) -> Sample {
     Sample::blocks(case, zones, SIDE, 1, (3.0, 300.0))
 }
 
-/// The recording without the pixels that direct tests exclude.
-fn without_masked(case: &Case, integrity: &Integrity) -> Case {
-    let mut rest = case.clone();
-    if !integrity.masked.is_empty() {
-        let keep = |pixel: usize| integrity.masked.binary_search(&(pixel as u32)).is_err();
-        let events = (0..case.events.pixels()).map(|pixel| if keep(pixel) { case.events.of(pixel).to_vec() } else { Vec::new() });
-        rest.events = PixelEvents::new(events);
-        if let Some(frames) = &mut rest.frames {
-            let pixels = case.extent.pixels();
-            let masked = integrity.masked.iter().flat_map(|&pixel| (pixel as usize..frames.dn.len()).step_by(pixels));
-            masked.collect::<Vec<_>>().into_iter().for_each(|at| frames.dn[at] = f32::NAN);
-        }
-    }
-    rest
-}
-
 /// The recording with what direct tests found in its description, and without the pixels that they exclude, what is decided on a scene is the rest.
 pub fn amended(case: &Case, nominal: &Nominal, scales: &Scales, integrity: &Integrity) -> Case {
-    let mut amended = without_masked(case, integrity);
+    let mut amended = case.without(&integrity.masked);
     // Hot rows and pixels are out with their pixels.
     let rest = integrity.findings.iter().filter(|finding| !hot::IDS.contains(&finding.id));
     let values: Vec<(usize, f64)> = rest.clone().flat_map(values_of).collect();
@@ -402,18 +386,18 @@ fn not_testable(case: &Case, proposed: &Proposed, claims: &[Claim]) -> Vec<NotTe
     let why = match proposed {
         Proposed::Decided(_) => return Vec::new(),
         _ if case.frame_count() < FEWEST_FRAMES => "it needs events and frames of the same scene, and there are not enough frames",
-        _ if case.events.all().len() < FEWEST_EVENTS => "it needs events and frames of the same scene, and there are not enough events",
+        _ if case.events.len() < FEWEST_EVENTS => "it needs events and frames of the same scene, and there are not enough events",
         Proposed::Nothing(why) => why,
         Proposed::NotAsked => "it needs the scene, and no test that estimates the scene took part",
     };
-    let is_tested = |id: &str| TESTED.contains(&id) && case.events.all().len() >= FEWEST_EVENTS || claims.iter().any(|claim| claim.id == id);
+    let is_tested = |id: &str| TESTED.contains(&id) && case.events.len() >= FEWEST_EVENTS || claims.iter().any(|claim| claim.id == id);
     let ids = catalogue().into_iter().map(|kind| kind.decl.id).filter(|id| !is_tested(id));
     ids.map(|id| NotTestable { id: id.to_owned(), why: why.to_owned() }).collect()
 }
 
 /// Of events, frames and their times.
 fn digest(case: &Case) -> String {
-    let mut digest = DigestBuilder::new("photocurrent-diagnosis-case/1");
+    let mut digest = DigestBuilder::new("photocurrent-diagnosis-case/2");
     digest.integer(case.extent.width.into()).integer(case.extent.height.into()).integer(case.t_resolution_ns).integer(case.has_t_in.into());
     for pixel in 0..case.events.pixels() {
         let numbers: Vec<i64> = case.events.of(pixel).iter().flat_map(|event| [event.t_in_ns, event.t_off_ns, event.polarity.into()]).collect();
@@ -424,7 +408,10 @@ fn digest(case: &Case) -> String {
         for exposure in frames.times.exposures.iter() {
             digest.integer(exposure.start.0).integer(exposure.end.0);
         }
-        digest.slice(&frames.dn);
+        let pixels = 0..case.extent.pixels();
+        (0..frames.times.len()).for_each(|l| {
+            digest.slice(&pixels.clone().map(|pixel| frames.dn(l, pixel)).collect::<Vec<f32>>());
+        });
     }
     digest.finish().to_string()
 }

@@ -142,13 +142,8 @@ pub fn hold_out(case: &Case) -> Option<(Case, Vec<usize>)> {
     if count < 5 {
         return None;
     }
-    let pixels = case.extent.pixels();
-    let mut rest = case.clone();
-    if let Some(frames) = &mut rest.frames {
-        for frame in (KEPT..count).step_by(3) {
-            frames.dn[frame * pixels..(frame + 1) * pixels].fill(f32::NAN);
-        }
-    }
+    let frames = case.frames.as_ref().map(|frames| frames.without_frames((KEPT..count).step_by(3)));
+    let rest = Case { frames, events: case.events.clone(), sensor: case.sensor.clone(), ..*case };
     Some((rest, (KEPT..count - 1).step_by(3).collect()))
 }
 

@@ -41,6 +41,7 @@ pub mod nominal;
 pub mod page;
 pub mod picture;
 pub mod record;
+pub mod recorded;
 pub mod report;
 pub mod residual;
 pub mod rhythm;

@@ -52,10 +52,9 @@ impl Case {
 
 /// Mean of the recorded latency beyond the smallest, ns; 0 without in-pixel times.
 fn latency_spread_ns(case: &Case, latency_ns: i64) -> f64 {
-    let all = case.events.all();
-    if !case.has_t_in || all.is_empty() {
+    if !case.has_t_in || case.events.is_empty() {
         return 0.0;
     }
-    let sum: f64 = all.iter().map(|event| (event.t_off_ns - event.t_in_ns - latency_ns).max(0) as f64).sum();
-    sum / all.len() as f64
+    let sum: f64 = case.events.iter().map(|event| (event.t_off_ns - event.t_in_ns - latency_ns).max(0) as f64).sum();
+    sum / case.events.len() as f64
 }

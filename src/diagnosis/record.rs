@@ -82,13 +82,13 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, mo
     let recorded: Vec<(Vec<Recorded>, Vec<f32>)> = (0..sample.len()).into_par_iter().with_min_len(16).map(one).collect();
     let mut pixels = vec![Vec::new(); case.extent.pixels()];
     let frames = case.frames.as_ref().map(|frames| {
-        let mut dn = vec![f32::NAN; frames.dn.len()];
+        let mut dn = vec![f32::NAN; frames.times.len() * case.extent.pixels()];
         for (&pixel, (_, values)) in sample.pixels.iter().zip(&recorded) {
             for (l, value) in values.iter().enumerate() {
                 dn[l * case.extent.pixels() + pixel as usize] = *value;
             }
         }
-        CaseFrames { times: frames.times.clone(), dn }
+        CaseFrames::new(frames.times.clone(), dn)
     });
     for (&pixel, (events, _)) in sample.pixels.iter().zip(recorded) {
         pixels[pixel as usize] = events;
@@ -113,7 +113,7 @@ fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
     if effects.iter().all(|effect| effect.informed(&[]).is_none()) {
         return;
     }
-    let mut load: Vec<ArrayEvent> = Vec::with_capacity(case.events.all().len());
+    let mut load: Vec<ArrayEvent> = Vec::with_capacity(case.events.len());
     for pixel in 0..case.events.pixels() {
         let (x, y) = case.place(pixel);
         load.extend(case.events.of(pixel).iter().map(|event| ArrayEvent { x, y, event: as_pixel_event(event) }));

@@ -42,10 +42,7 @@ impl Sample {
             let mut best: Option<(usize, u32, u32)> = None;
             for y in rows.clone().filter(|y| y + side <= rows.end) {
                 for x in columns.clone().filter(|x| x + side <= columns.end) {
-                    let count: usize = (y..y + side)
-                        .map(|y| case.events.range((y * width + x) as usize).start..case.events.range((y * width + x + side - 1) as usize).end)
-                        .map(|r| r.len())
-                        .sum();
+                    let count: usize = (y..y + side).map(|y| case.events.count((y * width + x) as usize..(y * width + x + side) as usize)).sum();
                     let mean = count as f64 / f64::from(side * side);
                     let is_better = mean >= events.0 && mean <= events.1 && best.is_none_or(|best| count > best.0);
                     if is_better && (0..side * side).all(|k| is_free((y + k / side) * width + x + k % side)) {
@@ -76,10 +73,7 @@ impl Sample {
         let width = case.extent.width;
         let count = |column: u32, row: u32| -> usize {
             let first = |y: u32| (y * width + column * SIDE) as usize;
-            (row * SIDE..row * SIDE + high)
-                .map(|y| case.events.range(first(y)).start..case.events.range(first(y) + wide as usize - 1).end)
-                .map(|r| r.len())
-                .sum()
+            (row * SIDE..row * SIDE + high).map(|y| case.events.count(first(y)..first(y) + wide as usize)).sum()
         };
         let mut is_chosen = vec![false; (columns * rows) as usize];
         for row in 0..rows {
@@ -94,7 +88,7 @@ impl Sample {
         let mut outliers: Vec<(i64, u32, u32)> = Vec::new();
         for y in 1..case.extent.height.saturating_sub(1) {
             for x in 1..width.saturating_sub(1) {
-                let events = |dx: u32, dy: u32| case.events.range(((y + dy - 1) * width + x + dx - 1) as usize).len() as i64;
+                let events = |dx: u32, dy: u32| case.events.of(((y + dy - 1) * width + x + dx - 1) as usize).len() as i64;
                 let around = (0..3).flat_map(|dy| (0..3).map(move |dx| (dx, dy))).filter(|at| *at != (1, 1)).map(|(dx, dy)| events(dx, dy)).max().unwrap_or(0);
                 let excess = events(1, 1) - 2 * around;
                 if excess > 20 {

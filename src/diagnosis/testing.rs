@@ -49,7 +49,7 @@ pub fn case_with(effects: &Described) -> Case {
         events: PixelEvents::new(vec![Vec::new(); extent.pixels()]),
         has_t_in: true,
         t_resolution_ns: 1,
-        frames: Some(CaseFrames { times: FrameTimes::new(exposures, 20_000).unwrap(), dn: vec![f32::NAN; 7 * extent.pixels()] }),
+        frames: Some(CaseFrames::new(FrameTimes::new(exposures, 20_000).unwrap(), vec![f32::NAN; 7 * extent.pixels()])),
         sensor: sensor(),
     };
     let sample = Sample::all(&blank, 4);

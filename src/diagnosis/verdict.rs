@@ -184,7 +184,7 @@ pub fn verdict(case: &Case, nominal: &Nominal, integrity: &Integrity, decided: O
     claims.sort_by(|a, b| b.score.total_cmp(&a.score));
     let mut answer = Answer { verdict: Verdict::Consistent, claims: Vec::new(), unexplained };
     answer.set(claims);
-    if answer.verdict == Verdict::Consistent && case.events.all().len() < crate::integrity::data::FEWEST_EVENTS {
+    if answer.verdict == Verdict::Consistent && case.events.len() < crate::integrity::data::FEWEST_EVENTS {
         answer.verdict = Verdict::Insufficient;
     }
     answer.unexplained = answer.unexplained.filter(|_| answer.verdict == Verdict::Unnamed);
@@ -301,7 +301,7 @@ pub fn is_material(case: &Case, nominal: &Nominal, candidate: &Candidate, value:
 
 fn typical_dn(case: &Case, nominal: &Nominal) -> f64 {
     let Some(frames) = &case.frames else { return 0.0 };
-    let mut signals: Vec<f64> = frames.dn.iter().step_by(101).filter(|dn| dn.is_finite()).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
+    let mut signals: Vec<f64> = frames.every(101).filter(|dn| dn.is_finite()).map(|dn| f64::from(dn) - nominal.number.black_level).collect();
     crate::integrity::median(&mut signals).max(0.0)
 }
 

@@ -70,7 +70,7 @@ impl Pictures {
             let source = scene_where(&part, &nominal, setting, &parts, asked(part.span)?.as_deref())?;
             let gate = source.gate(&part, least_dn, spread);
             part.events = PixelEvents::default();
-            part.frames.iter_mut().for_each(|frames| frames.dn = Vec::new());
+            part.frames = part.frames.map(|frames| frames.without_values());
             Ok(Part { case: part, source, gate })
         };
         // Parts of about equal length, the last one ending with the last frame.

@@ -49,7 +49,7 @@ fn camera(late_ns: i64, blind_ns: i64) -> Case {
         events: PixelEvents::new(pixels),
         has_t_in: false,
         t_resolution_ns: 1000,
-        frames: Some(CaseFrames { times: FrameTimes::new(exposures, 0).unwrap(), dn: frames }),
+        frames: Some(CaseFrames::new(FrameTimes::new(exposures, 0).unwrap(), frames)),
         sensor,
     }
 }

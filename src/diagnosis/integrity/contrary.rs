@@ -97,7 +97,7 @@ pub fn noise(case: &Case, masked: &[u32]) -> Option<Finding> {
 
 fn finding(case: &Case, on: &Against, off: &Against) -> Option<Finding> {
     let all: Vec<(i64, usize)> = on.events.iter().chain(&off.events).copied().collect();
-    let share = all.len() as f64 / case.events.all().len().max(1) as f64;
+    let share = all.len() as f64 / case.events.len().max(1) as f64;
     let rate = on.rate_hz() + off.rate_hz();
     let mut pixels: Vec<usize> = all.iter().map(|event| event.1).collect();
     pixels.sort_unstable();
@@ -121,7 +121,7 @@ fn finding(case: &Case, on: &Against, off: &Against) -> Option<Finding> {
         parameters: vec![("rate", rate)],
         statistic: share,
         threshold: SHARE,
-        share: (rate * case.events.pixels() as f64 * (case.span.1 - case.span.0) as f64 * 1e-9 / case.events.all().len() as f64).min(1.0),
+        share: (rate * case.events.pixels() as f64 * (case.span.1 - case.span.0) as f64 * 1e-9 / case.events.len() as f64).min(1.0),
         polarity,
         pixels: Vec::new(),
         seen: format!(

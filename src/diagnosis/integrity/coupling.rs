@@ -123,7 +123,7 @@ pub fn coupling(case: &Case, nominal: &Nominal, still: &[u32], masked: &[u32]) -
     found.or_else(|| {
         let all: Vec<u32> = (0..case.extent.pixels() as u32).filter(|pixel| masked.binary_search(pixel).is_err()).collect();
         // A share of the pixels without a pattern, for rows and columns alike.
-        let share = ENOUGH_EVENTS as f64 / case.events.all().len().max(1) as f64;
+        let share = ENOUGH_EVENTS as f64 / case.events.len().max(1) as f64;
         let is_drawn = |pixel: u32| f64::from(pixel.wrapping_mul(2_654_435_761)) < share * f64::from(u32::MAX);
         let some: Vec<u32> = all.into_iter().filter(|&pixel| is_drawn(pixel)).collect();
         let strongest = [1, -1].into_iter().filter_map(|polarity| in_step(case, nominal, (&some, polarity), count(&some, -polarity), masked, "of all pixels"));
@@ -186,7 +186,7 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
         parameters,
         statistic: ratio,
         threshold: PEAK,
-        share: counts[peak] / case.events.all().len() as f64,
+        share: counts[peak] / case.events.len() as f64,
         polarity: if polarity > 0 { "on" } else { "off" },
         pixels: Vec::new(),
         seen: format!(

@@ -14,13 +14,13 @@ const FASTEST_HZ: f64 = 5_000.0;
 /// What makes the data useless, a sentence each.
 pub fn broken(case: &Case) -> Vec<String> {
     let mut why = Vec::new();
-    let events = case.events.all();
+    let events = &case.events;
     if events.len() >= FEWEST_EVENTS {
         let early = events.iter().filter(|event| event.t_off_ns < event.t_in_ns).count();
         if case.has_t_in && early * 100 > events.len() {
             why.push(format!("{early} of {} events leave the array before they fire: t < t_in in /events", events.len()));
         }
-        let first = events[0].t_off_ns;
+        let first = events.iter().next().map_or(0, |event| event.t_off_ns);
         if events.iter().all(|event| event.t_off_ns == first) {
             why.push(format!("all {} events have one and the same time, {first} ns", events.len()));
         }
@@ -45,14 +45,14 @@ pub fn broken(case: &Case) -> Vec<String> {
     }
     why.extend(apart(case));
     if let Some(frames) = &case.frames {
-        let known: Vec<f32> = frames.dn.iter().copied().filter(|dn| dn.is_finite()).collect();
-        let count = frames.dn.len().max(1);
+        let known: Vec<f32> = frames.values().filter(|dn| dn.is_finite()).collect();
+        let count = frames.len().max(1);
         if known.len() * 2 < count {
             why.push(format!("{} of {count} frame values are not numbers", count - known.len()));
         } else if known.iter().all(|dn| *dn == known[0]) && known.len() > 1 {
             why.push(format!("every frame value is {}: the frames hold no picture", known[0]));
         }
-        let infinite = frames.dn.iter().filter(|dn| dn.is_infinite()).count();
+        let infinite = frames.values().filter(|dn| dn.is_infinite()).count();
         if infinite > 0 {
             why.push(format!("{infinite} of {count} frame values are infinite"));
         }
@@ -80,7 +80,7 @@ pub fn broken(case: &Case) -> Vec<String> {
 
 /// Events and frames that share no time: their clocks have different zeros, and nothing of one can be compared with the other.
 fn apart(case: &Case) -> Option<String> {
-    let events = case.events.all();
+    let events = &case.events;
     let frames = case.frames.as_ref().and_then(|frames| frames.times.span(case.extent.height))?;
     let first = events.iter().map(|event| event.t_off_ns).min()?;
     let last = events.iter().map(|event| event.t_off_ns).max()?;
@@ -99,7 +99,7 @@ fn apart(case: &Case) -> Option<String> {
 /// What there is too little of, a sentence each.
 pub fn lacking(case: &Case) -> Vec<String> {
     let mut why = Vec::new();
-    let (events, frames) = (case.events.all().len(), case.frame_count());
+    let (events, frames) = (case.events.len(), case.frame_count());
     if events < FEWEST_EVENTS {
         why.push(format!("{events} events; {FEWEST_EVENTS} are needed to say anything of the event path"));
     }

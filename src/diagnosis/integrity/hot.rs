@@ -31,7 +31,7 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>) -> (Option<Finding>, Vec<u32
     if height < 8 || width < 8 {
         return (None, Vec::new());
     }
-    let count = |x: usize, y: usize| case.events.range(y * width + x).len() as f64;
+    let count = |x: usize, y: usize| case.events.of(y * width + x).len() as f64;
     let (mut hot, mut excess, mut strongest) = (Vec::new(), 0.0, 0.0_f64);
     let medians: Vec<f64> = (0..height).map(|y| median(&mut (0..width).map(|x| count(x, y)).collect::<Vec<_>>())).collect();
     // What stands at the rim has nothing on its other side to be held against.
@@ -85,7 +85,7 @@ pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> 
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let in_hot_row = masked.clone();
     let is_masked = |pixel: usize| in_hot_row.binary_search(&(pixel as u32)).is_ok();
-    let count = |pixel: usize| case.events.range(pixel).len() as f64;
+    let count = |pixel: usize| case.events.of(pixel).len() as f64;
     let around = |pixel: usize| -> Vec<usize> {
         let (x, y) = (pixel % width, pixel / width);
         let columns = x.saturating_sub(1)..(x + 2).min(width);

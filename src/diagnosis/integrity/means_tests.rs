@@ -70,7 +70,7 @@ fn camera(actual: Actual) -> Case {
         events: PixelEvents::new(pixels),
         has_t_in: false,
         t_resolution_ns: 1000,
-        frames: Some(CaseFrames { times: FrameTimes::new(exposures, 0).unwrap(), dn: frames }),
+        frames: Some(CaseFrames::new(FrameTimes::new(exposures, 0).unwrap(), frames)),
         sensor,
     }
 }

@@ -140,7 +140,7 @@ pub const TESTED: [&str; 15] = [
 /// All direct tests of a recording; `nominal` is the nominal description, none when it lacks what the model needs.
 pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
     let mut found = Integrity { broken: data::broken(case), lacking: data::lacking(case), ..Integrity::default() };
-    if !found.broken.is_empty() || case.events.all().len() < data::FEWEST_EVENTS {
+    if !found.broken.is_empty() || case.events.len() < data::FEWEST_EVENTS {
         return found;
     }
     let stream = Stream::of(case);
@@ -205,7 +205,7 @@ pub struct Stream(pub Vec<Stamped>);
 impl Stream {
     /// Of a recording.
     pub fn of(case: &Case) -> Stream {
-        let mut all = Vec::with_capacity(case.events.all().len());
+        let mut all = Vec::with_capacity(case.events.len());
         for pixel in 0..case.events.pixels() {
             all.extend(case.events.of(pixel).iter().map(|event| Stamped { t_ns: event.t_off_ns, pixel: pixel as u32, polarity: event.polarity }));
         }

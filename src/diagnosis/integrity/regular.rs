@@ -166,7 +166,7 @@ fn by_phase(case: &Case, masked: &[u32]) -> Option<Dependence> {
         value,
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: regularity,
-        nats_per_event: folded.nats() / case.events.all().len() as f64,
+        nats_per_event: folded.nats() / case.events.len() as f64,
     })
 }
 
@@ -239,6 +239,6 @@ fn by_parity(case: &Case, masked: &[u32]) -> Option<Dependence> {
         error: vec![error, error],
         taken: 1.0 - after / f64::max(before, 1e-300),
         significance: sigmas,
-        nats_per_event: gain / case.events.all().len() as f64,
+        nats_per_event: gain / case.events.len() as f64,
     })
 }

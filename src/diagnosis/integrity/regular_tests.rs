@@ -28,7 +28,7 @@ fn waves(keep: impl Fn(u32, i64, i8) -> f64) -> Case {
         events
     });
     let exposures: Vec<Exposure> = (0..20).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + 4_000_000)).collect();
-    let frames = CaseFrames { times: FrameTimes::new(exposures, ROW_NS).unwrap(), dn: vec![500.0; 20 * extent.pixels()] };
+    let frames = CaseFrames::new(FrameTimes::new(exposures, ROW_NS).unwrap(), vec![500.0; 20 * extent.pixels()]);
     let sensor = crate::testing::sensor();
     Case { extent, span: (0, 20 * PERIOD_NS), events: PixelEvents::new(pixels), has_t_in: true, t_resolution_ns: 1, frames: Some(frames), sensor }
 }

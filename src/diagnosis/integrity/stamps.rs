@@ -121,7 +121,7 @@ fn off_grid(case: &Case) -> Option<Finding> {
         return None;
     }
     let step = case.t_resolution_ns as f64;
-    let mut times: Vec<i64> = case.events.all().iter().map(|event| if case.has_t_in { event.t_in_ns } else { event.t_off_ns }).collect();
+    let mut times: Vec<i64> = case.events.iter().map(|event| if case.has_t_in { event.t_in_ns } else { event.t_off_ns }).collect();
     times.sort_unstable();
     // Distances of a few steps: long enough to see their remainder, short enough that a clock of another rate does not matter.
     let usual = (times.last()? - times.first()?) as f64 / times.len() as f64;

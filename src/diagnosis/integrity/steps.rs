@@ -146,7 +146,7 @@ mod tests {
             .into();
         let dn = |l: usize, pixel: usize| nominal.number.of(libm::exp(log(pixel, l as i64 * period + 10_000_000)) * 1e-3) as f32;
         let dn = (0..frames * plain.extent.pixels()).map(|k| dn(k / plain.extent.pixels(), k % plain.extent.pixels())).collect();
-        Case { events, frames: Some(CaseFrames { times, dn }), span: (0, end), ..plain }
+        Case { events, frames: Some(CaseFrames::new(times, dn)), span: (0, end), ..plain }
     }
 
     #[test]

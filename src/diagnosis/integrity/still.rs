@@ -45,8 +45,7 @@ pub fn still(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<u32> {
     let moves: Vec<bool> = (0..pixels)
         .map(|pixel| {
             let (mut low, mut high, mut sum, mut count) = (f64::INFINITY, f64::NEG_INFINITY, 0.0, 0.0);
-            for dn in frames.dn[pixel..].iter().step_by(pixels).filter(|dn| dn.is_finite()) {
-                let dn = f64::from(*dn);
+            for dn in frames.of_pixel(pixel).filter(|dn| dn.is_finite()).map(f64::from) {
                 (low, high, sum, count) = (low.min(dn), high.max(dn), sum + dn, count + 1.0);
             }
             let signal = sum / f64::max(count, 1.0) - nominal.number.black_level;
@@ -68,7 +67,7 @@ pub(super) fn noise_dn(case: &Case, frames: &CaseFrames) -> f64 {
     let mut all: Vec<f64> = (0..pixels)
         .step_by(pixels.div_ceil(5000))
         .filter_map(|pixel| {
-            let values: Vec<f64> = frames.dn[pixel..].iter().step_by(pixels).map(|dn| f64::from(*dn)).collect();
+            let values: Vec<f64> = frames.of_pixel(pixel).map(f64::from).collect();
             let mut steps: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).filter(|step| step.is_finite()).collect();
             (steps.len() >= FEWEST_FRAMES - 1).then(|| 1.4826 * median(&mut steps) / std::f64::consts::SQRT_2)
         })
@@ -99,7 +98,7 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
     }
     let (ons, offs) = (on[0] + on[1], off[0] + off[1]);
     let sigmas = (ons as f64 - offs as f64) / libm::sqrt((ons + offs).max(1) as f64);
-    let of_one = still.iter().map(|&pixel| case.events.range(pixel as usize).len()).max().unwrap_or(0);
+    let of_one = still.iter().map(|&pixel| case.events.of(pixel as usize).len()).max().unwrap_or(0);
     let is_steady = parts.iter().filter(|part| **part).count() >= STEADY;
     if ons < FEWEST_EVENTS || ons < ON_OVER_OFF * offs || sigmas < SIGMAS || of_one as f64 > f64::max(3.0, SHARE_OF_ONE * ons as f64) || !is_steady {
         return None;
@@ -128,7 +127,7 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
         parameters: vec![parameter],
         statistic: sigmas,
         threshold: SIGMAS,
-        share: ons as f64 / case.events.all().len() as f64,
+        share: ons as f64 / case.events.len() as f64,
         polarity: "on",
         pixels: Vec::new(),
         seen: format!(

@@ -33,7 +33,7 @@ fn camera(mut event: impl FnMut(usize, &mut Random) -> (i64, usize, i8)) -> Case
         events: PixelEvents::new(pixels),
         has_t_in: false,
         t_resolution_ns: 1000,
-        frames: Some(CaseFrames { times: FrameTimes::new(exposures, 0).unwrap(), dn }),
+        frames: Some(CaseFrames::new(FrameTimes::new(exposures, 0).unwrap(), dn)),
         sensor: crate::testing::sensor(),
     }
 }
@@ -88,7 +88,7 @@ fn brighter_below(every: usize) -> Case {
         }
     });
     let frames = case.frames.as_mut().unwrap();
-    frames.dn.iter_mut().enumerate().for_each(|(k, dn)| *dn = (f64::from(*dn) + 40.0 * bright(k % (WIDTH * HEIGHT))) as f32);
+    *frames = frames.map(|k, dn| (f64::from(dn) + 40.0 * bright(k % (WIDTH * HEIGHT))) as f32);
     case
 }
 

@@ -147,7 +147,7 @@ fn with_its_frames(mut case: Case) -> Case {
     let step = |polarity: i8| if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
     let sum = |pixel: usize, t_ns: i64| case.events.of(pixel).iter().filter(|event| event.t_in_ns < t_ns).map(|event| step(event.polarity)).sum::<f64>();
     let dn = times.iter().flat_map(|t| (0..case.extent.pixels()).map(|pixel| (200.0 * libm::exp(sum(pixel, *t))) as f32)).collect();
-    case.frames = Some(crate::case::CaseFrames { times: photocurrent_core::FrameTimes::new(exposures, 0).unwrap(), dn });
+    case.frames = Some(crate::case::CaseFrames::new(photocurrent_core::FrameTimes::new(exposures, 0).unwrap(), dn));
     case
 }
 
@@ -245,11 +245,11 @@ fn events_against_the_light_are_noise_with_its_rate() {
 #[test]
 fn a_strong_impulse_at_the_readout_shows_where_all_moves() {
     let exposures = (0..15).map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000)).collect();
-    let frames = crate::case::CaseFrames {
-        times: photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
+    let frames = crate::case::CaseFrames::new(
+        photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
         // No pixel stands still.
-        dn: (0..15 * 480).map(|k| 100.0 + 40.0 * ((k / 480) % 2) as f32 + (k % 7) as f32).collect(),
-    };
+        (0..15 * 480).map(|k| 100.0 + 40.0 * ((k / 480) % 2) as f32 + (k % 7) as f32).collect(),
+    );
     let quiet = Case { frames: Some(frames), ..bursts(1000) };
     assert!(of(&quiet).findings.is_empty());
     // ON events 9.1 ms after the start of the frame, 100 us later from row to row; the others are of the scene, OFF more often than ON.
@@ -339,7 +339,7 @@ fn broken_and_insufficient_data_are_said() {
     let found = of(&few);
     assert!(found.broken.is_empty() && found.lacking.iter().any(|why| why.starts_with("20 events")), "{found:?}");
     let mut dark = crate::testing::case();
-    dark.frames.as_mut().unwrap().dn.fill(0.0);
+    dark.frames = dark.frames.map(|frames| frames.map(|_, _| 0.0));
     assert!(of(&dark).broken.iter().any(|why| why.contains("hold no picture")));
 }
 
@@ -347,7 +347,12 @@ fn broken_and_insufficient_data_are_said() {
 fn frames_that_no_light_makes_are_broken() {
     let of_frames = |change: &dyn Fn(usize, &mut f32)| {
         let mut case = crate::testing::case();
-        case.frames.as_mut().unwrap().dn.iter_mut().enumerate().for_each(|(k, dn)| change(k, dn));
+        case.frames = case.frames.map(|frames| {
+            frames.map(|k, mut dn| {
+                change(k, &mut dn);
+                dn
+            })
+        });
         of(&case).broken.join("; ")
     };
     assert_eq!(of_frames(&|_, _| {}), "");
@@ -374,10 +379,10 @@ fn frames_that_no_light_makes_are_broken() {
 fn bursts_in_step_with_the_frames_are_coupling() {
     let extent_pixels = 480;
     let exposures = (0..15).map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000)).collect();
-    let frames = crate::case::CaseFrames {
-        times: photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
-        dn: (0..15 * extent_pixels).map(|k| 100.0 + (k % 7) as f32).collect(),
-    };
+    let frames = crate::case::CaseFrames::new(
+        photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
+        (0..15 * extent_pixels).map(|k| 100.0 + (k % 7) as f32).collect(),
+    );
     let quiet = Case { frames: Some(frames), ..bursts(1000) };
     assert_eq!(of(&quiet).findings, []);
     let coupled = with(quiet, |pixel, events| {

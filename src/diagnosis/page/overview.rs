@@ -81,7 +81,7 @@ pub fn overview(html: &mut String, case: &Case, report: &Report, found: Option<&
     if masked > 0 {
         said.push(format!("{masked} pixels were left out of everything that needs a scene"));
     }
-    let events = case.events.all().len();
+    let events = case.events.len();
     let frames = case.frames.as_ref().map_or(0, |frames| frames.times.len());
     let seconds = (case.span.1 - case.span.0) as f64 * 1e-9;
     let _ = writeln!(html, "<figure>{svg}</svg>\n<figcaption>{}.</figcaption></figure>", escaped(&said.join("; ")));

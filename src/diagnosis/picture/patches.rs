@@ -103,8 +103,7 @@ impl Part {
         let frames = case.frames.as_ref().expect("frames are there");
         let times = &frames.times;
         let exposures: Vec<Exposure> = self.frames.clone().map(|l| times.exposure(l, self.rows.start)).collect();
-        let pixels = case.extent.pixels();
-        let dn = self.frames.clone().flat_map(|l| self.pixels(case.extent.width).map(move |pixel| frames.dn[l * pixels + pixel])).collect();
+        let dn = self.frames.clone().flat_map(|l| self.pixels(case.extent.width).map(move |pixel| frames.dn(l, pixel))).collect();
         let extent = self.extent();
         let last = times.exposure(self.frames.end - 1, self.rows.end - 1).end.0;
         let span = (exposures[0].start.0.min(times.exposure(self.frames.start, self.rows.end - 1).start.0), last);
@@ -115,7 +114,7 @@ impl Part {
             events: PixelEvents::new(vec![Vec::new(); extent.pixels()]),
             has_t_in: case.has_t_in,
             t_resolution_ns: case.t_resolution_ns,
-            frames: Some(CaseFrames { times, dn }),
+            frames: Some(CaseFrames::new(times, dn)),
             sensor: case.sensor.clone(),
         }
     }

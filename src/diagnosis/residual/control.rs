@@ -79,7 +79,7 @@ fn with_noise(case: &Case, nominal: &Nominal, source: &dyn Source, frames: &[f32
         f64::min(f64::from(*dn) + sigma * random.normal(), nominal.saturation_dn) as f32
     };
     let dn = frames.iter().map(noisy).collect();
-    case.frames.as_ref().map(|frames| CaseFrames { times: frames.times.clone(), dn })
+    case.frames.as_ref().map(|frames| CaseFrames::new(frames.times.clone(), dn))
 }
 
 /// The nominal sensor's recording of a scene: events of `pixels` (rising), and all frames with the noise that was found.

@@ -248,7 +248,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let scales = Scales::of(case, nominal);
     let least = setting.least_noise * scales.threshold;
     let gate = source.gate(case, setting.least_dn, setting.spread);
-    let all = case.events.all().len();
+    let all = case.events.len();
     let counted: Vec<usize> =
         (0..case.extent.pixels()).map(|pixel| case.events.of(pixel).iter().filter(|event| gate.keeps(pixel, event.t_in_ns)).count()).collect();
     let kept: usize = counted.iter().sum();
@@ -433,7 +433,7 @@ impl<'a> Chance<'a> {
         let effect_sizes = OF_PIXELS.map(|(id, parameter)| {
             Candidate::find(id, parameter).map_or(0.0, |candidate| candidate.value(1.0, scales, nominal) - candidate.value(0.0, scales, nominal))
         });
-        let rate = case.events.all().len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
+        let rate = case.events.len() as f64 / f64::max(case.extent.pixels() as f64 * scales.duration_s, 1e-9);
         let of_control = of_table(control, white, setting, scales.threshold, &noise);
         Chance { setting, scales, nominal, is_known, noise, control: of_control, slope_per_s, rate, effect_sizes }
     }

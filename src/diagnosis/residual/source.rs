@@ -88,8 +88,7 @@ pub const STEP: f64 = 0.15;
 
 /// What [`STEP`] of a threshold is of a usual frame value, DN.
 pub(super) fn usual_step_dn(case: &Case, nominal: &Nominal) -> f64 {
-    let mut signals: Vec<f64> =
-        case.frames.iter().flat_map(|frames| frames.dn.iter().step_by(7)).map(|dn| f64::from(*dn) - nominal.number.black_level).collect();
+    let mut signals: Vec<f64> = case.frames.iter().flat_map(|frames| frames.every(7)).map(|dn| f64::from(dn) - nominal.number.black_level).collect();
     signals.retain(|signal| *signal > 0.0);
     let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
     if signals.is_empty() { 0.0 } else { STEP * threshold * median(&mut signals) }
