@@ -224,6 +224,9 @@ fn gather(row: &EventRow<'_>, width: u32, latency_ns: i64, gathered: &mut Gather
 mod tests {
     use super::*;
     use crate::testing;
+    use photocurrent_core::Rows;
+    use photocurrent_core::handle::BandSource;
+    use std::sync::Mutex;
 
     #[test]
     fn a_case_that_was_handed_on_is_read_again_as_it_was() {
@@ -235,6 +238,30 @@ mod tests {
             let again = Case::read(Some(&events), frames.as_ref(), &case.sensor).unwrap();
             assert_eq!((again.events, again.frames, again.span), (case.events.clone(), case.frames.clone(), case.span));
             assert_eq!((again.has_t_in, again.t_resolution_ns), (has_t_in, 20));
+        }
+    }
+
+    /// Says in which bands it was read.
+    struct Watched(EventStream, Mutex<Vec<Rows>>);
+
+    impl BandSource<EventBand> for Watched {
+        fn read(&self, rows: Rows) -> Result<EventBand, DataError> {
+            self.1.lock().unwrap().push(rows);
+            self.0.read(rows)
+        }
+    }
+
+    #[test]
+    fn many_events_are_read_in_a_few_bands() {
+        let case = testing::case();
+        let (events, frames) = case.streams().unwrap();
+        let rows = case.extent.rows();
+        for (count, bands) in [(Some(1000), vec![10]), (Some(3 * BAND_EVENTS), vec![4, 4, 2]), (None, vec![10])] {
+            let watched = Arc::new(Watched(events.clone(), Mutex::default()));
+            let meta = Arc::new(EventsMeta { count_hint: count, ..(*events.meta).clone() });
+            let again = Case::read(Some(&EventStream::new(meta, rows, watched.clone())), frames.as_ref(), &case.sensor).unwrap();
+            assert_eq!(watched.1.lock().unwrap().iter().map(Rows::len).collect::<Vec<_>>(), bands);
+            assert_eq!((again.events, again.frames), (case.events.clone(), case.frames.clone()));
         }
     }
 
