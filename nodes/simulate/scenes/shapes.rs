@@ -120,18 +120,31 @@ impl Texture {
 
     /// The value at any place, linear between whole pixels.
     pub fn at(&self, x: f64, y: f64) -> f64 {
-        let (left, top) = (x.floor(), y.floor());
-        let (fx, fy) = (x - left, y - top);
+        let (left, top) = (whole(x), whole(y));
+        let (fx, fy) = (x - left as f64, y - top as f64);
         let mask = Texture::SIDE - 1;
-        let (column, row) = (left as i64 as usize & mask, top as i64 as usize & mask);
+        let (column, row) = (left as usize & mask, top as usize & mask);
         let node = |dx: usize, dy: usize| f64::from(self.nodes[((row + dy) & mask) * Texture::SIDE + ((column + dx) & mask)]);
         blend(blend(node(0, 0), node(1, 0), fx), blend(node(0, 1), node(1, 1), fx), fy)
     }
 }
 
+/// The largest whole number that is not above `at`: what `floor` gives for places of any scene, without the call that it is on processors without SSE 4.1.
+fn whole(at: f64) -> i64 {
+    let towards_zero = at as i64;
+    towards_zero - i64::from(towards_zero as f64 > at)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn whole_numbers_below_a_place_are_its_floor() {
+        for at in [-3.0, -2.5, -0.0, 0.0, 0.999, 1.0, 1e-300, -1e-300, 123_456.75, -123_456.75] {
+            assert_eq!(whole(at), at.floor() as i64, "{at}");
+        }
+    }
 
     #[test]
     fn a_coordinate_bounces_between_its_walls() {
