@@ -15,6 +15,7 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<simulate::sensor::SimulateSensor>(),
         // Parts are set aside.
         Kind::of::<split::frames::SplitFrames>(),
+        Kind::of::<split::time::SplitTime>(),
         // Events and frames become photocurrent.
         Kind::of::<compensate::readout::CompensateReadout>(),
         Kind::of::<solve::pixel::SolvePixel>(),
