@@ -8,7 +8,12 @@
 //! Each stage is a process of its own (`photocurrent run pipelines/scale.toml --to STAGE`), so that its peak is its own; what comes before it lies in the cache. Peak memory
 //! and processor time are what the system says of the ended process. Everything is written below `--folder` and removed afterwards, about 4 GB for 1280x720x100.
 
+//! A second table says what limits each stage: what reading its inputs and packing its outputs take by themselves, in bytes of the cache, against its processor time.
+
 #![allow(clippy::print_stdout)]
+
+#[path = "scale/limits.rs"]
+mod limits;
 
 use photocurrent_core::Meta;
 use photocurrent_store::Cache;
@@ -41,11 +46,12 @@ fn main() {
         sizes = vec![(160, 90, 100), (320, 180, 100), (640, 360, 100), (1280, 720, 100)];
     }
     println!("`--memory {memory}`, {} threads", std::thread::available_parallelism().map_or(1, usize::from));
-    println!();
-    println!("| size | events | stage | time | processor time | peak memory |");
-    println!("| --- | --- | --- | --- | --- | --- |");
     for size in sizes {
         let here = tempfile::tempdir_in(&folder).expect("a folder for the cache");
+        let mut limited = Vec::new();
+        println!();
+        println!("| size | events | stage | time | processor time | peak memory |");
+        println!("| --- | --- | --- | --- | --- | --- |");
         for stage in STAGES {
             let measured = run(stage, size, &memory, here.path());
             let (width, height, ms) = size;
@@ -56,7 +62,33 @@ fn main() {
                 measured.processor_seconds,
                 measured.peak_bytes / 1_000_000
             );
+            let tasks = measured.outcome["tasks"].as_array().cloned().unwrap_or_default();
+            limited.push((stage, measured.processor_seconds, limits::packing(&tasks, &here.path().join("cache"), stage)));
         }
+        print_limits(&limited);
+    }
+}
+
+/// What limits each stage.
+fn print_limits(stages: &[(&str, f64, limits::Packing)]) {
+    let (copied, operations) = (limits::copied_bytes_per_s(), limits::operations_per_s());
+    println!();
+    println!("One core copies {:.1} GB/s and adds or multiplies {:.1} G doubles/s.", copied * 1e-9, operations * 1e-9);
+    println!();
+    println!("| stage | in, out of the cache | in memory | processor time | reading | packing | copying | rest |");
+    println!("| --- | --- | --- | --- | --- | --- | --- | --- |");
+    for (stage, seconds, packing) in stages {
+        let (moved, mb) = (packing.reading + packing.packing, |bytes: u64| bytes as f64 * 1e-6);
+        println!(
+            "| {stage} | {:.0}, {:.0} MB | {:.0} MB | {seconds:.1} s | {:.2} s | {:.2} s | {:.2} s | {:.0} % |",
+            mb(packing.bytes_in),
+            mb(packing.bytes_out),
+            mb(packing.unpacked),
+            packing.reading,
+            packing.packing,
+            packing.unpacked as f64 / copied,
+            100.0 * (1.0 - moved / seconds).max(0.0)
+        );
     }
 }
 
