@@ -10,7 +10,7 @@ use photocurrent_core::random::Random;
 
 /// Of `seeds` recordings in which a parameter has an interval: how many, how many of these hold the truth, and the mean estimate over the truth.
 fn held(seeds: u64, of: impl Fn(u64) -> Case, id: &str, parameter: &str, truth: f64) -> (usize, usize, f64) {
-    let found: Vec<Integrity> = (0..seeds).map(|seed| of(seed)).map(|case| integrity(&case, case.nominal().ok().as_ref())).collect();
+    let found: Vec<Integrity> = (0..seeds).map(of).map(|case| integrity(&case, case.nominal().ok().as_ref())).collect();
     let all = found.iter().flat_map(|found| &found.findings).filter(|finding| finding.id == id);
     let with: Vec<(f64, [f64; 2])> = all.filter_map(|finding| Some((finding.value(parameter)?, finding.interval(parameter)?))).collect();
     let holding = with.iter().filter(|(_, [low, high])| (*low..=*high).contains(&truth)).count();
