@@ -62,7 +62,7 @@ pub(crate) fn add_intervals(case: &Case, findings: &mut [Finding], again: TestsA
             let (apart, common) = (student(values.len()) * standard_error(&values, is_alone), NORMAL * common(finding, *value));
             let reach = libm::sqrt(apart * apart + common * common);
             // What no part has a say in (the period of the frames) is not estimated from them.
-            (reach > 0.0).then_some((*name, [value - reach, value + reach]))
+            (reach > 1e-9 * value.abs()).then_some((*name, [value - reach, value + reach]))
         });
         finding.ci95 = found.collect::<Vec<_>>().into_iter().chain(finding.ci95.clone()).collect();
     }
