@@ -1,10 +1,10 @@
 # Two commands do everything on a fresh machine: `make demo` and `make test`.
-# Both install what is missing first, through apt: Debian's libhdf5, and for tests its chromium (pages) and python3-h5py (readers). Rust itself must be there: https://rustup.rs
+# Both install what is missing first, through apt: Debian's libhdf5, and for tests its chromium (pages) and python3-h5py (readers). With npm, tests of pages fetch axe-core too. Rust itself must be there: https://rustup.rs
 
 # Where cargo builds, unless it CARGO_TARGET_DIR says otherwise.
 BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
-.PHONY: demo test browser readers lint figures refine-weights test-training setup clean
+.PHONY: demo test browser axe readers lint figures refine-weights test-training setup clean
 
 demo: setup
 	@echo "The demo builds the program (some minutes the first time), then takes a few seconds: it simulates an 80 ms recording of fast pellets with known truth,"
@@ -64,13 +64,31 @@ setup:
 	fi
 	@command -v cc >/dev/null || { echo "A C compiler is missing: apt-get install gcc" >&2; exit 1; }
 
-# A browser for the tests that open pages. Nothing happens when there is one.
-browser:
+# A browser for the tests that open pages, and the accessibility tests that they run in it. Nothing happens when both are there.
+browser: axe
 	@if ! command -v chromium >/dev/null && ! command -v chromium-browser >/dev/null && ! command -v google-chrome >/dev/null; then \
 		echo "Installing chromium ..."; \
 		SUDO=$$( [ $$(id -u) = 0 ] || echo sudo ); \
 		if command -v apt-get >/dev/null; then $$SUDO apt-get update -qq && $$SUDO apt-get install -y -qq --no-install-recommends chromium; \
 		else echo "No apt-get here: install Chromium or Chrome by hand." >&2; exit 1; fi; \
+	fi
+
+# axe-core (MPL-2.0), a script for the tests only: fetched with npm, held to a checksum. Without npm its tests are skipped; with REQUIRE_AXE npm is installed.
+AXE_VERSION := 4.14.1
+AXE_SHA256 := e6b0ce02b84d892e2e33e403485e7f3d6c29e2be6df65daf44d89ba564139745
+AXE := out/axe-core/$(AXE_VERSION)
+
+axe:
+	@if ! [ -e $(AXE)/axe.min.js ]; then \
+		if [ -n "$$REQUIRE_AXE" ] && ! command -v npm >/dev/null; then \
+			SUDO=$$( [ $$(id -u) = 0 ] || echo sudo ); $$SUDO apt-get update -qq && $$SUDO apt-get install -y -qq --no-install-recommends npm; \
+		fi; \
+		if command -v npm >/dev/null; then \
+			echo "Fetching axe-core $(AXE_VERSION) ..." && mkdir -p $(AXE) && cd $(AXE) && npm pack --silent axe-core@$(AXE_VERSION) >/dev/null \
+			&& echo "$(AXE_SHA256)  axe-core-$(AXE_VERSION).tgz" | sha256sum --check --quiet \
+			&& tar -xzf axe-core-$(AXE_VERSION).tgz --strip-components=1 package/axe.min.js package/LICENSE && rm axe-core-$(AXE_VERSION).tgz \
+			|| { echo "axe-core could not be fetched."; [ -z "$$REQUIRE_AXE" ]; }; \
+		else echo "No npm here, and the accessibility tests of the pages are skipped: apt-get install npm brings them back."; fi; \
 	fi
 
 # Python with h5py for the tests of docs/readers: six small packages. Nothing happens when it is there.

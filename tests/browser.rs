@@ -1,14 +1,20 @@
 //! The pages in a real browser: headless Chromium opens the report of a run and of a diagnosis, and does what a person would.
 //!
 //! The browser is driven through its own protocol on a pipe (`--remote-debugging-pipe`: JSON, ended by a zero byte): no port, no driver program, no
-//! library. Any error on a page, or anything that it would load, fails the test. `make setup` installs Debian's `chromium`; without a browser these tests fail,
+//! library. Any error on a page, or anything that it would load, fails the test. `make browser` installs Debian's `chromium`; without a browser these tests fail,
 //! for a page that nobody opened is not tested. With `KEEP_SCREENSHOTS=FOLDER` the pictures that the tests take are kept, to be looked at.
+//!
+//! On each page, in light and dark, wide and 390 px, axe-core looks for what breaks WCAG 2.0 to 2.2 at levels A and AA, or its best practices. `make browser` fetches it; without it that part is
+//! skipped and said so, unless `REQUIRE_AXE` is set, as it is in continuous integration. What axe-core cannot decide is not reported.
 
 use crate::support::{Bench, root};
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+/// Where `make browser` puts the accessibility tests.
+const AXE: &str = "out/axe-core/4.14.1/axe.min.js";
 
 /// A browser with one page.
 struct Browser {
@@ -28,7 +34,7 @@ impl Browser {
         let program = ["chromium", "chromium-browser", "google-chrome"]
             .into_iter()
             .find(|name| Command::new(name).arg("--version").output().is_ok_and(|out| out.status.success()));
-        let program = program.expect("a browser: `make setup` installs chromium");
+        let program = program.expect("a browser: `make browser` installs chromium");
         let profile = tempfile::tempdir().expect("a folder for the profile");
         // The protocol is spoken on descriptors 3 and 4, which the shell makes of its own input and output.
         let script = format!(
@@ -149,7 +155,27 @@ impl Browser {
             json!([]),
             "{what}: links to nothing"
         );
+        let barriers = self.barriers();
+        assert!(barriers.is_empty(), "{what}: axe-core finds\n{}", barriers.join("\n"));
         assert!(self.complaints.is_empty(), "{what}: {:?}", self.complaints);
+    }
+
+    /// What axe-core finds that breaks WCAG at levels A and AA or its best practices: a rule and its elements each.
+    fn barriers(&mut self) -> Vec<String> {
+        let Ok(script) = std::fs::read_to_string(root().join(AXE)) else {
+            assert!(std::env::var_os("REQUIRE_AXE").is_none(), "{AXE} is missing: `make browser` fetches it");
+            eprintln!("skipped: no {AXE} here, so the pages are not tested with axe-core; `make browser` fetches it");
+            return Vec::new();
+        };
+        if self.js("typeof axe") != json!("object") {
+            self.js(&script);
+        }
+        let found = self.js(
+            "axe.run(document, { runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'], resultTypes: ['violations'] }).then((found) => ({ passes: found.passes.length,
+             bad: found.violations.map((one) => `${one.id}: ${one.help}: ${one.nodes.slice(0, 5).map((node) => `${node.target.join(' ')} ${node.html.slice(0, 120)}`).join('; ')}`) }))",
+        );
+        assert!(found["passes"].as_u64().is_some_and(|passes| passes > 10), "axe-core has looked at the page: {found}");
+        found["bad"].as_array().into_iter().flatten().map(|one| one.as_str().unwrap_or_default().to_owned()).collect()
     }
 
     /// Roles and names as a screen reader gets them: every control and picture has a name.
@@ -316,6 +342,22 @@ fn the_report_of_the_demo_is_used_in_a_browser() {
     browser.wait("document.querySelector('[data-copy=\"0\"]').textContent !== 'Markdown'");
     browser.js("document.getElementById('theme').click()");
     browser.check("after all of it");
+}
+
+#[test]
+fn axe_core_finds_a_barrier_where_there_is_one() {
+    let bench = Bench::new();
+    let page = |picture: &str| {
+        let rest: String = (0..12).map(|n| format!("<section aria-label=\"{n}\"><h2>Part {n}</h2><p>Text</p></section>")).collect();
+        format!(
+            "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>x</title></head><body><main><h1>x</h1>{picture}{rest}<a href=\"#a\" id=\"a\">link</a><button>press</button></main></body></html>"
+        )
+    };
+    bench.write("good.html", &page("<img alt=\"dot\" src=\"data:image/png;base64,\">"));
+    bench.write("bad.html", &page("<img src=\"data:image/png;base64,\">"));
+    assert_eq!(Browser::open(&bench.path("good.html"), 800, 600).barriers(), [""; 0]);
+    let found = Browser::open(&bench.path("bad.html"), 800, 600).barriers();
+    assert!(!root().join(AXE).exists() || found.len() == 1 && found[0].starts_with("image-alt"), "{found:?}");
 }
 
 #[test]

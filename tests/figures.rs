@@ -13,7 +13,10 @@
 //! `made by, slowly:` marks what takes more than some seconds. `make figures` holds those as well:
 //! `cargo test --release --test photocurrent figures -- --include-ignored`.
 //!
-//! Limits: of a Markdown table, labels are not compared, only numbers; and who writes a table without the line is not held to anything.
+//! What a reader sees: below every table of numbers stands a line that begins with `Made by` and names the command (`` `photocurrent ...` ``, or that which stands above)
+//! and, after a semicolon or comma, how long it takes, or that it was `not timed`; or with `No command makes it:` and why.
+//!
+//! Limits: of a Markdown table, labels are not compared, only numbers; times are not measured again; a table with fewer than a quarter of its cells numbers is none of numbers.
 
 use crate::pages;
 use crate::support::root;
@@ -147,6 +150,81 @@ fn tables_of_scores_in_the_readme_say_what_makes_them() {
     while let Some(line) = lines.next() {
         let is_head = lines.peek().is_some_and(|next| next.starts_with("---") && next.contains("  --"));
         assert!(!is_head || marked.contains(line), "README.md: the table that begins with `{line}` needs a line `<!-- made by: ... -->` before it");
+    }
+}
+
+/// Is a cell of a table a number, with a unit or a remark?
+fn is_number(cell: &str) -> bool {
+    let plain = cell.replace("<u>", "").replace("</u>", "").replace(['*', '`', ','], "");
+    let first = plain.split_whitespace().next().unwrap_or_default();
+    first.parse::<f64>().is_ok() && first.contains(|c: char| c.is_ascii_digit()) && plain.split_whitespace().count() <= 3
+}
+
+/// Lines and heads of the tables of numbers in a text, with the line that follows each: of Markdown, and of outputs that a command makes.
+fn tables(text: &str) -> Vec<(usize, String, String)> {
+    let lines: Vec<&str> = text.lines().collect();
+    let after = |from: usize| lines[from.min(lines.len())..].iter().find(|line| !line.trim().is_empty()).unwrap_or(&"").to_string();
+    let (mut found, mut at) = (Vec::new(), 0);
+    while at < lines.len() {
+        let begun = at;
+        if lines[at].trim_start().starts_with("```") {
+            at += 1 + lines[at + 1..].iter().take_while(|line| !line.trim_start().starts_with("```")).count() + 1;
+            // Our own tables have a line of dashes under their head.
+            let head = lines[begun..at.min(lines.len())].windows(2).find(|pair| pair[1].starts_with("---") && pair[1].contains("  --"));
+            found.extend(head.map(|pair| (begun + 1, pair[0].to_owned(), after(at))));
+        } else if lines[at].starts_with('|') {
+            at += lines[at..].iter().take_while(|line| line.starts_with('|')).count();
+            let cells: Vec<&str> = lines[(begun + 2).min(at)..at].iter().flat_map(|row| row.trim_matches('|').split('|').skip(1)).map(str::trim).collect();
+            if 4 * cells.iter().filter(|cell| is_number(cell)).count() >= cells.len().max(1) {
+                found.push((begun + 1, lines[begun].to_owned(), after(at)));
+            }
+        } else {
+            at += 1;
+        }
+    }
+    found
+}
+
+/// Does a line say what makes a table, and how long that takes?
+fn says_how(line: &str) -> bool {
+    let Some(rest) = line.strip_prefix("Made by ").or_else(|| line.strip_prefix("Means of ")) else { return line.starts_with("No command makes it: ") };
+    let is_named =
+        ["`photocurrent ", "`cargo ", "above", "same command", "commands at the top", "commands of ", "in the table"].iter().any(|by| rest.contains(by));
+    let units = ["s", "ms", "minute", "minutes", "hour", "hours", "seconds", "Seconds"];
+    let is_timed = rest.contains("not timed") || rest.split([' ', '.', ',', ';']).any(|word| units.contains(&word));
+    is_named && is_timed
+}
+
+#[test]
+fn every_table_of_numbers_says_what_makes_it_and_how_long_that_takes() {
+    // These pages are written by the program.
+    let generated = ["docs/nodes.md", "docs/effects.md"];
+    let (mut silent, mut count) = (Vec::new(), 0);
+    for name in pages::names().iter().filter(|name| !generated.contains(&name.as_str())) {
+        for (line, head, below) in tables(&pages::read(name)) {
+            count += 1;
+            if !says_how(&below) {
+                silent.push(format!("{name}:{line}: {head}"));
+            }
+        }
+    }
+    assert!(
+        count > 50 && silent.is_empty(),
+        "below these tables stands no line `Made by COMMAND; TIME` or `No command makes it: WHY`:\n{}\n",
+        silent.join("\n")
+    );
+}
+
+#[test]
+fn tables_of_numbers_and_what_stands_below_them_are_read() {
+    let text = "| a | b |\n| --- | --- |\n| x | **2.5** dB |\n\nMade by `photocurrent run a.toml`; 3 s.\n\n| a | b |\n| --- | --- |\n| 0 | done |\n";
+    assert_eq!(tables(text), [(1, "| a | b |".to_owned(), "Made by `photocurrent run a.toml`; 3 s.".to_owned())]);
+    assert_eq!(tables("```\na  b\n---  ---\n1  2\n```\nx\n"), [(1, "a  b".to_owned(), "x".to_owned())]);
+    for good in ["Made by `photocurrent run a.toml`; 3 s.", "Made by the command above; not timed.", "No command makes it: numbers of the paper."] {
+        assert!(says_how(good), "{good}");
+    }
+    for bad in ["Made by `photocurrent run a.toml`.", "Made by hand; 3 s.", "So it is.", ""] {
+        assert!(!says_how(bad), "{bad}");
     }
 }
 

@@ -64,7 +64,7 @@ impl Node for DiagnoseIntegrity {
     const DECL: Decl = Decl {
         kind: "diagnose/integrity",
         about: "Looks for what shows in a recording without its scene: broken data, stamps, hot rows and pixels, noise, loss.",
-        revision: 9,
+        revision: 10,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -12,7 +12,7 @@ use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIM
 use crate::residual::located::{Located, answered, of_claim, of_unnamed};
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
-use crate::verdict::{Answer, Claim, DIRECT, Decided, verdict};
+use crate::verdict::{Answer, Claim, DIRECT, Decided, Proposal, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
 use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
@@ -309,7 +309,9 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
         for (parameter, value) in &finding.parameters {
             if let Some(of) = decl.parameters.iter().find(|of| of.name == *parameter).filter(|_| Candidate::find(claim.id, parameter).is_none()) {
                 let key = format!("{parameter}{}", of.unit.suffix());
-                effect.parameters.insert(key, Parameter { estimate: *value, ci95: None, nominal: of.null, unit: of.unit.text().to_owned() });
+                effect
+                    .parameters
+                    .insert(key, Parameter { estimate: *value, ci95: finding.interval(parameter), nominal: of.null, unit: of.unit.text().to_owned() });
             }
         }
     }
@@ -367,7 +369,21 @@ fn summary(integrity: &Integrity, answer: &Answer, decided: Option<&Decided>) ->
         Verdict::Numerical => "what differs is an error of our own".into(),
         Verdict::Named | Verdict::Ambiguous => answer.claims.iter().map(name).collect::<Vec<_>>().join(", and "),
     };
-    decided.map_or_else(|| said.clone(), |decided| format!("{said} ({})", looked_at_of(decided)))
+    let Some(decided) = decided else { return said };
+    let near = nearly(decided, answer);
+    let near = if near.is_empty() { near } else { format!("; near the detection threshold, and not reported: {near}") };
+    format!("{said} ({}){near}", looked_at_of(decided))
+}
+
+/// From this share of its detection threshold on, a test is said to have nearly reached it.
+const NEARLY: f64 = 0.5;
+
+/// What came near its detection threshold on the scene without being reported, with its share of it.
+fn nearly(decided: &Decided, answer: &Answer) -> String {
+    let is_reported = |id: &str| answer.claims.iter().any(|claim| claim.id == id || claim.also_possible.contains(&id));
+    let share = |one: &Proposal| one.score * one.probability;
+    let near = decided.proposals.iter().filter(|one| (NEARLY..1.0).contains(&share(one)) && !is_reported(CANDIDATES[one.candidate].id));
+    near.map(|one| format!("{} ({:.0} % of it)", CANDIDATES[one.candidate].label(), 100.0 * share(one))).collect::<Vec<_>>().join(", ")
 }
 
 /// Which events were held against which scene.

@@ -8,7 +8,8 @@ use crate::candidates::Scales;
 use crate::case::Case;
 use crate::diagnose::{amended, can_compare, looked_at};
 use crate::heldout::predict;
-use crate::integrity::{Finding, Integrity, means};
+use crate::integrity::again::add_intervals;
+use crate::integrity::{Finding, Integrity, joined, means};
 use crate::nominal::Nominal;
 use crate::scene::SceneSetting;
 use photocurrent_core::NodeError;
@@ -68,6 +69,13 @@ pub fn judged(case: &Case, nominal: &Nominal, judging: &Judging, integrity: &mut
             (best, accepted) = (db, with);
         }
     }
+    let masked = &integrity.masked;
+    let is_dark = |findings: &[Finding]| findings.iter().any(|finding| finding.id == "dark_current");
+    let with_dark = is_dark(&accepted);
+    add_intervals(case, &mut accepted, &|case, out| {
+        let means::Proposed { late, contrast } = means::proposed(case, nominal, &joined(masked, out));
+        late.into_iter().chain(contrast.into_iter().filter(|alternative| is_dark(alternative) == with_dark).flatten()).collect()
+    });
     integrity.findings.extend(accepted);
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! The events and the frames of a recording in memory, shared between copies: what a copy leaves out is a mask beside them.
+//! The events and the frames of a recording in memory, shared between copies: what a copy leaves out is a mask next to them.
 
 use photocurrent_core::FrameTimes;
 use std::ops::Range;

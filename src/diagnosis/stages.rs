@@ -113,6 +113,8 @@ struct FindingText {
     pixels: Vec<u32>,
     seen: String,
     heldout: Option<Heldout>,
+    #[serde(default)]
+    ci95: Vec<(String, [f64; 2])>,
 }
 
 impl<'de> Deserialize<'de> for Finding {
@@ -122,6 +124,7 @@ impl<'de> Deserialize<'de> for Finding {
         let decl = catalogue().into_iter().map(|kind| kind.decl).find(|decl| decl.id == text.id).ok_or_else(|| unknown(&text.id))?;
         let name = |name: &str| decl.parameters.iter().map(|of| of.name).find(|of| *of == name);
         let parameters = text.parameters.iter().map(|(of, value)| Ok((name(of).ok_or_else(|| unknown(&format!("{}.{of}", decl.id)))?, *value)));
+        let ci95 = text.ci95.iter().map(|(of, interval)| Ok((name(of).ok_or_else(|| unknown(&format!("{}.{of}", decl.id)))?, *interval)));
         let polarity = ["on", "off", "both"].into_iter().find(|polarity| *polarity == text.polarity);
         Ok(Finding {
             id: decl.id,
@@ -133,6 +136,7 @@ impl<'de> Deserialize<'de> for Finding {
             pixels: text.pixels,
             seen: text.seen,
             heldout: text.heldout,
+            ci95: ci95.collect::<Result<_, D::Error>>()?,
         })
     }
 }

@@ -247,7 +247,9 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
     let values: Vec<Valued> = finding
         .parameters
         .iter()
-        .filter_map(|(parameter, value)| Some((CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == *parameter)?, *value, None)))
+        .filter_map(|(parameter, value)| {
+            Some((CANDIDATES.iter().position(|one| one.id == finding.id && one.parameter == *parameter)?, *value, finding.interval(parameter)))
+        })
         .collect();
     // Events that are counted are certain however few they are; the limits are for what is fitted.
     let is_material = |(candidate, value, _): &Valued| CANDIDATES[*candidate].sought.is_counted || is_material(case, nominal, &CANDIDATES[*candidate], *value);

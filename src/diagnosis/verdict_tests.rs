@@ -74,6 +74,7 @@ fn a_direct_finding_is_named_and_a_stronger_term_stands_before_it() {
         pixels: vec![3],
         seen: String::new(),
         heldout: None,
+        ci95: Vec::new(),
     };
     let integrity = Integrity { findings: vec![finding], ..Integrity::default() };
     let alone = answer_with(&integrity, None);
@@ -121,6 +122,7 @@ fn what_shows_without_a_scene_has_no_name_unless_a_direct_test_has_one() {
         pixels: vec![3],
         seen: String::new(),
         heldout: None,
+        ci95: Vec::new(),
     };
     let both = answer_with(&Integrity { findings: vec![hot], ..integrity }, None);
     assert_eq!((both.verdict, both.claims[0].id), (Verdict::Named, "hot_pixels"));
@@ -138,6 +140,7 @@ fn what_looks_like_a_direct_finding_is_its_remainder() {
         pixels: Vec::new(),
         seen: String::new(),
         heldout: None,
+        ci95: Vec::new(),
     };
     let integrity = Integrity { findings: vec![finding], ..Integrity::default() };
     let scale = proposal("threshold_scale", "fraction", 60.0, 0.9, 0.2);

@@ -280,7 +280,6 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
     let shifted = |events: &[Vec<(i64, i8)>]| Shifts::tried(changes.period_ns, |shift_ns| sums(events, shift_ns));
     let of_shift = shifted(&middles);
     let Some(late_ns) = of_shift.best_ns() else { return (0.0, None) };
-    let raw_ns = shifted(&plain).best_ns().unwrap_or(late_ns);
     let nats = of_shift.nats();
     let least = DELAY_NS.max(DELAY_EXPOSURES * changes.exposure_ns).max(DELAY_PERIODS * changes.period_ns);
     // Light that is lost after events makes them look early by the blind time, which is at most the shortest interval.
@@ -293,6 +292,7 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         let at = |t_ns: i64| case.events.of(change.pixel).partition_point(|event| event.t_in_ns < t_ns);
         at(change.span.1) - at(change.span.0)
     };
+    let raw_ns = shifted(&plain).best_ns().unwrap_or(late_ns);
     let events = large.iter().map(|change| within(change)).sum();
     let seen = format!(
         "{} changes between frames agree best with the events when these are taken {:.2} ms {}; as recorded, with the time that a threshold takes, {:.2} ms",

@@ -12,8 +12,13 @@ const THRESHOLD: f64 = 0.2;
 
 /// 40 x 32 pixels, a second at 25 Hz with exposures of 500 us. Thresholds are a fifth more than stated, events are stamped `late_ns` late, pixels are blind for `blind_ns`.
 fn camera(late_ns: i64, blind_ns: i64) -> Case {
+    seeded(21, late_ns, blind_ns)
+}
+
+/// Another one for each seed.
+pub(super) fn seeded(seed: u64, late_ns: i64, blind_ns: i64) -> Case {
     let extent = Extent { width: 40, height: 32 };
-    let mut random = Random::new(21, &[]);
+    let mut random = Random::new(seed, &[]);
     let mut frames = vec![0.0; FRAMES as usize * extent.pixels()];
     let pixels: Vec<Vec<Recorded>> = (0..extent.pixels())
         .map(|pixel| {

@@ -132,5 +132,6 @@ fn finding(case: &Case, on: &Against, off: &Against) -> Option<Finding> {
             off.rate_hz()
         ),
         heldout: None,
+        ci95: Vec::new(),
     })
 }

@@ -197,6 +197,7 @@ fn in_step(case: &Case, nominal: &Nominal, (pixels, polarity): (&[u32], i8), oth
             delay * 1e-3
         ),
         heldout: Some(Heldout { nats, events: phases.events.len() }),
+        ci95: Vec::new(),
     })
 }
 

@@ -25,15 +25,16 @@ const PARTS: usize = 12;
 /// And its events and its frames must disagree by so many times as much as those around.
 const DISAGREES: f64 = 2.0;
 
-/// Hot rows, and the pixels in them.
-pub fn rows(case: &Case, nominal: Option<&Nominal>) -> (Option<Finding>, Vec<u32>) {
+/// Hot rows, and the pixels in them; pixels of `out` (rising) are not looked at.
+pub fn rows(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Option<Finding>, Vec<u32>) {
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     if height < 8 || width < 8 {
         return (None, Vec::new());
     }
     let count = |x: usize, y: usize| case.events.of(y * width + x).len() as f64;
     let (mut hot, mut excess, mut strongest) = (Vec::new(), 0.0, 0.0_f64);
-    let medians: Vec<f64> = (0..height).map(|y| median(&mut (0..width).map(|x| count(x, y)).collect::<Vec<_>>())).collect();
+    let is_in = |x: usize, y: usize| out.binary_search(&((y * width + x) as u32)).is_err();
+    let medians: Vec<f64> = (0..height).map(|y| median(&mut (0..width).filter(|&x| is_in(x, y)).map(|x| count(x, y)).collect::<Vec<_>>())).collect();
     // What stands at the rim has nothing on its other side to be held against.
     for y in 1..height - 1 {
         // Two rows may stand next to each other: of the four around, the quieter two pairs decide.
@@ -45,16 +46,21 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>) -> (Option<Finding>, Vec<u32
             continue;
         }
         let quiet: Vec<usize> = around.iter().copied().filter(|&row| medians[row] <= middle).collect();
-        let more = (0..width).filter(|&x| quiet.iter().all(|&row| count(x, y) > count(x, row) + 1.0)).count();
+        let columns: Vec<usize> = (0..width).filter(|&x| is_in(x, y) && quiet.iter().all(|&row| is_in(x, row))).collect();
+        let more = columns.iter().filter(|&&x| quiet.iter().all(|&row| count(x, y) > count(x, row) + 1.0)).count();
         let steady =
-            steady(case, &(0..width).map(|x| y * width + x).collect::<Vec<_>>(), |pixel| quiet.iter().map(|&row| row * width + pixel % width).collect());
-        let of = |row: usize| median(&mut (0..width).map(|x| disagreement(case, nominal, row * width + x)).collect::<Vec<_>>());
+            steady(case, &columns.iter().map(|x| y * width + x).collect::<Vec<_>>(), |pixel| quiet.iter().map(|&row| row * width + pixel % width).collect());
+        let of = |row: usize| median(&mut columns.iter().map(|x| disagreement(case, nominal, row * width + x)).collect::<Vec<_>>());
         let elsewhere = quiet.iter().map(|&row| of(row)).fold(0.0, f64::max);
-        if more as f64 > ROW_SHARE * width as f64 && steady >= STEADY && (elsewhere == 0.0 || of(y) > ROW_DISAGREES * elsewhere) {
+        if 2 * columns.len() > width
+            && more as f64 > ROW_SHARE * columns.len() as f64
+            && steady >= STEADY
+            && (elsewhere == 0.0 || of(y) > ROW_DISAGREES * elsewhere)
+        {
             hot.push(y as u32);
-            let here: f64 = (0..width).map(|x| count(x, y)).sum();
-            let there: f64 = quiet.iter().flat_map(|&row| (0..width).map(move |x| count(x, row))).sum();
-            excess += (here - there / quiet.len() as f64) / width as f64;
+            let here: f64 = columns.iter().map(|&x| count(x, y)).sum();
+            let there: f64 = quiet.iter().flat_map(|&row| columns.iter().map(move |&x| count(x, row))).sum();
+            excess += (here - there / quiet.len() as f64) / columns.len() as f64;
             strongest = strongest.max(sigmas);
         }
     }
@@ -76,6 +82,7 @@ pub fn rows(case: &Case, nominal: Option<&Nominal>) -> (Option<Finding>, Vec<u32
         pixels: pixels.clone(),
         seen: format!("rows {hot:?}: every pixel fires about {rate:.0} times a second more than in the rows around, all the time"),
         heldout: None,
+        ci95: Vec::new(),
     };
     (Some(finding), pixels)
 }
@@ -134,6 +141,7 @@ pub fn pixels(case: &Case, nominal: Option<&Nominal>, masked: &mut Vec<u32>) -> 
         pixels: hot,
         seen,
         heldout: None,
+        ci95: Vec::new(),
     })
 }
 

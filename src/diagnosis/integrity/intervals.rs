@@ -80,6 +80,7 @@ fn noise(all: &[i64], reversals: &[i64], events: usize) -> Option<Finding> {
             limit * 1e-3
         ),
         heldout: None,
+        ci95: Vec::new(),
     })
 }
 
@@ -104,6 +105,7 @@ fn jitter(case: &Case, all: &[i64], reversals: &[i64]) -> Option<Finding> {
             limit * 1e-3
         ),
         heldout: None,
+        ci95: Vec::new(),
     })
 }
 
@@ -121,6 +123,7 @@ fn blind_time(case: &Case, nominal: &Nominal, blind: &[i64]) -> Option<Finding> 
         pixels: Vec::new(),
         seen,
         heldout: None,
+        ci95: Vec::new(),
     };
     if early > BLIND {
         let shortest = quantile(blind, 0.002).max(0);

@@ -55,6 +55,7 @@ fn full(case: &Case, stream: &Stream, window: i64, origin: i64) -> Option<(f64, 
         pixels: Vec::new(),
         seen: format!("{} of {} windows of {} us hold exactly {cap} events: what is beyond is lost", with[cap], counts.len(), window / 1000),
         heldout: None,
+        ci95: Vec::new(),
     };
     Some((with[cap] as f64 / counts.len() as f64, finding))
 }
@@ -128,6 +129,7 @@ pub fn frame_coupling(case: &Case, stream: &Stream) -> Option<Finding> {
             if lean > 0.0 { "ON" } else { "OFF" }
         ),
         heldout: None,
+        ci95: Vec::new(),
     })
 }
 

@@ -19,7 +19,9 @@
 //! - [`means`]: both for frames of long exposure, by the double integral; and a dark current. It proposes, [`crate::judge`] decides.
 //! - [`regular`]: rates of events that repeat with the frames row by row, or from row to row: what no scene does and no effect of the catalogue.
 //! - [`flicker`]: one rhythm common to the whole array.
+//! - [`again`]: 95 % intervals of what is found, by tests made again without parts of the array.
 
+pub(crate) mod again;
 pub mod changes;
 pub mod contrary;
 pub mod coupling;
@@ -39,6 +41,7 @@ use crate::covariates::Covariate;
 use crate::dependence::Dependence;
 use crate::nominal::Nominal;
 use crate::report::SceneProperty;
+use again::{add_intervals, lacks_interval};
 use serde::{Deserialize, Serialize};
 
 /// A departure from the description that a direct test saw.
@@ -62,7 +65,13 @@ pub struct Finding {
     pub seen: String,
     /// What it gains on measurements that its estimate did not see; none where that was not worked out.
     pub heldout: Option<Heldout>,
+    /// 95 % intervals by parameter ([`again`]); those that were worked out.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub ci95: Vec<(&'static str, [f64; 2])>,
 }
+
+/// Tests that are made again of a recording without the pixels of a list.
+type TestsAgain<'a> = &'a (dyn Fn(&Case, &[u32]) -> Vec<Finding> + Sync);
 
 /// Nats that half of the array must gain from what the other half says.
 const NATS: f64 = 30.0;
@@ -71,7 +80,28 @@ impl Finding {
     /// Of a test that predicts each half of the array from the other: `nats` in all, on so many events.
     fn of_halves(id: &'static str, parameter: (&'static str, f64), nats: f64, events: usize, seen: String) -> Finding {
         let heldout = Some(Heldout { nats, events });
-        Finding { id, parameters: vec![parameter], statistic: nats, threshold: NATS, share: 1.0, polarity: "both", pixels: Vec::new(), seen, heldout }
+        Finding {
+            id,
+            parameters: vec![parameter],
+            statistic: nats,
+            threshold: NATS,
+            share: 1.0,
+            polarity: "both",
+            pixels: Vec::new(),
+            seen,
+            heldout,
+            ci95: Vec::new(),
+        }
+    }
+
+    /// The estimate of a parameter.
+    pub fn value(&self, parameter: &str) -> Option<f64> {
+        self.parameters.iter().find(|(name, _)| *name == parameter).map(|(_, value)| *value)
+    }
+
+    /// The 95 % interval of a parameter.
+    pub fn interval(&self, parameter: &str) -> Option<[f64; 2]> {
+        self.ci95.iter().find(|(name, _)| *name == parameter).map(|(_, interval)| *interval)
     }
 }
 
@@ -144,33 +174,8 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         return found;
     }
     let stream = Stream::of(case);
-    let (rows, mut masked) = hot::rows(case, nominal);
-    let pixels = hot::pixels(case, nominal, &mut masked);
-    found.findings.extend(rows);
-    found.findings.extend(pixels);
-    found.masked = masked;
-    let tight = stamps::findings(case, &stream);
-    let on_grid = tight.iter().any(|finding| finding.id == stamps::GRID);
-    found.findings.extend(tight);
-    // Stamps on a coarse grid have no interval below its step.
-    let says_more = |finding: &Finding| !(on_grid && finding.id == "refractory");
-    found.findings.extend(intervals::findings(case, nominal, &found.masked).into_iter().filter(says_more));
-    if let Some(noise) = contrary::noise(case, &found.masked) {
-        // Its rate is counted over a longer time than that of too short reversals.
-        found.findings.retain(|finding| finding.id != noise.id);
-        found.findings.push(noise);
-    }
-    if !on_grid {
-        found.findings.extend(load::loss(case, &stream));
-    }
-    found.findings.extend(load::frame_coupling(case, &stream));
-    if let Some(nominal) = nominal {
-        let still = still::still(case, nominal, &found.masked);
-        found.findings.extend(still::leak(case, nominal, &still));
-        found.findings.extend(coupling::coupling(case, nominal, &still, &found.masked));
-        found.findings.extend(changes::findings(case, nominal, &found.masked));
-        found.findings.extend(steps::findings(case, nominal, &found.masked));
-    }
+    (found.findings, found.masked) = hot_ones(case, nominal, &[]);
+    found.findings.extend(others(case, nominal, Some(&stream), &found.masked, &|_| true));
     found.dependences = regular::dependences(case, &found.masked);
     if found.findings.iter().any(|finding| finding.id == "frame_coupling") {
         found.dependences.retain(|dependence| dependence.covariate != Covariate::FramePhase);
@@ -184,6 +189,68 @@ pub fn integrity(case: &Case, nominal: Option<&Nominal>) -> Integrity {
         ids.push(finding.id);
         is_new
     });
+    let Integrity { findings, masked, .. } = &mut found;
+    let ids: Vec<&str> = findings.iter().filter(|finding| lacks_interval(finding)).map(|finding| finding.id).collect();
+    add_intervals(case, findings, &|case, out| {
+        let mut again = if ids.iter().any(|id| hot::IDS.contains(id)) { hot_ones(case, nominal, out).0 } else { Vec::new() };
+        let stream = ids.iter().any(|id| OF_STREAM.contains(id)).then(|| Stream::of(case));
+        again.extend(others(case, nominal, stream.as_ref(), &joined(masked, out), &|of| ids.iter().any(|id| of.contains(id))));
+        again
+    });
+    found
+}
+
+/// What is found in the order of all events.
+const OF_STREAM: [&str; 5] = [stamps::GRID, "timestamp_jitter", "readout_queue", "event_loss", "frame_coupling"];
+
+/// Two lists of pixels as one, rising.
+pub(crate) fn joined(a: &[u32], b: &[u32]) -> Vec<u32> {
+    let mut all = [a, b].concat();
+    all.sort_unstable();
+    all.dedup();
+    all
+}
+
+/// Hot rows, then hot pixels, and the pixels of both; those of `out` (rising) are not looked at.
+fn hot_ones(case: &Case, nominal: Option<&Nominal>, out: &[u32]) -> (Vec<Finding>, Vec<u32>) {
+    let (rows, in_rows) = hot::rows(case, nominal, out);
+    let mut masked = joined(&in_rows, out);
+    let pixels = hot::pixels(case, nominal, &mut masked);
+    (rows.into_iter().chain(pixels).collect(), masked)
+}
+
+/// The tests that are `wanted` (by the ids that they may find), without the pixels of `masked`.
+fn others(case: &Case, nominal: Option<&Nominal>, stream: Option<&Stream>, masked: &[u32], wanted: &dyn Fn(&[&str]) -> bool) -> Vec<Finding> {
+    let mut found: Vec<Finding> = stream.map_or_else(Vec::new, |stream| stamps::findings(case, stream));
+    let on_grid = found.iter().any(|finding| finding.id == stamps::GRID);
+    if wanted(&["background_activity", "timestamp_jitter", "refractory"]) {
+        // Stamps on a coarse grid have no interval below its step.
+        let says_more = |finding: &Finding| !(on_grid && finding.id == "refractory");
+        found.extend(intervals::findings(case, nominal, masked).into_iter().filter(says_more));
+    }
+    if wanted(&["background_activity"])
+        && let Some(noise) = contrary::noise(case, masked)
+    {
+        // Its rate is counted over a longer time than that of too short reversals.
+        found.retain(|finding| finding.id != noise.id);
+        found.push(noise);
+    }
+    if let Some(stream) = stream {
+        found.extend(load::loss(case, stream).filter(|_| !on_grid));
+        found.extend(load::frame_coupling(case, stream));
+    }
+    let Some(nominal) = nominal else { return found };
+    if wanted(&["leak_events", "parasitic_leak", "frame_coupling"]) {
+        let still = still::still(case, nominal, masked);
+        found.extend(still::leak(case, nominal, &still));
+        found.extend(coupling::coupling(case, nominal, &still, masked));
+    }
+    if wanted(&["clock_offset", "refractory"]) {
+        found.extend(changes::findings(case, nominal, masked));
+    }
+    if wanted(&["threshold_scale", "threshold_asymmetry"]) {
+        found.extend(steps::findings(case, nominal, masked));
+    }
     found
 }
 
@@ -240,6 +307,8 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     quantile(values, 0.5)
 }
 
+#[cfg(test)]
+mod again_tests;
 #[cfg(test)]
 mod changes_tests;
 #[cfg(test)]

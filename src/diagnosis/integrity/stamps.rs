@@ -35,6 +35,7 @@ pub fn findings(case: &Case, stream: &Stream) -> Vec<Finding> {
             pixels: Vec::new(),
             seen: format!("{:.1} % of the stamps sit on a grid of {:.1} us; {:.3} us is stated", 100.0 * on_it, step * 1e-3, stated * 1e-3),
             heldout: None,
+            ci95: Vec::new(),
         });
         return found;
     }
@@ -112,6 +113,7 @@ fn queue(stream: &Stream, gap: f64, share: f64) -> Option<Finding> {
         pixels: Vec::new(),
         seen: format!("{:.0} % of the gaps between stamps are {:.2} us, without a common grid: one event waits for the other", 100.0 * share, gap * 1e-3),
         heldout: None,
+        ci95: Vec::new(),
     })
 }
 
@@ -154,6 +156,7 @@ fn off_grid(case: &Case) -> Option<Finding> {
         pixels: Vec::new(),
         seen: format!("stamps are stated to {:.3} us, and lie anywhere between: they were moved after they were taken", step * 1e-3),
         heldout: None,
+        ci95: Vec::new(),
     })
 }
 

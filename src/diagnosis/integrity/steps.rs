@@ -39,19 +39,22 @@ pub fn findings(case: &Case, nominal: &Nominal, masked: &[u32]) -> Vec<Finding> 
     let ratios = (on.value / stated.0, off.value / stated.1);
     let (scale, asymmetry) = (0.5 * (ratios.0 + ratios.1) - 1.0, (ratios.0 - ratios.1) / (ratios.0 + ratios.1));
     let is_off = !(on.holds(stated.0) && off.holds(stated.1)) && (ratios.0 - 1.0) * (ratios.1 - 1.0) > 0.0;
-    let one = |id: &'static str, fraction: f64, nats: f64| {
+    // The estimate's own intervals hold what tests without parts of the array do not see: how far behind a pixel is after a reversal.
+    let (low, high) = ((on.ci95.0 / stated.0, off.ci95.0 / stated.1), (on.ci95.1 / stated.0, off.ci95.1 / stated.1));
+    let apart = |on: f64, off: f64| (on - off) / (on + off);
+    let one = |id: &'static str, fraction: f64, ci95: [f64; 2], nats: f64| {
         let seen = format!(
             "in {measured} places and pairs of frames an ON event comes for a change of {:.3} ({:.3} to {:.3}) of the log light and an OFF event for {:.3} ({:.3} to {:.3})",
             on.value, on.ci95.0, on.ci95.1, off.value, off.ci95.0, off.ci95.1
         );
-        Finding::of_halves(id, ("fraction", fraction), nats, gains.measured, seen)
+        Finding { ci95: vec![("fraction", ci95)], ..Finding::of_halves(id, ("fraction", fraction), nats, gains.measured, seen) }
     };
     let mut all = Vec::new();
     if is_off && scale.abs() > LEAST && gains.scale > NATS {
-        all.push(one("threshold_scale", scale, gains.scale));
+        all.push(one("threshold_scale", scale, [0.5 * (low.0 + low.1) - 1.0, 0.5 * (high.0 + high.1) - 1.0], gains.scale));
     }
     if asymmetry.abs() > LEAST && gains.apart > NATS {
-        all.push(one("threshold_asymmetry", asymmetry, gains.apart));
+        all.push(one("threshold_asymmetry", asymmetry, [apart(low.0, high.1), apart(high.0, low.1)], gains.apart));
     }
     all
 }

@@ -10,6 +10,7 @@
 use super::{Finding, Heldout, half, median};
 use crate::case::{Case, CaseFrames, Recorded};
 use crate::nominal::Nominal;
+use crate::page::readable;
 
 /// Fewer frames say too little of what stands still.
 const FEWEST_FRAMES: usize = 5;
@@ -131,11 +132,12 @@ pub fn leak(case: &Case, nominal: &Nominal, still: &[u32]) -> Option<Finding> {
         polarity: "on",
         pixels: Vec::new(),
         seen: format!(
-            "{} pixels in which nothing moves have {ons} ON and {offs} OFF events: {:.2} mHz a pixel more ON than OFF{the_brighter}",
+            "{} pixels in which nothing moves have {ons} ON and {offs} OFF events: {} a pixel more ON than OFF{the_brighter}",
             still.len(),
-            1e3 * rate
+            readable(rate, "Hz")
         ),
         heldout: Some(Heldout { nats, events: ons + offs }),
+        ci95: Vec::new(),
     })
 }
 

@@ -38,6 +38,24 @@ fn camera(mut event: impl FnMut(usize, &mut Random) -> (i64, usize, i8)) -> Case
     }
 }
 
+/// Each pixel in which nothing moves fires ON events at this rate, Hz.
+pub(super) fn leaking(seed: u64, rate_hz: f64) -> Case {
+    let mut random = Random::new(seed, &[7]);
+    let mut case = camera(|_, random| (any_time(random), 0, 1));
+    let end = case.span.1;
+    case.events = PixelEvents::new((0..WIDTH * HEIGHT).map(|pixel| {
+        let (mut t, mut events) = (0, Vec::new());
+        loop {
+            t += (-libm::log(1.0 - random.uniform()) / rate_hz * 1e9) as i64;
+            if t >= end || pixel % WIDTH >= WIDTH - 6 {
+                return events;
+            }
+            events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity: 1 });
+        }
+    }));
+    case
+}
+
 /// A pixel among those that nothing near moves in.
 fn pixel(random: &mut Random) -> usize {
     let (x, y) = ((random.uniform() * 38.0) as usize, (random.uniform() * HEIGHT as f64) as usize);

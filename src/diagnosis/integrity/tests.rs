@@ -7,8 +7,12 @@ use photocurrent_core::random::Random;
 
 /// 24 x 20 pixels that see a wave at 30 Hz: bursts of five events of a sign, some milliseconds apart, at times of their own in each pixel.
 fn bursts(step_ns: i64) -> Case {
-    let extent = Extent { width: 24, height: 20 };
-    let mut random = Random::new(5, &[1]);
+    bursts_on(Extent { width: 24, height: 20 }, 5, step_ns)
+}
+
+/// On an array of another size, with a seed.
+pub(super) fn bursts_on(extent: Extent, seed: u64, step_ns: i64) -> Case {
+    let mut random = Random::new(seed, &[1]);
     let pixels = (0..extent.pixels()).map(|_| {
         let mut events = Vec::new();
         let mut t = (random.uniform() * 30e6) as i64;
@@ -29,7 +33,7 @@ fn bursts(step_ns: i64) -> Case {
 }
 
 /// With events changed pixel by pixel.
-fn with(mut case: Case, mut change: impl FnMut(usize, &mut Vec<Recorded>)) -> Case {
+pub(super) fn with(mut case: Case, mut change: impl FnMut(usize, &mut Vec<Recorded>)) -> Case {
     let pixels: Vec<Vec<Recorded>> = (0..case.events.pixels())
         .map(|pixel| {
             let mut events = case.events.of(pixel).to_vec();
@@ -41,7 +45,7 @@ fn with(mut case: Case, mut change: impl FnMut(usize, &mut Vec<Recorded>)) -> Ca
     case
 }
 
-fn add(events: &mut Vec<Recorded>, random: &mut Random, count: usize, polarity: i8) {
+pub(super) fn add(events: &mut Vec<Recorded>, random: &mut Random, count: usize, polarity: i8) {
     for _ in 0..count {
         let t = (random.uniform() * 3e5) as i64 * 1000;
         events.push(Recorded { t_in_ns: t, t_off_ns: t, polarity });
@@ -199,10 +203,16 @@ fn random_events_of_both_signs_are_background_activity() {
 
 /// 24 x 20 pixels over which a wide wave moves: bursts of ten events of a sign, at nearly the same times in neighbours.
 fn wide_wave() -> Case {
-    let mut random = Random::new(15, &[1]);
-    with(bursts(1000), |pixel, events| {
+    wide_wave_on(bursts(1000), 15)
+}
+
+/// Instead of the events of another recording, with a seed.
+pub(super) fn wide_wave_on(case: Case, seed: u64) -> Case {
+    let mut random = Random::new(seed, &[1]);
+    let width = case.extent.width as usize;
+    with(case, |pixel, events| {
         events.clear();
-        let (mut t, mut polarity) = (1_000_000 + (pixel % 24) as i64 * 400_000, 1);
+        let (mut t, mut polarity) = (1_000_000 + (pixel % width) as i64 * 400_000, 1);
         while t < 290_000_000 {
             for _ in 0..10 {
                 let stamp = (t + (random.uniform() * 3e5) as i64) / 1000 * 1000;

@@ -29,8 +29,6 @@ pub use units::readable;
 /// The title of a page without names, and the place where names go.
 const TITLE: &str = "Diagnosis";
 const SLOT: &str = "<!-- names -->";
-/// From this share of its detection threshold on, a test is said to have nearly reached it.
-const NEARLY: f64 = 0.5;
 
 /// The page of a report; pictures need the recording and what came of its diagnosis.
 pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> String {
@@ -41,7 +39,7 @@ pub fn page(report: &Report, case: Option<&Case>, found: Option<&Diagnosis>) -> 
         Section { id, title: title.into(), html }
     };
     let mut lead = String::new();
-    head(&mut lead, report, found);
+    head(&mut lead, report);
     let sections = vec![
         part("missing", "What the description lacks", &|html| effects(html, report)),
         part("before-after", "Before and after", &|html| fits(html, report)),
@@ -98,34 +96,22 @@ pub fn with_names(page: &str, recording: Option<&str>, description: Option<&str>
 /// Verdict, summary and effects as HTML, for a page of another kind; it has no pictures.
 pub fn section(report: &Report) -> String {
     let mut html = String::new();
-    head(&mut html, report, None);
+    head(&mut html, report);
     effects(&mut html, report);
     fits(&mut html, report);
     next(&mut html, report);
     html
 }
 
-fn head(html: &mut String, report: &Report, found: Option<&Diagnosis>) {
+fn head(html: &mut String, report: &Report) {
     let _ = writeln!(html, "{SLOT}\n<p><span class=\"badge\">{}</span></p>", escaped(&report.verdict.name().replace('_', " ")));
     let class = if report.verdict == Verdict::BrokenData { " class=\"failed\"" } else { "" };
     let _ = writeln!(html, "<p{class}>{}</p>", escaped(&report.summary));
-    let near = found.map(|found| nearly(report, found)).unwrap_or_default();
-    if !near.is_empty() {
-        let _ = writeln!(html, "<p class=\"missing\">Near the detection threshold, and not reported: {}.</p>", escaped(&near.join(", ")));
-    }
     for property in &report.scene {
         let text =
             format!("A property of the scene, not of the sensor: {} at {:.0} Hz, depth {:.2}.", property.property, property.frequency_hz, property.depth);
         let _ = writeln!(html, "<p class=\"note\">{}</p>", escaped(&text));
     }
-}
-
-/// What came near its detection threshold without being reported, with its share of it.
-fn nearly(report: &Report, found: &Diagnosis) -> Vec<String> {
-    let is_reported = |id: &str| report.effects.iter().any(|effect| effect.id == id || effect.also_possible.iter().any(|other| other == id));
-    let proposals = found.proposed.decided().map_or(&[][..], |decided| &decided.proposals);
-    let near = proposals.iter().filter(|one| (NEARLY..1.0).contains(&(one.score * one.probability)) && !is_reported(CANDIDATES[one.candidate].id));
-    near.map(|one| format!("{} ({:.0} % of it)", CANDIDATES[one.candidate].label(), 100.0 * one.score * one.probability)).collect()
 }
 
 /// The curve of what is reported without a name.
@@ -143,7 +129,8 @@ fn effects(html: &mut String, report: &Report) {
         let _ = writeln!(html, "<div class=\"missing\"><h3>{}</h3>\n<p>{}</p>", escaped(&effect.id), escaped(&effect.plain));
         let _ = writeln!(html, "<p><code>{}</code> <span class=\"note\">(enters at: {})</span></p>", escaped(&effect.equation), escaped(&effect.insertion));
         if !effect.parameters.is_empty() {
-            html.push_str("<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Parameters\"><table><thead><tr><th scope=\"col\">parameter</th><th scope=\"col\" class=\"number\">estimate</th><th scope=\"col\" class=\"number\">95 % interval</th><th scope=\"col\" class=\"number\">nominal</th></tr></thead>\n");
+            let _ = write!(html, "<div class=\"wide\" tabindex=\"0\" role=\"region\" aria-label=\"Parameters of {}\">", escaped(&effect.id));
+            html.push_str("<table><thead><tr><th scope=\"col\">parameter</th><th scope=\"col\" class=\"number\">estimate</th><th scope=\"col\" class=\"number\">95 % interval</th><th scope=\"col\" class=\"number\">nominal</th></tr></thead>\n");
             effect.parameters.iter().for_each(|(key, parameter)| parameter_row(html, key, parameter));
             html.push_str("</table></div>\n");
         }
