@@ -186,10 +186,14 @@ pub(super) struct Shifts {
 }
 
 impl Shifts {
-    /// `sums` with events moved earlier by so many ns.
-    pub fn tried(period_ns: f64, sums: impl Fn(i64) -> [Sums; 2]) -> Shifts {
+    /// Adds up to each shift's sums what `add` says of it, item by item: what is known of an item is at hand for all shifts. Events are moved earlier by the shift, ns.
+    pub fn tried<T>(period_ns: f64, items: impl IntoIterator<Item = T>, add: impl Fn(&T, i64, &mut [Sums; 2])) -> Shifts {
         let step_ns = REACH * period_ns / SHIFTS as f64;
-        Shifts { step_ns, tried: (-SHIFTS..=SHIFTS).map(|k| sums((k as f64 * step_ns).round() as i64)).collect() }
+        let mut tried: Vec<(i64, [Sums; 2])> = (-SHIFTS..=SHIFTS).map(|k| ((k as f64 * step_ns).round() as i64, Default::default())).collect();
+        for item in items {
+            tried.iter_mut().for_each(|(shift_ns, sums)| add(&item, *shift_ns, sums));
+        }
+        Shifts { step_ns, tried: tried.into_iter().map(|(_, sums)| sums).collect() }
     }
 
     fn left(sums: &Sums) -> f64 {
@@ -267,17 +271,15 @@ fn late(case: &Case, nominal: &Nominal, changes: &Changes, blind_ns: i64) -> (f6
         }
         place.push(plain.len() - 1);
     }
-    let sums = |events: &[Vec<(i64, i8)>], shift_ns: i64| -> [Sums; 2] {
-        let mut sums = [Sums::default(); 2];
-        for (change, &place) in large.iter().zip(&place) {
-            let at = |t_ns: i64| events[place].partition_point(|event| event.0 < t_ns + shift_ns);
-            let within = &events[place][at(change.span.0)..at(change.span.1)];
+    let shifted = |events: &[Vec<(i64, i8)>]| {
+        Shifts::tried(changes.period_ns, large.iter().zip(&place), |(change, place), shift_ns, sums| {
+            let events = &events[**place];
+            let at = |t_ns: i64| events.partition_point(|event| event.0 < t_ns + shift_ns);
+            let within = &events[at(change.span.0)..at(change.span.1)];
             let on = within.iter().filter(|event| event.1 > 0).count() as f64;
             sums[half(case, change.pixel)].add([on, on - within.len() as f64, 0.0], change.log);
-        }
-        sums
+        })
     };
-    let shifted = |events: &[Vec<(i64, i8)>]| Shifts::tried(changes.period_ns, |shift_ns| sums(events, shift_ns));
     let of_shift = shifted(&middles);
     let Some(late_ns) = of_shift.best_ns() else { return (0.0, None) };
     let nats = of_shift.nats();

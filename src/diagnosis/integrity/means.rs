@@ -237,13 +237,9 @@ fn late(case: &Case, nominal: &Nominal, pairs: &Pairs, stated: (f64, f64)) -> (f
     if large.len() < FEWEST {
         return (0.0, None);
     }
-    let of_shift = Shifts::tried(pairs.period_ns, |shift_ns| {
-        let mut sums = [Sums::default(); 2];
-        for pair in &large {
-            let seen = pairs.seen(pair, stated, shift_ns);
-            sums[pair.half].add([seen.on, seen.off, 0.0], pair.change(0.0) - seen.beyond);
-        }
-        sums
+    let of_shift = Shifts::tried(pairs.period_ns, large.iter(), |pair, shift_ns, sums| {
+        let seen = pairs.seen(pair, stated, shift_ns);
+        sums[pair.half].add([seen.on, seen.off, 0.0], pair.change(0.0) - seen.beyond);
     });
     let Some(late_ns) = of_shift.best_ns() else { return (0.0, None) };
     let nats = of_shift.nats();
