@@ -5,7 +5,7 @@
 //! for a page that nobody opened is not tested. With `KEEP_SCREENSHOTS=FOLDER` the pictures that the tests take are kept, to be looked at.
 //!
 //! On each page, in light and dark, wide and 390 px, axe-core looks for what breaks WCAG 2.0 to 2.2 at levels A and AA, or its best practices. `make browser` fetches it; without it that part is
-//! skipped and said so, unless `REQUIRE_AXE` is set, as it is in continuous integration. What axe-core cannot decide is not reported.
+//! skipped and said so, unless `REQUIRE_AXE` is set. What axe-core cannot decide is not reported.
 
 use crate::support::{Bench, root};
 use serde_json::{Value, json};
