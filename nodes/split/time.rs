@@ -208,7 +208,8 @@ mod tests {
             .filter(|event| event.y >= 1)
             .map(|event| (event.x, event.y, event.t, event.t_in.unwrap(), u8::from(event.polarity == Polarity::On)))
             .collect();
-        (found.sort_unstable(), expected.sort_unstable());
+        found.sort_unstable();
+        expected.sort_unstable();
         assert_eq!(found, expected);
     }
 
