@@ -248,6 +248,18 @@ fn exported_frames_follow_the_format_to_the_letter_and_read_back_as_they_were_re
 }
 
 #[test]
+fn what_a_run_writes_may_be_read_by_those_who_may_read_other_files() {
+    let bench = Bench::new();
+    bench.write("m.toml", &support::small_pipeline());
+    bench.outcome(&["m.toml"]);
+    let mode = |path: &Path| std::os::unix::fs::PermissionsExt::mode(&std::fs::metadata(path).expect("a file").permissions()) & 0o777;
+    let usual = mode(&bench.path("m.toml"));
+    for name in ["run.json", "metrics.jsonl", "metrics.pooled.jsonl"] {
+        assert_eq!(mode(&bench.path(&format!("out/m/{name}"))), usual, "{name}");
+    }
+}
+
+#[test]
 fn metrics_are_one_object_a_line_with_the_documented_keys() {
     let bench = Bench::new();
     bench.write("m.toml", &support::small_pipeline());

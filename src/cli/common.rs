@@ -58,12 +58,18 @@ pub fn must_be_utf8(path: &Path) -> Result<(), Failure> {
     Err(Failure::Other { message: format!("{}: a manifest names files in UTF-8, and this name is not\n  hint: rename the file", path.display()), code: 2 })
 }
 
+/// A file without its name yet, in a folder. Temporary files are private by default, and what becomes of this one is not: the umask still applies.
+pub fn unnamed_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
+    let everybody: std::fs::Permissions = std::os::unix::fs::PermissionsExt::from_mode(0o666);
+    tempfile::Builder::new().permissions(everybody).tempfile_in(folder)
+}
+
 /// Writes a file whole or not at all.
 pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
     let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write: {error}", path.display()));
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     std::fs::create_dir_all(folder).map_err(failed)?;
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(failed)?;
+    let mut file = unnamed_in(folder).map_err(failed)?;
     file.write_all(bytes).map_err(failed)?;
     file.as_file().sync_all().map_err(failed)?;
     file.persist(path).map_err(|error| failed(error.error))?;

@@ -3,7 +3,7 @@
 //! Events pass through in pieces; the file appears whole or not at all. What was damaged in the input is left out, reported, and makes the exit code 3.
 
 use crate::args::{ConvertOptions, Written};
-use crate::common::{Done, Failure};
+use crate::common::{Done, Failure, unnamed_in};
 use crate::terminal::say;
 use photocurrent_core::EventsMeta;
 use photocurrent_formats::arrange::{Arranged, Settings, arrange};
@@ -141,7 +141,7 @@ fn events(options: &ConvertOptions, to: Written, recording: &dyn Recording, sett
     let mut cursor = arranged.cursor(recording, options.from_zero).map_err(refused)?;
     let failed = |error: std::io::Error| Failure::other(format!("{}: cannot write: {error}", options.output.display()));
     let folder = options.output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let file = BufWriter::with_capacity(1 << 20, NamedTempFile::new_in(folder).map_err(failed)?);
+    let file = BufWriter::with_capacity(1 << 20, unnamed_in(folder).map_err(failed)?);
     let mut sink = match to {
         Written::Csv => Sink::Csv(CsvWriter::new(file, options.unit, Some(extent), meta.has_t_in).map_err(failed)?),
         _ => Sink::Evt3(evt::evt3_writer::Writer::new(file, extent, &[]).map_err(failed)?),
