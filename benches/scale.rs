@@ -6,7 +6,7 @@
 //! ```
 //!
 //! Each stage is a process of its own (`photocurrent run pipelines/scale.toml --to STAGE`), so that its peak is its own; what comes before it lies in the cache. Peak memory
-//! and processor time are what the system says of the ended process. Everything is written below `--folder` and removed afterwards, about 4 GB for 1280x720x100.
+//! and processor time are what the system says of the ended process. Everything is written below `--folder` and removed at the end, about 4 GB for 1280x720x100.
 
 //! A second table says what limits each stage: what reading its inputs and packing its outputs take by themselves, in bytes of the cache, against its processor time.
 
@@ -46,12 +46,13 @@ fn main() {
         sizes = vec![(160, 90, 100), (320, 180, 100), (640, 360, 100), (1280, 720, 100)];
     }
     println!("`--memory {memory}`, {} threads", std::thread::available_parallelism().map_or(1, usize::from));
+    println!();
+    println!("| size | events | stage | time | processor time | peak memory |");
+    println!("| --- | --- | --- | --- | --- | --- |");
+    let mut done = Vec::new();
     for size in sizes {
         let here = tempfile::tempdir_in(&folder).expect("a folder for the cache");
-        let mut limited = Vec::new();
-        println!();
-        println!("| size | events | stage | time | processor time | peak memory |");
-        println!("| --- | --- | --- | --- | --- | --- |");
+        let mut stages = Vec::new();
         for stage in STAGES {
             let measured = run(stage, size, &memory, here.path());
             let (width, height, ms) = size;
@@ -62,10 +63,16 @@ fn main() {
                 measured.processor_seconds,
                 measured.peak_bytes / 1_000_000
             );
-            let tasks = measured.outcome["tasks"].as_array().cloned().unwrap_or_default();
-            limited.push((stage, measured.processor_seconds, limits::packing(&tasks, &here.path().join("cache"), stage)));
+            stages.push((stage, measured.processor_seconds, measured.outcome["tasks"].as_array().cloned().unwrap_or_default()));
         }
-        print_limits(&limited);
+        done.push((size, here, stages));
+    }
+    // At the end: what this process holds at its peak counts as that of the processes that it begins later.
+    for ((width, height, ms), here, stages) in done {
+        println!();
+        println!("{width}x{height}, {ms} ms:");
+        let packing = |(stage, seconds, tasks): (_, f64, Vec<_>)| (stage, seconds, limits::packing(&tasks, &here.path().join("cache"), stage));
+        print_limits(&stages.into_iter().map(packing).collect::<Vec<_>>());
     }
 }
 
