@@ -4,6 +4,7 @@
 //! entry for every millisecond of that ([`check_steps`]) would take all memory there is, so both are refused while planning.
 
 use crate::pixel_events::clock_offset;
+use photocurrent_core::quantity::Duration;
 use photocurrent_core::time::in_seconds;
 use photocurrent_core::{Apart, DataType, EventsMeta, FramesMeta, NodeError, Sensor, TimeSpan};
 
@@ -23,6 +24,19 @@ pub fn check_steps(span: TimeSpan, step_ns: i64, what: &str, who: &str) -> Resul
     Err(NodeError::input(format!("{who} would need {} {what} for a recording from {from} to {to}, and {MOST_STEPS} are the most", rounded(steps)))
         .hint("is a stamp far from all others, or in another unit? `photocurrent inspect` shows the spans; else cut the recording into shorter ones")
         .blames(DataType::Events))
+}
+
+/// Refuses a window of time that ends where it begins, or before.
+///
+/// # Errors
+/// When it does, with both ends.
+pub fn check_window(start: Option<Duration>, end: Option<Duration>) -> Result<(), NodeError> {
+    match (start, end) {
+        (Some(start), Some(end)) if end <= start => {
+            Err(NodeError::usage(format!("the window ends at {end}, and begins at {start}")).hint("make `end` later than `start`").param("end"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// A large number for people: `1.7e12`.

@@ -6,6 +6,7 @@
 //!
 //! Limits: planning walks over all events once, to know their span. Events beyond 512 MiB go through a temporary file.
 
+use crate::spans::check_window;
 use photocurrent_core::document::Source;
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::value::DataType;
@@ -301,11 +302,7 @@ impl<R: Reader> Node for Read<R> {
     fn build(params: Params<R>) -> Result<Self, NodeError> {
         let all = params.all;
         super::need_path(&all.path, "recording")?;
-        if let (Some(start), Some(end)) = (all.start, all.end)
-            && end <= start
-        {
-            return Err(NodeError::usage(format!("the window ends at {end}, and begins at {start}")).param("end"));
-        }
+        check_window(all.start, all.end)?;
         if let Some(Transfer::Gamma(gamma)) = all.transfer
             && !(gamma > 0.0 && gamma.is_finite())
         {

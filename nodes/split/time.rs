@@ -5,6 +5,7 @@
 //!
 //! Limits: events are filtered as they are read, so every block is a pass over the events of its rows.
 
+use crate::spans::check_window;
 use photocurrent_core::handle::BandSource;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
@@ -137,16 +138,12 @@ params = { start = "0.9 s", end = "2.1 s" }
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        if let (Some(start), Some(end)) = (params.start, params.end)
-            && end <= start
-        {
-            return Err(NodeError::usage(format!("the window ends at {end}, and begins at {start}")).param("end"));
-        }
+        check_window(params.start, params.end)?;
         Ok(SplitTime { window: params.start.map_or(i64::MIN, Duration::ns)..params.end.map_or(i64::MAX, Duration::ns) })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        let absent = |data_type: DataType| Meta::Absent { data_type, why: format!("there is nothing at the input `{}`", data_type.to_string().to_lowercase()) };
+        let absent = |data_type: DataType| Meta::Absent { data_type, why: format!("there are no {data_type} to cut") };
         if !inputs.has("events") && !inputs.has("frames") {
             return Err(NodeError::usage("there is nothing to cut: neither `events` nor `frames` is there").hint("connect at least one of them"));
         }

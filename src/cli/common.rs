@@ -5,7 +5,7 @@ use crate::file_kind::need_manifest;
 use crate::terminal::say;
 use photocurrent_core::document::Problem;
 use photocurrent_engine::{End, Outcome, Plan, Project, Selection};
-use photocurrent_store::StoreError;
+use photocurrent_store::{StoreError, unnamed_in};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -56,12 +56,6 @@ pub fn must_be_utf8(path: &Path) -> Result<(), Failure> {
         return Ok(());
     }
     Err(Failure::Other { message: format!("{}: a manifest names files in UTF-8, and this name is not\n  hint: rename the file", path.display()), code: 2 })
-}
-
-/// A file without its name yet, in a folder. Temporary files are private by default, and what becomes of this one is not: the umask still applies.
-pub fn unnamed_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
-    let everybody: std::fs::Permissions = std::os::unix::fs::PermissionsExt::from_mode(0o666);
-    tempfile::Builder::new().permissions(everybody).tempfile_in(folder)
 }
 
 /// Writes a file whole or not at all.

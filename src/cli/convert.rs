@@ -3,16 +3,17 @@
 //! Events pass through in pieces; the file appears whole or not at all. What was damaged in the input is left out, reported, and makes the exit code 3.
 
 use crate::args::{ConvertOptions, Written};
-use crate::common::{Done, Failure, unnamed_in};
+use crate::common::{Done, Failure};
 use crate::terminal::say;
 use photocurrent_core::EventsMeta;
 use photocurrent_formats::arrange::{Arranged, Settings, arrange};
 use photocurrent_formats::csv::CsvWriter;
 use photocurrent_formats::hdf::write;
 use photocurrent_formats::{EventChunk, EventCursor, FormatError, Recording, evt, format, joined};
-use photocurrent_store::StoreError;
+use photocurrent_nodes::spans::check_window;
 use photocurrent_store::recording::DnType;
 use photocurrent_store::stream::{StreamedFrames, StreamedRecording};
+use photocurrent_store::{StoreError, unnamed_in};
 use std::io::BufWriter;
 use std::path::Path;
 use std::sync::Arc;
@@ -32,11 +33,7 @@ pub fn convert(options: &ConvertOptions) -> Done {
         return Err(usage(format!("{} is the input itself\n  hint: give another name", output.display())));
     }
     let settings = Settings { start: options.start, end: options.end, crop: options.crop, ..options.declared.parameters(input).settings() };
-    if let (Some(start), Some(end)) = (settings.start, settings.end)
-        && end <= start
-    {
-        return Err(usage(format!("the window ends at {end}, and begins at {start}")));
-    }
+    check_window(settings.start, settings.end).map_err(|error| usage(error.message))?;
     let found = format::recognise(input).map_err(refused)?;
     let found =
         found.ok_or_else(|| usage(format!("{}: this is no recording of a known format\n  hint: photocurrent inspect says what was found", input.display())))?;

@@ -69,11 +69,13 @@ impl Case {
         }
         let latency_ns = sensor.readout.latency_min.map_or(0, Duration::ns);
         let count = events.and_then(|events| events.meta.count_hint).unwrap_or(0);
-        let mut gathered = Gathered::with_room(count as usize);
+        let mut gathered = Gathered::default();
         match events {
             Some(events) => {
                 for rows in extent.rows().bands(u64::from(extent.height).div_ceil(bands(count)) as u32) {
                     let band = events.read(rows)?;
+                    // By what was read: a stated number may be anything.
+                    gathered.reserve(band.len());
                     rows.iter().for_each(|y| gather(&band.row(y), extent.width, latency_ns, &mut gathered));
                 }
             }

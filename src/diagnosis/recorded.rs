@@ -87,9 +87,9 @@ pub(crate) struct Gathered {
 }
 
 impl Gathered {
-    /// With room for so many events.
-    pub fn with_room(events: usize) -> Gathered {
-        Gathered { all: Vec::with_capacity(events), ..Gathered::default() }
+    /// Makes room for so many more events.
+    pub fn reserve(&mut self, events: usize) {
+        self.all.reserve_exact(events);
     }
 
     /// The events of the next pixel.

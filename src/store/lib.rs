@@ -26,7 +26,7 @@ pub use cache::{
 };
 pub use error::StoreError;
 pub use layout::{ValueWriter, open_value};
-pub use recording::{DnCode, DnType, Inspection, Recording, RecordingContent, format_attribute, write_recording, write_rendered};
+pub use recording::{DnCode, DnType, Inspection, Recording, RecordingContent, format_attribute, unnamed_in, write_recording, write_rendered};
 
 /// The version that is written into every file and record.
 pub const TOOL_VERSION: &str = env!("CARGO_PKG_VERSION");

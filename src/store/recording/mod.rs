@@ -16,7 +16,7 @@ pub(crate) mod write;
 
 pub use inspect::{EventsSummary, FramesSummary, Inspection, Spread, TruthSummary};
 pub use rendered::{DnCode, write_rendered};
-pub use write::{DnType, RecordingContent, write_recording};
+pub use write::{DnType, RecordingContent, unnamed_in, write_recording};
 
 use crate::error::{Mistakes, StoreError};
 use crate::hdf::grid::Grid;

@@ -78,13 +78,18 @@ pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<u64, S
     })
 }
 
+/// A file in a folder that has not got its name yet. Temporary files are private by default, and what becomes of this one is not: the umask still applies.
+///
+/// # Errors
+/// When the folder takes no file.
+pub fn unnamed_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
+    tempfile::Builder::new().prefix(".").suffix(".part").permissions(std::fs::Permissions::from_mode(0o666)).tempfile_in(folder)
+}
+
 /// Lets `fill` write a new file next to `path`, and moves it there when it is complete and synced.
 pub(crate) fn whole_file<T>(path: &Path, fill: impl FnOnce(&Opened) -> Result<T, StoreError>) -> Result<T, StoreError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    // The umask still applies: temporary files are private by default, and a recording is not.
-    let everybody = std::fs::Permissions::from_mode(0o666);
-    let temporary = tempfile::Builder::new().prefix(".").suffix(".part").permissions(everybody).tempfile_in(folder);
-    let temporary = temporary.map_err(|error| StoreError::io(folder, "create a file in the folder", error))?;
+    let temporary = unnamed_in(folder).map_err(|error| StoreError::io(folder, "create a file in the folder", error))?;
     let opened = Opened::create(temporary.path())?;
     let filled = fill(&opened)?;
     close(opened)?;
