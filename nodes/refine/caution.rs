@@ -17,12 +17,15 @@ const NEAR: f64 = 8.0;
 /// What the mean of all pixels weighs against those near, in pixels.
 const EVERYWHERE: f64 = 6.0;
 
-/// Trusts pseudo-measurements less by a factor of their variances; infinity removes them all.
+/// Trusts pseudo-measurements less by a factor of their variances; infinity removes them all. A factor below 1 makes them no more exact than they say.
 pub(super) fn take_care(hints: &mut Vec<Hint>, caution: f64) {
     if caution.is_infinite() {
         hints.clear();
     }
-    hints.iter_mut().for_each(|hint| hint.variance *= caution);
+    for hint in hints.iter_mut() {
+        hint.variance *= caution;
+        hint.for_sigma *= f64::max(caution, 1.0);
+    }
 }
 
 /// What a pixel lost with each of [`CAUTIONS`].

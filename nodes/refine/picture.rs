@@ -90,7 +90,7 @@ impl Node for RefinePicture {
     const DECL: Decl = Decl {
         kind: "refine/picture",
         about: "Solves tracks again with a moving picture that explains the frames, and with what neighbouring pixels saw.",
-        revision: 11,
+        revision: 12,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -194,6 +194,8 @@ fn join(hints: &mut Vec<Hint>, others: &[Hint]) {
             let share = first.variance / (first.variance + second.variance);
             first.log_photocurrent += share * (second.log_photocurrent - first.log_photocurrent);
             first.variance = share * second.variance;
+            // Both saw the same frames.
+            first.for_sigma = f64::min(first.for_sigma, second.for_sigma);
         }
         same
     });

@@ -59,7 +59,7 @@ fn frames(shaken: f64, random: &mut Random) -> Vec<MapFrame> {
 fn misfit(event: f64, frame: f64) -> Misfit {
     let mut random = Random::new(21, &[]);
     let (events, frames) = (events(event, &mut random), frames(frame, &mut random));
-    let hint = |t_ns: i64| Hint { t_ns, log_photocurrent: log(t_ns), variance: 1e-10 };
+    let hint = |t_ns: i64| Hint { t_ns, log_photocurrent: log(t_ns), variance: 1e-10, for_sigma: 1e-10 };
     // At every knot: also where events fire and where the reference is taken.
     let latch = |event: &MapEvent| event.t_off_ns + SENSOR.refractory_ns;
     let mut known: Vec<i64> = (0..=END_NS / 250_000).map(|k| k * 250_000).collect();

@@ -83,6 +83,8 @@ pub struct Hint {
     pub log_photocurrent: f64,
     /// Its variance, positive.
     pub variance: f64,
+    /// What counts as its variance where the posterior variance is asked for, positive: hints that err together narrow it less than they hold the light.
+    pub for_sigma: f64,
 }
 
 /// The pixel as a description states it.
@@ -366,14 +368,17 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
         offsets = Offsets::default();
         chain.run(problem, knots, segments, u, &offsets);
     }
-    let want = if options.with_sigma { Want::Variance } else { Want::Evidence };
+    let mut log_evidence = 0.0;
     if evidence == Evidence::Wanted || options.with_sigma {
         segments.adapt(u, &options.prior);
         segments.cost(u);
-        smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, no_event_sigma, 0.0, want));
+        let wanted = [(Want::Evidence, evidence == Evidence::Wanted), (Want::Variance, options.with_sigma)];
+        for (want, _) in wanted.into_iter().filter(|(_, is_wanted)| *is_wanted) {
+            smoother.solve(&ask(problem, knots, segments, chain, u, first, &offsets, no_event_sigma, 0.0, want));
+            log_evidence = if want == Want::Evidence { smoother.log_evidence } else { log_evidence };
+        }
     }
     let variance: &[f64] = if options.with_sigma { &smoother.variance } else { &[] };
-    let log_evidence = if evidence == Evidence::Wanted { smoother.log_evidence } else { 0.0 };
     let (misfit, largest_square) = if evidence == Evidence::Wanted { chain.misfit() } else { Default::default() };
     MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence, misfit, largest_square }
 }
@@ -497,5 +502,5 @@ fn ask<'a>(
     want: Want,
 ) -> Ask<'a> {
     let (noise, reset) = (&problem.noise, problem.sensor.reset);
-    Ask { knots, segments, chain, u, first, offsets, noise, reset, no_event_sigma, damping, want, expected: Offsets::default() }
+    Ask { knots, segments, chain, hints: problem.hints, u, first, offsets, noise, reset, no_event_sigma, damping, want, expected: Offsets::default() }
 }

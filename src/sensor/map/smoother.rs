@@ -11,7 +11,7 @@ use super::chain::{Chain, Sight};
 use super::knots::{Knots, Op};
 use super::prior::Segments;
 use super::state::{Adjoint, OFF, ON, R, S, STATES, State, Taken, Transition, U, V, Z};
-use super::{Noise, Offsets};
+use super::{Hint, Noise, Offsets};
 use crate::elementary;
 use photocurrent_core::sensor::Reset;
 
@@ -45,7 +45,7 @@ pub(super) enum Want {
     Step,
     /// The evidence, nothing else.
     Evidence,
-    /// The evidence and standard deviations; the change as well.
+    /// The evidence and standard deviations, both with what hints count as for these; the change as well.
     Variance,
     /// The same, and each measurement as the others predict it.
     LeftOut,
@@ -56,6 +56,7 @@ pub(super) struct Ask<'a> {
     pub knots: &'a Knots,
     pub segments: &'a Segments,
     pub chain: &'a Chain,
+    pub hints: &'a [Hint],
     pub u: &'a [f64],
     /// The value that the prior expects of the first log light.
     pub first: f64,
@@ -69,6 +70,16 @@ pub(super) struct Ask<'a> {
     pub want: Want,
     /// What the prior expects of the thresholds.
     pub expected: Offsets,
+}
+
+impl Ask<'_> {
+    /// The variance of the hint at an op.
+    fn of_hint(&self, at: usize) -> f64 {
+        match self.knots.ops[at] {
+            Op::Hint(l) if self.want == Want::Variance => self.hints[l as usize].for_sigma,
+            _ => self.chain.rows[at].variance,
+        }
+    }
 }
 
 impl Smoother {
@@ -114,7 +125,7 @@ impl Smoother {
                 if row.sight != Sight::None {
                     let taken = match row.sight {
                         Sight::Event(polarity) => state.take_event(polarity, row.residual, row.variance),
-                        Sight::Light => state.take_value(U, row.residual, row.variance),
+                        Sight::Light => state.take_value(U, row.residual, ask.of_hint(at)),
                         Sight::Frame | Sight::None => state.take_value(S, row.residual, row.variance),
                     };
                     // What neighbours say is no measurement of this pixel.

@@ -53,7 +53,7 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
         let frame = |start_ns: i64, dn: f64| MapFrame { start_ns, end_ns: start_ns + 3_000_000, dn, sigma_dn: 2.0, saturated: false };
         let frames = [frame(500_000, 250.0), frame(6_000_000, 260.0)];
         // One between events, one at an event's instant.
-        let hint = |t_ns, log_photocurrent, variance| Hint { t_ns, log_photocurrent, variance };
+        let hint = |t_ns, log_photocurrent, variance| Hint { t_ns, log_photocurrent, variance, for_sigma: variance };
         let hints = [hint(4_100_000, 4.7, 0.01), hint(9_000_000, 4.5, 0.04)];
         let noise = Noise { event: 0.1, reference: 0.03, threshold: 0.02, ..Noise::default() };
         let problem = MapProblem {
@@ -107,6 +107,19 @@ fn one_step_is_that_of_dense_algebra_with_numerical_derivatives() {
         for (moved, expected) in [(smoother.offsets.reference, step[n]), (smoother.offsets.on, step[n + 1]), (smoother.offsets.off, step[n + 2])] {
             assert!((moved - expected).abs() < 1e-4 * (0.01 + expected.abs()), "{reset:?}: {moved} against {expected}");
         }
+
+        // What hints count as for the variance changes that alone, as if they were that much worse.
+        let mut asked = |variance: f64, for_sigma: f64, want: Want| {
+            let hints = hints.map(|hint| Hint { variance: variance * hint.variance, for_sigma: for_sigma * hint.variance, ..hint });
+            let problem = MapProblem { hints: &hints, ..problem };
+            chain.run(&problem, &knots, &segments, &u, &offsets);
+            smoother.solve(&ask(&problem, &knots, &segments, &chain, &u, first, &offsets, 0.0, 0.0, want));
+            (smoother.variance.clone(), smoother.change.clone())
+        };
+        let (wide, worse) = (asked(1.0, 9.0, Want::Variance).0, asked(9.0, 9.0, Want::Variance).0);
+        assert_eq!(wide, worse, "{reset:?}");
+        assert!(wide.iter().zip(asked(1.0, 1.0, Want::Variance).0).all(|(wide, narrow)| *wide >= narrow) && wide != asked(1.0, 1.0, Want::Variance).0);
+        assert_eq!(asked(1.0, 9.0, Want::Step).1, asked(1.0, 1.0, Want::Step).1, "{reset:?}");
     }
 }
 

@@ -40,7 +40,7 @@ fn with_pixels(reset: Reset, then: impl Fn(&[MapTask<'_>])) {
             if n % 6 == 4 && frames.len() > 1 {
                 frames[1].saturated = true;
             }
-            let hint = |k: i64| Hint { t_ns: k * 400_000 + 1, log_photocurrent: 4.0 + 0.01 * k as f64, variance: 0.04 };
+            let hint = |k: i64| Hint { t_ns: k * 400_000 + 1, log_photocurrent: 4.0 + 0.01 * k as f64, variance: 0.04, for_sigma: 0.04 * k as f64 };
             let hints = if n % 4 == 1 { (0..end_ns / 400_000).map(hint).collect() } else { Vec::new() };
             Cut { events, frames, hints, end_ns }
         })
