@@ -32,13 +32,14 @@ lint: setup
 figures: setup
 	cargo test --release --locked --test photocurrent -- figures commands --include-ignored
 
-# The refinement network from nothing, with its two ablations: nodes/refine/training/README.md. An hour or more on two cores, and 3 GB of packages.
+# The refinement network from nothing, with its two ablations, and the learned interpolator: nodes/refine/training/README.md. Two hours or more on two cores, and 3 GB of packages.
 TRAINING := nodes/refine/training
 VENV := out/training/venv
 
 refine-weights: setup $(VENV)/ready
 	cargo build --release --locked
 	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN)
+	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN) --network interpolator --steps 18000
 	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN) --no-cbam --out data/weights/refine_no_cbam.onnx
 	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN) --no-perceptual --out data/weights/refine_no_perceptual.onnx
 

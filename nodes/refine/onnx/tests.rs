@@ -55,24 +55,33 @@ fn furthest(a: &[f32], b: &[f32]) -> f32 {
     a.iter().zip(b).fold(0.0, |most, (a, b)| f32::max(most, (a - b).abs()))
 }
 
-/// `NAME.check.f32` was written by the training framework: four inputs of 32 x 48 values and what it gives for them.
+/// `NAME.check.f32` was written by the training framework: a network's inputs of 32 x 48 values in their order (one number where there are no channels) and what it gives for
+/// them. The interpolator is trained with the refinement and run by `baseline/onnx`.
 #[test]
 fn networks_give_what_the_training_framework_gave() {
-    let (height, width) = (32, 48);
-    for name in ["refine", "refine_no_cbam", "refine_no_perceptual"] {
+    let refine: &[(&str, usize)] = &[("frame", 1), ("sigma", 1), ("events", 2), ("captured", 1)];
+    let interpolator: &[(&str, usize)] = &[("before", 1), ("after", 1), ("voxel_before", 5), ("voxel_after", 5), ("voxel_exposures", 16), ("weight", 0)];
+    let networks =
+        [("refine", refine, OUTPUT), ("refine_no_cbam", refine, OUTPUT), ("refine_no_perceptual", refine, OUTPUT), ("interpolator", interpolator, "picture")];
+    for (name, inputs, output) in networks {
         let bytes = std::fs::read(data(&format!("weights/{name}.check.f32"))).unwrap();
         let numbers: Vec<f32> = bytes.chunks_exact(4).map(|four| f32::from_le_bytes(four.try_into().unwrap())).collect();
-        assert_eq!(numbers.len(), 6 * height * width);
-        let planes = |from: usize, count: usize| Tensor {
-            shape: vec![1, count, height, width],
-            values: numbers[from * height * width..][..count * height * width].to_vec(),
+        let mut left = numbers.as_slice();
+        let mut take = |channels: usize| {
+            let shape = if channels > 0 { vec![1, channels, 32, 48] } else { vec![1; 4] };
+            let (values, rest) = left.split_at(shape.iter().product());
+            left = rest;
+            Tensor { shape, values: values.to_vec() }
         };
-        let network =
-            RefineOnnx::build(Params { weights: InputPath::new(data(&format!("weights/{name}.onnx"))), ..Params::default() }).unwrap().load().unwrap();
-        let found = network.run(&[("frame", &planes(0, 1)), ("sigma", &planes(1, 1)), ("events", &planes(2, 2)), ("captured", &planes(4, 1))], OUTPUT).unwrap();
-        let off = furthest(&found.values, &planes(5, 1).values);
+        let given: Vec<(&str, Tensor)> = inputs.iter().map(|&(input, channels)| (input, take(channels))).collect();
+        let expected = take(1);
+        assert!(left.is_empty(), "{name}: {} numbers too many", left.len());
+        let given: Vec<(&str, &Tensor)> = given.iter().map(|(input, tensor)| (*input, tensor)).collect();
+        let content = std::fs::read(data(&format!("weights/{name}.onnx"))).unwrap();
+        let found = crate::onnx::load(name, content, None).unwrap().run(&given, output).unwrap();
+        let off = furthest(&found.values, &expected.values);
         assert!(off < 1e-5, "{name}: {off}");
-        assert!(furthest(&found.values, &planes(0, 1).values) > 1e-3, "{name} changes something");
+        assert!(furthest(&found.values, &given[0].1.values) > 1e-3, "{name} changes something");
     }
 }
 

@@ -1,4 +1,4 @@
-"""Training data of the refinement network: recordings simulated by photocurrent itself, solved, and paired with the truth.
+"""Training data of both networks: recordings simulated by photocurrent itself, solved, and paired with the truth.
 
 Every recording is a manifest that is written here and run by the program: a picture or a film of moving shapes (never a scene of `simulate/scene`, which
 the test scenes are), a sensor drawn at random around data/sensors/hybrid.toml, and a solver that is given the true description of that sensor in half of the cases.
@@ -19,7 +19,7 @@ WIDTH, HEIGHT = 96, 72
 FILM_RATE = 4000
 FIRST_SEED = 1000  # the project's pipelines use seeds below this one
 
-MANIFEST = """# A training recording of the refinement network.
+MANIFEST = """# A training recording.
 format = 1
 
 [pipeline]
@@ -121,12 +121,14 @@ def film(random, ground, folder, frames, fine=3):
     top, left = (int(random.integers(0, side - small + 1)) for side, small in zip(ground.shape, (HEIGHT, WIDTH)))
     ground = np.kron(ground[top : top + HEIGHT, left : left + WIDTH].astype(np.float32), np.ones((fine, fine), np.float32))
     shapes = []
-    for _ in range(int(random.integers(1, 5))):
-        speed = np.exp(random.uniform(np.log(0.1), np.log(6.0))) * 1000 / FILM_RATE  # pixels a picture
+    pellets = random.random() < 0.5
+    for _ in range(int(random.integers(3, 12) if pellets else random.integers(1, 5))):
+        radius, slowest = (random.uniform(0.8, 3), 1.0) if pellets else (random.uniform(3, 18), 0.1)
+        speed = np.exp(random.uniform(np.log(slowest), np.log(6.0))) * 1000 / FILM_RATE  # pixels a picture
         heading, spin = random.uniform(0, 2 * np.pi), random.normal() * 0.01
         middle = random.uniform([0, 0], [HEIGHT, WIDTH])
         value, texture = random.uniform(5, 250), random.uniform(0, 40)
-        shapes.append((outline(random, random.uniform(3, 18)), middle, speed * np.array([np.sin(heading), np.cos(heading)]), spin, value, texture))
+        shapes.append((outline(random, radius), middle, speed * np.array([np.sin(heading), np.cos(heading)]), spin, value, texture))
     for n in range(frames):
         picture = ground.copy()
         for (x, y), middle, step, spin, value, texture in shapes:
@@ -165,8 +167,10 @@ def describe(n, folder):
     folder.mkdir(parents=True, exist_ok=True)
     frame_rate, exposure, duration = [(120, 6500, 75), (120, 6500, 75), (120, 2000, 75), (240, 3500, 50), (60, 12000, 110), (40, 1000, 130)][int(random.integers(6))]
     ground = photograph(PHOTOGRAPHS[int(random.integers(len(PHOTOGRAPHS)))]) if random.random() < 0.5 else drawn(random)
+    if random.random() < 0.25:  # a texture of low contrast
+        ground = np.rint(ground.mean() + random.uniform(0.1, 0.5) * (ground - ground.mean())).astype(np.uint8)
     io.imsave(folder / "picture.png", ground, check_contrast=False)
-    if random.random() < 0.4:
+    if random.random() < 0.5:
         light = "simulate/video"
         film(random, ground, folder / "film", duration * FILM_RATE // 1000 + 2)
         params = f'path = "film", rate = "{FILM_RATE} Hz"'
@@ -200,14 +204,62 @@ def density(x, y, t, middle, window, shape):
     return out
 
 
+def grid(x, y, t, on, window, bins, shape, reversed=False):
+    """The voxel grid [bins, row, column] of a window whose end is left out, ON 1 and OFF -1. As `Timeline::grid` of nodes/baseline/onnx/voxel.rs; events in the order of time."""
+    first, last = np.searchsorted(t, window)
+    x, y, sign = x[first:last].astype(int), y[first:last].astype(int), np.where(on[first:last], 1.0, -1.0)
+    at = (t[first:last] - window[0]) * ((bins - 1) / max(window[1] - window[0], 1))
+    if reversed:
+        at, sign = bins - 1 - at, -sign
+    at = np.clip(at, 0, bins - 1)
+    lower = np.minimum(at.astype(int), max(bins - 2, 0))
+    share = at - lower
+    plane = shape[0] * shape[1]
+    cell = lower * plane + y * shape[1] + x
+    counts = np.bincount(cell, sign * (1 - share), (bins + 1) * plane) + np.bincount(cell + plane, sign * share, (bins + 1) * plane)
+    return counts[: bins * plane].reshape(bins, *shape).astype(np.float32)
+
+
+def pair(start, end, instant):
+    """Index of the captured frame before an instant, the windows of `nodes/baseline/onnx/layout.rs` and the instant's place between the frames; nothing outside their middles.
+
+    `start` and `end` are those of the exposures' middle row.
+    """
+    middles = (start + end) // 2
+    after = min(int(np.searchsorted(middles, instant, side="right")), len(middles) - 1)
+    if after == 0 or not middles[after - 1] <= instant <= middles[after]:
+        return None
+    before = after - 1
+    windows = {
+        "before_to_instant": (middles[before], instant),
+        "instant_to_after": (instant, middles[after]),
+        "exposures": (start[before], end[after]),
+    }
+    return before, windows, (instant - middles[before]) / max(middles[after] - middles[before], 1)
+
+
+def read(file):
+    """What a recording's HDF5 file holds: events in the order of time, truth, and captured frames with the exposures of their middle row."""
+    with h5py.File(file) as recording:
+        events, frames = recording["events"], recording["frames"]
+        order = np.argsort(events["t"][:], kind="stable")
+        later = int(frames.attrs["row_time_ns"]) * (frames["dn"].shape[1] // 2)
+        return {
+            **{name: events[name][:][order] for name in ("x", "y", "t")},
+            "on": events["p"][:][order] == 1,
+            "truth": recording["truth/dn"][:] if "truth" in recording else None,
+            "truth_t": recording["truth/t"][:] if "truth" in recording else None,
+            "shots": frames["dn"][:],
+            "start": frames["exposure_start"][:] + later,
+            "end": frames["exposure_end"][:] + later,
+        }
+
+
 def load(folder):
-    """One recording as a dictionary of arrays [frame, row, column] in DN, and `events` [frame, 2, row, column]."""
-    with h5py.File(folder / "out/file/recording.h5") as recording:
-        events = recording["events"]
-        x, y, t, on = events["x"][:].astype(int), events["y"][:].astype(int), events["t"][:], events["p"][:] == 1
-        truth, truth_t = recording["truth/dn"][:], recording["truth/t"][:]
-        captured, start, end = recording["frames/dn"][:], recording["frames/exposure_start"][:], recording["frames/exposure_end"][:]
-    frames = {}
+    """One recording as a dictionary of arrays: [frame, row, column] in DN, `events` [frame, 2, row, column], and what `read` gives, for voxel grids."""
+    frames = read(folder / "out/file/recording.h5")
+    x, y, t, on = (frames[name] for name in ("x", "y", "t", "on"))
+    truth, truth_t, captured, start, end = (frames[name] for name in ("truth", "truth_t", "shots", "start", "end"))
     for name in ["map", "sigma", "edi"]:
         with h5py.File(folder / f"out/{name}_file/frames.h5") as file:
             frames[name] = file["frames/dn"][:]
@@ -218,22 +270,22 @@ def load(folder):
     shape = truth.shape[1:]
     frames["events"] = np.stack([[density(x[p], y[p], t[p], m, period, shape) for p in (on, ~on)] for m in middle])
     frames["captured"] = captured[[int(np.argmin(np.abs(taken - m))) for m in middle]]
-    frames["truth"] = truth[:count]
+    frames["truth"], frames["truth_t"] = truth[:count], truth_t[:count]
     return frames
 
 
-def make(program, folder, count, first=0):
+def make(program, folder, count, first=0, threads=2):
     """Makes recordings `first` to `first + count` and gathers them in files of numbers; those that are there are left."""
     for n in range(first, first + count):
         place = folder / f"{n:04d}"
         if (place / "frames.npz").exists():
             continue
         manifest = describe(n, place)
-        command = [str(program), "run", str(manifest), "--out", str(place / "out"), "--cache", str(place / "cache"), "--progress", "none", "--threads", "2"]
+        command = [str(program), "run", str(manifest), "--out", str(place / "out"), "--cache", str(place / "cache"), "--progress", "none", "--threads", str(threads)]
         done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode != 0:
             raise RuntimeError(f"{manifest}: {done.stderr}")
-        np.savez(place / "frames.npz", **{name: values.astype(np.float32) for name, values in load(place).items()})
+        np.savez(place / "frames.npz", **{name: values.astype(np.float32) if values.dtype.kind == "f" else values for name, values in load(place).items()})
         for spent in ["cache", "out", "film"]:
             subprocess.run(["rm", "-r", "-f", str(place / spent)], check=True)
         print(f"recording {n}: made", flush=True)

@@ -1,12 +1,13 @@
-"""The refinement network: a U-Net of NAF blocks with CBAM, whose output is a change of its input that is nothing where no event is near.
+"""The networks: U-Nets of NAF blocks with CBAM. The refinement's output is a change of its input that is nothing where no event is near; the interpolator's is a picture
+between two captured frames.
 
-Jiang et al., CVPR 2024, section 4.2. NAF blocks: Chen et al., Simple Baselines for Image Restoration, ECCV 2022. CBAM: Woo et al., ECCV 2018.
+The refinement: Jiang et al., CVPR 2024, section 4.2. The interpolator is ours, in the manner of Time Lens (Tulyakov et al., CVPR 2021). NAF blocks: Chen et al., Simple Baselines for Image Restoration, ECCV 2022. CBAM: Woo et al., ECCV 2018.
 
 Differences, and why:
 - At full size there are two plain convolutions and no block, which two processor cores could not train in half an hour: blocks begin at half size.
 - Attention over channels looks at cells of 16 x 16 pixels of the frame and not at all of it, so that a tile of a frame gives what the whole frame does.
 - It works on square roots of light, where noise is the same in bright and dark, and changes them.
-- The last layer begins at zero, and a gate multiplies what it gives: exactly zero further than 5 pixels from any event.
+- The last layer begins at zero; in the refinement a gate multiplies what it gives: exactly zero further than 5 pixels from any event.
 """
 
 import torch
@@ -84,36 +85,94 @@ class Block(nn.Module):
         return x + self.share_2 * self.less(gate(self.more(self.norm_2(x))))
 
 
-class Refinement(nn.Module):
-    """`frame`, `sigma` and `captured` are shares of white [1, 1, h, w], `events` counts near the instant [1, 2, h, w]; gives the frame once more.
+class UNet(nn.Module):
+    """What both networks are made of; the last layer begins at zero."""
 
-    Zeros stand for a `sigma` or `captured` that is not there. Height and width are multiples of 16.
-    """
-
-    def __init__(self, width=16, cbam=True):
+    def __init__(self, inputs, outputs, width=16, cbam=True):
         super().__init__()
         w = width
-        self.first = nn.Conv2d(6, w, 3, padding=1)
+        self.first = nn.Conv2d(inputs, w, 3, padding=1)
         self.down = nn.ModuleList([nn.Conv2d(w, 2 * w, 2, stride=2), nn.Conv2d(2 * w, 4 * w, 2, stride=2)])
         self.enter = Block(2 * w, 1, cbam)
         self.middle = nn.Sequential(Block(4 * w, 2, cbam), Block(4 * w, 2, cbam))
         self.leave = Block(2 * w, 1, cbam)
         self.up = nn.ModuleList([nn.ConvTranspose2d(4 * w, 2 * w, 2, stride=2), nn.ConvTranspose2d(2 * w, w, 2, stride=2)])
         self.join = nn.Conv2d(w, w, 3, padding=1)
-        self.last = nn.Conv2d(w, 1, 3, padding=1)
+        self.last = nn.Conv2d(w, outputs, 3, padding=1)
         nn.init.zeros_(self.last.weight)
         nn.init.zeros_(self.last.bias)
 
-    def forward(self, frame, sigma, events, captured):
-        root = torch.sqrt(torch.clamp(frame, min=0.0) + LEAST)
-        before = torch.sqrt(torch.clamp(captured, min=0.0) + LEAST)
-        # The standard deviation of a square root, and events by their order of magnitude.
-        spread = torch.clamp(sigma / (2.0 * root), max=1.0)
-        a = self.first(torch.cat([root, 10.0 * spread, torch.log1p(events), before, 3.0 * (before - root)], 1))
+    def changes(self, x):
+        a = self.first(x)
         b = self.enter(self.down[0](a))
         b = self.leave(self.up[0](self.middle(self.down[1](b))) + b)
-        a = F.relu(self.join(F.relu(self.up[1](b) + a)))
+        return self.last(F.relu(self.join(F.relu(self.up[1](b) + a))))
+
+
+def root(light):
+    return torch.sqrt(torch.clamp(light, min=0.0) + LEAST)
+
+
+class Refinement(UNet):
+    """`frame`, `sigma` and `captured` are shares of white [1, 1, h, w], `events` counts near the instant [1, 2, h, w]; gives the frame once more.
+
+    Zeros stand for a `sigma` or `captured` that is not there. Height and width are multiples of 16.
+    """
+
+    INPUTS = {"frame": 1, "sigma": 1, "events": 2, "captured": 1}  # channels
+    OUTPUT = "refined"
+
+    def __init__(self, width=16, cbam=True):
+        super().__init__(6, 1, width, cbam)
+
+    @staticmethod
+    def given(frame, *_):
+        """What is there without the network."""
+        return frame
+
+    def forward(self, frame, sigma, events, captured):
+        now, before = root(frame), root(captured)
+        # The standard deviation of a square root, and events by their order of magnitude.
+        spread = torch.clamp(sigma / (2.0 * now), max=1.0)
+        change = self.changes(torch.cat([now, 10.0 * spread, torch.log1p(events), before, 3.0 * (before - now)], 1))
         # Never below black: the change of the root is at least what is left of it.
         near = F.avg_pool2d(F.max_pool2d(events.sum(1, keepdim=True), 7, 1, 3), 5, 1, 2)
-        change = torch.maximum(self.last(a), -root) * (1.0 - torch.exp(-2.0 * near))
-        return frame + change * (2.0 * root + change)
+        change = torch.maximum(change, -now) * (1.0 - torch.exp(-2.0 * near))
+        return frame + change * (2.0 * now + change)
+
+
+class Interpolator(UNet):
+    """The picture at an instant between two captured frames, from them and the events around it.
+
+    `before` and `after` are shares of white [1, 1, h, w], the others voxel grids [1, bins, h, w] with ON 1 and OFF -1, and `weight` [1, 1, 1, 1] is the instant's place
+    between the frames' middles. Each frame is carried to the instant by its events, one step each, then changed by a factor that is learned; a learned share
+    chooses between the two, and a last learned part is added. Height and width are multiples of 16.
+    """
+
+    # Name of the input: the window of its events (nodes/baseline/onnx/layout.rs), and bins.
+    VOXELS = {"voxel_before": ("before_to_instant", 5), "voxel_after": ("instant_to_after", 5), "voxel_exposures": ("exposures", 16)}
+    INPUTS = {"before": 1, "after": 1, **{name: bins for name, (_, bins) in VOXELS.items()}, "weight": 0}  # channels; 0 = one number
+    OUTPUT = "picture"
+
+    def __init__(self, width=16, cbam=True):
+        super().__init__(5 + sum(bins for _, bins in self.VOXELS.values()), 4, width, cbam)
+        self.step = nn.Parameter(torch.tensor(0.1))  # of a root's logarithm: half of a threshold
+
+    @staticmethod
+    def given(before, after, *others):
+        """The frames blended, which is there without the network and without events."""
+        weight = others[-1]
+        return (root(before) * (1.0 - weight) + root(after) * weight) ** 2 - LEAST
+
+    def forward(self, before, after, voxel_before, voxel_after, voxel_exposures, weight):
+        one, other = root(before), root(after)
+        one_there = one * torch.exp(torch.clamp(self.step * voxel_before.sum(1, keepdim=True), -3.0, 3.0))
+        other_there = other * torch.exp(torch.clamp(-self.step * voxel_after.sum(1, keepdim=True), -3.0, 3.0))
+        place = 0.0 * before + weight
+        grids = 0.3 * torch.cat([voxel_before, voxel_after, voxel_exposures], 1)
+        change = self.changes(torch.cat([one, other, one_there, other_there, place, grids], 1))
+        one_there = one_there * torch.exp(torch.clamp(change[:, 0:1], -2.0, 2.0))
+        other_there = other_there * torch.exp(torch.clamp(change[:, 1:2], -2.0, 2.0))
+        share = torch.sigmoid(change[:, 2:3] + 4.0 * (place - 0.5))
+        now = torch.clamp(one_there + (other_there - one_there) * share + change[:, 3:4], 0.0, 1.5)
+        return now * now - LEAST

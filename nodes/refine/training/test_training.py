@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 import data
 import losses
-from network import Refinement
+from network import Interpolator, Refinement
 
 PROGRAM = Path(os.environ.get("PHOTOCURRENT", data.ROOT / "target/release/photocurrent")).resolve()
 
@@ -58,6 +58,35 @@ def test_events_count_less_the_further_they_are():
     assert at.tolist() == [[0, 1.5, 0], [0, 0, np.float32(0.9)]]
 
 
+def test_a_voxel_grid_is_that_of_the_node():
+    # The cases of nodes/baseline/onnx/voxel.rs: ON at (1, 0) a quarter into the window, OFF at (2, 1) at three quarters of it, one more ON at its end.
+    events = np.array([1, 2, 0], np.uint16), np.array([0, 1, 0], np.uint16), np.array([250, 750, 1000]), np.array([True, False, True])
+
+    def cells(**more):
+        grid = data.grid(*events, (0, 1000), 3, (2, 3), **more).ravel()
+        return [(int(cell), float(grid[cell])) for cell in np.flatnonzero(grid)]
+
+    assert cells() == [(1, 0.5), (7, 0.5), (11, -0.5), (17, -0.5)]
+    assert cells(reversed=True) == [(5, 0.5), (7, -0.5), (11, 0.5), (13, -0.5)]
+
+
+def test_an_instant_has_a_captured_frame_on_either_side_or_none():
+    start, end = np.array([0, 100, 200]), np.array([40, 140, 240])
+    assert data.pair(start, end, 10) is None and data.pair(start, end, 221) is None
+    before, windows, weight = data.pair(start, end, 45)
+    assert (before, weight) == (0, 0.25)
+    assert windows == {"before_to_instant": (20, 45), "instant_to_after": (45, 120), "exposures": (0, 140)}
+    # The last frame's own instant belongs to the last pair.
+    assert data.pair(start, end, 220)[::2] == (1, 1.0)
+
+
+def test_an_untrained_interpolator_gives_the_frame_of_a_scene_that_stands_still():
+    frame = inputs()[0]
+    grids = [torch.zeros((1, bins, 32, 48)) for _, bins in Interpolator.VOXELS.values()]
+    picture = Interpolator(8)(frame, frame, *grids, torch.full((1, 1, 1, 1), 0.3))
+    assert float((picture - frame).detach().abs().max()) < 1e-6
+
+
 def test_the_first_loss_is_one_for_what_was_given_and_zero_for_the_truth():
     truth, given = torch.rand(2, 1, 8, 8), torch.rand(2, 1, 8, 8)
     assert 0.99 < float(losses.values(given, given, truth)) < 1.0
@@ -75,12 +104,13 @@ def test_perceptual_terms_vanish_for_the_truth_and_see_a_shift():
     assert float(by_features) > 2 * float(by_gram) > 0
 
 
-def test_a_few_steps_run_from_nothing_to_an_onnx_file(tmp_path):
+@pytest.mark.parametrize(("network", "numbers"), [("refine", 6 * 32 * 48), ("interpolator", 29 * 32 * 48 + 1)])
+def test_a_few_steps_run_from_nothing_to_an_onnx_file(tmp_path, network, numbers):
     if not PROGRAM.exists():
         pytest.skip(f"{PROGRAM} is not built")
     out = tmp_path / "few.onnx"
     script = Path(__file__).parent / "train.py"
-    command = [sys.executable, str(script), "--program", str(PROGRAM), "--work", str(tmp_path), "--recordings", "1", "--steps", "3", "--batch", "2", "--out", str(out)]
-    done = subprocess.run(command, capture_output=True, text=True)
+    command = [sys.executable, str(script), "--network", network, "--program", str(PROGRAM), "--work", str(tmp_path), "--recordings", "1", "--steps", "3", "--batch", "2"]
+    done = subprocess.run([*command, "--out", str(out)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert out.stat().st_size < 1_000_000 and (tmp_path / "few.check.f32").stat().st_size == 4 * 6 * 32 * 48
+    assert out.stat().st_size < 1_000_000 and (tmp_path / "few.check.f32").stat().st_size == 4 * numbers
