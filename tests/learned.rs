@@ -9,11 +9,6 @@ use std::path::Path;
 /// Method and the inputs of its network, which the stand-in has too.
 const NETWORKS: [&str; 4] = ["time_lens", "film", "cbmnet", "refid"];
 
-/// The node of a method's frames.
-fn node(method: &str) -> &str {
-    if method == "ours" { "learned_ours" } else { method }
-}
-
 fn manifest(method: &str) -> String {
     root().join("pipelines/baselines").join(method).with_extension("toml").display().to_string()
 }
@@ -28,7 +23,7 @@ fn still(bench: &Bench, method: &str, more: &[&str]) -> crate::support::Done {
         "nodes.scene.params.height=32",
         "nodes.scene.params.duration=\"40 ms\"",
     ];
-    let end = if method == "evunroll" { "nodes.instants.params.end=\"35 ms\"".to_string() } else { format!("nodes.{}.params.end=\"35 ms\"", node(method)) };
+    let end = if method == "evunroll" { "nodes.instants.params.end=\"35 ms\"".to_string() } else { format!("nodes.{method}.params.end=\"35 ms\"") };
     let manifest = manifest(method);
     let mut arguments = vec!["run", manifest.as_str(), "--variant", "scene=fan", "--set", end.as_str()];
     arguments.extend(sets.iter().flat_map(|set| ["--set", set]));
@@ -47,7 +42,7 @@ fn pooled(bench: &Bench, method: &str) -> Vec<serde_json::Value> {
 fn numbers(bench: &Bench, method: &str) -> [f64; 2] {
     let lines = pooled(bench, method);
     ["psnr", "lpips"].map(|metric| {
-        let node = format!("{metric}_{}", node(method));
+        let node = format!("{metric}_{method}");
         lines.iter().find(|line| line["node"] == node).and_then(|line| line["value"].as_f64()).unwrap_or_else(|| panic!("no number of {node}: {lines:?}"))
     })
 }
@@ -93,11 +88,11 @@ fn a_network_fills_its_row_through_the_same_manifest() {
 #[test]
 fn the_interpolator_of_this_project_fills_its_row() {
     let bench = Bench::new();
-    let done = still(&bench, "ours", &[]);
+    let done = still(&bench, "learned_ours", &[]);
     assert_eq!(done.code, 0, "{}", done.stderr);
-    let [psnr, lpips] = numbers(&bench, "ours");
+    let [psnr, lpips] = numbers(&bench, "learned_ours");
     assert!(psnr > 40.0 && lpips < 0.02, "{psnr} dB, LPIPS {lpips}");
-    let done = bench.run(&["table", &manifest("ours"), "--metric", "psnr_db", "--rows", "method", "--columns", "scene"]);
+    let done = bench.run(&["table", &manifest("learned_ours"), "--metric", "psnr_db", "--rows", "method", "--columns", "scene"]);
     assert!(done.stdout.contains("learned_ours"), "{}", done.stdout);
 }
 

@@ -17,7 +17,7 @@ pub(super) const FLOOR: f64 = 0.01;
 /// Neighbouring hints err together: each counts as if its variance were so many times as large.
 const TOGETHER: f64 = 4.0;
 /// Hints within this time, ms, have one error in common: all of them narrow the posterior variance no more than one of them does. A picture is wrong at a place,
-/// and a pixel sees that place for long: with 15 ms instead, a sliding texture had 41 % of its errors within one standard deviation instead of 53 %, a ball 55 % instead of 62 %.
+/// and a pixel sees that place for long: with 15 ms instead, a sliding texture had 41 % of its errors within one standard deviation instead of 53 %, a ball 55 % instead of 62 % (`pipelines/uncertainty.toml`).
 const ONE_ERROR_MS: f64 = 200.0;
 /// Contradictions are pooled over this time, ms.
 const POOLED_MS: f64 = 3.0;
@@ -314,6 +314,14 @@ mod tests {
             crate::refine::caution::take_care(&mut taken, caution);
             assert!(taken.iter().zip(&hints).all(|(now, then)| now.variance == held * then.variance && now.for_sigma == known * then.for_sigma));
         }
+    }
+
+    #[test]
+    fn hints_far_apart_have_errors_of_their_own() {
+        // A second of hints, one each millisecond: 100 on either side of one in the middle, and none before the first.
+        let mut hints: Vec<Hint> = (0..1000).map(|k| Hint { t_ns: k * 1_000_000, log_photocurrent: 4.0, variance: 1.0, for_sigma: 1.0 }).collect();
+        err_together(&mut hints);
+        assert_eq!([0, 500, 999].map(|n: usize| hints[n].for_sigma), [101.0, 201.0, 101.0]);
     }
 
     #[test]
