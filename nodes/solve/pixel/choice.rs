@@ -21,6 +21,8 @@ pub(super) const BLOCK_ROWS: u32 = 16;
 pub(crate) const HALO_ROWS: u32 = BLOCK_ROWS;
 /// So many pixels of a block are looked at, at least.
 const SAMPLED_PIXELS: usize = 64;
+/// Second starts take three times as many steps as first ones: they are taken where at least this share of the pixels that are looked at has its answer from one.
+const LEAST_SECOND: f64 = 0.05;
 
 /// The settings of some rows.
 pub(crate) struct Settings {
@@ -97,20 +99,30 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, g
     let known = if given.is_some() { given_of } else { known(model, &tasks, &looks, &mut group) };
     let problems: Vec<_> = with_known(&tasks, &known).into_iter().map(|task| task.problem).collect();
     // Or pixels that have lost events would choose for all.
-    let lost = losses_of(&problems, &options, &mut group);
+    let (lost, second) = losses_of(&problems, &options, &mut group);
+    let usual = options.second.take();
+    let least = LEAST_SECOND * problems.len() as f64;
+    let are_many = |second: usize| second as f64 >= least;
+    options.second = usual.filter(|_| are_many(second));
     let problems: Vec<_> = problems.into_iter().zip(&lost).map(|(problem, lost_before)| MapProblem { lost_before, ..problem }).collect();
     let choice = estimate::choose(&problems, params.event_noise, &options, &mut group);
     options.prior = choice.prior;
     let problems: Vec<_> = problems.into_iter().map(|problem| MapProblem { noise: choice.noise, ..problem }).collect();
+    let second = losses_of(&problems, &MapOptions { second: usual, ..options }, &mut group).1;
+    options.second = usual.filter(|_| are_many(second));
     let sigma_factor = if params.sigma() { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, &mut group)) } else { 1.0 };
     Ok(RowSetting { span, noise: choice.noise, options, frame_dn, sigma_factor })
 }
 
-/// The events of each problem before which events were lost ([`losses::lost_before`]).
-fn losses_of(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<Vec<u32>> {
+/// The events of each problem before which events were lost ([`losses::lost_before`]), and how many have their answer from a second start.
+fn losses_of(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> (Vec<Vec<u32>>, usize) {
     let options = MapOptions { with_sigma: false, ..*options };
     let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options }).collect();
     let mut plain = vec![Plain::default(); tasks.len()];
-    group.solve(&tasks, |n, solution| plain[n] = Plain::of(&solution));
-    losses::lost_before(&tasks, &plain, group)
+    let mut second = 0;
+    group.solve(&tasks, |n, solution| {
+        plain[n] = Plain::of(&solution);
+        second += usize::from(solution.is_second);
+    });
+    (losses::lost_before(&tasks, &plain, group), second)
 }

@@ -2,13 +2,15 @@
 //!
 //! The passes over a chain wait for their own results most of the time; eight chains side by side wait together. The same equations in the same
 //! order as for one pixel alone, so that the answer is the same to the last bit (the evidence to rounding), whichever pixels share a
-//! group. Left to the solver of one pixel: standard deviations, found once at the end, and pixels that fail.
+//! group. Pixels that ask for a second start wait until eight of them do. Left to the solver of one pixel: pixels that fail, and standard deviations of those with hints.
 
+mod again;
 mod columns;
 mod passes;
 mod stream;
 #[cfg(test)]
 mod tests;
+mod variance;
 
 use super::knots::Knots;
 use super::prior::{Prior, Segments};
@@ -16,14 +18,15 @@ use super::smoother::FIRST_VARIANCE;
 use super::start::Start;
 use super::state::{ON, STATES};
 use super::{
-    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, NO_EVENT_FROM, Noise, Offsets, SecondStart,
-    has_run_away, solve_with, thresholds, variance_at,
+    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, NO_EVENT_FROM, Noise, Offsets, has_run_away,
+    solve_with, thresholds, variance_at,
 };
 use crate::residuals::Misfit;
 use crate::wide::{Flags, WIDTH, Wide};
+use again::Waiting;
 use columns::{Columns, Common, Cost, Family, Pixel, adapt, misfits, moved, run};
 use passes::{Ask, Line, Memory, WideOffsets, step};
-use stream::{EVENT, NO_EVENT, SEGMENT, Stream};
+use stream::{EVENT, NO_EVENT, Stream};
 
 /// A pixel that is to be solved, and how.
 #[derive(Clone, Copy, Debug)]
@@ -48,6 +51,9 @@ pub struct MapGroup {
     lines: Vec<Line>,
     exact: Memory<ON>,
     free: Memory<STATES>,
+    waiting: Waiting,
+    variance: Vec<Wide>,
+    of_pixel: Vec<f64>,
     order: Vec<usize>,
 }
 
@@ -70,6 +76,7 @@ struct LaneState {
     steps: bool,
     status: MapStatus,
     iterations: usize,
+    is_second: bool,
     /// Refused attempts at the current step.
     attempts: usize,
     damping: f64,
@@ -94,6 +101,7 @@ impl Default for LaneState {
             steps: false,
             status: MapStatus::Unfinished,
             iterations: 0,
+            is_second: false,
             attempts: 0,
             damping: 0.0,
             offsets: Offsets::default(),
@@ -164,32 +172,73 @@ impl MapGroup {
             } else {
                 self.group(tasks, group, evidence, &mut take);
             }
+            let is_last = rest.first().is_none_or(|&next| !alike(next));
+            self.again(tasks, is_last, evidence, &mut take);
         }
         self.order = order;
     }
 
     fn group(&mut self, all: &[MapTask<'_>], group: &[usize], evidence: Evidence, take: &mut impl FnMut(usize, MapSolution<'_>)) {
-        // Lanes without a pixel repeat the last.
-        let tasks: [&MapTask<'_>; WIDTH] = std::array::from_fn(|l| &all[group[usize::min(l, group.len() - 1)]]);
+        let tasks = lanes_of(all, group);
         let common = self.begin(&tasks, group.len());
         let first = self.u[0];
         self.descend(&tasks, &common, first, group.len());
-        self.try_again(&tasks, first, group.len());
-        let log_evidence = if evidence == Evidence::Wanted { self.evidence(&common, first, is_exact(tasks[0])) } else { [0.0; WIDTH] };
-        let misfits = if evidence == Evidence::Wanted { misfits(&self.lines) } else { [(Misfit::default(), 0.0); WIDTH] };
-        for (l, &n) in group.iter().enumerate() {
+        let waits = self.wait(&tasks, group);
+        self.finish(&common, &tasks, first, evidence, |l| (!waits[l]).then_some(group.get(l).copied()).flatten(), take);
+    }
+
+    /// Gives the answers of lanes to `take`: of those that have a place.
+    fn finish(
+        &mut self,
+        common: &Common,
+        tasks: &[&MapTask<'_>; WIDTH],
+        first: Wide,
+        evidence: Evidence,
+        place: impl Fn(usize) -> Option<usize>,
+        take: &mut impl FnMut(usize, MapSolution<'_>),
+    ) {
+        if (0..WIDTH).all(|l| place(l).is_none()) {
+            return;
+        }
+        // Hints count as another variance for standard deviations than for the light.
+        let with_sigma = tasks.iter().any(|task| task.options.with_sigma) && tasks.iter().all(|task| task.problem.hints.is_empty());
+        let is_judged = evidence == Evidence::Wanted;
+        let mut log_evidence = [0.0; WIDTH];
+        if is_judged || with_sigma {
+            log_evidence = self.judge_all(common, first, is_exact(tasks[0]), with_sigma);
+        }
+        let misfits = if is_judged { misfits(&self.lines) } else { [(Misfit::default(), 0.0); WIDTH] };
+        for (l, n) in (0..WIDTH).filter_map(|l| Some((l, place(l)?))) {
             self.take_lane(l);
             let (task, lane) = (tasks[l], &mut self.lanes[l]);
             if lane.state.status == MapStatus::Failed || has_run_away(&task.problem, &lane.u) {
                 take(n, solve_with(&task.problem, &task.options, evidence, &mut self.alone));
                 continue;
             }
-            let LaneState { offsets, status, iterations, .. } = lane.state;
-            let variance: &[f64] = if task.options.with_sigma { variance_at(task, &lane.u, &offsets, lane.state.no_event_sigma, &mut self.alone) } else { &[] };
-            let (log_evidence, (misfit, largest_square)) = (log_evidence[l], misfits[l]);
+            let LaneState { offsets, status, iterations, is_second, .. } = lane.state;
+            let variance: &[f64] = match (task.options.with_sigma, with_sigma) {
+                (false, _) => &[],
+                (true, true) => {
+                    lane.stream.of_knots(&self.variance, l, &mut self.of_pixel);
+                    &self.of_pixel
+                }
+                (true, false) => variance_at(task, &lane.u, &offsets, lane.state.no_event_sigma, &mut self.alone),
+            };
+            let (log_evidence, (misfit, largest_square)) = (if is_judged { log_evidence[l] } else { 0.0 }, misfits[l]);
             take(
                 n,
-                MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance, offsets, status, iterations, log_evidence, misfit, largest_square },
+                MapSolution {
+                    t_ns: &lane.knots.t_ns,
+                    log_photocurrent: &lane.u,
+                    variance,
+                    offsets,
+                    status,
+                    iterations,
+                    is_second,
+                    log_evidence,
+                    misfit,
+                    largest_square,
+                },
             );
         }
     }
@@ -220,57 +269,10 @@ impl MapGroup {
         }
     }
 
-    /// Solves lanes from a second start where that is worth a try, and keeps the better answer of each.
-    fn try_again(&mut self, tasks: &[&MapTask<'_>; WIDTH], first: Wide, count: usize) {
-        let worth: [Option<SecondStart>; WIDTH] = std::array::from_fn(|l| {
-            let state = &self.lanes[l].state;
-            tasks[l].options.second.filter(|second| l < count && second.is_worth_a_try(&tasks[l].problem, state.status, state.misfit(&tasks[l].problem)))
-        });
-        if worth.iter().all(Option::is_none) {
-            return;
-        }
-        let plain: [LaneState; WIDTH] = std::array::from_fn(|l| self.lanes[l].state);
-        let plain_u = self.u.clone();
-        // The lanes still have their start.
-        for stage in 0..2 {
-            let staged: [MapTask<'_>; WIDTH] = std::array::from_fn(|l| {
-                worth[l].map_or(*tasks[l], |second| {
-                    let (problem, options) = second.stages(&tasks[l].problem, &tasks[l].options)[stage];
-                    MapTask { problem, options }
-                })
-            });
-            let staged: [&MapTask<'_>; WIDTH] = std::array::from_fn(|l| &staged[l]);
-            let offsets: [Offsets; WIDTH] = std::array::from_fn(|l| if stage == 0 { Offsets::default() } else { self.lanes[l].state.offsets });
-            let common = self.load(&staged, count, |l| worth[l].is_some());
-            for (l, lane) in self.lanes.iter_mut().enumerate().filter(|(l, _)| worth[*l].is_some()) {
-                lane.state.offsets = offsets[l];
-            }
-            self.measure(&common);
-            self.descend(&staged, &common, first, count);
-            for l in (0..count).filter(|l| worth[*l].is_some()) {
-                self.take_lane(l);
-            }
-        }
-        for l in 0..count {
-            let (state, misfit) = (&self.lanes[l].state, |state: &LaneState| state.misfit(&tasks[l].problem));
-            let is_better = worth[l].is_some_and(|second| second.is_better((plain[l].status, misfit(&plain[l])), (state.status, misfit(state))));
-            if is_better {
-                self.lanes[l].state.iterations += plain[l].iterations;
-                continue;
-            }
-            self.lanes[l].state = plain[l];
-            self.u.iter_mut().zip(&plain_u).for_each(|(u, plain)| u.0[l] = plain.0[l]);
-        }
-        let common = self.common(tasks);
-        self.measure(&common);
-    }
-
     /// The log light of a lane becomes that of its pixel.
     fn take_lane(&mut self, l: usize) {
         let lane = &mut self.lanes[l];
-        lane.u.clear();
-        let steps = lane.stream.steps.iter().enumerate().filter(|(_, step)| step.what & SEGMENT != 0);
-        lane.u.extend(steps.map(|(s, _)| self.u[s].0[l]));
+        lane.stream.of_knots(&self.u, l, &mut lane.u);
     }
 
     /// What the lanes have in common, and their constants.
@@ -351,14 +353,25 @@ impl MapGroup {
         run(&self.columns, common, &self.u, &offsets(&self.lanes), &mut self.lines);
     }
 
-    fn evidence(&mut self, common: &Common, first: Wide, is_exact: bool) -> [f64; WIDTH] {
+    /// The evidence of each lane; the posterior variance of log light at each step as well where it is asked for.
+    fn judge_all(&mut self, common: &Common, first: Wide, is_exact: bool, with_variance: bool) -> [f64; WIDTH] {
         adapt(&mut self.columns, common, &self.u);
         // As measured: what the prior expects of thresholds has no part in it.
         self.lanes.iter_mut().for_each(|lane| lane.state.expected = Offsets::default());
         let ask = ask(&self.lanes, &self.columns, &self.lines, (first, self.u[0]), Wide::ZERO);
-        let evidence = if is_exact { passes::evidence::<ON>(&ask) } else { passes::evidence::<STATES>(&ask) };
+        let evidence = match (with_variance, is_exact) {
+            (false, true) => passes::evidence::<ON>(&ask),
+            (false, false) => passes::evidence::<STATES>(&ask),
+            (true, true) => variance::variance::<ON>(&ask, &mut self.exact, &mut self.variance),
+            (true, false) => variance::variance::<STATES>(&ask, &mut self.free, &mut self.variance),
+        };
         std::array::from_fn(|l| evidence.log(l))
     }
+}
+
+/// The tasks of a group; lanes without a pixel repeat the last.
+fn lanes_of<'a, 'b>(all: &'a [MapTask<'b>], group: &[usize]) -> [&'a MapTask<'b>; WIDTH] {
+    std::array::from_fn(|l| &all[group[usize::min(l, group.len() - 1)]])
 }
 
 fn wide(lanes: &[Lane; WIDTH], of: impl Fn(&LaneState) -> f64) -> Wide {

@@ -36,11 +36,11 @@ pub(super) struct Expected {
 /// What the backward pass needs of a step of the forward one.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Kept<const N: usize> {
-    gain: [Wide; N],
+    pub gain: [Wide; N],
     pull: Wide,
     /// Filtered change and the covariance's row of log light.
     change: Wide,
-    row: [Wide; N],
+    pub row: [Wide; N],
 }
 
 /// The same of a damping.
@@ -53,13 +53,24 @@ pub(super) struct Damped<const N: usize> {
 /// The memory of the passes.
 #[derive(Clone, Debug)]
 pub(super) struct Memory<const N: usize> {
-    kept: Vec<Kept<N>>,
+    pub kept: Vec<Kept<N>>,
     pub dampings: Vec<Damped<N>>,
+    /// One over the variance of each innovation, where standard deviations are wanted.
+    pub information: Vec<Wide>,
+}
+
+impl<const N: usize> Memory<N> {
+    /// For so many steps.
+    pub fn make_room(&mut self, steps: usize, with_information: bool) {
+        let nothing = [Wide::ZERO; N];
+        self.kept.resize(steps, Kept { gain: nothing, pull: Wide::ZERO, change: Wide::ZERO, row: nothing });
+        self.information.resize(if with_information { steps } else { 0 }, Wide::ZERO);
+    }
 }
 
 impl<const N: usize> Default for Memory<N> {
     fn default() -> Memory<N> {
-        Memory { kept: Vec::new(), dampings: Vec::new() }
+        Memory { kept: Vec::new(), dampings: Vec::new(), information: Vec::new() }
     }
 }
 
@@ -149,12 +160,13 @@ fn begin<const N: usize>(ask: &Ask<'_>) -> State<Wide, N> {
 }
 
 #[inline(always)]
-fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, const EVIDENCE: bool>(ask: &Ask<'_>, memory: &mut Memory<N>, evidence: &mut Evidence) {
+pub(super) fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, const EVIDENCE: bool>(ask: &Ask<'_>, memory: &mut Memory<N>, evidence: &mut Evidence) {
     let mut state = begin::<N>(ask);
     let steps = ask.lines.len();
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
     let kept = &mut memory.kept[..if KEEP { steps } else { 0 }];
     let dampings = &mut memory.dampings[..if DAMPED { steps } else { 0 }];
+    let informations = &mut memory.information[..if KEEP && EVIDENCE { steps } else { 0 }];
     for j in 0..steps {
         let line = &lines[j];
         // Nothing moves before the first step: its segment keeps all as it is.
@@ -183,6 +195,9 @@ fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, const EVIDENCE:
         if EVIDENCE {
             let counts = line.sight.choose(EVENT | FRAME, Wide::ONE, Wide::ZERO);
             evidence.add(counts, innovation, &weight);
+        }
+        if KEEP && EVIDENCE {
+            informations[j] = weight.information;
         }
         let then = what[j];
         if N > ON {
@@ -289,17 +304,16 @@ fn backward<const N: usize, const DAMPED: bool>(ask: &Ask<'_>, memory: &Memory<N
     (longest, WideOffsets { reference: at[R] - at[V], on: threshold(ON), off: threshold(OFF) })
 }
 
-const NO_EVIDENCE: Evidence = Evidence { mantissa: Wide::ONE, exponent: Wide::ZERO, squares: Wide::ZERO, count: Wide::ZERO };
+pub(super) const NO_EVIDENCE: Evidence = Evidence { mantissa: Wide::ONE, exponent: Wide::ZERO, squares: Wide::ZERO, count: Wide::ZERO };
 
 /// One Gauss-Newton step of each lane: see [`backward`].
 pub(super) fn step<const N: usize>(ask: &Ask<'_>, memory: &mut Memory<N>, change: &mut [Wide]) -> (Wide, WideOffsets) {
     let steps = ask.lines.len();
-    let nothing = [Wide::ZERO; N];
-    memory.kept.resize(steps, Kept { gain: nothing, pull: Wide::ZERO, change: Wide::ZERO, row: nothing });
+    memory.make_room(steps, false);
     if ask.damping == Wide::ZERO {
         return passes::<N, false>(ask, memory, change);
     }
-    memory.dampings.resize(steps, Damped { gain: nothing, pull: Wide::ZERO });
+    memory.dampings.resize(steps, Damped { gain: [Wide::ZERO; N], pull: Wide::ZERO });
     passes::<N, true>(ask, memory, change)
 }
 

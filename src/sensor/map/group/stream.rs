@@ -6,6 +6,7 @@
 
 use super::super::MapProblem;
 use super::super::knots::{Knots, Op};
+use crate::wide::Wide;
 use photocurrent_core::sensor::Reset;
 
 /// An event: voltage is reference plus or minus a threshold.
@@ -102,6 +103,13 @@ impl Stream {
                 self.measure(NO_EVENT, 0.0, problem.no_event_sigma * problem.no_event_sigma);
             }
         }
+    }
+
+    /// Of the values of a lane at each step, those at each knot: all steps of a knot have one light, and its last what is known after all that happens there.
+    pub fn of_knots(&self, steps: &[Wide], lane: usize, knots: &mut Vec<f64>) {
+        let ends = self.first_step.iter().skip(1).map(|first| *first as usize).chain([self.steps.len()]);
+        knots.clear();
+        knots.extend(ends.map(|end| steps[end - 1].0[lane]));
     }
 
     fn begin(&mut self, knot: usize, what: u64, exposure: f64) {

@@ -1,0 +1,109 @@
+//! Second starts, for pixels whose first answer does not explain what was measured: such pixels wait until eight of them are together.
+//!
+//! A second start takes three times as many steps as the first, and few pixels of a group ask for it: the others would only wait for them.
+
+use super::super::{Evidence, SecondStart};
+use super::{LaneState, MapGroup, MapSolution, MapTask, Offsets, WIDTH, Wide, lanes_of};
+use crate::scalar::Scalar;
+use std::array::from_fn;
+
+/// Pixels that wait for a second start, with their first answers. Fewer than two groups of them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Waiting {
+    /// Their places among the tasks.
+    places: Vec<usize>,
+    states: Vec<LaneState>,
+    /// Log light at their knots, one vector each; longer than `places`, for its memory.
+    light: Vec<Vec<f64>>,
+}
+
+impl Waiting {
+    fn push(&mut self, place: usize, state: LaneState, light: &mut Vec<f64>) {
+        let at = self.places.len();
+        self.places.push(place);
+        self.states.push(state);
+        if self.light.len() == at {
+            self.light.push(Vec::new());
+        }
+        std::mem::swap(&mut self.light[at], light);
+    }
+
+    /// Leaves the first `count` away.
+    fn leave(&mut self, count: usize) {
+        self.places.drain(..count);
+        self.states.drain(..count);
+        self.light.rotate_left(count);
+    }
+}
+
+/// The darkest and the brightest log light of each lane.
+fn ranges(u: &[Wide]) -> (Wide, Wide) {
+    u.iter().fold((Wide::splat(f64::INFINITY), Wide::splat(f64::NEG_INFINITY)), |(low, high), u| (low.min(*u), high.max(*u)))
+}
+
+impl MapGroup {
+    /// Lets lanes that ask for a second start wait, and says which.
+    pub(super) fn wait(&mut self, tasks: &[&MapTask<'_>; WIDTH], group: &[usize]) -> [bool; WIDTH] {
+        let (low, high) = ranges(&self.u);
+        from_fn(|l| {
+            let (state, MapTask { problem, options }) = (&self.lanes[l].state, tasks[l]);
+            let is_worth_it = |second: &SecondStart| second.is_worth_a_try(problem, state.status, state.misfit(problem), (low.0[l], high.0[l]));
+            let waits = l < group.len() && options.second.as_ref().is_some_and(is_worth_it);
+            if waits {
+                self.take_lane(l);
+                let lane = &mut self.lanes[l];
+                self.waiting.push(group[l], lane.state, &mut lane.u);
+            }
+            waits
+        })
+    }
+
+    /// Solves pixels that wait from their second start, as long as a group of them is full, or until none waits where no more are to come; of both answers the better
+    /// goes to `take`.
+    pub(super) fn again(&mut self, all: &[MapTask<'_>], is_last: bool, evidence: Evidence, take: &mut impl FnMut(usize, MapSolution<'_>)) {
+        while self.waiting.places.len() >= if is_last { 1 } else { WIDTH } {
+            let count = usize::min(self.waiting.places.len(), WIDTH);
+            self.group_again(all, count, evidence, take);
+            self.waiting.leave(count);
+        }
+    }
+
+    fn group_again(&mut self, all: &[MapTask<'_>], count: usize, evidence: Evidence, take: &mut impl FnMut(usize, MapSolution<'_>)) {
+        let places: [usize; WIDTH] = from_fn(|l| self.waiting.places[usize::min(l, count - 1)]);
+        let tasks = lanes_of(all, &places[..count]);
+        self.begin(&tasks, count);
+        let first = self.u[0];
+        let seconds: [SecondStart; WIDTH] = from_fn(|l| tasks[l].options.second.unwrap_or(SecondStart::USUAL));
+        for stage in 0..2 {
+            let staged: [MapTask<'_>; WIDTH] = from_fn(|l| {
+                let (problem, options) = seconds[l].stages(&tasks[l].problem, &tasks[l].options)[stage];
+                MapTask { problem, options }
+            });
+            let staged: [&MapTask<'_>; WIDTH] = from_fn(|l| &staged[l]);
+            let so_far: [Offsets; WIDTH] = from_fn(|l| if stage == 0 { Offsets::default() } else { self.lanes[l].state.offsets });
+            let common = self.load(&staged, count, |_| true);
+            for (lane, offsets) in self.lanes.iter_mut().zip(so_far).take(count) {
+                lane.state.offsets = offsets;
+            }
+            self.measure(&common);
+            self.descend(&staged, &common, first, count);
+            (0..count).for_each(|l| self.take_lane(l));
+        }
+        for l in 0..count {
+            let misfit = |state: &LaneState| state.misfit(&tasks[l].problem);
+            let (plain, state) = (self.waiting.states[l], &mut self.lanes[l].state);
+            if seconds[l].is_better((plain.status, misfit(&plain)), (state.status, misfit(state))) {
+                (state.iterations, state.is_second) = (state.iterations + plain.iterations, true);
+                continue;
+            }
+            *state = plain;
+            let (light, steps) = (&self.waiting.light[l], &self.lanes[l].stream.steps);
+            for (s, u) in self.u.iter_mut().enumerate() {
+                u.0[l] = steps.get(s).map_or(light[light.len() - 1], |step| light[step.knot as usize]);
+            }
+        }
+        let common = self.common(&tasks);
+        self.measure(&common);
+        self.finish(&common, &tasks, first, evidence, |l| (l < count).then(|| places[l]), take);
+    }
+}
