@@ -47,7 +47,7 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Params {
-        Params { frames: 48, offset: None, pixels: 512, least_z: 3.0, least_gain: 0.03, most_factor: 4.0 }
+        Params { frames: 48, offset: None, pixels: 1024, least_z: 3.0, least_gain: 0.03, most_factor: 4.0 }
     }
 }
 
@@ -122,6 +122,9 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let stated = input.sensor.as_ref().and_then(|sensor| stated(sensor));
         let (mut sensor, mut used) = (input.sensor.clone(), stated);
         let mut gain = None;
+        if input.sensor.is_some() && stated.is_none() {
+            cx.note("the description does not state both thresholds, and is passed on as it is");
+        }
         if let (Some(description), Some(_)) = (&input.sensor, stated) {
             let Params { pixels, least_z, least_gain, most_factor, .. } = self.params;
             let rule = Rule { pixels, least_z, least_gain, most_factor };
@@ -164,6 +167,13 @@ fn said(verdict: &Verdict, rule: &Rule) -> String {
         format!("thresholds {} instead of the description's {}: {missed}", two(found), two(stated))
     } else if found == stated {
         format!("the description's thresholds {} stay: none was found that predicts held-out frames better", two(stated))
+    } else if verdict.z_as_solved() <= -rule.least_z {
+        let (of_solver, z) = (-100.0 * verdict.as_solved.0, verdict.z_as_solved());
+        format!(
+            "the description's thresholds {} stay: with {} {missed}, but by {of_solver:.1} % more with the noise that the solver chooses (z = {z:.1})",
+            two(stated),
+            two(found)
+        )
     } else {
         let (share, z) = (100.0 * rule.least_gain, rule.least_z);
         format!("the description's thresholds {} stay: with {} {missed}, and {share:.1} % and z = {z:.1} are asked for", two(stated), two(found))

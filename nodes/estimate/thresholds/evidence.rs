@@ -1,10 +1,13 @@
 //! Thresholds by evidence: those with which the solver predicts frames best that it has not seen.
 //!
-//! Some pixels are cut out of the recording, spread over their number of events, and every third of their frames is held out. Their light is solved by the MAP estimate with one pair of
-//! thresholds after the other, and what counts is how far the held-out frames are missed: the same measure by which `solve/pixel` chooses the noise of events
-//! ([`photocurrent_sensor::map::estimate`]). Half of the pixels search: from the description's pair or from the one that the frames measured, whichever is better, over a common factor and the
-//! ratio of ON to OFF. The other half judges the one pair that was found, pixel by pixel against the description's. The halves are tiles of 8 x 8 pixels, dealt like a chessboard; pixels
-//! of a tile see the same edges, so the standard error counts tiles and not pixels.
+//! Some pixels are cut out of the recording, spread over its events, and every third of their frames is held out. Their light is solved by the MAP estimate with one pair of thresholds after
+//! the other, and what counts is how far the held-out frames are missed, the measure by which `solve/pixel` chooses the noise of events ([`photocurrent_sensor::map::estimate`]). Half of the
+//! pixels search: from the description's pair or from the one that the frames measured, whichever is better, over a common factor and the ratio of ON to OFF. The other half judges the one
+//! pair that was found, against the description's. The halves are tiles of 8 x 8 pixels, dealt like a chessboard; pixels of a tile see the same edges, so the standard error counts
+//! tiles and not pixels.
+//!
+//! Events are trusted as usual throughout: with wrong thresholds the noise that suits best is a large one, and the light then hardly follows events, whatever their thresholds. So the pair that
+//! was found must also not be clearly worse with the noise and the prior that the solver would choose for each.
 //!
 //! Limits: a delay or a dark current that the description leaves out is partly made up for by thresholds; pixels whose event paths share photocurrent are not judged. The whole recording
 //! is used: cut a part out of a long one.
@@ -19,7 +22,7 @@ use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Colour, Context, EventStream, Node, NodeError, Rows, Sensor, TracksMeta};
 use photocurrent_sensor::estimate::Estimate;
 use photocurrent_sensor::map::estimate::{Choice, FEWEST_EVENTS, FEWEST_FRAMES, choose, prediction_errors};
-use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem};
+use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem, Noise, Prior};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -28,7 +31,7 @@ const TILE: u32 = 8;
 /// The busiest one of so many pixels may be hot, and is left away.
 const HOT: usize = 200;
 /// A half needs so many tiles: the standard error is that of so many numbers.
-const FEWEST_TILES: usize = 8;
+const FEWEST_TILES: usize = 6;
 /// Pixels that are solved together: a fixed number, so that threads change no bit.
 const TOGETHER: usize = 32;
 /// Rows of the array that are at hand at once.
@@ -39,10 +42,11 @@ const WIDE_STEPS: i32 = 3;
 /// Then both, with steps from this to that.
 const COARSE_STEP: f64 = 0.2;
 const FINE_STEP: f64 = 0.0125;
-/// From this step on, the noise of events and the prior are those that suit what was found before.
-const AGAIN_STEP: f64 = 0.06;
-/// Pairs that are tried, at most.
-const MOST_TRIALS: usize = 80;
+/// So often, at most.
+const MOST_ROUNDS: usize = 20;
+
+/// Events and light as the solver takes them before it has looked at a recording.
+const TRUSTED: Choice = Choice { noise: Noise::USUAL, prior: Prior::USUAL };
 
 /// ON and OFF thresholds, natural-log units.
 pub type Pair = (f64, f64);
@@ -71,6 +75,8 @@ pub struct Verdict {
     pub gain: f64,
     /// The standard error of that.
     pub gain_sigma: f64,
+    /// The share with the noise and the prior that the solver would choose for each pair, and its standard error.
+    pub as_solved: (f64, f64),
     /// Pixels that judged.
     pub pixels: usize,
     /// Is it better by what the rule asks for?
@@ -80,7 +86,12 @@ pub struct Verdict {
 impl Verdict {
     /// Standard errors by which what was found is better.
     pub fn z(&self) -> f64 {
-        if self.gain_sigma > 0.0 { self.gain / self.gain_sigma } else { 0.0 }
+        z((self.gain, self.gain_sigma))
+    }
+
+    /// The same with what the solver would choose.
+    pub fn z_as_solved(&self) -> f64 {
+        z(self.as_solved)
     }
 
     /// The gain with its 95 % interval.
@@ -100,22 +111,24 @@ pub fn judged(input: &In, sensor: &Sensor, measured: Option<Pair>, rule: &Rule, 
         Err(why) => return Ok(Err(why)),
     };
     let stated = (bench.model.sensor().pixel.threshold_on, bench.model.sensor().pixel.threshold_off);
-    cx.begin(MOST_TRIALS as u64, "pairs of thresholds");
-    let (found, of_found) = bench.search(stated, measured, rule.most_factor, cx)?;
-    let of_stated = bench.choice(stated);
-    let mut errors = |thresholds: Pair, choice: &Choice| {
-        bench.model.set_thresholds(thresholds);
-        bench.judging.errors(&bench.model, choice)
-    };
-    let (before, after) = (errors(stated, &of_stated), errors(found, &of_found));
-    let all: f64 = before.iter().sum();
-    let (better, sigma) = tile_sum(&bench.judging.tiles, before.iter().zip(&after).map(|(before, after)| before - after));
-    let mut verdict = Verdict { stated, found, gain: 0.0, gain_sigma: 0.0, pixels: before.len(), is_used: false };
-    if all > 0.0 {
-        (verdict.gain, verdict.gain_sigma) = (better / all, sigma / all);
+    cx.begin((2 + 2 * WIDE_STEPS as usize + 4 * MOST_ROUNDS) as u64, "pairs of thresholds");
+    let found = bench.search(stated, measured, rule.most_factor, cx)?;
+    let mut verdict = Verdict { stated, found, gain: 0.0, gain_sigma: 0.0, as_solved: (0.0, 0.0), pixels: bench.judging.sample.len(), is_used: false };
+    if found != stated {
+        (verdict.gain, verdict.gain_sigma) = bench.gain([(stated, TRUSTED), (found, TRUSTED)]);
+        verdict.is_used = verdict.z() >= rule.least_z && verdict.gain >= rule.least_gain;
     }
-    verdict.is_used = found != stated && verdict.z() >= rule.least_z && verdict.gain >= rule.least_gain;
+    if verdict.is_used {
+        let chosen = [stated, found].map(|pair| (pair, bench.choice(pair)));
+        verdict.as_solved = bench.gain(chosen);
+        verdict.is_used = verdict.z_as_solved() > -rule.least_z;
+    }
     Ok(Ok(verdict))
+}
+
+/// Standard errors.
+fn z((value, sigma): (f64, f64)) -> f64 {
+    if sigma > 0.0 { value / sigma } else { 0.0 }
 }
 
 /// A sum over pixels and its standard error, by the tiles that they lie in.
@@ -137,7 +150,7 @@ struct Place {
     is_judge: bool,
 }
 
-/// Pixels that have events, spread over their number of events: of both halves alike, in order of rows.
+/// Pixels that have events, spread over the events: of both halves alike, in order of rows.
 fn places(events: &EventStream, lie: CoLocated, pixels: usize) -> Result<Vec<Place>, NodeError> {
     let extent = events.meta.extent;
     let mut counted: [Vec<(u32, u32, u32)>; 2] = Default::default();
@@ -157,9 +170,22 @@ fn places(events: &EventStream, lie: CoLocated, pixels: usize) -> Result<Vec<Pla
     for (of_half, is_judge) in counted.iter_mut().zip([false, true]) {
         of_half.sort_unstable();
         let usual = &of_half[..of_half.len() - of_half.len() / HOT];
-        let taken = usize::min(usual.len(), pixels / 2);
-        for n in 0..taken {
-            let (_, y, x) = usual[(2 * n + 1) * usual.len() / (2 * taken)];
+        let all: u64 = usual.iter().map(|(count, _, _)| u64::from(*count)).sum();
+        let taken = usize::min(usual.len(), pixels / 2) as u64;
+        // The pixels in which every so many-th event lies, by their number of events.
+        let (mut at, mut before) = (0, 0);
+        let mut picked: Vec<usize> = (0..taken)
+            .map(|n| {
+                while before + u64::from(usual[at].0) <= (2 * n + 1) * all / (2 * taken) {
+                    before += u64::from(usual[at].0);
+                    at += 1;
+                }
+                at
+            })
+            .collect();
+        picked.dedup();
+        for (n, at) in picked.into_iter().enumerate() {
+            let (_, y, x) = usual[at];
             // Of an event pixel with several values one after the other.
             let (copies, within) = (lie.ratio * lie.colour.channels(), n as u32 % (lie.ratio * lie.ratio * lie.colour.channels()));
             let (column, row) = tile(x, y);
@@ -276,59 +302,56 @@ impl Bench {
         sample.with_problems(&self.model, 0..sample.len(), None, &mut MapGroup::default(), choose)
     }
 
-    /// How badly the searching half is predicted.
-    fn loss(&mut self, thresholds: Pair, choice: &Choice, cx: &Context) -> Result<f64, NodeError> {
-        self.model.set_thresholds(thresholds);
-        cx.advance(1)?;
-        Ok(self.searching.errors(&self.model, choice).iter().sum())
+    /// The share by which the judging half is missed less with the second than with the first, and its standard error.
+    fn gain(&mut self, pairs: [(Pair, Choice); 2]) -> (f64, f64) {
+        let [first, second] = pairs.map(|(thresholds, choice)| {
+            self.model.set_thresholds(thresholds);
+            self.judging.errors(&self.model, &choice)
+        });
+        let all: f64 = first.iter().sum();
+        let (better, sigma) = tile_sum(&self.judging.tiles, first.iter().zip(&second).map(|(first, second)| first - second));
+        if all > 0.0 { (better / all, sigma / all) } else { (0.0, 0.0) }
     }
 
-    /// The pair that predicts the searching half best, with its noise of events and prior.
-    fn search(&mut self, stated: Pair, measured: Option<Pair>, most_factor: f64, cx: &Context) -> Result<(Pair, Choice), NodeError> {
+    /// How badly the searching half is predicted.
+    fn loss(&mut self, thresholds: Pair, cx: &Context) -> Result<f64, NodeError> {
+        self.model.set_thresholds(thresholds);
+        cx.advance(1)?;
+        Ok(self.searching.errors(&self.model, &TRUSTED).iter().sum())
+    }
+
+    /// The pair that predicts the searching half best.
+    fn search(&mut self, stated: Pair, measured: Option<Pair>, most_factor: f64, cx: &Context) -> Result<Pair, NodeError> {
         let farthest = libm::log(most_factor);
         let is_near = |pair: Pair| f64::max(libm::log(pair.0 / stated.0).abs(), libm::log(pair.1 / stated.1).abs()) <= farthest;
         // By a common factor and by the ratio of ON to OFF, both as logarithms.
         let moved = |pair: Pair, (common, ratio): (f64, f64)| (pair.0 * libm::exp(common + 0.5 * ratio), pair.1 * libm::exp(common - 0.5 * ratio));
-        let mut choice = self.choice(stated);
-        let mut best = (self.loss(stated, &choice, cx)?, stated);
-        if let Some(pair) = measured.filter(|pair| is_near(*pair)) {
-            let of_pair = self.choice(pair);
-            let loss = self.loss(pair, &of_pair, cx)?;
-            if loss < best.0 {
-                (best, choice) = ((loss, pair), of_pair);
-            }
-        }
-        let begin = best.1;
-        let wide = (-WIDE_STEPS..=WIDE_STEPS).filter(|n| *n != 0).map(|n| moved(begin, (f64::from(n) * WIDE_STEP, 0.0)));
-        for pair in wide.filter(|pair| is_near(*pair)) {
-            let loss = self.loss(pair, &choice, cx)?;
-            if loss < best.0 {
-                best = (loss, pair);
-            }
-        }
-        let (mut step, mut trials, mut is_chosen_again) = (COARSE_STEP, 0, false);
-        while step >= FINE_STEP && trials < MOST_TRIALS {
-            if step <= AGAIN_STEP && !is_chosen_again && best.1 != stated {
-                is_chosen_again = true;
-                choice = self.choice(best.1);
-                best.0 = self.loss(best.1, &choice, cx)?;
-            }
-            let around = best.1;
-            for by in [(-step, 0.0), (step, 0.0), (0.0, -step), (0.0, step)] {
-                let pair = moved(around, by);
-                if is_near(pair) {
-                    let loss = self.loss(pair, &choice, cx)?;
-                    trials += 1;
-                    if loss < best.0 {
-                        best = (loss, pair);
-                    }
+        let mut best = (self.loss(stated, cx)?, stated);
+        let mut try_all = |pairs: &[Pair], best: &mut (f64, Pair)| -> Result<(), NodeError> {
+            for &pair in pairs.iter().filter(|pair| is_near(**pair)) {
+                let loss = self.loss(pair, cx)?;
+                if loss < best.0 {
+                    *best = (loss, pair);
                 }
             }
+            Ok(())
+        };
+        try_all(measured.as_slice(), &mut best)?;
+        let begin = best.1;
+        let wide: Vec<Pair> = (-WIDE_STEPS..=WIDE_STEPS).filter(|n| *n != 0).map(|n| moved(begin, (f64::from(n) * WIDE_STEP, 0.0))).collect();
+        try_all(&wide, &mut best)?;
+        let mut step = COARSE_STEP;
+        for _ in 0..MOST_ROUNDS {
+            let around = best.1;
+            try_all(&[(-step, 0.0), (step, 0.0), (0.0, -step), (0.0, step)].map(|by| moved(around, by)), &mut best)?;
             if best.1 == around {
                 step *= 0.5;
             }
+            if step < FINE_STEP {
+                break;
+            }
         }
-        Ok((best.1, self.choice(best.1)))
+        Ok(best.1)
     }
 }
 

@@ -133,11 +133,14 @@ pub struct Noise {
 
 impl Default for Noise {
     fn default() -> Noise {
-        Noise { event: 0.1, reference: 0.05, threshold: 0.0, lone: LoneEvents::Trusted }
+        Noise::USUAL
     }
 }
 
 impl Noise {
+    /// Before anything is known of a recording.
+    pub const USUAL: Noise = Noise { event: 0.1, reference: 0.05, threshold: 0.0, lone: LoneEvents::Trusted };
+
     fn event_variance(&self, threshold: f64) -> f64 {
         let sigma = self.event * threshold;
         sigma * sigma
