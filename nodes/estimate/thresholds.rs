@@ -54,7 +54,7 @@ impl Default for Params {
 photocurrent_core::ports! {
     /// What was found.
     pub struct Out {
-        /// `threshold_on` and `threshold_off`, natural-log units, positive, as the frames measure them, with the description's beside (`description`) and those of `sensor` (`used`); `heldout_gain`, the share by which held-out frames are missed less with the best thresholds found than with the description's.
+        /// `threshold_on` and `threshold_off`, natural-log units, positive, as the frames measure them, next to the description's (`description`) and those of `sensor` (`used`); `heldout_gain`, the share by which held-out frames are missed less with the best thresholds found than with the description's.
         estimates: Arc<Table>,
         /// The description, with other thresholds where those predict held-out frames clearly better, else unchanged.
         sensor: Option<Arc<Sensor>>,
@@ -142,8 +142,8 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
             }
         }
         rows.push(Row::new("heldout_gain", gain, "1", 1.0));
-        let beside = |pair: Option<Pair>| Column::Numbers(pair.map_or([f64::NAN; 3], |(on, off)| [on, off, f64::NAN]).to_vec());
-        Ok(Out { estimates: Arc::new(table(&rows).with("description", beside(stated)).with("used", beside(used))), sensor })
+        let next_to = |pair: Option<Pair>| Column::Numbers(pair.map_or([f64::NAN; 3], |(on, off)| [on, off, f64::NAN]).to_vec());
+        Ok(Out { estimates: Arc::new(table(&rows).with("description", next_to(stated)).with("used", next_to(used))), sensor })
     }
 }
 
