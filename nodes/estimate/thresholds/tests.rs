@@ -53,12 +53,12 @@ fn recording(frames: i64) -> (EventStream, FrameSequence) {
     (testing::stream(EXTENT, events), testing::captured(EXTENT, times.exposures.to_vec(), 20_000, noisy))
 }
 
-/// What the node makes of a recording and a description, and the last of its notes.
+/// What the node makes of a recording and a description, and its note on that.
 fn run((events, frames): &(EventStream, FrameSequence), sensor: Option<&Arc<Sensor>>) -> (Out, String) {
     let node = EstimateThresholds::build(Params { offset: Some(Duration::new(0)), pixels: 256, ..Params::default() }).unwrap();
     let input = In { events: events.clone(), frames: frames.clone(), sensor: sensor.cloned() };
-    let (out, mut notes) = testing::with_context(frames.rows(), &["estimates", "sensor"], |cx| node.run(input, cx));
-    (out.unwrap(), notes.pop().unwrap())
+    let (out, notes) = testing::with_context(frames.rows(), &["estimates", "sensor"], |cx| node.run(input, cx));
+    (out.unwrap(), notes.into_iter().filter(|note| note.contains("description")).collect())
 }
 
 fn numbers(out: &Out, name: &str) -> Vec<f64> {
