@@ -152,6 +152,17 @@ impl Model {
         f64::min(self.rule.threshold_on, self.rule.threshold_off)
     }
 
+    /// Takes other thresholds than the description's, natural-log units.
+    pub(crate) fn set_thresholds(&mut self, (on, off): (f64, f64)) {
+        (self.rule.threshold_on, self.rule.threshold_off) = (on, off);
+        (self.sensor.pixel.threshold_on, self.sensor.pixel.threshold_off) = (on, off);
+    }
+
+    /// Does the event path of a pixel see photocurrent of its neighbours?
+    pub(crate) fn is_mixed(&self) -> bool {
+        self.undo.mixing().is_some()
+    }
+
     /// Event `k` of a row as recorded, on the clock of the frames.
     fn event(&self, row: &EventRow<'_>, k: usize) -> MapEvent {
         let t_in_ns = self.rule.time(row, k);
@@ -299,7 +310,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 18,
+        revision: 17,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

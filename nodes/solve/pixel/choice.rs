@@ -14,6 +14,7 @@ use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, estimate, frame_noise};
 use photocurrent_sensor::undo::Known;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Rows of a block.
 pub(super) const BLOCK_ROWS: u32 = 16;
@@ -21,8 +22,6 @@ pub(super) const BLOCK_ROWS: u32 = 16;
 pub(crate) const HALO_ROWS: u32 = BLOCK_ROWS;
 /// So many pixels of a block are looked at, at least.
 const SAMPLED_PIXELS: usize = 64;
-/// Second starts take three times as many steps as first ones: they are taken where at least this share of the pixels that are looked at has its answer from one.
-const LEAST_SECOND: f64 = 0.05;
 
 /// The settings of some rows.
 pub(crate) struct Settings {
@@ -57,20 +56,17 @@ impl Settings {
 fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, given: Option<&KnownOfRows>) -> Result<RowSetting, NodeError> {
     let per_row = SAMPLED_PIXELS.div_ceil(rows.len());
     let mut data = RowData::default();
-    let mut differences = Vec::new();
-    let mut possible = 0;
-    let mut sample: Vec<(Vec<MapEvent>, Vec<MapFrame>)> = Vec::new();
-    let mut recorded_events: Vec<(Site, Vec<MapEvent>)> = Vec::new();
+    let mut unexplained = Unexplained::default();
+    let span = (recorded.meta.span.start.0, recorded.meta.span.end.0);
+    let mut sample = Sample::new(params, span);
     let mut given_of: Vec<Known> = Vec::new();
     for row in rows.iter() {
         data.take(model, recorded, row, 0.0)?;
         let mut active = Vec::new();
         for x in 0..data.width() {
-            let (events, frames) = (data.events_of(x), data.frames_of(x));
-            differences.extend(frame_noise::differences(events, frames));
-            possible += frames.len().saturating_sub(2);
-            let in_company = events.iter().filter(|event| !event.is_lone).count();
-            if in_company > 0 && !frames.is_empty() {
+            unexplained.add(&data, x);
+            let in_company = events_in_company(&data, x);
+            if in_company > 0 && !data.frames_of(x).is_empty() {
                 active.push((in_company, x));
             }
         }
@@ -79,50 +75,118 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, g
         let taken = usize::min(active.len(), per_row);
         for n in 0..taken {
             let (_, x) = active[(2 * n + 1) * active.len() / (2 * taken)];
-            sample.push((data.events_of(x).to_vec(), data.frames_of(x).to_vec()));
-            let (site, events) = data.recorded_of(x);
-            recorded_events.push((site, events.to_vec()));
+            sample.push(&data, x);
             given_of.extend(given.map(|given| given.of(row)[x].clone()));
         }
     }
-    let span = (recorded.meta.span.start.0, recorded.meta.span.end.0);
-    let max_iterations = usize::min(params.max_iterations as usize, MAP_STEPS);
-    let mut options = MapOptions { spacing_ns: params.knot_spacing().ns(), max_iterations, with_sigma: params.sigma(), ..MapOptions::default() };
-    let frame_dn = frame_noise::missing_dn(&mut differences, possible);
-    for frame in sample.iter_mut().flat_map(|(_, frames)| frames) {
-        frame.sigma_dn = libm::sqrt(frame.sigma_dn * frame.sigma_dn + frame_dn * frame_dn);
-    }
+    let frame_dn = unexplained.frame_dn();
+    sample.add_noise(frame_dn);
     let mut group = MapGroup::default();
-    let problems: Vec<_> = sample.iter().map(|(events, frames)| problem(model, events, frames, span, Noise::default())).collect();
-    let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options }).collect();
-    let looks: Vec<(Site, &[MapEvent])> = recorded_events.iter().map(|(site, events)| (*site, events.as_slice())).collect();
-    let known = if given.is_some() { given_of } else { known(model, &tasks, &looks, &mut group) };
-    let problems: Vec<_> = with_known(&tasks, &known).into_iter().map(|task| task.problem).collect();
-    // Or pixels that have lost events would choose for all.
-    let (lost, second) = losses_of(&problems, &options, &mut group);
-    let usual = options.second.take();
-    let least = LEAST_SECOND * problems.len() as f64;
-    let are_many = |second: usize| second as f64 >= least;
-    options.second = usual.filter(|_| are_many(second));
-    let problems: Vec<_> = problems.into_iter().zip(&lost).map(|(problem, lost_before)| MapProblem { lost_before, ..problem }).collect();
-    let choice = estimate::choose(&problems, params.event_noise, &options, &mut group);
-    options.prior = choice.prior;
-    let problems: Vec<_> = problems.into_iter().map(|problem| MapProblem { noise: choice.noise, ..problem }).collect();
-    let second = losses_of(&problems, &MapOptions { second: usual, ..options }, &mut group).1;
-    options.second = usual.filter(|_| are_many(second));
-    let sigma_factor = if params.sigma() { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, &mut group)) } else { 1.0 };
-    Ok(RowSetting { span, noise: choice.noise, options, frame_dn, sigma_factor })
+    let options = sample.options;
+    Ok(sample.with_problems(model, 0..sample.len(), given.map(|_| given_of), &mut group, |problems, group| {
+        let choice = estimate::choose(problems, params.event_noise, &options, group);
+        let options = MapOptions { prior: choice.prior, ..options };
+        let problems: Vec<_> = problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
+        let sigma_factor = if params.sigma() { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, group)) } else { 1.0 };
+        RowSetting { span, noise: choice.noise, options, frame_dn, sigma_factor }
+    }))
 }
 
-/// The events of each problem before which events were lost ([`losses::lost_before`]), and how many have their answer from a second start.
-fn losses_of(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> (Vec<Vec<u32>>, usize) {
+/// How many events of a pixel are not alone.
+pub(crate) fn events_in_company(data: &RowData, x: usize) -> usize {
+    data.events_of(x).iter().filter(|event| !event.is_lone).count()
+}
+
+/// What frames differ by without an event.
+#[derive(Default)]
+pub(crate) struct Unexplained {
+    differences: Vec<frame_noise::Difference>,
+    possible: usize,
+}
+
+impl Unexplained {
+    /// Takes in a pixel.
+    pub fn add(&mut self, data: &RowData, x: usize) {
+        let frames = data.frames_of(x);
+        self.differences.extend(frame_noise::differences(data.events_of(x), frames));
+        self.possible += frames.len().saturating_sub(2);
+    }
+
+    /// The standard deviation of frame values that the description does not explain, DN.
+    pub fn frame_dn(&mut self) -> f64 {
+        frame_noise::missing_dn(&mut self.differences, self.possible)
+    }
+}
+
+/// Pixels that settings are tried on, cut out of the recording.
+pub(crate) struct Sample {
+    pixels: Vec<(Vec<MapEvent>, Vec<MapFrame>)>,
+    /// Where their event pixels are, and events with stamps as recorded.
+    recorded: Vec<(Site, Vec<MapEvent>)>,
+    /// First and last instant, ns.
+    span: (i64, i64),
+    /// How they are solved.
+    pub options: MapOptions,
+}
+
+impl Sample {
+    /// Of no pixel yet.
+    pub fn new(params: &Params, span: (i64, i64)) -> Sample {
+        let max_iterations = usize::min(params.max_iterations as usize, MAP_STEPS);
+        let options = MapOptions { spacing_ns: params.knot_spacing().ns(), max_iterations, with_sigma: params.sigma(), ..MapOptions::default() };
+        Sample { pixels: Vec::new(), recorded: Vec::new(), span, options }
+    }
+
+    /// Takes in a pixel of a row.
+    pub fn push(&mut self, data: &RowData, x: usize) {
+        self.pixels.push((data.events_of(x).to_vec(), data.frames_of(x).to_vec()));
+        let (site, events) = data.recorded_of(x);
+        self.recorded.push((site, events.to_vec()));
+    }
+
+    /// How many pixels there are.
+    pub fn len(&self) -> usize {
+        self.pixels.len()
+    }
+
+    /// How many events they have together.
+    pub fn events(&self) -> usize {
+        self.pixels.iter().map(|(events, _)| events.len()).sum()
+    }
+
+    /// Adds `frame_dn` in squares to the standard deviation of every frame value.
+    pub fn add_noise(&mut self, frame_dn: f64) {
+        for frame in self.pixels.iter_mut().flat_map(|(_, frames)| frames) {
+            frame.sigma_dn = libm::sqrt(frame.sigma_dn * frame.sigma_dn + frame_dn * frame_dn);
+        }
+    }
+
+    /// What `work` makes of the problems of some pixels, in their order, with the usual noise; `given` is what is known of their events from neighbours, if that is the case.
+    pub fn with_problems<T>(
+        &self,
+        model: &Model,
+        pixels: Range<usize>,
+        given: Option<Vec<Known>>,
+        group: &mut MapGroup,
+        work: impl FnOnce(&[MapProblem<'_>], &mut MapGroup) -> T,
+    ) -> T {
+        let problems: Vec<_> = self.pixels[pixels.clone()].iter().map(|(events, frames)| problem(model, events, frames, self.span, Noise::default())).collect();
+        let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options: self.options }).collect();
+        let looks: Vec<(Site, &[MapEvent])> = self.recorded[pixels].iter().map(|(site, events)| (*site, events.as_slice())).collect();
+        let known = given.unwrap_or_else(|| known(model, &tasks, &looks, group));
+        let problems: Vec<_> = with_known(&tasks, &known).into_iter().map(|task| task.problem).collect();
+        // Or pixels that have lost events would choose for all.
+        let lost = losses_of(&problems, &self.options, group);
+        let problems: Vec<_> = problems.into_iter().zip(&lost).map(|(problem, lost_before)| MapProblem { lost_before, ..problem }).collect();
+        work(&problems, group)
+    }
+}
+
+/// The events of each problem before which events were lost ([`losses::lost_before`]).
+fn losses_of(problems: &[MapProblem<'_>], options: &MapOptions, group: &mut MapGroup) -> Vec<Vec<u32>> {
     let options = MapOptions { with_sigma: false, ..*options };
     let tasks: Vec<MapTask<'_>> = problems.iter().map(|&problem| MapTask { problem, options }).collect();
     let mut plain = vec![Plain::default(); tasks.len()];
-    let mut second = 0;
-    group.solve(&tasks, |n, solution| {
-        plain[n] = Plain::of(&solution);
-        second += usize::from(solution.is_second);
-    });
-    (losses::lost_before(&tasks, &plain, group), second)
+    group.solve(&tasks, |n, solution| plain[n] = Plain::of(&solution));
+    losses::lost_before(&tasks, &plain, group)
 }

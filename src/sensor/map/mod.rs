@@ -37,8 +37,7 @@ pub use prior::{Local, Prior};
 pub use segment::ramp_voltage;
 pub use whitened::{Column, LeftOut, Whitened, refine, whiten};
 
-use crate::elementary;
-use crate::front_end::{FrontEnd, time_constant};
+use crate::front_end::FrontEnd;
 use crate::residuals::Misfit;
 use chain::Chain;
 use knots::Knots;
@@ -134,11 +133,14 @@ pub struct Noise {
 
 impl Default for Noise {
     fn default() -> Noise {
-        Noise { event: 0.1, reference: 0.05, threshold: 0.0, lone: LoneEvents::Trusted }
+        Noise::USUAL
     }
 }
 
 impl Noise {
+    /// Before anything is known of a recording.
+    pub const USUAL: Noise = Noise { event: 0.1, reference: 0.05, threshold: 0.0, lone: LoneEvents::Trusted };
+
     fn event_variance(&self, threshold: f64) -> f64 {
         let sigma = self.event * threshold;
         sigma * sigma
@@ -230,9 +232,6 @@ pub struct SecondStart {
     pub event: f64,
     /// Most steps on the way to it, and most from there.
     pub steps: usize,
-    /// It is tried where the light of the first answer may lag behind by more than this: the time constant at its darkest times the range of its log light, as a part of a threshold
-    /// times a frame period. Below, frames and events leave no two explanations.
-    pub least_lag: f64,
     /// It is tried where squared misfits are above this, per event and frame value.
     pub least_misfit: f64,
     /// And below this: beyond, events and frames contradict each other, and no start helps.
@@ -243,7 +242,7 @@ pub struct SecondStart {
 
 impl SecondStart {
     /// Suits most recordings.
-    pub const USUAL: SecondStart = SecondStart { event: 0.3, steps: 8, least_lag: 0.3, least_misfit: 0.1, most_misfit: 30.0, better: 0.8 };
+    pub const USUAL: SecondStart = SecondStart { event: 0.3, steps: 8, least_misfit: 0.1, most_misfit: 30.0, better: 0.8 };
 
     /// The problem and the options on the way to it, and from there.
     fn stages<'a>(&self, problem: &MapProblem<'a>, options: &MapOptions) -> [(MapProblem<'a>, MapOptions); 2] {
@@ -252,12 +251,12 @@ impl SecondStart {
         [(MapProblem { noise, ..*problem }, options), (*problem, options)]
     }
 
-    /// Is it worth a try for a pixel whose answer, between these log lights, misses by `misfit`, the sum of squares?
-    fn is_worth_a_try(&self, problem: &MapProblem<'_>, status: MapStatus, misfit: f64, range: (f64, f64)) -> bool {
+    /// Is it worth a try for a pixel whose answer misses by `misfit`, the sum of squares?
+    fn is_worth_a_try(&self, problem: &MapProblem<'_>, status: MapStatus, misfit: f64) -> bool {
         let measured = (problem.events.len() + problem.frames.len()) as f64;
-        let is_amiss = || misfit > self.least_misfit * measured && misfit < self.most_misfit * measured && lag(problem, range) > self.least_lag;
+        let is_amiss = misfit > self.least_misfit * measured && misfit < self.most_misfit * measured;
         // With a front end that is as fast in the dark there is one answer.
-        problem.sensor.front_end.alpha_s > 0.0 && (status == MapStatus::Failed || is_amiss())
+        problem.sensor.front_end.alpha_s > 0.0 && (status == MapStatus::Failed || is_amiss)
     }
 
     /// Is the second answer, as (status, misfit), better than the first?
@@ -298,8 +297,6 @@ pub struct MapSolution<'a> {
     pub status: MapStatus,
     /// Gauss-Newton steps that were taken.
     pub iterations: usize,
-    /// Is it the answer from the second start?
-    pub is_second: bool,
     /// Log of the measurements' marginal likelihood, of the problem linearised at the answer.
     pub log_evidence: f64,
     /// How far its events and frames are from the predictions, in the standard deviations that they are assumed to.
@@ -332,15 +329,6 @@ const RUN_AWAY: f64 = 2.5;
 /// Log light stays inside plus and minus this.
 const LOG_LIMIT: f64 = 40.0;
 
-/// How far the voltage may lag behind light between `darkest` and `brightest`, log light: [`SecondStart::least_lag`].
-fn lag(problem: &MapProblem<'_>, (darkest, brightest): (f64, f64)) -> f64 {
-    let MapProblem { sensor, frames, .. } = problem;
-    let ends = frames.first().zip(frames.last()).filter(|_| frames.len() > 1).map(|(first, last)| (last.end_ns - first.end_ns) / (frames.len() as i64 - 1));
-    let period_s = ends.unwrap_or(problem.end_ns - problem.start_ns) as f64 * 1e-9;
-    let threshold = 0.5 * (sensor.threshold_on + sensor.threshold_off);
-    time_constant(&sensor.front_end, elementary::exp(darkest)) * (brightest - darkest) / (threshold * period_s)
-}
-
 /// Solves one pixel.
 pub fn solve<'w>(problem: &MapProblem<'_>, options: &MapOptions, workspace: &'w mut MapWorkspace) -> MapSolution<'w> {
     solve_with(problem, options, Evidence::Wanted, workspace)
@@ -361,9 +349,7 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
     workspace.start.fill(problem, &workspace.knots, &mut workspace.u);
     let first = workspace.u[0];
     let mut found = descend(problem, options, first, Offsets::default(), workspace);
-    let mut is_second = false;
-    let range = workspace.u.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &u| (f64::min(low, u), f64::max(high, u)));
-    if let Some(second) = options.second.filter(|second| second.is_worth_a_try(problem, found.status, found.misfit, range)) {
+    if let Some(second) = options.second.filter(|second| second.is_worth_a_try(problem, found.status, found.misfit)) {
         let plain = workspace.u.clone();
         workspace.start.fill(problem, &workspace.knots, &mut workspace.u);
         let mut again = Found::default();
@@ -372,7 +358,6 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
         }
         if second.is_better((found.status, found.misfit), (again.status, again.misfit)) {
             found = Found { iterations: found.iterations + again.iterations, ..again };
-            is_second = true;
         } else {
             workspace.u.clone_from(&plain);
             workspace.chain.run(problem, &workspace.knots, &workspace.segments, &workspace.u, &found.offsets);
@@ -383,7 +368,7 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
     if status == MapStatus::Failed || has_run_away(problem, u) {
         status = MapStatus::Failed;
         start.fill(problem, knots, u);
-        (offsets, is_second) = (Offsets::default(), false);
+        offsets = Offsets::default();
         chain.run(problem, knots, segments, u, &offsets);
     }
     let mut log_evidence = 0.0;
@@ -398,7 +383,7 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
     }
     let variance: &[f64] = if options.with_sigma { &smoother.variance } else { &[] };
     let (misfit, largest_square) = if evidence == Evidence::Wanted { chain.misfit() } else { Default::default() };
-    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, is_second, log_evidence, misfit, largest_square }
+    MapSolution { t_ns: &knots.t_ns, log_photocurrent: u, variance, offsets, status, iterations, log_evidence, misfit, largest_square }
 }
 
 /// Where an iteration has come to.

@@ -237,10 +237,7 @@ fn light_that_falls_at_once_into_the_dark_is_found_from_a_second_start() {
     assert!(twice < 0.75 * once, "{once} and {twice}");
     // With a front end that is as slow in the light there is one answer, and nothing is tried.
     let even = MapProblem { sensor: MapSensor { front_end: FrontEnd { tau_0_s: 100e-6, alpha_s: 0.0 }, ..problem.sensor }, ..problem };
-    assert!(!SecondStart::USUAL.is_worth_a_try(&even, MapStatus::Failed, 1e9, (0.0, 4.0)));
-    // Nor where the voltage hardly lags: 4 ms of 20 % are less than a threshold of 0.2 for a frame period.
-    let amiss = |range| SecondStart::USUAL.is_worth_a_try(&problem, MapStatus::Unfinished, 0.5 * (problem.events.len() + problem.frames.len()) as f64, range);
-    assert!(amiss((libm::log(3.3), 4.0)) && !amiss((libm::log(3.3), libm::log(3.3) + 0.2)));
+    assert!(!SecondStart::USUAL.is_worth_a_try(&even, MapStatus::Failed, 1e9));
 }
 
 #[test]

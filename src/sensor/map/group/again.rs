@@ -3,8 +3,7 @@
 //! A second start takes three times as many steps as the first, and few pixels of a group ask for it: the others would only wait for them.
 
 use super::super::{Evidence, SecondStart};
-use super::{LaneState, MapGroup, MapSolution, MapTask, Offsets, WIDTH, Wide, lanes_of};
-use crate::scalar::Scalar;
+use super::{LaneState, MapGroup, MapSolution, MapTask, Offsets, WIDTH, lanes_of};
 use std::array::from_fn;
 
 /// Pixels that wait for a second start, with their first answers. Fewer than two groups of them.
@@ -36,18 +35,12 @@ impl Waiting {
     }
 }
 
-/// The darkest and the brightest log light of each lane.
-fn ranges(u: &[Wide]) -> (Wide, Wide) {
-    u.iter().fold((Wide::splat(f64::INFINITY), Wide::splat(f64::NEG_INFINITY)), |(low, high), u| (low.min(*u), high.max(*u)))
-}
-
 impl MapGroup {
     /// Lets lanes that ask for a second start wait, and says which.
     pub(super) fn wait(&mut self, tasks: &[&MapTask<'_>; WIDTH], group: &[usize]) -> [bool; WIDTH] {
-        let (low, high) = ranges(&self.u);
         from_fn(|l| {
             let (state, MapTask { problem, options }) = (&self.lanes[l].state, tasks[l]);
-            let is_worth_it = |second: &SecondStart| second.is_worth_a_try(problem, state.status, state.misfit(problem), (low.0[l], high.0[l]));
+            let is_worth_it = |second: &SecondStart| second.is_worth_a_try(problem, state.status, state.misfit(problem));
             let waits = l < group.len() && options.second.as_ref().is_some_and(is_worth_it);
             if waits {
                 self.take_lane(l);
@@ -93,7 +86,7 @@ impl MapGroup {
             let misfit = |state: &LaneState| state.misfit(&tasks[l].problem);
             let (plain, state) = (self.waiting.states[l], &mut self.lanes[l].state);
             if seconds[l].is_better((plain.status, misfit(&plain)), (state.status, misfit(state))) {
-                (state.iterations, state.is_second) = (state.iterations + plain.iterations, true);
+                state.iterations += plain.iterations;
                 continue;
             }
             *state = plain;

@@ -18,8 +18,8 @@ use super::smoother::FIRST_VARIANCE;
 use super::start::Start;
 use super::state::{ON, STATES};
 use super::{
-    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, NO_EVENT_FROM, Noise, Offsets, has_run_away,
-    solve_with, thresholds, variance_at,
+    Evidence, FIRST_DAMPING, LOG_LIMIT, LONGEST_STEP, MapOptions, MapProblem, MapSolution, MapStatus, MapWorkspace, NO_EVENT_FROM, Noise, Offsets,
+    has_run_away, solve_with, thresholds, variance_at,
 };
 use crate::residuals::Misfit;
 use crate::wide::{Flags, WIDTH, Wide};
@@ -76,7 +76,6 @@ struct LaneState {
     steps: bool,
     status: MapStatus,
     iterations: usize,
-    is_second: bool,
     /// Refused attempts at the current step.
     attempts: usize,
     damping: f64,
@@ -101,7 +100,6 @@ impl Default for LaneState {
             steps: false,
             status: MapStatus::Unfinished,
             iterations: 0,
-            is_second: false,
             attempts: 0,
             damping: 0.0,
             offsets: Offsets::default(),
@@ -215,7 +213,7 @@ impl MapGroup {
                 take(n, solve_with(&task.problem, &task.options, evidence, &mut self.alone));
                 continue;
             }
-            let LaneState { offsets, status, iterations, is_second, .. } = lane.state;
+            let LaneState { offsets, status, iterations, .. } = lane.state;
             let variance: &[f64] = match (task.options.with_sigma, with_sigma) {
                 (false, _) => &[],
                 (true, true) => {
@@ -227,18 +225,7 @@ impl MapGroup {
             let (log_evidence, (misfit, largest_square)) = (if is_judged { log_evidence[l] } else { 0.0 }, misfits[l]);
             take(
                 n,
-                MapSolution {
-                    t_ns: &lane.knots.t_ns,
-                    log_photocurrent: &lane.u,
-                    variance,
-                    offsets,
-                    status,
-                    iterations,
-                    is_second,
-                    log_evidence,
-                    misfit,
-                    largest_square,
-                },
+                MapSolution { t_ns: &lane.knots.t_ns, log_photocurrent: &lane.u, variance, offsets, status, iterations, log_evidence, misfit, largest_square },
             );
         }
     }

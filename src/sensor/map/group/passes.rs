@@ -160,7 +160,11 @@ fn begin<const N: usize>(ask: &Ask<'_>) -> State<Wide, N> {
 }
 
 #[inline(always)]
-pub(super) fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, const EVIDENCE: bool>(ask: &Ask<'_>, memory: &mut Memory<N>, evidence: &mut Evidence) {
+pub(super) fn forward<const N: usize, const DAMPED: bool, const KEEP: bool, const EVIDENCE: bool>(
+    ask: &Ask<'_>,
+    memory: &mut Memory<N>,
+    evidence: &mut Evidence,
+) {
     let mut state = begin::<N>(ask);
     let steps = ask.lines.len();
     let (lines, expected, what) = (&ask.lines[..steps], &ask.expected[..steps], &ask.what[..steps]);
