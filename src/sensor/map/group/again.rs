@@ -1,6 +1,6 @@
 //! Second starts, for pixels whose first answer does not explain what was measured: such pixels wait until eight of them are together.
 //!
-//! A second start takes three times as many steps as the first, and few pixels of a group ask for it: the others would only wait for them.
+//! A second start takes three times as many steps as the first: lanes that ask for none would only wait for the others.
 
 use super::super::{Evidence, SecondStart};
 use super::{LaneState, MapGroup, MapSolution, MapTask, Offsets, WIDTH, lanes_of};

@@ -60,11 +60,10 @@ pub(super) struct Memory<const N: usize> {
 }
 
 impl<const N: usize> Memory<N> {
-    /// For so many steps.
-    pub fn make_room(&mut self, steps: usize, with_information: bool) {
+    /// For so many steps, of what every pass keeps.
+    pub fn make_room(&mut self, steps: usize) {
         let nothing = [Wide::ZERO; N];
         self.kept.resize(steps, Kept { gain: nothing, pull: Wide::ZERO, change: Wide::ZERO, row: nothing });
-        self.information.resize(if with_information { steps } else { 0 }, Wide::ZERO);
     }
 }
 
@@ -313,7 +312,7 @@ pub(super) const NO_EVIDENCE: Evidence = Evidence { mantissa: Wide::ONE, exponen
 /// One Gauss-Newton step of each lane: see [`backward`].
 pub(super) fn step<const N: usize>(ask: &Ask<'_>, memory: &mut Memory<N>, change: &mut [Wide]) -> (Wide, WideOffsets) {
     let steps = ask.lines.len();
-    memory.make_room(steps, false);
+    memory.make_room(steps);
     if ask.damping == Wide::ZERO {
         return passes::<N, false>(ask, memory, change);
     }

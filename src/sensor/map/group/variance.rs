@@ -85,7 +85,8 @@ impl<const N: usize> Curvature<N> {
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 pub(super) fn variance<const N: usize>(ask: &Ask<'_>, memory: &mut Memory<N>, variance: &mut Vec<Wide>) -> Evidence {
     let mut evidence = NO_EVIDENCE;
-    memory.make_room(ask.lines.len(), true);
+    memory.make_room(ask.lines.len());
+    memory.information.resize(ask.lines.len(), Wide::ZERO);
     forward::<N, false, true, true>(ask, memory, &mut evidence);
     backward::<N>(ask, memory, variance);
     evidence
