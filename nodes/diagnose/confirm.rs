@@ -72,7 +72,7 @@ impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
         about: "Joins what direct tests found and what was decided on a scene: verdict, fitted description, proof on held-out frames, report.",
-        revision: 20,
+        revision: 21,
         grain: Grain::Whole,
         draws: true,
         exports: false,

@@ -70,7 +70,7 @@ impl Node for EstimateThresholds {
     const DECL: Decl = Decl {
         kind: "estimate/thresholds",
         about: "Contrast thresholds from the log change of frames an event, with intervals, and the description with those that held-out frames prefer.",
-        revision: 3,
+        revision: 4,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -21,7 +21,7 @@ pub(super) const BLOCK_ROWS: u32 = 16;
 /// So many rows around a band are read: the rest of its blocks, and one more for neighbours.
 pub(crate) const HALO_ROWS: u32 = BLOCK_ROWS;
 /// So many pixels of a block are looked at, at least.
-const SAMPLED_PIXELS: usize = 64;
+const SAMPLED_PIXELS: usize = 192;
 
 /// The settings of some rows.
 pub(crate) struct Settings {

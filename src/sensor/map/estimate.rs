@@ -24,6 +24,12 @@ const HELD_OUT: usize = 3;
 const DARK_SHARE: f64 = 0.2;
 /// What is not usual must be better by this factor.
 const CLEARLY_BETTER: f64 = 0.97;
+/// Where there are many pixels, one in so many looks at all choices first.
+const LOOKS_FIRST: usize = 3;
+/// Fewer pixels than this do not look first.
+const FEWEST_FIRST: usize = 16;
+/// Other pixels look only at choices that lose at most this much more than the best does at first: a third of the pixels may be mistaken by a tenth.
+const WITHIN_REACH: f64 = 1.1;
 /// A relative error counts at most this: one pixel that went astray does not decide.
 const LARGEST_ERROR: f64 = 1.0;
 
@@ -54,7 +60,7 @@ pub const PRIORS: [Prior; 6] = [
     Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 },
 ];
 
-/// The noise of events and the prior that explain `problems` best; the usual ones when they have hardly an event.
+/// The noise of events and the prior that explain `problems` best; the usual ones when they have hardly an event, and where frames decide, unless others are better by 3 %.
 ///
 /// `event` is taken where it is given. Without enough frames to hold out, only the event noise is chosen.
 pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOptions, group: &mut MapGroup) -> Choice {
@@ -67,36 +73,45 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
     let by_frames = problems.iter().all(|problem| problem.frames.len() >= FEWEST_FRAMES);
     let kept = by_frames.then(|| problems.iter().map(|problem| kept(problem.frames)).collect());
     let tried = Tried { problems, kept, dark_dn: dark_dn(problems), options: *options };
-    let mut best = (f64::INFINITY, usual);
+    let mut best = Best { choice: usual, loss: f64::INFINITY, at_first: f64::INFINITY };
     let noises = match event {
         Some(ref stated) => std::slice::from_ref(stated),
         None => EVENT_NOISES.as_slice(),
     };
     // Takes a choice that is better by a factor.
-    let mut consider = |choices: Vec<Choice>, by: &dyn Fn(&Choice) -> f64, best: &mut (f64, Choice)| {
-        for (found, choice) in tried.losses(&choices, group).into_iter().zip(choices) {
-            if found < best.0 * by(&best.1) {
-                *best = (found, choice);
+    let mut consider = |choices: Vec<Choice>, by: &dyn Fn(&Choice) -> f64, best: &mut Best| {
+        let (first, others) = tried.looks();
+        let at_first = tried.losses(&choices, &first, group);
+        let reach = at_first.iter().fold(best.at_first, |least, loss| f64::min(least, *loss)) * WITHIN_REACH;
+        let (choices, at_first): (Vec<Choice>, Vec<f64>) = choices.into_iter().zip(at_first).filter(|(_, loss)| *loss <= reach).unzip();
+        for ((more, at_first), choice) in tried.losses(&choices, &others, group).into_iter().zip(at_first).zip(choices) {
+            let loss = at_first + more;
+            if loss < best.loss * by(&best.choice) {
+                *best = Best { choice, loss, at_first };
             }
         }
     };
     let with_event = |event: f64, noise: Noise| Choice { noise: Noise { event, ..noise }, ..usual };
-    consider(noises.iter().map(|&event| with_event(event, usual.noise)).collect(), &|_| 1.0, &mut best);
+    let mut events: Vec<Choice> = noises.iter().map(|&event| with_event(event, usual.noise)).collect();
     if !by_frames {
-        return best.1;
+        consider(events, &|_| 1.0, &mut best);
+        return best.choice;
     }
+    consider(vec![usual], &|_| 1.0, &mut best);
+    events.retain(|choice| *choice != usual);
+    consider(events, &|best| if *best == usual { CLEARLY_BETTER } else { 1.0 }, &mut best);
     // Events may be trusted more when their thresholds are right, so both are chosen together.
     let threshold = mean_threshold(problems);
     let spreads = THRESHOLD_SPREADS.iter().map(|part| Noise { threshold: part * threshold, ..usual.noise });
     let choices = spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
     consider(choices, &|best| if best.noise.threshold > 0.0 { 1.0 } else { CLEARLY_BETTER }, &mut best);
     if problems.iter().any(|problem| problem.events.iter().any(|event| event.is_lone)) {
-        let noise = Noise { lone: LoneEvents::Doubted, ..best.1.noise };
-        consider(vec![Choice { noise, ..best.1 }], &|_| CLEARLY_BETTER, &mut best);
+        let noise = Noise { lone: LoneEvents::Doubted, ..best.choice.noise };
+        consider(vec![Choice { noise, ..best.choice }], &|_| CLEARLY_BETTER, &mut best);
     }
-    let priors = PRIORS.into_iter().filter(|prior| *prior != usual.prior).map(|prior| Choice { prior, ..best.1 }).collect();
+    let priors = PRIORS.into_iter().filter(|prior| *prior != usual.prior).map(|prior| Choice { prior, ..best.choice }).collect();
     consider(priors, &|_| CLEARLY_BETTER, &mut best);
-    best.1
+    best.choice
 }
 
 /// Is frame `l` of a pixel's `count` held out where a choice is judged by its prediction?
@@ -119,23 +134,38 @@ struct Tried<'a> {
     options: MapOptions,
 }
 
+/// The best choice so far.
+struct Best {
+    choice: Choice,
+    /// What it loses.
+    loss: f64,
+    /// And in those that look first.
+    at_first: f64,
+}
+
 impl Tried<'_> {
-    /// What each choice loses: by the frames that were held out, else by the evidence.
+    /// The problems that look first, and the others. Nobody looks first at evidence, whose losses have no zero.
+    fn looks(&self) -> (Vec<usize>, Vec<usize>) {
+        let looks_first = self.kept.is_some() && self.problems.len() >= FEWEST_FIRST * LOOKS_FIRST;
+        (0..self.problems.len()).partition(|p| looks_first && p % LOOKS_FIRST == 1)
+    }
+
+    /// What each choice loses in some problems: by the frames that were held out, else by the evidence.
     ///
     /// Always from the usual start: from the light that another noise or prior has found, a few steps do not show what this one would find.
-    fn losses(&self, choices: &[Choice], group: &mut MapGroup) -> Vec<f64> {
+    fn losses(&self, choices: &[Choice], looking: &[usize], group: &mut MapGroup) -> Vec<f64> {
         let task = |n: usize| {
-            let (p, choice) = (n / choices.len(), &choices[n % choices.len()]);
+            let (p, choice) = (looking[n / choices.len()], &choices[n % choices.len()]);
             let problem = &self.problems[p];
             let frames = self.kept.as_ref().map_or(problem.frames, |kept| kept[p].as_slice());
             let noise = choice.noise;
             MapTask { problem: MapProblem { noise, frames, ..*problem }, options: MapOptions { prior: choice.prior, with_sigma: false, ..self.options } }
         };
-        let tasks: Vec<MapTask<'_>> = (0..self.problems.len() * choices.len()).map(task).collect();
+        let tasks: Vec<MapTask<'_>> = (0..looking.len() * choices.len()).map(task).collect();
         let mut losses = vec![0.0; tasks.len()];
         let evidence = if self.kept.is_some() { Evidence::Unwanted } else { Evidence::Wanted };
         group.solve_with(&tasks, evidence, |n, solution| {
-            let problem = &self.problems[n / choices.len()];
+            let problem = &self.problems[looking[n / choices.len()]];
             losses[n] = if self.kept.is_some() { prediction_error(problem, self.dark_dn, &solution) } else { -solution.log_evidence };
         });
         // Problem by problem, whatever order they were solved in.

@@ -232,11 +232,11 @@ pub struct SecondStart {
     pub event: f64,
     /// Most steps on the way to it, and most from there.
     pub steps: usize,
-    /// It is tried where squared misfits are above this, per event and frame value.
+    /// It is tried where squared misfits of events are above this, per event: light that explains them better than that is not far away.
     pub least_misfit: f64,
-    /// And below this: beyond, events and frames contradict each other, and no start helps.
+    /// And all squared misfits below this, per event and frame value: beyond, events and frames contradict each other, and no start helps.
     pub most_misfit: f64,
-    /// And taken where they become smaller by this factor.
+    /// And taken where all together become smaller by this factor.
     pub better: f64,
 }
 
@@ -251,10 +251,10 @@ impl SecondStart {
         [(MapProblem { noise, ..*problem }, options), (*problem, options)]
     }
 
-    /// Is it worth a try for a pixel whose answer misses by `misfit`, the sum of squares?
-    fn is_worth_a_try(&self, problem: &MapProblem<'_>, status: MapStatus, misfit: f64) -> bool {
+    /// Is it worth a try for a pixel whose answer misses by `misfit`, the sum of squares, and by `apart` without the no-event constraint?
+    fn is_worth_a_try(&self, problem: &MapProblem<'_>, status: MapStatus, misfit: f64, apart: &Misfit) -> bool {
         let measured = (problem.events.len() + problem.frames.len()) as f64;
-        let is_amiss = misfit > self.least_misfit * measured && misfit < self.most_misfit * measured;
+        let is_amiss = apart.event_square > self.least_misfit * apart.events as f64 && misfit < self.most_misfit * measured;
         // With a front end that is as fast in the dark there is one answer.
         problem.sensor.front_end.alpha_s > 0.0 && (status == MapStatus::Failed || is_amiss)
     }
@@ -349,7 +349,8 @@ fn solve_with<'w>(problem: &MapProblem<'_>, options: &MapOptions, evidence: Evid
     workspace.start.fill(problem, &workspace.knots, &mut workspace.u);
     let first = workspace.u[0];
     let mut found = descend(problem, options, first, Offsets::default(), workspace);
-    if let Some(second) = options.second.filter(|second| second.is_worth_a_try(problem, found.status, found.misfit)) {
+    let is_worth_a_try = |second: &SecondStart| second.is_worth_a_try(problem, found.status, found.misfit, &workspace.chain.misfit().0);
+    if let Some(second) = options.second.filter(is_worth_a_try) {
         let plain = workspace.u.clone();
         workspace.start.fill(problem, &workspace.knots, &mut workspace.u);
         let mut again = Found::default();

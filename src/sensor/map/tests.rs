@@ -237,7 +237,21 @@ fn light_that_falls_at_once_into_the_dark_is_found_from_a_second_start() {
     assert!(twice < 0.75 * once, "{once} and {twice}");
     // With a front end that is as slow in the light there is one answer, and nothing is tried.
     let even = MapProblem { sensor: MapSensor { front_end: FrontEnd { tau_0_s: 100e-6, alpha_s: 0.0 }, ..problem.sensor }, ..problem };
-    assert!(!SecondStart::USUAL.is_worth_a_try(&even, MapStatus::Failed, 1e9));
+    assert!(!SecondStart::USUAL.is_worth_a_try(&even, MapStatus::Failed, 1e9, &Misfit::default()));
+}
+
+#[test]
+fn choices_that_a_third_of_many_pixels_leaves_away_would_not_be_chosen() {
+    let mut group = MapGroup::default();
+    let options = MapOptions::default();
+    let recorded = recorded(Reset::Resample);
+    let right = recorded.problem(Reset::Resample);
+    let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
+    // Fewer than 48 pixels look at everything.
+    let [[right, right_in_turn], [wrong, wrong_in_turn]] =
+        [right, wrong].map(|problem| [45, 48].map(|pixels| estimate::choose(&vec![problem; pixels], None, &options, &mut group)));
+    assert_eq!((right, wrong), (right_in_turn, wrong_in_turn));
+    assert!(wrong.noise.event > right.noise.event, "{} and {}", right.noise.event, wrong.noise.event);
 }
 
 #[test]

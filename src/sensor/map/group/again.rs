@@ -3,6 +3,7 @@
 //! A second start takes three times as many steps as the first: lanes that ask for none would only wait for the others.
 
 use super::super::{Evidence, SecondStart};
+use super::columns::misfits;
 use super::{LaneState, MapGroup, MapSolution, MapTask, Offsets, WIDTH, lanes_of};
 use std::array::from_fn;
 
@@ -38,9 +39,10 @@ impl Waiting {
 impl MapGroup {
     /// Lets lanes that ask for a second start wait, and says which.
     pub(super) fn wait(&mut self, tasks: &[&MapTask<'_>; WIDTH], group: &[usize]) -> [bool; WIDTH] {
+        let apart = misfits(&self.lines);
         from_fn(|l| {
             let (state, MapTask { problem, options }) = (&self.lanes[l].state, tasks[l]);
-            let is_worth_it = |second: &SecondStart| second.is_worth_a_try(problem, state.status, state.misfit(problem));
+            let is_worth_it = |second: &SecondStart| second.is_worth_a_try(problem, state.status, state.misfit(problem), &apart[l].0);
             let waits = l < group.len() && options.second.as_ref().is_some_and(is_worth_it);
             if waits {
                 self.take_lane(l);
