@@ -14,6 +14,7 @@
 //! where nothing was measured; the time constant is held over a segment.
 
 mod chain;
+mod curvature;
 pub mod estimate;
 pub mod frame_noise;
 mod group;

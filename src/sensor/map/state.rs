@@ -4,6 +4,7 @@
 //! inlined into the two passes, where all indices are known.
 
 use super::chain::Slopes;
+use super::curvature::Curvature;
 use crate::scalar::Scalar;
 
 /// Log light.
@@ -266,15 +267,15 @@ impl<const N: usize> State<f64, N> {
     }
 }
 
-/// The gradient of all later measurements by the states, and their curvature (all of the matrix) where it is wanted.
+/// The gradient of all later measurements by the states, and their curvature where it is wanted.
 pub(super) struct Adjoint<const N: usize, const CURVED: bool> {
     lambda: [f64; N],
-    curvature: [[f64; N]; N],
+    curvature: Curvature<f64, N>,
 }
 
 impl<const N: usize, const CURVED: bool> Adjoint<N, CURVED> {
     pub fn new() -> Self {
-        Adjoint { lambda: [0.0; N], curvature: [[0.0; N]; N] }
+        Adjoint { lambda: [0.0; N], curvature: Curvature::new() }
     }
 
     /// The gradient along a row of a covariance.
@@ -294,8 +295,7 @@ impl<const N: usize, const CURVED: bool> Adjoint<N, CURVED> {
 
     /// The curvature along a row of a covariance.
     pub fn information(&self, row: &[f64; STATES]) -> f64 {
-        let along = |a: usize| (0..N).map(|b| self.curvature[a][b] * row[b]).sum::<f64>();
-        (0..N).map(|a| row[a] * along(a)).sum()
+        self.curvature.along(row)
     }
 
     /// `Lambda := H'H / S + (I - K H)' Lambda (I - K H)`, and the same for the gradient.
@@ -317,18 +317,7 @@ impl<const N: usize, const CURVED: bool> Adjoint<N, CURVED> {
             self.lambda[a] += sight[a] * pull;
         }
         if CURVED {
-            let mut along = [0.0; N];
-            for a in 0..N {
-                for b in 0..N {
-                    along[a] += self.curvature[a][b] * taken.gain[b];
-                }
-            }
-            let both = (0..N).map(|a| along[a] * taken.gain[a]).sum::<f64>() + taken.information;
-            for a in 0..N {
-                for b in 0..N {
-                    self.curvature[a][b] += both * sight[a] * sight[b] - along[a] * sight[b] - sight[a] * along[b];
-                }
-            }
+            self.curvature.untake(&sight, &taken.gain, taken.information);
         }
     }
 
@@ -337,10 +326,7 @@ impl<const N: usize, const CURVED: bool> Adjoint<N, CURVED> {
     pub fn forget(&mut self, of: usize) {
         self.lambda[of] = 0.0;
         if CURVED {
-            for a in 0..N {
-                self.curvature[a][of] = 0.0;
-                self.curvature[of][a] = 0.0;
-            }
+            self.curvature.forget(of, |yes, _| yes);
         }
     }
 
@@ -365,12 +351,7 @@ impl<const N: usize, const CURVED: bool> Adjoint<N, CURVED> {
     fn add(&mut self, to: usize, of: usize, sign: f64) {
         self.lambda[to] += sign * self.lambda[of];
         if CURVED {
-            for a in 0..N {
-                self.curvature[a][to] += sign * self.curvature[a][of];
-            }
-            for a in 0..N {
-                self.curvature[to][a] += sign * self.curvature[of][a];
-            }
+            self.curvature.add(to, of, sign, |yes, _| yes);
         }
     }
 
@@ -379,16 +360,7 @@ impl<const N: usize, const CURVED: bool> Adjoint<N, CURVED> {
     pub fn unpredict(&mut self, f: &Transition<f64>) {
         f.transposed(&mut self.lambda);
         if CURVED {
-            for row in &mut self.curvature {
-                f.transposed(row);
-            }
-            // F' (Lambda F): the columns are done, now the rows, which are columns of the transpose.
-            let half = self.curvature;
-            for a in 0..N {
-                let mut column = std::array::from_fn(|b| half[b][a]);
-                f.transposed(&mut column);
-                self.curvature[a] = column;
-            }
+            self.curvature.unpredict(f, |yes, _| yes);
         }
     }
 }
