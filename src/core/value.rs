@@ -143,6 +143,16 @@ impl Meta {
         (self.estimated_bytes() as f64 * all.intersect(rows).len() as f64 / all.len() as f64) as u64
     }
 
+    /// Is [`estimated_bytes`](Meta::estimated_bytes) made of a count, and not of a guess?
+    pub fn is_counted(&self) -> bool {
+        match self {
+            Meta::Events(meta) => meta.count_hint.is_some(),
+            Meta::Tracks(meta) => meta.count_hint.is_some(),
+            Meta::Light(meta) => meta.count_hint.is_some(),
+            _ => true,
+        }
+    }
+
     /// About how many bytes the whole value takes in memory.
     pub fn estimated_bytes(&self) -> u64 {
         // Where a count is not known, eight events a pixel: a lively quarter of a second.

@@ -13,6 +13,9 @@ const COPIES: u64 = 3;
 /// Rows may be unlike each other: the next band's outputs are taken for so much larger than the last one's, in quarters.
 const CAUTION_QUARTERS: u64 = 5;
 
+/// Of the tallest band that an estimate allows, the first is such a part: a solver may give three times as many knots an event as was guessed.
+const FIRST_PART: u32 = 8;
+
 /// How a task may be cut.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Bands {
@@ -26,6 +29,8 @@ pub(crate) struct Bands {
     share: u64,
     /// About how many bytes a band takes.
     pub estimate: u64,
+    /// About how many bytes all rows of the inputs take, as planned.
+    planned_inputs: u64,
 }
 
 /// Bytes of a task's inputs and outputs: those that shrink with the band, and those that do not.
@@ -62,12 +67,12 @@ pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> 
         let counter = if output.meta.rows() == Some(rows) { &mut size.banded_outputs } else { &mut size.fixed };
         *counter += output.meta.estimated_bytes();
     }
-    let Some(halo) = halo(task, rows) else { return Bands { rows, halo: None, forced, share, estimate: size.whole() } };
+    let Some(halo) = halo(task, rows) else { return Bands { rows, halo: None, forced, share, estimate: size.whole(), planned_inputs: size.banded_inputs } };
     let all = rows.len() as u32;
     let part = |height: u32| f64::from(height.min(all)) / f64::from(all);
     let need = |height: u32| size.at(part(height), part(height.saturating_add(2 * halo)));
     let height = forced.unwrap_or_else(|| tallest(all, share, &need)).clamp(1, all);
-    Bands { rows, halo: Some(halo), forced, share, estimate: need(height) }
+    Bands { rows, halo: Some(halo), forced, share, estimate: need(height), planned_inputs: size.banded_inputs }
 }
 
 /// How many rows above and below a band of the task's outputs need; `None` when it cannot be cut.
@@ -97,7 +102,10 @@ pub(crate) struct Cutter<'a> {
 impl<'a> Cutter<'a> {
     /// For `rows` of a task, whose wanted outputs look like `outputs`.
     pub fn new(bands: &'a Bands, rows: Rows, outputs: &[&Meta], inputs: &'a PortValues) -> Cutter<'a> {
-        let bytes: u64 = outputs.iter().map(|meta| meta.estimated_bytes()).fold(0, u64::saturating_add);
+        // What could not be counted when the run was planned is as much larger as the inputs turned out to be.
+        let larger = f64::max(banded_bytes(inputs, bands.rows, bands.rows) as f64 / (bands.planned_inputs as f64).max(1.0), 1.0);
+        let bytes_of = |meta: &&Meta| (meta.estimated_bytes() as f64 * if meta.is_counted() { 1.0 } else { larger }) as u64;
+        let bytes: u64 = outputs.iter().map(bytes_of).fold(0, u64::saturating_add);
         Cutter { bands, inputs, left: rows, row_outputs: bytes / (bands.rows.len() as u64).max(1), last_height: None }
     }
 
@@ -125,7 +133,7 @@ impl<'a> Cutter<'a> {
             let tallest = tallest(all, bands.share, &|height| self.need(height));
             match self.last_height {
                 // Nothing is known yet but an estimate: a part that would fit if it were several times too low.
-                None if all > tallest / 4 => (tallest / 4).max(1),
+                None if all > tallest / FIRST_PART => (tallest / FIRST_PART).max(1),
                 None => all,
                 Some(last) => tallest.min(last.saturating_mul(2)),
             }
@@ -150,9 +158,13 @@ impl<'a> Cutter<'a> {
     fn need(&self, height: u32) -> u64 {
         let band = Rows { start: self.left.start, end: self.left.end.min(self.left.start.saturating_add(height)) };
         let reach = band.with_halo(self.bands.halo.unwrap_or(0), self.bands.rows);
-        let inputs: u64 = self.inputs.values().flatten().map(|value| if is_cut(value, self.bands.rows) { value.bytes(reach) } else { 0 }).sum();
-        inputs + COPIES * self.row_outputs * band.len() as u64
+        banded_bytes(self.inputs, self.bands.rows, reach) + COPIES * self.row_outputs * band.len() as u64
     }
+}
+
+/// Bytes that some rows take of those inputs that have the rows of the task.
+fn banded_bytes(inputs: &PortValues, all: Rows, some: Rows) -> u64 {
+    inputs.values().flatten().filter(|value| is_cut(value, all)).map(|value| value.bytes(some)).sum()
 }
 
 /// Is the value cut together with a task of so many rows?
