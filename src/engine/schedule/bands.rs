@@ -215,3 +215,37 @@ pub(crate) fn same_meta(planned: &Meta, actual: &Meta) -> bool {
         (planned, actual) => planned == actual,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::{Between, Colour, Extent, MapBand, MapMeta, MapSet, TimeSpan};
+    use std::sync::Arc;
+
+    #[test]
+    fn what_could_not_be_counted_is_as_much_larger_as_the_inputs_turn_out_to_be() {
+        let extent = Extent { width: 8, height: 64 };
+        let meta = MapMeta { extent, planes: vec!["value".into()] };
+        let band = MapBand::zeros(extent.rows(), &meta);
+        let inputs = PortValues::from([("plane", vec![Value::Map(MapSet::in_memory(Arc::new(meta), band))])]);
+        let bytes = banded_bytes(&inputs, extent.rows(), extent.rows());
+        let first = |count_hint: Option<u64>, planned_inputs: u64| {
+            let tracks = Meta::Tracks(Arc::new(TracksMeta {
+                extent,
+                span: TimeSpan::new(0, 10),
+                nominal_exposure_ns: 5,
+                between: Between::Hold,
+                colour: Colour::Mono,
+                has_sigma: false,
+                count_hint,
+            }));
+            let bands = Bands { rows: extent.rows(), halo: Some(0), forced: None, share: 150_000, estimate: 0, planned_inputs };
+            Cutter::new(&bands, extent.rows(), &[&tracks], &inputs).next(64).map(|band| band.len())
+        };
+        // Eight knots a pixel are 104 bytes of it, three times 832 and 32 of inputs of a row: 59 rows fit, and an eighth of that are 7.
+        assert_eq!(first(None, bytes), Some(7));
+        // Inputs are four times as large as planned, and so are outputs: 14 rows would fit.
+        assert_eq!(first(None, bytes / 4), Some(1));
+        assert_eq!(first(Some(8 * extent.pixels() as u64), bytes / 4), Some(7));
+    }
+}

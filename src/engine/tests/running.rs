@@ -219,11 +219,11 @@ fn a_small_budget_cuts_into_bands_and_gives_the_same() {
     let outcome = run(&tight.plan(CHAIN, &large), &tight.cache, &options, &rows, &AtomicBool::new(false));
     assert_well(&outcome);
     assert_eq!(digests(&outcome), expected);
-    // 15 000 bytes are a task's share and a row of `solve` takes 256 of inputs and three times as many of outputs: 14 such rows fit. The first band is a
-    // quarter of that, because nothing is known yet of what it gives; the ones after it are at most twice as high as the one before.
+    // 15 000 bytes are a task's share and a row of `solve` takes 256 of inputs and three times as many of outputs: 14 such rows fit. The first band is an
+    // eighth of that, because nothing is known yet of what it gives; the ones after it are at most twice as high as the one before.
     let seen = rows.0.lock().unwrap();
     assert_eq!(seen.iter().max().map(|rows| *rows <= 14), Some(true), "{seen:?}");
-    assert!(seen.windows(2).any(|pair| pair == [3, 6]), "{seen:?}");
+    assert!(seen.windows(4).any(|heights| heights == [1, 2, 4, 8]), "{seen:?}");
 }
 
 #[test]
