@@ -101,7 +101,7 @@ fn a_description_that_states_its_effects_gives_better_light_and_better_frames() 
         "dark_current = { current = 25 }",
         "high_pass_front_end = { tau = \"30 ms\" }",
         "reset_memory = { fraction = 0.4 }",
-        "threshold_gradient = { fraction = 0.4 }",
+        "threshold_gradient = { fraction = 0.6 }",
         "clock_drift = { rate = 0.01 }",
         "row_skew = { per_row = \"150 us\" }",
         "exposure_time = { difference = \"1 ms\" }",
