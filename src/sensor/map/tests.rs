@@ -235,6 +235,12 @@ fn light_that_falls_at_once_into_the_dark_is_found_from_a_second_start() {
     let (once, twice) = (error(None), error(Some(SecondStart::USUAL)));
     // 0.43 and 0.28 natural-log units.
     assert!(twice < 0.75 * once, "{once} and {twice}");
+    // Of one misfit in all: nothing is tried where frames have it, and not events.
+    let measured = (problem.events.len() + problem.frames.len()) as f64;
+    let is_tried = |event_square: f64| {
+        SecondStart::USUAL.is_worth_a_try(&problem, MapStatus::Converged, measured, &Misfit { event_square, events: 10, ..Misfit::default() })
+    };
+    assert!(is_tried(1.1) && !is_tried(0.9));
     // With a front end that is as slow in the light there is one answer, and nothing is tried.
     let even = MapProblem { sensor: MapSensor { front_end: FrontEnd { tau_0_s: 100e-6, alpha_s: 0.0 }, ..problem.sensor }, ..problem };
     assert!(!SecondStart::USUAL.is_worth_a_try(&even, MapStatus::Failed, 1e9, &Misfit::default()));
