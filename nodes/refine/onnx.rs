@@ -5,6 +5,9 @@
 //! instant and the nearest captured frame, as shares of white, and gives the frame once more. `data/weights/refine.onnx` is one that was trained for this
 //! (`training/`); its change is multiplied by a gate that is exactly zero further than five pixels from any event near the instant, so what stands still stays as it is.
 //!
+//! What bounds the harm on frames unlike those it was trained on is the solver's own knowledge: a value changes by one of its standard deviations at most (`most_sigmas`), and a
+//! pixel that never fired not at all (`quiet`): all its frames say what its light is, and the network sees one instant.
+//!
 //! Frames are cut into tiles with some of their surroundings ([`tiles`]); three colours are refined one after the other.
 //!
 //! The network's inputs: `frame`, `sigma`, `captured` \[1, 1, h, w\] and `events` \[1, 2, h, w\] (ON and OFF, each event counted as 1 at the instant and linearly less up to
@@ -53,11 +56,16 @@ pub struct Params {
     /// How much of a square's surroundings is shown to the network on each side, pixels, a multiple of 16.
     #[schemars(range(min = 0, max = 1024))]
     pub overlap: u32,
+    /// How many of its standard deviations a value changes at most; where `sigma` is not connected or not known nothing limits it.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub most_sigmas: f64,
+    /// Whether pixels without a single event in all of `events` change too.
+    pub quiet: bool,
 }
 
 impl Default for Params {
     fn default() -> Self {
-        Params { weights: InputPath::default(), runtime: None, white: None, window: None, tile: 256, overlap: 64 }
+        Params { weights: InputPath::default(), runtime: None, white: None, window: None, tile: 256, overlap: 64, most_sigmas: 1.0, quiet: false }
     }
 }
 
@@ -200,8 +208,8 @@ fn list(names: &[impl AsRef<str>]) -> String {
 impl Node for RefineOnnx {
     const DECL: Decl = Decl {
         kind: "refine/onnx",
-        about: "Frames with less noise and fewer artefacts, by a trained network that changes nothing where no event is near.",
-        revision: 1,
+        about: "Frames with less noise and fewer artefacts, by a trained network that changes a value by its standard deviation at most, and nothing where no event is near.",
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -269,7 +277,11 @@ params = { weights = "data/weights/refine.onnx" }
         let rule = StepRule { threshold_on: 1.0, threshold_off: 1.0, stamp: Stamp::OffPixel, shift_ns };
         let timeline = input.events.as_ref().map(|events| Ok::<_, NodeError>(Timeline::new(&events.read(events.rows())?, &rule))).transpose()?;
         cx.begin(meta.times.len() as u64, "frames");
-        let work = Work { params: &self.params, network: &*network, input: &input, shown, timeline, black, white, reach_ns, cx };
+        let silent = match &timeline {
+            Some(timeline) if !self.params.quiet => timeline.silent((meta.extent.width as usize, meta.extent.height as usize)),
+            _ => Vec::new(),
+        };
+        let work = Work { params: &self.params, silent, network: &*network, input: &input, shown, timeline, black, white, reach_ns, cx };
         let tasks: Vec<_> = block.dn.chunks_exact_mut(meta.row_values() * meta.extent.height as usize).enumerate().collect();
         tasks.into_par_iter().try_for_each(|(frame, out)| work.frame(frame, out))?;
         Ok(Out { frames: FrameSequence::in_memory(meta, block) })
@@ -288,6 +300,8 @@ struct Work<'a> {
     /// Captured frames, at least one.
     shown: Option<&'a FrameSequence>,
     timeline: Option<Timeline>,
+    /// By pixel: is there no event of it at all? Empty where that does not matter.
+    silent: Vec<bool>,
     black: f64,
     /// DN between black and white.
     white: f64,
@@ -338,9 +352,15 @@ impl Work<'_> {
         let stated = read(&self.input.frames, frame)?.dn;
         self.cx.count(stated.iter().filter(|dn| !dn.is_finite()).count() as u64, "values are not known (NaN) and stay so; the network sees black there");
         let picture = self.planes(&stated, |dn, _| (f64::from(dn) - self.black) / self.white);
-        let sigma = match &self.input.sigma {
-            Some(sigma) => self.planes(&read(sigma, frame)?.dn, |dn, _| f64::from(dn) / self.white),
+        let known = self.input.sigma.as_ref().map(|sigma| read(sigma, frame)).transpose()?.map(|block| block.dn);
+        let sigma = match &known {
+            Some(sigma) => self.planes(sigma, |dn, _| f64::from(dn) / self.white),
             None => flat(0.0, channels),
+        };
+        let most_dn = |value: usize| match known.as_ref().map(|sigma| self.params.most_sigmas * f64::from(sigma[value])) {
+            _ if self.silent.get(value / channels).is_some_and(|silent| *silent) => 0.0,
+            Some(most) if most >= 0.0 => most,
+            _ => f64::INFINITY,
         };
         let captured = match self.shown {
             Some(captured) => {
@@ -376,8 +396,9 @@ impl Work<'_> {
                         for column in x.kept..x.end {
                             let (at, here) = ((row - y.start) * x.seen + column - x.start, (row * width + column) * channels + channel);
                             // The change is added, so that a value that the network leaves alone keeps its bits.
-                            let change = f64::from(refined.values[at]) - f64::from(shown.values[at]);
-                            out[here] = if stated[here].is_finite() { (f64::from(stated[here]) + change * self.white) as f32 } else { stated[here] };
+                            let change = (f64::from(refined.values[at]) - f64::from(shown.values[at])) * self.white;
+                            let most = most_dn(here);
+                            out[here] = if stated[here].is_finite() { (f64::from(stated[here]) + change.clamp(-most, most)) as f32 } else { stated[here] };
                         }
                     }
                 }

@@ -9,7 +9,7 @@ use serde_json::json;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::io::IsTerminal;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 /// Who watches a run.
@@ -58,8 +58,14 @@ fn word(end: End) -> &'static str {
 /// One bar a running node.
 pub struct Bars {
     multi: MultiProgress,
-    running: Mutex<BTreeMap<TaskId, ProgressBar>>,
+    running: Mutex<BTreeMap<TaskId, Running>>,
     labels: Labels,
+}
+
+/// A running node's bar, and its pace, which the bar asks when it is drawn.
+struct Running {
+    bar: ProgressBar,
+    pace: Arc<Mutex<Pace>>,
 }
 
 impl Bars {
@@ -79,11 +85,45 @@ pub struct Lines {
 /// How far a task is.
 #[derive(Default)]
 struct Done {
-    at: u64,
-    total: u64,
+    pace: Pace,
     /// The tenth last reported.
     tenth: u64,
+}
+
+/// How much of a task is done, and how fast it went.
+#[derive(Default)]
+struct Pace {
+    /// When its first items began.
     since: Option<Instant>,
+    done: u64,
+    total: u64,
+    /// Seconds and items done, a hundredth of the task apart or more.
+    marks: Vec<(f64, u64)>,
+}
+
+impl Pace {
+    /// So many more items there are: each row band may add its own.
+    fn begin(&mut self, items: u64) {
+        self.since.get_or_insert_with(Instant::now);
+        self.total += items;
+    }
+
+    /// So many more are done.
+    fn advance(&mut self, items: u64) {
+        self.done += items;
+        let last = self.marks.last().map_or(0, |&(_, done)| done);
+        if self.done - last >= self.total.div_ceil(100) {
+            self.marks.push((self.elapsed(), self.done));
+        }
+    }
+
+    fn elapsed(&self) -> f64 {
+        self.since.map_or(0.0, |since| since.elapsed().as_secs_f64())
+    }
+
+    fn left(&self) -> Option<f64> {
+        time_left(&self.marks, self.elapsed(), self.done, self.total)
+    }
 }
 
 fn line(value: serde_json::Value) {
@@ -105,7 +145,7 @@ impl Observer for Watcher {
                 let spinner = ProgressStyle::with_template("{prefix:>18} {spinner} {elapsed}").unwrap_or_else(|_| ProgressStyle::default_spinner());
                 let bar = bars.multi.add(ProgressBar::new_spinner().with_prefix(label.to_string()).with_style(spinner));
                 bar.enable_steady_tick(std::time::Duration::from_millis(120));
-                locked(&bars.running).insert(task, bar);
+                locked(&bars.running).insert(task, Running { bar, pace: Arc::default() });
             }
             Watcher::Plain(labels) => say!("started  {label} ({})", labels[task].1),
             Watcher::Lines(lines) => line(json!({"event": "started", "node": label, "kind": lines.labels[task].1})),
@@ -116,27 +156,25 @@ impl Observer for Watcher {
     fn progress_begin(&self, task: TaskId, total: u64, unit: &str) {
         match self {
             Watcher::Bars(bars) => {
-                if let Some(bar) = locked(&bars.running).get(&task) {
+                if let Some(Running { bar, pace }) = locked(&bars.running).get(&task) {
                     let style = ProgressStyle::with_template(&format!("{{prefix:>18}} [{{bar:30}}] {{pos}}/{{len}} {unit}, {{per_sec}}{{left}}"));
-                    let left = |state: &ProgressState, text: &mut dyn Write| {
-                        let estimate = time_left(state.elapsed().as_secs_f64(), state.pos(), state.len().unwrap_or(0));
+                    locked(pace).begin(total);
+                    let shown = Arc::clone(pace);
+                    let left = move |_: &ProgressState, text: &mut dyn Write| {
                         // A terminal that does not take it shows less.
-                        let _ = estimate.map_or(Ok(()), |seconds| write!(text, ", {} left", human_seconds(seconds)));
+                        let _ = locked(&shown).left().map_or(Ok(()), |seconds| write!(text, ", {} left", human_seconds(seconds)));
                     };
                     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> ").with_key("left", left));
                     if bar.length().is_none() {
                         // What came before the first item does not show how fast they go.
                         bar.reset_elapsed();
                     }
-                    // Each row band begins anew: the bar's length grows with them.
                     bar.set_length(bar.length().unwrap_or(0) + total);
                 }
             }
             Watcher::Lines(lines) => {
                 let mut done = locked(&lines.done);
-                let done = done.entry(task).or_default();
-                done.total += total;
-                done.since.get_or_insert_with(Instant::now);
+                done.entry(task).or_default().pace.begin(total);
             }
             Watcher::Plain(_) | Watcher::Quiet => {}
         }
@@ -145,19 +183,21 @@ impl Observer for Watcher {
     fn progress_advance(&self, task: TaskId, items: u64) {
         match self {
             Watcher::Bars(bars) => {
-                if let Some(bar) = locked(&bars.running).get(&task) {
+                if let Some(Running { bar, pace }) = locked(&bars.running).get(&task) {
+                    // Not held while the bar is drawn, which asks it.
+                    locked(pace).advance(items);
                     bar.inc(items);
                 }
             }
             Watcher::Lines(lines) => {
                 let mut done = locked(&lines.done);
-                let Done { at, total, tenth, since } = done.entry(task).or_default();
-                *at += items;
-                let now = (10 * *at).checked_div(*total).unwrap_or(0);
+                let Done { pace, tenth } = done.entry(task).or_default();
+                pace.advance(items);
+                let now = (10 * pace.done).checked_div(pace.total).unwrap_or(0);
                 if now > *tenth {
                     *tenth = now;
-                    let left = since.and_then(|since| time_left(since.elapsed().as_secs_f64(), *at, *total));
-                    line(json!({"event": "progress", "node": lines.labels[task].0, "done": *at, "total": *total, "seconds_left": left}));
+                    let Pace { done: at, total, .. } = *pace;
+                    line(json!({"event": "progress", "node": lines.labels[task].0, "done": at, "total": total, "seconds_left": pace.left()}));
                 }
             }
             Watcher::Plain(_) | Watcher::Quiet => {}
@@ -167,7 +207,7 @@ impl Observer for Watcher {
     fn task_finished(&self, task: TaskId, end: End, seconds: f64, bytes: u64) {
         match self {
             Watcher::Bars(bars) => {
-                if let Some(bar) = locked(&bars.running).remove(&task) {
+                if let Some(Running { bar, .. }) = locked(&bars.running).remove(&task) {
                     bar.finish_and_clear();
                 }
                 if end != End::Reused {
@@ -197,11 +237,13 @@ impl Observer for Watcher {
     }
 }
 
-/// Seconds that the rest will take when it goes as it went; `None` before enough is done to say so.
-fn time_left(elapsed: f64, done: u64, total: u64) -> Option<f64> {
-    // A twentieth and two seconds: the first items warm caches, and fill buffers that the others find full.
-    let enough = done > 0 && done < total && elapsed >= 2.0 && done >= total.div_ceil(20);
-    enough.then(|| elapsed * (total - done) as f64 / done as f64)
+/// Seconds that the rest will take when it goes as the later half of what is done; `None` before enough is done to say so.
+///
+/// The first half may have shared the processor with a node that has ended since, and its first items fill buffers that the others find full.
+fn time_left(marks: &[(f64, u64)], elapsed: f64, done: u64, total: u64) -> Option<f64> {
+    let enough = done < total && elapsed >= 2.0 && done >= total.div_ceil(20).max(1);
+    let (from, before) = marks.iter().copied().take_while(|&(_, mark)| 2 * mark <= done).last().unwrap_or((0.0, 0));
+    enough.then(|| (elapsed - from) * (total - done) as f64 / (done - before) as f64)
 }
 
 #[cfg(test)]
@@ -210,7 +252,25 @@ mod tests {
 
     #[test]
     fn the_time_left_is_shown_when_enough_is_done_to_know_it() {
-        assert_eq!((time_left(100.0, 0, 10), time_left(1.9, 5, 10), time_left(60.0, 49, 1000), time_left(60.0, 10, 10)), (None, None, None, None));
-        assert_eq!((time_left(60.0, 50, 1000), time_left(2.0, 5, 10)), (Some(1140.0), Some(2.0)));
+        let even = |elapsed, done, total| time_left(&[], elapsed, done, total);
+        assert_eq!((even(100.0, 0, 10), even(1.9, 5, 10), even(60.0, 49, 1000), even(60.0, 10, 10)), (None, None, None, None));
+        assert_eq!((even(60.0, 50, 1000), even(2.0, 5, 10)), (Some(1140.0), Some(2.0)));
+    }
+
+    /// 40 items in 80 s while another node ran, then 60 in 60 s: 900 more take 900 s, not 1,260.
+    #[test]
+    fn the_time_left_follows_the_later_half_of_what_is_done() {
+        let marks = [(20.0, 10), (40.0, 20), (60.0, 30), (80.0, 40), (90.0, 50), (100.0, 60), (140.0, 100)];
+        assert_eq!(time_left(&marks, 140.0, 100, 1000), Some(900.0));
+    }
+
+    #[test]
+    fn marks_are_a_hundredth_of_the_task_apart() {
+        let mut pace = Pace::default();
+        pace.begin(300);
+        pace.begin(700);
+        (0..1000).for_each(|_| pace.advance(1));
+        let done: Vec<u64> = pace.marks.iter().map(|&(_, done)| done).collect();
+        assert_eq!(done, (1..=100).map(|mark| 10 * mark).collect::<Vec<_>>());
     }
 }

@@ -94,6 +94,15 @@ impl Timeline {
         Some((self.0.first()?.t, self.0.last()?.t))
     }
 
+    /// By pixel of `size` (width, height): is there no event of it at all?
+    pub fn silent(&self, size: (usize, usize)) -> Vec<bool> {
+        let mut silent = vec![true; size.0 * size.1];
+        for event in &self.0 {
+            silent[usize::from(event.y) * size.0 + usize::from(event.x)] = false;
+        }
+        silent
+    }
+
     /// The grid of a window (its end left out) as [channel][y][x], of pictures of `size` (width, height) at least as large as the sensor; and its number of events.
     pub fn grid(&self, window: Range<i64>, grid: Grid, size: (usize, usize)) -> (Vec<f32>, usize) {
         let from = self.0.partition_point(|event| event.t < window.start);

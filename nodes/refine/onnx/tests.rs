@@ -89,7 +89,7 @@ fn networks_give_what_the_training_framework_gave() {
 fn what_is_far_from_every_event_keeps_its_bits() {
     let (before, events) = (frames(), testing::stream(EXTENT, vec![event(40, 20)]));
     let stated = before.read_rows(before.rows()).unwrap().dn;
-    let after = refined(In { events: Some(events), ..only(before) });
+    let after = run(Params { quiet: true, ..params() }, In { events: Some(events), ..only(before) }).unwrap().0;
     let mut changed = 0;
     for (at, (before, after)) in stated.iter().zip(&after).enumerate() {
         let (x, y) = ((at % 75) as i32, (at / 75) as i32);
@@ -100,6 +100,33 @@ fn what_is_far_from_every_event_keeps_its_bits() {
         }
     }
     assert!(changed > 60, "{changed} of the 121 pixels near the event");
+}
+
+#[test]
+fn pixels_that_never_fire_keep_their_bits() {
+    let (before, events) = (frames(), testing::stream(EXTENT, vec![event(40, 20), event(43, 20)]));
+    let stated = before.read_rows(before.rows()).unwrap().dn;
+    let after = refined(In { events: Some(events), ..only(before) });
+    let changed: Vec<usize> = (0..stated.len()).filter(|&at| stated[at].to_bits() != after[at].to_bits()).collect();
+    assert_eq!(changed, [20 * 75 + 40, 20 * 75 + 43]);
+}
+
+#[test]
+fn values_change_by_their_standard_deviations_at_most() {
+    let stated = frames().read_rows(EXTENT.rows()).unwrap().dn;
+    // Pixels of unlike standard deviations; what is not known sets no limit.
+    let sigma = |x: u32, _: u32| [0.0, 0.5, 2.0, f32::NAN][x as usize % 4];
+    let with = |most_sigmas| run(Params { most_sigmas, ..params() }, In { sigma: Some(frames_of(EXTENT, sigma)), ..only(frames()) }).unwrap().0;
+    let free = with(f64::INFINITY);
+    for most in [1.0, 3.0] {
+        for (at, (&after, &free)) in with(most).iter().zip(&free).enumerate() {
+            let (stated, sigma) = (f64::from(stated[at]), f64::from(sigma(at as u32 % 75, 0)));
+            let limit = if sigma.is_nan() { f64::INFINITY } else { most * sigma };
+            let expected = f64::from(free).clamp(stated - limit, stated + limit);
+            assert!((f64::from(after) - expected).abs() < 1e-5, "{after} instead of {expected}");
+        }
+    }
+    assert!(furthest(&free, &with(1.0)) > 2.0, "the limit is felt");
 }
 
 #[test]
@@ -157,7 +184,8 @@ fn a_captured_frame_of_twice_the_exposure_counts_as_half_as_bright() {
 
 #[test]
 fn the_standard_deviation_has_a_say() {
-    let with = |sigma: f32| refined(In { sigma: Some(frames_of(EXTENT, move |_, _| sigma)), ..only(frames()) });
+    let unlimited = || Params { most_sigmas: f64::INFINITY, ..params() };
+    let with = |sigma: f32| run(unlimited(), In { sigma: Some(frames_of(EXTENT, move |_, _| sigma)), ..only(frames()) }).unwrap().0;
     assert!(furthest(&with(2.0), &with(20.0)) > 0.1);
     assert_eq!(with(f32::NAN), with(0.0));
 }
