@@ -110,14 +110,7 @@ fn page(kind: &Kind) -> String {
     let properties = kind.schema["properties"].as_object();
     if properties.is_some_and(|p| !p.is_empty()) {
         text.push_str("Parameters:\n\n| name | takes | default | meaning |\n| --- | --- | --- | --- |\n");
-        for (name, schema) in properties.into_iter().flatten() {
-            let about = schema["description"].as_str().unwrap_or("").replace('\n', " ");
-            // An empty path is refused: the file has to be named.
-            let is_needed = schema["x-path"] == true && schema["default"] == "";
-            let stated = || schema.get("default").filter(|d| !d.is_null()).map(|d| format!("`{d}`")).unwrap_or_default();
-            let default = if is_needed { "needed".into() } else { stated() };
-            let _ = writeln!(text, "| `{name}` | {} | {default} | {about} |", parameter_type(schema, &kind.schema));
-        }
+        rows(&mut text, "", &kind.schema, &kind.schema);
         text.push('\n');
     }
     let _ = writeln!(
@@ -130,6 +123,40 @@ fn page(kind: &Kind) -> String {
     );
     let _ = writeln!(text, "```toml\n{}\n```", decl.example.trim());
     text
+}
+
+/// A row for each property of a table, and behind one that is a table, or a list of them, a row for each of its own: `crop.width`, `voxels[].bins`.
+fn rows(text: &mut String, path: &str, table: &Value, root: &Value) {
+    for (name, schema) in table["properties"].as_object().into_iter().flatten() {
+        let about = schema["description"].as_str().unwrap_or("").replace('\n', " ");
+        // An empty path is refused: the file has to be named.
+        let is_needed = schema["x-path"] == true && schema["default"] == "";
+        let inner = inner_table(schema, root);
+        // Those of a table stand in its own rows.
+        let stated = || schema.get("default").filter(|default| !default.is_null() && !(inner.is_some() && default.is_object()));
+        let default = if is_needed { "needed".into() } else { stated().map(|default| format!("`{default}`")).unwrap_or_default() };
+        let _ = writeln!(text, "| `{path}{name}` | {} | {default} | {about} |", parameter_type(schema, root));
+        if let Some((of, table)) = inner {
+            rows(text, &format!("{path}{name}{of}."), table, root);
+        }
+    }
+}
+
+/// The table with named keys that a parameter takes, and what its keys are written behind: nothing, or `[]` for those of a list's elements.
+fn inner_table<'a>(schema: &'a Value, root: &'a Value) -> Option<(&'static str, &'a Value)> {
+    if let Some(target) = schema["$ref"].as_str().and_then(|target| target.strip_prefix('#')).and_then(|pointer| root.pointer(pointer)) {
+        return inner_table(target, root);
+    }
+    if let Some(list) = schema["oneOf"].as_array().or_else(|| schema["anyOf"].as_array()) {
+        let mut tables = list.iter().filter_map(|schema| inner_table(schema, root));
+        // Keys of which alternative they are would have to be said.
+        return tables.next().filter(|_| tables.next().is_none());
+    }
+    if schema["properties"].as_object().is_some_and(|properties| !properties.is_empty()) {
+        return Some(("", schema));
+    }
+    let (_, table) = inner_table(schema.get("items")?, root)?;
+    Some(("[]", table))
 }
 
 /// What a parameter takes, in a few words, from its schema.
@@ -166,6 +193,7 @@ fn parameter_type(schema: &Value, root: &Value) -> String {
     let bound = |key: &str, word: &str| schema[key].as_f64().map(|b| format!("{word} {b}"));
     let bounds: Vec<String> = [bound("minimum", "at least"), bound("exclusiveMinimum", "above"), bound("maximum", "at most")].into_iter().flatten().collect();
     match base.as_str() {
+        "object" => "table".into(),
         "array" => format!("list of {}", parameter_type(&schema["items"], root)),
         _ if bounds.is_empty() => base,
         _ => format!("{base}, {}", bounds.join(", ")),

@@ -21,7 +21,7 @@ use crate::solve::pixel::{FrontEndModel, Model, Params as SolverParams, SolvePix
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Colour, Context, EventStream, Node, NodeError, Rows, Sensor, TracksMeta};
 use photocurrent_sensor::estimate::Estimate;
-use photocurrent_sensor::map::estimate::{Choice, FEWEST_EVENTS, FEWEST_FRAMES, choose, prediction_errors};
+use photocurrent_sensor::map::estimate::{Choice, Choosing, FEWEST_EVENTS, FEWEST_FRAMES, choose, prediction_errors};
 use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem, Noise, Prior};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
@@ -298,7 +298,7 @@ impl Bench {
     fn choice(&mut self, thresholds: Pair) -> Choice {
         self.model.set_thresholds(thresholds);
         let Half { sample, .. } = &self.searching;
-        let choose = |problems: &[MapProblem<'_>], group: &mut MapGroup| choose(problems, None, &sample.options, group);
+        let choose = |problems: &[MapProblem<'_>], group: &mut MapGroup| choose(problems, None, &Choosing::USUAL, &sample.options, group);
         sample.with_problems(&self.model, 0..sample.len(), None, &mut MapGroup::default(), choose)
     }
 

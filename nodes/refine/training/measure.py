@@ -4,7 +4,7 @@
     python nodes/refine/training/measure.py out/refinement_clips
 
 Still: pixels without a single event in the whole clip. Flicker: root mean square of a frame less the mean of its two neighbours in time, which smooth
-motion hardly has and noise that comes and goes has.
+motion hardly has and noise that comes and goes has. Of pictures as they are shown: what is above the saturation of the cameras, 255 DN, is at that.
 """
 
 import sys
@@ -13,8 +13,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+SATURATION_DN = 255
+
 
 def flicker(frames):
+    frames = np.minimum(frames, SATURATION_DN)
     return float(np.sqrt(np.nanmean((frames[1:-1] - (frames[:-2] + frames[2:]) / 2) ** 2)))
 
 

@@ -20,9 +20,6 @@ use std::ops::Range;
 pub(super) const BLOCK_ROWS: u32 = 16;
 /// So many rows around a band are read: the rest of its blocks, and one more for neighbours.
 pub(crate) const HALO_ROWS: u32 = BLOCK_ROWS;
-/// So many pixels of a block are looked at, at least.
-const SAMPLED_PIXELS: usize = 192;
-
 /// The settings of some rows.
 pub(crate) struct Settings {
     first_block: u32,
@@ -54,7 +51,8 @@ impl Settings {
 }
 
 fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, given: Option<&KnownOfRows>) -> Result<RowSetting, NodeError> {
-    let per_row = SAMPLED_PIXELS.div_ceil(rows.len());
+    let decisions = params.decisions();
+    let per_row = (decisions.pixels as usize).div_ceil(rows.len());
     let mut data = RowData::default();
     let mut unexplained = Unexplained::default();
     let span = (recorded.meta.span.start.0, recorded.meta.span.end.0);
@@ -84,7 +82,7 @@ fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, g
     let mut group = MapGroup::default();
     let options = sample.options;
     Ok(sample.with_problems(model, 0..sample.len(), given.map(|_| given_of), &mut group, |problems, group| {
-        let choice = estimate::choose(problems, params.event_noise, &options, group);
+        let choice = estimate::choose(problems, params.event_noise, &decisions.choosing(), &options, group);
         let options = MapOptions { prior: choice.prior, ..options };
         let problems: Vec<_> = problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
         let sigma_factor = if params.sigma() { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, group)) } else { 1.0 };
@@ -133,7 +131,13 @@ impl Sample {
     /// Of no pixel yet.
     pub fn new(params: &Params, span: (i64, i64)) -> Sample {
         let max_iterations = usize::min(params.max_iterations as usize, MAP_STEPS);
-        let options = MapOptions { spacing_ns: params.knot_spacing().ns(), max_iterations, with_sigma: params.sigma(), ..MapOptions::default() };
+        let options = MapOptions {
+            spacing_ns: params.knot_spacing().ns(),
+            max_iterations,
+            with_sigma: params.sigma(),
+            second: Some(params.decisions().second()),
+            ..MapOptions::default()
+        };
         Sample { pixels: Vec::new(), recorded: Vec::new(), span, options }
     }
 

@@ -5,6 +5,8 @@
 
 use photocurrent_core::NodeError;
 use photocurrent_core::quantity::Duration;
+use photocurrent_sensor::map::SecondStart;
+use photocurrent_sensor::map::estimate::Choosing;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -85,6 +87,70 @@ pub enum FirstKnot {
     Event,
 }
 
+/// What it takes to decide for something that is not usual, for `method = "map"`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Decisions {
+    /// So many pixels of each block of 16 rows choose its noise and prior, at least.
+    #[schemars(range(min = 1, max = 65536))]
+    pub pixels: u32,
+    /// A noise or a prior that is not the usual one must predict frames that are held out better by this part.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub clear_gain: f64,
+    /// A third of those pixels looks at everything that is tried, the others only at what loses at most this part more than the best does there.
+    #[schemars(range(min = 0.0))]
+    pub reach: f64,
+    /// A pixel is solved from a second start where its events are missed by more than this: mean square, in their standard deviations. 1e9 = never.
+    #[schemars(range(min = 0.0))]
+    pub second_misfit: f64,
+    /// And where events and frames together are missed by less than this: beyond, they contradict each other, and no start helps.
+    #[schemars(range(min = 0.0))]
+    pub second_most_misfit: f64,
+    /// Standard deviation of an event on the way to the second start, as a part of its threshold.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub second_event_noise: f64,
+    /// Most steps on the way to it.
+    #[schemars(range(min = 1, max = 100))]
+    pub second_steps: u32,
+    /// What is found from there is taken where it makes all squared misfits together smaller by this part.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub second_gain: f64,
+}
+
+impl Decisions {
+    /// Of noise and prior.
+    pub(super) fn choosing(&self) -> Choosing {
+        Choosing { clear_gain: self.clear_gain, reach: self.reach }
+    }
+
+    /// Of a second start.
+    pub(super) fn second(&self) -> SecondStart {
+        SecondStart {
+            event: self.second_event_noise,
+            steps: self.second_steps as usize,
+            least_misfit: self.second_misfit,
+            most_misfit: self.second_most_misfit,
+            gain: self.second_gain,
+        }
+    }
+}
+
+impl Default for Decisions {
+    fn default() -> Self {
+        let (choosing, second) = (Choosing::USUAL, SecondStart::USUAL);
+        Decisions {
+            pixels: CHOOSING_PIXELS,
+            clear_gain: choosing.clear_gain,
+            reach: choosing.reach,
+            second_misfit: second.least_misfit,
+            second_most_misfit: second.most_misfit,
+            second_event_noise: second.event,
+            second_steps: second.steps as u32,
+            second_gain: second.gain,
+        }
+    }
+}
+
 /// Parameters of `solve/pixel`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -110,6 +176,8 @@ pub struct Params {
     /// and frames; absent = 2, or 4 where effects mix the photocurrent of neighbours. Without `[effects]` it has no effect.
     #[schemars(range(max = 20))]
     pub undo_rounds: Option<u32>,
+    /// For `map`: what it takes to choose another noise or prior, or to solve a pixel from a second start; absent = what was measured to suit most recordings.
+    pub decisions: Option<Decisions>,
     /// How the front end's delay is treated.
     pub front_end: FrontEndModel,
     /// For `paper`: how readout latency and refractory period are treated; absent = `slope`, which needs in-pixel times.
@@ -146,6 +214,7 @@ impl Default for Params {
             knot_spacing: None,
             sigma: None,
             undo_rounds: None,
+            decisions: None,
             front_end: FrontEndModel::LowPass,
             readout: None,
             tau_rule: None,
@@ -164,6 +233,9 @@ impl Default for Params {
 pub(crate) const FRAME_NOISE: f64 = 0.02;
 /// What `knot_spacing` is when nobody says.
 pub(crate) const KNOT_SPACING: Duration = Duration::new(250_000);
+
+/// What `decisions.pixels` is when nobody says.
+const CHOOSING_PIXELS: u32 = 192;
 
 /// What `undo_rounds` is when nobody says.
 const UNDO_ROUNDS: u32 = 2;
@@ -186,6 +258,10 @@ impl Params {
         self.undo_rounds.unwrap_or(if is_mixed { MIXED_UNDO_ROUNDS } else { UNDO_ROUNDS })
     }
 
+    pub(super) fn decisions(&self) -> Decisions {
+        self.decisions.unwrap_or_default()
+    }
+
     pub(super) fn readout(&self) -> ReadoutModel {
         self.readout.unwrap_or_default()
     }
@@ -206,6 +282,7 @@ impl Params {
             ("knot_spacing", self.knot_spacing.is_some()),
             ("sigma", self.sigma.is_some()),
             ("undo_rounds", self.undo_rounds.is_some()),
+            ("decisions", self.decisions.is_some()),
         ];
         let of_paper = [
             ("readout", self.readout.is_some()),
@@ -254,11 +331,28 @@ mod tests {
         assert_eq!(error.hint.as_deref(), Some("take them out, or set `method = \"map\"`"));
     }
 
+    #[test]
+    fn decisions_that_are_not_stated_are_those_of_the_solver() {
+        let stated = |params: serde_json::Value| serde_json::from_value::<Params>(params).unwrap().decisions();
+        for decisions in [stated(json!({})), stated(json!({ "decisions": {} }))] {
+            assert_eq!((decisions.choosing(), decisions.second()), (Choosing::USUAL, SecondStart::USUAL));
+        }
+        let stated = stated(json!({ "decisions": { "clear_gain": 0.5, "second_misfit": 7.0 } }));
+        let (choosing, second) = (Choosing { clear_gain: 0.5, ..Choosing::USUAL }, SecondStart { least_misfit: 7.0, ..SecondStart::USUAL });
+        assert_eq!((stated.choosing(), stated.second()), (choosing, second));
+    }
+
     /// Every parameter with a value, for each method: `method` accepts those of its own and the shared ones, and no others.
     #[test]
     fn each_parameter_is_read_by_one_method_or_by_both() {
-        let of_map =
-            [("event_noise", json!(0.1)), ("frame_noise", json!(0.02)), ("knot_spacing", json!("250 us")), ("sigma", json!(true)), ("undo_rounds", json!(1))];
+        let of_map = [
+            ("event_noise", json!(0.1)),
+            ("frame_noise", json!(0.02)),
+            ("knot_spacing", json!("250 us")),
+            ("sigma", json!(true)),
+            ("undo_rounds", json!(1)),
+            ("decisions", json!({})),
+        ];
         let of_paper = [
             ("readout", json!("slope")),
             ("tau_rule", json!("end")),

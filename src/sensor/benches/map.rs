@@ -11,6 +11,7 @@ use photocurrent_core::sensor::Reset;
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Pixel, PixelNoise, simulate};
 use photocurrent_sensor::front_end::FrontEnd;
+use photocurrent_sensor::map::estimate::Choosing;
 use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, MapWorkspace, Noise, estimate, solve};
 
 const SPAN_NS: i64 = 250_000_000;
@@ -201,5 +202,5 @@ fn events_chosen(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
     let (mut group, options) = (MapGroup::default(), MapOptions::default());
-    bencher.counter(events(&pixels)).bench_local(|| estimate::choose(&problems, None, &options, &mut group));
+    bencher.counter(events(&pixels)).bench_local(|| estimate::choose(&problems, None, &Choosing::USUAL, &options, &mut group));
 }

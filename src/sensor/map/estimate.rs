@@ -22,14 +22,10 @@ const HELD_OUT: usize = 3;
 /// Added to a frame value that an error is compared with, as a share of the range from darkness to saturation: in the dark, noise is not relative, and a few
 /// dark pixels whose light ran away must not pass for good.
 const DARK_SHARE: f64 = 0.2;
-/// What is not usual must be better by this factor.
-const CLEARLY_BETTER: f64 = 0.97;
 /// Where there are many pixels, one in so many looks at all choices first.
 const LOOKS_FIRST: usize = 3;
 /// Fewer pixels than this do not look first.
 const FEWEST_FIRST: usize = 16;
-/// Other pixels look only at choices that lose at most this much more than the best does at first: a third of the pixels may be mistaken by a tenth.
-const WITHIN_REACH: f64 = 1.1;
 /// A relative error counts at most this: one pixel that went astray does not decide.
 const LARGEST_ERROR: f64 = 1.0;
 
@@ -39,6 +35,15 @@ const LARGEST_FACTOR: f64 = 5.0;
 const FEWEST_MISSES: usize = 40;
 /// No light is known better than to a ten-thousandth.
 const LEAST_VARIANCE: f64 = 1e-8;
+
+/// What it takes to choose something.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choosing {
+    /// What is not usual must lose less by this part, from 0 (any less) to 1 (never).
+    pub clear_gain: f64,
+    /// Of many pixels a third looks first; the others look only at what loses at most this part more than the best does there. Infinite: at everything.
+    pub reach: f64,
+}
 
 /// What suits a recording.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,10 +65,20 @@ pub const PRIORS: [Prior; 6] = [
     Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 },
 ];
 
-/// The noise of events and the prior that explain `problems` best; the usual ones when they have hardly an event, and where frames decide, unless others are better by 3 %.
+impl Choosing {
+    /// Suits most recordings: a third of the pixels may be mistaken by a tenth, and 3 % are more than chance.
+    pub const USUAL: Choosing = Choosing { clear_gain: 0.03, reach: 0.1 };
+
+    /// What is not usual must lose less than the best times this.
+    fn clearly_better(&self) -> f64 {
+        1.0 - self.clear_gain
+    }
+}
+
+/// The noise of events and the prior that explain `problems` best; the usual ones when they have hardly an event, and where frames decide, unless others are clearly better.
 ///
 /// `event` is taken where it is given. Without enough frames to hold out, only the event noise is chosen.
-pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOptions, group: &mut MapGroup) -> Choice {
+pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, choosing: &Choosing, options: &MapOptions, group: &mut MapGroup) -> Choice {
     let events: usize = problems.iter().map(|problem| problem.events.len()).sum();
     let given = problems.first().map_or_else(Noise::default, |problem| problem.noise);
     let usual = Choice { noise: Noise { event: event.unwrap_or(given.event), ..given }, prior: options.prior };
@@ -82,7 +97,7 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
     let mut consider = |choices: Vec<Choice>, by: &dyn Fn(&Choice) -> f64, best: &mut Best| {
         let (first, others) = tried.looks();
         let at_first = tried.losses(&choices, &first, group);
-        let reach = at_first.iter().fold(best.at_first, |least, loss| f64::min(least, *loss)) * WITHIN_REACH;
+        let reach = at_first.iter().fold(best.at_first, |least, loss| f64::min(least, *loss)) * (1.0 + choosing.reach);
         let (choices, at_first): (Vec<Choice>, Vec<f64>) = choices.into_iter().zip(at_first).filter(|(_, loss)| *loss <= reach).unzip();
         for ((more, at_first), choice) in tried.losses(&choices, &others, group).into_iter().zip(at_first).zip(choices) {
             let loss = at_first + more;
@@ -91,6 +106,7 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
             }
         }
     };
+    let clearly_better = choosing.clearly_better();
     let with_event = |event: f64, noise: Noise| Choice { noise: Noise { event, ..noise }, ..usual };
     let mut events: Vec<Choice> = noises.iter().map(|&event| with_event(event, usual.noise)).collect();
     if !by_frames {
@@ -99,18 +115,18 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, options: &MapOpti
     }
     consider(vec![usual], &|_| 1.0, &mut best);
     events.retain(|choice| *choice != usual);
-    consider(events, &|best| if *best == usual { CLEARLY_BETTER } else { 1.0 }, &mut best);
+    consider(events, &|best| if *best == usual { clearly_better } else { 1.0 }, &mut best);
     // Events may be trusted more when their thresholds are right, so both are chosen together.
     let threshold = mean_threshold(problems);
     let spreads = THRESHOLD_SPREADS.iter().map(|part| Noise { threshold: part * threshold, ..usual.noise });
     let choices = spreads.flat_map(|noise| noises.iter().map(move |&event| with_event(event, noise))).collect();
-    consider(choices, &|best| if best.noise.threshold > 0.0 { 1.0 } else { CLEARLY_BETTER }, &mut best);
+    consider(choices, &|best| if best.noise.threshold > 0.0 { 1.0 } else { clearly_better }, &mut best);
     if problems.iter().any(|problem| problem.events.iter().any(|event| event.is_lone)) {
         let noise = Noise { lone: LoneEvents::Doubted, ..best.choice.noise };
-        consider(vec![Choice { noise, ..best.choice }], &|_| CLEARLY_BETTER, &mut best);
+        consider(vec![Choice { noise, ..best.choice }], &|_| clearly_better, &mut best);
     }
     let priors = PRIORS.into_iter().filter(|prior| *prior != usual.prior).map(|prior| Choice { prior, ..best.choice }).collect();
-    consider(priors, &|_| CLEARLY_BETTER, &mut best);
+    consider(priors, &|_| clearly_better, &mut best);
     best.choice
 }
 

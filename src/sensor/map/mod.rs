@@ -237,13 +237,13 @@ pub struct SecondStart {
     pub least_misfit: f64,
     /// And all squared misfits below this, per event and frame value: beyond, events and frames contradict each other, and no start helps.
     pub most_misfit: f64,
-    /// And taken where all together become smaller by this factor.
-    pub better: f64,
+    /// And taken where all together become smaller by this part.
+    pub gain: f64,
 }
 
 impl SecondStart {
     /// Suits most recordings.
-    pub const USUAL: SecondStart = SecondStart { event: 0.3, steps: 8, least_misfit: 0.1, most_misfit: 30.0, better: 0.8 };
+    pub const USUAL: SecondStart = SecondStart { event: 0.3, steps: 8, least_misfit: 0.1, most_misfit: 30.0, gain: 0.2 };
 
     /// The problem and the options on the way to it, and from there.
     fn stages<'a>(&self, problem: &MapProblem<'a>, options: &MapOptions) -> [(MapProblem<'a>, MapOptions); 2] {
@@ -262,7 +262,7 @@ impl SecondStart {
 
     /// Is the second answer, as (status, misfit), better than the first?
     fn is_better(&self, first: (MapStatus, f64), second: (MapStatus, f64)) -> bool {
-        second.0 != MapStatus::Failed && (first.0 == MapStatus::Failed || second.1 < self.better * first.1)
+        second.0 != MapStatus::Failed && (first.0 == MapStatus::Failed || second.1 < (1.0 - self.gain) * first.1)
     }
 }
 

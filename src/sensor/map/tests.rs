@@ -1,5 +1,6 @@
 //! Claims about the solver: its step against dense algebra, and light that was simulated by the forward model.
 
+use super::estimate::Choosing;
 use super::*;
 use crate::effects::Site;
 use crate::forward::{Chain as Pixels, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
@@ -255,7 +256,7 @@ fn choices_that_a_third_of_many_pixels_leaves_away_would_not_be_chosen() {
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
     // Fewer than 48 pixels look at everything.
     let [[right, right_in_turn], [wrong, wrong_in_turn]] =
-        [right, wrong].map(|problem| [45, 48].map(|pixels| estimate::choose(&vec![problem; pixels], None, &options, &mut group)));
+        [right, wrong].map(|problem| [45, 48].map(|pixels| estimate::choose(&vec![problem; pixels], None, &Choosing::USUAL, &options, &mut group)));
     assert_eq!((right, wrong), (right_in_turn, wrong_in_turn));
     assert!(wrong.noise.event > right.noise.event, "{} and {}", right.noise.event, wrong.noise.event);
 }
@@ -268,7 +269,7 @@ fn more_noise_is_found_where_thresholds_jump() {
     // With three frames none is held out: the evidence decides.
     let few = |recorded: &Recorded, group: &mut MapGroup| {
         let problem = MapProblem { frames: &recorded.frames[..3], ..recorded.problem(Reset::Resample) };
-        estimate::choose(&[problem; 2], None, &options, group).noise.event
+        estimate::choose(&[problem; 2], None, &Choosing::USUAL, &options, group).noise.event
     };
     let clean = few(&recorded, &mut group);
     // Stamps moved by up to 150 us to and fro, where the voltage moves by a threshold in that time.
@@ -289,9 +290,23 @@ fn events_are_trusted_less_where_they_mislead_about_frames() {
     let mut group = MapGroup::default();
     let right = recorded.problem(Reset::Resample);
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
-    let found = |problem, group: &mut MapGroup| estimate::choose(&[problem; 2], None, &MapOptions::default(), group).noise.event;
+    let found = |problem, group: &mut MapGroup| estimate::choose(&[problem; 2], None, &Choosing::USUAL, &MapOptions::default(), group).noise.event;
     let (right, wrong) = (found(right, &mut group), found(wrong, &mut group));
     assert!(wrong > right, "{right} and {wrong}");
+}
+
+#[test]
+fn nothing_unusual_is_chosen_where_no_gain_is_enough() {
+    let recorded = recorded(Reset::Resample);
+    let right = recorded.problem(Reset::Resample);
+    let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
+    let found = |clear_gain: f64| {
+        let choosing = Choosing { clear_gain, ..Choosing::USUAL };
+        estimate::choose(&[wrong; 2], None, &choosing, &MapOptions::default(), &mut MapGroup::default())
+    };
+    let usual = estimate::Choice { noise: wrong.noise, prior: Prior::default() };
+    assert_eq!(found(1.0), usual);
+    assert_ne!(found(Choosing::USUAL.clear_gain), usual);
 }
 
 #[test]
@@ -374,7 +389,7 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
     };
     let copies = vec![problem; estimate::FEWEST_EVENTS / events.len() + 1];
     let mut group = MapGroup::default();
-    let choice = estimate::choose(&copies, None, &MapOptions::default(), &mut group);
+    let choice = estimate::choose(&copies, None, &Choosing::USUAL, &MapOptions::default(), &mut group);
     let restless = match choice.prior {
         Prior::Local(local) => local.floor_per_s > Local::USUAL.floor_per_s,
         Prior::IntegratedWalk { .. } => true,
@@ -553,7 +568,7 @@ fn lone_events_are_doubted_where_they_mislead_about_frames() {
         lost_before: &[],
         beyond: &[],
     };
-    let choice = estimate::choose(&[problem; 14], None, &MapOptions::default(), &mut MapGroup::default());
+    let choice = estimate::choose(&[problem; 14], None, &Choosing::USUAL, &MapOptions::default(), &mut MapGroup::default());
     assert_eq!(choice.noise.lone, LoneEvents::Doubted);
 }
 
@@ -565,7 +580,7 @@ fn thresholds_of_their_own_are_found_where_pixels_differ() {
     let stated = |factor: f64| MapProblem { sensor: MapSensor { threshold_on: 0.2 * factor, threshold_off: 0.21 * factor, ..right.sensor }, ..right };
     let mut workspace = MapWorkspace::default();
     let problems = [stated(0.85), stated(1.15)];
-    let chosen = estimate::choose(&problems, None, &MapOptions::default(), &mut MapGroup::default()).noise;
+    let chosen = estimate::choose(&problems, None, &Choosing::USUAL, &MapOptions::default(), &mut MapGroup::default()).noise;
     let mut error = |noise: Noise| {
         let of = |problem: &MapProblem<'_>| {
             let solution = solve(&MapProblem { noise, ..*problem }, &MapOptions::default(), &mut workspace);
