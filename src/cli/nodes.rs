@@ -133,7 +133,8 @@ fn rows(text: &mut String, path: &str, table: &Value, root: &Value) {
         let is_needed = schema["x-path"] == true && schema["default"] == "";
         let inner = inner_table(schema, root);
         // Those of a table stand in its own rows.
-        let stated = || schema.get("default").filter(|default| !default.is_null() && !(inner.is_some() && default.is_object()));
+        let stands_below = |default: &Value| inner.is_some() && default.is_object();
+        let stated = || schema.get("default").filter(|default| !default.is_null() && !stands_below(default));
         let default = if is_needed { "needed".into() } else { stated().map(|default| format!("`{default}`")).unwrap_or_default() };
         let _ = writeln!(text, "| `{path}{name}` | {} | {default} | {about} |", parameter_type(schema, root));
         if let Some((of, table)) = inner {
