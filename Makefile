@@ -39,7 +39,7 @@ VENV := out/training/venv
 refine-weights: setup $(VENV)/ready
 	cargo build --release --locked
 	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN)
-	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN) --network interpolator --steps 18000
+	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN) --network interpolator
 	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN) --no-cbam --out data/weights/refine_no_cbam.onnx
 	$(VENV)/bin/python $(TRAINING)/train.py --program $(BIN) --no-perceptual --out data/weights/refine_no_perceptual.onnx
 

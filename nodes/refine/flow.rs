@@ -3,7 +3,8 @@
 //! Pictures that stand symmetrically around an instant are moved towards each other until they agree (Lucas and Kanade 1981, by Gauss-Newton
 //! steps): first one affine motion of all pixels, robust against those that move otherwise, then a motion of every neighbourhood, in windows that
 //! shrink. A neighbourhood without contrast keeps the motion it has. Time distances grow as windows shrink, so that the field ends up
-//! precise to a small part of a pixel.
+//! precise to a small part of a pixel. At last every place may take the affine motion, or that of a place farther away, where it explains its smallest neighbourhood clearly better:
+//! around something small that passes, windows hold two motions.
 //!
 //! A long recording is looked at part after part, and only where pixels fire in company ([`Lively`]): elsewhere nothing is seen to move. Of a large sensor every second pixel of every second row
 //! is asked; the field is much smoother than that.
@@ -29,6 +30,12 @@ const FASTEST: f64 = 3.0;
 const ROBUST: f64 = 0.1;
 /// What a motion must explain, as squared log light, to be trusted.
 const LEAST_CONTRAST: f64 = 1e-4;
+/// Another motion must leave less than this share of what a place's own leaves.
+const CLEARLY_BETTER: f32 = 0.5;
+/// Motions so far away are tried as well, pixels.
+const FARTHER: [i64; 2] = [8, 14];
+/// Neighbourhood that a motion must explain, pixels.
+const SMALL: f64 = 1.5;
 /// A step that is smaller changes nothing, pixels per picture.
 const NO_STEP: f64 = 1e-4;
 
@@ -218,7 +225,45 @@ impl Look<'_> {
         self.local(&pairs(coarse, &[1]), &mut field, 6.0, 3);
         self.local(&pairs(fine, &[1, 2]), &mut field, 5.0, 3);
         self.local(&pairs(fine, &[2, 4]), &mut field, 4.0, 3);
+        self.choose(&pairs(fine, &[1, 2]), &mut field, &affine);
         field
+    }
+
+    /// Takes another motion where that explains a small neighbourhood clearly better: that of all pixels, or one from farther away. Where something passes before something else,
+    /// windows hold both, and what they find is neither.
+    fn choose(&self, pairs: &Pairs<'_>, field: &mut Vec<[f64; 2]>, affine: &Affine) {
+        let Lattice { pitch, columns, lines, width, height } = self.lattice;
+        let cost = |candidate: &[[f64; 2]]| -> Vec<f32> {
+            let mut sums = vec![0.0_f32; columns * lines];
+            pairs.each(|early, late, t0, t1| {
+                for &at in self.places {
+                    let (x, y) = self.lattice.pixel(at);
+                    // Who leaves the sensor explains nothing.
+                    let square = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, candidate[at]).map_or(1.0, |(e, ..)| {
+                        let square = e * e / (ROBUST * ROBUST);
+                        square / (1.0 + square)
+                    });
+                    sums[at] += square as f32;
+                }
+            });
+            smooth(&sums, columns, lines, SMALL / pitch as f64)
+        };
+        let mut best = cost(field).iter().map(|cost| cost * CLEARLY_BETTER).collect::<Vec<f32>>();
+        let begun = field.clone();
+        let of_all: Vec<[f64; 2]> = (0..self.lattice.len()).map(|at| self.lattice.pixel(at)).map(|(x, y)| velocity_of(affine, width, height, x, y)).collect();
+        let far = FARTHER.iter().flat_map(|far| [(*far, 0), (-far, 0), (0, *far), (0, -far)]);
+        let shifted = far.map(|(dx, dy)| -> Vec<[f64; 2]> {
+            let place = |at: usize, by: i64, count: usize| (at as i64 + by / pitch as i64).clamp(0, count as i64 - 1) as usize;
+            (0..begun.len()).map(|at| begun[place(at / columns, dy, lines) * columns + place(at % columns, dx, columns)]).collect()
+        });
+        for candidate in std::iter::once(of_all).chain(shifted) {
+            let cost = cost(&candidate);
+            for &at in self.places {
+                if cost[at] < best[at] {
+                    (best[at], field[at]) = (cost[at], candidate[at]);
+                }
+            }
+        }
     }
 
     /// Improves one affine motion of all places.

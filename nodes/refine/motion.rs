@@ -7,24 +7,57 @@
 //!
 //! The error of what neighbours say is measured, not assumed: past and future neighbours must agree with each other, and with the pixel's own
 //! events and frames. Where they do not (something is uncovered, two things move through each other, nothing moves at all), the pixel stays
-//! as it was.
+//! as it was. And before every round the whole is tried on pixels without one frame in three: they must predict those frames better with what neighbours say than without, region by
+//! region, or it is left away there ([`Caution`]).
 //!
-//! Limits: it needs the whole sensor at once, as tracks and measurements; pictures of the motion are made for a part of the time after the other. Light that changes without moving is what it must reject, not what it can use.
+//! Limits: with fewer than four frames nothing can be tried, and tracks stay as they are; it needs the whole sensor at once, as tracks and measurements; pictures of the motion are made for a part of the time after the other. Light that changes without moving is what it must reject, not what it can use.
 
-pub(super) mod advect;
+mod advect;
 #[cfg(test)]
 mod tests;
 
-use super::again::{In, Out, Row, Setting, Solver};
+use super::again::{Again, In, Out, Row, Setting, Solver};
+use super::caution::{Caution, take_care};
 use super::film::LogTracks;
 use super::flow::Flow;
+use super::trust::Posed;
 use crate::solve::pixel::{FRAME_NOISE, FrontEndModel, KNOT_SPACING};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
-use photocurrent_sensor::map::Hint;
+use photocurrent_sensor::map::{Hint, MapFrame};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+/// Tracks and their motion, to ask neighbours.
+pub(super) struct Neighbours<'a> {
+    pub log: &'a LogTracks,
+    pub flow: &'a Flow,
+    pub sensor: &'a Posed,
+    /// Neighbours are asked at every so many ns.
+    pub step_ns: i64,
+}
+
+impl Neighbours<'_> {
+    /// Do pixels without some of their frames predict those better with what neighbours say than without?
+    pub fn caution(&self, again: &mut Again) -> Caution {
+        again.caution(|_| (), |(), row, x, threshold, hints| self.ask(row, x, &row.frames_left(x), threshold, hints))
+    }
+
+    /// What neighbours say of a pixel, as carefully as that has shown to be right, and at least as carefully as `least`.
+    pub fn hints(&self, row: &Row, x: usize, threshold: f64, (caution, least): (&Caution, f64), hints: &mut Vec<Hint>) {
+        let caution = f64::max(caution.at(x, row.row as usize), least);
+        if caution.is_finite() {
+            self.ask(row, x, row.frames_of(x), threshold, hints);
+        }
+        take_care(hints, caution);
+    }
+
+    fn ask(&self, row: &Row, x: usize, frames: &[MapFrame], threshold: f64, hints: &mut Vec<Hint>) {
+        let measured = row.measured(x, self.sensor, self.log.extent, frames, threshold);
+        advect::hints(self.log, self.flow, (row.span(), self.step_ns), &measured, hints);
+    }
+}
 
 /// Parameters of `refine/motion`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
@@ -62,7 +95,7 @@ impl Node for RefineMotion {
     const DECL: Decl = Decl {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the motion.",
-        revision: 15,
+        revision: 16,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -106,11 +139,14 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
             let flow = Flow::of_tracks(&log, span, &lively);
-            let hints_of = |(): &(), row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
-                let measured = row.measured(x, &sensor, extent, row.frames_of(x), threshold);
-                advect::hints(&log, &flow, (row.span(), step_ns), &measured, hints);
-            };
-            tracks = again.solve(cx, round == self.params.rounds, |_| (), hints_of)?;
+            let neighbours = Neighbours { log: &log, flow: &flow, sensor: &sensor, step_ns };
+            let caution = neighbours.caution(&mut again);
+            tracks = again.solve(
+                cx,
+                round == self.params.rounds,
+                |_| (),
+                |(), row, x, threshold, hints| neighbours.hints(row, x, threshold, (&caution, 0.0), hints),
+            )?;
         }
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(again.meta), tracks) })
     }

@@ -5,7 +5,7 @@
 //! instant and the nearest captured frame, as shares of white, and gives the frame once more. `data/weights/refine.onnx` is one that was trained for this
 //! (`training/`); its change is multiplied by a gate that is exactly zero further than five pixels from any event near the instant, so what stands still stays as it is.
 //!
-//! What bounds the harm on frames unlike those it was trained on is the solver's own knowledge: a value changes by one of its standard deviations at most (`most_sigmas`), and a
+//! What bounds the harm on frames unlike those it was trained on is the solver's own knowledge: a value changes by two of its standard deviations at most (`most_sigmas`), and a
 //! pixel that never fired not at all (`quiet`): all its frames say what its light is, and the network sees one instant.
 //!
 //! Frames are cut into tiles with some of their surroundings ([`tiles`]); three colours are refined one after the other.
@@ -65,7 +65,7 @@ pub struct Params {
 
 impl Default for Params {
     fn default() -> Self {
-        Params { weights: InputPath::default(), runtime: None, white: None, window: None, tile: 256, overlap: 64, most_sigmas: 1.0, quiet: false }
+        Params { weights: InputPath::default(), runtime: None, white: None, window: None, tile: 256, overlap: 64, most_sigmas: 2.0, quiet: false }
     }
 }
 
@@ -209,7 +209,7 @@ impl Node for RefineOnnx {
     const DECL: Decl = Decl {
         kind: "refine/onnx",
         about: "Frames with less noise and fewer artefacts, by a trained network that changes a value by its standard deviation at most, and nothing where no event is near.",
-        revision: 2,
+        revision: 3,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -5,9 +5,9 @@
 //! ([`photocurrent_diagnosis::residual::mosaic`]) is fitted to the frames alone: one moving picture, or one before a still ground, or pictures of tiles. What it predicts for a pixel is a
 //! further measurement in addition to the pixel's own events and frames (and what its neighbours say, as in `refine/motion`), with which the pixel is solved again.
 //!
-//! Is it right? Nothing is assumed. It counts only where it predicts the frames around ([`Gate`]). The pixel's own events, of which it knows nothing, judge it between frames ([`Trust`]). And
+//! Is it right? Nothing is assumed. It counts only where it predicts the frames around ([`Gate`]), and for places of the scene that exposures saw: what lies between is its neighbourhood carried on. The pixel's own events, of which it knows nothing, judge it between frames ([`Trust`]). And
 //! before every round the whole is tried on pixels without one frame in three: they must predict those frames better with the picture than without, or it is left away; how far it is
-//! trusted is what predicts them best, region by region ([`Caution`](super::caution::Caution)).
+//! trusted is what predicts them best, region by region ([`Caution`](super::caution::Caution)); neighbours are tried in the same way.
 //!
 //! Where most pixels never fire, the scene is fitted only around those that do: nobody asks for the others.
 //!
@@ -22,15 +22,14 @@ use super::again::{In, Out, Row, Setting, Solver};
 use super::caution::take_care;
 use super::film::LogTracks;
 use super::flow::Flow;
-use super::motion::advect;
+use super::motion::Neighbours;
 use super::trust::Trust;
 use crate::solve::pixel::{FRAME_NOISE, FrontEndModel, KNOT_SPACING};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::picture::PictureSetting;
-use photocurrent_sensor::map::estimate::is_held_out;
-use photocurrent_sensor::map::{Hint, MapFrame};
+use photocurrent_sensor::map::Hint;
 use scene::{OfRow, Pictures};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -49,6 +48,9 @@ pub struct Params {
     /// So many frame values of pixels near events are fitted at a time, at 300 bytes each; of a longer recording part after part.
     #[schemars(range(min = 10_000))]
     pub most_values: u64,
+    /// The picture gives no hints for places that fewer exposures saw; one that saw a place for a part of its time counts as that part.
+    #[schemars(range(min = 0.0))]
+    pub least_exposures: f64,
     /// Neighbouring pixels along the motion are asked as well, as `refine/motion` does.
     pub neighbours: bool,
     /// As in `solve/pixel`.
@@ -71,6 +73,7 @@ impl Default for Params {
             rounds: 2,
             pitch,
             most_values: most_values as u64,
+            least_exposures: 0.25,
             neighbours: true,
             front_end: FrontEndModel::default(),
             event_noise: None,
@@ -90,7 +93,7 @@ impl Node for RefinePicture {
     const DECL: Decl = Decl {
         kind: "refine/picture",
         about: "Solves tracks again with a moving picture that explains the frames, and with what neighbouring pixels saw.",
-        revision: 13,
+        revision: 14,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -136,7 +139,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let setting = PictureSetting { pitch: self.params.pitch, most_values: self.params.most_values as usize, ..PictureSetting::default() };
         let width = extent.width as usize;
         let asked = |span: (i64, i64)| lively.pixels(span, extent);
-        let pictures = Pictures::fit(&case, &sensor.model, &setting, self.params.knot_spacing.ns(), asked);
+        let pictures = Pictures::fit(&case, &sensor.model, &setting, (self.params.knot_spacing.ns(), self.params.least_exposures), asked);
         drop(case);
         if let Err(why) = &pictures {
             cx.note(format!("no picture is used: {why}"));
@@ -151,12 +154,13 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
             let flow = Flow::of_tracks(&log, span, &lively);
+            let neighbours = Neighbours { log: &log, flow: &flow, sensor: &sensor, step_ns };
+            let of_neighbours = self.params.neighbours.then(|| neighbours.caution(&mut again));
             let of_picture = |hold_out: bool, light: &OfRow, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
-                let (y, count) = (row.row as usize, row.frames_of(x).len());
-                let known = row.frames_of(x).iter().enumerate().filter(|(l, _)| !(hold_out && is_held_out(*l, count)));
-                let frames: Vec<MapFrame> = known.map(|(_, frame)| *frame).collect();
-                let measured = row.measured(x, &sensor, extent, &frames, threshold);
-                Trust::default().hints(|t_ns| pictures.predict(light, (x, y), t_ns), &log, (row.span(), step_ns), &measured, hints);
+                let left = hold_out.then(|| row.frames_left(x));
+                let measured = row.measured(x, &sensor, extent, left.as_deref().unwrap_or_else(|| row.frames_of(x)), threshold);
+                let say = |t_ns: i64| pictures.predict(light, (x, row.row as usize), t_ns);
+                Trust::default().hints(say, &log, (row.span(), step_ns), &measured, hints);
             };
             // First without frames that are held out from the pixels: do they come out better with the picture than without?
             let caution = again.caution(of_row, |light, row, x, threshold, hints| of_picture(true, light, row, x, threshold, hints));
@@ -172,10 +176,10 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
                     of_picture(false, light, row, x, threshold, hints);
                 }
                 take_care(hints, caution);
-                if self.params.neighbours {
+                if let Some(caution) = &of_neighbours {
                     let mut said = Vec::new();
-                    let measured = row.measured(x, &sensor, extent, row.frames_of(x), threshold);
-                    advect::hints(&log, &flow, (row.span(), step_ns), &measured, &mut said);
+                    // They were tried without the picture: with it they are no more exact than they say.
+                    neighbours.hints(row, x, threshold, (caution, 1.0), &mut said);
                     join(hints, &said);
                 }
             })?;

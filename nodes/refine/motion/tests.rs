@@ -49,6 +49,33 @@ fn the_motion_of_a_sliding_texture_is_found() {
     }
 }
 
+#[test]
+fn what_passes_before_a_ground_leaves_its_motion_alone() {
+    // A disc of radius 3 that crosses a sliding texture at 1.6 pixels a millisecond.
+    let (width, height) = (60, 44);
+    let disc = |ms: f64| (30.0 - 1.6 * (ms - 10.0), 22.0);
+    let log = |x: usize, y: usize, ms: f64| {
+        let (cx, cy) = disc(ms);
+        let inside = (3.5 - libm::hypot(x as f64 - cx, y as f64 - cy)).clamp(0.0, 1.0);
+        texture(x, y, ms) + 1.5 * inside
+    };
+    let picture = |n: usize| (0..width * height).map(|p| log(p % width, p / width, 0.5 * n as f64) as f32).collect();
+    let film = |numbers: std::ops::Range<usize>| Film { width, height, first: numbers.start, pictures: numbers.map(picture).collect() };
+    let event = photocurrent_sensor::map::MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
+    let extent = photocurrent_core::Extent { width: width as u32, height: height as u32 };
+    let lively = Lively::new(extent, (0, 20_000_000), std::iter::once((30, 22, &[event][..])));
+    let flow = Flow::new((width, height), 0, 41, &lively, film);
+    // In a ring around it, as far as windows reach.
+    let ring: Vec<(usize, usize)> =
+        (0..width * height).map(|p| (p % width, p / width)).filter(|(x, y)| (7.0..12.0).contains(&libm::hypot(*x as f64 - 30.0, *y as f64 - 22.0))).collect();
+    let off = |(x, y): &(usize, usize)| {
+        let [vx, vy] = flow.at(*x as f64, *y as f64, 10_000_000);
+        libm::hypot(vx - 0.7, vy - 0.2)
+    };
+    let wrong = ring.iter().filter(|at| off(at) > 0.1).count();
+    assert!(wrong * 10 < ring.len(), "{wrong} of {}", ring.len());
+}
+
 /// The hints of pixel (12, 8) of a texture whose tracks are its light, when that pixel's own track is moved by `own` and its frame is brighter by `brighter`, natural-log units.
 fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let mut band = TrackBand::begin(0, EXTENT.width);

@@ -30,21 +30,35 @@ struct Part {
 pub(super) struct Pictures {
     parts: Vec<Part>,
     step_ns: i64,
+    least_exposures: f64,
 }
 
-/// What is said of some pixels of a row, part after part: log light of each at the steady instants of the part.
+/// What is said of some pixels of a row, part after part, at the steady instants of the part.
 pub(super) struct OfRow {
-    parts: Vec<Vec<Vec<f32>>>,
+    parts: Vec<OfPart>,
     /// Where the light of each column stands.
     at: Vec<Option<usize>>,
 }
 
+/// Log light of each pixel, and how many exposures saw what it looks at.
+struct OfPart {
+    log: Vec<Vec<f32>>,
+    exposures: Vec<Vec<f32>>,
+}
+
 impl Pictures {
-    /// Fits scenes to the frames, to those of pixels that `asked` says are asked for between two instants; light is worked out every `step_ns`.
+    /// Fits scenes to the frames, to those of pixels that `asked` says are asked for between two instants; light is worked out every `step_ns`, and of places that `least_exposures`
+    /// saw or more.
     ///
     /// # Errors
     /// With the reason of the first part, when no part has a scene.
-    pub fn fit(case: &Case, sensor: &Nominal, setting: &PictureSetting, step_ns: i64, asked: impl Fn((i64, i64)) -> Vec<bool>) -> Result<Pictures, String> {
+    pub fn fit(
+        case: &Case,
+        sensor: &Nominal,
+        setting: &PictureSetting,
+        (step_ns, least_exposures): (i64, f64),
+        asked: impl Fn((i64, i64)) -> Vec<bool>,
+    ) -> Result<Pictures, String> {
         let pixels = usize::max(case.extent.pixels(), 1);
         // Nothing where all are fitted.
         let asked = |span: (i64, i64)| -> Result<Option<Vec<bool>>, String> {
@@ -80,7 +94,7 @@ impl Pictures {
         let fitted: Vec<Result<Part, String>> = (0..number).map(|n| fit(first(n), first(n) + length)).collect();
         let why = fitted.iter().find_map(|part| part.as_ref().err().cloned());
         let parts: Vec<Part> = fitted.into_iter().flatten().collect();
-        if parts.is_empty() { Err(why.unwrap_or_default()) } else { Ok(Pictures { parts, step_ns }) }
+        if parts.is_empty() { Err(why.unwrap_or_default()) } else { Ok(Pictures { parts, step_ns, least_exposures }) }
     }
 
     /// The light of these columns of a row: kept for a row at a time, as that of all pixels would be more than everything else together.
@@ -88,18 +102,27 @@ impl Pictures {
         let pixels: Vec<usize> = columns.iter().map(|x| row * width + x).collect();
         let mut at = vec![None; width];
         columns.iter().enumerate().for_each(|(n, x)| at[*x] = Some(n));
-        OfRow { parts: self.parts.iter().map(|part| part.source.log_of(&part.case, self.step_ns, &pixels)).collect(), at }
+        let of = |Part { case, source, .. }: &Part| OfPart {
+            log: source.log_of(case, self.step_ns, &pixels),
+            exposures: source.exposures_of(case, self.step_ns, &pixels),
+        };
+        OfRow { parts: self.parts.iter().map(of).collect(), at }
     }
 
     /// What the part in whose middle an instant is nearest says of pixel `x` of a row.
     pub fn predict(&self, light: &OfRow, (x, row): (usize, usize), t_ns: i64) -> Option<Said> {
         let inside = self.parts.iter().zip(&light.parts).filter(|(part, _)| (part.case.span.0..=part.case.span.1).contains(&t_ns));
-        let (part, log) = inside.min_by_key(|(part, _)| (i64::midpoint(part.case.span.0, part.case.span.1) - t_ns).abs())?;
+        let (part, said) = inside.min_by_key(|(part, _)| (i64::midpoint(part.case.span.0, part.case.span.1) - t_ns).abs())?;
         if !part.gate.keeps(row * light.at.len() + x, t_ns) {
             return None;
         }
+        let (n, at) = (light.at[x]?, (part.case.span.0, self.step_ns));
+        // What no exposure saw nobody can say.
+        if between(&said.exposures[n], at, t_ns).is_some_and(|exposures| exposures < self.least_exposures) {
+            return None;
+        }
         // Nobody contradicts it but the pixel's own events.
-        let log = between(&log[light.at[x]?], (part.case.span.0, self.step_ns), t_ns)?;
+        let log = between(&said.log[n], at, t_ns)?;
         Some(Said { t_ns, log, contradiction: Some(0.0) })
     }
 }

@@ -45,8 +45,9 @@ fn pictures_of_parts_of_a_long_recording_predict_the_light_where_frames_say_so()
     let case = Case::read(Some(&events), Some(&frames), &sensor()).unwrap();
     let nominal = photocurrent_diagnosis::nominal::Nominal::of(&sensor());
     let pixels = EXTENT.pixels();
-    let fit =
-        |most_values: usize| Pictures::fit(&case, &nominal, &PictureSetting { most_values, ..PictureSetting::default() }, 250_000, |_| vec![true; pixels]);
+    let fit = |most_values: usize| {
+        Pictures::fit(&case, &nominal, &PictureSetting { most_values, ..PictureSetting::default() }, (250_000, 0.25), |_| vec![true; pixels])
+    };
     // All five frames at once, and two parts of four.
     for most in [5, 4] {
         let pictures = fit(most * pixels).unwrap();

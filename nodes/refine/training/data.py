@@ -6,6 +6,7 @@ Pictures: photographs that ship with scikit-image (public domain or CC0), and sh
 """
 
 import subprocess
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 import h5py
@@ -274,18 +275,25 @@ def load(folder):
     return frames
 
 
+def make_one(program, place, n):
+    """Makes recording `n` and gathers it in a file of numbers."""
+    manifest = describe(n, place)
+    command = [str(program), "run", str(manifest), "--out", str(place / "out"), "--cache", str(place / "cache"), "--progress", "none", "--threads", "1"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode != 0:
+        raise RuntimeError(f"{manifest}: {done.stderr}")
+    values = {name: values.astype(np.float32) if values.dtype.kind == "f" else values for name, values in load(place).items()}
+    np.savez(place / "part.npz", **values)
+    (place / "part.npz").rename(place / "frames.npz")
+    for spent in ["cache", "out", "film"]:
+        subprocess.run(["rm", "-r", "-f", str(place / spent)], check=True)
+
+
 def make(program, folder, count, first=0, threads=2):
-    """Makes recordings `first` to `first + count` and gathers them in files of numbers; those that are there are left."""
-    for n in range(first, first + count):
-        place = folder / f"{n:04d}"
-        if (place / "frames.npz").exists():
-            continue
-        manifest = describe(n, place)
-        command = [str(program), "run", str(manifest), "--out", str(place / "out"), "--cache", str(place / "cache"), "--progress", "none", "--threads", str(threads)]
-        done = subprocess.run(command, capture_output=True, text=True)
-        if done.returncode != 0:
-            raise RuntimeError(f"{manifest}: {done.stderr}")
-        np.savez(place / "frames.npz", **{name: values.astype(np.float32) if values.dtype.kind == "f" else values for name, values in load(place).items()})
-        for spent in ["cache", "out", "film"]:
-            subprocess.run(["rm", "-r", "-f", str(place / spent)], check=True)
-        print(f"recording {n}: made", flush=True)
+    """Makes recordings `first` to `first + count`, so many at a time; those that are there are left."""
+    places = {n: folder / f"{n:04d}" for n in range(first, first + count)}
+    with ProcessPoolExecutor(threads) as pool:
+        made = {pool.submit(make_one, program, place, n): n for n, place in places.items() if not (place / "frames.npz").exists()}
+        for done in as_completed(made):
+            done.result()
+            print(f"recording {made[done]}: made", flush=True)

@@ -4,7 +4,7 @@ between two captured frames.
 The refinement: Jiang et al., CVPR 2024, section 4.2. The interpolator is ours, in the manner of Time Lens (Tulyakov et al., CVPR 2021). NAF blocks: Chen et al., Simple Baselines for Image Restoration, ECCV 2022. CBAM: Woo et al., ECCV 2018.
 
 Differences, and why:
-- At full size there are two plain convolutions and no block, which two processor cores could not train in half an hour: blocks begin at half size.
+- At full size there are two plain convolutions and no block, which would cost most of the time that a frame takes: blocks begin at half size.
 - Attention over channels looks at cells of 16 x 16 pixels of the frame and not at all of it, so that a tile of a frame gives what the whole frame does.
 - It works on square roots of light, where noise is the same in bright and dark, and changes them.
 - The last layer begins at zero; in the refinement a gate multiplies what it gives: exactly zero further than 5 pixels from any event.
@@ -88,14 +88,16 @@ class Block(nn.Module):
 class UNet(nn.Module):
     """What both networks are made of; the last layer begins at zero."""
 
-    def __init__(self, inputs, outputs, width=16, cbam=True):
+    def __init__(self, inputs, outputs, width=32, cbam=True, blocks=(2, 3, 2)):
         super().__init__()
         w = width
+
+        def level(count, channels, number):
+            return nn.Sequential(*(Block(channels, number, cbam) for _ in range(count)))
+
         self.first = nn.Conv2d(inputs, w, 3, padding=1)
         self.down = nn.ModuleList([nn.Conv2d(w, 2 * w, 2, stride=2), nn.Conv2d(2 * w, 4 * w, 2, stride=2)])
-        self.enter = Block(2 * w, 1, cbam)
-        self.middle = nn.Sequential(Block(4 * w, 2, cbam), Block(4 * w, 2, cbam))
-        self.leave = Block(2 * w, 1, cbam)
+        self.enter, self.middle, self.leave = level(blocks[0], 2 * w, 1), level(blocks[1], 4 * w, 2), level(blocks[2], 2 * w, 1)
         self.up = nn.ModuleList([nn.ConvTranspose2d(4 * w, 2 * w, 2, stride=2), nn.ConvTranspose2d(2 * w, w, 2, stride=2)])
         self.join = nn.Conv2d(w, w, 3, padding=1)
         self.last = nn.Conv2d(w, outputs, 3, padding=1)
@@ -122,8 +124,8 @@ class Refinement(UNet):
     INPUTS = {"frame": 1, "sigma": 1, "events": 2, "captured": 1}  # channels
     OUTPUT = "refined"
 
-    def __init__(self, width=16, cbam=True):
-        super().__init__(6, 1, width, cbam)
+    def __init__(self, width=32, cbam=True, blocks=(2, 3, 2)):
+        super().__init__(6, 1, width, cbam, blocks)
 
     @staticmethod
     def given(frame, *_):
@@ -154,8 +156,8 @@ class Interpolator(UNet):
     INPUTS = {"before": 1, "after": 1, **{name: bins for name, (_, bins) in VOXELS.items()}, "weight": 0}  # channels; 0 = one number
     OUTPUT = "picture"
 
-    def __init__(self, width=16, cbam=True):
-        super().__init__(5 + sum(bins for _, bins in self.VOXELS.values()), 4, width, cbam)
+    def __init__(self, width=32, cbam=True, blocks=(2, 3, 2)):
+        super().__init__(5 + sum(bins for _, bins in self.VOXELS.values()), 4, width, cbam, blocks)
         self.step = nn.Parameter(torch.tensor(0.1))  # of a root's logarithm: half of a threshold
 
     @staticmethod

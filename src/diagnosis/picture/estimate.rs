@@ -2,8 +2,8 @@
 
 use super::begin::{begin_motion, exposure_s, images, unchanged};
 use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivatives, map_of};
-use super::products;
 use super::register::{Search, register};
+use super::seen::seen;
 use super::shading::{self, TERMS};
 use super::spline::{Grid, ORDER, weights};
 use super::system::{LANES, POSES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp};
@@ -138,6 +138,8 @@ pub struct Picture {
     pub report: Report,
     /// Residual of every frame value, DN, as [frame][y][x]; NaN where it took no part.
     pub residual: Vec<f32>,
+    /// How many exposures saw the place of each coefficient.
+    pub(super) seen: Vec<f32>,
     pub(super) centre: (f64, f64),
 }
 
@@ -231,27 +233,6 @@ impl Picture {
         let (x, y) = case.place(pixel);
         apply(&self.motion.at(t_ns), f64::from(x) - self.centre.0, f64::from(y) - self.centre.1)
     }
-
-    /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time holds. `None` when it never saw the picture.
-    pub fn log_light(&self, x: usize, y: usize, maps: &[Map]) -> Option<Vec<f64>> {
-        let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
-        let pixel = y * (2.0 * self.centre.0 + 1.0) as usize + x;
-        let shade = shading::factor(&self.shading, &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half));
-        let (own, hidden) = self.surface.split_at(self.grid.coefficients());
-        let mut log = products::values(&self.grid, own, maps, place);
-        if let Some(ground) = self.ground.get(pixel).map(|ground| f64::from(*ground)) {
-            let hidden = products::values(&self.grid, hidden, maps, place);
-            log.iter_mut().zip(hidden).for_each(|(light, hidden)| *light += (1.0 - hidden / self.unit) * ground);
-        }
-        products::logarithms(&mut log, shade, self.least);
-        let first = log.iter().copied().find(|value| !value.is_nan())?;
-        let mut last = first;
-        for value in &mut log {
-            last = if value.is_nan() { last } else { *value };
-            *value = last;
-        }
-        Some(log)
-    }
 }
 
 /// What a fit begins with.
@@ -309,6 +290,7 @@ impl<'a> Fit<'a> {
             least: 1e-3 * typical,
             report: Report { noise: (setting.frame_dn, setting.frame_share), ..Report::default() },
             residual: Vec::new(),
+            seen: Vec::new(),
             centre,
         };
         Fit { case, nominal, setting, counts: begin.counts, asked: begin.asked, picture, typical, scale: 1.0 }
@@ -534,6 +516,7 @@ impl<'a> Fit<'a> {
             residual[*at as usize] = *value;
         }
         self.picture.residual = residual;
+        self.picture.seen = seen(rows, &self.picture.grid);
     }
 
     /// Puts every frame value on the grid at the present motion.

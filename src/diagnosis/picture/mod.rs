@@ -11,6 +11,7 @@
 //! - [`products`]: what solving it spends its time in.
 //! - [`begin`]: how motion begins.
 //! - [`estimate`]: the rounds.
+//! - `seen`: what it says of a pixel, and which of its places frames saw.
 //! - [`sharpen`]: a picture as sharp as it may be.
 //! - [`patches`]: parts of the array with a picture each.
 //!
@@ -24,6 +25,7 @@ pub mod motion;
 pub mod patches;
 mod products;
 pub mod register;
+mod seen;
 pub mod shading;
 pub mod sharpen;
 pub mod spline;

@@ -360,26 +360,13 @@ impl Source for Mosaic {
     }
 
     fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
-        let mut of_whole = match &self.whole {
-            Some(whole) => whole.log_of(case, step_ns, pixels),
-            None => vec![Vec::new(); pixels.len()],
-        };
-        let instants: Vec<i64> = Light::instants(case, step_ns).collect();
-        // Patches of a tile with where they lie at every instant; neighbouring pixels mostly share them.
-        let mut tile = usize::MAX;
-        let mut patches: Vec<(&Patch, Vec<Map>)> = Vec::new();
-        for (pixel, log) in pixels.iter().zip(&mut of_whole) {
-            let (x, y) = case.place(*pixel);
-            let Some(here) = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y)) else { continue };
-            if here != tile {
-                tile = here;
-                patches = self.of_tile(tile).into_iter().map(|(_, patch)| (patch, instants.iter().map(|t| patch.picture.motion.at(*t)).collect())).collect();
-            }
-            if !patches.is_empty() {
-                *log = of_patches(case, *pixel, &patches, &instants, log);
-            }
-        }
-        of_whole
+        let of_whole = self.whole.as_ref().map(|whole| whole.log_of(case, step_ns, pixels));
+        self.joined((case, step_ns, pixels), of_whole, Picture::log_light)
+    }
+
+    fn exposures_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let of_whole = self.whole.as_ref().map(|whole| whole.exposures_of(case, step_ns, pixels));
+        self.joined((case, step_ns, pixels), of_whole, |picture, x, y, maps| Some(picture.exposures_of(x, y, maps)))
     }
 
     fn residual(&self) -> &[f32] {
@@ -427,6 +414,32 @@ impl Source for Mosaic {
 }
 
 impl Mosaic {
+    /// What pictures say of pixels at steady instants: `of_patch` those of parts, and where there are none `of_whole` the moving one.
+    fn joined(
+        &self,
+        (case, step_ns, pixels): (&Case, i64, &[usize]),
+        of_whole: Option<Vec<Vec<f32>>>,
+        of_patch: impl Fn(&Picture, usize, usize, &[Map]) -> Option<Vec<f64>>,
+    ) -> Vec<Vec<f32>> {
+        let mut of_whole = of_whole.unwrap_or_else(|| vec![Vec::new(); pixels.len()]);
+        let instants: Vec<i64> = Light::instants(case, step_ns).collect();
+        // Patches of a tile with where they lie at every instant; neighbouring pixels mostly share them.
+        let mut tile = usize::MAX;
+        let mut patches: Vec<(&Patch, Vec<Map>)> = Vec::new();
+        for (pixel, said) in pixels.iter().zip(&mut of_whole) {
+            let (x, y) = case.place(*pixel);
+            let Some(here) = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y)) else { continue };
+            if here != tile {
+                tile = here;
+                patches = self.of_tile(tile).into_iter().map(|(_, patch)| (patch, instants.iter().map(|t| patch.picture.motion.at(*t)).collect())).collect();
+            }
+            if !patches.is_empty() {
+                *said = of_patches(case, *pixel, &patches, &instants, said, &of_patch);
+            }
+        }
+        of_whole
+    }
+
     /// The same parts with other pictures.
     fn with(&self, case: &Case, whole: Option<MovingPicture>, patches: Vec<Patch>) -> Mosaic {
         let mut other = Mosaic {
@@ -446,7 +459,14 @@ impl Mosaic {
 }
 
 /// What patches, with where they lie at every instant, say of a pixel; `of_whole` is what the moving picture says, where they predict nothing.
-fn of_patches(case: &Case, pixel: usize, patches: &[(&Patch, Vec<Map>)], instants: &[i64], of_whole: &[f32]) -> Vec<f32> {
+fn of_patches(
+    case: &Case,
+    pixel: usize,
+    patches: &[(&Patch, Vec<Map>)],
+    instants: &[i64],
+    of_whole: &[f32],
+    of_patch: &impl Fn(&Picture, usize, usize, &[Map]) -> Option<Vec<f64>>,
+) -> Vec<f32> {
     let (x, y) = case.place(pixel);
     let mut sum = vec![0.0; instants.len()];
     let mut weights = vec![0.0; instants.len()];
@@ -455,9 +475,9 @@ fn of_patches(case: &Case, pixel: usize, patches: &[(&Patch, Vec<Map>)], instant
         let Some(first) = share.iter().position(|share| *share > 0.0) else { continue };
         let last = share.iter().rposition(|share| *share > 0.0).unwrap_or(first);
         let place = ((x - patch.part.columns.start) as usize, (y - patch.part.rows.start) as usize);
-        let Some(log) = patch.picture.log_light(place.0, place.1, &maps[first..=last]) else { continue };
-        for (k, log) in (first..=last).zip(log) {
-            sum[k] += share[k] * log;
+        let Some(said) = of_patch(&patch.picture, place.0, place.1, &maps[first..=last]) else { continue };
+        for (k, said) in (first..=last).zip(said) {
+            sum[k] += share[k] * said;
             weights[k] += share[k];
         }
     }

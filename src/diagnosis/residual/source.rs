@@ -23,6 +23,11 @@ pub trait Source: Sync {
     /// Log photocurrent of some pixels at the instants of [`Light::blank`]; empty where it is not known.
     fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>>;
 
+    /// How many exposures saw what some pixels look at, at the same instants; empty where the scene stands without frames.
+    fn exposures_of(&self, _case: &Case, _step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        vec![Vec::new(); pixels.len()]
+    }
+
     /// Log photocurrent of every pixel at steady instants; empty where it is not known.
     fn light(&self, case: &Case, step_ns: i64) -> Light {
         let mut light = Light::blank(case, step_ns);
@@ -141,6 +146,15 @@ impl Source for MovingPicture {
         let of = |&pixel: &usize| {
             let (x, y) = case.place(pixel);
             self.picture.log_light(x as usize, y as usize, &maps).map_or_else(Vec::new, |log| log.iter().map(|u| *u as f32).collect())
+        };
+        pixels.iter().map(of).collect()
+    }
+
+    fn exposures_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let maps: Vec<_> = Light::instants(case, step_ns).map(|t_ns| self.picture.motion.at(t_ns)).collect();
+        let of = |&pixel: &usize| {
+            let (x, y) = case.place(pixel);
+            self.picture.exposures_of(x as usize, y as usize, &maps).into_iter().map(|seen| seen as f32).collect()
         };
         pixels.iter().map(of).collect()
     }

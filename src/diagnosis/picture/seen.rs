@@ -1,0 +1,118 @@
+//! What a picture says of a pixel, and how often frames saw the place that it looks at: what none of them saw is its neighbourhood carried on, however smooth and sure it looks.
+
+use super::Picture;
+use super::motion::Map;
+use super::products;
+use super::shading;
+use super::spline::Grid;
+use super::system::Rows;
+
+/// How many exposures saw the place of each coefficient, of the frame values that were fitted: one that lasted there throughout counts 1, one that passed by less.
+pub(super) fn seen(rows: &Rows, grid: &Grid) -> Vec<f32> {
+    let mut seen = vec![0.0; grid.coefficients()];
+    // A frame spreads one value over each square pixel of the picture.
+    let per_coefficient = (1.0 / (grid.pitch * grid.pitch)) as f32;
+    for r in (0..rows.count()).filter(|r| rows.weight[*r] > 0.0) {
+        let (corner, columns, stencil) = rows.line(r);
+        let all: f32 = stencil.iter().map(|a| f32::from(*a)).sum();
+        for (j, line) in stencil.chunks_exact(columns).enumerate() {
+            let there = &mut seen[corner + j * grid.width..][..columns];
+            there.iter_mut().zip(line).for_each(|(seen, a)| *seen += f32::from(*a) / all * per_coefficient);
+        }
+    }
+    seen
+}
+
+impl Picture {
+    /// Log photocurrent of a pixel at steady instants; outside of the picture the nearest value in time holds. `None` when it never saw the picture.
+    pub fn log_light(&self, x: usize, y: usize, maps: &[Map]) -> Option<Vec<f64>> {
+        let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
+        let pixel = y * (2.0 * self.centre.0 + 1.0) as usize + x;
+        let shade = shading::factor(&self.shading, &shading::basis(place.0 / self.motion.half, place.1 / self.motion.half));
+        let (own, hidden) = self.surface.split_at(self.grid.coefficients());
+        let mut log = products::values(&self.grid, own, maps, place);
+        if let Some(ground) = self.ground.get(pixel).map(|ground| f64::from(*ground)) {
+            let hidden = products::values(&self.grid, hidden, maps, place);
+            log.iter_mut().zip(hidden).for_each(|(light, hidden)| *light += (1.0 - hidden / self.unit) * ground);
+        }
+        products::logarithms(&mut log, shade, self.least);
+        let first = log.iter().copied().find(|value| !value.is_nan())?;
+        let mut last = first;
+        for value in &mut log {
+            last = if value.is_nan() { last } else { *value };
+            *value = last;
+        }
+        Some(log)
+    }
+
+    /// How many exposures saw the place of each coefficient of another grid.
+    pub(super) fn seen_on(&self, grid: &Grid) -> Vec<f32> {
+        if self.seen.is_empty() {
+            return Vec::new();
+        }
+        let at = |n: usize| (grid.x0 + (n % grid.width) as f64 * grid.pitch, grid.y0 + (n / grid.width) as f64 * grid.pitch);
+        (0..grid.coefficients()).map(at).map(|(x, y)| self.grid.value(&self.seen, x, y).unwrap_or(0.0) as f32).collect()
+    }
+
+    /// How many exposures saw what a pixel looks at, at steady instants; 0 outside of the picture, and of a picture that was not fitted.
+    pub fn exposures_of(&self, x: usize, y: usize, maps: &[Map]) -> Vec<f64> {
+        if self.seen.is_empty() {
+            return vec![0.0; maps.len()];
+        }
+        let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
+        let mut seen = products::values(&self.grid, &self.seen, maps, place);
+        seen.iter_mut().filter(|seen| seen.is_nan()).for_each(|seen| *seen = 0.0);
+        seen
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::PictureSetting;
+    use crate::picture::motion::apply;
+    use crate::scenes::MadeUp;
+    use photocurrent_core::Extent;
+
+    #[test]
+    fn exposures_are_those_during_which_a_place_lay_on_the_array() {
+        let case = MadeUp::new(21, 0, Extent { width: 24, height: 18 }, 0.08).recording().unwrap();
+        let picture = Picture::fit(&case, &case.nominal().unwrap(), &PictureSetting::default()).unwrap();
+        let fitted = picture.residual.iter().filter(|residual| residual.is_finite()).count() as f64;
+        let all = picture.seen.iter().map(|seen| f64::from(*seen)).sum::<f64>() * picture.grid.pitch * picture.grid.pitch;
+        assert!((all / fitted - 1.0).abs() < 1e-3, "{all} of {fitted}");
+        // Where a place lies on the array at an instant, by Newton steps of the motion itself; is it inside, by how much?
+        let times = &case.frames.as_ref().unwrap().times;
+        let inside = |place: (f64, f64), t_ns: i64| {
+            let map = picture.motion.at(t_ns);
+            let (mut x, mut y) = (0.0, 0.0);
+            for _ in 0..30 {
+                let (px, py) = apply(&map, x, y);
+                let (dx, dy) = (place.0 - px, place.1 - py);
+                let determinant = map[1] * map[5] - map[2] * map[4];
+                x += (map[5] * dx - map[2] * dy) / determinant;
+                y += (map[1] * dy - map[4] * dx) / determinant;
+            }
+            x.abs() <= picture.centre.0 + 0.5 && y.abs() <= picture.centre.1 + 0.5
+        };
+        let mut looked = (0, 0);
+        let instants = (0..40).map(|k| case.span.0 + (case.span.1 - case.span.0) * k / 40);
+        for t_ns in instants {
+            let map = picture.motion.at(t_ns);
+            for (x, y) in [(0, 0), (23, 0), (0, 17), (23, 17), (12, 9), (1, 9)] {
+                let found = picture.exposures_of(x, y, &[map])[0];
+                let place = apply(&map, x as f64 - picture.centre.0, y as f64 - picture.centre.1);
+                let of_frame = |l: usize| {
+                    let exposure = times.exposure(l, case.extent.height / 2);
+                    let within = (0..60).filter(|n| inside(place, exposure.start.0 + (exposure.end.0 - exposure.start.0) * n / 60)).count();
+                    within as f64 / 60.0
+                };
+                let expected: f64 = (0..times.len()).map(of_frame).sum();
+                // Splines blur the array's border over two pixels.
+                looked.0 += 1;
+                looked.1 += usize::from((found - expected).abs() < 0.5 + 0.1 * expected);
+            }
+        }
+        assert!(10 * looked.1 > 9 * looked.0, "{looked:?}");
+    }
+}
