@@ -231,7 +231,7 @@ impl Look<'_> {
 
     /// Takes another motion where that explains a small neighbourhood clearly better: that of all pixels, or one from farther away. Where something passes before something else,
     /// windows hold both, and what they find is neither.
-    fn choose(&self, pairs: &Pairs<'_>, field: &mut Vec<[f64; 2]>, affine: &Affine) {
+    fn choose(&self, pairs: &Pairs<'_>, field: &mut [[f64; 2]], affine: &Affine) {
         let Lattice { pitch, columns, lines, width, height } = self.lattice;
         let cost = |candidate: &[[f64; 2]]| -> Vec<f32> {
             let mut sums = vec![0.0_f32; columns * lines];
@@ -249,7 +249,7 @@ impl Look<'_> {
             smooth(&sums, columns, lines, SMALL / pitch as f64)
         };
         let mut best = cost(field).iter().map(|cost| cost * CLEARLY_BETTER).collect::<Vec<f32>>();
-        let begun = field.clone();
+        let begun = field.to_vec();
         let of_all: Vec<[f64; 2]> = (0..self.lattice.len()).map(|at| self.lattice.pixel(at)).map(|(x, y)| velocity_of(affine, width, height, x, y)).collect();
         let far = FARTHER.iter().flat_map(|far| [(*far, 0), (-far, 0), (0, *far), (0, -far)]);
         let shifted = far.map(|(dx, dy)| -> Vec<[f64; 2]> {
