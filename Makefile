@@ -32,7 +32,7 @@ lint: setup
 figures: setup
 	cargo test --release --locked --test photocurrent -- figures commands --include-ignored
 
-# The refinement network from nothing, with its two ablations, and the learned interpolator: nodes/refine/training/README.md. Two hours or more on two cores, and 3 GB of packages.
+# The refinement network from nothing, with its two ablations, and the learned interpolator: nodes/refine/training/README.md. For a GPU, and 3 GB of packages; the README says what two cores can train.
 TRAINING := nodes/refine/training
 VENV := out/training/venv
 

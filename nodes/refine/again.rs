@@ -18,7 +18,7 @@ use photocurrent_core::{
     Between, Context, EventStream, EventsMeta, Extent, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
     handle::Band,
 };
-use photocurrent_sensor::map::estimate::{self, is_held_out};
+use photocurrent_sensor::map::estimate;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -151,12 +151,6 @@ impl Row {
     /// The frame values of pixel x.
     pub fn frames_of(&self, x: usize) -> &[MapFrame] {
         self.taken.data().frames_of(x)
-    }
-
-    /// The frame values of pixel x that are left when some are held out from it.
-    pub fn frames_left(&self, x: usize) -> Vec<MapFrame> {
-        let frames = self.frames_of(x);
-        frames.iter().enumerate().filter(|(l, _)| !is_held_out(*l, frames.len())).map(|(_, frame)| *frame).collect()
     }
 }
 

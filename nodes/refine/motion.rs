@@ -24,6 +24,7 @@ use super::trust::Posed;
 use crate::solve::pixel::{FRAME_NOISE, FrontEndModel, KNOT_SPACING};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
+use photocurrent_sensor::map::estimate::kept;
 use photocurrent_sensor::map::{Hint, MapFrame};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -41,7 +42,7 @@ pub(super) struct Neighbours<'a> {
 impl Neighbours<'_> {
     /// Do pixels without some of their frames predict those better with what neighbours say than without?
     pub fn caution(&self, again: &mut Again) -> Caution {
-        again.caution(|_| (), |(), row, x, threshold, hints| self.ask(row, x, &row.frames_left(x), threshold, hints))
+        again.caution(|_| (), |(), row, x, threshold, hints| self.ask(row, x, &kept(row.frames_of(x)), threshold, hints))
     }
 
     /// What neighbours say of a pixel, as carefully as that has shown to be right, and at least as carefully as `least`.

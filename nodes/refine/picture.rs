@@ -30,6 +30,7 @@ use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, 
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::picture::PictureSetting;
 use photocurrent_sensor::map::Hint;
+use photocurrent_sensor::map::estimate::kept;
 use scene::{OfRow, Pictures};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -157,7 +158,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             let neighbours = Neighbours { log: &log, flow: &flow, sensor: &sensor, step_ns };
             let of_neighbours = self.params.neighbours.then(|| neighbours.caution(&mut again));
             let of_picture = |hold_out: bool, light: &OfRow, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
-                let left = hold_out.then(|| row.frames_left(x));
+                let left = hold_out.then(|| kept(row.frames_of(x)));
                 let measured = row.measured(x, &sensor, extent, left.as_deref().unwrap_or_else(|| row.frames_of(x)), threshold);
                 let say = |t_ns: i64| pictures.predict(light, (x, row.row as usize), t_ns);
                 Trust::default().hints(say, &log, (row.span(), step_ns), &measured, hints);

@@ -4,7 +4,7 @@ between two captured frames.
 The refinement: Jiang et al., CVPR 2024, section 4.2. The interpolator is ours, in the manner of Time Lens (Tulyakov et al., CVPR 2021). NAF blocks: Chen et al., Simple Baselines for Image Restoration, ECCV 2022. CBAM: Woo et al., ECCV 2018.
 
 Differences, and why:
-- At full size there are two plain convolutions and no block, which would cost most of the time that a frame takes: blocks begin at half size.
+- At full size there are two plain convolutions and no block: blocks begin at half size, where they have a quarter of the pixels.
 - Attention over channels looks at cells of 16 x 16 pixels of the frame and not at all of it, so that a tile of a frame gives what the whole frame does.
 - It works on square roots of light, where noise is the same in bright and dark, and changes them.
 - The last layer begins at zero; in the refinement a gate multiplies what it gives: exactly zero further than 5 pixels from any event.

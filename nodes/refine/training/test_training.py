@@ -113,4 +113,5 @@ def test_a_few_steps_run_from_nothing_to_an_onnx_file(tmp_path, network, numbers
     command = [sys.executable, str(script), "--network", network, "--program", str(PROGRAM), "--work", str(tmp_path), "--recordings", "1", "--steps", "3", "--batch", "2"]
     done = subprocess.run([*command, "--out", str(out)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+    # What is kept in the repository is at most 5 MB.
     assert out.stat().st_size < 5_000_000 and (tmp_path / "few.check.f32").stat().st_size == 4 * numbers

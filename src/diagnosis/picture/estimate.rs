@@ -138,7 +138,7 @@ pub struct Picture {
     pub report: Report,
     /// Residual of every frame value, DN, as [frame][y][x]; NaN where it took no part.
     pub residual: Vec<f32>,
-    /// How many exposures saw the place of each coefficient.
+    /// How many exposures saw the place of each coefficient; empty where it is not as it was fitted.
     pub(super) seen: Vec<f32>,
     pub(super) centre: (f64, f64),
 }

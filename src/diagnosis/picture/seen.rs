@@ -45,16 +45,7 @@ impl Picture {
         Some(log)
     }
 
-    /// How many exposures saw the place of each coefficient of another grid.
-    pub(super) fn seen_on(&self, grid: &Grid) -> Vec<f32> {
-        if self.seen.is_empty() {
-            return Vec::new();
-        }
-        let at = |n: usize| (grid.x0 + (n % grid.width) as f64 * grid.pitch, grid.y0 + (n / grid.width) as f64 * grid.pitch);
-        (0..grid.coefficients()).map(at).map(|(x, y)| self.grid.value(&self.seen, x, y).unwrap_or(0.0) as f32).collect()
-    }
-
-    /// How many exposures saw what a pixel looks at, at steady instants; 0 outside of the picture, and of a picture that was not fitted.
+    /// How many exposures saw what a pixel looks at, at steady instants; 0 outside of the picture, and of a picture that is not as it was fitted.
     pub fn exposures_of(&self, x: usize, y: usize, maps: &[Map]) -> Vec<f64> {
         if self.seen.is_empty() {
             return vec![0.0; maps.len()];
@@ -81,18 +72,13 @@ mod tests {
         let fitted = picture.residual.iter().filter(|residual| residual.is_finite()).count() as f64;
         let all = picture.seen.iter().map(|seen| f64::from(*seen)).sum::<f64>() * picture.grid.pitch * picture.grid.pitch;
         assert!((all / fitted - 1.0).abs() < 1e-3, "{all} of {fitted}");
-        // Where a place lies on the array at an instant, by Newton steps of the motion itself; is it inside, by how much?
+        // Does a place lie on the array at an instant? By the inverse of the map.
         let times = &case.frames.as_ref().unwrap().times;
         let inside = |place: (f64, f64), t_ns: i64| {
             let map = picture.motion.at(t_ns);
-            let (mut x, mut y) = (0.0, 0.0);
-            for _ in 0..30 {
-                let (px, py) = apply(&map, x, y);
-                let (dx, dy) = (place.0 - px, place.1 - py);
-                let determinant = map[1] * map[5] - map[2] * map[4];
-                x += (map[5] * dx - map[2] * dy) / determinant;
-                y += (map[1] * dy - map[4] * dx) / determinant;
-            }
+            let (dx, dy) = (place.0 - map[0], place.1 - map[3]);
+            let determinant = map[1] * map[5] - map[2] * map[4];
+            let (x, y) = ((map[5] * dx - map[2] * dy) / determinant, (map[1] * dy - map[4] * dx) / determinant);
             x.abs() <= picture.centre.0 + 0.5 && y.abs() <= picture.centre.1 + 0.5
         };
         let mut looked = (0, 0);

@@ -136,7 +136,7 @@ pub fn is_held_out(l: usize, count: usize) -> bool {
 }
 
 /// The frames that are not held out.
-fn kept(frames: &[MapFrame]) -> Vec<MapFrame> {
+pub fn kept(frames: &[MapFrame]) -> Vec<MapFrame> {
     frames.iter().enumerate().filter(|(l, _)| !is_held_out(*l, frames.len())).map(|(_, frame)| *frame).collect()
 }
 
