@@ -4,14 +4,14 @@ use super::caution::{CAUTIONS, Caution, Lost, take_care};
 use super::film::Fired;
 use super::film::STEP_NS;
 use super::lively::Lively;
-use super::trust::{Measured, Posed};
+use super::trust::{Measured, Posed, TrustParams};
 use crate::co_located::CoLocated;
 use crate::solve::pixel::choice::Settings;
 use crate::solve::pixel::map::{RowSetting, RowSolver, Taken};
 use crate::solve::pixel::neighbours;
 use crate::solve::pixel::row::Recorded;
 use crate::solve::pixel::shares::Colours;
-use crate::solve::pixel::{FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
+use crate::solve::pixel::{Decisions, FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
 use crate::spans::{check_one_clock, check_steps};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
@@ -52,6 +52,7 @@ pub(super) struct Setting {
     pub event_noise: Option<f64>,
     pub frame_noise: f64,
     pub knot_spacing: Duration,
+    pub decisions: Option<Decisions>,
 }
 
 /// The solver that solves again.
@@ -61,7 +62,7 @@ pub(super) struct Solver {
 
 impl Solver {
     pub fn build(setting: Setting) -> Result<Solver, NodeError> {
-        let Setting { front_end, event_noise, frame_noise, knot_spacing } = setting;
+        let Setting { front_end, event_noise, frame_noise, knot_spacing, decisions } = setting;
         Ok(Solver {
             node: SolvePixel::build(SolveParams {
                 method: Method::Map,
@@ -69,6 +70,7 @@ impl Solver {
                 event_noise,
                 frame_noise: Some(frame_noise),
                 knot_spacing: Some(knot_spacing),
+                decisions,
                 ..SolveParams::default()
             })?,
         })
@@ -185,7 +187,12 @@ impl Again {
 
     /// How careful to be with hints: with what factors of their variances pixels spread over the sensor best predict frames that were held out
     /// from them; `of_row` and `hints_of` as for [`Again::solve`], but hints must know nothing of those frames.
-    pub fn caution<L>(&mut self, of_row: impl Fn(&Row) -> L + Sync, hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync) -> Caution {
+    pub fn caution<L>(
+        &mut self,
+        trust: &TrustParams,
+        of_row: impl Fn(&Row) -> L + Sync,
+        hints_of: impl Fn(&L, &Row, usize, f64, &mut Vec<Hint>) + Sync,
+    ) -> Caution {
         let of_pixel = |solver: &mut RowSolver, (row, setting): (usize, &RowSetting), model: &Model, x: usize, hints: &[Hint]| {
             let cautious = CAUTIONS.map(|caution| {
                 let mut hints = hints.to_vec();
@@ -196,7 +203,7 @@ impl Again {
             vec![Lost { x, y: row, errors: std::array::from_fn(|n| lost[n]) }]
         };
         let lost = self.ask(of_row, hints_of, of_pixel);
-        Caution::choose(self.meta.extent, &lost)
+        Caution::choose(self.meta.extent, &lost, trust)
     }
 
     /// Widens standard deviations so far as frames that were held out show that to be needed with the same hints as will be given; they must know

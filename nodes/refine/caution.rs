@@ -3,19 +3,14 @@
 //! Pixels spread over the sensor are solved without some of their frames, with hints trusted more or less, and asked for those frames. A
 //! region takes the caution that served the pixels near it best; far ones count a little, so that a few lucky hits choose nothing.
 
+use super::trust::TrustParams;
 use photocurrent_core::Extent;
 use photocurrent_sensor::map::Hint;
 
 /// The factors of the hints' variances that are tried, most careful first.
 pub(super) const CAUTIONS: [f64; 6] = [f64::INFINITY, 16.0, 4.0, 1.0, 0.25, 0.0625];
-/// Hints must make the error smaller by this factor to be trusted at all.
-const CLEARLY_BETTER: f64 = 0.97;
 /// Side of the squares that share a caution, pixels.
 const SQUARE: u32 = 4;
-/// Pixels count half so far away, pixels.
-const NEAR: f64 = 8.0;
-/// What the mean of all pixels weighs against those near, in pixels.
-const EVERYWHERE: f64 = 6.0;
 
 /// Trusts pseudo-measurements less by a factor of their variances; infinity removes them all. A factor below 1 makes them no more exact than they say.
 pub(super) fn take_care(hints: &mut Vec<Hint>, caution: f64) {
@@ -45,21 +40,22 @@ pub(super) struct Caution {
 
 impl Caution {
     /// Of what pixels lost that are spread over the sensor.
-    pub fn choose(extent: Extent, lost: &[Lost]) -> Caution {
+    pub fn choose(extent: Extent, lost: &[Lost], params: &TrustParams) -> Caution {
+        let TrustParams { clear_gain, near, everywhere, .. } = *params;
         let mean = |n: usize| lost.iter().map(|lost| lost.errors[n]).sum::<f64>() / usize::max(lost.len(), 1) as f64;
         let means: [f64; CAUTIONS.len()] = std::array::from_fn(mean);
         let (columns, lines) = (extent.width.div_ceil(SQUARE), extent.height.div_ceil(SQUARE));
         let of_square = |column: u32, line: u32| {
             let middle = |n: u32| f64::from(n * SQUARE) + 0.5 * f64::from(SQUARE - 1);
-            let mut totals = means.map(|mean| EVERYWHERE * mean);
+            let mut totals = means.map(|mean| everywhere * mean);
             for lost in lost {
                 let (dx, dy) = (lost.x as f64 - middle(column), lost.y as f64 - middle(line));
-                let apart = (dx * dx + dy * dy) / (NEAR * NEAR);
+                let apart = (dx * dx + dy * dy) / (near * near);
                 let weight = 1.0 / (1.0 + apart * apart);
                 totals.iter_mut().zip(lost.errors).for_each(|(total, error)| *total += weight * error);
             }
             let best = (1..CAUTIONS.len()).fold(0, |best, n| {
-                let by = if CAUTIONS[best].is_infinite() { CLEARLY_BETTER } else { 1.0 };
+                let by = if CAUTIONS[best].is_infinite() { 1.0 - clear_gain } else { 1.0 };
                 if totals[n] < by * totals[best] { n } else { best }
             });
             CAUTIONS[best]
@@ -96,7 +92,7 @@ mod tests {
 
     #[test]
     fn each_region_takes_what_serves_it() {
-        let caution = Caution::choose(EXTENT, &halves(0.5, -0.5));
+        let caution = Caution::choose(EXTENT, &halves(0.5, -0.5), &TrustParams::default());
         assert_eq!(caution.at(5, 10), CAUTIONS[5]);
         assert_eq!(caution.at(55, 10), CAUTIONS[0]);
         assert!(caution.trusts_some());
@@ -104,14 +100,14 @@ mod tests {
 
     #[test]
     fn nothing_is_trusted_that_helps_nowhere() {
-        assert!(!Caution::choose(EXTENT, &halves(-0.1, 0.0)).trusts_some());
-        assert!(!Caution::choose(EXTENT, &[]).trusts_some());
+        assert!(!Caution::choose(EXTENT, &halves(-0.1, 0.0), &TrustParams::default()).trusts_some());
+        assert!(!Caution::choose(EXTENT, &[], &TrustParams::default()).trusts_some());
     }
 
     #[test]
     fn one_lucky_pixel_chooses_nothing() {
         let mut lost = halves(-0.3, -0.3);
         lost[30].errors = [1.0, 1.0, 0.9, 0.8, 0.7, 0.6];
-        assert!(!Caution::choose(EXTENT, &lost).trusts_some());
+        assert!(!Caution::choose(EXTENT, &lost, &TrustParams::default()).trusts_some());
     }
 }

@@ -4,12 +4,16 @@
 //! steps): first one affine motion of all pixels, robust against those that move otherwise, then a motion of every neighbourhood, in windows that
 //! shrink. A neighbourhood without contrast keeps the motion it has. Time distances grow as windows shrink, so that the field ends up
 //! precise to a small part of a pixel. At last every place may take the affine motion, or that of a place farther away, where it explains its smallest neighbourhood clearly better:
-//! around something small that passes, windows hold two motions.
+//! around something small that passes, windows hold two motions. Where another motion explains a place nearly as well, that is known too ([`Flow::rival_at`]).
 //!
 //! A long recording is looked at part after part, and only where pixels fire in company ([`Lively`]): elsewhere nothing is seen to move. Of a large sensor every second pixel of every second row
 //! is asked; the field is much smoother than that.
 //!
-//! Limits: motion that cannot be seen (along an edge, in a flat place) is the affine one or none; speeds over [`FASTEST`] are cut.
+//! Limits: motion that cannot be seen (along an edge, in a flat place) is the affine one or none; speeds over `fastest` are cut.
+
+mod params;
+
+pub use params::MotionParams;
 
 use super::film::{Film, LogTracks, STEP_NS, smooth};
 use super::lively::Lively;
@@ -24,18 +28,6 @@ const TOGETHER: usize = 32;
 const REACH: usize = 6;
 /// A sensor of more pixels is asked at every second pixel of every second row.
 const LARGE: usize = 20_000;
-/// Speeds are cut to this, pixels per picture.
-const FASTEST: f64 = 3.0;
-/// Differences of log light of this size count half.
-const ROBUST: f64 = 0.1;
-/// What a motion must explain, as squared log light, to be trusted.
-const LEAST_CONTRAST: f64 = 1e-4;
-/// Another motion must leave less than this share of what a place's own leaves.
-const CLEARLY_BETTER: f32 = 0.5;
-/// Motions so far away are tried as well, pixels.
-const FARTHER: [i64; 2] = [8, 14];
-/// Neighbourhood that a motion must explain, pixels.
-const SMALL: f64 = 1.5;
 /// A step that is smaller changes nothing, pixels per picture.
 const NO_STEP: f64 = 1e-4;
 
@@ -46,6 +38,8 @@ pub(super) struct Flow {
     step_ns: i64,
     /// One field per instant, as [line * columns + column].
     fields: Vec<Vec<[f32; 2]>>,
+    /// Motions that explain a place nearly as well, laid out likewise; the same where there is none.
+    rivals: Vec<Vec<[f32; 2]>>,
 }
 
 /// The pixels at which the field is known.
@@ -82,38 +76,58 @@ type Affine = [f64; 6];
 
 impl Flow {
     /// Of tracks between two instants.
-    pub fn of_tracks(tracks: &LogTracks, span: (i64, i64), lively: &Lively) -> Flow {
+    pub fn of_tracks(tracks: &LogTracks, span: (i64, i64), lively: &Lively, params: &MotionParams) -> Flow {
         let size = (tracks.extent.width as usize, tracks.extent.height as usize);
-        Flow::new(size, span.0, Film::count(span), lively, |numbers| Film::new(tracks, span.0, numbers))
+        Flow::new(size, (span.0, Film::count(span)), lively, params, |numbers| Film::new(tracks, span.0, numbers))
     }
 
     /// From a film of so many pictures from an instant on, of which `film` gives those of any numbers.
-    pub fn new((width, height): (usize, usize), start_ns: i64, count: usize, lively: &Lively, film: impl Fn(Range<usize>) -> Film) -> Flow {
+    pub fn new(
+        (width, height): (usize, usize),
+        (start_ns, count): (i64, usize),
+        lively: &Lively,
+        params: &MotionParams,
+        film: impl Fn(Range<usize>) -> Film,
+    ) -> Flow {
         let lattice = Lattice::new(width, height);
         let bins = count.div_ceil(STRIDE);
-        let mut fields = Vec::with_capacity(bins);
+        let (mut fields, mut rivals) = (Vec::with_capacity(bins), Vec::with_capacity(bins));
         for first in (0..bins).step_by(TOGETHER) {
             let bins = first..usize::min(first + TOGETHER, bins);
             let numbers = (bins.start * STRIDE).saturating_sub(REACH)..usize::min((bins.end - 1) * STRIDE + REACH + 1, count);
             let at_ns = |n: usize| start_ns + n as i64 * STEP_NS;
             let places = lively.places((at_ns(numbers.start), at_ns(numbers.end)), (0..lattice.len()).map(|at| lattice.pixel(at)));
             if places.is_empty() {
-                fields.extend(bins.map(|_| vec![[0.0; 2]; lattice.len()]));
+                fields.extend(bins.clone().map(|_| vec![[0.0; 2]; lattice.len()]));
+                rivals.extend(bins.map(|_| vec![[0.0; 2]; lattice.len()]));
                 continue;
             }
             let film = film(numbers);
-            let look = Look { lattice, coarse: &film.smoothed(2.0), fine: &film.smoothed(0.7), count, places: &places };
+            let look = Look { lattice, coarse: &film.smoothed(2.0), fine: &film.smoothed(0.7), count, places: &places, params };
             let per_ms = 1e6 / STEP_NS as f64;
-            let of = |bin: usize| -> Vec<[f32; 2]> { look.estimate(bin * STRIDE).iter().map(|v| v.map(|v| (v * per_ms) as f32)).collect() };
-            fields.par_extend(bins.into_par_iter().map(of));
+            let of = |bin: usize| {
+                let per_ms = |field: Vec<[f64; 2]>| -> Vec<[f32; 2]> { field.iter().map(|v| v.map(|v| (v * per_ms) as f32)).collect() };
+                let (field, rival) = look.estimate(bin * STRIDE);
+                (per_ms(field), per_ms(rival))
+            };
+            let (some, their): (Vec<_>, Vec<_>) = bins.into_par_iter().map(of).unzip();
+            fields.extend(some);
+            rivals.extend(their);
         }
-        Flow { lattice, start_ns, step_ns: STEP_NS * STRIDE as i64, fields }
+        Flow { lattice, start_ns, step_ns: STEP_NS * STRIDE as i64, fields, rivals }
     }
 
     /// The same velocity everywhere and always, pixels per millisecond.
     #[cfg(test)]
     pub fn steady(width: usize, height: usize, velocity: [f32; 2]) -> Flow {
-        Flow { lattice: Lattice::new(width, height), start_ns: 0, step_ns: 1, fields: vec![vec![velocity; width * height]] }
+        Flow::steady_with_rival(width, height, velocity, velocity)
+    }
+
+    /// The same with another that explains everything as well.
+    #[cfg(test)]
+    pub fn steady_with_rival(width: usize, height: usize, velocity: [f32; 2], rival: [f32; 2]) -> Flow {
+        let field = |velocity: [f32; 2]| vec![vec![velocity; width * height]];
+        Flow { lattice: Lattice::new(width, height), start_ns: 0, step_ns: 1, fields: field(velocity), rivals: field(rival) }
     }
 
     /// The fields before and after an instant, and the share of the later one.
@@ -126,6 +140,15 @@ impl Flow {
 
     /// The velocity at a place and an instant; beyond the borders as at them.
     pub fn at(&self, x: f64, y: f64, t_ns: i64) -> [f64; 2] {
+        self.of(&self.fields, x, y, t_ns)
+    }
+
+    /// A velocity that explains the place nearly as well, or the same.
+    pub fn rival_at(&self, x: f64, y: f64, t_ns: i64) -> [f64; 2] {
+        self.of(&self.rivals, x, y, t_ns)
+    }
+
+    fn of(&self, fields: &[Vec<[f32; 2]>], x: f64, y: f64, t_ns: i64) -> [f64; 2] {
         let Lattice { pitch, columns, lines, .. } = self.lattice;
         let (before, after, share) = self.around(t_ns);
         let (i, dx) = whole_and_rest(x / pitch as f64, columns);
@@ -133,7 +156,7 @@ impl Flow {
         let mut velocity = [0.0; 2];
         for (axis, value) in velocity.iter_mut().enumerate() {
             let at = |field: usize| {
-                let f = &self.fields[field];
+                let f = &fields[field];
                 let v = |i: usize, j: usize| f64::from(f[usize::min(j, lines - 1) * columns + usize::min(i, columns - 1)][axis]);
                 (1.0 - dy) * ((1.0 - dx) * v(i, j) + dx * v(i + 1, j)) + dy * ((1.0 - dx) * v(i, j + 1) + dx * v(i + 1, j + 1))
             };
@@ -166,6 +189,8 @@ struct Pairs<'a> {
     film: &'a Film,
     /// Pictures of the whole film.
     count: usize,
+    /// Squared differences of this size count half.
+    robust: f64,
     middle: usize,
     /// How far the middles of pairs lie from the instant, pictures.
     shifts: &'a [i64],
@@ -206,33 +231,36 @@ struct Look<'a> {
     count: usize,
     /// Places of the lattice where something may move.
     places: &'a [usize],
+    params: &'a MotionParams,
 }
 
 impl Look<'_> {
-    /// The field at picture `middle`, pixels per picture.
-    fn estimate(&self, middle: usize) -> Vec<[f64; 2]> {
-        let Look { lattice, coarse, fine, count, places } = *self;
+    /// The field at picture `middle` and that of the rivals, pixels per picture.
+    fn estimate(&self, middle: usize) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
+        let Look { lattice, coarse, fine, count, places, params } = *self;
         let middle = middle.clamp(1, usize::max(count.saturating_sub(2), 1));
-        let pairs = |film, distances| Pairs { film, count, middle, shifts: &[-2, 0, 2], distances };
+        let pairs = |film, distances| Pairs { film, count, robust: params.robust * params.robust, middle, shifts: &[-2, 0, 2], distances };
         let affine = self.affine(&pairs(coarse, &[1]), [0.0; 6], 6);
         let affine = self.affine(&pairs(fine, &[1, 2]), affine, 4);
         let affine = self.affine(&pairs(fine, &[2, 4]), affine, 3);
         let mut field = vec![[0.0; 2]; lattice.len()];
         for &at in places {
             let (x, y) = lattice.pixel(at);
-            field[at] = velocity_of(&affine, lattice.width, lattice.height, x, y);
+            field[at] = self.velocity_of(&affine, x, y);
         }
         self.local(&pairs(coarse, &[1]), &mut field, 6.0, 3);
         self.local(&pairs(fine, &[1, 2]), &mut field, 5.0, 3);
         self.local(&pairs(fine, &[2, 4]), &mut field, 4.0, 3);
-        self.choose(&pairs(fine, &[1, 2]), &mut field, &affine);
-        field
+        let rivals = self.choose(&pairs(fine, &[1, 2]), &mut field, &affine);
+        (field, rivals)
     }
 
     /// Takes another motion where that explains a small neighbourhood clearly better: that of all pixels, or one from farther away. Where something passes before something else,
-    /// windows hold both, and what they find is neither.
-    fn choose(&self, pairs: &Pairs<'_>, field: &mut [[f64; 2]], affine: &Affine) {
-        let Lattice { pitch, columns, lines, width, height } = self.lattice;
+    /// windows hold both, and what they find is neither. Gives of those that explain it not clearly worse the one that differs most.
+    fn choose(&self, pairs: &Pairs<'_>, field: &mut [[f64; 2]], affine: &Affine) -> Vec<[f64; 2]> {
+        let Lattice { pitch, columns, lines, .. } = self.lattice;
+        let MotionParams { clear_gain, farther, neighbourhood, .. } = self.params;
+        let left = 1.0 - *clear_gain as f32;
         let cost = |candidate: &[[f64; 2]]| -> Vec<f32> {
             let mut sums = vec![0.0_f32; columns * lines];
             pairs.each(|early, late, t0, t1| {
@@ -240,18 +268,20 @@ impl Look<'_> {
                     let (x, y) = self.lattice.pixel(at);
                     // Who leaves the sensor explains nothing.
                     let square = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, candidate[at]).map_or(1.0, |(e, ..)| {
-                        let square = e * e / (ROBUST * ROBUST);
+                        let square = e * e / pairs.robust;
                         square / (1.0 + square)
                     });
                     sums[at] += square as f32;
                 }
             });
-            smooth(&sums, columns, lines, SMALL / pitch as f64)
+            smooth(&sums, columns, lines, *neighbourhood / pitch as f64)
         };
-        let mut best = cost(field).iter().map(|cost| cost * CLEARLY_BETTER).collect::<Vec<f32>>();
         let begun = field.to_vec();
-        let of_all: Vec<[f64; 2]> = (0..self.lattice.len()).map(|at| self.lattice.pixel(at)).map(|(x, y)| velocity_of(affine, width, height, x, y)).collect();
-        let far = FARTHER.iter().flat_map(|far| [(*far, 0), (-far, 0), (0, *far), (0, -far)]);
+        let own = cost(field);
+        let mut best = own.iter().map(|cost| cost * left).collect::<Vec<f32>>();
+        let mut tried = vec![(own, begun.clone())];
+        let of_all: Vec<[f64; 2]> = (0..self.lattice.len()).map(|at| self.lattice.pixel(at)).map(|(x, y)| self.velocity_of(affine, x, y)).collect();
+        let far = farther.iter().map(|far| i64::from(*far)).flat_map(|far| [(far, 0), (-far, 0), (0, far), (0, -far)]);
         let shifted = far.map(|(dx, dy)| -> Vec<[f64; 2]> {
             let place = |at: usize, by: i64, count: usize| (at as i64 + by / pitch as i64).clamp(0, count as i64 - 1) as usize;
             (0..begun.len()).map(|at| begun[place(at / columns, dy, lines) * columns + place(at % columns, dx, columns)]).collect()
@@ -263,7 +293,16 @@ impl Look<'_> {
                     (best[at], field[at]) = (cost[at], candidate[at]);
                 }
             }
+            tried.push((cost, candidate));
         }
+        let mut rivals = field.to_vec();
+        for &at in self.places {
+            let apart = |v: [f64; 2]| libm::hypot(v[0] - field[at][0], v[1] - field[at][1]);
+            let of_field = tried.iter().filter(|(_, candidate)| candidate[at] == field[at]).map(|(cost, _)| cost[at]).fold(f32::INFINITY, f32::min);
+            let close = tried.iter().filter(|(cost, _)| cost[at] * left <= of_field).map(|(_, candidate)| candidate[at]);
+            rivals[at] = close.fold(field[at], |most, v| if apart(v) > apart(most) { v } else { most });
+        }
+        rivals
     }
 
     /// Improves one affine motion of all places.
@@ -275,9 +314,9 @@ impl Look<'_> {
             pairs.each(|early, late, t0, t1| {
                 for &at in self.places {
                     let (x, y) = self.lattice.pixel(at);
-                    let v = velocity_of(&p, width, height, x, y);
+                    let v = self.velocity_of(&p, x, y);
                     let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, v) else { continue };
-                    let square = e * e / (ROBUST * ROBUST);
+                    let square = e * e / pairs.robust;
                     let w = 1.0 / ((1.0 + square) * (1.0 + square));
                     let (cx, cy) = centred(width, height, x, y);
                     let g = [gx, gx * cx, gx * cy, gy, gy * cx, gy * cy];
@@ -290,7 +329,7 @@ impl Look<'_> {
                 }
             });
             for i in 0..6 {
-                a[i][i] += LEAST_CONTRAST * self.places.len() as f64;
+                a[i][i] += self.params.least_contrast * self.places.len() as f64;
                 for j in 0..i {
                     a[i][j] = a[j][i];
                 }
@@ -315,7 +354,7 @@ impl Look<'_> {
                 for &at in self.places {
                     let (x, y) = self.lattice.pixel(at);
                     let Some((e, gx, gy)) = pairs.disagreement((early, late, t0, t1), x as f64, y as f64, field[at]) else { continue };
-                    let w = 1.0 / (1.0 + e * e / (ROBUST * ROBUST));
+                    let w = 1.0 / (1.0 + e * e / pairs.robust);
                     for (sum, value) in sums.iter_mut().zip([gx * gx, gx * gy, gy * gy, gx * e, gy * e]) {
                         sum[at] += (w * value) as f32;
                     }
@@ -325,11 +364,11 @@ impl Look<'_> {
             let mut most = 0.0;
             for &at in self.places {
                 let [xx, xy, yy, xe, ye] = [0, 1, 2, 3, 4].map(|k: usize| f64::from(sums[k][at]));
-                let (xx, yy) = (xx + LEAST_CONTRAST, yy + LEAST_CONTRAST);
+                let (xx, yy) = (xx + self.params.least_contrast, yy + self.params.least_contrast);
                 let determinant = xx * yy - xy * xy;
                 let step = [-(yy * xe - xy * ye) / determinant, -(xx * ye - xy * xe) / determinant];
                 let v = &mut field[at];
-                *v = cut([v[0] + step[0].clamp(-0.5, 0.5), v[1] + step[1].clamp(-0.5, 0.5)]);
+                *v = self.cut([v[0] + step[0].clamp(-0.5, 0.5), v[1] + step[1].clamp(-0.5, 0.5)]);
                 most = f64::max(most, f64::max(step[0].abs(), step[1].abs()));
             }
             if most < NO_STEP {
@@ -337,23 +376,25 @@ impl Look<'_> {
             }
         }
     }
-}
 
-fn velocity_of(p: &Affine, width: usize, height: usize, x: usize, y: usize) -> [f64; 2] {
-    let (a, b) = centred(width, height, x, y);
-    cut([p[0] + p[1] * a + p[2] * b, p[3] + p[4] * a + p[5] * b])
+    fn velocity_of(&self, p: &Affine, x: usize, y: usize) -> [f64; 2] {
+        let (a, b) = centred(self.lattice.width, self.lattice.height, x, y);
+        self.cut([p[0] + p[1] * a + p[2] * b, p[3] + p[4] * a + p[5] * b])
+    }
+
+    /// A velocity, pixels per picture, that is not too fast.
+    fn cut(&self, v: [f64; 2]) -> [f64; 2] {
+        let fastest = self.params.fastest * STEP_NS as f64 * 1e-6;
+        let speed = (v[0] * v[0] + v[1] * v[1]).sqrt();
+        let share = if speed > fastest { fastest / speed } else { 1.0 };
+        [v[0] * share, v[1] * share]
+    }
 }
 
 /// Place relative to the middle, in half widths.
 fn centred(width: usize, height: usize, x: usize, y: usize) -> (f64, f64) {
     let half = 0.5 * width as f64;
     ((x as f64 - 0.5 * (width - 1) as f64) / half, (y as f64 - 0.5 * (height - 1) as f64) / half)
-}
-
-fn cut(v: [f64; 2]) -> [f64; 2] {
-    let speed = (v[0] * v[0] + v[1] * v[1]).sqrt();
-    let share = if speed > FASTEST { FASTEST / speed } else { 1.0 };
-    [v[0] * share, v[1] * share]
 }
 
 /// Gaussian elimination of a symmetric positive matrix; `None` when it is not.

@@ -19,9 +19,9 @@ mod tests;
 use super::again::{Again, In, Out, Row, Setting, Solver};
 use super::caution::{Caution, take_care};
 use super::film::LogTracks;
-use super::flow::Flow;
-use super::trust::Posed;
-use crate::solve::pixel::{FRAME_NOISE, FrontEndModel, KNOT_SPACING};
+use super::flow::{Flow, MotionParams};
+use super::trust::{Posed, Trust, TrustParams};
+use crate::solve::pixel::{Decisions, FRAME_NOISE, FrontEndModel, KNOT_SPACING};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_sensor::map::estimate::kept;
@@ -34,15 +34,19 @@ use std::sync::Arc;
 pub(super) struct Neighbours<'a> {
     pub log: &'a LogTracks,
     pub flow: &'a Flow,
+    pub motion: &'a MotionParams,
+    /// As in [`Params::doubt`].
+    pub doubt: f64,
     pub sensor: &'a Posed,
     /// Neighbours are asked at every so many ns.
     pub step_ns: i64,
+    pub trust: &'a TrustParams,
 }
 
 impl Neighbours<'_> {
     /// Do pixels without some of their frames predict those better with what neighbours say than without?
     pub fn caution(&self, again: &mut Again) -> Caution {
-        again.caution(|_| (), |(), row, x, threshold, hints| self.ask(row, x, &kept(row.frames_of(x)), threshold, hints))
+        again.caution(self.trust, |_| (), |(), row, x, threshold, hints| self.ask(row, x, &kept(row.frames_of(x)), threshold, hints))
     }
 
     /// What neighbours say of a pixel, as carefully as that has shown to be right, and at least as carefully as `least`.
@@ -55,8 +59,10 @@ impl Neighbours<'_> {
     }
 
     fn ask(&self, row: &Row, x: usize, frames: &[MapFrame], threshold: f64, hints: &mut Vec<Hint>) {
-        let measured = row.measured(x, self.sensor, self.log.extent, frames, threshold);
-        advect::hints(self.log, self.flow, (row.span(), self.step_ns), &measured, hints);
+        let Neighbours { log, flow, motion, doubt, sensor, step_ns, trust } = *self;
+        let say = |t_ns: i64| advect::neighbours(log, (flow, motion, doubt), (x, row.row as usize), row.span(), t_ns);
+        let measured = row.measured(x, sensor, log.extent, frames, threshold);
+        Trust::new(trust).hints(say, log, (row.span(), step_ns), &measured, hints);
     }
 }
 
@@ -67,6 +73,14 @@ pub struct Params {
     /// How often motion is found and tracks are solved.
     #[schemars(range(min = 1, max = 10))]
     pub rounds: u32,
+    /// How motion is found, and which neighbours along it are asked.
+    pub motion: MotionParams,
+    /// Where another motion explains a place not clearly worse than the one that is taken, what neighbours say is in doubt by this part of the square by which the two predictions differ;
+    /// 0 = no other is asked.
+    #[schemars(range(min = 0.0))]
+    pub doubt: f64,
+    /// How far what neighbours say is trusted.
+    pub trust: TrustParams,
     /// As in `solve/pixel`.
     pub front_end: FrontEndModel,
     /// As in `solve/pixel`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows.
@@ -78,11 +92,23 @@ pub struct Params {
     /// As in `solve/pixel`: knots lie at most this far apart; neighbours are asked at every second one.
     #[schemars(extend("x-min" = "10 us"))]
     pub knot_spacing: Duration,
+    /// As in `solve/pixel`; absent = what was measured to suit most recordings.
+    pub decisions: Option<Decisions>,
 }
 
 impl Default for Params {
     fn default() -> Params {
-        Params { rounds: 3, front_end: FrontEndModel::default(), event_noise: None, frame_noise: FRAME_NOISE, knot_spacing: KNOT_SPACING }
+        Params {
+            rounds: 3,
+            motion: MotionParams::default(),
+            doubt: 0.5,
+            trust: TrustParams::default(),
+            front_end: FrontEndModel::default(),
+            event_noise: None,
+            frame_noise: FRAME_NOISE,
+            knot_spacing: KNOT_SPACING,
+            decisions: None,
+        }
     }
 }
 
@@ -96,7 +122,7 @@ impl Node for RefineMotion {
     const DECL: Decl = Decl {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the motion.",
-        revision: 16,
+        revision: 17,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -120,8 +146,8 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { front_end, event_noise, frame_noise, knot_spacing, .. } = params;
-        Ok(RefineMotion { solver: Solver::build(Setting { front_end, event_noise, frame_noise, knot_spacing })?, params })
+        let Params { front_end, event_noise, frame_noise, knot_spacing, decisions, .. } = params;
+        Ok(RefineMotion { solver: Solver::build(Setting { front_end, event_noise, frame_noise, knot_spacing, decisions })?, params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -137,10 +163,11 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let (extent, sensor) = (again.meta.extent, again.sensor());
         let span = (again.meta.span.start.0, again.meta.span.end.0);
         let step_ns = 2 * self.params.knot_spacing.ns();
+        let Params { motion, trust, .. } = &self.params;
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &lively);
-            let neighbours = Neighbours { log: &log, flow: &flow, sensor: &sensor, step_ns };
+            let flow = Flow::of_tracks(&log, span, &lively, motion);
+            let neighbours = Neighbours { log: &log, flow: &flow, motion, doubt: self.params.doubt, sensor: &sensor, step_ns, trust };
             let caution = neighbours.caution(&mut again);
             tracks = again.solve(
                 cx,

@@ -21,10 +21,10 @@ mod tests;
 use super::again::{In, Out, Row, Setting, Solver};
 use super::caution::take_care;
 use super::film::LogTracks;
-use super::flow::Flow;
+use super::flow::{Flow, MotionParams};
 use super::motion::Neighbours;
-use super::trust::Trust;
-use crate::solve::pixel::{FRAME_NOISE, FrontEndModel, KNOT_SPACING};
+use super::trust::{Trust, TrustParams};
+use crate::solve::pixel::{Decisions, FRAME_NOISE, FrontEndModel, KNOT_SPACING};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_diagnosis::case::Case;
@@ -52,6 +52,10 @@ pub struct Params {
     /// The picture gives no hints for places that fewer exposures saw; one that saw a place for a part of its time counts as that part.
     #[schemars(range(min = 0.0))]
     pub least_exposures: f64,
+    /// How motion is found, and which neighbours along it are asked.
+    pub motion: MotionParams,
+    /// How far what the picture and what neighbours say is trusted.
+    pub trust: TrustParams,
     /// Neighbouring pixels along the motion are asked as well, as `refine/motion` does.
     pub neighbours: bool,
     /// As in `solve/pixel`.
@@ -65,6 +69,8 @@ pub struct Params {
     /// As in `solve/pixel`: knots lie at most this far apart; the picture is asked at every second one.
     #[schemars(extend("x-min" = "10 us"))]
     pub knot_spacing: Duration,
+    /// As in `solve/pixel`; absent = what was measured to suit most recordings.
+    pub decisions: Option<Decisions>,
 }
 
 impl Default for Params {
@@ -75,11 +81,14 @@ impl Default for Params {
             pitch,
             most_values: most_values as u64,
             least_exposures: 0.25,
+            motion: MotionParams::default(),
+            trust: TrustParams::default(),
             neighbours: true,
             front_end: FrontEndModel::default(),
             event_noise: None,
             frame_noise: FRAME_NOISE,
             knot_spacing: KNOT_SPACING,
+            decisions: None,
         }
     }
 }
@@ -120,8 +129,8 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { front_end, event_noise, frame_noise, knot_spacing, .. } = params;
-        Ok(RefinePicture { solver: Solver::build(Setting { front_end, event_noise, frame_noise, knot_spacing })?, params })
+        let Params { front_end, event_noise, frame_noise, knot_spacing, decisions, .. } = params;
+        Ok(RefinePicture { solver: Solver::build(Setting { front_end, event_noise, frame_noise, knot_spacing, decisions })?, params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -152,19 +161,20 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             pictures.of_row(row.row as usize, width, &columns)
         };
         let mut tracks = input.tracks.read(cx.rows())?;
+        let Params { motion, trust, .. } = &self.params;
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &lively);
-            let neighbours = Neighbours { log: &log, flow: &flow, sensor: &sensor, step_ns };
+            let flow = Flow::of_tracks(&log, span, &lively, motion);
+            let neighbours = Neighbours { log: &log, flow: &flow, motion, doubt: 0.0, sensor: &sensor, step_ns, trust };
             let of_neighbours = self.params.neighbours.then(|| neighbours.caution(&mut again));
             let of_picture = |hold_out: bool, light: &OfRow, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {
                 let left = hold_out.then(|| kept(row.frames_of(x)));
                 let measured = row.measured(x, &sensor, extent, left.as_deref().unwrap_or_else(|| row.frames_of(x)), threshold);
                 let say = |t_ns: i64| pictures.predict(light, (x, row.row as usize), t_ns);
-                Trust::default().hints(say, &log, (row.span(), step_ns), &measured, hints);
+                Trust::new(trust).hints(say, &log, (row.span(), step_ns), &measured, hints);
             };
             // First without frames that are held out from the pixels: do they come out better with the picture than without?
-            let caution = again.caution(of_row, |light, row, x, threshold, hints| of_picture(true, light, row, x, threshold, hints));
+            let caution = again.caution(trust, of_row, |light, row, x, threshold, hints| of_picture(true, light, row, x, threshold, hints));
             if round == self.params.rounds && caution.trusts_some() {
                 again.widen(of_row, |light, row, x, threshold, hints| {
                     of_picture(true, light, row, x, threshold, hints);

@@ -4,36 +4,21 @@
 //! through the sensor, the predicted light must bring the voltage to a threshold when they fired, and to no frame value another one than the pixel's own. What it misses them by is its error there, and
 //! so is what two sources contradict each other by. All of it can only widen the error.
 
+mod params;
+
+pub use params::TrustParams;
+
 use super::film::LogTracks;
 use photocurrent_core::Extent;
+use photocurrent_core::quantity::Duration;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
 use photocurrent_sensor::model::Model;
 use photocurrent_sensor::undo::sum;
 
-/// No hint is better than this, natural-log units.
-pub(super) const FLOOR: f64 = 0.01;
-/// Neighbouring hints err together: each counts as if its variance were so many times as large.
-const TOGETHER: f64 = 4.0;
-/// Hints within this time, ms, have one error in common: all of them narrow the posterior variance no more than one of them does. A picture is wrong at a place,
-/// and a pixel sees that place for long: with 15 ms instead, a sliding texture had 41 % of its errors within one standard deviation instead of 53 %, a ball 55 % instead of 62 % (`pipelines/uncertainty.toml`).
-const ONE_ERROR_MS: f64 = 200.0;
-/// Contradictions are pooled over this time, ms.
-const POOLED_MS: f64 = 3.0;
-/// And over this, to see whether there is anything in the hints at all.
-const WIDE_MS: f64 = 15.0;
-/// What lies so many such times away counts no more: it would weigh a part in 65,000.
+/// What lies so many times of a pool away counts no more: it would weigh a part in 65,000.
 const FAR: f64 = 16.0;
-/// What a frame weighs against an event when a pixel judges its hints.
-const FRAME_WEIGHT: f64 = 3.0;
-/// One source alone can contradict nobody: its variance counts so many times.
-const ONE_SIDED: f64 = 4.0;
-/// Nothing is said any more where contradictions reach one in so many squared thresholds: by itself a pixel knows its light to a part of a threshold, and at
-/// two, chance hits of pixels that have nothing to do with each other still cost 0.13 dB.
-const BEYOND_TRUST: f64 = 4.0;
-/// What is predicted may be late by so much, ms: steep edges err in their place, not in their height.
-const LATE_MS: f64 = 0.05;
 /// The sensor sees the predicted light in steps of at most this, ns.
 const SEEN_NS: i64 = 100_000;
 
@@ -44,7 +29,12 @@ pub(super) struct Said {
     pub log: f64,
     /// The variance that the contradiction of two sources shows, where there are two.
     pub contradiction: Option<f64>,
+    /// The variance that comes of not knowing along which of several motions to ask.
+    pub doubt: f64,
 }
+
+/// A contradiction: when, its square in terms of the variance that was expected, and what it weighs.
+type Miss = (i64, f64, f64);
 
 /// The sensor as problems are posed.
 #[derive(Clone, Debug)]
@@ -68,15 +58,14 @@ pub(super) struct Measured<'a> {
 }
 
 /// Collects hints.
-#[derive(Default)]
 pub(super) struct Trust {
+    params: TrustParams,
     said: Vec<Said>,
     /// The variance that each of them would have by itself: the floor, and what a small error of its place brings where light changes fast.
     expected: Vec<f64>,
-    /// Instants, squared contradictions in terms of what was expected, weights.
-    own: Vec<(i64, f64, f64)>,
+    own: Vec<Miss>,
     /// The same of what two sources contradict each other by.
-    contradicted: Vec<(i64, f64, f64)>,
+    contradicted: Vec<Miss>,
     /// The predicted light.
     t_ns: Vec<i64>,
     log: Vec<f64>,
@@ -85,22 +74,56 @@ pub(super) struct Trust {
 }
 
 impl Trust {
+    /// With nothing collected.
+    pub fn new(params: &TrustParams) -> Trust {
+        Trust {
+            params: *params,
+            said: Vec::new(),
+            expected: Vec::new(),
+            own: Vec::new(),
+            contradicted: Vec::new(),
+            t_ns: Vec::new(),
+            log: Vec::new(),
+            seen: Conditional::default(),
+        }
+    }
+
     /// The hints of a pixel every `step_ns` of `span`, in order of time, out of what `say` predicts; none where it has nothing to say, or the pixel's measurements disagree.
     /// Where nothing is said the pixel's own `tracks` stand.
-    pub fn hints(
-        &mut self,
-        say: impl Fn(i64) -> Option<Said>,
-        tracks: &LogTracks,
-        (span, step_ns): ((i64, i64), i64),
-        measured: &Measured<'_>,
-        hints: &mut Vec<Hint>,
-    ) {
+    pub fn hints(&mut self, say: impl Fn(i64) -> Option<Said>, tracks: &LogTracks, steps: ((i64, i64), i64), measured: &Measured<'_>, hints: &mut Vec<Hint>) {
         hints.clear();
+        if !self.look(say, tracks, steps, measured) {
+            return;
+        }
+        let TrustParams { floor, pooled, wide, one_sided, most_contradiction, together, one_error, .. } = self.params;
+        self.judge(steps.1, measured);
+        self.contradicted.clear();
+        self.contradicted.extend(self.said.iter().filter_map(|s| s.contradiction.map(|c| (s.t_ns, (c + s.doubt) / (floor * floor), 1.0))));
+        let mut contradicted = Pool::new(&self.contradicted, pooled);
+        let (mut own, mut widely) = (Pool::new(&self.own, pooled), Pool::new(&self.own, wide));
+        for (said, expected) in self.said.iter().zip(&self.expected) {
+            let contradiction = floor * floor * contradicted.at(said.t_ns);
+            let own = expected * own.at(said.t_ns);
+            let widely = expected * widely.at(said.t_ns);
+            let trust = 1.0 - f64::max(own, widely) / (most_contradiction * measured.threshold * measured.threshold);
+            if trust <= 0.0 {
+                continue;
+            }
+            let mut variance = expected + contradiction + own;
+            variance += said.contradiction.unwrap_or(variance * (one_sided - 1.0)) + said.doubt;
+            let variance = variance / (trust * trust);
+            hints.push(Hint { t_ns: said.t_ns, log_photocurrent: said.log, variance: together * variance, for_sigma: variance });
+        }
+        err_together(hints, one_error.ns());
+    }
+
+    /// Collects what is said to a pixel, and how the light would go on by that; is there anything?
+    fn look(&mut self, say: impl Fn(i64) -> Option<Said>, tracks: &LogTracks, (span, step_ns): ((i64, i64), i64), measured: &Measured<'_>) -> bool {
         self.said.clear();
         self.t_ns.clear();
         self.log.clear();
         if measured.events.is_empty() {
-            return;
+            return false;
         }
         let (x, y) = measured.place;
         let mut t_ns = span.0 + step_ns / 2;
@@ -114,39 +137,22 @@ impl Trust {
             t_ns += step_ns;
         }
         if self.said.is_empty() || self.t_ns.len() < 2 {
-            return;
+            return false;
         }
         self.expect(step_ns);
-        self.judge(step_ns, measured);
-        self.contradicted.clear();
-        self.contradicted.extend(self.said.iter().filter_map(|s| s.contradiction.map(|c| (s.t_ns, c / (FLOOR * FLOOR), 1.0))));
-        let mut contradicted = Pool::new(&self.contradicted, POOLED_MS);
-        let (mut own, mut wide) = (Pool::new(&self.own, POOLED_MS), Pool::new(&self.own, WIDE_MS));
-        for (said, expected) in self.said.iter().zip(&self.expected) {
-            let contradiction = FLOOR * FLOOR * contradicted.at(said.t_ns);
-            let own = expected * own.at(said.t_ns);
-            let wide = expected * wide.at(said.t_ns);
-            let trust = 1.0 - BEYOND_TRUST * f64::max(own, wide) / (measured.threshold * measured.threshold);
-            if trust <= 0.0 {
-                continue;
-            }
-            let mut variance = expected + contradiction + own;
-            variance += said.contradiction.unwrap_or(variance * (ONE_SIDED - 1.0));
-            let variance = variance / (trust * trust);
-            hints.push(Hint { t_ns: said.t_ns, log_photocurrent: said.log, variance: TOGETHER * variance, for_sigma: variance });
-        }
-        err_together(hints);
+        true
     }
 
     /// What each hint may err by.
     fn expect(&mut self, step_ns: i64) {
-        let Trust { said, expected, .. } = self;
+        let Trust { params: TrustParams { floor, late, .. }, said, expected, .. } = self;
+        let late_ms = late.ns() as f64 * 1e-6;
         let variance = |k: usize| {
             let (before, after) = (&said[k.saturating_sub(1)], &said[usize::min(k + 1, said.len() - 1)]);
             let apart_ns = after.t_ns - before.t_ns;
             let slope = if apart_ns > 0 && apart_ns <= 2 * step_ns { (after.log - before.log) / (apart_ns as f64 * 1e-6) } else { 0.0 };
-            let off = slope * LATE_MS;
-            FLOOR * FLOOR + off * off
+            let off = slope * late_ms;
+            *floor * *floor + off * off
         };
         expected.clear();
         expected.extend((0..said.len()).map(variance));
@@ -154,7 +160,7 @@ impl Trust {
 
     /// What the pixel's own events and frames miss the predicted light by, seen through the sensor.
     fn judge(&mut self, step_ns: i64, measured: &Measured<'_>) {
-        let Trust { said, expected, own, t_ns, log, seen, .. } = self;
+        let Trust { params: TrustParams { floor, frame_weight, .. }, said, expected, own, t_ns, log, seen, .. } = self;
         let Measured { sensor: Posed { model: sensor, .. }, extent, place: (x, y), events, frames, .. } = *measured;
         own.clear();
         let track = Track::new(t_ns, log, SEEN_NS);
@@ -186,7 +192,7 @@ impl Trust {
             if is_said && there > frame.sigma_dn && predicted > 0.0 {
                 let (off, noise) = (libm::log(predicted / there), frame.sigma_dn / there);
                 // An edge that is a little late changes little over an exposure: a frame allows for the floor alone, and for its noise.
-                own.push((i64::midpoint(frame.start_ns, frame.end_ns), f64::max(off * off - noise * noise, 0.0) / (FLOOR * FLOOR), FRAME_WEIGHT));
+                own.push((i64::midpoint(frame.start_ns, frame.end_ns), f64::max(off * off - noise * noise, 0.0) / (*floor * *floor), *frame_weight));
             }
         }
         own.sort_by_key(|(t_ns, ..)| *t_ns);
@@ -194,8 +200,8 @@ impl Trust {
 }
 
 /// Lets all hints within a window of time around each count as one where the posterior variance is asked for.
-fn err_together(hints: &mut [Hint]) {
-    let half_ns = (0.5e6 * ONE_ERROR_MS) as i64;
+fn err_together(hints: &mut [Hint], within_ns: i64) {
+    let half_ns = within_ns / 2;
     let (mut from, mut to) = (0, 0);
     for n in 0..hints.len() {
         let t_ns = hints[n].t_ns;
@@ -212,15 +218,15 @@ fn err_together(hints: &mut [Hint]) {
 /// Means of squares around instants that are asked in rising order; each weighs less the farther away it is, and a little of one is in all of them.
 struct Pool<'a> {
     /// Instants, squares, weights, in order of time.
-    list: &'a [(i64, f64, f64)],
+    list: &'a [Miss],
     over_ms: f64,
     /// Those before are too far away for all instants to come.
     first: usize,
 }
 
 impl Pool<'_> {
-    fn new(list: &[(i64, f64, f64)], over_ms: f64) -> Pool<'_> {
-        Pool { list, over_ms, first: 0 }
+    fn new(list: &[Miss], over: Duration) -> Pool<'_> {
+        Pool { list, over_ms: over.ns() as f64 * 1e-6, first: 0 }
     }
 
     fn at(&mut self, t_ns: i64) -> f64 {
@@ -260,6 +266,10 @@ mod tests {
 
     /// Of a pixel that sees these squares with thresholds of 0.4, when they are predicted late and too bright.
     fn hints(late_ms: f64, brighter: f64) -> Vec<Hint> {
+        doubted(late_ms, brighter, 0.0)
+    }
+
+    fn doubted(late_ms: f64, brighter: f64, doubt: f64) -> Vec<Hint> {
         let mut sensor = Sensor::unknown("test");
         sensor.comparator.threshold_on = Some(0.4);
         sensor.comparator.threshold_off = Some(0.4);
@@ -280,10 +290,10 @@ mod tests {
             MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn: GAIN * light.integral(exposure), sigma_dn: 1.0, saturated: false }
         };
         let frames: Vec<MapFrame> = (0..5).map(frame).collect();
-        let say = |t_ns: i64| Some(Said { t_ns, log: squares(t_ns as f64 * 1e-6 - late_ms + 12.0) + brighter, contradiction: Some(0.0) });
+        let say = |t_ns: i64| Some(Said { t_ns, log: squares(t_ns as f64 * 1e-6 - late_ms + 12.0) + brighter, contradiction: Some(0.0), doubt });
         let measured = Measured { sensor: &sensor, extent: EXTENT, place: (0, 0), events: &events, frames: &frames, threshold: 0.4 };
         let mut hints = Vec::new();
-        Trust::default().hints(say, &tracks, ((0, 48_000_000), 100_000), &measured, &mut hints);
+        Trust::new(&TrustParams::default()).hints(say, &tracks, ((0, 48_000_000), 100_000), &measured, &mut hints);
         hints
     }
 
@@ -296,9 +306,17 @@ mod tests {
         assert!(flat.len() > 180, "{}", flat.len());
         let worst = flat.iter().map(|hint| hint.variance).fold(0.0, f64::max);
         assert!(worst < 0.1 * 0.1, "{worst}");
+        let floor = TrustParams::default().floor;
         // Where they are steep they are off by up to 0.12.
-        let is_doubted = |hint: &&&Hint| (hint.log_photocurrent - squares(hint.t_ns as f64 * 1e-6)).abs() < 1e-6 || hint.variance > 2.0 * FLOOR * FLOOR;
+        let is_doubted = |hint: &&&Hint| (hint.log_photocurrent - squares(hint.t_ns as f64 * 1e-6)).abs() < 1e-6 || hint.variance > 2.0 * floor * floor;
         assert_eq!(steep.iter().filter(is_doubted).count(), steep.len());
+    }
+
+    #[test]
+    fn what_is_in_doubt_is_no_more_exact_than_its_doubt() {
+        let (plain, doubted) = (hints(0.0, 0.0), doubted(0.0, 0.0, 0.04));
+        assert_eq!(plain.len(), doubted.len());
+        assert!(plain.iter().any(|hint| hint.variance < 0.01) && doubted.iter().all(|hint| hint.variance >= TrustParams::default().together * 0.04));
     }
 
     #[test]
@@ -306,7 +324,7 @@ mod tests {
         let hints = hints(0.0, 0.0);
         // All lie within 48 ms: the information of all together is the mean one of a single hint.
         let information = hints.iter().map(|hint| 1.0 / hint.for_sigma).sum::<f64>();
-        let single = hints.iter().map(|hint| TOGETHER / hint.variance).sum::<f64>() / hints.len() as f64;
+        let single = hints.iter().map(|hint| TrustParams::default().together / hint.variance).sum::<f64>() / hints.len() as f64;
         assert!((information / single - 1.0).abs() < 1e-9, "{information} and {single}");
         // Those who trust them more hold the light more by them, and know it no better.
         for (caution, held, known) in [(0.25, 0.25, 1.0), (4.0, 4.0, 4.0)] {
@@ -320,7 +338,7 @@ mod tests {
     fn hints_far_apart_have_errors_of_their_own() {
         // A second of hints, one each millisecond: 100 on either side of one in the middle, and none before the first.
         let mut hints: Vec<Hint> = (0..1000).map(|k| Hint { t_ns: k * 1_000_000, log_photocurrent: 4.0, variance: 1.0, for_sigma: 1.0 }).collect();
-        err_together(&mut hints);
+        err_together(&mut hints, 200_000_000);
         assert_eq!([0, 500, 999].map(|n: usize| hints[n].for_sigma), [101.0, 201.0, 101.0]);
     }
 

@@ -11,6 +11,7 @@ use axis::Axis;
 use canvas::Canvas;
 use plotters::coord::Shift;
 use plotters::prelude::*;
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 /// A curve.
 #[derive(Clone, Debug, PartialEq)]
@@ -59,6 +60,15 @@ const COLOURS: [RGBColor; 7] = [
     RGBColor(86, 180, 233),
     RGBColor(120, 120, 120),
 ];
+
+/// Room that a letter of the legend takes at most, pixels.
+const LETTER: u32 = 8;
+/// The sample of a curve in the legend, and room around it, pixels.
+const SAMPLE: (u32, u32) = (24, 6);
+/// Lines of the legend, pixels from one to the next.
+const LINE: u32 = 16;
+/// Where colours recur curves are dashed: pixels of a dash, and from one to the next.
+const DASHES: (u32, u32) = (6, 4);
 
 /// A curve of no more points than this shows each as a mark.
 const MOST_MARKS: usize = 24;
@@ -119,9 +129,21 @@ impl Panel {
     fn draw<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, unit: i32) -> Result<(), DrawingAreaErrorKind<B::ErrorType>> {
         let all = || self.series.iter().flat_map(|series| &series.points).filter(|(x, y)| x.is_finite() && y.is_finite());
         let text = |size: i32| ("sans-serif", size * unit).into_font();
+        // To the right of the axes, so that it covers no curve.
+        let letters = self.series.iter().map(|series| series.label.chars().count()).max().filter(|_| self.series.len() > 1);
+        let legend = letters.map(|letters| (SAMPLE.0 + 2 * SAMPLE.1 + LETTER * letters as u32) as i32 * unit);
+        let (area, legend) = match legend {
+            Some(width) => {
+                let (axes, legend) = area.split_horizontally(area.dim_in_pixel().0 as i32 - width);
+                (axes, Some(legend))
+            }
+            None => (area.clone(), None),
+        };
         let (x_axis, y_axis) = (Axis::tight(all().map(|point| point.0), self.is_log), Axis::wide(all().map(|point| point.1)));
-        let mut chart = ChartBuilder::on(area)
+        let mut chart = ChartBuilder::on(&area)
             .margin(10 * unit)
+            // The last number below may be half as long again as the margin.
+            .margin_right(20 * unit)
             .caption(&self.title, text(16))
             .x_label_area_size(42 * unit)
             .y_label_area_size(62 * unit)
@@ -137,37 +159,69 @@ impl Panel {
             .axis_style(BLACK.stroke_width(unit as u32))
             .set_all_tick_mark_size(4 * unit)
             .draw()?;
+        let strokes = self.strokes();
         // The reference lies below the others, wherever it stands in the legend.
         let mut order: Vec<usize> = (0..self.series.len()).collect();
         order.sort_by_key(|&i| !self.series[i].is_reference);
-        let mut colours = COLOURS.iter().cycle();
-        for series in order.iter().map(|&i| &self.series[i]) {
-            let (colour, width) = if series.is_reference { (BLACK, 4) } else { (*colours.next().unwrap_or(&BLACK), 2) };
-            let style = colour.stroke_width((width * unit) as u32);
-            let mut is_first = true;
+        for i in order {
+            let (series, stroke) = (&self.series[i], strokes[i]);
             for stretch in series.points.split(|(x, y)| !(x.is_finite() && y.is_finite())).filter(|stretch| !stretch.is_empty()) {
-                let line = chart.draw_series(LineSeries::new(stretch.iter().copied(), style))?;
-                if is_first {
-                    // Letters are broader than `plotters` guesses: without room behind them they would run over the legend's border.
-                    line.label(format!("{}  ", series.label)).legend(move |(x, y)| PathElement::new([(x, y), (x + 18 * unit, y)], style));
-                    is_first = false;
-                }
+                let points = stretch.iter().copied();
+                match stroke.dashes(unit) {
+                    None => chart.draw_series(LineSeries::new(points, stroke.style(unit)))?,
+                    Some((long, gap)) => chart.draw_series(DashedLineSeries::new(points, long, gap, stroke.style(unit)))?,
+                };
                 if series.points.len() <= MOST_MARKS || stretch.len() == 1 {
-                    chart.draw_series(stretch.iter().map(|&place| Circle::new(place, (3 * unit) as u32, colour.filled())))?;
+                    chart.draw_series(stretch.iter().map(|&place| Circle::new(place, (3 * unit) as u32, stroke.colour.filled())))?;
                 }
             }
         }
-        if self.series.len() > 1 {
-            chart
-                .configure_series_labels()
-                .position(SeriesLabelPosition::UpperRight)
-                .margin((6 * unit) as u32)
-                .legend_area_size((24 * unit) as u32)
-                .label_font(text(12))
-                .background_style(WHITE.mix(0.85))
-                .border_style(RGBColor(160, 160, 160).stroke_width(unit as u32))
-                .draw()?;
+        if let Some(legend) = legend {
+            for (n, (series, stroke)) in self.series.iter().zip(&strokes).enumerate() {
+                let y = (LINE * (n as u32 + 2)) as i32 * unit;
+                let x = [SAMPLE.1, SAMPLE.1 + SAMPLE.0].map(|x| x as i32 * unit);
+                let line = vec![(x[0], y), (x[1], y)];
+                match stroke.dashes(unit) {
+                    None => legend.draw(&PathElement::new(line, stroke.style(unit)))?,
+                    Some((long, gap)) => legend.draw(&plotters::element::DashedPathElement::new(line, long, gap, stroke.style(unit)))?,
+                }
+                let anchored = text(12).into_text_style(&legend).pos(Pos::new(HPos::Left, VPos::Center));
+                legend.draw(&Text::new(series.label.clone(), (x[1] + SAMPLE.1 as i32 * unit, y), anchored))?;
+            }
         }
         Ok(())
+    }
+
+    /// How each curve is drawn: the reference black and broad, the others in colours, dashed where these recur.
+    fn strokes(&self) -> Vec<Stroke> {
+        let mut number = 0..;
+        let mut stroke = |series: &Series| match series.is_reference {
+            true => Stroke { colour: BLACK, width: 4, is_dashed: false },
+            false => {
+                let n = number.next().unwrap_or(0);
+                Stroke { colour: COLOURS[n % COLOURS.len()], width: 2, is_dashed: n / COLOURS.len() % 2 == 1 }
+            }
+        };
+        self.series.iter().map(&mut stroke).collect()
+    }
+}
+
+/// How a curve is drawn.
+#[derive(Clone, Copy)]
+struct Stroke {
+    colour: RGBColor,
+    /// Pixels.
+    width: i32,
+    is_dashed: bool,
+}
+
+impl Stroke {
+    fn style(&self, unit: i32) -> ShapeStyle {
+        self.colour.stroke_width((self.width * unit) as u32)
+    }
+
+    /// Length of a dash and of a gap, where there are any.
+    fn dashes(&self, unit: i32) -> Option<(u32, u32)> {
+        self.is_dashed.then_some((DASHES.0 * unit as u32, DASHES.1 * unit as u32))
     }
 }

@@ -85,7 +85,7 @@ impl Node for WritePlot {
     const DECL: Decl = Decl {
         kind: "write/plot",
         about: "Draws scores over time, or columns of other tables, as curves: SVG, PNG, CSV.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: true,
@@ -305,6 +305,24 @@ mod tests {
 
     const BLUE: &str = "#0072B2";
     const RED: &str = "#D55E00";
+
+    #[test]
+    fn colours_that_recur_are_dashed_and_the_legend_covers_no_curve() {
+        let labels = ["a", "b", "c", "d", "e", "f", "g", "h"];
+        let tables = (0..8).map(|n| scores(&[20.0, 20.0 + f64::from(n), 30.0])).collect();
+        plot(params(&labels), tables, |_, _, folder| {
+            let svg = std::fs::read_to_string(folder.join("plot.svg")).unwrap();
+            let (blue, red) = (polylines(&svg, BLUE), polylines(&svg, RED));
+            let right = red.iter().find(|line| line.len() == 3).unwrap()[2].0;
+            // The first and the eighth: a curve of three points, and one of dashes, of which one may bend at the middle point; with a whole and a dashed sample.
+            assert_eq!(blue.iter().filter(|line| line.len() == 3 && line[2].0 == right).count(), 1);
+            assert!(blue.len() > 20 && red.len() == 2, "{} and {}", blue.len(), red.len());
+            for label in labels {
+                let [(x, _)] = text_at(&svg, label)[..] else { panic!("`{label}` stands in the legend") };
+                assert!(x > right, "`{label}` at {x}, curves end at {right}");
+            }
+        });
+    }
 
     #[test]
     fn a_curve_goes_through_its_points_as_the_ticks_say() {

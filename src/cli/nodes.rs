@@ -6,6 +6,7 @@ use crate::tables::draw;
 use crate::terminal::{print, print_json, say};
 use photocurrent_core::document::Problem;
 use photocurrent_core::ports::{Arity, PortSpec};
+use photocurrent_core::schema::{alternatives, resolve};
 use photocurrent_core::{Grain, Kind};
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -145,11 +146,9 @@ fn rows(text: &mut String, path: &str, table: &Value, root: &Value) {
 
 /// The table with named keys that a parameter takes, and what its keys are written behind: nothing, or `[]` for those of a list's elements.
 fn inner_table<'a>(schema: &'a Value, root: &'a Value) -> Option<(&'static str, &'a Value)> {
-    if let Some(target) = schema["$ref"].as_str().and_then(|target| target.strip_prefix('#')).and_then(|pointer| root.pointer(pointer)) {
-        return inner_table(target, root);
-    }
-    if let Some(list) = schema["oneOf"].as_array().or_else(|| schema["anyOf"].as_array()) {
-        let mut tables = list.iter().filter_map(|schema| inner_table(schema, root));
+    let schema = resolve(root, schema);
+    if let Some(list) = alternatives(schema) {
+        let mut tables = list.into_iter().filter_map(|schema| inner_table(schema, root));
         // Keys of which alternative they are would have to be said.
         return tables.next().filter(|_| tables.next().is_none());
     }
@@ -162,17 +161,15 @@ fn inner_table<'a>(schema: &'a Value, root: &'a Value) -> Option<(&'static str, 
 
 /// What a parameter takes, in a few words, from its schema.
 fn parameter_type(schema: &Value, root: &Value) -> String {
-    if let Some(target) = schema["$ref"].as_str().and_then(|r| r.strip_prefix('#')).and_then(|pointer| root.pointer(pointer)) {
-        return parameter_type(target, root);
-    }
+    let schema = resolve(root, schema);
     if let Some(list) = schema["enum"].as_array() {
         return list.iter().filter(|w| !w.is_null()).map(|w| format!("`{w}`")).collect::<Vec<_>>().join(", ");
     }
     if let Some(word) = schema.get("const") {
         return format!("`{word}`");
     }
-    if let Some(list) = schema["oneOf"].as_array().or_else(|| schema["anyOf"].as_array()) {
-        return list.iter().filter(|s| s["type"] != "null").map(|s| parameter_type(s, root)).collect::<Vec<_>>().join(", ");
+    if let Some(list) = alternatives(schema) {
+        return list.into_iter().map(|schema| parameter_type(schema, root)).collect::<Vec<_>>().join(", ");
     }
     if let Some(quantity) = schema["x-quantity"].as_str() {
         let bounds = match (schema["x-min"].as_str(), schema["x-max"].as_str()) {

@@ -21,7 +21,7 @@ struct Checker<'a> {
 }
 
 /// Follows `$ref` and a nullable `anyOf` to the schema that counts; keys next to `$ref` (such as `x-min`) are looked up by the caller first.
-fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
+pub fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
     loop {
         if let Some(target) = schema["$ref"].as_str().and_then(|r| r.strip_prefix('#')).and_then(|pointer| root.pointer(pointer)) {
             schema = target;
@@ -34,7 +34,7 @@ fn resolve<'a>(root: &'a Json, mut schema: &'a Json) -> &'a Json {
 }
 
 /// The non-null alternatives of `anyOf` or `oneOf`, when there are any.
-fn alternatives(schema: &Json) -> Option<Vec<&Json>> {
+pub fn alternatives(schema: &Json) -> Option<Vec<&Json>> {
     let list = schema["anyOf"].as_array().or_else(|| schema["oneOf"].as_array())?;
     Some(list.iter().filter(|s| s["type"] != "null").collect())
 }

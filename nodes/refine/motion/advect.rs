@@ -2,40 +2,54 @@
 //!
 //! What passes a pixel now passed the next pixel line a moment ago, and will pass the one on the other side a moment later. So log light
 //! is read off where the path crosses the next [`LINES`] lines of pixels, backward and forward, never at the pixel itself and never more than
-//! [`LONGEST_MS`] away. How far that may be trusted is for [`Trust`] to say: past and future must not contradict each other.
+//! `longest` away. How far that may be trusted is for [`Trust`](crate::refine::trust::Trust) to say: past and future must not contradict each other.
+//! Where another motion explains the place nearly as well, what that predicts is asked as well: as far as the two differ the prediction is in doubt.
 
 use crate::refine::film::LogTracks;
-use crate::refine::flow::Flow;
-use crate::refine::trust::{Measured, Said, Trust};
-use photocurrent_sensor::map::Hint;
+use crate::refine::flow::{Flow, MotionParams};
+use crate::refine::trust::Said;
 
 /// Pixel lines that are looked at on either side.
 const LINES: usize = 3;
+/// Velocities that differ by less are the same, pixels per millisecond.
+const ALIKE: f64 = 0.02;
 /// What each of them weighs.
 const LINE_WEIGHTS: [f64; LINES] = [1.0, 0.7, 0.5];
-/// Longest time between a pixel and its neighbour's answer, ms.
-const LONGEST_MS: f64 = 12.0;
-/// A track counts half so long after or before an event of its pixel, ms.
-const FRESH_MS: f64 = 1.5;
-/// And never less than one part in so many and one.
-const STALEST: f64 = 15.0;
-
-/// The hints that its neighbours give a pixel every `step_ns` of `span`.
-pub(in crate::refine) fn hints(tracks: &LogTracks, flow: &Flow, (span, step_ns): ((i64, i64), i64), measured: &Measured<'_>, hints: &mut Vec<Hint>) {
-    let (x, y) = measured.place;
-    let say = |t_ns: i64| neighbours(tracks, flow, x, y, span, t_ns);
-    Trust::default().hints(say, tracks, (span, step_ns), measured, hints);
+/// Log light that past and future neighbours say; `None` where nothing moves.
+pub(in crate::refine) fn neighbours(
+    tracks: &LogTracks,
+    (flow, params, doubt): (&Flow, &MotionParams, f64),
+    (x, y): (usize, usize),
+    span: (i64, i64),
+    t_ns: i64,
+) -> Option<Said> {
+    let own = along(tracks, (&|x, y, t_ns| flow.at(x, y, t_ns), params), (x, y), span, t_ns)?;
+    let (here, there) = (flow.at(x as f64, y as f64, t_ns), flow.rival_at(x as f64, y as f64, t_ns));
+    if doubt == 0.0 || libm::hypot(here[0] - there[0], here[1] - there[1]) < ALIKE {
+        return Some(own);
+    }
+    // What explains the place as well predicts something else, perhaps; where that is that nothing moves, it is the pixel's own track.
+    let rival = along(tracks, (&|x, y, t_ns| flow.rival_at(x, y, t_ns), params), (x, y), span, t_ns).map(|said| said.log).or_else(|| tracks.at(x, y, t_ns));
+    let apart = rival.map_or(0.0, |rival| rival - own.log);
+    Some(Said { doubt: doubt * apart * apart, ..own })
 }
 
-/// Log light that past and future neighbours say; `None` where nothing moves.
-pub(super) fn neighbours(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64), t_ns: i64) -> Option<Said> {
-    let velocity = flow.at(x as f64, y as f64, t_ns);
+/// Log light that past and future neighbours say along a motion.
+fn along(
+    tracks: &LogTracks,
+    (flow, params): (&dyn Fn(f64, f64, i64) -> [f64; 2], &MotionParams),
+    (x, y): (usize, usize),
+    span: (i64, i64),
+    t_ns: i64,
+) -> Option<Said> {
+    let (fresh_ms, longest_ms) = (params.fresh.ns() as f64 * 1e-6, params.longest.ns() as f64 * 1e-6);
+    let velocity = flow(x as f64, y as f64, t_ns);
     let side = |direction: f64| -> Option<(f64, f64)> {
         let (mut sum, mut weights) = (0.0, 0.0);
         for (k, line_weight) in LINE_WEIGHTS.iter().enumerate() {
-            let Some((log, apart_ms)) = crossing(tracks, flow, x, y, span, t_ns, velocity, direction * (k + 1) as f64) else { break };
-            let stale = apart_ms / FRESH_MS;
-            let weight = line_weight / (1.0 + f64::min(stale * stale, STALEST));
+            let Some((log, apart_ms)) = crossing(tracks, flow, (x, y), (span, longest_ms), t_ns, velocity, direction * (k + 1) as f64) else { break };
+            let stale = apart_ms / fresh_ms;
+            let weight = line_weight / (1.0 + f64::min(stale * stale, params.stalest));
             sum += weight * log;
             weights += weight;
         }
@@ -45,26 +59,33 @@ pub(super) fn neighbours(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, sp
         (Some((past, w0)), Some((future, w1))) => {
             let share = w1 / (w0 + w1);
             let apart = future - past;
-            Some(Said { t_ns, log: past + share * apart, contradiction: Some(share * (1.0 - share) * apart * apart) })
+            Some(Said { t_ns, log: past + share * apart, contradiction: Some(share * (1.0 - share) * apart * apart), doubt: 0.0 })
         }
-        (Some((log, _)), None) | (None, Some((log, _))) => Some(Said { t_ns, log, contradiction: None }),
+        (Some((log, _)), None) | (None, Some((log, _))) => Some(Said { t_ns, log, contradiction: None, doubt: 0.0 }),
         (None, None) => None,
     }
 }
 
 /// Log light where the path crosses the line `lines` further along the motion, and how many milliseconds away the nearest event of the pixels
 /// there is; negative lines were crossed before.
-#[expect(clippy::too_many_arguments, reason = "a pixel and all that surrounds it")]
-fn crossing(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64), t_ns: i64, velocity: [f64; 2], lines: f64) -> Option<(f64, f64)> {
+fn crossing(
+    tracks: &LogTracks,
+    flow: &dyn Fn(f64, f64, i64) -> [f64; 2],
+    (x, y): (usize, usize),
+    (span, longest_ms): ((i64, i64), f64),
+    t_ns: i64,
+    velocity: [f64; 2],
+    lines: f64,
+) -> Option<(f64, f64)> {
     // Lines lie across the faster component.
     let axis = if velocity[0].abs() >= velocity[1].abs() { 0 } else { 1 };
-    let allowed = |v: [f64; 2]| (lines / v[axis].abs()).abs() <= LONGEST_MS;
+    let allowed = |v: [f64; 2]| (lines / v[axis].abs()).abs() <= longest_ms;
     if !allowed(velocity) {
         return None;
     }
     // The velocity halfway is that of the whole way to second order.
     let half_ms = 0.5 * lines / velocity[axis].abs();
-    let middle = flow.at(x as f64 + velocity[0] * half_ms, y as f64 + velocity[1] * half_ms, t_ns + (half_ms * 1e6) as i64);
+    let middle = flow(x as f64 + velocity[0] * half_ms, y as f64 + velocity[1] * half_ms, t_ns + (half_ms * 1e6) as i64);
     if middle[axis] * velocity[axis] <= 0.0 || !allowed(middle) {
         return None;
     }
@@ -92,7 +113,7 @@ fn crossing(tracks: &LogTracks, flow: &Flow, x: usize, y: usize, span: (i64, i64
     };
     let apart_ms = |k: i64| {
         let (x, y) = place(k);
-        f64::min(tracks.fired.apart_ms(y * size[0] + x, then_ns), LONGEST_MS)
+        f64::min(tracks.fired.apart_ms(y * size[0] + x, then_ns), longest_ms)
     };
     let s = along - first as f64;
     // The cubic through four pixels (Catmull and Rom).

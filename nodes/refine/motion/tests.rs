@@ -35,13 +35,31 @@ fn pixels_that_have_nothing_to_do_with_each_other_stay_as_they_are() {
 }
 
 #[test]
+fn decisions_reach_the_solver() {
+    let (events, frames) = record(texture);
+    let with = |clear_gain: f64| {
+        let decisions = Some(Decisions { clear_gain, ..Decisions::default() });
+        let alone = SolvePixel::build(SolveParams { decisions, ..SolveParams::default() }).unwrap();
+        let input = crate::solve::pixel::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
+        let alone = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| alone.run(input, cx)).0.unwrap().tracks;
+        let node = RefineMotion::build(Params { rounds: 1, decisions, ..Params::default() }).unwrap();
+        let input = In { tracks: solve(&events, &frames), events: events.clone(), frames: frames.clone(), sensor: sensor() };
+        let together = testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(input, cx)).0.unwrap().tracks;
+        [alone, together].map(|tracks| tracks.read(EXTENT.rows()).unwrap())
+    };
+    // Any gain, and none that could be had.
+    let ([any, any_together], [none, none_together]) = (with(0.0), with(1.0));
+    assert!(any != none && any_together != none_together);
+}
+
+#[test]
 fn the_motion_of_a_sliding_texture_is_found() {
     // From the light itself, so that only the eye is judged.
     let picture = |n: usize| (0..384).map(|p| texture(p % 24, p / 24, 0.5 * n as f64) as f32).collect();
     let film = |numbers: std::ops::Range<usize>| Film { width: 24, height: 16, first: numbers.start, pictures: numbers.map(picture).collect() };
     let event = photocurrent_sensor::map::MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
     let lively = Lively::new(EXTENT, (0, 20_000_000), std::iter::once((12, 8, &[event][..])));
-    let flow = Flow::new((24, 16), 0, 41, &lively, film);
+    let flow = Flow::new((24, 16), (0, 41), &lively, &MotionParams::default(), film);
     for (x, y, t_ns) in [(12.0, 8.0, 10_000_000), (5.0, 4.0, 5_000_000), (18.5, 11.5, 15_300_000)] {
         let [vx, vy] = flow.at(x, y, t_ns);
         // A twentieth of a pixel over the three lines that are looked at.
@@ -64,7 +82,7 @@ fn what_passes_before_a_ground_leaves_its_motion_alone() {
     let event = photocurrent_sensor::map::MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
     let extent = photocurrent_core::Extent { width: width as u32, height: height as u32 };
     let lively = Lively::new(extent, (0, 20_000_000), std::iter::once((30, 22, &[event][..])));
-    let flow = Flow::new((width, height), 0, 41, &lively, film);
+    let flow = Flow::new((width, height), (0, 41), &lively, &MotionParams::default(), film);
     // In a ring around it, as far as windows reach.
     let ring: Vec<(usize, usize)> =
         (0..width * height).map(|p| (p % width, p / width)).filter(|(x, y)| (7.0..12.0).contains(&libm::hypot(*x as f64 - 30.0, *y as f64 - 22.0))).collect();
@@ -77,8 +95,8 @@ fn what_passes_before_a_ground_leaves_its_motion_alone() {
     assert!(wrong * 10 < ring.len(), "{wrong} of {}", ring.len());
 }
 
-/// The hints of pixel (12, 8) of a texture whose tracks are its light, when that pixel's own track is moved by `own` and its frame is brighter by `brighter`, natural-log units.
-fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
+/// A texture whose tracks are its light, when the track of pixel (12, 8) is moved by `own`, natural-log units.
+fn tracks_of_light(own: f64) -> LogTracks {
     let mut band = TrackBand::begin(0, EXTENT.width);
     for p in 0..EXTENT.pixels() {
         let (x, y) = (p % 24, p / 24);
@@ -86,7 +104,12 @@ fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
         band.push((0..400).map(|n| (n * 100_000, libm::exp(texture(x, y, n as f64 * 0.1) + moved) as f32)));
     }
     let fired = Fired::new((0..EXTENT.pixels()).map(|_| vec![20_000_000]));
-    let tracks = LogTracks::new(EXTENT, band, &Arc::new(fired));
+    LogTracks::new(EXTENT, band, &Arc::new(fired))
+}
+
+/// The hints of that pixel, when its frame is brighter by `brighter`.
+fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
+    let tracks = tracks_of_light(own);
     let event = photocurrent_sensor::map::MapEvent { t_in_ns: 20_000_000, t_off_ns: 20_001_000, polarity: 1, is_lone: false };
     // The mean light of an exposure of 4 ms.
     let light: f64 = (0..400).map(|n| libm::exp(texture(12, 8, 18.0 + 0.01 * (n as f64 + 0.5)))).sum::<f64>() / 400.0;
@@ -96,7 +119,8 @@ fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let model = Posed { model: photocurrent_sensor::model::Model::of(&sensor()), added: 0.0 };
     let measured = Measured { sensor: &model, extent: EXTENT, place: (12, 8), events: &[event], frames: &[frame], threshold: 0.25 };
     let mut hints = Vec::new();
-    advect::hints(&tracks, &flow, (span, 500_000), &measured, &mut hints);
+    let say = |t_ns: i64| advect::neighbours(&tracks, (&flow, &MotionParams::default(), 0.5), (12, 8), span, t_ns);
+    Trust::new(&TrustParams::default()).hints(say, &tracks, (span, 500_000), &measured, &mut hints);
     hints
 }
 
@@ -121,6 +145,28 @@ fn a_pixel_never_hints_itself_but_judges_its_hints() {
     assert!(plain.iter().zip(&moved).all(|(plain, moved)| moved.variance > plain.variance));
     // Hints that miss its frame by four thresholds are none.
     assert!(hints(0.0, 1.0, [0.7, 0.2]).is_empty());
+}
+
+#[test]
+fn motions_that_explain_a_place_as_well_leave_a_doubt() {
+    let (tracks, span, t_ns) = (tracks_of_light(0.3), (0, 39_900_000), 20_250_000);
+    let params = MotionParams::default();
+    let ask = |rival: [f32; 2], doubt: f64| {
+        let flow = Flow::steady_with_rival(24, 16, [0.7, 0.2], rival);
+        advect::neighbours(&tracks, (&flow, &params, doubt), (12, 8), span, t_ns).unwrap()
+    };
+    let (own, other) = (ask([0.7, 0.2], 0.5), [-0.5, 0.3]);
+    let alone = advect::neighbours(&tracks, (&Flow::steady(24, 16, other), &params, 0.5), (12, 8), span, t_ns).unwrap();
+    let doubt = |log: f64| 0.5 * (log - own.log) * (log - own.log);
+    assert_eq!(own.doubt, 0.0);
+    // It is what the other says, as a difference, and nothing else changes.
+    let said = ask(other, 0.5);
+    assert_eq!((said.log, said.contradiction), (own.log, own.contradiction));
+    assert!(doubt(alone.log) > 1e-3 && (said.doubt - doubt(alone.log)).abs() < 1e-12, "{} and {}", said.doubt, doubt(alone.log));
+    // That nothing moves is what the pixel's own track says.
+    let still = tracks.at(12, 8, t_ns).unwrap();
+    assert!((ask([0.0, 0.0], 0.5).doubt - doubt(still)).abs() < 1e-12);
+    assert_eq!(ask(other, 0.0).doubt, 0.0);
 }
 
 #[test]

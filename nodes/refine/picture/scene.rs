@@ -123,6 +123,6 @@ impl Pictures {
         }
         // Nobody contradicts it but the pixel's own events.
         let log = between(&said.log[n], at, t_ns)?;
-        Some(Said { t_ns, log, contradiction: Some(0.0) })
+        Some(Said { t_ns, log, contradiction: Some(0.0), doubt: 0.0 })
     }
 }
