@@ -38,7 +38,7 @@ pub(super) struct Flow {
     step_ns: i64,
     /// One field per instant, as [line * columns + column].
     fields: Vec<Vec<[f32; 2]>>,
-    /// Motions that explain a place nearly as well, laid out likewise; the same where there is none.
+    /// Motions that explain a place nearly as well, laid out likewise, the same where there is none; empty where nobody asks for them.
     rivals: Vec<Vec<[f32; 2]>>,
 }
 
@@ -75,10 +75,10 @@ impl Lattice {
 type Affine = [f64; 6];
 
 impl Flow {
-    /// Of tracks between two instants.
-    pub fn of_tracks(tracks: &LogTracks, span: (i64, i64), lively: &Lively, params: &MotionParams) -> Flow {
+    /// Of tracks between two instants; with rivals where somebody asks for them.
+    pub fn of_tracks(tracks: &LogTracks, span: (i64, i64), lively: &Lively, how: (&MotionParams, bool)) -> Flow {
         let size = (tracks.extent.width as usize, tracks.extent.height as usize);
-        Flow::new(size, (span.0, Film::count(span)), lively, params, |numbers| Film::new(tracks, span.0, numbers))
+        Flow::new(size, (span.0, Film::count(span)), lively, how, |numbers| Film::new(tracks, span.0, numbers))
     }
 
     /// From a film of so many pictures from an instant on, of which `film` gives those of any numbers.
@@ -86,7 +86,7 @@ impl Flow {
         (width, height): (usize, usize),
         (start_ns, count): (i64, usize),
         lively: &Lively,
-        params: &MotionParams,
+        (params, with_rivals): (&MotionParams, bool),
         film: impl Fn(Range<usize>) -> Film,
     ) -> Flow {
         let lattice = Lattice::new(width, height);
@@ -99,11 +99,11 @@ impl Flow {
             let places = lively.places((at_ns(numbers.start), at_ns(numbers.end)), (0..lattice.len()).map(|at| lattice.pixel(at)));
             if places.is_empty() {
                 fields.extend(bins.clone().map(|_| vec![[0.0; 2]; lattice.len()]));
-                rivals.extend(bins.map(|_| vec![[0.0; 2]; lattice.len()]));
+                rivals.extend(bins.filter(|_| with_rivals).map(|_| vec![[0.0; 2]; lattice.len()]));
                 continue;
             }
             let film = film(numbers);
-            let look = Look { lattice, coarse: &film.smoothed(2.0), fine: &film.smoothed(0.7), count, places: &places, params };
+            let look = Look { lattice, coarse: &film.smoothed(2.0), fine: &film.smoothed(0.7), count, places: &places, params, with_rivals };
             let per_ms = 1e6 / STEP_NS as f64;
             let of = |bin: usize| {
                 let per_ms = |field: Vec<[f64; 2]>| -> Vec<[f32; 2]> { field.iter().map(|v| v.map(|v| (v * per_ms) as f32)).collect() };
@@ -112,7 +112,7 @@ impl Flow {
             };
             let (some, their): (Vec<_>, Vec<_>) = bins.into_par_iter().map(of).unzip();
             fields.extend(some);
-            rivals.extend(their);
+            rivals.extend(their.into_iter().filter(|_| with_rivals));
         }
         Flow { lattice, start_ns, step_ns: STEP_NS * STRIDE as i64, fields, rivals }
     }
@@ -143,7 +143,7 @@ impl Flow {
         self.of(&self.fields, x, y, t_ns)
     }
 
-    /// A velocity that explains the place nearly as well, or the same.
+    /// A velocity that explains the place nearly as well, or the same; only of a flow with rivals.
     pub fn rival_at(&self, x: f64, y: f64, t_ns: i64) -> [f64; 2] {
         self.of(&self.rivals, x, y, t_ns)
     }
@@ -232,12 +232,13 @@ struct Look<'a> {
     /// Places of the lattice where something may move.
     places: &'a [usize],
     params: &'a MotionParams,
+    with_rivals: bool,
 }
 
 impl Look<'_> {
     /// The field at picture `middle` and that of the rivals, pixels per picture.
     fn estimate(&self, middle: usize) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
-        let Look { lattice, coarse, fine, count, places, params } = *self;
+        let Look { lattice, coarse, fine, count, places, params, .. } = *self;
         let middle = middle.clamp(1, usize::max(count.saturating_sub(2), 1));
         let pairs = |film, distances| Pairs { film, count, robust: params.robust * params.robust, middle, shifts: &[-2, 0, 2], distances };
         let affine = self.affine(&pairs(coarse, &[1]), [0.0; 6], 6);
@@ -294,6 +295,9 @@ impl Look<'_> {
                 }
             }
             tried.push((cost, candidate));
+        }
+        if !self.with_rivals {
+            return Vec::new();
         }
         let mut rivals = field.to_vec();
         for &at in self.places {

@@ -166,7 +166,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let Params { motion, trust, .. } = &self.params;
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &lively, motion);
+            let flow = Flow::of_tracks(&log, span, &lively, (motion, self.params.doubt > 0.0));
             let neighbours = Neighbours { log: &log, flow: &flow, motion, doubt: self.params.doubt, sensor: &sensor, step_ns, trust };
             let caution = neighbours.caution(&mut again);
             tracks = again.solve(

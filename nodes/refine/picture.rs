@@ -164,7 +164,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let Params { motion, trust, .. } = &self.params;
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &lively, motion);
+            let flow = Flow::of_tracks(&log, span, &lively, (motion, false));
             let neighbours = Neighbours { log: &log, flow: &flow, motion, doubt: 0.0, sensor: &sensor, step_ns, trust };
             let of_neighbours = self.params.neighbours.then(|| neighbours.caution(&mut again));
             let of_picture = |hold_out: bool, light: &OfRow, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {

@@ -24,8 +24,11 @@ pub(in crate::refine) fn neighbours(
     t_ns: i64,
 ) -> Option<Said> {
     let own = along(tracks, (&|x, y, t_ns| flow.at(x, y, t_ns), params), (x, y), span, t_ns)?;
+    if doubt == 0.0 {
+        return Some(own);
+    }
     let (here, there) = (flow.at(x as f64, y as f64, t_ns), flow.rival_at(x as f64, y as f64, t_ns));
-    if doubt == 0.0 || libm::hypot(here[0] - there[0], here[1] - there[1]) < ALIKE {
+    if libm::hypot(here[0] - there[0], here[1] - there[1]) < ALIKE {
         return Some(own);
     }
     // What explains the place as well predicts something else, perhaps; where that is that nothing moves, it is the pixel's own track.

@@ -59,7 +59,7 @@ fn the_motion_of_a_sliding_texture_is_found() {
     let film = |numbers: std::ops::Range<usize>| Film { width: 24, height: 16, first: numbers.start, pictures: numbers.map(picture).collect() };
     let event = photocurrent_sensor::map::MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
     let lively = Lively::new(EXTENT, (0, 20_000_000), std::iter::once((12, 8, &[event][..])));
-    let flow = Flow::new((24, 16), (0, 41), &lively, &MotionParams::default(), film);
+    let flow = Flow::new((24, 16), (0, 41), &lively, (&MotionParams::default(), true), film);
     for (x, y, t_ns) in [(12.0, 8.0, 10_000_000), (5.0, 4.0, 5_000_000), (18.5, 11.5, 15_300_000)] {
         let [vx, vy] = flow.at(x, y, t_ns);
         // A twentieth of a pixel over the three lines that are looked at.
@@ -82,7 +82,7 @@ fn what_passes_before_a_ground_leaves_its_motion_alone() {
     let event = photocurrent_sensor::map::MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
     let extent = photocurrent_core::Extent { width: width as u32, height: height as u32 };
     let lively = Lively::new(extent, (0, 20_000_000), std::iter::once((30, 22, &[event][..])));
-    let flow = Flow::new((width, height), (0, 41), &lively, &MotionParams::default(), film);
+    let flow = Flow::new((width, height), (0, 41), &lively, (&MotionParams::default(), true), film);
     // In a ring around it, as far as windows reach.
     let ring: Vec<(usize, usize)> =
         (0..width * height).map(|p| (p % width, p / width)).filter(|(x, y)| (7.0..12.0).contains(&libm::hypot(*x as f64 - 30.0, *y as f64 - 22.0))).collect();
