@@ -114,19 +114,23 @@ fn an_ablation_prints_one_row_a_variant_with_its_gain() {
 #[test]
 fn blocks_of_a_long_recording_show_every_instant_once_and_as_well_as_the_whole() {
     let bench = Bench::new();
-    let scores = |manifest: &str, name: &str| -> Vec<(i64, f64)> {
+    let scores = |length: &str| -> Vec<(i64, f64)> {
         let small = ["--set", "nodes.scene.params.width=24", "--set", "nodes.scene.params.height=16"];
-        let done = bench.run(&[&["run", &pipeline(manifest), "--to", "psnr"], &small[..]].concat());
+        let length = format!("pipeline.blocks.length=\"{length}\"");
+        let done = bench.run(&[&["run", &pipeline("long.toml"), "--set", &length], &small[..]].concat());
         assert_eq!(done.code, 0, "{}", done.stderr);
-        let lines = lines(&bench.path(&format!("out/{name}/metrics.jsonl")));
+        let lines = lines(&bench.path("out/long/metrics.jsonl"));
         let mut scores: Vec<(i64, f64)> = lines.iter().map(|line| (line["t_ns"].as_i64().expect("ns"), line["value"].as_f64().expect("dB"))).collect();
         scores.sort_by_key(|(t_ns, _)| *t_ns);
         scores
     };
-    let (blocks, whole) = (scores("long.toml", "long"), scores("ablations/window.toml", "window"));
+    let whole = scores("1 min");
+    let blocks = scores("100 ms");
     let instants = |scores: &[(i64, f64)]| scores.iter().map(|(t_ns, _)| *t_ns).collect::<Vec<i64>>();
     assert_eq!(instants(&blocks), instants(&whole));
     assert_eq!(blocks.len(), 300);
+    let pictures = std::fs::read_dir(bench.path("out/long/pictures")).expect("a folder of pictures");
+    assert_eq!(pictures.filter(|picture| picture.as_ref().is_ok_and(|picture| picture.file_name().to_string_lossy().ends_with(".png"))).count(), 300);
     let mean = |scores: &[(i64, f64)]| scores.iter().map(|(_, db)| db).sum::<f64>() / scores.len() as f64;
     assert!(mean(&blocks) > mean(&whole) - 0.5, "{} {}", mean(&blocks), mean(&whole));
     // Nor does any frame next to a cut stand out: the ten on either side of both.

@@ -120,6 +120,7 @@ in     = { events = "recording.events", frames = "recording.frames", sensor = "s
 params = { rate = "1 kHz", latency = "40 us" }
 "#,
     };
+    const LOCAL_IN_TIME: bool = true;
     type Params = Params;
     type In = In;
     type Out = Out;

@@ -62,6 +62,7 @@ in     = { frames = "recording.frames" }
 params = { rate = "1 kHz" }
 "#,
     };
+    const LOCAL_IN_TIME: bool = true;
     type Params = Params;
     type In = In;
     type Out = Out;

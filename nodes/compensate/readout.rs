@@ -78,6 +78,7 @@ kind = "compensate/readout"
 in   = { events = "recording.events", sensor = "sensor" }
 "#,
     };
+    const LOCAL_IN_TIME: bool = true;
     type Params = Params;
     type In = In;
     type Out = Out;

@@ -141,6 +141,7 @@ kind = "refine/motion"
 in   = { tracks = "solve.tracks", events = "recording.events", frames = "recording.frames", sensor = "sensor" }
 "#,
     };
+    const LOCAL_IN_TIME: bool = true;
     type Params = Params;
     type In = In;
     type Out = Out;

@@ -225,6 +225,7 @@ in     = { frames = "render.frames", sigma = "render.sigma", events = "recording
 params = { weights = "data/weights/refine.onnx" }
 "#,
     };
+    const LOCAL_IN_TIME: bool = true;
     type Params = Params;
     type In = In;
     type Out = Out;

@@ -96,6 +96,7 @@ kind = "refine/steered"
 in   = { tracks = "solve.tracks" }
 "#,
     };
+    const LOCAL_IN_TIME: bool = true;
     type Params = Params;
     type In = In;
     type Out = Out;

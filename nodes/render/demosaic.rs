@@ -97,6 +97,7 @@ in     = { frames = "render" }
 params = { method = "gradients" }
 "#,
     };
+    const LOCAL_IN_TIME: bool = true;
     type Params = Params;
     type In = In;
     type Out = Out;

@@ -112,6 +112,7 @@ in     = { tracks = "solve.tracks", sensor = "sensor" }
 params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
 "#,
     };
+    const LOCAL_IN_TIME: bool = true;
     type Params = Params;
     type In = In;
     type Out = Out;

@@ -168,6 +168,9 @@ params = { frame_rate = "120 fps", exposure = "6.5 ms" }
     }
 }
 
+/// Pixels of a row that one thread simulates at a time.
+const SHARED_OUT: u32 = 64;
+
 /// What the camera looks at.
 struct Scenery {
     /// The light of event pixels.
@@ -191,17 +194,26 @@ fn simulate_rows(camera: &Camera, kernel: Option<&Kernel>, scenery: &Scenery, ro
     let own = scenery.own.as_ref().map(|own| own.read(scenery.frame_rows(camera, rows))).transpose()?;
     let values = Extent { width: camera.frames.row_values() as u32, ..camera.frames.extent };
     let simulate_row = |y: u32| -> Result<(Vec<Event>, FrameBlock), NodeError> {
-        let mut events = Vec::new();
         let frame_rows = scenery.frame_rows(camera, Rows { start: y, end: y + 1 });
         let mut frames = FrameBlock::zeros(0..camera.frames.times.len(), frame_rows, camera.frames.row_values());
-        let mut pixel = PixelLight::default();
-        for x in 0..extent.width {
-            pixel.take(&light, extent, kernel, x, y);
-            camera.record(x, y, &pixel.seen()?, &mut events);
-            if own.is_none() {
-                put(&mut frames, x, y, camera.frame_values(x, y, &pixel.own()?));
+        let some = |first: u32| -> Result<(Vec<Event>, Vec<Vec<f64>>), NodeError> {
+            let (mut events, mut values, mut pixel) = (Vec::new(), Vec::new(), PixelLight::default());
+            for x in first..extent.width.min(first + SHARED_OUT) {
+                pixel.take(&light, extent, kernel, x, y);
+                camera.record(x, y, &pixel.seen()?, &mut events);
+                if own.is_none() {
+                    values.push(camera.frame_values(x, y, &pixel.own()?));
+                }
             }
-        }
+            Ok((events, values))
+        };
+        // A band may be a single row, so its pixels are shared out as well.
+        let firsts: Vec<u32> = (0..extent.width).step_by(SHARED_OUT as usize).collect();
+        let parts = firsts.par_iter().map(|first| some(*first)).collect::<Result<Vec<_>, NodeError>>()?;
+        let (events, captured): (Vec<Vec<Event>>, Vec<Vec<Vec<f64>>>) = parts.into_iter().unzip();
+        let events = events.concat();
+        captured.into_iter().flatten().zip(0..).for_each(|(values, x)| put(&mut frames, x, y, values));
+        let mut pixel = PixelLight::default();
         for (own, (value, y)) in own.iter().flat_map(|own| frame_rows.iter().flat_map(move |y| (0..values.width).map(move |value| (own, (value, y))))) {
             pixel.take(own, values, None, value, y);
             put(&mut frames, value, y, camera.frame_values(value, y, &pixel.own()?));

@@ -201,6 +201,9 @@ pub fn estimated_instants(scene: &dyn Scene, look: Look, extent: Extent, duratio
     2.0 + seen / SAMPLED_PIXELS as f64
 }
 
+/// Pixels of a row that one thread looks at, at least.
+const LEAST_PIXELS: usize = 32;
+
 /// Light and true frames of `scene` on the rows of the context.
 ///
 /// # Errors
@@ -212,18 +215,22 @@ pub fn look(scene: &dyn Scene, look: Look, scale: &Scale, metas: Metas, cx: &Con
         let (colour, channels) = (metas.light.colour, metas.light.colour.channels());
         let mut light = LightBand::begin(y, width * channels);
         let mut truth = metas.truth_block(Rows { start: y, end: y + 1 }, cx);
-        for value in 0..width * channels {
+        let sample = |value: u32| {
             let place = (f64::from(value / channels), f64::from(y));
-            let kept = look.sample(scene, colour.channel(value, y), place, 0, metas.light.span.end.0, scale.white);
+            look.sample(scene, colour.channel(value, y), place, 0, metas.light.span.end.0, scale.white)
+        };
+        // A band may be a single row, so its pixels are shared out as well.
+        let sampled: Vec<Vec<(i64, f64)>> = (0..width * channels).into_par_iter().with_min_len(LEAST_PIXELS).map(sample).collect();
+        for kept in sampled {
             light.push(kept.into_iter().map(|(t, photocurrent)| (t, photocurrent as f32)));
         }
-        for value in 0..metas.truth.row_values() {
-            let (channel, x) = (metas.truth.colour.channel(value as u32, y), value as u32 / metas.truth.channels());
-            for l in truth.frames.clone() {
-                let shown = reflectance(scene, channel, f64::from(x), f64::from(y), metas.truth.times.exposures[l].start.0);
-                truth.row_mut(l, y)[value] = scale.true_dn_of(channel, scale.white * shown);
+        truth.dn.par_chunks_mut(metas.truth.row_values().max(1)).zip(metas.truth.times.exposures.par_iter()).for_each(|(picture, exposure)| {
+            for (value, dn) in picture.iter_mut().enumerate() {
+                let (channel, x) = (metas.truth.colour.channel(value as u32, y), value as u32 / metas.truth.channels());
+                let shown = reflectance(scene, channel, f64::from(x), f64::from(y), exposure.start.0);
+                *dn = scale.true_dn_of(channel, scale.white * shown);
             }
-        }
+        });
         cx.advance(1)?;
         Ok((light, truth))
     };

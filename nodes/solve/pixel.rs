@@ -40,7 +40,7 @@ mod tests;
 #[cfg(test)]
 mod undo_tests;
 
-use crate::co_located::{CoLocated, values_of};
+use crate::co_located::{CoLocated, CoLocatedEvents, values_of};
 use crate::compensate::readout::check_events;
 use crate::pixel_events::{Stamp, StepRule, clock_offset, left_out};
 use crate::spans::{check_one_clock, check_steps};
@@ -52,8 +52,8 @@ use photocurrent_core::events::EventRow;
 use photocurrent_core::handle::Band;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{
-    Between, Colour, Context, Decl, EventStream, EventsMeta, Exposure, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet, Meta, Node,
-    NodeError, PortMetas, Sensor, TimeSpan, TrackBand, TrackSet, TracksMeta,
+    Between, Colour, Context, Decl, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, Grain, MapBand, MapMeta, MapSet,
+    Meta, Node, NodeError, PortMetas, Rows, Sensor, TimeSpan, TrackBand, TrackSet, TracksMeta,
 };
 use photocurrent_sensor::effects::{Site, from_description};
 use photocurrent_sensor::front_end::FrontEnd;
@@ -322,6 +322,7 @@ in     = { events = "recording.events", frames = "recording.frames", sensor = "s
 params = { method = "map" }
 "#,
     };
+    const LOCAL_IN_TIME: bool = true;
     type Params = Params;
     type In = In;
     type Out = Out;
@@ -367,24 +368,44 @@ params = { method = "map" }
         let rows = cx.rows();
         let colours = Colours::new(CoLocated::new(&input.events.meta, &input.frames.meta)?, &input.sensor)?;
         let (times, all) = (&input.frames.meta.times, meta.extent.rows());
+        // To the solvers, every value of a row is a pixel.
+        let wide = TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta.clone() };
+        let take_in = |rows: Rows| -> Result<(Rows, CoLocatedEvents, FrameBlock), NodeError> {
+            Ok((rows, colours.lie.read(&input.events, rows)?, input.frames.read_rows(rows.with_halo(colours.halo(), all))?))
+        };
+        let coupled = neighbours::halo(&model, colours.lie);
+        if self.params.method == Method::Map && coupled.is_none() && rows.len() < choice::BLOCK_ROWS as usize && Settings::chosen(rows, cx).is_none() {
+            // Bands are this low where memory is short, so not even the rows of a block are held at once.
+            let mut held: Option<(Rows, CoLocatedEvents, FrameBlock)> = None;
+            Settings::choose_row_by_row(&self.params, &model, &wide, rows, cx, |data, row| {
+                let company = Rows { start: row, end: row + 1 }.with_halo(choice::COMPANY_ROWS, all);
+                let (rows, events, frames) = match &mut held {
+                    Some(held) if held.0.contains(company) => held,
+                    held => held.insert(take_in(Rows { start: row, end: row + HELD_ROWS }.with_halo(choice::COMPANY_ROWS, all))?),
+                };
+                data.take(&model, &Recorded { meta: &wide, times, colours: &colours, rows: *rows, events, frames }, row, 0.0)
+            })?;
+        }
         let at_hand = match self.params.method {
             Method::Paper => rows,
-            Method::Map => rows.with_halo(neighbours::halo(&model, colours.lie).unwrap_or(choice::HALO_ROWS), all),
+            Method::Map => {
+                // Once settings are chosen, only the company of events is around.
+                let around = if Settings::chosen(rows, cx).is_some() { choice::COMPANY_ROWS } else { choice::HALO_ROWS };
+                rows.with_halo(coupled.unwrap_or(around), all)
+            }
         };
         if !input.events.rows().contains(colours.lie.event_rows(at_hand)) {
             return Err(late_description("the description mixes the light of neighbouring pixels"));
         }
-        let events = colours.lie.read(&input.events, at_hand)?;
-        let frames = input.frames.read_rows(at_hand.with_halo(colours.halo(), all))?;
-        // To the solvers, every value of a row is a pixel.
-        let wide = TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta.clone() };
+        let (at_hand, events, frames) = take_in(at_hand)?;
         let recorded = Recorded { meta: &wide, times, colours: &colours, rows: at_hand, events: &events, frames: &frames };
         let known = neighbours::known(&self.params, &model, &recorded, rows, cx)?;
         let settings = match self.params.method {
             Method::Paper => None,
-            Method::Map => Some(Settings::choose(&self.params, &model, &recorded, rows, known.as_ref())?),
+            Method::Map => Some(Settings::choose_once(&self.params, &model, &recorded, rows, known.as_ref(), cx)?),
         };
         cx.begin(rows.len() as u64, "rows");
+        let shared_out = rows.len() < choice::BLOCK_ROWS as usize;
         let solve_row = |(workspace, finer): &mut (paper::RowSolver, map::RowSolver), row: u32| -> Result<(TrackBand, MapBand), NodeError> {
             let (tracks, map) = match &settings {
                 None => {
@@ -392,18 +413,27 @@ params = { method = "map" }
                     let shares = colours.row(&model, &frames, row);
                     events.with_row(row, |events| workspace.row(&self.params, &model, &wide, row, events, &frames, &exposures, &shares))??
                 }
-                Some(settings) => finer.row(&model, settings.of(row), &recorded, row, known.as_ref())?,
+                Some(settings) => finer.row(&model, settings.of(row), &recorded, row, known.as_ref(), shared_out)?,
             };
             cx.advance(1)?;
             Ok((tracks, of_pixels(map, &meta)))
         };
-        let solved: Result<Vec<_>, NodeError> = rows.iter().into_par_iter().map_init(Default::default, solve_row).collect();
+        // Of a low band, the pixels of each row are shared out over the threads, one row after the other.
+        let solved: Result<Vec<_>, NodeError> = if shared_out && settings.is_some() {
+            let mut memory = Default::default();
+            rows.iter().map(|row| solve_row(&mut memory, row)).collect()
+        } else {
+            rows.iter().into_par_iter().map_init(Default::default, solve_row).collect()
+        };
         let (tracks, maps): (Vec<TrackBand>, Vec<MapBand>) = solved?.into_iter().unzip();
         let map = MapBand::concat(maps);
         report(&map, self.params.plausible_range, cx);
         Ok(Out { tracks: TrackSet::in_memory(Arc::new(meta.clone()), TrackBand::concat(tracks)), map: MapSet::in_memory(Arc::new(map_meta(meta.extent)), map) })
     }
 }
+
+/// Rows that are held at a time where a block is looked at in parts.
+const HELD_ROWS: u32 = 4;
 
 /// A description that a node worked out is planned as the one that it was given: what reaches over rows may be in it only now.
 fn late_description(what: &str) -> NodeError {

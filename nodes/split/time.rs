@@ -3,18 +3,13 @@
 //! Events are those stamped within the window, frames those whose whole exposure, of every row, lies in it. Blocks should overlap: near the ends of a window a solution has data on one side
 //! only. Render what lies between the overlaps (`start` and `end` of `render/rows`).
 //!
-//! Limits: events are filtered as they are read, so every block is a pass over the events of its rows.
+//! `pipeline.blocks` of a manifest cuts a whole recording so, and joins what the blocks give; this node is for one window of it.
 
 use crate::spans::check_window;
-use photocurrent_core::handle::BandSource;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{
-    Context, DataError, DataType, Decl, EventBand, EventStream, EventsMeta, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas,
-    Rows, TimeSpan,
-};
+use photocurrent_core::{Context, DataType, Decl, EventStream, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, TimeSpan};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::ops::Range;
 use std::sync::Arc;
 
 /// Parameters of `split/time`.
@@ -49,63 +44,27 @@ photocurrent_core::ports! {
 
 /// The node.
 pub struct SplitTime {
-    window: Range<i64>,
-}
-
-/// Events of a stream within a window.
-struct Within {
-    of: EventStream,
-    window: Range<i64>,
-}
-
-impl BandSource<EventBand> for Within {
-    fn read(&self, rows: Rows) -> Result<EventBand, DataError> {
-        let band = self.of.read(rows)?;
-        let mut offsets = vec![0];
-        let mut kept: Vec<Range<usize>> = Vec::with_capacity(rows.len());
-        for row in rows.iter() {
-            let row = band.row(row);
-            // A row is in order of its stamps.
-            let (from, to) = (row.t.partition_point(|t| *t < self.window.start), row.t.partition_point(|t| *t < self.window.end));
-            kept.push(row.first + from..row.first + to.max(from));
-            offsets.push(offsets[offsets.len() - 1] + kept[kept.len() - 1].len());
-        }
-        fn of<T: Copy>(kept: &[Range<usize>], column: &[T]) -> Vec<T> {
-            kept.iter().flat_map(|range| &column[range.clone()]).copied().collect()
-        }
-        let (t_in, step) = (band.t_in.as_ref().map(|column| of(&kept, column)), band.step.as_ref().map(|column| of(&kept, column)));
-        EventBand::from_columns(rows.start, offsets, of(&kept, &band.x), of(&kept, &band.on), of(&kept, &band.t), t_in, step)
-    }
+    window: TimeSpan,
 }
 
 impl SplitTime {
-    /// What is known of the events of the window: their number is taken for proportional to time.
-    fn events(&self, meta: &EventsMeta) -> EventsMeta {
-        let Some(span) = meta.span else { return meta.clone() };
-        let (start, end) = (span.start.0.max(self.window.start), span.end.0.min(self.window.end));
-        let share = (end - start).max(0) as f64 / (span.end.0 - span.start.0).max(1) as f64;
-        let count_hint = meta.count_hint.map(|count| (count as f64 * share).ceil() as u64);
-        EventsMeta { span: Some(TimeSpan::new(start.min(end), end)), count_hint, ..meta.clone() }
-    }
-
-    /// The frames within the window.
-    fn frames(&self, meta: &FramesMeta) -> Result<Vec<usize>, NodeError> {
-        let (times, last) = (&meta.times, meta.extent.height.saturating_sub(1));
-        let inside = |l: &usize| {
-            let (first, last) = (times.exposure(*l, 0), times.exposure(*l, last));
-            i64::min(first.start.0, last.start.0) >= self.window.start && i64::max(first.end.0, last.end.0) <= self.window.end
-        };
-        let within: Vec<usize> = (0..times.len()).filter(inside).collect();
-        if within.is_empty() && !times.is_empty() {
-            return Err(NodeError::usage(format!("no frame is exposed wholly within the window {}; {}", self.said(), said_of(times, meta.extent.height)))
-                .hint("make the window longer than a frame's exposure and the delay of its rows, with its overlap on both sides"));
+    /// What is known of the frames within the window.
+    fn frames(&self, meta: &FramesMeta) -> Result<FramesMeta, NodeError> {
+        let within = meta.within(self.window);
+        if within.times.is_empty() && !meta.times.is_empty() {
+            return Err(NodeError::usage(format!(
+                "no frame is exposed wholly within the window {}; {}",
+                self.said(),
+                said_of(&meta.times, meta.extent.height)
+            ))
+            .hint("make the window longer than a frame's exposure and the delay of its rows, with its overlap on both sides"));
         }
         Ok(within)
     }
 
     fn said(&self) -> String {
         let of = |t_ns: i64, open: &str| if t_ns == i64::MIN || t_ns == i64::MAX { open.to_owned() } else { Duration::new(t_ns).to_string() };
-        format!("from {} to {}", of(self.window.start, "the beginning"), of(self.window.end, "the end"))
+        format!("from {} to {}", of(self.window.start.0, "the beginning"), of(self.window.end.0, "the end"))
     }
 }
 
@@ -139,7 +98,7 @@ params = { start = "0.9 s", end = "2.1 s" }
 
     fn build(params: Params) -> Result<Self, NodeError> {
         check_window(params.start, params.end)?;
-        Ok(SplitTime { window: params.start.map_or(i64::MIN, Duration::ns)..params.end.map_or(i64::MAX, Duration::ns) })
+        Ok(SplitTime { window: TimeSpan::new(params.start.map_or(i64::MIN, Duration::ns), params.end.map_or(i64::MAX, Duration::ns)) })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -147,19 +106,17 @@ params = { start = "0.9 s", end = "2.1 s" }
         if !inputs.has("events") && !inputs.has("frames") {
             return Err(NodeError::usage("there is nothing to cut: neither `events` nor `frames` is there").hint("connect at least one of them"));
         }
-        let events = if inputs.has("events") { Meta::Events(Arc::new(self.events(inputs.events("events")?))) } else { absent(DataType::Events) };
-        let frames = if inputs.has("frames") {
-            let meta = inputs.frames("frames")?;
-            Meta::Frames(Arc::new(FramesMeta { times: meta.times.select(&self.frames(meta)?), ..(**meta).clone() }))
-        } else {
-            absent(DataType::Frames)
-        };
+        let events = if inputs.has("events") { Meta::Events(Arc::new(inputs.events("events")?.within(self.window))) } else { absent(DataType::Events) };
+        let frames = if inputs.has("frames") { Meta::Frames(Arc::new(self.frames(inputs.frames("frames")?)?)) } else { absent(DataType::Frames) };
         Ok(vec![events, frames])
     }
 
     fn run(&self, input: In, _: &Context) -> Result<Out, NodeError> {
-        let events = input.events.map(|of| EventStream::new(Arc::new(self.events(&of.meta)), of.rows(), Arc::new(Within { of, window: self.window.clone() })));
-        let frames = input.frames.map(|frames| Ok::<_, NodeError>(frames.select(self.frames(&frames.meta)?))).transpose()?;
+        if let Some(frames) = &input.frames {
+            self.frames(&frames.meta)?;
+        }
+        let events = input.events.map(|events| events.within(Arc::new(events.meta.within(self.window)), self.window));
+        let frames = input.frames.map(|frames| frames.select(frames.meta.times.within(self.window, frames.meta.extent.height)));
         Ok(Out { events, frames })
     }
 }
@@ -168,7 +125,7 @@ params = { start = "0.9 s", end = "2.1 s" }
 mod tests {
     use super::*;
     use photocurrent_core::events::Event;
-    use photocurrent_core::{Exposure, Extent, Polarity, testing};
+    use photocurrent_core::{Exposure, Extent, Polarity, Rows, testing};
     use std::collections::BTreeMap;
 
     const EXTENT: Extent = Extent { width: 3, height: 4 };

@@ -54,7 +54,7 @@ fn describe(kind: &Kind) -> Value {
     };
     let decl = &kind.decl;
     json!({
-        "kind": decl.kind, "about": decl.about, "revision": decl.revision, "grain": grain(decl.grain), "uses_seed": decl.draws, "writes_files": decl.exports,
+        "kind": decl.kind, "about": decl.about, "revision": decl.revision, "grain": grain(decl.grain), "local_in_time": kind.local_in_time, "uses_seed": decl.draws, "writes_files": decl.exports,
         "inputs": ports(&kind.inputs), "outputs": ports(&kind.outputs), "params": kind.schema, "sources": decl.sources, "example": decl.example.trim(),
     })
 }
@@ -116,8 +116,9 @@ fn page(kind: &Kind) -> String {
     }
     let _ = writeln!(
         text,
-        "Grain: {}. Revision {}.{} Source: {}.\n",
+        "Grain: {}.{} Revision {}.{} Source: {}.\n",
         grain(decl.grain),
+        if kind.local_in_time { " Local in time." } else { "" },
         decl.revision,
         if decl.draws { " Uses the seed." } else { "" },
         decl.sources.join("; ")

@@ -5,7 +5,8 @@
 
 use crate::common::{Failure, write_whole};
 use photocurrent_core::Digest;
-use photocurrent_engine::{End, Outcome, Plan, Project};
+use photocurrent_engine::plan::TaskInput;
+use photocurrent_engine::{End, Extract, Outcome, Plan, Project};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
@@ -77,8 +78,24 @@ pub struct InputRecord {
     pub port: String,
     #[serde(rename = "type")]
     pub data_type: String,
-    /// Place in `tasks`, and port, in the manifest's order.
+    /// Place in `tasks`, and port, in the manifest's order; the first block of what is joined of several.
     pub from: Vec<(usize, String)>,
+    /// What is joined of blocks of time, block by block.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joined: Vec<Part>,
+}
+
+/// A block of a value that is joined in time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Part {
+    /// Which entry of `from` it belongs to.
+    pub value: usize,
+    /// Place in `tasks`.
+    pub task: usize,
+    pub port: String,
+    /// The share of time that is taken from it, ns.
+    pub start_ns: i64,
+    pub end_ns: i64,
 }
 
 /// A stored output.
@@ -101,11 +118,7 @@ impl RunRecord {
             key: came.key,
             params: task.params.clone(),
             changed: task.changed_params.clone(),
-            inputs: task
-                .inputs
-                .iter()
-                .map(|input| InputRecord { port: input.port.into(), data_type: input.data_type.name().into(), from: wires(&input.from) })
-                .collect(),
+            inputs: task.inputs.iter().map(input_record).collect(),
             outputs: came
                 .outputs
                 .iter()
@@ -165,8 +178,18 @@ impl RunRecord {
     }
 }
 
-fn wires(from: &[(usize, &'static str)]) -> Vec<(usize, String)> {
-    from.iter().map(|(task, port)| (*task, (*port).to_string())).collect()
+fn input_record(input: &TaskInput) -> InputRecord {
+    let mut record = InputRecord { port: input.port.into(), data_type: input.data_type.name().into(), from: Vec::new(), joined: Vec::new() };
+    for parts in input.from.chunk_by(|a, b| a.value == b.value) {
+        for part in parts {
+            if let Extract::Share(share) = part.extract {
+                let (start_ns, end_ns) = (share.start.0, share.end.0);
+                record.joined.push(Part { value: record.from.len(), task: part.task, port: part.port.into(), start_ns, end_ns });
+            }
+        }
+        record.from.push((parts[0].task, parts[0].port.into()));
+    }
+    record
 }
 
 /// `path` as it is written from inside `folder`, so that both may move together.

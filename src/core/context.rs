@@ -5,10 +5,11 @@
 
 use crate::error::NodeError;
 use crate::extent::Rows;
+use std::any::Any;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Hears how far a node is.
 pub trait Progress: Send + Sync {
@@ -72,6 +73,10 @@ impl Notes {
     }
 }
 
+/// What the row bands of one task share: work that does not depend on the band, by a number of the node's own choice.
+#[derive(Default)]
+pub struct Common(Mutex<BTreeMap<u64, Arc<dyn Any + Send + Sync>>>);
+
 /// What a node may ask while it runs.
 pub struct Context<'a> {
     rows: Rows,
@@ -81,6 +86,7 @@ pub struct Context<'a> {
     cancel: &'a AtomicBool,
     export: Option<&'a Path>,
     notes: &'a Notes,
+    common: Option<&'a Common>,
 }
 
 impl<'a> Context<'a> {
@@ -94,7 +100,26 @@ impl<'a> Context<'a> {
         export: Option<&'a Path>,
         notes: &'a Notes,
     ) -> Context<'a> {
-        Context { rows, seed, wanted, progress, cancel, export, notes }
+        Context { rows, seed, wanted, progress, cancel, export, notes, common: None }
+    }
+
+    /// The same for one of several bands of a task.
+    #[must_use]
+    pub fn sharing(self, common: &'a Common) -> Context<'a> {
+        Context { common: Some(common), ..self }
+    }
+
+    /// Keeps what other bands of the task need as well, and would work out to the same.
+    pub fn keep<T: Send + Sync + 'static>(&self, number: u64, value: T) {
+        if let Some(Common(all)) = self.common {
+            all.lock().unwrap_or_else(PoisonError::into_inner).insert(number, Arc::new(value));
+        }
+    }
+
+    /// What a band of the task kept under this number, if one did.
+    pub fn recall<T: Send + Sync + 'static>(&self, number: u64) -> Option<Arc<T>> {
+        let Common(all) = self.common?;
+        all.lock().unwrap_or_else(PoisonError::into_inner).get(&number).cloned()?.downcast().ok()
     }
 
     /// The rows to produce. A node whose grain is `Whole` gets all rows of its first output.

@@ -7,8 +7,10 @@ use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
 use crate::extent::{Extent, Rows};
 use crate::handle::{Band, BandMeta, Handle};
+use crate::in_time::{InTime, gather, interleaved, interleaved_offsets, offsets_of, range_within};
 use crate::time::TimeSpan;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Which way the light went.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -292,6 +294,42 @@ impl Band for EventBand {
             whole.step.iter_mut().zip(part.step).for_each(|(whole, part)| whole.extend(part));
         }
         whole
+    }
+}
+
+impl InTime for EventBand {
+    fn within(&self, window: TimeSpan) -> EventBand {
+        let of_row = |row: u32| {
+            let row = self.row(row);
+            let range = range_within(row.t, window);
+            row.first + range.start..row.first + range.end
+        };
+        let kept: Vec<Range<usize>> = self.rows().iter().map(of_row).collect();
+        EventBand {
+            start_row: self.start_row,
+            offsets: offsets_of(&kept),
+            x: gather(&kept, &self.x),
+            on: gather(&kept, &self.on),
+            t: gather(&kept, &self.t),
+            t_in: self.t_in.as_ref().map(|column| gather(&kept, column)),
+            step: self.step.as_ref().map(|column| gather(&kept, column)),
+        }
+    }
+
+    fn follow(parts: Vec<EventBand>) -> EventBand {
+        let first = parts.first().expect("at least one band to join");
+        fn all<T: Copy>(parts: &[EventBand], column: impl Fn(&EventBand) -> &[T]) -> Vec<T> {
+            interleaved(&parts.iter().map(|part| (part.offsets(), column(part))).collect::<Vec<_>>())
+        }
+        EventBand {
+            start_row: first.start_row,
+            offsets: interleaved_offsets(&parts.iter().map(EventBand::offsets).collect::<Vec<_>>()),
+            x: all(&parts, |part| &part.x),
+            on: all(&parts, |part| &part.on),
+            t: all(&parts, |part| &part.t),
+            t_in: first.t_in.is_some().then(|| all(&parts, |part| part.t_in.as_deref().unwrap_or_default())),
+            step: first.step.is_some().then(|| all(&parts, |part| part.step.as_deref().unwrap_or_default())),
+        }
     }
 }
 

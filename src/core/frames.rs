@@ -293,6 +293,12 @@ impl FrameSequence {
         FrameSequence { meta: Arc::new(meta), rows: self.rows, source: Arc::new(Selected { frames, of: self.clone() }) }
     }
 
+    /// Frames of the first part, then those of the next, without copying; `meta` says what is known of all.
+    pub(crate) fn follow(meta: Arc<FramesMeta>, parts: Vec<FrameSequence>) -> FrameSequence {
+        let rows = parts.iter().map(|part| part.rows).reduce(|all, rows| all.intersect(rows)).unwrap_or(Rows { start: 0, end: 0 });
+        FrameSequence { source: Arc::new(Following { row_values: meta.row_values(), parts }), meta, rows }
+    }
+
     /// Parts that follow each other without gap, as one sequence.
     ///
     /// # Panics
@@ -310,15 +316,35 @@ struct Selected {
 
 impl FrameSource for Selected {
     fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
-        let mut block = FrameBlock::zeros(frames.clone(), rows, self.of.meta.row_values());
-        for frame in frames {
-            let original = self.frames[frame];
-            let one = self.of.read(original..original + 1, rows)?;
-            for row in rows.iter() {
-                block.row_mut(frame, row).copy_from_slice(one.row(original, row));
-            }
+        // Frames that follow each other are read together, and all at once without a copy.
+        let mut runs = self.frames[frames.clone()].chunk_by(|a, b| a + 1 == *b);
+        let read = |run: &[usize]| self.of.read(run[0]..run[0] + run.len(), rows);
+        let row_values = self.of.meta.row_values();
+        let mut dn = runs.next().map(read).transpose()?.map_or_else(Vec::new, |block| block.dn);
+        for run in runs {
+            dn.extend(read(run)?.dn);
         }
-        Ok(block)
+        Ok(FrameBlock { frames, rows, row_values, dn })
+    }
+}
+
+struct Following {
+    row_values: usize,
+    parts: Vec<FrameSequence>,
+}
+
+impl FrameSource for Following {
+    fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
+        let mut dn = Vec::with_capacity(frames.len() * rows.len() * self.row_values);
+        let mut first = 0;
+        for part in &self.parts {
+            let (from, to) = (frames.start.max(first), frames.end.min(first + part.len()));
+            if from < to {
+                dn.extend(part.read(from - first..to - first, rows)?.dn);
+            }
+            first += part.len();
+        }
+        Ok(FrameBlock { frames, rows, row_values: self.row_values, dn })
     }
 }
 

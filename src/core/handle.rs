@@ -7,6 +7,8 @@
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
 use crate::extent::{Extent, Rows};
+use crate::in_time::InTime;
+use crate::time::TimeSpan;
 use std::sync::Arc;
 
 /// What a kind of banded data knows about itself.
@@ -58,6 +60,20 @@ pub trait BandSource<B>: Send + Sync {
     /// Bytes that some rows take when they are read, where that is known without reading them.
     fn bytes(&self, _rows: Rows) -> Option<u64> {
         None
+    }
+
+    /// Reads what of some rows is stamped within a window of time; only called with rows that the handle holds. A source that can leave out the rest without
+    /// reading it does.
+    fn read_within(&self, rows: Rows, window: TimeSpan) -> Result<B, DataError>
+    where
+        B: InTime,
+    {
+        if rows.len() < 2 {
+            return Ok(self.read(rows)?.within(window));
+        }
+        // Row by row, so that one at a time is held in full.
+        let bands: Result<Vec<B>, DataError> = rows.bands(1).into_iter().map(|row| Ok(self.read(row)?.within(window))).collect();
+        Ok(B::concat(bands?))
     }
 }
 
@@ -115,10 +131,24 @@ impl<M: BandMeta> Handle<M> {
     /// # Errors
     /// When a row is asked for that the handle does not hold, or the source cannot be read.
     pub fn read(&self, rows: Rows) -> Result<M::Band, DataError> {
-        if !self.rows.contains(rows) {
-            return Err(DataError::new(format!("{rows} were asked for, but only {} are here", self.rows)));
-        }
+        self.check(rows)?;
         self.source.read(rows)
+    }
+
+    /// Reads what of some rows is stamped within a window of time.
+    ///
+    /// # Errors
+    /// As [`Handle::read`].
+    pub fn read_within(&self, rows: Rows, window: TimeSpan) -> Result<M::Band, DataError>
+    where
+        M::Band: InTime,
+    {
+        self.check(rows)?;
+        self.source.read_within(rows, window)
+    }
+
+    fn check(&self, rows: Rows) -> Result<(), DataError> {
+        if self.rows.contains(rows) { Ok(()) } else { Err(DataError::new(format!("{rows} were asked for, but only {} are here", self.rows))) }
     }
 
     /// Bytes that some rows take when they are read, where that is known without reading them; only of rows that are here.
@@ -165,5 +195,17 @@ impl<M: BandMeta> BandSource<M::Band> for Spliced<M> {
 
     fn bytes(&self, rows: Rows) -> Option<u64> {
         self.0.iter().filter(|part| !part.rows.intersect(rows).is_empty()).map(|part| part.bytes(rows)).sum()
+    }
+
+    fn read_within(&self, rows: Rows, window: TimeSpan) -> Result<M::Band, DataError>
+    where
+        M::Band: InTime,
+    {
+        let overlapping: Vec<&Handle<M>> = self.0.iter().filter(|part| !part.rows.intersect(rows).is_empty()).collect();
+        if overlapping.is_empty() {
+            return self.read(rows);
+        }
+        let bands: Result<Vec<M::Band>, DataError> = overlapping.into_iter().map(|part| part.read_within(part.rows.intersect(rows), window)).collect();
+        Ok(M::Band::concat(bands?))
     }
 }

@@ -25,6 +25,7 @@ pub mod events;
 pub mod extent;
 pub mod frames;
 pub mod handle;
+pub mod in_time;
 pub mod lacking;
 pub mod light;
 pub mod map;

@@ -59,6 +59,9 @@ pub struct FileRef {
 pub trait Node: Sized + Send + Sync + 'static {
     /// What it says about itself.
     const DECL: Decl;
+    /// Is what it gives at some instant decided by what its inputs have near that instant? Then a long recording may be cut into blocks of time
+    /// that overlap (`pipeline.blocks`), the node run for each, and its events, frames or tracks joined.
+    const LOCAL_IN_TIME: bool = false;
     /// Its parameters: doc comments are the manual, ranges and units the checks.
     type Params: DeserializeOwned + Serialize + JsonSchema + Default;
     /// Its input sockets.
@@ -147,6 +150,8 @@ pub struct Kind {
     pub inputs: Vec<PortSpec>,
     /// Output sockets.
     pub outputs: Vec<PortSpec>,
+    /// [`Node::LOCAL_IN_TIME`].
+    pub local_in_time: bool,
     /// JSON Schema of the parameters.
     pub schema: serde_json::Value,
     build: fn(serde_json::Value) -> Result<Built, NodeError>,
@@ -159,6 +164,7 @@ impl Kind {
             decl: N::DECL,
             inputs: N::In::specs(),
             outputs: N::Out::specs(),
+            local_in_time: N::LOCAL_IN_TIME,
             schema: schemars::schema_for!(N::Params).to_value(),
             build: |params| {
                 let params: N::Params = serde_json::from_value(params).map_err(|error| NodeError::usage(error.to_string()))?;

@@ -9,8 +9,11 @@ use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
 use crate::extent::Rows;
 use crate::handle::{Band, BandMeta};
+use crate::in_time::{InTime, gather, interleaved, interleaved_offsets, offsets_of, range_within};
+use crate::time::TimeSpan;
 use std::fmt;
 use std::marker::PhantomData;
+use std::ops::Range;
 
 /// What is known of data that are kept as series.
 pub trait SeriesMeta: BandMeta<Band = SeriesBand<Self>> + Clone + fmt::Debug + PartialEq {
@@ -184,6 +187,33 @@ impl<M: SeriesMeta> Band for SeriesBand<M> {
             whole.sigma.extend(part.sigma);
         }
         whole
+    }
+}
+
+impl<M: SeriesMeta> InTime for SeriesBand<M> {
+    fn within(&self, window: TimeSpan) -> SeriesBand<M> {
+        let of_pixel = |pixel: &[usize]| {
+            let range = range_within(&self.t[pixel[0]..pixel[1]], window);
+            pixel[0] + range.start..pixel[0] + range.end
+        };
+        let kept: Vec<Range<usize>> = self.offsets.windows(2).map(of_pixel).collect();
+        let sigma = if self.sigma.is_empty() { Vec::new() } else { gather(&kept, &self.sigma) };
+        SeriesBand { offsets: offsets_of(&kept), t: gather(&kept, &self.t), photocurrent: gather(&kept, &self.photocurrent), sigma, ..*self }
+    }
+
+    fn follow(parts: Vec<SeriesBand<M>>) -> SeriesBand<M> {
+        fn all<M, T: Copy>(parts: &[SeriesBand<M>], column: impl Fn(&SeriesBand<M>) -> &[T]) -> Vec<T> {
+            interleaved(&parts.iter().map(|part| (part.offsets.as_slice(), column(part))).collect::<Vec<_>>())
+        }
+        let first = parts.first().expect("at least one band to join");
+        let has_sigma = parts.iter().any(|part| !part.sigma.is_empty());
+        SeriesBand {
+            offsets: interleaved_offsets(&parts.iter().map(|part| part.offsets.as_slice()).collect::<Vec<_>>()),
+            t: all(&parts, |part| &part.t),
+            photocurrent: all(&parts, |part| &part.photocurrent),
+            sigma: if has_sigma { all(&parts, |part| &part.sigma) } else { Vec::new() },
+            ..*first
+        }
     }
 }
 

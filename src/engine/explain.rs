@@ -1,6 +1,6 @@
 //! Why one node would run, in one line per reason.
 
-use crate::plan::Plan;
+use crate::plan::{Plan, is_of};
 use crate::status::{State, TaskStatus, status};
 use photocurrent_core::document::Problem;
 use photocurrent_store::Cache;
@@ -28,7 +28,7 @@ pub fn explain(plan: &Plan, cache: &Cache, out_dir: &Path, node: &str) -> Result
     }
     let mut explanations = Vec::new();
     for status in status(plan, cache, out_dir).into_iter().filter(|status| tasks.contains(&status.task)) {
-        let uses = plan.tasks[status.task].uses.iter().filter(|(_, id)| id == node);
+        let uses = plan.tasks[status.task].uses.iter().filter(|(_, name)| is_of(name, node));
         let (verdict, reasons) = match &status.state {
             State::Hit => ("in the cache".to_string(), &[][..]),
             State::Miss { reasons } => ("would run".to_string(), reasons.as_slice()),

@@ -4,11 +4,12 @@
 //! node draws. It needs the *contents* of the inputs, so a task's key is known only when those before it are done or found; in return a task
 //! that was run again with an equal result changes no key after it.
 
+use crate::blocks::Extract;
 use crate::export;
 use crate::plan::{Plan, Task, TaskId};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::schema::strip_paths;
-use photocurrent_core::{DataType, Digest, NodeError};
+use photocurrent_core::{DataType, Digest, NodeError, TimeSpan};
 use photocurrent_store::{Cache, FileInput, Ingredients, Lookup, Params, PortInput, Record};
 use std::path::Path;
 
@@ -16,10 +17,16 @@ use std::path::Path;
 pub(crate) fn ingredients(task: &Task, cache: &Cache, content: &dyn Fn(TaskId, &str) -> Option<Digest>) -> Result<Option<Ingredients>, NodeError> {
     let mut inputs = Vec::new();
     for input in &task.inputs {
-        for (index, (from, port)) in input.from.iter().enumerate() {
-            let Some(digest) = content(*from, port) else { return Ok(None) };
+        for (index, source) in input.from.iter().enumerate() {
+            let Some(digest) = content(source.task, source.port) else { return Ok(None) };
             let (data_type, layout) = (input.data_type, input.data_type.layout_version());
-            inputs.push(PortInput { port: input.port.to_string(), index: index as u32, data_type, layout, digest });
+            let ns = |span: TimeSpan| (span.start.0, span.end.0);
+            let (window, share) = match source.extract {
+                Extract::All => (None, None),
+                Extract::Window(span) => (Some(ns(span)), None),
+                Extract::Share(span) => (None, Some(ns(span))),
+            };
+            inputs.push(PortInput { port: input.port.to_string(), index: index as u32, data_type, layout, digest, window, share });
         }
     }
     let mut files = Vec::new();

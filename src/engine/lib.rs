@@ -4,7 +4,8 @@
 //!
 //! - [`manifest`]: the text as written, every key with its line.
 //! - [`resolve`], [`ablation`], [`pipeline`]: overlays laid over each other; [`Project`] holds one [`Pipeline`] per variant.
-//! - `typed`, [`plan`]: kinds, sockets and metas checked; a [`Plan`] holds every task once, whatever number of variants share it.
+//! - `typed`, `planner`, [`plan`]: kinds, sockets and metas checked; a [`Plan`] holds every task once, whatever number of variants share it.
+//! - [`blocks`]: a long recording cut in time, and what its blocks give joined.
 //! - `lacking`: what sensor descriptions do not state, reported in one piece.
 //! - `key`, [`mod@status`], [`mod@explain`]: what a result depends on, whether the cache has it, and why not.
 //! - [`schedule`], [`export`], [`observer`], [`outcome`]: [`run`] it, watch it, see what came of it.
@@ -12,6 +13,7 @@
 //! - [`mod@graph`], [`schema`]: pictures of a pipeline, and the manifest's JSON Schema for editors.
 
 pub mod ablation;
+pub mod blocks;
 pub mod explain;
 pub mod export;
 pub mod graph;
@@ -23,6 +25,7 @@ pub mod outcome;
 pub mod parts;
 pub mod pipeline;
 pub mod plan;
+mod planner;
 pub mod resolve;
 pub mod schedule;
 pub mod schema;
@@ -33,6 +36,7 @@ mod typed;
 mod tests;
 
 pub use ablation::{Ablation, BASE};
+pub use blocks::{Blocks, Extract, Source};
 pub use explain::{Explanation, explain};
 pub use graph::{Drawing, GraphFormat, graph};
 pub use observer::{End, Observer, Unobserved};

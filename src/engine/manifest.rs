@@ -4,6 +4,7 @@
 //! Whether a kind exists, takes these parameters and fits its neighbours is for `typed`. A mistake never stops the reading:
 //! it is noted, the node it stands in is left out of later checks, and the rest goes on, so that one run shows every mistake.
 
+use crate::blocks::Blocks;
 use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
 use photocurrent_core::{Catalogue, error, schema};
 use serde_json::{Value as Json, json};
@@ -178,7 +179,7 @@ fn check_outline(table: &mut Table, source: &Arc<Source>, manifest: &mut Manifes
 pub(crate) fn check_overlay(table: &mut Table, manifest: &mut Manifest) {
     let seed = such_as(json!({ "type": "integer", "minimum": 0 }), "`seed = 7`");
     let keep = such_as(list_of(text()), "`keep = [\"solve.tracks\"]`");
-    let pipeline = object(json!({ "about": text(), "seed": seed, "keep": keep }));
+    let pipeline = object(json!({ "about": text(), "seed": seed, "keep": keep, "blocks": Blocks::schema() }));
     if table.get("pipeline").is_some_and(|tree| !check(tree, &pipeline, "key of a pipeline", &mut manifest.problems)) {
         table.remove("pipeline");
     }

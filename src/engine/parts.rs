@@ -7,12 +7,13 @@
 //!
 //! A part is complete when its `part.toml` is there, which is written last; the same command on a complete part does nothing, and on another one goes on.
 
+use crate::blocks::extracted;
 use crate::key;
 use crate::observer::{End, Observer};
 use crate::outcome::Outcome;
 use crate::plan::{Plan, PlannedVariant, Task, TaskId};
 use crate::schedule::{Cutter, Options, checked, cut, guarded, halo_of, inputs_of};
-use photocurrent_core::context::{Notes, Silent};
+use photocurrent_core::context::{Common, Notes, Silent};
 use photocurrent_core::ports::PortValues;
 use photocurrent_core::{Context, Digest, Meta, NodeError, Rows, Value};
 use photocurrent_store::{BandStore, Cache, KeptBand, Lookup, TOOL_VERSION};
@@ -86,7 +87,7 @@ impl Plan {
         let place: BTreeMap<TaskId, TaskId> = keep.iter().enumerate().map(|(new, old)| (*old, new)).collect();
         let tasks = keep.iter().map(|id| {
             let mut task = self.tasks[*id].clone();
-            task.inputs.iter_mut().flat_map(|input| &mut input.from).for_each(|(from, _)| *from = place[from]);
+            task.inputs.iter_mut().flat_map(|input| &mut input.from).for_each(|source| source.task = place[&source.task]);
             task
         });
         let variants = self.variants.iter().map(|variant| {
@@ -280,17 +281,18 @@ impl Part<'_> {
         let identity = self.identities[id].ok_or_else(|| NodeError::failed("a task that is made in parts has an identity"))?;
         let mut inputs = PortValues::new();
         for input in &task.inputs {
-            for (from, port) in &input.from {
-                let value = made.get(from).and_then(|outputs| outputs.get(*port)).cloned();
-                let value = value.ok_or_else(|| NodeError::failed(format!("{} has no stored `{port}`", self.plan.tasks[*from].label)))?;
-                inputs.entry(input.port).or_default().push(value);
-            }
+            let values = extracted(&input.from, |from, port| {
+                let value = made.get(&from).and_then(|outputs| outputs.get(port)).cloned();
+                value.ok_or_else(|| NodeError::failed(format!("{} has no stored `{port}`", self.plan.tasks[from].label)))
+            })?;
+            inputs.insert(input.port, values);
         }
         let share = self.options.memory / 4 * 3;
         let bands = cut(self.plan, task, share, self.options.band_rows);
         let metas: Vec<&Meta> = task.stored().map(|output| &output.meta).collect();
         let wanted: BTreeSet<String> = task.outputs.iter().filter(|output| output.wanted).map(|output| output.port.to_string()).collect();
         let mut parts: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+        let common = Common::default();
         let pieces = [Rows { start: needed.start, end: own.start }, own, Rows { start: own.end, end: needed.end }];
         for piece in pieces.into_iter().filter(|piece| !piece.is_empty()) {
             let store = if piece == own { &self.own } else { &self.around };
@@ -309,7 +311,7 @@ impl Part<'_> {
                         }
                         let Some(band) = cutter.next(u32::MAX) else { break };
                         let notes = Notes::default();
-                        let context = Context::new(band, task.seed.unwrap_or(0), &wanted, &Silent, self.cancel, None, &notes);
+                        let context = Context::new(band, task.seed.unwrap_or(0), &wanted, &Silent, self.cancel, None, &notes).sharing(&common);
                         let given = guarded(|| task.node.run(inputs_of(&inputs, &bands, band), &context))?;
                         let outputs: Vec<(&'static str, Value)> = checked(task, given, Some(band))?.into_iter().map(|(port, _, value)| (port, value)).collect();
                         cutter.learn(band, outputs.iter().map(|(_, value)| value.bytes(band)).sum());

@@ -1,6 +1,7 @@
 //! A pipeline: the nodes of one variant with everything laid over, not yet checked against the catalogue.
 
 use crate::ablation::Variant;
+use crate::blocks::Blocks;
 use crate::manifest::Manifest;
 use photocurrent_core::document::{Item, Key, Origin, Problem, Table, Tree};
 use std::collections::BTreeSet;
@@ -18,6 +19,8 @@ pub struct Pipeline {
     pub seed: u64,
     /// Outputs to store though nothing downstream asks: `solve.tracks`.
     pub keep: Vec<Reference>,
+    /// How a recording is cut in time; `None` where it is not.
+    pub blocks: Option<Blocks>,
     /// In written order.
     pub nodes: Vec<NodeSpec>,
     /// Nodes that have a mistake already reported, with their places: what hangs on them is not complained about.
@@ -89,9 +92,17 @@ impl Pipeline {
             about: pipeline.get("about").and_then(Tree::as_str).map(str::to_string),
             seed,
             keep: pipeline.get("keep").map(references).unwrap_or_default(),
+            blocks: None,
             nodes: Vec::new(),
             broken: manifest.broken.clone(),
         };
+        if let Some(tree) = pipeline.get("blocks") {
+            result.blocks = Blocks::from_tree(tree);
+            if result.blocks.is_none() {
+                let problem = Problem::at(&tree.origin, "`pipeline.blocks` does not say how long a block is");
+                manifest.problems.push(problem.help("such as `blocks = { length = \"2 s\", overlap = \"50 ms\" }`"));
+            }
+        }
         let nodes = table.get("nodes").and_then(Tree::as_table).cloned().unwrap_or_default();
         if nodes.entries.is_empty() && manifest.problems.is_empty() {
             let problem = Problem { at: manifest.start.clone(), ..Problem::new("the manifest has no node") };

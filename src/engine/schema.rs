@@ -67,6 +67,7 @@ pub fn manifest_schema(catalogue: &Catalogue) -> Json {
                     "about": { "type": "string", "description": "What the pipeline is for." },
                     "seed": { "type": "integer", "minimum": 0, "description": "For nodes that draw random numbers." },
                     "keep": { "type": "array", "items": { "type": "string" }, "description": "Outputs to store though nothing takes them: node.port." },
+                    "blocks": crate::blocks::Blocks::schema(),
                 },
             },
         },

@@ -8,7 +8,7 @@ use super::map::{RowSetting, known, problem, with_known};
 use super::neighbours::KnownOfRows;
 use super::row::{Recorded, RowData};
 use super::{MAP_STEPS, Model, Params};
-use photocurrent_core::{NodeError, Rows};
+use photocurrent_core::{Context, NodeError, Rows, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, estimate, frame_noise};
@@ -20,6 +20,9 @@ use std::ops::Range;
 pub(super) const BLOCK_ROWS: u32 = 16;
 /// So many rows around a band are read: the rest of its blocks, and one more for neighbours.
 pub(crate) const HALO_ROWS: u32 = BLOCK_ROWS;
+/// Rows around one whose events are company to its own.
+pub(super) const COMPANY_ROWS: u32 = 1;
+
 /// The settings of some rows.
 pub(crate) struct Settings {
     first_block: u32,
@@ -32,13 +35,64 @@ impl Settings {
         Rows { start: rows.start / BLOCK_ROWS * BLOCK_ROWS, end: rows.end.next_multiple_of(BLOCK_ROWS) }.intersect(all)
     }
 
+    /// The blocks of some rows.
+    fn numbers(rows: Rows) -> Range<u32> {
+        let first = rows.start / BLOCK_ROWS;
+        first..rows.end.div_ceil(BLOCK_ROWS).max(first)
+    }
+
+    /// Those of `rows` that an earlier band of the same task chose, where it did for all of them.
+    pub fn chosen(rows: Rows, cx: &Context) -> Option<Settings> {
+        let blocks = Settings::numbers(rows);
+        let of_blocks: Option<Vec<RowSetting>> = blocks.clone().map(|block| cx.recall(block.into()).map(|setting| *setting)).collect();
+        Some(Settings { first_block: blocks.start, of_blocks: of_blocks? })
+    }
+
+    /// The same as [`Settings::choose`], but what was chosen once is for all bands of the task.
+    pub fn choose_once(
+        params: &Params,
+        model: &Model,
+        recorded: &Recorded<'_>,
+        rows: Rows,
+        given: Option<&KnownOfRows>,
+        cx: &Context,
+    ) -> Result<Settings, NodeError> {
+        if let Some(settings) = Settings::chosen(rows, cx) {
+            return Ok(settings);
+        }
+        let settings = Settings::choose(params, model, recorded, rows, given)?;
+        settings.keep(cx);
+        Ok(settings)
+    }
+
+    /// Chooses the settings of `rows` for all bands of the task, where pixels are solved alone: `take` takes in one row after the other, so that a block need not be at hand at once.
+    pub fn choose_row_by_row(
+        params: &Params,
+        model: &Model,
+        meta: &TracksMeta,
+        rows: Rows,
+        cx: &Context,
+        mut take: impl FnMut(&mut RowData, u32) -> Result<(), NodeError>,
+    ) -> Result<(), NodeError> {
+        let blocks = Settings::numbers(rows);
+        let of_block = |block: u32| choose(params, model, meta, rows_of(block, meta), &mut take, None);
+        let settings = Settings { first_block: blocks.start, of_blocks: blocks.map(of_block).collect::<Result<_, NodeError>>()? };
+        settings.keep(cx);
+        Ok(())
+    }
+
+    /// For the bands to come.
+    fn keep(&self, cx: &Context) {
+        (self.first_block..).zip(&self.of_blocks).for_each(|(block, setting)| cx.keep(block.into(), *setting));
+    }
+
     /// Chooses the settings of `rows`, with what is known of their events from neighbours, if that is the case. What is at hand includes their blocks.
     pub fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, given: Option<&KnownOfRows>) -> Result<Settings, NodeError> {
-        let first_block = rows.start / BLOCK_ROWS;
-        let blocks = first_block..rows.end.div_ceil(BLOCK_ROWS).max(first_block);
+        let blocks = Settings::numbers(rows);
+        let first_block = blocks.start;
         let of_block = |block: u32| {
-            let rows = Rows { start: block * BLOCK_ROWS, end: (block + 1) * BLOCK_ROWS }.intersect(recorded.meta.extent.rows());
-            choose(params, model, recorded, rows, given)
+            let mut take = |data: &mut RowData, row: u32| data.take(model, recorded, row, 0.0);
+            choose(params, model, recorded.meta, rows_of(block, recorded.meta), &mut take, given)
         };
         let of_blocks: Result<Vec<RowSetting>, NodeError> = blocks.into_par_iter().map(of_block).collect();
         Ok(Settings { first_block, of_blocks: of_blocks? })
@@ -50,16 +104,28 @@ impl Settings {
     }
 }
 
-fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, given: Option<&KnownOfRows>) -> Result<RowSetting, NodeError> {
+/// The rows of a block.
+fn rows_of(block: u32, meta: &TracksMeta) -> Rows {
+    Rows { start: block * BLOCK_ROWS, end: (block + 1) * BLOCK_ROWS }.intersect(meta.extent.rows())
+}
+
+fn choose(
+    params: &Params,
+    model: &Model,
+    meta: &TracksMeta,
+    rows: Rows,
+    take: &mut impl FnMut(&mut RowData, u32) -> Result<(), NodeError>,
+    given: Option<&KnownOfRows>,
+) -> Result<RowSetting, NodeError> {
     let decisions = params.decisions();
     let per_row = (decisions.pixels as usize).div_ceil(rows.len());
     let mut data = RowData::default();
     let mut unexplained = Unexplained::default();
-    let span = (recorded.meta.span.start.0, recorded.meta.span.end.0);
+    let span = (meta.span.start.0, meta.span.end.0);
     let mut sample = Sample::new(params, span);
     let mut given_of: Vec<Known> = Vec::new();
     for row in rows.iter() {
-        data.take(model, recorded, row, 0.0)?;
+        take(&mut data, row)?;
         let mut active = Vec::new();
         for x in 0..data.width() {
             unexplained.add(&data, x);

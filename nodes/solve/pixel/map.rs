@@ -3,7 +3,7 @@
 use super::neighbours::KnownOfRows;
 use super::plausible::Plausible;
 use super::row::{Recorded, RowData};
-use super::{Model, Status, map_meta, planes};
+use super::{Model, PLANES, Status, map_meta, planes};
 use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::estimate::Miss;
@@ -11,6 +11,8 @@ use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapStatus, MapTask, Noise, estimate};
 use photocurrent_sensor::residuals::Misfit;
 use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
+use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
 
 /// Frame values are not assumed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
 pub(super) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
@@ -64,9 +66,60 @@ pub(crate) struct RowSetting {
 pub(crate) struct RowSolver {
     group: MapGroup,
     taken: Taken,
-    /// Knots of the pixels of the row with their standard deviations, in the order in which they were solved, and where each pixel's stand.
+    part: Part,
+    /// Memory of solvers that work side by side.
+    groups: Mutex<Vec<MapGroup>>,
+}
+
+/// Pixels of a row that one thread solves where a row is shared out.
+const SHARED_OUT: usize = 128;
+
+/// Some pixels of a row, solved.
+#[derive(Default)]
+struct Part {
+    /// Knots of the pixels with their standard deviations, in the order in which they were solved, and where each pixel's stand.
     knots: Vec<(i64, f32, f32)>,
     knots_of: Vec<std::ops::Range<usize>>,
+    planes: Vec<[f32; PLANES.len()]>,
+}
+
+impl Part {
+    /// Solves `lit` of the pixels of a row.
+    fn solve(&mut self, group: &mut MapGroup, model: &Model, setting: &RowSetting, taken: &Taken, lit: &[usize], hints: Option<&[Vec<Hint>]>) {
+        let (Taken { data, given }, Part { knots, knots_of, planes: of_pixels }) = (taken, self);
+        knots.clear();
+        knots_of.clear();
+        knots_of.resize(lit.len(), 0..0);
+        of_pixels.clear();
+        of_pixels.resize(lit.len(), [0.0; PLANES.len()]);
+        let hints_of = |x: usize| hints.map_or(&[] as &[Hint], |hints| hints[x].as_slice());
+        let tasks: Vec<MapTask<'_>> = lit.iter().map(|&x| task(model, setting, data, x, hints_of(x))).collect();
+        let known = known_of(model, &tasks, lit, data, given, group);
+        let tasks = with_known(&tasks, &known);
+        let mut plain = vec![Plain::default(); tasks.len()];
+        let mut put = |n: usize, solution: &MapSolution<'_>| {
+            let begin = knots.len();
+            let (ratio, plausible) = (data.light_ratio(lit[n]), data.plausible(lit[n]));
+            thin(solution, &model.undo, ratio, setting.sigma_factor, plausible, knots);
+            let most = libm::exp(model.undo.own(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max))) * ratio;
+            knots_of[n] = begin..knots.len();
+            let status = match solution.status {
+                MapStatus::Failed => Status::FellBack,
+                _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
+                MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
+            };
+            of_pixels[n] = planes(status, solution.iterations, -solution.log_evidence, &solution.misfit, plausible.excess(most));
+        };
+        group.solve(&tasks, |n, solution| {
+            plain[n] = Plain::of(&solution);
+            put(n, &solution);
+        });
+        let lost = losses::lost_before(&tasks, &plain, group);
+        let again: Vec<usize> = (0..tasks.len()).filter(|&n| !lost[n].is_empty()).collect();
+        let with_losses = |&n: &usize| MapTask { problem: MapProblem { lost_before: &lost[n], ..tasks[n].problem }, ..tasks[n] };
+        let with_losses: Vec<MapTask<'_>> = again.iter().map(with_losses).collect();
+        group.solve(&with_losses, |n, solution| put(again[n], &solution));
+    }
 }
 
 /// A row that was taken in.
@@ -106,7 +159,7 @@ impl RowLight {
 }
 
 impl RowSolver {
-    /// Takes in a row and solves it, with what is known of its events from neighbours, if that is the case.
+    /// Takes in a row and solves it, with what is known of its events from neighbours, if that is the case; `shared_out` over all threads, which changes no bit.
     pub fn row(
         &mut self,
         model: &Model,
@@ -114,12 +167,32 @@ impl RowSolver {
         recorded: &Recorded<'_>,
         row: u32,
         given: Option<&KnownOfRows>,
+        shared_out: bool,
     ) -> Result<(TrackBand, MapBand), NodeError> {
         self.take(model, setting, recorded, row)?;
         if let Some(given) = given {
             self.give(given.of(row).to_vec());
         }
-        Ok(self.solve(model, setting, recorded.meta, row, None))
+        if !shared_out {
+            return Ok(self.solve(model, setting, recorded.meta, row, None));
+        }
+        let (groups, taken, lit) = (&self.groups, &self.taken, self.lit());
+        let solve = |lit: &[usize]| {
+            let pool = || groups.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut group = pool().pop().unwrap_or_default();
+            let mut part = Part::default();
+            part.solve(&mut group, model, setting, taken, lit, None);
+            pool().push(group);
+            part
+        };
+        let parts: Vec<Part> = lit.par_chunks(SHARED_OUT).map(solve).collect();
+        Ok(together(setting, recorded.meta, row, lit.chunks(SHARED_OUT).zip(&parts)))
+    }
+
+    /// The pixels that have a frame.
+    fn lit(&self) -> Vec<usize> {
+        let data = &self.taken.data;
+        (0..data.width()).filter(|&x| !data.frames_of(x).is_empty()).collect()
     }
 
     /// Takes in a row.
@@ -149,8 +222,8 @@ impl RowSolver {
     /// Estimates of the pixels of the row that was taken in, without more than what was given.
     pub fn light(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta) -> RowLight {
         let width = meta.extent.width as usize;
-        let RowSolver { group, taken: Taken { data, given }, knots, .. } = self;
-        let lit: Vec<usize> = (0..width).filter(|&x| !data.frames_of(x).is_empty()).collect();
+        let lit = self.lit();
+        let RowSolver { group, taken: Taken { data, given }, part: Part { knots, .. }, .. } = self;
         let setting = RowSetting { options: MapOptions { with_sigma: false, ..setting.options }, ..*setting };
         let tasks: Vec<MapTask<'_>> = lit.iter().map(|&x| task(model, &setting, data, x, &[])).collect();
         let known: Vec<Known> = if given.is_empty() { Vec::new() } else { lit.iter().map(|&x| given[x].clone()).collect() };
@@ -176,54 +249,9 @@ impl RowSolver {
 
     /// Solves the row that was taken in, with what is known from elsewhere for each of its pixels.
     pub fn solve(&mut self, model: &Model, setting: &RowSetting, meta: &TracksMeta, row: u32, hints: Option<&[Vec<Hint>]>) -> (TrackBand, MapBand) {
-        let RowSetting { options, sigma_factor, .. } = *setting;
-        let width = meta.extent.width as usize;
-        let mut tracks = TrackBand::begin(row, meta.extent.width);
-        let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
-        let RowSolver { group, taken: Taken { data, given }, knots, knots_of } = self;
-        // As it stays where a pixel has no frame.
-        for (plane, value) in planes(Status::NoFrame, 0, 0.0, &Misfit::default(), 0.0).into_iter().enumerate() {
-            map.row_mut(plane, row).fill(value);
-        }
-        knots.clear();
-        knots_of.clear();
-        knots_of.resize(width, 0..0);
-        let lit: Vec<usize> = (0..width).filter(|&x| !data.frames_of(x).is_empty()).collect();
-        let hints_of = |x: usize| hints.map_or(&[] as &[Hint], |hints| hints[x].as_slice());
-        let tasks: Vec<MapTask<'_>> = lit.iter().map(|&x| task(model, setting, data, x, hints_of(x))).collect();
-        let known = known_of(model, &tasks, &lit, data, given, group);
-        let tasks = with_known(&tasks, &known);
-        let mut plain = vec![Plain::default(); tasks.len()];
-        let mut put = |n: usize, solution: &MapSolution<'_>| {
-            let begin = knots.len();
-            let (ratio, plausible) = (data.light_ratio(lit[n]), data.plausible(lit[n]));
-            thin(solution, &model.undo, ratio, sigma_factor, plausible, knots);
-            let most = libm::exp(model.undo.own(solution.log_photocurrent.iter().copied().fold(f64::NEG_INFINITY, f64::max))) * ratio;
-            knots_of[lit[n]] = begin..knots.len();
-            let status = match solution.status {
-                MapStatus::Failed => Status::FellBack,
-                _ if tasks[n].problem.frames.iter().all(|frame| frame.saturated) => Status::Saturated,
-                MapStatus::Converged | MapStatus::Unfinished => Status::Converged,
-            };
-            let values = planes(status, solution.iterations, -solution.log_evidence, &solution.misfit, plausible.excess(most));
-            for (plane, value) in values.into_iter().enumerate() {
-                map.row_mut(plane, row)[lit[n]] = value;
-            }
-        };
-        group.solve(&tasks, |n, solution| {
-            plain[n] = Plain::of(&solution);
-            put(n, &solution);
-        });
-        let lost = losses::lost_before(&tasks, &plain, group);
-        let again: Vec<usize> = (0..tasks.len()).filter(|&n| !lost[n].is_empty()).collect();
-        let with_losses = |&n: &usize| MapTask { problem: MapProblem { lost_before: &lost[n], ..tasks[n].problem }, ..tasks[n] };
-        let with_losses: Vec<MapTask<'_>> = again.iter().map(with_losses).collect();
-        group.solve(&with_losses, |n, solution| put(again[n], &solution));
-        for knots_of in knots_of {
-            let knots = knots[knots_of.clone()].iter().copied();
-            if options.with_sigma { tracks.push_with_sigma(knots) } else { tracks.push(knots.map(|(t, i, _)| (t, i))) }
-        }
-        (tracks, map)
+        let lit = self.lit();
+        self.part.solve(&mut self.group, model, setting, &self.taken, &lit, hints);
+        together(setting, meta, row, [(lit.as_slice(), &self.part)].into_iter())
     }
 
     /// Pixels of the row that was taken in that have events and frames, spread over their number of events; at most [`SAMPLED_PIXELS`].
@@ -255,6 +283,31 @@ impl RowSolver {
         let known = known_of(model, &task, &[x], data, given, group);
         estimate::misses(&[MapProblem { hints, ..with_known(&task, &known)[0].problem }], &setting.options, group)
     }
+}
+
+/// The parts of a row, left to right, as one.
+fn together<'a>(setting: &RowSetting, meta: &TracksMeta, row: u32, parts: impl Iterator<Item = (&'a [usize], &'a Part)>) -> (TrackBand, MapBand) {
+    let mut tracks = TrackBand::begin(row, meta.extent.width);
+    let mut map = MapBand::zeros(Rows { start: row, end: row + 1 }, &map_meta(meta.extent));
+    // As it stays where a pixel has no frame.
+    for (plane, value) in planes(Status::NoFrame, 0, 0.0, &Misfit::default(), 0.0).into_iter().enumerate() {
+        map.row_mut(plane, row).fill(value);
+    }
+    let mut push = |knots: &[(i64, f32, f32)]| {
+        let knots = knots.iter().copied();
+        if setting.options.with_sigma { tracks.push_with_sigma(knots) } else { tracks.push(knots.map(|(t, i, _)| (t, i))) }
+    };
+    let mut next = 0;
+    for (lit, part) in parts {
+        for (n, &x) in lit.iter().enumerate() {
+            (next..x).for_each(|_| push(&[]));
+            push(&part.knots[part.knots_of[n].clone()]);
+            part.planes[n].iter().enumerate().for_each(|(plane, value)| map.row_mut(plane, row)[x] = *value);
+            next = x + 1;
+        }
+    }
+    (next..meta.extent.width as usize).for_each(|_| push(&[]));
+    (tracks, map)
 }
 
 /// The problem of pixel x of a row.

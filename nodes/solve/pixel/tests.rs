@@ -114,6 +114,36 @@ fn rows_have_the_same_map_estimate_whatever_the_band() {
 }
 
 #[test]
+fn bands_of_a_task_share_what_suits_their_block_and_a_row_its_pixels() {
+    use photocurrent_core::context::{Common, Notes, Silent};
+    // Wider than what one thread takes of a row, and higher than a block.
+    let extent = Extent { width: 290, height: 18 };
+    let events = walk(extent, 15_000_000);
+    let mut random = Random::new(6, &[]);
+    // Some pixels have no frame, first and last ones of what is shared out among them.
+    let frames = testing::captured(extent, exposures(2), 30_000, |_, x, _| {
+        if [0, 127, 128, 200, 289].contains(&x) { f32::NAN } else { (100.0 + 300.0 * random.uniform()) as f32 }
+    });
+    let whole = solve(most_probable(), events.clone(), frames.clone(), extent.rows()).0;
+    let (tracks, map) = (whole.tracks.read(extent.rows()).unwrap(), whole.map.read(extent.rows()).unwrap());
+    let (node, common) = (SolvePixel { params: most_probable() }, Common::default());
+    let (wanted, cancel, notes) = (["tracks".into(), "map".into()].into(), false.into(), Notes::default());
+    let band = |rows: Rows, around: u32| {
+        let at_hand = rows.with_halo(around, extent.rows());
+        let input = In { events: events.cut(at_hand), frames: frames.cut(at_hand), sensor: sensor() };
+        node.run(input, &Context::new(rows, 7, &wanted, &Silent, &cancel, None, &notes).sharing(&common))
+    };
+    let row = |start: u32| Rows { start, end: start + 1 };
+    // The first band of a block looks at all of it; those after it need their neighbours only.
+    assert!(band(row(3), 1).is_err());
+    for (rows, around) in [(row(2), 16), (row(3), 1), (row(15), 1), (row(16), 16), (row(17), 1)] {
+        let out = band(rows, around).unwrap();
+        assert_eq!(out.tracks.read(rows).unwrap(), tracks.slice(rows), "{rows}");
+        assert_eq!(format!("{:?}", out.map.read(rows).unwrap()), format!("{:?}", map.slice(rows)), "{rows}");
+    }
+}
+
+#[test]
 fn the_map_estimate_reads_like_the_frames_and_moves_like_the_events() {
     // Every pixel brightens by e^0.8 = 2.2255 around 7 ms, between two exposures, in four ON events of 0.2 that come 300 us apart.
     let mut events = Vec::new();

@@ -69,10 +69,12 @@ fn graph(run: &Run, variant: &VariantRecord) -> Graph {
     };
     let edges = tasks.iter().enumerate().flat_map(|(to, (_, task))| {
         task.inputs.iter().flat_map(move |input| {
-            let edge = move |(from, port): &(usize, String)| {
-                Some(Edge { from: place(*from)?, from_port: port.clone(), to, to_port: input.port.clone(), data_type: input.data_type.clone() })
+            let edge = |(from, port): (usize, String)| {
+                Some(Edge { from: place(from)?, from_port: port, to, to_port: input.port.clone(), data_type: input.data_type.clone() })
             };
-            input.from.iter().filter_map(edge)
+            let whole = input.from.iter().enumerate().filter(|(value, _)| !input.joined.iter().any(|part| part.value == *value)).map(|(_, from)| from.clone());
+            let parts = input.joined.iter().map(|part| (part.task, part.port.clone()));
+            whole.chain(parts).filter_map(edge).collect::<Vec<_>>()
         })
     });
     let title = if run.record.variants.len() > 1 { format!("{}, {}", run.name, variant.name) } else { run.name.clone() };

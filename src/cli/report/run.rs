@@ -3,8 +3,8 @@
 use crate::args::ReportOptions;
 use crate::common::Failure;
 use crate::file_kind::FileKind;
-use crate::run_record::{FILE, RunRecord, TaskRecord, VariantRecord};
-use photocurrent_core::Value;
+use crate::run_record::{FILE, Part, RunRecord, TaskRecord, VariantRecord};
+use photocurrent_core::{TimeSpan, Value};
 use photocurrent_store::Cache;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -22,6 +22,8 @@ pub struct Run {
     /// Why there is no cache, where there is none.
     cache: Result<Cache, String>,
     labels: BTreeMap<Output, String>,
+    /// What is joined of blocks of time, by the first of them.
+    joined: BTreeMap<Output, Vec<(Output, TimeSpan)>>,
     /// Only variants with this in their names, if any.
     wanted: Vec<String>,
 }
@@ -55,8 +57,8 @@ impl Run {
         let cache = if at.is_dir() { Cache::open(&at).map_err(|error| error.to_string()) } else { Err(format!("the cache {} is not there", at.display())) };
         let absolute = std::path::absolute(&folder)?;
         let name = absolute.file_name().map_or_else(|| "run".into(), |name| name.to_string_lossy().into_owned());
-        let labels = labels(&record);
-        let run = Run { name, folder, record, cache, labels, wanted: options.variants.clone() };
+        let (labels, joined) = (labels(&record), joined(&record));
+        let run = Run { name, folder, record, cache, labels, joined, wanted: options.variants.clone() };
         if run.variants().next().is_none() {
             let names: Vec<&str> = run.record.variants.iter().map(|variant| variant.name.as_str()).collect();
             return Err(usage(format!(
@@ -74,18 +76,24 @@ impl Run {
         self.record.variants.iter().filter(|variant| self.wanted.is_empty() || self.wanted.iter().any(|wanted| variant.name.contains(wanted.as_str())))
     }
 
-    /// A stored output; the reason where it cannot be had.
+    /// A stored output, with the blocks of time that it is joined with; the reason where it cannot be had.
     pub fn value(&self, output: &Output) -> Result<Value, String> {
-        let task = &self.record.tasks[output.0];
-        let stored = task.outputs.get(&output.1).ok_or_else(|| format!("`{}.{}` was not stored", task.label, output.1))?;
-        let cache = self.cache.as_ref().map_err(Clone::clone)?;
-        cache.load(&stored.digest).map_err(|error| error.to_string())
+        let load = |output: &Output| {
+            let task = &self.record.tasks[output.0];
+            let stored = task.outputs.get(&output.1).ok_or_else(|| format!("`{}.{}` was not stored", task.label, output.1))?;
+            let cache = self.cache.as_ref().map_err(Clone::clone)?;
+            cache.load(&stored.digest).map_err(|error| error.to_string())
+        };
+        let Some(parts) = self.joined.get(output) else { return load(output) };
+        let parts: Result<Vec<(Value, TimeSpan)>, String> = parts.iter().map(|(part, share)| Ok((load(part)?, *share))).collect();
+        Value::joined_in_time(parts?).map_err(|error| error.to_string())
     }
 
     /// What people call an output: its label in a table or a picture of the run, else the node's name.
     pub fn label(&self, output: &Output) -> String {
         let task = &self.record.tasks[output.0];
-        let plain = || if task.outputs.len() > 1 { format!("{}.{}", task.label, output.1) } else { task.label.clone() };
+        let name = if self.joined.contains_key(output) { task.label.split('[').next().unwrap_or_default() } else { &task.label };
+        let plain = || if task.outputs.len() > 1 { format!("{name}.{}", output.1) } else { name.to_string() };
         self.labels.get(output).cloned().unwrap_or_else(plain)
     }
 
@@ -119,6 +127,18 @@ impl Run {
     pub fn inputs(&self, task: usize, port: &str) -> &[Output] {
         self.record.tasks[task].inputs.iter().find(|input| input.port == port).map_or(&[], |input| &input.from)
     }
+}
+
+/// The blocks of time of every value that some task takes joined, by the first of them.
+fn joined(record: &RunRecord) -> BTreeMap<Output, Vec<(Output, TimeSpan)>> {
+    let mut all: BTreeMap<Output, Vec<(Output, TimeSpan)>> = BTreeMap::new();
+    for input in record.tasks.iter().flat_map(|task| &task.inputs) {
+        for parts in input.joined.chunk_by(|a, b| a.value == b.value) {
+            let part = |part: &Part| ((part.task, part.port.clone()), TimeSpan::new(part.start_ns, part.end_ns));
+            all.insert(input.from[parts[0].value].clone(), parts.iter().map(part).collect());
+        }
+    }
+    all
 }
 
 /// Labels of outputs, as the run's own tables and pictures have them.

@@ -55,9 +55,8 @@ impl Size {
 /// Says how a task is cut so that a band fits into `share` bytes; `forced` sets the height instead, where the node may be cut at all.
 pub(crate) fn cut(plan: &Plan, task: &Task, share: u64, forced: Option<u32>) -> Bands {
     let outputs: Vec<&Meta> = task.outputs.iter().filter(|output| !matches!(output.meta, Meta::Absent { .. })).map(|output| &output.meta).collect();
-    let sources = task.inputs.iter().flat_map(|input| &input.from);
-    let inputs: Vec<&Meta> = sources.filter_map(|(from, port)| plan.tasks[*from].output(port)).map(|output| &output.meta).collect();
-    let rows = outputs.iter().chain(&inputs).find_map(|meta| meta.rows()).unwrap_or(Rows { start: 0, end: 0 });
+    let inputs: Vec<Meta> = task.inputs.iter().filter_map(|input| input.metas(&plan.tasks).ok()).flatten().collect();
+    let rows = outputs.iter().copied().chain(&inputs).find_map(|meta| meta.rows()).unwrap_or(Rows { start: 0, end: 0 });
     let mut size = Size { banded_inputs: 0, banded_outputs: 0, fixed: 0 };
     for meta in &inputs {
         let counter = if meta.rows() == Some(rows) { &mut size.banded_inputs } else { &mut size.fixed };

@@ -16,7 +16,7 @@ mod writer;
 use crate::export;
 use crate::observer::{End, Observer};
 use crate::outcome::{Outcome, TaskOutcome};
-use crate::plan::{Plan, TaskId};
+use crate::plan::{Plan, TaskId, is_of};
 pub(crate) use bands::{Cutter, cut, halo as halo_of, inputs_of, least_bytes};
 pub(crate) use kept::Kept;
 use photocurrent_store::Cache;
@@ -134,7 +134,7 @@ impl Shared<'_> {
 /// `cancel` may be set at any time, from a signal handler's thread: no further task begins, and running ones stop at their next step.
 pub fn run(plan: &Plan, cache: &Cache, options: &Options, observer: &dyn Observer, cancel: &AtomicBool) -> Outcome {
     let threads = options.threads.max(1);
-    let forced = |task: TaskId| plan.tasks[task].uses.iter().any(|(_, node)| options.force.contains(node));
+    let forced = |task: TaskId| plan.tasks[task].uses.iter().any(|(_, name)| options.force.iter().any(|node| is_of(name, node)));
     let state = Mutex::new(State::new(plan, options.memory, forced));
     let (kept, trouble) = Kept::open(plan, cache, &options.parts);
     let shared = Shared { plan, cache, options, observer, cancel, kept, state, changed: Condvar::new() };

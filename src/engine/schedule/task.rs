@@ -3,12 +3,13 @@
 use super::bands::{self, Cutter, same_meta};
 use super::writer::{Message, Stored, guarded};
 use super::{Keep, Shared};
+use crate::blocks::extracted;
 use crate::export::{Staging, StampedFile};
 use crate::key::{self, Reuse};
 use crate::observer::{End, Observer};
 use crate::plan::{Task, TaskId};
 use crossbeam::channel::{Receiver, Sender, bounded};
-use photocurrent_core::context::{Notes, Progress};
+use photocurrent_core::context::{Common, Notes, Progress};
 use photocurrent_core::error::Trouble;
 use photocurrent_core::ports::PortValues;
 use photocurrent_core::{Context, Digest, Meta, NodeError, Rows, Value};
@@ -23,7 +24,7 @@ pub(super) fn look_up(shared: &Shared<'_>, id: TaskId) {
     let contents: BTreeMap<(TaskId, &str), Digest> = {
         let state = shared.state();
         let sources = task.inputs.iter().flat_map(|input| &input.from);
-        sources.filter_map(|(from, port)| Some(((*from, *port), state.slots[*from].outputs.get(*port)?.digest))).collect()
+        sources.filter_map(|source| Some(((source.task, source.port), state.slots[source.task].outputs.get(source.port)?.digest))).collect()
     };
     let ingredients = guarded(|| {
         let found = key::ingredients(task, shared.cache, &|from, port| contents.get(&(from, port)).copied())?;
@@ -111,6 +112,7 @@ pub(super) fn run(shared: &Shared<'_>, id: TaskId, writer: &Sender<Message>) {
         Ok(produce(shared, id, inputs, writer, begun)?)
     });
     shared.state().release(id);
+    give_back();
     let seconds = begun.elapsed().as_secs_f64();
     match product {
         Ok(product) => {
@@ -141,9 +143,7 @@ fn inputs(shared: &Shared<'_>, id: TaskId) -> Result<PortValues, Stopped> {
     let task = &shared.plan.tasks[id];
     let mut values = PortValues::new();
     for input in &task.inputs {
-        for &(from, port) in &input.from {
-            values.entry(input.port).or_default().push(value(shared, id, from, port)?);
-        }
+        values.insert(input.port, extracted(&input.from, |from, port| value(shared, id, from, port))?);
     }
     Ok(values)
 }
@@ -182,7 +182,7 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
     };
     let key = ingredients.key();
     let staging = task.export.as_ref().map(|folder| Staging::create(&shared.options.out_dir.join(folder))).transpose()?;
-    let notes = Notes::default();
+    let (notes, common) = (Notes::default(), Common::default());
     let mut kept = BTreeMap::new();
     let stored: Vec<&Meta> = task.stored().map(|output| &output.meta).collect();
     let mut cutter = Cutter::new(&bands, bands.rows, &stored, &inputs);
@@ -220,7 +220,7 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
         let wanted: BTreeSet<String> = task.outputs.iter().filter(|output| output.wanted).map(|output| output.port.to_string()).collect();
         let export = staging.as_ref().map(Staging::path);
         let of_band = Notes::default();
-        let context = Context::new(band, task.seed.unwrap_or(0), &wanted, &progress, shared.cancel, export, &of_band);
+        let context = Context::new(band, task.seed.unwrap_or(0), &wanted, &progress, shared.cancel, export, &of_band).sharing(&common);
         let began = Instant::now();
         let given = guarded(|| task.node.run(bands::inputs_of(&inputs, &bands, band), &context))?;
         // One band of a task waits for the writer while the next is computed, and no more.
@@ -252,6 +252,9 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
         writer.send(Message::Reached { reply }).map_err(|_| NodeError::failed("the writer has stopped"))?;
         written = Some(answer);
         progress.end_of_band();
+        if seconds > WORTH_GIVING_BACK_S {
+            give_back();
+        }
     }
     let (reply, answer) = bounded(1);
     let finish = Message::Finish { task: id, reply };
@@ -284,6 +287,18 @@ fn record(cache: &Cache, ingredients: Ingredients, stored: &Stored, exports: Vec
 
 /// A band that gives fewer bytes a second is kept until the result is complete: writing it is quicker than computing it.
 const COSTLY_BYTES_PER_S: f64 = 32e6;
+
+/// After a band that took so long, memory that it freed goes back to the system.
+const WORTH_GIVING_BACK_S: f64 = 0.5;
+
+/// Gives memory that is free back to the system: the allocator keeps what a thread freed for that thread, and bands and blocks of other sizes leave ever more of it.
+fn give_back() {
+    // SAFETY: the call takes a number of bytes to keep, and touches only memory that nobody has.
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    unsafe {
+        libc::malloc_trim(0);
+    }
+}
 
 /// The wanted outputs, held against the plan: a node that gives something else than it planned would poison every key after it.
 pub(crate) fn checked(task: &Task, mut given: PortValues, band: Option<Rows>) -> Result<Vec<(&'static str, Meta, Value)>, NodeError> {

@@ -1,6 +1,8 @@
 //! The engine's claims, shown with toy nodes: graphs without sensors.
 
+mod blocks;
 mod exports;
+mod film;
 mod folder;
 mod mistakes;
 mod overlays;

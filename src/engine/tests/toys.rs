@@ -1,5 +1,6 @@
 //! Toy nodes: small numbers on small planes, one for every way a node can behave.
 
+use super::film::{ReadFilm, Seen, WriteLast};
 use super::troubles::{Heavy, Trouble};
 use photocurrent_core::handle::Band;
 use photocurrent_core::quantity::{InputPath, Rate};
@@ -27,6 +28,9 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<Write>(),
         Kind::of::<Heavy>(),
         Kind::of::<Grey>(),
+        Kind::of::<ReadFilm>(),
+        Kind::of::<Seen>(),
+        Kind::of::<WriteLast>(),
     ])
 }
 

@@ -31,6 +31,12 @@ pub struct PortInput {
     pub layout: u32,
     /// Its content.
     pub digest: Digest,
+    /// The window of time that is taken of it, ns; all of it where nothing is said.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub window: Option<(i64, i64)>,
+    /// Of a part of what is joined in time: its share, ns.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub share: Option<(i64, i64)>,
 }
 
 /// An outside file that decides the output.
@@ -73,6 +79,12 @@ impl Ingredients {
         key.integer(self.inputs.len() as i64);
         for input in &self.inputs {
             key.text(&input.port).integer(input.index.into()).integer(input.layout.into()).digest(&input.digest);
+            // Nothing is added for whole values: their keys are those of before.
+            for (word, span) in [("window", input.window), ("share", input.share)] {
+                if let Some((start, end)) = span {
+                    key.text(word).integer(start).integer(end);
+                }
+            }
         }
         key.integer(self.files.len() as i64);
         for file in &self.files {
@@ -124,6 +136,9 @@ impl Ingredients {
                     }
                     if old.digest != new.digest {
                         lines.push(format!("input {name} changed content"));
+                    }
+                    if (old.window, old.share) != (new.window, new.share) {
+                        lines.push(format!("input {name} is cut from another block of time"));
                     }
                 }
             }

@@ -6,12 +6,17 @@ use crate::hdf::grid::Grid;
 use crate::hdf::write::ColumnWriter;
 use crate::threads;
 use photocurrent_core::handle::{Band, BandMeta, BandSource, Handle};
+use photocurrent_core::in_time::InTime;
 use photocurrent_core::value::ValueDigest;
-use photocurrent_core::{DataError, Digest, EventBand, EventStream, EventsMeta, Rows};
+use photocurrent_core::{DataError, Digest, EventBand, EventStream, EventsMeta, Rows, TimeSpan};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Rows that are read, hashed and packed together.
 const ROWS_AT_ONCE: u32 = 64;
+
+/// Events of a row that are looked through; in longer rows a window is searched for.
+const SEARCHED: usize = 1 << 16;
 
 pub(super) const DAMAGED: &str = "the artefact is damaged: run the pipeline again";
 
@@ -134,20 +139,56 @@ impl EventsSource {
         let offsets = self.row_offsets.column(rows.start as usize..rows.start as usize + rows.len() + 1)?;
         let (first, offsets) = relative(&self.opened, "/events/row_offsets", offsets, self.t.shape[0])?;
         let range = first..first + offsets.last().copied().unwrap_or(0);
+        self.columns(rows.start, offsets, range)
+    }
+
+    /// A range of the columns, whose rows have these offsets in it.
+    fn columns(&self, start_row: u32, offsets: Vec<usize>, range: Range<usize>) -> Result<EventBand, StoreError> {
         let ((x, p), (t, t_in)) = threads::both(
             || (self.x.column(range.clone()), self.p.column(range.clone())),
             || (self.t.column(range.clone()), self.t_in.as_ref().map(|column| column.column(range.clone())).transpose()),
         );
         let step = self.step.as_ref().map(|column| column.column(range)).transpose()?;
 
-        EventBand::from_columns(rows.start, offsets, x?, p?, t?, t_in?, step)
+        EventBand::from_columns(start_row, offsets, x?, p?, t?, t_in?, step)
             .map_err(|error| self.opened.content("/events", error.message, "columns in (y, t, x) order", DAMAGED))
+    }
+
+    /// What of some rows is stamped within a window. Of rows that are long, what lies outside is not read but for a few stamps.
+    fn band_within(&self, rows: Rows, window: TimeSpan) -> Result<EventBand, StoreError> {
+        let offsets = self.row_offsets.column(rows.start as usize..rows.start as usize + rows.len() + 1)?;
+        let (first, offsets) = relative(&self.opened, "/events/row_offsets", offsets, self.t.shape[0])?;
+        let mut parts = Vec::new();
+        for (row, ends) in rows.bands(1).into_iter().zip(offsets.windows(2)) {
+            if ends[1] - ends[0] <= SEARCHED {
+                parts.push(self.band(row)?.within(window));
+                continue;
+            }
+            let from = self.first_not_before(first + ends[0]..first + ends[1], window.start.0)?;
+            let to = self.first_not_before(from..first + ends[1], window.end.0)?;
+            parts.push(self.columns(row.start, vec![0, to - from], from..to)?);
+        }
+        Ok(if parts.is_empty() { self.band(rows)? } else { EventBand::concat(parts) })
+    }
+
+    /// The first place in a rising range of stamps that is not before `t_ns`.
+    fn first_not_before(&self, range: Range<usize>, t_ns: i64) -> Result<usize, StoreError> {
+        let Range { mut start, mut end } = range;
+        while end - start > SEARCHED {
+            let middle = start + (end - start) / 2;
+            if self.t.column(middle..middle + 1)?.first().is_some_and(|t| *t < t_ns) { start = middle + 1 } else { end = middle }
+        }
+        Ok(start + self.t.column(start..end)?.partition_point(|t| *t < t_ns))
     }
 }
 
 impl BandSource<EventBand> for EventsSource {
     fn read(&self, rows: Rows) -> Result<EventBand, DataError> {
         Ok(self.band(rows)?)
+    }
+
+    fn read_within(&self, rows: Rows, window: TimeSpan) -> Result<EventBand, DataError> {
+        Ok(self.band_within(rows, window)?)
     }
 
     fn bytes(&self, rows: Rows) -> Option<u64> {

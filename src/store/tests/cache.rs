@@ -22,7 +22,15 @@ fn ingredients() -> Ingredients {
         kind: "solve/pixel".into(),
         revision: 3,
         params: Params { canonical: "{\"cis_weight\":f3ff0000000000000,}".into(), readable: readable.as_object().unwrap().clone() },
-        inputs: vec![PortInput { port: "events".into(), index: 0, data_type: DataType::Events, layout: 1, digest: Digest::of_bytes(b"events") }],
+        inputs: vec![PortInput {
+            port: "events".into(),
+            index: 0,
+            data_type: DataType::Events,
+            layout: 1,
+            digest: Digest::of_bytes(b"events"),
+            window: None,
+            share: None,
+        }],
         files: vec![FileInput { param: "weights".into(), path: "net.onnx".into(), digest: Digest::of_bytes(b"net") }],
         seed: Some(u64::MAX),
     }
@@ -327,6 +335,14 @@ fn every_ingredient_enters_the_key_and_its_change_is_named() {
         (Ingredients { params: Params { canonical: "a third".into(), ..base.params.clone() }, ..base.clone() }, vec!["params changed"]),
         (Ingredients { inputs: vec![PortInput { digest: other, ..input.clone() }], ..base.clone() }, vec!["input events changed content"]),
         (Ingredients { inputs: vec![PortInput { layout: 2, ..input.clone() }], ..base.clone() }, vec!["input events layout 1 -> 2"]),
+        (
+            Ingredients { inputs: vec![PortInput { window: Some((0, 5)), ..input.clone() }], ..base.clone() },
+            vec!["input events is cut from another block of time"],
+        ),
+        (
+            Ingredients { inputs: vec![PortInput { share: Some((0, 5)), ..input.clone() }], ..base.clone() },
+            vec!["input events is cut from another block of time"],
+        ),
         (Ingredients { inputs: vec![input.clone(), PortInput { index: 1, ..input }], ..base.clone() }, vec!["input events[1] added"]),
         (Ingredients { inputs: vec![], ..base.clone() }, vec!["input events removed"]),
         (Ingredients { files: vec![FileInput { digest: other, ..base.files[0].clone() }], ..base.clone() }, vec!["file net.onnx changed content"]),

@@ -337,3 +337,30 @@ fn frame_times_survive_even_when_there_are_many() {
     let Value::Frames(back) = open_value(&path).unwrap() else { panic!("frames stay frames") };
     assert_eq!(*back.meta, meta);
 }
+
+#[test]
+fn a_window_of_stored_events_is_what_lies_within_it_however_long_a_row_is() {
+    use photocurrent_core::events::Event;
+    use photocurrent_core::in_time::InTime;
+    let extent = Extent { width: 3, height: 4 };
+    let mut random = photocurrent_core::random::Random::new(9, &[]);
+    // Row 1 is longer than what is looked through, and has many equal stamps; row 3 has none.
+    let event = |y: u16, t: i64, x: u16| Event { x, y, polarity: Polarity::On, t, t_in: Some(t - 1) };
+    let mut events: Vec<Event> = (0..200_000).map(|_| (random.bits() % 5000, random.bits() % 3)).map(|(t, x)| event(1, t as i64, x as u16)).collect();
+    events.extend((0..500).map(|k| event(k % 2 * 2, i64::from(k) * 10, 1)));
+    let whole = testing::stream(extent, events);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("events.h5");
+    write(&path, &Value::Events(whole.clone()), 64);
+    let Value::Events(stored) = open_value(&path).unwrap() else { panic!("events stay events") };
+    let (in_memory, mut found) = (whole.read(whole.rows()).unwrap(), 0);
+    for (start, end) in [(i64::MIN, i64::MAX), (0, 1), (1000, 1001), (2400, 2600), (4999, 9000), (7000, 9000), (-5, 0), (i64::MIN, 2500), (2500, i64::MAX)] {
+        let window = TimeSpan::new(start, end);
+        for rows in [extent.rows(), Rows { start: 1, end: 2 }, Rows { start: 2, end: 4 }, Rows { start: 2, end: 2 }] {
+            let read = stored.read_within(rows, window).unwrap();
+            assert_eq!(read, in_memory.slice(rows).within(window), "{rows} from {start} to {end}");
+            found += read.len();
+        }
+    }
+    assert!(found > 500_000);
+}
