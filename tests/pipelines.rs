@@ -126,6 +126,11 @@ fn blocks_of_a_long_recording_show_every_instant_once_and_as_well_as_the_whole()
     };
     let whole = scores("1 min");
     let blocks = scores("100 ms");
+    // The report shows what was joined: one curve of each pixel's photocurrent, and pictures of the whole.
+    let report = bench.run(&["report", "out/long"]);
+    assert_eq!(report.code, 0, "{}", report.stderr);
+    let page = std::fs::read_to_string(bench.path("out/long/report.html")).expect("the report");
+    assert!(page.contains(r#""solved":[{"label":"render","#) && !page.contains(r#""label":"render["#));
     let instants = |scores: &[(i64, f64)]| scores.iter().map(|(t_ns, _)| *t_ns).collect::<Vec<i64>>();
     assert_eq!(instants(&blocks), instants(&whole));
     assert_eq!(blocks.len(), 300);

@@ -3,7 +3,7 @@
 use super::films::sensor;
 use super::run::{Output, Run, Styles};
 use crate::common::Failure;
-use photocurrent_core::{NodeError, Value};
+use photocurrent_core::{NodeError, TimeSpan, Value};
 use photocurrent_nodes::show::{Photocurrent, Seen, Shown, Tone, lively, seen, solved};
 use photocurrent_page::{Bar, Event, Group, Pixel, Residual, RunPage, Solved};
 
@@ -39,7 +39,8 @@ pub fn follow(run: &Run, asked: &[(u32, u32)], styles: &mut Styles, page: &mut R
         let outputs = all(data_type);
         outputs.into_iter().filter_map(|(output, label)| Some((run.value(&output).ok()?, label))).filter(|(value, _)| size(value)).collect()
     };
-    let (events, frames, tracks) = (load("events"), load("frames"), load("tracks"));
+    let (events, frames, tracks) = (load("events"), load("frames"), tracks(run, all("tracks")));
+    let tracks: Vec<(Value, String)> = tracks.into_iter().filter(|(value, _)| size(value)).collect();
     let truth = load("truth").into_iter();
     let frames: Vec<Shown> = truth.chain(frames).filter_map(|(value, _)| Shown::of(value)).collect();
     let captured = frames.iter().find(|shown| shown.is_captured());
@@ -80,6 +81,25 @@ pub fn follow(run: &Run, asked: &[(u32, u32)], styles: &mut Styles, page: &mut R
         page.pixels.push(pixel);
     }
     Ok(())
+}
+
+/// The first block of the frames that are rendered from tracks, where those are joined; a label; the tracks, with their shares of time.
+type Found = (Option<Output>, String, Vec<(Value, TimeSpan)>);
+
+/// Tracks that can be had; those of blocks of time as one, as the frames that are rendered from them.
+fn tracks(run: &Run, outputs: Vec<(Output, String)>) -> Vec<(Value, String)> {
+    let mut found: Vec<Found> = Vec::new();
+    for (output, label) in outputs {
+        let Ok(value) = run.value(&output) else { continue };
+        let (first, share) = followed_by(run, &output).and_then(|shown| run.share(&shown)).unzip();
+        let part = (value, share.unwrap_or(TimeSpan::new(i64::MIN, i64::MAX)));
+        match found.iter_mut().find(|(known, ..)| first.is_some() && *known == first) {
+            Some((.., parts)) => parts.push(part),
+            None => found.push((first, label, vec![part])),
+        }
+    }
+    let joined = |(_, label, parts): Found| Some((Value::joined_in_time(parts).ok()?, label));
+    found.into_iter().filter_map(joined).collect()
 }
 
 /// The frames that are rendered from tracks.

@@ -89,6 +89,12 @@ impl Run {
         Value::joined_in_time(parts?).map_err(|error| error.to_string())
     }
 
+    /// Of a block of a value that is joined: the first of its blocks, and the block's share of time.
+    pub fn share(&self, output: &Output) -> Option<(Output, TimeSpan)> {
+        let of = |(first, parts): (&Output, &Vec<(Output, TimeSpan)>)| parts.iter().find(|(part, _)| part == output).map(|(_, share)| (first.clone(), *share));
+        self.joined.iter().find_map(of)
+    }
+
     /// What people call an output: its label in a table or a picture of the run, else the node's name.
     pub fn label(&self, output: &Output) -> String {
         let task = &self.record.tasks[output.0];
