@@ -71,6 +71,8 @@ pub struct Task {
     pub files: Vec<FileRef>,
     /// The seed, for a node that draws.
     pub seed: Option<u64>,
+    /// May a recording be cut into blocks of time for it?
+    pub local_in_time: bool,
     /// Where its files go, below the output folder.
     pub export: Option<PathBuf>,
     /// Where the manifest names its kind.

@@ -194,7 +194,7 @@ impl Planner {
         let schema = Arc::new(node.kind.schema.clone());
         let changed_params = changed(&node.params, &node.kind.schema);
         let params = node.params.clone();
-        let origin = node.spec.kind_origin.clone();
+        let (origin, local_in_time) = (node.spec.kind_origin.clone(), node.kind.local_in_time);
         let node = node.node.clone();
         self.tasks.push(Task {
             decl,
@@ -209,6 +209,7 @@ impl Planner {
             outputs,
             files,
             seed,
+            local_in_time,
             export,
             origin,
             node,

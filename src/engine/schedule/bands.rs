@@ -153,6 +153,14 @@ impl<'a> Cutter<'a> {
         }
     }
 
+    /// What a single row takes, without those around it, and what it may, in bytes, where that is too much; known after the first band.
+    pub fn too_much(&self) -> Option<(u64, u64)> {
+        let is_known = self.last_height.is_some() && self.bands.halo.is_some() && self.bands.forced.is_none() && !self.left.is_empty();
+        let row = Rows { start: self.left.start, end: self.left.start + 1 };
+        let needed = || banded_bytes(self.inputs, self.bands.rows, row) + COPIES * self.row_outputs;
+        is_known.then(|| (needed(), self.bands.share)).filter(|(needed, share)| needed > share)
+    }
+
     /// Bytes that the next band takes with so many rows.
     fn need(&self, height: u32) -> u64 {
         let band = Rows { start: self.left.start, end: self.left.end.min(self.left.start.saturating_add(height)) };

@@ -7,7 +7,7 @@ use crate::blocks::extracted;
 use crate::export::{Staging, StampedFile};
 use crate::key::{self, Reuse};
 use crate::observer::{End, Observer};
-use crate::plan::{Task, TaskId};
+use crate::plan::{Task, TaskId, size};
 use crossbeam::channel::{Receiver, Sender, bounded};
 use photocurrent_core::context::{Common, Notes, Progress};
 use photocurrent_core::error::Trouble;
@@ -190,7 +190,7 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
     let mut written: Option<Receiver<()>> = None;
     let may_reuse = bands.halo.is_some() && !shared.state().slots[id].force;
     let kept_bands = if may_reuse { shared.kept.of(id) } else { Vec::new() };
-    let mut is_kept = false;
+    let (mut is_kept, mut is_warned) = (false, false);
     loop {
         if let Some(stored) = cutter.at().and_then(|row| kept_bands.iter().find_map(|band| shared.kept.load(band, row, task))) {
             let (rows, outputs, said) = stored;
@@ -240,6 +240,18 @@ fn produce(shared: &Shared<'_>, id: TaskId, inputs: PortValues, writer: &Sender<
             writer.send(message).map_err(|_| NodeError::failed("the writer has stopped"))?;
         }
         cutter.learn(band, bytes);
+        if task.local_in_time
+            && !is_warned
+            && let Some((needed, share)) = cutter.too_much()
+        {
+            is_warned = true;
+            shared.warn(format!(
+                "{}: a single row takes about {}, and its share of --memory is {}: blocks of time take less (`pipeline.blocks`)",
+                task.label,
+                size(needed),
+                size(share)
+            ));
+        }
         if !whole
             && let Some((store, identity)) = shared.kept.own(id)
             && (shared.options.keep == Keep::All || seconds * COSTLY_BYTES_PER_S > bytes as f64)

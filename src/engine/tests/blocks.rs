@@ -170,3 +170,18 @@ fn blocks_that_cannot_be_are_refused_with_what_to_do() {
     assert!(map.message.contains("`seen.plane`, which blocks of time do not give as one") && map.notes[0].contains("map of its own"), "{map:?}");
     assert_eq!(at(&map), "\"seen.plane\"");
 }
+
+#[test]
+fn a_row_that_is_too_long_for_the_budget_is_said_with_what_helps() {
+    let bench = Bench::new();
+    // 2,000 frames of 3 pixels are 24 kB of input and as much of output, three times; a quarter of the time fits.
+    let text = FILM.replace("kind = \"read/film\"", "kind = \"read/film\"\nparams.count = 2000");
+    let options = Options { memory: 128 << 10, ..bench.options() };
+    let warnings = |length: &str| {
+        let plan = bench.planned(&text, &[&format!("pipeline.blocks.length=\"{length}\"")]).unwrap_or_else(|problems| panic!("{problems:#?}"));
+        bench.run(&plan, &options).warnings
+    };
+    let whole = warnings("1 min");
+    assert!(whole.len() == 2 && whole[0].contains("seen: a single row takes about") && whole[0].contains("pipeline.blocks"), "{whole:?}");
+    assert_eq!(warnings("2 s"), Vec::<String>::new());
+}
