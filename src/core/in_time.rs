@@ -8,9 +8,9 @@ use crate::events::EventsMeta;
 use crate::extent::Rows;
 use crate::frames::{FrameSequence, FrameTimes, FramesMeta};
 use crate::handle::{Band, BandMeta, BandSource, Handle};
-use crate::time::TimeSpan;
+use crate::time::{Exposure, TimeSpan};
 use crate::tracks::TracksMeta;
-use crate::value::{Meta, Value};
+use crate::value::{DataType, Meta, Value};
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -146,14 +146,28 @@ impl FramesMeta {
     }
 }
 
+impl DataType {
+    /// Does a window of time leave a part of such values? All others stay whole.
+    pub fn has_windows(self) -> bool {
+        matches!(self, DataType::Events | DataType::Frames)
+    }
+}
+
 impl Meta {
-    /// The time that the value covers, where it has one and a window can be cut out of it: events, frames.
+    /// The time that the value covers, where it has one and windows leave a part of it.
     pub fn span_to_cut(&self) -> Option<TimeSpan> {
         match self {
             Meta::Events(meta) => meta.span,
             Meta::Frames(meta) => meta.times.span(meta.extent.height),
             _ => None,
         }
+    }
+
+    /// The longest exposure of frames, and how long after the first row the last one follows, ns.
+    pub fn longest_frame_ns(&self) -> Option<(i64, i64)> {
+        let Meta::Frames(meta) = self else { return None };
+        let exposure_ns = meta.times.exposures.iter().map(Exposure::length_ns).max()?;
+        Some((exposure_ns, meta.times.row_time_ns.saturating_mul(i64::from(meta.extent.height.saturating_sub(1))).abs()))
     }
 
     /// What is known of the value within a window of time; what is no recording stays whole.

@@ -10,7 +10,7 @@
 use photocurrent_core::document::{Origin, Tree};
 use photocurrent_core::error::NodeError;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{DataError, DataType, Meta, TimeSpan, Value};
+use photocurrent_core::{DataError, Meta, TimeSpan, Value};
 use serde_json::{Value as Json, json};
 
 /// The most blocks of one recording: more are a slip of the hand, or one stamp far from all others.
@@ -136,12 +136,12 @@ pub struct Source {
 }
 
 /// What can be cut and joined in time.
-pub(crate) trait InTime: Sized {
+pub(crate) trait Joinable: Sized {
     fn within(&self, window: TimeSpan) -> Self;
     fn joined(parts: Vec<(Self, TimeSpan)>) -> Result<Self, DataError>;
 }
 
-impl InTime for Meta {
+impl Joinable for Meta {
     fn within(&self, window: TimeSpan) -> Meta {
         Meta::within(self, window)
     }
@@ -150,7 +150,7 @@ impl InTime for Meta {
     }
 }
 
-impl InTime for Value {
+impl Joinable for Value {
     fn within(&self, window: TimeSpan) -> Value {
         Value::within(self, window)
     }
@@ -160,7 +160,7 @@ impl InTime for Value {
 }
 
 /// The values of a port, from whole ones by task and output.
-pub(crate) fn extracted<T: InTime, E: From<NodeError>>(sources: &[Source], mut whole: impl FnMut(usize, &'static str) -> Result<T, E>) -> Result<Vec<T>, E> {
+pub(crate) fn extracted<T: Joinable, E: From<NodeError>>(sources: &[Source], mut whole: impl FnMut(usize, &'static str) -> Result<T, E>) -> Result<Vec<T>, E> {
     let mut values = Vec::new();
     for parts in sources.chunk_by(|a, b| a.value == b.value) {
         let mut shares = Vec::new();
@@ -179,7 +179,17 @@ pub(crate) fn extracted<T: InTime, E: From<NodeError>>(sources: &[Source], mut w
     Ok(values)
 }
 
-/// May a window be cut out of values of this type?
-pub(crate) fn can_be_cut(data_type: DataType) -> bool {
-    matches!(data_type, DataType::Events | DataType::Frames)
+/// A node's name, or that of one block of it, counted from 1: `solve[2]`.
+pub(crate) fn name_of(node: &str, block: Option<usize>) -> String {
+    block.map_or_else(|| node.to_string(), |k| format!("{node}[{}]", k + 1))
+}
+
+/// The node that a name is of: `solve` of `solve[2]`.
+pub fn node_of(name: &str) -> &str {
+    name.split_once('[').map_or(name, |(node, _)| node)
+}
+
+/// Does `asked` name this node or block of one, or the node that it is a block of?
+pub(crate) fn is_of(name: &str, asked: &str) -> bool {
+    name == asked || node_of(name) == asked
 }

@@ -1,6 +1,7 @@
 //! Why one node would run, in one line per reason.
 
-use crate::plan::{Plan, is_of};
+use crate::blocks::is_of;
+use crate::plan::Plan;
 use crate::status::{State, TaskStatus, status};
 use photocurrent_core::document::Problem;
 use photocurrent_store::Cache;

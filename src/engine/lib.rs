@@ -36,7 +36,7 @@ mod typed;
 mod tests;
 
 pub use ablation::{Ablation, BASE};
-pub use blocks::{Blocks, Extract, Source};
+pub use blocks::{Blocks, Extract, Source, node_of};
 pub use explain::{Explanation, explain};
 pub use graph::{Drawing, GraphFormat, graph};
 pub use observer::{End, Observer, Unobserved};

@@ -5,7 +5,7 @@
 //! seed and the tasks before them. That hash only distinguishes tasks inside one plan; what names results for ever is the key (`key`),
 //! which knows contents.
 
-use crate::blocks::{Source, extracted};
+use crate::blocks::{Source, extracted, is_of};
 use crate::lacking::Lacking;
 use crate::pipeline::Pipeline;
 use crate::planner::Planner;
@@ -245,11 +245,6 @@ impl Plan {
         }
         names
     }
-}
-
-/// Is this the node, or a block of it?
-pub(crate) fn is_of(name: &str, node: &str) -> bool {
-    name == node || name.strip_prefix(node).is_some_and(|rest| rest.starts_with('['))
 }
 
 /// What to do about a plan that is too large.

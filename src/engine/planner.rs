@@ -1,6 +1,6 @@
 //! How a plan is made: node by node in running order, each asked what its outputs will look like; in blocks of time where the pipeline has them.
 
-use crate::blocks::{Blocks, Cuts, Extract, Source, can_be_cut, extracted};
+use crate::blocks::{Blocks, Cuts, Extract, Source, extracted, name_of, node_of};
 use crate::lacking::Lacking;
 use crate::pipeline::Pipeline;
 use crate::plan::{LESS, LeftOut, PlannedVariant, Task, TaskId, TaskInput, TaskOutput, size};
@@ -12,7 +12,7 @@ use photocurrent_core::lacking::with_examples;
 use photocurrent_core::node::canonical_params;
 use photocurrent_core::ports::{Arity, PortSpec};
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Catalogue, Decl, Digest, Exposure, FileRef, Grain, Meta, NodeError, PortMetas, TimeSpan};
+use photocurrent_core::{Catalogue, Decl, Digest, FileRef, Grain, Meta, NodeError, PortMetas, TimeSpan};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -120,7 +120,7 @@ impl Planner {
         let cut: Vec<Meta> = node
             .inputs
             .iter()
-            .filter(|(port, _)| can_be_cut(port.data_type))
+            .filter(|(port, _)| port.data_type.has_windows())
             .flat_map(|(_, links)| links)
             .filter_map(|link| {
                 let [task] = made[link.from.0][..] else { return None };
@@ -150,14 +150,7 @@ impl Planner {
 
     /// A frame that begins in a block must end in its overlap: else no block would have it whole.
     fn check_overlap(&mut self, blocks: &Blocks, cut: &[Meta]) -> Option<()> {
-        let longest = |meta: &Meta| match meta {
-            Meta::Frames(meta) => {
-                let exposure = meta.times.exposures.iter().map(Exposure::length_ns).max()?;
-                Some((exposure, meta.times.row_time_ns.saturating_mul(i64::from(meta.extent.height.saturating_sub(1))).abs()))
-            }
-            _ => None,
-        };
-        let (exposure, delay) = cut.iter().filter_map(longest).max_by_key(|(exposure, delay)| exposure + delay).unwrap_or((0, 0));
+        let (exposure, delay) = cut.iter().filter_map(Meta::longest_frame_ns).max_by_key(|(exposure, delay)| exposure + delay).unwrap_or((0, 0));
         if exposure + delay <= blocks.overlap_ns {
             return Some(());
         }
@@ -234,7 +227,7 @@ impl Planner {
             let source = |k: usize, extract: Extract| Source { value: value as u32, task: tasks[k], port: link.from.1, extract };
             let sources: Vec<Source> = match of {
                 Some((_, Some(block))) if tasks.len() > 1 => vec![source(block, Extract::All)],
-                Some((cuts, Some(block))) if can_be_cut(port.data_type) => vec![source(0, Extract::Window(cuts.window(block)))],
+                Some((cuts, Some(block))) if port.data_type.has_windows() => vec![source(0, Extract::Window(cuts.window(block)))],
                 Some((cuts, None)) if tasks.len() > 1 => (0..tasks.len()).map(|k| source(k, Extract::Share(cuts.share(k)))).collect(),
                 _ => vec![source(0, Extract::All)],
             };
@@ -250,7 +243,7 @@ impl Planner {
                     self.of_block.clone().into_iter().fold(Problem::at(&link.origin, message).note(why), Problem::note)
                 }
                 Coming::Apart(why) => {
-                    let upstream = upstream.split('[').next().unwrap_or_default();
+                    let upstream = node_of(upstream);
                     let message = format!("nodes.{id}: input `{}` takes `{upstream}.{}`, which blocks of time do not give as one", port.name, link.from.1);
                     let help = format!("leave `{id}` out (--to names what is wanted), or `pipeline.blocks`");
                     Problem::at(&link.origin, message).note(why).help(help)
@@ -378,11 +371,6 @@ fn stated(metas: &PortMetas, fields: &[String]) -> Option<PortMetas> {
 
 /// A name of a file or folder, and whole sentences about it.
 type Missing = (String, String);
-
-/// A node's name, and that of one block of it, counted from 1.
-fn name_of(node: &str, block: Option<usize>) -> String {
-    block.map_or_else(|| node.to_string(), |k| format!("{node}[{}]", k + 1))
-}
 
 /// What a node cannot read: the parameter that it blames, without the folders before it; of a folder, its parent stays.
 fn missing(node: &TypedNode<'_>, error: &NodeError) -> Missing {

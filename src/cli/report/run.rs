@@ -5,6 +5,7 @@ use crate::common::Failure;
 use crate::file_kind::FileKind;
 use crate::run_record::{FILE, Part, RunRecord, TaskRecord, VariantRecord};
 use photocurrent_core::{TimeSpan, Value};
+use photocurrent_engine::node_of;
 use photocurrent_store::Cache;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -98,7 +99,7 @@ impl Run {
     /// What people call an output: its label in a table or a picture of the run, else the node's name.
     pub fn label(&self, output: &Output) -> String {
         let task = &self.record.tasks[output.0];
-        let name = if self.joined.contains_key(output) { task.label.split('[').next().unwrap_or_default() } else { &task.label };
+        let name = if self.joined.contains_key(output) { node_of(&task.label) } else { &task.label };
         let plain = || if task.outputs.len() > 1 { format!("{name}.{}", output.1) } else { name.to_string() };
         self.labels.get(output).cloned().unwrap_or_else(plain)
     }

@@ -13,10 +13,11 @@ mod state;
 mod task;
 mod writer;
 
+use crate::blocks::is_of;
 use crate::export;
 use crate::observer::{End, Observer};
 use crate::outcome::{Outcome, TaskOutcome};
-use crate::plan::{Plan, TaskId, is_of};
+use crate::plan::{Plan, TaskId};
 pub(crate) use bands::{Cutter, cut, halo as halo_of, inputs_of, least_bytes};
 pub(crate) use kept::Kept;
 use photocurrent_store::Cache;

@@ -1,11 +1,9 @@
 //! Blocks of time: what is cut, what is joined, what is refused, and that a block is kept and made again by itself.
 
-use super::folder::Folder;
-use super::toys::catalogue;
-use crate::{End, Extract, Keep, Options, Outcome, Plan, Project, Selection, Unobserved, explain, join, run, run_part};
+use super::bench::{Bench, assert_well, digests, executed};
+use crate::{Extract, Keep, Options, Outcome, Plan, Unobserved, explain, join, run_part};
 use photocurrent_core::document::Problem;
 use photocurrent_core::{Rows, Value};
-use photocurrent_store::Cache;
 use std::sync::atomic::AtomicBool;
 
 const FILM: &str = r#"
@@ -26,36 +24,14 @@ kind = "write/last"
 in.frames = "again.frames"
 "#;
 
-struct Bench {
-    folder: Folder,
-    cache: Cache,
-}
-
 impl Bench {
-    fn new() -> Bench {
-        let folder = Folder::new();
-        let cache = Cache::open(&folder.path("cache")).unwrap();
-        Bench { folder, cache }
+    fn film(&self, sets: &[&str]) -> Plan {
+        self.plan(FILM, sets)
     }
 
-    fn planned(&self, text: &str, sets: &[&str]) -> Result<Plan, Vec<Problem>> {
-        let path = self.folder.write("m.toml", text);
-        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
-        let project = Project::load(&path, &sets, &catalogue())?;
-        Plan::new(&project, &catalogue(), &Selection::default())
-    }
-
-    fn plan(&self, sets: &[&str]) -> Plan {
-        self.planned(FILM, sets).unwrap_or_else(|problems| panic!("{problems:#?}"))
-    }
-
-    fn options(&self) -> Options {
-        Options { threads: 2, out_dir: self.folder.path("out"), ..Options::default() }
-    }
-
-    fn run(&self, plan: &Plan, options: &Options) -> Outcome {
-        let outcome = run(plan, &self.cache, options, &Unobserved, &AtomicBool::new(false));
-        assert_eq!(outcome.exit_code(), 0, "{:?}", outcome.tasks.iter().map(|task| &task.error).collect::<Vec<_>>());
+    fn run_well(&self, plan: &Plan, options: &Options) -> Outcome {
+        let outcome = self.run_with(plan, options);
+        assert_well(&outcome);
         outcome
     }
 
@@ -67,20 +43,16 @@ impl Bench {
 }
 
 fn refusal(bench: &Bench, text: &str, sets: &[&str]) -> Problem {
-    match bench.planned(text, sets) {
+    match bench.planned(text, sets, &[]) {
         Err(problems) => problems.into_iter().next().unwrap(),
         Ok(_) => panic!("a mistake is refused"),
     }
 }
 
-fn executed(outcome: &Outcome) -> Vec<&str> {
-    outcome.tasks.iter().filter(|task| task.end == End::Executed).map(|task| task.label.as_str()).collect()
-}
-
 #[test]
 fn nodes_that_are_local_in_time_see_a_window_and_others_all_of_it_once() {
     let bench = Bench::new();
-    let plan = bench.plan(&[]);
+    let plan = bench.film(&[]);
     // Frames of 4 ms every 5 ms, from 0 to 59 ms: blocks end at 20 and 40 ms and see 5 ms more on either side.
     let labels: Vec<&str> = plan.tasks.iter().map(|task| task.label.as_str()).collect();
     assert_eq!(labels, ["film", "seen[1]", "seen[2]", "seen[3]", "again[1]", "again[2]", "again[3]", "last"]);
@@ -89,7 +61,7 @@ fn nodes_that_are_local_in_time_see_a_window_and_others_all_of_it_once() {
     assert!(matches!(windows("seen[2]")[..], [only] if matches!(only.extract, Extract::Window(span) if (ms(span.start.0), ms(span.end.0)) == (15, 45))));
     assert!(matches!(windows("again[2]")[..], [only] if only.extract == Extract::All && only.task == 2));
     assert_eq!(windows("last").iter().map(|part| part.task).collect::<Vec<_>>(), [4, 5, 6]);
-    bench.run(&plan, &bench.options());
+    bench.run_well(&plan, &bench.options());
     // Every pixel is ten times the frame's number; each node adds the number of frames that it was given, which are 5, 6 and 5.
     let expected: Vec<f32> = (0..12).map(|l| 10.0 * l as f32 + 2.0 * if (4..8).contains(&l) { 6.0 } else { 5.0 }).collect();
     assert_eq!(bench.seen(), expected);
@@ -99,27 +71,27 @@ fn nodes_that_are_local_in_time_see_a_window_and_others_all_of_it_once() {
 fn without_blocks_or_with_one_that_holds_all_a_node_sees_everything() {
     let bench = Bench::new();
     for length in ["60 ms", "1 min"] {
-        let plan = bench.plan(&[&format!("pipeline.blocks.length=\"{length}\"")]);
+        let plan = bench.film(&[&format!("pipeline.blocks.length=\"{length}\"")]);
         assert_eq!(plan.tasks.len(), 4);
-        bench.run(&plan, &bench.options());
+        bench.run_well(&plan, &bench.options());
         assert_eq!(bench.seen(), (0..12).map(|l| 10.0 * l as f32 + 24.0).collect::<Vec<f32>>());
     }
-    let plain = bench.planned(&FILM.replace("blocks =", "about = 'none' #"), &[]).unwrap_or_else(|problems| panic!("{problems:#?}"));
+    let plain = bench.plan(&FILM.replace("blocks =", "about = 'none' #"), &[]);
     // One block is no block: nothing runs again.
-    assert!(executed(&bench.run(&plain, &bench.options())).is_empty());
+    assert!(executed(&bench.run_well(&plain, &bench.options())).is_empty());
 }
 
 #[test]
 fn a_block_is_taken_from_the_cache_made_again_and_explained_by_itself() {
     let bench = Bench::new();
-    let plan = bench.plan(&[]);
-    bench.run(&plan, &bench.options());
-    assert!(executed(&bench.run(&plan, &bench.options())).is_empty());
+    let plan = bench.film(&[]);
+    bench.run_well(&plan, &bench.options());
+    assert!(executed(&bench.run_well(&plan, &bench.options())).is_empty());
     let force = |node: &str| Options { force: [node.to_string()].into(), ..bench.options() };
-    assert_eq!(executed(&bench.run(&plan, &force("again[2]"))), ["again[2]"]);
-    assert_eq!(executed(&bench.run(&plan, &force("again"))), ["again[1]", "again[2]", "again[3]"]);
+    assert_eq!(executed(&bench.run_well(&plan, &force("again[2]"))), ["again[2]"]);
+    assert_eq!(executed(&bench.run_well(&plan, &force("again"))), ["again[1]", "again[2]", "again[3]"]);
     // A longer overlap makes every block new; a border that stays where it was makes none new that lies before it.
-    let wider = bench.plan(&["pipeline.blocks.overlap=\"10 ms\""]);
+    let wider = bench.film(&["pipeline.blocks.overlap=\"10 ms\""]);
     let lines = |node: &str| {
         explain(&wider, &bench.cache, &bench.folder.path("out"), node).unwrap().into_iter().map(|explained| explained.lines.join("; ")).collect::<Vec<_>>()
     };
@@ -131,21 +103,20 @@ fn a_block_is_taken_from_the_cache_made_again_and_explained_by_itself() {
 #[test]
 fn row_bands_and_parts_made_elsewhere_give_the_same_as_one_run() {
     let bench = Bench::new();
-    let plan = bench.plan(&[]);
-    let digests = |outcome: &Outcome| outcome.tasks.iter().map(|task| task.outputs.clone()).collect::<Vec<_>>();
-    let whole = digests(&bench.run(&plan, &bench.options()));
+    let plan = bench.film(&[]);
+    let whole = digests(&bench.run_well(&plan, &bench.options()));
     let banded = Bench::new();
-    let plan = banded.plan(&[]);
-    assert_eq!(digests(&banded.run(&plan, &Options { band_rows: Some(2), keep: Keep::All, ..banded.options() })), whole);
+    let plan = banded.film(&[]);
+    assert_eq!(digests(&banded.run_well(&plan, &Options { band_rows: Some(2), keep: Keep::All, ..banded.options() })), whole);
     let parted = Bench::new();
-    let plan = parted.plan(&[]);
+    let plan = parted.film(&[]);
     let folders = [(0, 3), (3, 5)].map(|(start, end)| {
         let folder = parted.folder.path(&format!("part{start}"));
         run_part(&plan, &parted.cache, &parted.options(), Rows { start, end }, &folder, &Unobserved, &AtomicBool::new(false)).unwrap();
         folder
     });
     let parts = join(&plan, &parted.cache, &folders).unwrap();
-    let outcome = parted.run(&plan, &Options { parts, ..parted.options() });
+    let outcome = parted.run_well(&plan, &Options { parts, ..parted.options() });
     assert_eq!(digests(&outcome), whole);
     let Some(Value::Frames(kept)) = outcome.value(&parted.cache, "base", "seen[3]", "frames").unwrap() else { panic!("a block has its own result") };
     assert_eq!(kept.len(), 5);
@@ -178,8 +149,8 @@ fn a_row_that_is_too_long_for_the_budget_is_said_with_what_helps() {
     let text = FILM.replace("kind = \"read/film\"", "kind = \"read/film\"\nparams.count = 2000");
     let options = Options { memory: 128 << 10, ..bench.options() };
     let warnings = |length: &str| {
-        let plan = bench.planned(&text, &[&format!("pipeline.blocks.length=\"{length}\"")]).unwrap_or_else(|problems| panic!("{problems:#?}"));
-        bench.run(&plan, &options).warnings
+        let plan = bench.plan(&text, &[&format!("pipeline.blocks.length=\"{length}\"")]);
+        bench.run_well(&plan, &options).warnings
     };
     let whole = warnings("1 min");
     assert!(whole.len() == 2 && whole[0].contains("seen: a single row takes about") && whole[0].contains("pipeline.blocks"), "{whole:?}");

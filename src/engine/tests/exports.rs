@@ -1,11 +1,8 @@
 //! Files for the user: whole or not there, made again when they are gone, and never over somebody's own.
 
-use super::folder::{Folder, snapshot};
-use super::toys::catalogue;
-use crate::{End, Options, Outcome, Plan, Project, Selection, Unobserved, run};
-use photocurrent_store::Cache;
+use super::bench::{Bench, executed};
+use super::folder::snapshot;
 use std::path::PathBuf;
-use std::sync::atomic::AtomicBool;
 
 const TEXT: &str = r#"
 format = 1
@@ -17,27 +14,7 @@ kind = "write/text"
 in.plane = "source"
 "#;
 
-struct Bench {
-    folder: Folder,
-    cache: Cache,
-}
-
 impl Bench {
-    fn new() -> Bench {
-        let folder = Folder::new();
-        let cache = Cache::open(&folder.path("cache")).unwrap();
-        Bench { folder, cache }
-    }
-
-    fn run(&self, text: &str, sets: &[&str]) -> Outcome {
-        let path = self.folder.write("m.toml", text);
-        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
-        let project = Project::load(&path, &sets, &catalogue()).unwrap();
-        let plan = Plan::new(&project, &catalogue(), &Selection::default()).unwrap();
-        let options = Options { threads: 2, out_dir: self.folder.path("out"), ..Options::default() };
-        run(&plan, &self.cache, &options, &Unobserved, &AtomicBool::new(false))
-    }
-
     fn out(&self, name: &str) -> PathBuf {
         self.folder.path("out").join(name)
     }
@@ -47,10 +24,6 @@ impl Bench {
         let root = self.folder.path("out");
         snapshot(&root).into_iter().map(|(path, _)| path.strip_prefix(&root).unwrap().display().to_string()).collect()
     }
-}
-
-fn executed(outcome: &Outcome) -> Vec<&str> {
-    outcome.tasks.iter().filter(|task| task.end == End::Executed).map(|task| task.label.as_str()).collect()
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! The engine's claims, shown with toy nodes: graphs without sensors.
 
+mod bench;
 mod blocks;
 mod exports;
 mod film;

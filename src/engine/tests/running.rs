@@ -1,12 +1,11 @@
 //! What a run does, what it does not do again, and what it leaves behind when something goes wrong.
 
-use super::folder::{Folder, snapshot};
-use super::toys::catalogue;
+use super::bench::{Bench, assert_well, digests, ended};
+use super::folder::snapshot;
 use super::troubles;
-use crate::{End, Keep, Observer, Options, Outcome, Plan, Project, Selection, State, TaskId, Unobserved, explain, run, status};
-use photocurrent_core::{Digest, Value};
+use crate::{End, Keep, Observer, Options, State, TaskId, Unobserved, explain, run, status};
+use photocurrent_core::Value;
 use photocurrent_store::Cache;
-use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -28,43 +27,7 @@ kind = "score/sum"
 in.planes = ["smooth", "solve"]
 "#;
 
-/// A folder with a manifest, a cache and a place for files.
-struct Bench {
-    folder: Folder,
-    cache: Cache,
-}
-
 impl Bench {
-    fn new() -> Bench {
-        let folder = Folder::new();
-        let cache = Cache::open(&folder.path("cache")).unwrap();
-        Bench { folder, cache }
-    }
-
-    fn plan_to(&self, text: &str, sets: &[&str], to: &[&str]) -> Plan {
-        let path = self.folder.write("m.toml", text);
-        let sets: Vec<String> = sets.iter().map(|set| set.to_string()).collect();
-        let project = Project::load(&path, &sets, &catalogue()).unwrap_or_else(|p| panic!("{p:#?}"));
-        let selection = Selection { variants: Vec::new(), to: to.iter().map(|node| node.to_string()).collect(), memory: None };
-        Plan::new(&project, &catalogue(), &selection).unwrap_or_else(|p| panic!("{p:#?}"))
-    }
-
-    fn plan(&self, text: &str, sets: &[&str]) -> Plan {
-        self.plan_to(text, sets, &[])
-    }
-
-    fn options(&self) -> Options {
-        Options { threads: 2, out_dir: self.folder.path("out"), ..Options::default() }
-    }
-
-    fn run(&self, text: &str, sets: &[&str]) -> Outcome {
-        run(&self.plan(text, sets), &self.cache, &self.options(), &Unobserved, &AtomicBool::new(false))
-    }
-
-    fn run_with(&self, plan: &Plan, options: &Options) -> Outcome {
-        run(plan, &self.cache, options, &Unobserved, &AtomicBool::new(false))
-    }
-
     /// Nodes and their reasons, as `plan` would print them.
     fn status(&self, text: &str, sets: &[&str]) -> Vec<String> {
         let plan = self.plan(text, sets);
@@ -78,21 +41,6 @@ impl Bench {
         };
         status(&plan, &self.cache, &self.folder.path("out")).into_iter().map(line).collect()
     }
-}
-
-/// The names of the tasks that ended so.
-fn ended(outcome: &Outcome, end: End) -> Vec<&str> {
-    outcome.tasks.iter().filter(|task| task.end == end).map(|task| task.label.as_str()).collect()
-}
-
-fn digests(outcome: &Outcome) -> BTreeMap<String, Digest> {
-    let all = outcome.tasks.iter().flat_map(|task| task.outputs.iter().map(|(port, output)| (format!("{}.{port}", task.label), output.digest)));
-    all.collect()
-}
-
-fn assert_well(outcome: &Outcome) {
-    let errors: Vec<_> = outcome.failures().map(|(_, task)| (&task.label, &task.error)).collect();
-    assert!(errors.is_empty(), "{errors:#?}");
 }
 
 #[test]
@@ -466,7 +414,7 @@ fn another_seed_reruns_only_what_draws_and_what_follows() {
 #[test]
 fn a_part_of_the_pipeline_runs_alone() {
     let bench = Bench::new();
-    let plan = bench.plan_to(CHAIN, &[], &["solve"]);
+    let plan = bench.planned(CHAIN, &[], &["solve"]).unwrap();
     let outcome = bench.run_with(&plan, &bench.options());
     assert_eq!(ended(&outcome, End::Executed), ["source", "solve"]);
 }
