@@ -7,7 +7,7 @@
 use crate::co_located::{CoLocated, CoLocatedEvents};
 use crate::pixel_events::{Stamp, StepRule, clock_offset};
 use crate::sampling::{Sampling, virtual_frames};
-use crate::spans::check_one_clock;
+use crate::spans::{check_covered, check_one_clock};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::Column;
 use photocurrent_core::{
@@ -45,6 +45,7 @@ impl<'a> Request<'a> {
         if let Some(events) = request.events {
             check_one_clock(events, request.frames, request.sensor)?;
         }
+        check_covered(request.events, request.frames, request.sensor)?;
         Ok(request)
     }
 

@@ -1,12 +1,13 @@
 //! How long a recording lasts, looked at before anything is made from that length: for every node that works over a span of time.
 //!
 //! Two mistakes of stamps make a recording last for decades: events and frames on two clocks ([`check_one_clock`]), and one stamp far from all others. A list with an
-//! entry for every millisecond of that ([`check_steps`]) would take all memory there is, so both are refused while planning.
+//! entry for every millisecond of that ([`check_steps`]) would take all memory there is, so both are refused while planning; so is a recording most of whose time has
+//! no frame near ([`check_covered`]): a camera that paused, events far from all frames.
 
 use crate::pixel_events::clock_offset;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::time::in_seconds;
-use photocurrent_core::{Apart, DataType, EventsMeta, FramesMeta, NodeError, Sensor, TimeSpan};
+use photocurrent_core::{Apart, Coverage, DataType, EventsMeta, FramesMeta, NodeError, Sensor, TimeSpan};
 
 /// More entries of a list than this are a mistake of stamps or of parameters: more than an hour at a thousand a second.
 pub const MOST_STEPS: u64 = 4_000_000;
@@ -49,11 +50,34 @@ pub fn rounded(count: f64) -> String {
 /// # Errors
 /// When they do not share time, with both spans and the likely offset; or when the clock offset is not understood.
 pub fn check_one_clock(events: &EventsMeta, frames: &FramesMeta, sensor: Option<&Sensor>) -> Result<(), NodeError> {
-    let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
-    let shifted = events.span.map(|span| TimeSpan::new(span.start.0.saturating_sub(shift_ns), span.end.0.saturating_sub(shift_ns)));
-    match Apart::of(shifted, &frames.times, frames.extent.height) {
+    match Apart::of(on_frames_clock(events, sensor)?, &frames.times, frames.extent.height) {
         None => Ok(()),
         Some(apart) => Err(NodeError::input(apart.message()).hint(apart.hint()).blames(DataType::Events)),
+    }
+}
+
+/// The events' span, less the clock offset that the description states.
+fn on_frames_clock(events: &EventsMeta, sensor: Option<&Sensor>) -> Result<Option<TimeSpan>, NodeError> {
+    let shift_ns = sensor.map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
+    Ok(events.span.map(|span| TimeSpan::new(span.start.0.saturating_sub(shift_ns), span.end.0.saturating_sub(shift_ns))))
+}
+
+/// Refuses a recording of which less than a quarter of the time has frames near: whoever works over it would fill the rest.
+///
+/// # Errors
+/// When it is so, with the parts that have frames and the window that holds the fullest; or when the clock offset is not understood.
+pub fn check_covered(events: Option<&EventsMeta>, frames: &FramesMeta, sensor: Option<&Sensor>) -> Result<(), NodeError> {
+    let Some(of_frames) = frames.times.span(frames.extent.height) else { return Ok(()) };
+    let of_events = events.map(|events| on_frames_clock(events, sensor)).transpose()?.flatten();
+    let span = of_events.map_or(of_frames, |span| span.union(of_frames));
+    let coverage = Coverage::of(&frames.times, frames.extent.height);
+    match coverage.refuses(span) {
+        None => Ok(()),
+        Some(why) => {
+            let window = coverage.window().unwrap_or_default();
+            let hint = format!("read a part that has frames: {window} of the reader of both; `photocurrent inspect` shows pauses and stray events");
+            Err(NodeError::input(why).hint(hint).blames(if events.is_some() { DataType::Events } else { DataType::Frames }))
+        }
     }
 }
 
@@ -78,6 +102,17 @@ mod tests {
         let sensor = Sensor::parse(&Source::new("s.toml", "", text)).unwrap();
         assert!(check_one_clock(&events(day), &frames, Some(&sensor)).is_ok() && check_one_clock(&events(0), &frames, Some(&sensor)).is_err());
     }
+
+    #[test]
+    fn stray_events_far_from_all_frames_are_refused_and_a_recording_with_frames_throughout_is_not() {
+        let frames = testing::frames(6, 5, 3).meta;
+        let mut events = (*testing::events(6, 5).meta).clone();
+        assert!(check_covered(Some(&events), &frames, None).is_ok() && check_covered(None, &frames, None).is_ok());
+        events.span = Some(TimeSpan::new(0, 3_600_000_000_000));
+        let error = check_covered(Some(&events), &frames, None).unwrap_err();
+        assert!(error.message.contains("has frames near") && error.hint.unwrap().contains("start = \"0 s\", end = "), "{}", error.message);
+    }
+
     #[test]
     fn lists_that_no_machine_can_hold_are_refused_with_their_number() {
         assert!(check_steps(TimeSpan::new(0, 3_600_000_000_000), 1_000_000, "frames", "somebody").is_ok());

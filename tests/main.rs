@@ -21,6 +21,7 @@
 //! - `readers`: the Python and Octave readers of docs/readers against what the command writes.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
 //! - `reports`: pages of finished runs, by `photocurrent report`.
+//! - `situations`: what real users met: units, sizes, pauses, strays, mirrored and shifted pictures; `disc` makes their recording.
 //! - `tables`: scores as tables and figures, by `photocurrent table`.
 //! - `tidy`: the invariants of docs/architecture.md.
 //! - `words`: the words of docs/vocabulary.md, and none that were retired.
@@ -33,6 +34,7 @@ mod conformance;
 mod crash;
 mod determinism;
 mod diagnosis;
+mod disc;
 mod figures;
 mod files;
 mod films;
@@ -46,6 +48,7 @@ mod pipelines;
 mod readers;
 mod recordings;
 mod reports;
+mod situations;
 mod support;
 mod tables;
 mod tidy;

@@ -81,6 +81,22 @@ impl Bench {
         Done { code: status.code().unwrap_or(-1), stdout: text(stdout), stderr: text(stderr) }
     }
 
+    /// Runs the command with an address space of so many bytes at most: what it takes more of, it does not get.
+    pub fn run_within(&self, bytes: u64, arguments: &[&str]) -> Done {
+        use std::os::unix::process::CommandExt;
+        let mut command = self.command(arguments);
+        // Stacks of many threads are address space too.
+        command.env("RAYON_NUM_THREADS", "2");
+        let limit = libc::rlimit { rlim_cur: bytes, rlim_max: bytes };
+        // SAFETY: between fork and exec only setrlimit is called, which is safe there.
+        unsafe {
+            command.pre_exec(move || if libc::setrlimit(libc::RLIMIT_AS, &limit) == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) });
+        }
+        let Output { status, stdout, stderr } = command.output().expect("the command starts");
+        let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
+        Done { code: status.code().unwrap_or(-1), stdout: text(stdout), stderr: text(stderr) }
+    }
+
     /// Runs a pipeline with `--json` and gives the outcome; fails the test when the command fails.
     pub fn outcome(&self, arguments: &[&str]) -> serde_json::Value {
         let mut all = vec!["run", "--json"];

@@ -26,6 +26,8 @@ impl Default for Settings {
 
 /// Bands of rows.
 const BANDS: u32 = 16;
+/// Frames further apart, in usual periods, are no neighbours: steps are laid over the time between neighbours, and a pause has none to count.
+const GAP: i64 = 4;
 /// One of so many pixels of a band is too busy to be trusted.
 const HOT: usize = 200;
 /// A step of an eight-bit scale, as part of the largest value: what is darker counts as so dark.
@@ -66,7 +68,9 @@ pub fn panel(events: &EventStream, frames: &FrameSequence, sensor: Option<&Senso
     let mut runs: Vec<Vec<usize>> = Vec::new();
     for &frame in &read {
         match runs.last_mut() {
-            Some(run) if run.last().is_some_and(|last| last + 1 == frame && all[*last] < all[frame]) => run.push(frame),
+            Some(run) if run.last().is_some_and(|last| last + 1 == frame && all[*last] < all[frame] && all[frame] - all[*last] < GAP * period) => {
+                run.push(frame)
+            }
             _ => runs.push(vec![frame]),
         }
     }

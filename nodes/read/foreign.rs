@@ -13,7 +13,7 @@ use photocurrent_core::value::DataType;
 use photocurrent_core::{Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
 use photocurrent_formats::trim::Crop;
-use photocurrent_formats::{Column, Declared, EventCursor, Recording, StampRole, TimeUnit, Transfer, format};
+use photocurrent_formats::{Column, Declared, EventCursor, Mirror, Recording, Shift, StampRole, TimeUnit, Transfer, format};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::borrow::Cow;
@@ -33,6 +33,12 @@ pub trait Reader: Send + Sync + 'static {
 
 /// Parameters that every format accepts.
 const COMMON: [&str; 5] = ["path", "start", "end", "zero", "crop"];
+
+/// Parameters that every format with events accepts in addition.
+const OF_EVENTS: [&str; 3] = ["mirror", "shift", "drop_duplicates"];
+
+/// Parameters that every format with frames, in its files or elsewhere, accepts in addition.
+const OF_FRAMES: [&str; 1] = ["skip_frames"];
 
 /// Width and height of the array of event pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -111,6 +117,16 @@ pub struct All {
     pub row_time: Option<Duration>,
     /// How the stored values of frames follow from linear ones, where it is not recorded.
     pub transfer: Option<Transfer>,
+    /// Unit of the frames' stamps, where their file does not state it. Default: `time_unit`.
+    pub stamps_unit: Option<TimeUnit>,
+    /// How the frames' picture is mirrored against the events; events are moved.
+    pub mirror: Option<Mirror>,
+    /// Whole event pixels by which events lie right of and below the same detail of the frames; events are moved, after `mirror`.
+    pub shift: Option<Shift>,
+    /// Frames that are left out, numbered from 0 in the order of the file.
+    pub skip_frames: Option<Vec<u32>>,
+    /// Read events that are there twice (one time, pixel and sign) once.
+    pub drop_duplicates: Option<bool>,
 }
 
 impl All {
@@ -131,6 +147,11 @@ impl All {
                 exposure: self.exposure,
                 stamp: self.stamp,
                 transfer: self.transfer,
+                stamps_unit: self.stamps_unit,
+                mirror: self.mirror,
+                shift: self.shift,
+                skip_frames: self.skip_frames.clone(),
+                drop_duplicates: self.drop_duplicates,
             },
             zero: self.zero,
             start: self.start,
@@ -141,6 +162,8 @@ impl All {
         }
     }
 }
+
+pub use super::formats::takes;
 
 /// The parameters of one format: those of [`All`] that it accepts.
 pub struct Params<R> {
@@ -154,8 +177,12 @@ impl<R> Default for Params<R> {
     }
 }
 
-fn accepted<R: Reader>(name: &str) -> bool {
-    COMMON.contains(&name) || R::ACCEPTS.contains(&name)
+/// Does this format accept a parameter?
+pub(super) fn accepted<R: Reader>(name: &str) -> bool {
+    let has_events = R::FORMAT != "pictures";
+    // Frames that lie elsewhere have stamps of their own.
+    let is_of_stamps = name == "stamps_unit" && R::ACCEPTS.contains(&"stamps");
+    COMMON.contains(&name) || R::ACCEPTS.contains(&name) || OF_FRAMES.contains(&name) || is_of_stamps || has_events && OF_EVENTS.contains(&name)
 }
 
 impl<R: Reader> Serialize for Params<R> {

@@ -74,7 +74,7 @@ fn gathered(recording: &Recording, meta: &Arc<EventsMeta>, budget: usize) -> Res
     let format = format::recognise(path)?.ok_or_else(|| NodeError::input(format!("{} is no recording any more", path.display())).param("path"))?;
     let opened = joined::open(format, path, &Declared::default())?;
     let (extent, t_in) = (meta.extent, meta.has_t_in);
-    let wanted = Wanted { extent, crop: None, zero_ns: 0, start_ns: i64::MIN, end_ns: i64::MAX, ordered: true, t_in, budget };
+    let wanted = Wanted { extent, crop: None, zero_ns: 0, start_ns: i64::MIN, end_ns: i64::MAX, ordered: true, t_in, budget, drop_duplicates: false };
     let events = gather(&mut *opened.events()?, wanted, |_| Ok::<(), NodeError>(()))?;
     Ok(EventStream::new(meta.clone(), extent.rows(), Arc::new(events)))
 }

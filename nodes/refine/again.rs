@@ -12,7 +12,7 @@ use crate::solve::pixel::neighbours;
 use crate::solve::pixel::row::Recorded;
 use crate::solve::pixel::shares::Colours;
 use crate::solve::pixel::{Decisions, FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
-use crate::spans::{check_one_clock, check_steps};
+use crate::spans::{check_covered, check_one_clock, check_steps};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
     Between, Context, EventStream, EventsMeta, Extent, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
@@ -80,6 +80,7 @@ impl Solver {
     pub fn plan(&self, kind: &str, inputs: &PortMetas) -> Result<TracksMeta, NodeError> {
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
         check_one_clock(events, frames, Some(inputs.sensor("sensor")?))?;
+        check_covered(Some(events), frames, Some(inputs.sensor("sensor")?))?;
         self.node.model(inputs.sensor("sensor")?, events)?;
         let meta = self.meta(kind, inputs.tracks("tracks")?, events, frames)?;
         self.node.check_length(meta.span)?;

@@ -43,7 +43,7 @@ mod undo_tests;
 use crate::co_located::{CoLocated, CoLocatedEvents, values_of};
 use crate::compensate::readout::check_events;
 use crate::pixel_events::{Stamp, StepRule, clock_offset, left_out};
-use crate::spans::{check_one_clock, check_steps};
+use crate::spans::{check_covered, check_one_clock, check_steps};
 use choice::Settings;
 use map::FrameNoise;
 pub use params::{Decisions, FirstKnot, FrontEndModel, Joint, Method, Params, Precision, ReadoutModel, TauChoice};
@@ -336,6 +336,7 @@ params = { method = "map" }
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
         let sensor = inputs.sensor("sensor")?;
         check_one_clock(events, frames, Some(sensor))?;
+        check_covered(Some(events), frames, Some(sensor))?;
         self.model(sensor, events)?;
         let tracks = self.tracks_meta(events, frames)?;
         self.check_length(tracks.span)?;

@@ -121,6 +121,9 @@ pub struct InitOptions {
     /// What the files do not say
     #[command(flatten)]
     pub declared: crate::declared::DeclaredOptions,
+    /// Findings that are no reason to refuse the recording, by their id, such as one_polarity
+    #[arg(long, value_name = "ID", value_delimiter = ',')]
+    pub accept: Vec<String>,
     /// Replace a manifest that is there
     #[arg(long)]
     pub force: bool,

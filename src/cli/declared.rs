@@ -4,7 +4,7 @@ use crate::common::Failure;
 use clap::Args as ClapArgs;
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_formats::{Column, Declared, StampRole, TimeUnit, Transfer};
+use photocurrent_formats::{Column, Declared, Mirror, Shift, StampRole, TimeUnit, Transfer};
 use photocurrent_nodes::read::foreign::{All, Size};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
@@ -54,6 +54,21 @@ pub struct DeclaredOptions {
     /// Added to every stamp of a frame, for clocks that begin apart
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub frame_offset: Option<Duration>,
+    /// Unit of the frames' stamps: s, ms, us or ns; that of the events unless stated
+    #[arg(long, value_name = "UNIT", value_parser = word::<TimeUnit>)]
+    pub stamps_unit: Option<TimeUnit>,
+    /// How frames are mirrored against events: left_right, top_bottom or both
+    #[arg(long, value_name = "WAY", value_parser = word::<Mirror>)]
+    pub mirror: Option<Mirror>,
+    /// Pixels by which events lie right of and below the frames, such as 2,-1
+    #[arg(long, value_name = "RIGHT,DOWN", value_parser = shift, allow_hyphen_values = true)]
+    pub shift: Option<Shift>,
+    /// Frames to leave out, numbered from 0: 3,17
+    #[arg(long, value_name = "LIST", value_delimiter = ',')]
+    pub skip_frames: Option<Vec<u32>>,
+    /// Read events that are there twice once
+    #[arg(long)]
+    pub drop_duplicates: bool,
 }
 
 impl DeclaredOptions {
@@ -76,6 +91,11 @@ impl DeclaredOptions {
             stamp: self.stamp,
             row_time: self.row_time,
             transfer: self.transfer,
+            stamps_unit: self.stamps_unit,
+            mirror: self.mirror,
+            shift: self.shift,
+            skip_frames: self.skip_frames.clone(),
+            drop_duplicates: self.drop_duplicates.then_some(true),
             ..All::default()
         }
     }
@@ -97,6 +117,11 @@ fn extent(text: &str) -> Result<Extent, String> {
         Some((width, height)) if width > 0 && height > 0 => Ok(Extent { width, height }),
         _ => Err(format!("`{text}` is no size; such as 346x260")),
     }
+}
+
+fn shift(text: &str) -> Result<Shift, String> {
+    let numbers = text.split_once(',').and_then(|(right, down)| Some((right.trim().parse().ok()?, down.trim().parse().ok()?)));
+    numbers.map(|(right, down)| Shift { right, down }).ok_or_else(|| format!("`{text}` is no shift; two whole numbers of pixels such as 2,-1"))
 }
 
 fn transfer(text: &str) -> Result<Transfer, String> {

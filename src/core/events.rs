@@ -172,6 +172,32 @@ impl EventBand {
         EventBand::from_columns(rows.start, offsets, gather(&order, x), gather(&order, on), gather(&order, t), t_in, None)
     }
 
+    /// The band with events of one time, pixel and sign once each.
+    ///
+    /// # Errors
+    /// As [`EventBand::from_columns`].
+    pub fn without_duplicates(self) -> Result<EventBand, DataError> {
+        let mut kept: Vec<usize> = Vec::with_capacity(self.t.len());
+        let mut offsets = vec![0];
+        for row in self.offsets.windows(2) {
+            let first = kept.len();
+            for i in row[0]..row[1] {
+                // Ties stand together, sorted by column.
+                let is_tie = |k: &&usize| (self.t[**k], self.x[**k]) == (self.t[i], self.x[i]);
+                if !kept[first..].iter().rev().take_while(is_tie).any(|k| self.on[*k] == self.on[i]) {
+                    kept.push(i);
+                }
+            }
+            offsets.push(kept.len());
+        }
+        fn pick<T: Copy>(kept: &[usize], column: &[T]) -> Vec<T> {
+            kept.iter().map(|&i| column[i]).collect()
+        }
+        let t_in = self.t_in.as_ref().map(|column| pick(&kept, column));
+        let step = self.step.as_ref().map(|column| pick(&kept, column));
+        EventBand::from_columns(self.start_row, offsets, pick(&kept, &self.x), pick(&kept, &self.on), pick(&kept, &self.t), t_in, step)
+    }
+
     /// From columns that are in canonical order already; `offsets` has one entry per row and a last one.
     ///
     /// # Errors
@@ -421,6 +447,19 @@ mod tests {
         let part = band.slice(Rows { start: 4, end: 6 });
         assert_eq!(band.row_digest(5), part.row_digest(5));
         assert_ne!(band.row_digest(5), band.row_digest(4));
+    }
+
+    #[test]
+    fn what_is_there_twice_stays_once_and_other_signs_stay() {
+        let event = |t, x, on| Event { x, y: 3, polarity: Polarity::from_bit(on), t, t_in: Some(t) };
+        let events = vec![event(5, 1, 1), event(5, 1, 1), event(5, 1, 0), event(5, 1, 1), event(5, 2, 1), event(6, 1, 1)];
+        let band = EventBand::from_events(ROWS, events).unwrap().without_duplicates().unwrap();
+        let row = band.row(3);
+        assert_eq!((row.t, row.x, row.on), (&[5, 5, 5, 6][..], &[1, 1, 2, 1][..], &[1, 0, 1, 1][..]));
+        let all = EventBand::from_events(ROWS, some_events(500)).unwrap();
+        let once = all.clone().without_duplicates().unwrap();
+        let distinct: std::collections::BTreeSet<_> = some_events(500).iter().map(|e| (e.y, e.t, e.x, e.polarity == Polarity::On)).collect();
+        assert_eq!(once.t.len(), distinct.len());
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //!
 //! - [`time`], [`extent`], [`quantity`]: instants in nanoseconds, pixels and rows, values with units.
 //! - [`apart`]: events and frames whose clocks were never put together.
+//! - [`coverage`]: which parts of a recording's time have frames near.
 //! - [`colour`]: grey, three channels, or a mosaic of filters.
 //! - [`events`], [`frames`], [`tracks`], [`light`], [`map`], [`table`], [`sensor`], [`diagnosis`]: the data, each with one
 //!   canonical order.
@@ -17,6 +18,7 @@
 pub mod apart;
 pub mod colour;
 pub mod context;
+pub mod coverage;
 pub mod diagnosis;
 pub mod digest;
 pub mod document;
@@ -46,6 +48,7 @@ pub mod value;
 pub use apart::Apart;
 pub use colour::Colour;
 pub use context::{Context, Notes};
+pub use coverage::Coverage;
 pub use diagnosis::{Diagnosis, DiagnosisKind, DiagnosisMeta};
 pub use digest::Digest;
 pub use error::{DataError, NodeError};

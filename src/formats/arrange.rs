@@ -62,6 +62,9 @@ pub struct Arranged {
     start_ns: i64,
     end_ns: i64,
     ordered: bool,
+    drop_duplicates: bool,
+    /// What the pass over all events found; `None` without an event stream.
+    pub scan: Option<Scan>,
 }
 
 /// Memory for events before a temporary file is used: about 10 million.
@@ -122,9 +125,16 @@ pub fn arrange<E: From<FormatError> + From<DataError>>(
         start_ns,
         end_ns,
         ordered: events.as_ref().is_some_and(|(_, found)| found.disordered == 0),
+        drop_duplicates: settings.declared.drop_duplicates.unwrap_or(false),
+        scan: None,
     };
     if let Some((about, found)) = events {
-        arranged.events = Ok(Arc::new(arranged.events_meta(path, about, &found, &settings.declared)?));
+        let frames = pictures.as_ref().map(|pictures| pictures.about().extent);
+        arranged.events = Ok(Arc::new(arranged.events_meta(path, about, &found, frames, &settings.declared)?));
+        arranged.scan = Some(found);
+    }
+    if arranged.drop_duplicates {
+        arranged.notes.push("events that are there twice, of one time, pixel and sign, are read once, as stated".into());
     }
     if let (Some(pictures), Some(exposures)) = (pictures, frames) {
         arranged.take_frames(path, &name, pictures, &exposures, settings)?;
@@ -136,6 +146,23 @@ pub fn arrange<E: From<FormatError> + From<DataError>>(
 fn in_microseconds(ns: i64) -> String {
     let (whole, rest) = (ns / 1000, (ns % 1000).abs());
     if rest == 0 { format!("{whole} us") } else { format!("{}{}.{rest:03} us", if ns < 0 && whole == 0 { "-" } else { "" }, whole) }
+}
+
+/// The size of event array that frames suggest where the largest coordinates do not fit them: the frames' own, or that of which they are a multiple, the smallest
+/// that holds every event and of which events use more than half each way. `None` where frames are a whole multiple of what events reach, or hold them not at all.
+pub fn extent_of_frames(frames: Extent, (x, y): (u16, u16)) -> Option<Extent> {
+    let (width, height) = (u32::from(x) + 1, u32::from(y) + 1);
+    if frames.multiple_of(Extent { width, height }).is_some() || frames.width < width || frames.height < height {
+        return None;
+    }
+    let part = |times: u32| Extent { width: frames.width / times, height: frames.height / times };
+    let fits = |times: &u32| {
+        let size = part(*times);
+        frames.width.is_multiple_of(*times) && frames.height.is_multiple_of(*times) && size.width >= width && size.height >= height
+    };
+    const MOST_TIMES: u32 = 8;
+    let is_used = |times: &u32| 2 * width > part(*times).width && 2 * height > part(*times).height;
+    Some(part((1..=MOST_TIMES).rev().filter(fits).find(is_used).unwrap_or(1)))
 }
 
 /// A stamp less another, or an error when they are further apart than the clock counts.
@@ -179,9 +206,15 @@ fn exposures(path: &Path, about: &FramesAbout, declared: &Declared, offset_ns: i
 }
 
 impl Arranged {
-    fn events_meta(&mut self, path: &Path, about: &EventsAbout, found: &Scan, declared: &Declared) -> Result<EventsMeta, FormatError> {
+    fn events_meta(&mut self, path: &Path, about: &EventsAbout, found: &Scan, frames: Option<Extent>, declared: &Declared) -> Result<EventsMeta, FormatError> {
         let extent = match (declared.extent.or(about.extent), found.corner) {
             (Some(extent), _) => extent,
+            // What events reach is no size of an array: where frames state another that holds them, it has to be stated.
+            (None, Some(corner)) if let Some(likely) = frames.and_then(|frames| extent_of_frames(frames, corner)) => {
+                let reach = format!("events reach column {} and row {}, frames have {} pixels", corner.0, corner.1, frames.unwrap_or(likely));
+                let hint = format!("state it: `extent = {{ width = {}, height = {} }}` holds the events and fits the frames", likely.width, likely.height);
+                return Err(FormatError::new(path, format!("the size of the event array is not recorded, and {reach}"), hint).undeclared("extent"));
+            }
             (None, Some((x, y))) => {
                 let extent = Extent { width: u32::from(x) + 1, height: u32::from(y) + 1 };
                 self.notes.push(format!("the size of the sensor is not recorded: {extent} pixels hold every event; state `extent` to be sure"));
@@ -281,8 +314,17 @@ impl Arranged {
     ) -> Result<Option<(EventStream, u64)>, E> {
         let Ok(meta) = &self.events else { return Ok(None) };
         let (extent, t_in) = (meta.extent, meta.has_t_in);
-        let wanted =
-            Wanted { extent, crop: self.crop, zero_ns: self.zero_ns, start_ns: self.start_ns, end_ns: self.end_ns, ordered: self.ordered, t_in, budget };
+        let wanted = Wanted {
+            extent,
+            crop: self.crop,
+            zero_ns: self.zero_ns,
+            start_ns: self.start_ns,
+            end_ns: self.end_ns,
+            ordered: self.ordered,
+            t_in,
+            budget,
+            drop_duplicates: self.drop_duplicates,
+        };
         let all: Gathered = gather(&mut *recording.events()?, wanted, advance)?;
         let outside = all.outside;
         Ok(Some((EventStream::new(meta.clone(), extent.rows(), Arc::new(all)), outside)))
@@ -293,6 +335,24 @@ impl Arranged {
     /// # Errors
     /// When the file cannot be read, or its events are out of order and too many to sort in memory.
     pub fn cursor(&self, recording: &dyn Recording, from_zero: bool) -> Result<Box<dyn EventCursor>, FormatError> {
+        let trimmed = Box::new(self.trimmed(recording, from_zero)?);
+        if self.ordered { Ok(trimmed) } else { Ok(Box::new(InOrder::new(trimmed)?)) }
+    }
+
+    /// The events in the window in the order of the file, on the file's clock.
+    ///
+    /// # Errors
+    /// When the file cannot be read.
+    pub fn cursor_as_stored(&self, recording: &dyn Recording) -> Result<Box<dyn EventCursor>, FormatError> {
+        Ok(Box::new(self.trimmed(recording, false)?))
+    }
+
+    /// The frames in the window by their numbers in the file, in order of time.
+    pub fn frames_read(&self) -> &[usize] {
+        &self.order
+    }
+
+    fn trimmed(&self, recording: &dyn Recording, from_zero: bool) -> Result<Trimmed, FormatError> {
         let bound = |ns: i64| if ns == i64::MIN || ns == i64::MAX { ns } else { ns.saturating_add(self.zero_ns) };
         let trim = Trim {
             crop: self.crop,
@@ -301,8 +361,7 @@ impl Arranged {
             ordered: self.ordered,
             zero_ns: if from_zero { self.zero_ns } else { 0 },
         };
-        let trimmed = Box::new(Trimmed::new(recording.events()?, trim)?);
-        if self.ordered { Ok(trimmed) } else { Ok(Box::new(InOrder::new(trimmed)?)) }
+        Trimmed::new(recording.events()?, trim)
     }
 
     /// Are the frames' linear values whole numbers of at most 16 bits?

@@ -33,6 +33,40 @@ pub struct Declared {
     pub stamp: Option<StampRole>,
     /// How stored values of pictures follow from linear ones, where it is not recorded.
     pub transfer: Option<Transfer>,
+    /// Unit of the frames' stamps, where their file leaves it open; absent = [`Declared::time_unit`].
+    pub stamps_unit: Option<TimeUnit>,
+    /// The frames' picture is mirrored against the events.
+    pub mirror: Option<Mirror>,
+    /// Event pixels by which the events lie right of and below the frames' picture.
+    pub shift: Option<Shift>,
+    /// Frames that are left out, numbered from 0 in the order of the file.
+    pub skip_frames: Option<Vec<u32>>,
+    /// Are events that are there twice (one time, pixel and sign) read once?
+    pub drop_duplicates: Option<bool>,
+}
+
+/// How the frames' picture lies against the events'.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Mirror {
+    /// Columns run the other way.
+    LeftRight,
+    /// Rows run the other way.
+    TopBottom,
+    /// Both: turned by half a turn.
+    Both,
+}
+
+/// A shift in whole event pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Shift {
+    /// Columns by which events lie to the right of the frames' picture; negative = to the left.
+    #[schemars(range(min = -4096, max = 4096))]
+    pub right: i32,
+    /// Rows by which they lie below it; negative = above.
+    #[schemars(range(min = -4096, max = 4096))]
+    pub down: i32,
 }
 
 /// Unit of stored stamps.

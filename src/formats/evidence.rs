@@ -23,6 +23,14 @@ impl Of {
         }
     }
 
+    /// The parameter that states their unit.
+    fn parameter(self) -> &'static str {
+        match self {
+            Of::Events => "time_unit",
+            Of::Frames => "stamps_unit",
+        }
+    }
+
     /// Rates that cameras have, per second.
     fn plausible(self) -> std::ops::RangeInclusive<f64> {
         match self {
@@ -60,14 +68,17 @@ pub(crate) struct Evidence {
     pub(crate) text: String,
     /// The unit that fits best, where one does.
     pub(crate) proposal: Option<TimeUnit>,
+    /// Whose stamps.
+    of: Of,
 }
 
 impl Evidence {
     /// What to do next, for the message.
     pub(crate) fn hint(&self) -> String {
+        let name = self.of.parameter();
         match self.proposal {
-            Some(unit) => format!("state the unit of the stamps; `time_unit = \"{}\"` looks right", unit_name(unit)),
-            None => "state the unit of the stamps: `time_unit = \"us\"` (or s, ms, ns)".into(),
+            Some(unit) => format!("state the unit of the stamps; `{name} = \"{}\"` looks right", unit_name(unit)),
+            None => format!("state the unit of the stamps: `{name} = \"us\"` (or s, ms, ns)"),
         }
     }
 }
@@ -91,7 +102,7 @@ fn judge(values: &[f64], whole: bool, places: u32, total: f64, of: Of) -> Eviden
         (low, high) = (low.min(value), high.max(value));
     }
     if finite.is_empty() {
-        return Evidence { text: "no stamp could be read".into(), proposal: None };
+        return Evidence { text: "no stamp could be read".into(), proposal: None, of };
     }
     let mut sorted = finite.clone();
     sorted.sort_by(f64::total_cmp);
@@ -106,7 +117,7 @@ fn judge(values: &[f64], whole: bool, places: u32, total: f64, of: Of) -> Eviden
     let span = high - low;
     if span <= 0.0 {
         text += "; all are equal, so they do not show their unit";
-        return Evidence { text, proposal: since_1970(low, whole) };
+        return Evidence { text, proposal: since_1970(low, whole), of };
     }
     let units = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
     let rate = |unit: TimeUnit| total / (span * unit.ns() as f64 * 1e-9);
@@ -119,7 +130,7 @@ fn judge(values: &[f64], whole: bool, places: u32, total: f64, of: Of) -> Eviden
         [one] => Some(*one),
         several => several.contains(&usual).then_some(usual),
     });
-    Evidence { text, proposal }
+    Evidence { text, proposal, of }
 }
 
 /// The unit in which a stamp lies between 2001 and 2100, when it is as large as such stamps are.

@@ -30,6 +30,21 @@ pub struct Scan {
     pub corner: Option<(u16, u16)>,
     /// What was left out because it is damaged.
     pub losses: Vec<Loss>,
+    /// Every n-th stamp in file order, at most [`KEPT_STAMPS`] of them.
+    pub some_stamps: Vec<i64>,
+}
+
+/// Stamps that a scan keeps, at most.
+pub const KEPT_STAMPS: usize = 1 << 16;
+
+impl Scan {
+    /// The shortest span that holds a share (0 to 1) of the kept stamps; a few strays do not widen it. `None` without events.
+    pub fn dense_span(&self, share: f64) -> Option<(i64, i64)> {
+        let mut sorted = self.some_stamps.clone();
+        sorted.sort_unstable();
+        let inside = ((share * sorted.len() as f64).ceil() as usize).clamp(1, sorted.len().max(1));
+        sorted.windows(inside).map(|window| (window[0], window[inside - 1])).min_by_key(|(first, last)| last.saturating_sub(*first))
+    }
 }
 
 /// Walks over all events once. `advance` hears how many events each piece had, and may stop the walk.
@@ -38,8 +53,22 @@ pub struct Scan {
 /// When the file cannot be read, or `advance` says so.
 pub fn scan<E: From<FormatError>>(cursor: &mut dyn EventCursor, mut advance: impl FnMut(&dyn EventCursor) -> Result<(), E>) -> Result<Scan, E> {
     let (mut scan, mut chunk, mut ahead) = (Scan::default(), EventChunk::default(), i64::MIN);
+    let (mut every, mut next) = (1u64, 0u64);
     while cursor.next(&mut chunk)? {
         if let (Some(&first), Some(&x), Some(&y)) = (chunk.t.first(), chunk.x.iter().max(), chunk.y.iter().max()) {
+            while next < scan.count + chunk.len() as u64 {
+                scan.some_stamps.push(chunk.t[(next - scan.count) as usize]);
+                next += every;
+                if scan.some_stamps.len() == KEPT_STAMPS {
+                    every *= 2;
+                    next = next.next_multiple_of(every);
+                    let mut index = 0;
+                    scan.some_stamps.retain(|_| {
+                        index += 1;
+                        index % 2 == 1
+                    });
+                }
+            }
             scan.count += chunk.len() as u64;
             let (mut earliest, mut latest) = scan.span.unwrap_or((first, first));
             for &t in &chunk.t {
@@ -76,6 +105,8 @@ pub struct Wanted {
     pub t_in: bool,
     /// Bytes to hold in memory before a temporary file is used.
     pub budget: usize,
+    /// Are events that are there twice read once?
+    pub drop_duplicates: bool,
 }
 
 /// Rows of one group: few enough that a group is small, so many that the file has few pieces.
@@ -151,6 +182,7 @@ pub struct Gathered {
     groups: Vec<Group>,
     file: Option<File>,
     has_t_in: bool,
+    drop_duplicates: bool,
     /// Events that are here.
     pub count: u64,
     /// Events that lie outside the extent, and were left out.
@@ -171,7 +203,17 @@ pub fn gather<E: From<FormatError> + From<DataError>>(
     let height = wanted.extent.height.max(1);
     let rows_per_group = height.div_ceil(GROUPS).max(1);
     let groups = (0..height.div_ceil(rows_per_group)).map(|_| Group::default()).collect();
-    let mut all = Gathered { extent: wanted.extent, rows_per_group, groups, file: None, has_t_in: wanted.t_in, count: 0, outside: 0, span: None };
+    let mut all = Gathered {
+        extent: wanted.extent,
+        rows_per_group,
+        groups,
+        file: None,
+        has_t_in: wanted.t_in,
+        drop_duplicates: wanted.drop_duplicates,
+        count: 0,
+        outside: 0,
+        span: None,
+    };
     let mut chunk = EventChunk::default();
     let mut written = 0;
     if wanted.start_ns > i64::MIN {
@@ -286,7 +328,8 @@ impl BandSource<EventBand> for Gathered {
             }
         }
         let t_in = self.has_t_in.then_some(all.t_in.as_slice());
-        EventBand::from_file_order(rows, &all.y, &all.x, &all.on, &all.t, t_in)
+        let band = EventBand::from_file_order(rows, &all.y, &all.x, &all.on, &all.t, t_in)?;
+        if self.drop_duplicates { band.without_duplicates() } else { Ok(band) }
     }
 }
 
@@ -347,7 +390,7 @@ mod tests {
     }
 
     fn go(budget: usize, start_ns: i64, end_ns: i64) -> Gathered {
-        let wanted = Wanted { extent: EXTENT, crop: None, zero_ns: 1000, start_ns, end_ns, ordered: false, t_in: true, budget };
+        let wanted = Wanted { extent: EXTENT, crop: None, zero_ns: 1000, start_ns, end_ns, ordered: false, t_in: true, budget, drop_duplicates: false };
         gather::<DataError>(&mut made(), wanted, |_| Ok(())).unwrap()
     }
 
@@ -393,5 +436,21 @@ mod tests {
         assert_eq!(found.span, Some((*all.iter().min().unwrap(), *all.iter().max().unwrap())));
         assert_eq!(found.disordered as usize, all.windows(2).filter(|w| w[1] < w[0]).count());
         assert_eq!(found.corner, Some((5, 131)));
+        assert_eq!(found.some_stamps, all);
+    }
+
+    #[test]
+    fn strays_do_not_widen_the_dense_span_and_few_stamps_are_kept() {
+        let chunk = |range: std::ops::Range<i64>, offset: i64| {
+            let mut chunk = EventChunk::default();
+            range.for_each(|t| chunk.push(t + offset, 0, 0, true));
+            chunk
+        };
+        let chunks = vec![chunk(0..1_500, 1_000_000_000), chunk(0..100_000, 0), chunk(100_000..200_001, 0)];
+        let found = scan::<FormatError>(&mut Made { chunks, next: 0 }, |_| Ok(())).unwrap();
+        assert!(found.some_stamps.len() < KEPT_STAMPS && found.some_stamps.len() > KEPT_STAMPS / 4);
+        let (first, last) = found.dense_span(0.98).unwrap();
+        assert!(first >= 0 && last <= 200_000 && last - first > 190_000, "{first} {last}");
+        assert_eq!(Scan::default().dense_span(0.98), None);
     }
 }

@@ -9,6 +9,7 @@ use crate::error::{FormatError, Loss};
 use crate::format::Format;
 use crate::known::with_known_camera;
 use crate::pictures::{PictureFiles, exposures_from_triggers};
+use crate::placed::placed;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -36,7 +37,8 @@ pub fn with_declared_frames(events: Box<dyn Recording>, declared: &Declared) -> 
 /// When the file cannot be read, or its frames cannot.
 pub fn open(format: &Format, path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let recording = (format.open)(path, declared)?;
-    if declared.frames.is_some() { with_declared_frames(recording, declared) } else { Ok(with_known_camera(format, recording)) }
+    let recording = if declared.frames.is_some() { with_declared_frames(recording, declared)? } else { with_known_camera(format, recording) };
+    placed(path, recording, declared)
 }
 
 impl Joined {

@@ -12,6 +12,7 @@
 //! - [`rosbag`], [`mcap`]: bags of ROS 1 and MCAP files, whose messages and chunks [`ros`] reads.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
+//! - [`placed`]: a mirrored picture, a shift by whole pixels, frames that are left out, as they are stated.
 //! - [`losses`]: what was left out, as a list that stays short.
 //! - [`aedat4`], [`aedat2`], [`event_stream`]: one module a format.
 //!
@@ -46,6 +47,7 @@ pub mod mcap;
 mod npy;
 pub mod npz;
 pub mod pictures;
+pub mod placed;
 pub mod recording;
 pub mod ros;
 pub mod rosbag;
@@ -56,7 +58,7 @@ pub mod trim;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};
-pub use declared::{Column, Declared, StampRole, TimeUnit, Transfer};
+pub use declared::{Column, Declared, Mirror, Shift, StampRole, TimeUnit, Transfer};
 pub use error::{FormatError, Loss};
 pub use format::{Format, Probe, recognise};
 pub use recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};

@@ -1,15 +1,20 @@
 //! What is found in the files, and what has to be proposed because they do not state it.
 
-use super::usage;
+use super::units::DENSE;
+use super::window::Window;
+use super::{hazards, units, usage, window};
 use crate::common::Failure;
 use crate::declared::DeclaredOptions;
 use crate::parts::Parts;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{FramesMeta, TimeSpan};
-use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, arrange};
-use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, joined};
+use photocurrent_formats::arrange::{self, Arranged, EVENTS_BUDGET, arrange};
+use photocurrent_formats::hazard::{self, Limits};
+use photocurrent_formats::placed::PartOf;
+use photocurrent_formats::survey::{Most, survey};
+use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, Transfer, joined};
 use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
-use photocurrent_nodes::read::foreign::All;
+use photocurrent_nodes::read::foreign::{All, Size};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,6 +27,20 @@ pub struct Fill {
     pub value: String,
     /// Why this value, and what depends on it.
     pub why: String,
+    /// Is it a question that the user has to check (`FILL:`), or settled by what was found?
+    pub is_open: bool,
+}
+
+impl Fill {
+    /// A proposal that is marked.
+    pub fn open(name: &'static str, value: String, why: impl Into<String>) -> Fill {
+        Fill { name, value, why: why.into(), is_open: true }
+    }
+
+    /// A correction that is stated with its reason.
+    pub fn settled(name: &'static str, value: String, why: impl Into<String>) -> Fill {
+        Fill { name, value, why: why.into(), is_open: false }
+    }
 }
 
 /// Everything that the manifest and the description are made of.
@@ -41,21 +60,24 @@ pub struct Facts {
     /// Bits of a stored value.
     pub bits: u32,
     /// The part of the recording that is rendered, from zero.
-    pub window: Option<(Duration, Duration)>,
+    pub window: Option<Window>,
     /// Frames per second that are rendered.
     pub rate_hz: f64,
     /// Is there a description in the file?
     pub sensor_text: Option<String>,
     /// What calibration and bias files say, a line each.
     pub camera: Vec<String>,
+    /// Findings that no parameter holds, a line each.
+    pub marks: Vec<String>,
     pub notes: Vec<String>,
     pub losses: Vec<String>,
 }
 
 impl Facts {
-    /// Everything that is marked.
-    pub fn fills(&self) -> impl Iterator<Item = &Fill> {
-        self.reader.iter().chain(self.sensor_text.is_none().then_some(&self.sensor).into_iter().flatten())
+    /// How many lines are marked.
+    pub fn open(&self) -> usize {
+        let fills = self.reader.iter().chain(self.sensor_text.is_none().then_some(&self.sensor).into_iter().flatten());
+        fills.filter(|fill| fill.is_open).count() + self.marks.len()
     }
 
     /// Length of a frame's exposure, s.
@@ -64,8 +86,8 @@ impl Facts {
     }
 }
 
-/// Looks at the files, and proposes what they do not state.
-pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, Failure> {
+/// Reads the files, and proposes what they do not state.
+pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String]) -> Result<Facts, Failure> {
     let parts = Parts::sort(files)?;
     let mut all = declared.parameters(&parts.recording);
     let stated = stated(&all)?;
@@ -78,24 +100,59 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, F
         all.stamps = Some(photocurrent_core::quantity::InputPath::new(stamps));
         inputs.push(stamps.clone());
     }
-    let mut reader = Vec::new();
+    let mut reader = units::propose(&parts, &mut all);
     let (recording, arranged) = settle(&parts, &mut all, &mut reader)?;
     let path = &parts.recording;
+    let need_frames = |arranged: &Arranged| {
+        arranged.frames.clone().map_err(|why| {
+            let hint = "hint: name the frames too: a folder of pictures next to the event file; events alone do not state the light's level";
+            usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
+        })
+    };
     let events_meta = arranged.events.clone().map_err(|why| usage(format!("{why}: there is nothing to reconstruct from")))?;
-    let frames = arranged.frames.clone().map_err(|why| {
-        let hint = "hint: name the frames too: a folder of pictures next to the event file; events alone do not state the light's level";
-        usage(format!("{why}: frames are needed for a picture of known brightness\n  {hint}"))
-    })?;
+    let frames = need_frames(&arranged)?;
+    let events_span = events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
+    // A few strays are no overlap.
+    let dense = arranged.scan.as_ref().and_then(|scan| scan.dense_span(DENSE));
+    let dense = dense.map_or(events_span, |(first, last)| TimeSpan::new(first.saturating_sub(arranged.zero_ns), last.saturating_sub(arranged.zero_ns)));
+    overlap(path, dense, &frames)?;
+    // The part that has frames, before anything is measured: what lies outside is in nobody's picture.
+    let part = window::with_frames(recording.as_ref(), &arranged, &frames, events_span).map_err(refused)?;
+    let (mut recording, mut arranged) = match &part {
+        Some(window) => {
+            (all.start, all.end) = (Some(window.start), Some(window.end));
+            open(&parts, &all).map_err(refused)?
+        }
+        None => (recording, arranged),
+    };
+    let acts = {
+        let part = PartOf::new(recording.as_ref(), &arranged);
+        let survey = survey(&part, parts.format.id, &Most::default(), |_| ()).map_err(refused)?;
+        let findings = hazard::findings(&survey, &Limits::default());
+        let mut numbers = arranged.frames_read().to_vec();
+        numbers.sort_unstable();
+        let pictures = part.pictures();
+        let surveyed = pictures.as_deref().map(|pictures| (pictures, numbers.as_slice()));
+        hazards::act(&survey, &findings, parts.format, surveyed, accepted, &mut all)?
+    };
+    if !acts.parameters.is_empty() {
+        reader.extend(acts.parameters);
+        (recording, arranged) = settle(&parts, &mut all, &mut reader)?;
+    }
     let found = measured(recording.as_ref(), &arranged, &parts, &mut all, &mut reader)?;
     // A better exposure moves the frames' times.
-    let (recording, arranged) =
-        if found.exposure_ns.is_some() { open(&parts, &all).map_err(|error| crate::declared::refused(&error))? } else { (recording, arranged) };
-    let frames = arranged.frames.clone().unwrap_or(frames);
+    if found.exposure_ns.is_some() {
+        (recording, arranged) = open(&parts, &all).map_err(refused)?;
+    }
+    let frames = need_frames(&arranged)?;
     let bits = recording.pictures().map_or(8, |pictures| pictures.about().bits);
-    let events_span = events_meta.span.ok_or_else(|| usage(format!("{}: there is no event in it", path.display())))?;
-    overlap(path, events_span, &frames)?;
+    let events_meta = arranged.events.clone().map_err(usage)?;
     let events = events_meta.count_hint.unwrap_or(0);
-    let (window, rate_hz) = what_to_render(&frames, events_span, events);
+    let (short, rate_hz) = window::to_render(&frames, events_meta.span.unwrap_or(events_span), events);
+    let window = match (part, short) {
+        (Some(part), Some(short)) => Some(Window { why: format!("{}; {}", part.why, short.why), ..short }),
+        (part, short) => short.or(part),
+    };
     let losses = arranged.losses.iter().map(|loss| format!("{}: {}", loss.at, loss.what)).collect();
     let mut facts = Facts {
         format: parts.format,
@@ -110,11 +167,17 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions) -> Result<Facts, F
         rate_hz,
         sensor_text: recording.sensor_text().map(String::from),
         camera: parts.camera.clone(),
+        marks: acts.marks,
         notes: arranged.notes.clone(),
         losses,
     };
     facts.sensor = describe(&found);
     Ok(facts)
+}
+
+/// A refusal of a reader.
+fn refused(error: FormatError) -> Failure {
+    crate::declared::refused(&error)
 }
 
 /// What was stated on the command line, as lines of a manifest; paths stand elsewhere.
@@ -132,7 +195,7 @@ fn settle(parts: &Parts, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dy
             Err(error) => error,
         };
         let fill = error.undeclared.and_then(|name| propose(name, parts, all));
-        let Some(fill) = fill else { return Err(crate::declared::refused(&error)) };
+        let Some(fill) = fill else { return Err(refused(error)) };
         fills.push(fill);
     }
     Err(usage(format!("{}: more is missing than can be proposed", parts.recording.display())))
@@ -149,15 +212,13 @@ fn open(parts: &Parts, all: &All) -> Result<(Box<dyn Recording>, Arranged), Form
 fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
     let pictures = || joined::open(parts.format, &parts.recording, &all.settings().declared).ok().and_then(|recording| recording.pictures());
     match name {
-        "time_unit" if all.time_unit.is_none() => {
-            let unit = likeliest_unit(parts, all)?;
-            all.time_unit = Some(unit);
-            let word = format!("{unit:?}").to_lowercase();
-            Some(Fill {
-                name: "time_unit",
-                value: format!("\"{word}\""),
-                why: "the unit of the stamps is not recorded; this one gives a plausible rate of events".into(),
-            })
+        "extent" if all.extent.is_none() => {
+            let (size, reach) = extent_of_frames(parts, all)?;
+            all.extent = Some(size);
+            let why = format!(
+                "the size of the event array is not recorded; {reach}: they lie inside of the frames' pixels, whose size (or a whole part of it) was taken"
+            );
+            Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", size.width, size.height), why))
         }
         "stamps" if all.trigger_line.is_none() => {
             let (line, count) = busiest_line(parts)?;
@@ -165,15 +226,11 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             let why = format!(
                 "no file states when the frames were taken; trigger line {line} of the event file rose {count} times: rising opens the shutter, falling closes it"
             );
-            Some(Fill { name: "trigger_line", value: line.to_string(), why })
+            Some(Fill::open("trigger_line", line.to_string(), why))
         }
         "coordinate_scale" if all.coordinate_scale.is_none() => {
             all.coordinate_scale = Some(32);
-            Some(Fill {
-                name: "coordinate_scale",
-                value: "32".into(),
-                why: "coordinates exceed the pictures; the authors of HS-ERGB store 32 times the pixel".into(),
-            })
+            Some(Fill::open("coordinate_scale", "32".into(), "coordinates exceed the pictures; the authors of HS-ERGB store 32 times the pixel"))
         }
         "exposure" if all.exposure.is_none() => {
             let pictures = pictures()?;
@@ -185,29 +242,29 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             let exposure = Duration::new(half);
             all.exposure = Some(exposure);
             let why = "the exposure is not recorded; half the time between frames is no more than a guess. Too long blurs what is sharp, too short leaves blur";
-            Some(Fill { name: "exposure", value: format!("\"{exposure}\""), why: why.into() })
+            Some(Fill::open("exposure", format!("\"{exposure}\""), why))
         }
         "stamp" if all.stamp.is_none() => {
             all.stamp = Some(StampRole::Middle);
             let why = "what a frame's stamp means is not recorded: start, middle or end of its exposure. A wrong one shifts frames against events";
-            Some(Fill { name: "stamp", value: "\"middle\"".into(), why: why.into() })
+            Some(Fill::open("stamp", "\"middle\"".into(), why))
         }
         "row_time" if all.row_time.is_none() && parts.line_delay_s.is_some() => {
             let delay = Duration::new((parts.line_delay_s? * 1e9).round() as i64);
             all.row_time = Some(delay);
-            Some(Fill { name: "row_time", value: format!("\"{delay}\""), why: "the calibration's line delay, taken as seconds".into() })
+            Some(Fill::open("row_time", format!("\"{delay}\""), "the calibration's line delay, taken as seconds"))
         }
         "row_time" if all.row_time.is_none() => {
             all.row_time = Some(Duration::new(0));
             let why = "the delay from row to row is not recorded; 0 is a global shutter. A rolling shutter left at 0 leaves its skew in the picture";
-            Some(Fill { name: "row_time", value: "\"0 us\"".into(), why: why.into() })
+            Some(Fill::open("row_time", "\"0 us\"".into(), why))
         }
         "transfer" if all.transfer.is_none() => {
             let linear = pictures().is_some_and(|pictures| pictures.about().bits != 8);
             all.transfer = Some(if linear { Transfer::Linear } else { Transfer::Srgb });
             let word = if linear { "linear" } else { "srgb" };
             let why = "whether values are linear is not recorded; 8-bit pictures mostly are not, raw ones are. A wrong curve makes events and frames disagree";
-            Some(Fill { name: "transfer", value: format!("\"{word}\""), why: why.into() })
+            Some(Fill::open("transfer", format!("\"{word}\""), why))
         }
         _ => None,
     }
@@ -221,36 +278,14 @@ fn busiest_line(parts: &Parts) -> Option<(u16, usize)> {
     counts.into_iter().max_by_key(|(_, count)| *count)
 }
 
-/// The unit with which events come at a rate that sensors have: the nearest to 10 a second and pixel on a logarithmic scale.
-fn likeliest_unit(parts: &Parts, all: &All) -> Option<TimeUnit> {
-    let rate = |unit: TimeUnit| -> Option<f64> {
-        let settings = All { time_unit: Some(unit), ..all.clone() }.settings();
-        let recording = joined::open(parts.format, &parts.recording, &settings.declared).ok()?;
-        let found = photocurrent_formats::gather::scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()?;
-        let (first, last) = found.span?;
-        let (x, y) = found.corner?;
-        let pixels = (f64::from(x) + 1.0) * (f64::from(y) + 1.0);
-        (last > first).then(|| found.count as f64 / ((last - first) as f64 / 1e9) / pixels)
-    };
-    const USUAL_HZ: f64 = 10.0;
-    let distance = |unit: TimeUnit| rate(unit).map_or(f64::INFINITY, |rate| (rate / USUAL_HZ).log10_distance());
-    [TimeUnit::Us, TimeUnit::Ns, TimeUnit::S, TimeUnit::Ms].into_iter().min_by(|a, b| distance(*a).total_cmp(&distance(*b)))
-}
-
-/// How far a ratio is from 1, in decades, without a logarithm: enough to rank four units that lie three decades apart.
-trait Decades {
-    fn log10_distance(self) -> f64;
-}
-
-impl Decades for f64 {
-    fn log10_distance(self) -> f64 {
-        let (mut ratio, mut decades) = (if self < 1.0 { 1.0 / self } else { self }, 0.0);
-        while ratio >= 10.0 && decades < 400.0 {
-            ratio /= 10.0;
-            decades += 1.0;
-        }
-        decades + (ratio - 1.0) / 9.0
-    }
+/// The size of the event array that the frames suggest, and what events reach.
+fn extent_of_frames(parts: &Parts, all: &All) -> Option<(Size, String)> {
+    let recording = joined::open(parts.format, &parts.recording, &all.settings().declared).ok()?;
+    let frames = recording.pictures()?.about().extent;
+    let corner = photocurrent_formats::gather::scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()?.corner?;
+    let size = arrange::extent_of_frames(frames, corner)?;
+    let reach = format!("events reach column {} and row {}, frames have {frames} pixels", corner.0, corner.1);
+    Some((Size { width: size.width, height: size.height }, reach))
 }
 
 /// Streams that share no time are refused, with both spans and the likely offset.
@@ -273,38 +308,11 @@ fn overlap(path: &Path, events: TimeSpan, frames: &FramesMeta) -> Result<(), Fai
     })
 }
 
-/// Values that are rendered, about, so that a first run takes a minute or two; pixels times frames.
-const RENDERED: f64 = 1.2e8;
-
-/// Events that are solved, about, for the same reason.
-const SOLVED: f64 = 2e6;
-
-/// A window with a few frames in which events and frames overlap, and a rate: the first run should be short.
-fn what_to_render(frames: &FramesMeta, events: TimeSpan, count: u64) -> (Option<(Duration, Duration)>, f64) {
-    let span = frames.times.span(frames.extent.height).unwrap_or(events);
-    let (start, end) = (span.start.max(events.start).0, span.end.min(events.end).0);
-    let period_ns = frames.times.mean_period_ns().unwrap_or(4e7).max(1e5);
-    // Sixteen pictures for each frame; a whole number of hertz.
-    let rate_hz = (16e9 / period_ns).round().clamp(10.0, 10_000.0);
-    let per_ns = count as f64 / (events.length_ns().max(1)) as f64;
-    let by_pictures = RENDERED / frames.extent.pixels() as f64 / rate_hz * 1e9;
-    let by_events = if per_ns > 0.0 { SOLVED / per_ns } else { f64::INFINITY };
-    let length = by_pictures.min(by_events).max(3.5 * period_ns);
-    if (end - start) as f64 <= 1.2 * length {
-        return (None, rate_hz);
-    }
-    // Whole milliseconds, from the first frame that is whole inside.
-    let first = frames.times.exposures.iter().map(|exposure| exposure.start.0).find(|t| *t >= start).unwrap_or(start);
-    let from = first.div_euclid(1_000_000) * 1_000_000;
-    let to = (from as f64 + length / 1e6 * 1e6) as i64 / 1_000_000 * 1_000_000 + 1_000_000;
-    (Some((Duration::new(from.max(0)), Duration::new(to))), rate_hz)
-}
-
 /// What the streams themselves say; of a long recording, its first part.
 fn measured(recording: &dyn Recording, arranged: &Arranged, parts: &Parts, all: &mut All, fills: &mut [Fill]) -> Result<Proposals, Failure> {
     let failed = |error: photocurrent_core::NodeError| Failure::Other { message: error.to_string(), code: 3 };
     let gathered = arranged.gather(recording, EVENTS_BUDGET, |_: &dyn EventCursor| Ok::<(), FormatError>(()));
-    let (Some((events, _)), Some(frames)) = (gathered.map_err(|error| crate::declared::refused(&error))?, arranged.frame_sequence()) else {
+    let (Some((events, _)), Some(frames)) = (gathered.map_err(refused)?, arranged.frame_sequence()) else {
         return Ok(Proposals::default());
     };
     let mut found = proposals(&events, &frames).map_err(failed)?;
@@ -336,36 +344,31 @@ const SMALL_OFFSET_NS: f64 = 5e5;
 fn describe(found: &Proposals) -> Vec<Fill> {
     let matters = "Too small a value gives pale motion, too large a value ghosts";
     let threshold = |name: &'static str, estimate: Option<Estimate>| match estimate.filter(|estimate| (0.02..2.0).contains(&estimate.value)) {
-        Some(Estimate { value, ci95: (low, high) }) => Fill {
+        Some(Estimate { value, ci95: (low, high) }) => Fill::open(
             name,
-            value: format!("{value:.3}"),
-            why: format!("never recorded; this one explains the change of the frames by their events (95 %: {low:.3} to {high:.3}). {matters}"),
-        },
-        None => Fill {
-            name,
-            value: "0.25".into(),
-            why: format!("never recorded, and too little moves to measure it; usual settings lie between 0.15 and 0.5. {matters}"),
-        },
+            format!("{value:.3}"),
+            format!("never recorded; this one explains the change of the frames by their events (95 %: {low:.3} to {high:.3}). {matters}"),
+        ),
+        None => {
+            Fill::open(name, "0.25".into(), format!("never recorded, and too little moves to measure it; usual settings lie between 0.15 and 0.5. {matters}"))
+        }
     };
     let mut fills = vec![
         threshold("threshold_on", found.thresholds.map(|both| both.0)),
         threshold("threshold_off", found.thresholds.map(|both| both.1)),
-        Fill {
-            name: "refractory",
-            value: "\"100 us\"".into(),
-            why: "the blind time after an event is a bias of the camera; the shortest interval between events of one pixel bounds it".into(),
-        },
+        Fill::open(
+            "refractory",
+            "\"100 us\"".into(),
+            "the blind time after an event is a bias of the camera; the shortest interval between events of one pixel bounds it",
+        ),
     ];
     if let Some(Estimate { value, ci95: (low, high) }) = found.offset_ns.filter(|offset| offset.value.abs() > SMALL_OFFSET_NS && !offset.holds(0.0)) {
-        fills.push(Fill {
-            name: "clock_offset",
-            value: format!("{{ offset = \"{:.2} ms\" }}", value / 1e6),
-            why: format!(
-                "events lag the frames by so much (95 %: {:.2} to {:.2} ms): clocks, or the latency of the pixels; 0 if you know better",
-                low / 1e6,
-                high / 1e6
-            ),
-        });
+        let why = format!(
+            "events lag the frames by so much (95 %: {:.2} to {:.2} ms): clocks, or the latency of the pixels; 0 if you know better",
+            low / 1e6,
+            high / 1e6
+        );
+        fills.push(Fill::open("clock_offset", format!("{{ offset = \"{:.2} ms\" }}", value / 1e6), why));
     }
     fills
 }

@@ -4,7 +4,10 @@
 //! there is a picture after two commands, and what the picture depends on stands in it to be corrected.
 
 mod facts;
+mod hazards;
 mod text;
+mod units;
+mod window;
 
 use crate::args::InitOptions;
 use crate::common::{Done, Failure};
@@ -22,7 +25,7 @@ pub fn init(options: &InitOptions) -> Done {
         return Err(usage(format!("{} exists\n  hint: give another name with -o, or --force to replace it", path.display())));
     }
     let folder = manifest.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let found = facts::collect(&options.files, &options.declared)?;
+    let found = facts::collect(&options.files, &options.declared, &options.accept)?;
     for path in &found.inputs {
         crate::common::must_be_utf8(path)?;
     }
@@ -45,7 +48,16 @@ fn talk(options: &InitOptions, found: &facts::Facts, manifest: &Path, sensor: &P
     for loss in &found.losses {
         say!("data lost: {loss}");
     }
-    let marked = found.fills().count();
+    for fill in found.reader.iter().filter(|fill| !fill.is_open) {
+        say!("set: {} = {}: {}", fill.name, fill.value, fill.why);
+    }
+    if let Some(window) = &found.window {
+        say!("cut: from {} to {}: {}", window.start, window.end, window.why);
+    }
+    for mark in &found.marks {
+        say!("check: {mark}");
+    }
+    let marked = found.open();
     let sensor_too = if found.sensor_text.is_none() { format!(" and {}", sensor.display()) } else { String::new() };
     let files = options.files.iter().map(|file| file.display().to_string()).collect::<Vec<_>>().join(" ");
     say!("\n{} from {files}", manifest.display().to_string() + &sensor_too);

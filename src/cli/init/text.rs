@@ -1,16 +1,26 @@
 //! The manifest and the sensor description, as text with the reason on every line that is not certain.
 
 use super::facts::{Facts, Fill};
+use super::window::Window;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
+
+/// The format whose reader takes no window.
+const OWN: &str = "recording";
 
 /// A text in quotes, escaped as TOML wants.
 fn quoted(text: &str) -> String {
     toml::Value::String(text.into()).to_string()
 }
 
+/// A comment is one line.
+fn one_line(text: &str) -> String {
+    text.replace('\n', " ")
+}
+
 fn marked(text: &mut String, fill: &Fill) {
-    let _ = writeln!(text, "{} = {} # FILL: {}", fill.name, fill.value, fill.why);
+    let mark = if fill.is_open { "FILL: " } else { "" };
+    let _ = writeln!(text, "{} = {} # {mark}{}", fill.name, fill.value, one_line(&fill.why));
 }
 
 /// The manifest.
@@ -20,9 +30,10 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
     let file = all.path.path().file_name().unwrap_or_default().to_string_lossy().into_owned();
     let mut text = format!(
         "# Sharp frames of {file} ({}): made by `photocurrent init`. It runs as it is: photocurrent run {name}.toml\n\
-         # Lines marked FILL state what the files do not; the picture depends on them, so check them first.\nformat = 1\n\n\
+         # Lines marked FILL state what the files do not; the picture depends on them, so check them first.\n{}format = 1\n\n\
          [pipeline]\nabout = {}\n\n",
         facts.format.name,
+        facts.marks.iter().map(|mark| format!("# FILL: {}\n", one_line(mark))).collect::<String>(),
         quoted(&format!("Sharp frames of {file}."))
     );
     let from_file = facts.sensor_text.is_some();
@@ -40,9 +51,20 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
         let _ = writeln!(text, "{name} = {value}");
     }
     facts.reader.iter().for_each(|fill| marked(&mut text, fill));
-    if let Some((start, end)) = facts.window {
-        let _ = writeln!(text, "start = \"{start}\" # a part, so that the first run is short; delete both lines for the whole recording");
-        let _ = writeln!(text, "end = \"{end}\"");
+    let mut recording = "recording";
+    if let Some(Window { start, end, why }) = &facts.window {
+        if facts.format.id == OWN {
+            // Its reader gives the whole; a node of its own cuts the part.
+            recording = "part";
+            let _ = writeln!(
+                text,
+                "\n# {}.\n[nodes.part]\nkind = \"split/time\"\nin = {{ events = \"recording.events\", frames = \"recording.frames\" }}\nparams = {{ start = \"{start}\", end = \"{end}\" }}",
+                one_line(why)
+            );
+        } else {
+            let _ = writeln!(text, "start = \"{start}\" # {}", one_line(why));
+            let _ = writeln!(text, "end = \"{end}\"");
+        }
     }
     let exposure = photocurrent_core::quantity::Duration::new((1e9 / facts.rate_hz).round() as i64);
     let _ = write!(
@@ -51,7 +73,7 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
 # The photocurrent of every pixel, from events and frames together. The front end's delay is not known for this camera, so it is taken as ideal.
 [nodes.solve]
 kind   = "solve/pixel"
-in     = {{ events = "recording.events", frames = "recording.frames", sensor = "{sensor_port}" }}
+in     = {{ events = "{recording}.events", frames = "{recording}.frames", sensor = "{sensor_port}" }}
 params = {{ method = "map", front_end = "ideal", event_noise = 0.1 }}
 
 # Sharp frames without rolling shutter.
@@ -63,18 +85,18 @@ params = {{ rate = "{rate} Hz", exposure = "{exposure}" }}
 # For comparison: the event-based double integral, and the frames as they were captured.
 [nodes.edi]
 kind   = "baseline/edi"
-in     = {{ events = "recording.events", frames = "recording.frames", sensor = "{sensor_port}" }}
+in     = {{ events = "{recording}.events", frames = "{recording}.frames", sensor = "{sensor_port}" }}
 params = {{ rate = "{rate} Hz", exposure = "{exposure}" }}
 
 [nodes.repeat]
 kind   = "baseline/repeat"
-in     = {{ frames = "recording.frames", sensor = "{sensor_port}" }}
+in     = {{ frames = "{recording}.frames", sensor = "{sensor_port}" }}
 params = {{ rate = "{rate} Hz", exposure = "{exposure}" }}
 
 # What to look at first: sheet/contact_sheet.png.
 [nodes.sheet]
 kind   = "write/contact_sheet"
-in     = {{ frames = ["render", "edi", "repeat"], events = "recording.events", sensor = "{sensor_port}" }}
+in     = {{ frames = ["render", "edi", "repeat"], events = "{recording}.events", sensor = "{sensor_port}" }}
 params = {{ labels = ["photocurrent", "EDI", "captured frames"], columns = 4 }}
 
 # Linear 16-bit PNG for measurements, times in frames.csv; 8-bit pictures to look at in preview/.

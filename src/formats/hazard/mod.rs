@@ -5,19 +5,24 @@
 //!
 //! - [`limits`]: from where on something is a finding, each with its reason.
 //! - [`events`], [`frames`], [`together`]: the detectors.
+//! - [`consequence`]: what becomes of each finding when a manifest is written; [`places`]: how the two streams lie on each other, as parameters.
 //!
 //! Severities: an [`Severity::Error`] makes results meaningless, so nothing should run on such data; a [`Severity::Hazard`] may, and should be looked at;
 //! a [`Severity::Question`] is a fact that a method needs and the file does not hold; a [`Severity::Fact`] is information and no fault.
 
+pub mod consequence;
 pub mod events;
 pub mod frames;
 pub mod limits;
+pub mod places;
 pub mod together;
 
 #[cfg(test)]
 mod tests;
 
+pub use consequence::{Consequence, consequence};
 pub use limits::Limits;
+pub use places::{mirror_of, shift_of};
 
 use crate::survey::Survey;
 use serde::Serialize;

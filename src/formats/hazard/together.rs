@@ -1,6 +1,6 @@
 //! Hazards of events and frames together: clocks that do not meet, events in step with frames, late events, mirrored pictures, trigger edges.
 
-use super::{Finding, Limits, Severity, count, percent, time};
+use super::{Finding, Limits, Severity, count, mirror_of, percent, shift_of, time};
 use crate::survey::grid::GridSurvey;
 use crate::survey::lag::Interval;
 use crate::survey::lines::LineSurvey;
@@ -119,9 +119,9 @@ fn step(survey: &Survey, limits: &Limits, found: &mut Vec<Finding>) {
 fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let (Some(lag), Some(period)) = (&survey.lag, frames.period) else { return };
     let period = period.median_ns as f64;
-    let [as_is, left_right, top_bottom, both] = lag.mirrored;
-    let mirrored = [("left to right", left_right), ("top to bottom", top_bottom), ("both ways", both)];
-    if let Some((how, r)) = mirrored.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|(_, r)| *r > as_is + limits.mirrored && *r > limits.correlation) {
+    if let Some((way, r)) = mirror_of(lag, limits) {
+        let how = way.name();
+        let as_is = lag.mirrored[0];
         found.push(Finding::new(
             "mirrored",
             Severity::Hazard,
@@ -185,8 +185,7 @@ fn displaced(grid: &GridSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         interval(down, "down"),
         count(grid.patches as u64, "patch", "patches")
     );
-    let is_away = |of: Interval| of.value.abs() >= limits.displaced_px && (of.ci95.0 > 0.5 * limits.displaced_px || of.ci95.1 < -0.5 * limits.displaced_px);
-    if (is_away(right) || is_away(down)) && best > none + limits.displaced_gain {
+    if shift_of(grid, limits).is_some() {
         found.push(Finding::new(
             "displaced",
             Severity::Hazard,

@@ -128,22 +128,26 @@ pub(crate) fn parse(path: &Path, text: &[u8], declared: &Declared, defined: Opti
         }
         _ => roles_of(path, &lines)?,
     };
-    let unit = match (stated, declared.time_unit, defined) {
+    // The unit of the events serves where none is stated for the frames.
+    let unit = match (stated, declared.stamps_unit.or(declared.time_unit), defined) {
         (Some(file), Some(user), _) if file != user && declared.stamps.is_some() => {
             stamps.notes.push(format!("the stamps file says {}; {} was declared and taken", unit_name(file), unit_name(user)));
             user
         }
         (Some(unit), ..) | (None, Some(unit), _) | (None, None, Some(unit)) => unit,
         (None, None, None) => {
-            let index = roles.iter().position(|role| !matches!(role, Role::Name | Role::Skip)).unwrap_or(0);
-            let sample: Vec<Decimal> = lines.iter().filter_map(|(_, fields)| fields.get(index).and_then(|field| Decimal::read(field))).take(100_000).collect();
-            let evidence = evidence::of_decimals(&sample, sample.len() as f64, Of::Frames);
+            let evidence = look(&roles, &lines);
             let what = format!("the unit of the frames' stamps is not stated ({})", evidence.text);
-            return Err(FormatError::new(path, what, evidence.hint()).expected("a unit in the header, such as `t_us`").undeclared("time_unit"));
+            return Err(FormatError::new(path, what, evidence.hint()).expected("a unit in the header, such as `t_us`").undeclared("stamps_unit"));
         }
     };
     for (number, fields) in &lines {
         stamps.rows.push(row(path, *number, fields, &roles, unit)?);
+    }
+    if stated.is_none() && declared.stamps_unit.is_none() && runs_together(&roles, &lines, &stamps.rows) {
+        let evidence = look(&roles, &lines);
+        let what = format!("stamps that differ become one and the same in {} ({})", unit_name(unit), evidence.text);
+        return Err(FormatError::new(path, what, evidence.hint()).expected("the unit of the frames' stamps").undeclared("stamps_unit"));
     }
     let has = |wanted: Role| roles.contains(&wanted);
     stamps.role = match (has(Role::At), has(Role::Start), has(Role::Mid)) {
@@ -153,6 +157,25 @@ pub(crate) fn parse(path: &Path, text: &[u8], declared: &Declared, defined: Opti
         _ => None,
     };
     Ok(stamps)
+}
+
+/// Which column holds the first stamp of a line.
+fn column_of(roles: &[Role]) -> usize {
+    roles.iter().position(|role| !matches!(role, Role::Name | Role::Skip)).unwrap_or(0)
+}
+
+/// What the stamps look like.
+fn look(roles: &[Role], lines: &[(u64, Vec<&[u8]>)]) -> evidence::Evidence {
+    let index = column_of(roles);
+    let sample: Vec<Decimal> = lines.iter().filter_map(|(_, fields)| fields.get(index).and_then(|field| Decimal::read(field))).take(100_000).collect();
+    evidence::of_decimals(&sample, sample.len() as f64, Of::Frames)
+}
+
+/// Are there stamps that differ in the file and no longer do in its rows? Decimal seconds that are read as nanoseconds.
+fn runs_together(roles: &[Role], lines: &[(u64, Vec<&[u8]>)], rows: &[Row]) -> bool {
+    let index = column_of(roles);
+    let text = |line: usize| lines[line].1.get(index).map(|field| field.trim_ascii());
+    (1..rows.len()).any(|line| rows[line].at == rows[line - 1].at && text(line) != text(line - 1))
 }
 
 fn comment(line: &[u8], stamps: &mut Stamps, roles: &mut Option<Vec<(Role, Option<TimeUnit>)>>, stated: &mut Option<TimeUnit>) {

@@ -51,6 +51,8 @@ pub struct ValuesSurvey {
     pub read: Vec<usize>,
     /// Why some could not be.
     pub unreadable: Vec<String>,
+    /// Which these are.
+    pub unreadable_frames: Vec<usize>,
     /// Values that were read.
     pub values: u64,
     /// Not a number.
@@ -246,7 +248,8 @@ impl Values {
     }
 
     /// A frame that could not be read.
-    pub fn unreadable(&mut self, error: &FormatError) {
+    pub fn unreadable(&mut self, frame: usize, error: &FormatError) {
+        self.found.unreadable_frames.push(frame);
         if self.found.unreadable.len() < MOST_LISTED {
             self.found.unreadable.push(error.to_string().replace("\n  hint: ", "; "));
         }
@@ -276,7 +279,7 @@ pub(super) fn read(pictures: &dyn Pictures, frames: &[usize], mut each: impl FnM
                 values.add(frame, &buffer);
                 each(frame, &buffer);
             }
-            Err(error) => values.unreadable(&error),
+            Err(error) => values.unreadable(frame, &error),
         }
     }
     values.survey()

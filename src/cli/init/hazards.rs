@@ -1,0 +1,151 @@
+//! What `inspect` finds, `init` acts on: each finding of the part that is read has the consequence that [`photocurrent_formats::hazard::consequence`] lists.
+
+use super::facts::Fill;
+use super::usage;
+use crate::common::Failure;
+use photocurrent_formats::hazard::{self, Consequence, Finding, Limits};
+use photocurrent_formats::survey::Survey;
+use photocurrent_formats::{Format, Mirror, Pictures, Shift};
+use photocurrent_nodes::read::foreign::{All, Size, takes};
+
+/// What was done about the findings.
+#[derive(Default)]
+pub struct Acts {
+    /// Parameters of the reader that were set: corrections, and proposals that are marked.
+    pub parameters: Vec<Fill>,
+    /// Findings that no parameter holds, a line each.
+    pub marks: Vec<String>,
+}
+
+/// Acts on findings; those in `accepted` are not refused. `frames`: those that were surveyed, and their numbers in the file.
+///
+/// # Errors
+/// When one is refused: with what was found, the evidence, and the option that states what is true.
+pub fn act(
+    survey: &Survey,
+    findings: &[Finding],
+    format: &Format,
+    frames: Option<(&dyn Pictures, &[usize])>,
+    accepted: &[String],
+    all: &mut All,
+) -> Result<Acts, Failure> {
+    let mut acts = Acts::default();
+    for finding in findings {
+        let mark = || format!("{}: {}; {}. To do: {}", finding.id, finding.message, finding.evidence, finding.what_to_do);
+        match hazard::consequence(finding.id) {
+            Some(Consequence::Corrects(parameters)) => {
+                let parameter = parameters.first().copied().unwrap_or_default();
+                // A window is cut before; what the format does not take stays marked.
+                match correction(parameter, finding, survey, frames, all).filter(|_| takes(format.id, parameter)) {
+                    Some(fill) => {
+                        if !acts.parameters.iter().any(|known| known.name == fill.name) {
+                            acts.parameters.push(fill);
+                        }
+                    }
+                    None if parameter == "start" && all.start.is_some() => {}
+                    None => acts.marks.push(mark()),
+                }
+            }
+            Some(Consequence::Proposes(parameter)) => match proposal(parameter, finding, survey, all) {
+                Some(fill) if takes(format.id, parameter) => acts.parameters.push(fill),
+                // It was proposed, or is stated, before.
+                None if ["exposure", "stamp", "row_time", "transfer", "extent", "clock_offset"].contains(&parameter) => {}
+                _ => acts.marks.push(mark()),
+            },
+            Some(Consequence::Marks) => acts.marks.push(mark()),
+            Some(Consequence::Refuses(_)) if accepted.iter().any(|id| id == finding.id) => acts.marks.push(mark()),
+            Some(Consequence::Refuses(option)) => {
+                let id = finding.id;
+                let state = if option == "--accept" { String::new() } else { format!("state what is true: {option}; or ") };
+                return Err(usage(format!(
+                    "{}: {id}: {}\n  {}\n  hint: {}\n  {state}go on all the same: --accept {id}",
+                    survey.format, finding.message, finding.evidence, finding.what_to_do
+                )));
+            }
+            Some(Consequence::None) | None => {}
+        }
+    }
+    apply(&acts.parameters, all);
+    Ok(acts)
+}
+
+/// A parameter that puts a fault right.
+fn correction(parameter: &str, finding: &Finding, survey: &Survey, of_file: Option<(&dyn Pictures, &[usize])>, all: &All) -> Option<Fill> {
+    match parameter {
+        "drop_duplicates" if all.drop_duplicates.is_none() => {
+            Some(Fill::settled("drop_duplicates", "true".into(), format!("{}: {}", finding.message, finding.evidence)))
+        }
+        "skip_frames" if all.skip_frames.is_none() => {
+            let values = &survey.frames.as_ref()?.values;
+            let mut frames: Vec<usize> = values.unreadable_frames.clone();
+            // An even picture everywhere is refused; some of them show nothing.
+            if values.constant.len() < values.read.len() {
+                frames.extend(&values.constant);
+            }
+            frames.extend(&values.repeated);
+            let (pictures, numbers) = of_file?;
+            let stamps = &pictures.about().stamps;
+            let begin = |frame: usize| stamps[frame].exposure.map_or(stamps[frame].at, |exposure| exposure.0);
+            frames.extend((1..stamps.len()).filter(|frame| begin(*frame) == begin(*frame - 1)));
+            frames.sort_unstable();
+            frames.dedup();
+            // Film of which most would go is another fault.
+            if frames.is_empty() || 2 * frames.len() > stamps.len() {
+                return None;
+            }
+            let list = frames.iter().filter_map(|frame| numbers.get(*frame)).map(usize::to_string).collect::<Vec<_>>().join(", ");
+            let why =
+                format!("{}: {}; left out are frames that cannot be read, are even or the one before, or have its stamp", finding.message, finding.evidence);
+            Some(Fill::settled("skip_frames", format!("[{list}]"), why))
+        }
+        _ => None,
+    }
+}
+
+/// A parameter that the files leave open, or that the streams contradict.
+fn proposal(parameter: &str, finding: &Finding, survey: &Survey, all: &All) -> Option<Fill> {
+    let limits = Limits::default();
+    let why = format!("{}: {}", finding.message, finding.evidence);
+    match parameter {
+        "mirror" if all.mirror.is_none() => {
+            let (way, _) = hazard::mirror_of(survey.lag.as_ref()?, &limits)?;
+            let word = match way {
+                Mirror::LeftRight => "left_right",
+                Mirror::TopBottom => "top_bottom",
+                Mirror::Both => "both",
+            };
+            Some(Fill::open("mirror", format!("\"{word}\""), why))
+        }
+        "shift" if all.shift.is_none() => {
+            let Shift { right, down } = hazard::shift_of(survey.lag.as_ref()?.grid.as_ref()?, &limits)?;
+            Some(Fill::open("shift", format!("{{ right = {right}, down = {down} }}"), why))
+        }
+        "extent" if all.extent.is_none() => {
+            let (x, y) = survey.events.as_ref()?.places.largest;
+            let why = format!("{why}; a larger array has more rows or columns than those that fired");
+            Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", x + 1, y + 1), why))
+        }
+        "coordinate_scale" if all.coordinate_scale.is_none() => {
+            let scale: u32 = finding.what_to_do.split_once("coordinate_scale = ").and_then(|(_, rest)| rest.trim_end_matches('`').parse().ok())?;
+            Some(Fill::open("coordinate_scale", scale.to_string(), why))
+        }
+        _ => None,
+    }
+}
+
+/// Sets the parameters.
+fn apply(parameters: &[Fill], all: &mut All) {
+    for fill in parameters {
+        let text = format!("value = {}", fill.value);
+        let Some(value) = text.parse::<toml::Table>().ok().and_then(|mut table| table.remove("value")) else { continue };
+        match fill.name {
+            "drop_duplicates" => all.drop_duplicates = value.try_into().ok(),
+            "skip_frames" => all.skip_frames = value.try_into().ok(),
+            "mirror" => all.mirror = value.try_into().ok(),
+            "shift" => all.shift = value.try_into().ok(),
+            "coordinate_scale" => all.coordinate_scale = value.try_into().ok(),
+            "extent" => all.extent = value.try_into::<Size>().ok(),
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! A small recording with known light: a bright disc crosses a striped ramp, 96 x 72 pixels, 0.3 s; and writers of the files that people have.
+//!
+//! Events have a threshold of 0.25 in log(1 + light) and exact times; frames of 10 ms begin every 20 ms, from 2 ms on, in 8 bits. No event lies below row 63 or above row 22: the disc does not
+//! reach them. [`score`] compares rendered frames with the light, in rows 20 to 65; frames are read as sRGB there, as `init` proposes for 8 bits.
+
+#![allow(clippy::unwrap_used)]
+
+use crate::support::Bench;
+use std::fs;
+use std::io::BufReader;
+use std::path::Path;
+use std::sync::OnceLock;
+
+pub const WIDTH: usize = 96;
+pub const HEIGHT: usize = 72;
+/// From the first to the last instant, us.
+const LENGTH_US: i64 = 300_000;
+const PERIOD_US: i64 = 20_000;
+pub const EXPOSURE_US: i64 = 10_000;
+const OPEN_US: i64 = 2_000;
+const THRESHOLD: f64 = 0.25;
+/// Steps in which light is followed, us.
+const STEP_US: i64 = 500;
+
+/// An event.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Event {
+    pub t_us: i64,
+    pub x: u16,
+    pub y: u16,
+    pub is_on: bool,
+}
+
+/// Frames: start of each exposure, 8-bit values row by row.
+#[derive(Clone)]
+pub struct Frames {
+    pub starts_us: Vec<i64>,
+    pub pictures: Vec<Vec<u8>>,
+}
+
+/// The recording.
+pub struct Disc {
+    /// In order of time.
+    pub events: Vec<Event>,
+    pub frames: Frames,
+}
+
+/// Light of every pixel at an instant, 8-bit values as an sRGB picture has them.
+pub fn light(t_s: f64) -> Vec<f64> {
+    let (width, height) = (WIDTH as f64, HEIGHT as f64);
+    let centre = ((0.15 * width + 400.0 * t_s).rem_euclid(1.2 * width) - 0.1 * width, 0.5 * height + 0.2 * height * libm::sin(6.0 * t_s));
+    let at = |i: usize| {
+        let (x, y) = ((i % WIDTH) as f64, (i / WIDTH) as f64);
+        let ground = 40.0 + 60.0 * (x / width) + 30.0 * libm::sin(y / 5.0);
+        let inside = 1.0 / (1.0 + libm::exp((libm::hypot(x - centre.0, y - centre.1) - 0.16 * height) / 0.8));
+        ground * (1.0 - inside) + 200.0 * inside
+    };
+    (0..WIDTH * HEIGHT).map(at).collect()
+}
+
+impl Disc {
+    /// The recording, made once.
+    pub fn get() -> &'static Disc {
+        static DISC: OnceLock<Disc> = OnceLock::new();
+        DISC.get_or_init(|| Disc { events: events(), frames: frames() })
+    }
+
+    /// Scene time of the first event, s: the zero of a run.
+    pub fn zero_s(&self) -> f64 {
+        self.events[0].t_us as f64 * 1e-6
+    }
+}
+
+fn events() -> Vec<Event> {
+    let log = |t_us: i64| light(t_us as f64 * 1e-6).into_iter().map(|light| libm::log1p(light)).collect::<Vec<f64>>();
+    let mut reference = log(0);
+    let mut before = reference.clone();
+    let mut all: Vec<(f64, usize, bool)> = Vec::new();
+    for step in 1..=LENGTH_US / STEP_US {
+        let now = log(step * STEP_US);
+        for pixel in 0..now.len() {
+            while (now[pixel] - reference[pixel]).abs() >= THRESHOLD {
+                let is_on = now[pixel] > reference[pixel];
+                let level = reference[pixel] + if is_on { THRESHOLD } else { -THRESHOLD };
+                let part = ((level - before[pixel]) / (now[pixel] - before[pixel] + 1e-12)).clamp(0.0, 1.0);
+                all.push((((step - 1) as f64 + part) * STEP_US as f64, pixel, is_on));
+                reference[pixel] = level;
+            }
+        }
+        before = now;
+    }
+    all.sort_by(|a, b| a.0.total_cmp(&b.0));
+    all.into_iter().map(|(t, pixel, is_on)| Event { t_us: t.round() as i64, x: (pixel % WIDTH) as u16, y: (pixel / WIDTH) as u16, is_on }).collect()
+}
+
+fn frames() -> Frames {
+    let starts_us: Vec<i64> = (0..).map(|l| OPEN_US + l * PERIOD_US).take_while(|start| *start < LENGTH_US - EXPOSURE_US).collect();
+    let mean = |start: &i64| {
+        const PARTS: usize = 20;
+        let mut sum = vec![0.0; WIDTH * HEIGHT];
+        for part in 0..PARTS {
+            let t = (*start as f64 + EXPOSURE_US as f64 * (part as f64 + 0.5) / PARTS as f64) * 1e-6;
+            sum.iter_mut().zip(light(t)).for_each(|(sum, light)| *sum += light / PARTS as f64);
+        }
+        sum.into_iter().map(|mean| mean.round().clamp(0.0, 255.0) as u8).collect()
+    };
+    let pictures = starts_us.iter().map(mean).collect();
+    Frames { starts_us, pictures }
+}
+
+/// An npy array of whole numbers.
+fn npy<T: Copy>(kind: &str, values: &[T], bytes: impl Fn(T) -> Vec<u8>) -> Vec<u8> {
+    let head = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': ({},), }}", values.len());
+    let padded = format!("{head:<117}\n");
+    b"\x93NUMPY\x01\x00\x76\x00".iter().copied().chain(padded.bytes()).chain(values.iter().flat_map(|value| bytes(*value))).collect()
+}
+
+/// A zip archive of members that are stored as they are.
+pub fn zip(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    let (mut out, mut directory) = (Vec::new(), Vec::new());
+    for (name, bytes) in members {
+        let mut crc = flate2::Crc::new();
+        crc.update(bytes);
+        let size = (bytes.len() as u32).to_le_bytes();
+        let common = [&[20, 0, 0, 0, 0, 0, 0, 0, 0, 0][..], &crc.sum().to_le_bytes(), &size, &size, &(name.len() as u16).to_le_bytes(), &[0, 0]].concat();
+        let at = (out.len() as u32).to_le_bytes();
+        directory.extend([&b"PK\x01\x02\x14\x00"[..], &common, &[0; 10], &at, name.as_bytes()].concat());
+        out.extend([&b"PK\x03\x04"[..], &common, name.as_bytes(), bytes].concat());
+    }
+    let (count, start) = ((members.len() as u16).to_le_bytes(), (out.len() as u32).to_le_bytes());
+    let size = (directory.len() as u32).to_le_bytes();
+    out.extend(directory);
+    out.extend([&b"PK\x05\x06\0\0\0\0"[..], &count, &count, &size, &start, &[0, 0]].concat());
+    out
+}
+
+/// Events as an npz archive of t, x, y, p; the unit of t is in nobody's file.
+pub fn npz(path: &Path, events: &[Event]) {
+    let polarity: Vec<u8> = events.iter().map(|event| u8::from(event.is_on)).collect();
+    npz_with(path, events, &polarity);
+}
+
+/// The same with a column of polarity of its own.
+pub fn npz_with(path: &Path, events: &[Event], polarity: &[u8]) {
+    let wide = |of: fn(&Event) -> i64| npy("<i8", &events.iter().map(of).collect::<Vec<_>>(), |value: i64| value.to_le_bytes().to_vec());
+    let short = |of: fn(&Event) -> u16| npy("<u2", &events.iter().map(of).collect::<Vec<_>>(), |value: u16| value.to_le_bytes().to_vec());
+    let members = [
+        ("t.npy", wide(|event| event.t_us)),
+        ("x.npy", short(|event| event.x)),
+        ("y.npy", short(|event| event.y)),
+        ("p.npy", npy("|u1", polarity, |value: u8| vec![value])),
+    ];
+    fs::write(path, zip(&members)).unwrap();
+}
+
+/// Pictures as 000000.png and so on, in place of those that are there.
+pub fn write_pictures(folder: &Path, pictures: &[Vec<u8>]) {
+    fs::create_dir_all(folder).unwrap();
+    for (l, values) in pictures.iter().enumerate() {
+        let file = fs::File::create(folder.join(format!("{l:06}.png"))).unwrap();
+        let mut encoder = png::Encoder::new(file, WIDTH as u32, HEIGHT as u32);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.write_header().unwrap().write_image_data(values).unwrap();
+    }
+}
+
+/// A line each.
+pub fn write_stamps(path: &Path, lines: impl Iterator<Item = String>) {
+    fs::write(path, lines.map(|line| line + "\n").collect::<String>()).unwrap();
+}
+
+/// The linear value of an sRGB one, both of 0 to 1 (IEC 61966-2-1).
+fn linear(value: f64) -> f64 {
+    if value <= 0.04045 { value / 12.92 } else { libm::pow((value + 0.055) / 1.055, 2.4) }
+}
+
+/// PSNR of every fifth rendered frame against the light, dB, with a peak of 255; rows 20 to 65. `zero_s` is the scene's time at the run's zero.
+pub fn score(folder: &Path, zero_s: f64) -> f64 {
+    let table = fs::read_to_string(folder.join("frames.csv")).unwrap();
+    let lines: Vec<&str> = table.lines().filter(|line| !line.starts_with('#')).collect();
+    let names: Vec<&str> = lines[0].split(',').collect();
+    let comment = table.lines().next().unwrap();
+    let number = |key: &str| comment.split(key).nth(1).and_then(|rest| rest.split(';').next()).and_then(|text| text.trim().parse::<f64>().ok());
+    let column = |name: &str| names.iter().position(|known| *known == name);
+    let (mut square, mut count) = (0.0, 0.0);
+    for line in lines[1..].iter().step_by(5) {
+        let cells: Vec<&str> = line.split(',').collect();
+        let cell = |name: &str| column(name).map(|at| cells[at]);
+        let value = |name: &str, key: &str| cell(name).map_or_else(|| number(key).unwrap_or(0.0), |text| text.parse().unwrap());
+        let (scale, offset) = (value("scale_dn", "scale="), value("offset_dn", "offset="));
+        let t_s = cell("t_mid_ns").unwrap().parse::<i64>().unwrap() as f64 * 1e-9 + zero_s;
+        let truth = light(t_s);
+        let mut reader = png::Decoder::new(BufReader::new(fs::File::open(folder.join(cell("file").unwrap())).unwrap())).read_info().unwrap();
+        let mut bytes = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut bytes).unwrap();
+        let channels = info.color_type.samples();
+        let stored: Vec<f64> = bytes.chunks_exact(2).map(|pair| f64::from(u16::from_be_bytes([pair[0], pair[1]]))).collect();
+        let grey = |pixel: usize| stored[pixel * channels..][..channels].iter().sum::<f64>() / channels as f64;
+        for pixel in 20 * WIDTH..66 * WIDTH {
+            let error = grey(pixel) * scale + offset - 255.0 * linear(truth[pixel] / 255.0);
+            square += error * error;
+            count += 1.0;
+        }
+    }
+    10.0 * libm::log10(255.0 * 255.0 * count / square)
+}
+
+/// The score of the recording with nothing wrong.
+pub fn control_db() -> f64 {
+    static CONTROL: OnceLock<f64> = OnceLock::new();
+    *CONTROL.get_or_init(|| {
+        let (bench, disc) = (Bench::new(), Disc::get());
+        npz(&bench.path("events.npz"), &disc.events);
+        write_pictures(&bench.path("frames"), &disc.frames.pictures);
+        write_stamps(&bench.path("frames/timestamps.txt"), disc.frames.starts_us.iter().map(|start| format!("{start} {}", start + EXPOSURE_US)));
+        let done = bench.run(&["init", "events.npz", "frames", "-o", "my.toml", "--extent", "96x72", "--time-unit", "us"]);
+        assert_eq!(done.code, 0, "{}", done.stderr);
+        let done = bench.run(&["run", "my.toml", "--to", "frames", "--quiet"]);
+        assert_eq!(done.code, 0, "{}", done.stderr);
+        let found = score(&bench.path("out/my/frames"), disc.zero_s());
+        assert!(found > 39.0, "{found:.2} dB");
+        found
+    })
+}

@@ -1,0 +1,247 @@
+//! Situations of real users, from public reports: files whose stamps, sizes or streams do not fit each other, made small and held to what is right.
+//!
+//! One recording serves all: a bright disc crosses a striped ramp, 96 x 72 pixels, 0.3 s, 15 frames of 10 ms, events of a threshold of 0.25. Its light is known, and what `init` and
+//! `run` give is scored against it. [`disc`] makes it; each test makes of it what a user had.
+
+#![allow(clippy::unwrap_used)]
+
+use crate::disc::{self, Disc, Frames, HEIGHT, WIDTH, npz, write_pictures, write_stamps};
+use crate::support::{Bench, Done};
+use std::fs;
+
+/// What is lost against the recording as it should be, dB, at most.
+const LOSS_DB: f64 = 0.5;
+
+/// `init` with these arguments; the manifest is `my.toml`.
+fn init(bench: &Bench, arguments: &[&str]) -> Done {
+    let mut all = vec!["init", "-o", "my.toml"];
+    all.extend(arguments);
+    bench.run(&all)
+}
+
+/// The manifest and the description that `init` wrote.
+fn written(bench: &Bench) -> (String, String) {
+    (fs::read_to_string(bench.path("my.toml")).unwrap(), fs::read_to_string(bench.path("my.sensor.toml")).unwrap())
+}
+
+/// The line of a parameter.
+fn line<'a>(manifest: &'a str, name: &str) -> &'a str {
+    manifest.lines().find(|line| line.starts_with(&format!("{name} ="))).unwrap_or_else(|| panic!("{name} stands in\n{manifest}"))
+}
+
+/// Runs the manifest and scores it; `zero_s`: the scene's time at the run's zero.
+fn scored(bench: &Bench, zero_s: f64) -> f64 {
+    let done = bench.run(&["run", "my.toml", "--to", "frames", "--quiet"]);
+    assert_eq!(done.code, 0, "{}\n{}", done.stderr, written(bench).0);
+    disc::score(&bench.path("out/my/frames"), zero_s)
+}
+
+/// As good as the recording that has nothing wrong, within [`LOSS_DB`].
+fn is_right(bench: &Bench) {
+    let (found, sound) = (scored(bench, Disc::get().zero_s()), disc::control_db());
+    assert!(found > sound - LOSS_DB, "{found:.2} dB, {sound:.2} dB with nothing wrong\n{}", written(bench).0);
+}
+
+/// The usual files: npz of events, and a folder of pictures with start and end of every exposure in microseconds.
+fn usual_files(bench: &Bench) {
+    let disc = Disc::get();
+    npz(&bench.path("events.npz"), &disc.events);
+    write_pictures(&bench.path("frames"), &disc.frames.pictures);
+    write_stamps(&bench.path("frames/timestamps.txt"), disc.frames.starts_us.iter().map(|start| format!("{start} {}", start + disc::EXPOSURE_US)));
+}
+
+const EXTENT: [&str; 2] = ["--extent", "96x72"];
+
+/// Simulators and text exports state no size of the array, and a dark border fires no event: uzh-rpg/rpg_vid2e, uzh-rpg/DSEC.
+#[test]
+fn events_that_do_not_reach_the_last_rows_take_the_size_of_the_frames() {
+    let bench = Bench::new();
+    usual_files(&bench);
+    let done = init(&bench, &["events.npz", "frames"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let (manifest, _) = written(&bench);
+    let extent = line(&manifest, "extent");
+    assert!(extent.starts_with("extent = { width = 96, height = 72 } # FILL: ") && extent.contains("column 95 and row 63"), "{extent}");
+    is_right(&bench);
+    // Without `init` the size is not guessed either.
+    let bare = manifest.lines().filter(|line| !line.starts_with("extent =")).collect::<Vec<_>>().join("\n");
+    bench.write("bare.toml", &bare);
+    let done = bench.run(&["run", "bare.toml"]);
+    assert!(done.code == 2 && done.stderr.contains("extent = { width = 96, height = 72 }"), "{}", done.stderr);
+}
+
+/// The same in text, where the largest coordinates by chance divide the frames' size: a quarter of the array fires.
+#[test]
+fn a_size_that_fits_by_chance_is_marked() {
+    let bench = Bench::new();
+    let disc = Disc::get();
+    let quarter: Vec<_> = disc.events.iter().filter(|event| event.x < 48 && event.y < 36).copied().collect();
+    npz(&bench.path("events.npz"), &quarter);
+    write_pictures(&bench.path("frames"), &disc.frames.pictures);
+    write_stamps(&bench.path("frames/timestamps.txt"), disc.frames.starts_us.iter().map(|start| format!("{start} {}", start + disc::EXPOSURE_US)));
+    let done = init(&bench, &["events.npz", "frames", "--time-unit", "us"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    assert!(line(&written(&bench).0, "extent").contains("# FILL: "), "{}", written(&bench).0);
+}
+
+/// A camera that was paused for an hour between two frames; decades between a clock that was set: work grows with events and frames, not with the span.
+#[test]
+fn a_pause_of_an_hour_costs_no_memory_and_one_part_is_rendered() {
+    let disc = Disc::get();
+    let bench = Bench::new();
+    let pause_us = 3_600_000_000;
+    let later = |t: i64| if t >= 150_000 { t + pause_us } else { t };
+    let mut events = disc.events.clone();
+    events.iter_mut().for_each(|event| event.t_us = later(event.t_us));
+    npz(&bench.path("events.npz"), &events);
+    write_pictures(&bench.path("frames"), &disc.frames.pictures);
+    write_stamps(
+        &bench.path("frames/timestamps.txt"),
+        disc.frames.starts_us.iter().map(|start| format!("{} {}", later(*start), later(*start) + disc::EXPOSURE_US)),
+    );
+    let done = bench.run_within(1 << 30, &["init", "-o", "my.toml", "events.npz", "frames", EXTENT[0], EXTENT[1], "--time-unit", "us"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let (manifest, _) = written(&bench);
+    assert!(line(&manifest, "start").contains("frames pause for up to 3600"), "{manifest}");
+    let done = bench.run_within(2 << 30, &["run", "my.toml", "--to", "frames", "--quiet"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let found = disc::score(&bench.path("out/my/frames"), disc.zero_s());
+    assert!(found > disc::control_db() - 1.0, "{found:.2} dB");
+    // Without the window the plan refuses, and names it.
+    let whole = manifest.lines().filter(|line| !line.starts_with("start =") && !line.starts_with("end =")).collect::<Vec<_>>().join("\n");
+    bench.write("whole.toml", &whole);
+    let done = bench.run_within(1 << 30, &["plan", "whole.toml"]);
+    assert!(done.code == 2 && done.stderr.contains("has frames near") && done.stderr.contains("start = \"0 s\", end = "), "{} {}", done.code, done.stderr);
+}
+
+/// The events of rpg_vid2e are in nanoseconds, its stamps of frames in seconds: uzh-rpg/rpg_vid2e, uzh-rpg/rpg_esim#70.
+#[test]
+fn events_in_nanoseconds_and_stamps_in_seconds_are_told_apart() {
+    let disc = Disc::get();
+    let bench = Bench::new();
+    let mut events = disc.events.clone();
+    events.iter_mut().for_each(|event| event.t_us *= 1000);
+    npz(&bench.path("events.npz"), &events);
+    write_pictures(&bench.path("frames"), &disc.frames.pictures);
+    write_stamps(&bench.path("frames/timestamps.txt"), disc.frames.starts_us.iter().map(|start| format!("{:.6}", *start as f64 * 1e-6)));
+    let known = ["--exposure", "10 ms", "--stamp", "start"];
+    let done = init(&bench, &[&["events.npz", "frames", EXTENT[0], EXTENT[1]][..], &known].concat());
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let (manifest, _) = written(&bench);
+    assert!(line(&manifest, "time_unit").starts_with("time_unit = \"ns\" # FILL: "), "{manifest}");
+    assert!(line(&manifest, "stamps_unit").starts_with("stamps_unit = \"s\" # FILL: "), "{manifest}");
+    is_right(&bench);
+    // One unit for both would make one stamp of all: refused with the parameter that is missing.
+    bench.write("one.toml", &manifest.lines().filter(|line| !line.starts_with("stamps_unit =")).collect::<Vec<_>>().join("\n"));
+    let done = bench.run(&["run", "one.toml"]);
+    assert!(done.code == 2 && done.stderr.contains("stamps_unit = \"s\""), "{}", done.stderr);
+    // With a stated unit of the events the other is proposed.
+    let done = bench.run(&[&["init", "-o", "stated.toml", "events.npz", "frames", EXTENT[0], EXTENT[1], "--time-unit", "ns"][..], &known].concat());
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    assert!(line(&fs::read_to_string(bench.path("stated.toml")).unwrap(), "stamps_unit").starts_with("stamps_unit = \"s\""));
+}
+
+/// Events left over from the recording before: neuromorphic-paris/event_stream, prophesee-ai/openeb.
+#[test]
+fn leftover_events_decide_no_unit_and_are_left_out() {
+    let disc = Disc::get();
+    let bench = Bench::new();
+    usual_files(&bench);
+    let mut events = disc.events.clone();
+    events[..150].iter_mut().for_each(|event| event.t_us += 1_702_309_120);
+    npz(&bench.path("events.npz"), &events);
+    let done = init(&bench, &["events.npz", "frames", EXTENT[0], EXTENT[1]]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let (manifest, _) = written(&bench);
+    assert!(line(&manifest, "time_unit").starts_with("time_unit = \"us\" # FILL: "), "{manifest}");
+    assert!(line(&manifest, "end").len() > 4 && line(&manifest, "start").contains("150 of 18436 events lie far from these frames"), "{manifest}");
+    // The first exposure begins before the first event that is left.
+    let found = scored(&bench, disc.frames.starts_us[0] as f64 * 1e-6);
+    assert!(found > disc::control_db() - LOSS_DB, "{found:.2} dB");
+}
+
+/// Pictures of a camera that is mounted upside down, or saved by a program that flips: uzh-rpg/DSEC#25, tulyakov's rpg_timelens#28.
+#[test]
+fn a_mirrored_picture_is_a_question_with_its_parameter() {
+    let disc = Disc::get();
+    let bench = Bench::new();
+    usual_files(&bench);
+    let mut events = disc.events.clone();
+    events.iter_mut().for_each(|event| event.x = WIDTH as u16 - 1 - event.x);
+    npz(&bench.path("events.npz"), &events);
+    let done = init(&bench, &["events.npz", "frames", EXTENT[0], EXTENT[1]]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let (manifest, _) = written(&bench);
+    assert!(line(&manifest, "mirror").starts_with("mirror = \"left_right\" # FILL: "), "{manifest}");
+    is_right(&bench);
+}
+
+/// Events of a part of the array that were cropped elsewhere than the frames: uzh-rpg/rpg_timelens#28, Simon-Z-YU/ess#10.
+#[test]
+fn a_shift_by_whole_pixels_is_a_question_with_its_parameter_and_no_clock_offset() {
+    let disc = Disc::get();
+    let bench = Bench::new();
+    usual_files(&bench);
+    let moved: Vec<_> = disc
+        .events
+        .iter()
+        .filter(|event| event.x >= 3 && event.y + 2 < HEIGHT as u16)
+        .map(|event| disc::Event { x: event.x - 3, y: event.y + 2, ..*event })
+        .collect();
+    npz(&bench.path("events.npz"), &moved);
+    let done = init(&bench, &["events.npz", "frames", EXTENT[0], EXTENT[1]]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let (manifest, sensor) = written(&bench);
+    assert!(line(&manifest, "shift").starts_with("shift = { right = -3, down = 2 } # FILL: "), "{manifest}");
+    assert!(!sensor.contains("clock_offset"), "{sensor}");
+    let found = scored(&bench, moved[0].t_us as f64 * 1e-6);
+    assert!(found > disc::control_db() - 1.5, "{found:.2} dB");
+}
+
+/// Parts of a recording that were joined and overlap: events twice make twice the contrast.
+#[test]
+fn events_that_are_there_twice_are_read_once() {
+    let disc = Disc::get();
+    let bench = Bench::new();
+    usual_files(&bench);
+    let mut events: Vec<_> = disc.events.iter().flat_map(|event| [*event, *event]).collect();
+    events.sort_by_key(|event| event.t_us);
+    npz(&bench.path("events.npz"), &events);
+    let done = init(&bench, &["events.npz", "frames", EXTENT[0], EXTENT[1]]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    assert!(line(&written(&bench).0, "drop_duplicates").starts_with("drop_duplicates = true #"), "{}", written(&bench).0);
+    is_right(&bench);
+}
+
+/// Frames that a recorder wrote twice under one stamp, or repeated to keep a rate: SensorsINI/v2e#60.
+#[test]
+fn repeated_frames_are_left_out() {
+    let disc = Disc::get();
+    let bench = Bench::new();
+    usual_files(&bench);
+    let mut frames = Frames { starts_us: disc.frames.starts_us.clone(), pictures: disc.frames.pictures.clone() };
+    // The sixth picture was not new, and was stamped all the same.
+    frames.pictures[6] = frames.pictures[5].clone();
+    write_pictures(&bench.path("frames"), &frames.pictures);
+    let done = init(&bench, &["events.npz", "frames", EXTENT[0], EXTENT[1]]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    assert!(line(&written(&bench).0, "skip_frames").starts_with("skip_frames = [6] #"), "{}", written(&bench).0);
+    let found = scored(&bench, disc.zero_s());
+    assert!(found > disc::control_db() - 1.5, "{found:.2} dB");
+}
+
+/// Only ON events were recorded, or the column of polarity is constant: prophesee-ai/openeb biases, event-aurora.
+#[test]
+fn one_polarity_is_refused_unless_it_is_accepted() {
+    let disc = Disc::get();
+    let bench = Bench::new();
+    usual_files(&bench);
+    let mut events = disc.events.clone();
+    events.iter_mut().for_each(|event| event.is_on = true);
+    npz(&bench.path("events.npz"), &events);
+    let done = init(&bench, &["events.npz", "frames", EXTENT[0], EXTENT[1]]);
+    assert!(done.code == 2 && done.stderr.contains("one_polarity") && done.stderr.contains("--accept one_polarity"), "{}", done.stderr);
+    let done = init(&bench, &["events.npz", "frames", EXTENT[0], EXTENT[1], "--accept", "one_polarity"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    assert!(written(&bench).0.lines().any(|line| line.starts_with("# FILL: one_polarity: ")), "{}", written(&bench).0);
+}
