@@ -10,10 +10,12 @@
 //! - [`pictures`]: frames, their times and values.
 //! - [`lines`]: trigger edges.
 //! - [`grid`]: whether events and frames lie on one pixel grid.
+//! - [`alternatives`]: units, offsets, mirrored pictures and pairings held against each other.
 //! - [`lag`]: what frames and events say of the same change: how late events are, and whether their clocks drift apart.
 //!
 //! Limits: values of up to 64 frames are looked at ([`Most`]), spread over the recording; counters of single pixels up to sixteen million of them.
 
+pub mod alternatives;
 pub mod grid;
 pub mod lag;
 pub mod lines;

@@ -8,12 +8,14 @@
 //! These are proposals for a description that lacks a value, within the size of the interval in scenes that move, none where nothing does.
 //!
 //! - [`displacement()`]: the shift in whole pixels at which the two agree, over patches ([`Patch`]) of the array's own pixels.
+//! - [`agreements()`]: which of several readings of the events explains most of the frames' change.
 //! - [`Panel`]: events and frames of some places, side by side; [`Centring`]: when light changed, from when events came.
 //!
 //! Source: the residual of Eq. (13) without its front end; the double integral of Pan et al., CVPR 2019, for the blur.
 //! Limits: the latency of the front end and the readout is part of the offset, and differs with light; frames with a curve that is not linear give
 //! thresholds of that curve. Light that changes between two places of a panel as a whole (an exposure that adapts) is taken out.
 
+mod agree;
 mod blur;
 mod draw;
 mod panel;
@@ -21,6 +23,7 @@ mod place;
 mod shift;
 mod step;
 
+pub use agree::{Agreement, Changes, STEPS, TILE, Trial, Waits, agreements};
 pub use blur::{Unclear, exposure};
 pub use panel::{Centring, NOWHERE, Panel, Stretch};
 pub use place::{Displacement, FRAME_SIDE, Patch, REACH, SIDE, displacement};

@@ -36,6 +36,13 @@ impl Centring {
         self.centred(before, waiting, t_ns).map(|t| (t, was_on))
     }
 
+    /// The stamp of the event of a pixel that waits; none before its first.
+    #[inline]
+    pub(super) fn waits(&self, pixel: usize) -> Option<i64> {
+        let waiting = self.waiting[pixel].1;
+        (waiting != NEVER).then_some(waiting)
+    }
+
     /// Every pixel whose last event still waits, with that event.
     pub fn rest(&self) -> impl Iterator<Item = (usize, i64, bool)> + '_ {
         let last = |(pixel, (before, waiting, was_on)): (usize, &(i64, i64, bool))| self.centred(*before, *waiting, NEVER).map(|t| (pixel, t, *was_on));
@@ -47,7 +54,7 @@ impl Centring {
             return None;
         }
         let gap = |from: i64, to: i64| if from == NEVER || to == NEVER { i64::MAX } else { to.saturating_sub(from).max(0) };
-        Some(t - (gap(before, t).min(gap(t, next)) / 2).min(self.most_ns))
+        Some(t.saturating_sub((gap(before, t).min(gap(t, next)) / 2).min(self.most_ns)))
     }
 }
 
