@@ -2,7 +2,7 @@
 
 use super::units::DENSE;
 use super::window::Window;
-use super::{hazards, units, usage, window};
+use super::{hazards, readings, units, usage, window};
 use crate::common::Failure;
 use crate::declared::DeclaredOptions;
 use crate::parts::Parts;
@@ -133,7 +133,8 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
         numbers.sort_unstable();
         let pictures = part.pictures();
         let surveyed = pictures.as_deref().map(|pictures| (pictures, numbers.as_slice()));
-        hazards::act(&survey, &findings, parts.format, surveyed, accepted, &mut all)?
+        let reading = if (all.mirror, all.shift) == (None, None) { readings::best(&part, &survey, &findings).map_err(refused)? } else { None };
+        hazards::act(&survey, &findings, parts.format, surveyed, reading.as_ref(), accepted, &mut all)?
     };
     if !acts.parameters.is_empty() {
         reader.extend(acts.parameters);

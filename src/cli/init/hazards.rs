@@ -1,9 +1,10 @@
 //! What `inspect` finds, `init` acts on: each finding of the part that is read has the consequence that [`photocurrent_formats::hazard::consequence`] lists.
 
 use super::facts::Fill;
+use super::readings::Reading;
 use super::usage;
 use crate::common::Failure;
-use photocurrent_formats::hazard::{self, Consequence, Finding, Limits};
+use photocurrent_formats::hazard::{self, Consequence, Finding};
 use photocurrent_formats::survey::Survey;
 use photocurrent_formats::{Format, Mirror, Pictures, Shift};
 use photocurrent_nodes::read::foreign::{All, Size, takes};
@@ -17,7 +18,8 @@ pub struct Acts {
     pub marks: Vec<String>,
 }
 
-/// Acts on findings; those in `accepted` are not refused. `frames`: those that were surveyed, and their numbers in the file.
+/// Acts on findings; those in `accepted` are not refused. `frames`: those that were surveyed, and their numbers in the file; `reading`:
+/// how both streams agree best, where that was compared.
 ///
 /// # Errors
 /// When one is refused: with what was found, the evidence, and the option that states what is true.
@@ -26,6 +28,7 @@ pub fn act(
     findings: &[Finding],
     format: &Format,
     frames: Option<(&dyn Pictures, &[usize])>,
+    reading: Option<&Reading>,
     accepted: &[String],
     all: &mut All,
 ) -> Result<Acts, Failure> {
@@ -46,10 +49,22 @@ pub fn act(
                     None => acts.marks.push(mark()),
                 }
             }
-            Some(Consequence::Proposes(parameter)) => match proposal(parameter, finding, survey, all) {
-                Some(fill) if takes(format.id, parameter) => acts.parameters.push(fill),
+            // What looks late may be mirrored or moved.
+            Some(Consequence::Proposes("clock_offset")) => {
+                let found = ["mirror", "shift"].into_iter().filter_map(|parameter| proposal(parameter, finding, survey, reading, all));
+                let fresh: Vec<Fill> = found.filter(|fill| takes(format.id, fill.name) && !acts.parameters.iter().any(|known| known.name == fill.name)).collect();
+                acts.parameters.extend(fresh);
+            }
+            Some(Consequence::Proposes(parameter)) => match proposal(parameter, finding, survey, reading, all) {
+                Some(fill) if takes(format.id, parameter) => {
+                    if !acts.parameters.iter().any(|known| known.name == fill.name) {
+                        acts.parameters.push(fill);
+                    }
+                }
                 // It was proposed, or is stated, before.
                 None if ["exposure", "stamp", "row_time", "transfer", "extent", "clock_offset"].contains(&parameter) => {}
+                // Another reading explains it better.
+                None if reading.is_some() && ["mirror", "shift"].contains(&parameter) => {}
                 _ => acts.marks.push(mark()),
             },
             Some(Consequence::Marks) => acts.marks.push(mark()),
@@ -103,12 +118,13 @@ fn correction(parameter: &str, finding: &Finding, survey: &Survey, of_file: Opti
 }
 
 /// A parameter that the files leave open, or that the streams contradict.
-fn proposal(parameter: &str, finding: &Finding, survey: &Survey, all: &All) -> Option<Fill> {
-    let limits = Limits::default();
+fn proposal(parameter: &str, finding: &Finding, survey: &Survey, reading: Option<&Reading>, all: &All) -> Option<Fill> {
     let why = format!("{}: {}", finding.message, finding.evidence);
     match parameter {
         "mirror" if all.mirror.is_none() => {
-            let (way, _) = hazard::mirror_of(survey.lag.as_ref()?, &limits)?;
+            let reading = reading?;
+            let way = reading.mirror?;
+            let why = format!("{why}; {}", reading.why);
             let word = match way {
                 Mirror::LeftRight => "left_right",
                 Mirror::TopBottom => "top_bottom",
@@ -117,7 +133,9 @@ fn proposal(parameter: &str, finding: &Finding, survey: &Survey, all: &All) -> O
             Some(Fill::open("mirror", format!("\"{word}\""), why))
         }
         "shift" if all.shift.is_none() => {
-            let Shift { right, down } = hazard::shift_of(survey.lag.as_ref()?.grid.as_ref()?, &limits)?;
+            let reading = reading?;
+            let Shift { right, down } = reading.shift?;
+            let why = format!("{why}; {}", reading.why);
             Some(Fill::open("shift", format!("{{ right = {right}, down = {down} }}"), why))
         }
         "extent" if all.extent.is_none() => {

@@ -5,6 +5,7 @@
 
 mod facts;
 mod hazards;
+mod readings;
 mod text;
 mod units;
 mod window;

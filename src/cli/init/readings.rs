@@ -1,0 +1,102 @@
+//! Which reading of both streams agrees best: as they are, mirrored, moved by whole pixels, with an offset of the clocks.
+//!
+//! A shift in time explains much: a picture moved along its motion, a mirrored one, a strobe read upside down. So where `inspect` finds the two streams apart, the readings are
+//! held against each other on pairs of frames that nothing was fitted to ([`compare`]). A mirror or a shift is proposed where it explains clearly more than an offset does.
+//!
+//! Limits: shifts are searched for by steps of one pixel from none and from what patches suggest; of a scene that moves one way a shift along the motion and an offset explain
+//! the same, and the offset is taken.
+
+use photocurrent_formats::hazard::{self, Finding, Limits};
+use photocurrent_formats::survey::Survey;
+use photocurrent_formats::survey::alternatives::{Alternative, LEAST_AHEAD, LEAST_EXPLAINED, Much, Scored, compare};
+use photocurrent_formats::{FormatError, Mirror, Recording, Shift};
+use std::collections::BTreeMap;
+
+/// Events that are counted for a reading, at most: enough for every pair of frames that is compared.
+const EVENTS: u64 = 5_000_000;
+/// Steps of the search for a shift, at most.
+const STEPS: usize = 12;
+
+/// What agrees best.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reading {
+    /// How the frames are mirrored.
+    pub mirror: Option<Mirror>,
+    /// How far the events lie right of and below the frames' picture.
+    pub shift: Option<Shift>,
+    /// What each reading explains, for people.
+    pub why: String,
+}
+
+/// Findings that an offset of the clocks would explain away.
+const APART: [&str; 3] = ["mirrored", "displaced", "events_late"];
+
+/// Compares the readings of a recording where its findings give reason to. `None` where they do not, or nothing moves.
+///
+/// # Errors
+/// When the recording cannot be read any more.
+pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) -> Result<Option<Reading>, FormatError> {
+    if !findings.iter().any(|finding| APART.contains(&finding.id)) {
+        return Ok(None);
+    }
+    let much = Much { span_ns: survey.events.as_ref().and_then(|events| events.span_ns), events: EVENTS };
+    // Mirrors first, each with and without an offset.
+    let ways = [None, Some(Mirror::LeftRight), Some(Mirror::TopBottom), Some(Mirror::Both)];
+    let mirrored = |way: Option<Mirror>| {
+        let (left_right, top_bottom) = (matches!(way, Some(Mirror::LeftRight | Mirror::Both)), matches!(way, Some(Mirror::TopBottom | Mirror::Both)));
+        let name = way.map_or("as they are".to_owned(), |way| format!("mirrored {}", way.name()));
+        Alternative::new(name).mirrored(left_right, top_bottom)
+    };
+    let with_offset = |of: Alternative| {
+        let name = format!("{}, with an offset", of.name);
+        Alternative { name, ..of }.fitting_offset()
+    };
+    let of_ways: Vec<Alternative> = ways.into_iter().flat_map(|way| [mirrored(way), with_offset(mirrored(way))]).collect();
+    let scored = compare(recording, &of_ways, &much)?;
+    let way_of = |one: &Scored| ways[one.alternative / 2];
+    let Some(first) = scored.first().filter(|first| first.explained.ci95.0 > LEAST_EXPLAINED) else { return Ok(None) };
+    let as_is = scored.iter().find(|one| way_of(one).is_none());
+    let is_mirrored = way_of(first).is_some() && as_is.is_none_or(|as_is| as_is.behind.ci95.0 > 0.0 && as_is.behind.value > LEAST_AHEAD);
+    let mirror = way_of(first).filter(|_| is_mirrored);
+    // Then shifts, without an offset.
+    let moved = |(right, down): (i32, i32)| {
+        let of = mirrored(mirror).shifted(right, down);
+        let name = if (right, down) == (0, 0) { of.name.clone() } else { format!("{}, events moved {right} right and {down} down", of.name) };
+        Alternative { name, ..of }
+    };
+    let suggested = survey.lag.as_ref().and_then(|lag| lag.grid.as_ref()).and_then(|grid| hazard::shift_of(grid, &Limits::default()));
+    let starts = [Some((0, 0)), suggested.filter(|_| mirror.is_none()).map(|shift| (-shift.right, -shift.down))];
+    let mut explained: BTreeMap<(i32, i32), f64> = BTreeMap::new();
+    for start in starts.into_iter().flatten() {
+        let mut centre = start;
+        for _ in 0..STEPS {
+            let around = (-1..=1).flat_map(|down| (-1..=1).map(move |right| (right, down))).map(|(right, down)| (centre.0 + right, centre.1 + down));
+            let unknown: Vec<(i32, i32)> = around.filter(|at| !explained.contains_key(at)).collect();
+            let readings: Vec<Alternative> = unknown.iter().map(|at| moved(*at)).collect();
+            // Each pass evaluates the same tiles only if it holds the same reference.
+            for one in compare(recording, &readings, &much)? {
+                explained.insert(unknown[one.alternative], one.explained.value);
+            }
+            let highest = explained.iter().max_by(|a, b| a.1.total_cmp(b.1)).map(|(at, _)| *at);
+            match highest.filter(|highest| *highest != centre) {
+                Some(highest) => centre = highest,
+                None => break,
+            }
+        }
+    }
+    let shift = explained.iter().max_by(|a, b| a.1.total_cmp(b.1)).map_or((0, 0), |(at, _)| *at);
+    // At last the shift against an offset, on one set of pairs.
+    let mut finals = vec![moved((0, 0)), with_offset(moved((0, 0)))];
+    if shift != (0, 0) {
+        finals.push(moved(shift));
+    }
+    if mirror.is_some() {
+        finals.push(with_offset(mirrored(None)));
+    }
+    let scored = compare(recording, &finals, &much)?;
+    let is_shifted = scored.first().is_some_and(|best| best.alternative == 2 && shift != (0, 0))
+        && scored.iter().filter(|one| one.alternative != 2).all(|one| one.behind.ci95.0 > 0.0 && one.behind.value > LEAST_AHEAD);
+    let list = scored.iter().take(3).map(|one| format!("{} explains {:.0} % of the frames' change", one.name, 100.0 * one.explained.value));
+    let why = list.collect::<Vec<_>>().join("; ");
+    Ok(Some(Reading { mirror, shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }), why }))
+}
