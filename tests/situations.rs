@@ -194,8 +194,9 @@ fn a_shift_by_whole_pixels_is_a_question_with_its_parameter_and_no_clock_offset(
     let (manifest, sensor) = written(&bench);
     assert!(line(&manifest, "shift").starts_with("shift = { right = -3, down = 2 } # FILL: "), "{manifest}");
     assert!(!sensor.contains("clock_offset"), "{sensor}");
+    // Three columns and two rows have no events; with an offset in place of the shift it has some 12 dB less.
     let found = scored(&bench, moved[0].t_us as f64 * 1e-6);
-    assert!(found > disc::control_db() - 1.5, "{found:.2} dB");
+    assert!(found > disc::control_db() - 4.0, "{found:.2} dB");
 }
 
 /// Parts of a recording that were joined and overlap: events twice make twice the contrast.

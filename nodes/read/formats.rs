@@ -28,8 +28,11 @@ macro_rules! readers {
             }
         )*
 
-        /// Does the reader of a format accept a parameter? Own recordings accept none of these.
+        /// Does the reader of a format accept a parameter? That of own recordings accepts a row time.
         pub fn takes(format: &str, parameter: &str) -> bool {
+            if format == "recording" {
+                return parameter == "row_time";
+            }
             $(
                 if format == $format {
                     return accepted::<$name>(parameter);

@@ -14,7 +14,7 @@ use photocurrent_formats::placed::PartOf;
 use photocurrent_formats::survey::{Most, survey};
 use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, Transfer, joined};
 use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
-use photocurrent_nodes::read::foreign::{All, Size};
+use photocurrent_nodes::read::foreign::{All, Size, takes};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -91,6 +91,11 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
     let parts = Parts::sort(files)?;
     let mut all = declared.parameters(&parts.recording);
     let stated = stated(&all)?;
+    if let Some((name, _)) = stated.iter().find(|(name, _)| !takes(parts.format.id, name)) {
+        let hint = format!("hint: photocurrent nodes read/{} lists what can be stated of it", parts.format.id);
+        let flag = name.replace('_', "-");
+        return Err(usage(format!("--{flag} is nothing that can be stated of {}: it is recorded, or has no meaning there\n  {hint}", parts.format.name)));
+    }
     let mut inputs = vec![parts.recording.clone()];
     if let Some(frames) = &parts.frames {
         all.frames = Some(photocurrent_core::quantity::InputPath::new(frames));
@@ -140,7 +145,11 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
         reader.extend(acts.parameters);
         (recording, arranged) = settle(&parts, &mut all, &mut reader)?;
     }
-    let found = measured(recording.as_ref(), &arranged, &parts, &mut all, &mut reader)?;
+    // Everything that was recorded is measured, whichever part is rendered.
+    let (start, end) = (all.start.take(), all.end.take());
+    let whole = open(&parts, &all).map_err(refused)?;
+    let found = measured(whole.0.as_ref(), &whole.1, &parts, &mut all, &mut reader)?;
+    (all.start, all.end) = (start, end);
     // A better exposure moves the frames' times.
     if found.exposure_ns.is_some() {
         (recording, arranged) = open(&parts, &all).map_err(refused)?;

@@ -52,7 +52,8 @@ pub fn act(
             // What looks late may be mirrored or moved.
             Some(Consequence::Proposes("clock_offset")) => {
                 let found = ["mirror", "shift"].into_iter().filter_map(|parameter| proposal(parameter, finding, survey, reading, all));
-                let fresh: Vec<Fill> = found.filter(|fill| takes(format.id, fill.name) && !acts.parameters.iter().any(|known| known.name == fill.name)).collect();
+                let fresh: Vec<Fill> =
+                    found.filter(|fill| takes(format.id, fill.name) && !acts.parameters.iter().any(|known| known.name == fill.name)).collect();
                 acts.parameters.extend(fresh);
             }
             Some(Consequence::Proposes(parameter)) => match proposal(parameter, finding, survey, reading, all) {
@@ -71,7 +72,9 @@ pub fn act(
             Some(Consequence::Refuses(_)) if accepted.iter().any(|id| id == finding.id) => acts.marks.push(mark()),
             Some(Consequence::Refuses(option)) => {
                 let id = finding.id;
-                let state = if option == "--accept" { String::new() } else { format!("state what is true: {option}; or ") };
+                let parameter = option.trim_start_matches("--").replace('-', "_");
+                let is_stated = ["frames", "camera", "frame_camera", "end"].contains(&parameter.as_str()) || takes(format.id, &parameter);
+                let state = if is_stated { format!("state what is true: {option}; or ") } else { String::new() };
                 return Err(usage(format!(
                     "{}: {id}: {}\n  {}\n  hint: {}\n  {state}go on all the same: --accept {id}",
                     survey.format, finding.message, finding.evidence, finding.what_to_do
@@ -165,5 +168,84 @@ fn apply(parameters: &[Fill], all: &mut All) {
             "extent" => all.extent = value.try_into::<Size>().ok(),
             _ => {}
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_formats::hazard::Severity;
+    use photocurrent_formats::hazard::consequence::CONSEQUENCES;
+    use photocurrent_formats::survey::lag::LagSurvey;
+    use photocurrent_formats::survey::pictures::{FramesSurvey, ValuesSurvey};
+    use photocurrent_formats::{FrameStamp, FramesAbout, format};
+
+    /// Ten frames, of which one repeats the one before.
+    struct Film(FramesAbout);
+
+    impl Pictures for Film {
+        fn about(&self) -> &FramesAbout {
+            &self.0
+        }
+        fn read(&self, _: usize, _: &mut Vec<f32>) -> Result<(), photocurrent_formats::FormatError> {
+            Ok(())
+        }
+    }
+
+    fn film() -> Film {
+        let extent = photocurrent_core::Extent { width: 4, height: 3 };
+        let stamps = (0..10).map(|l| FrameStamp { at: 10 * l, exposure: None }).collect();
+        let colour = photocurrent_core::Colour::Mono;
+        Film(FramesAbout { extent, colour, bits: 8, stamps, stamp_role: None, row_time_ns: None, transfer: None, notes: Vec::new() })
+    }
+
+    fn survey() -> Survey {
+        let values = ValuesSurvey { read: (0..10).collect(), repeated: vec![3], ..ValuesSurvey::default() };
+        let frames = FramesSurvey { values, ..FramesSurvey::default() };
+        Survey { format: "npz".into(), events: Some(Default::default()), frames: Some(frames), lag: Some(LagSurvey::default()), ..Survey::default() }
+    }
+
+    fn of(id: &'static str, accepted: &[String]) -> (Result<Acts, Failure>, All) {
+        let finding = Finding::new(id, Severity::Hazard, "what", "evidence", "state `coordinate_scale = 32`");
+        let reading = Reading { mirror: Some(Mirror::Both), shift: Some(Shift { right: 1, down: 0 }), why: "why".into() };
+        let (film, mut all) = (film(), All { start: Some(photocurrent_core::quantity::Duration::new(0)), ..All::default() });
+        let numbers: Vec<usize> = (5..15).collect();
+        let npz = format::named("npz").unwrap();
+        let acts = act(&survey(), &[finding], npz, Some((&film, &numbers)), Some(&reading), accepted, &mut all);
+        (acts, all)
+    }
+
+    #[test]
+    fn every_finding_is_corrected_proposed_marked_or_refused_as_it_is_listed() {
+        for (id, consequence) in CONSEQUENCES {
+            let (acts, all) = of(id, &[]);
+            match (consequence, acts) {
+                (Consequence::Refuses(_), Err(Failure::Other { message, code: 2 })) => {
+                    assert!(message.contains(id) && message.contains(&format!("--accept {id}")), "{message}");
+                    let accepted = of(id, &[(*id).to_owned()]).0.ok().unwrap();
+                    assert!(accepted.marks.len() == 1 && accepted.marks[0].starts_with(id), "accepted and marked: {id}");
+                }
+                (Consequence::Marks, Ok(acts)) => assert!(acts.parameters.is_empty() && acts.marks.len() == 1 && acts.marks[0].starts_with(id), "{id}"),
+                (Consequence::Corrects(names), Ok(acts)) => match names[0] {
+                    // Cut before anything is surveyed.
+                    "start" => assert!(acts.marks.is_empty() && acts.parameters.is_empty(), "{id}"),
+                    name => assert!(acts.parameters.len() == 1 && acts.parameters[0].name == name && !acts.parameters[0].is_open, "{id}"),
+                },
+                (Consequence::Proposes(name), Ok(acts)) => match *name {
+                    // Proposed where the reader asks for it.
+                    "exposure" | "stamp" | "row_time" | "transfer" => assert!(acts.marks.is_empty() && acts.parameters.is_empty(), "{id}"),
+                    "clock_offset" => assert!(all.mirror == Some(Mirror::Both) && acts.marks.is_empty(), "{id}"),
+                    name => assert!(acts.parameters.iter().any(|fill| fill.name == name && fill.is_open), "{id}"),
+                },
+                (Consequence::None, Ok(acts)) => assert!(acts.parameters.is_empty() && acts.marks.is_empty(), "{id}"),
+                (consequence, _) => panic!("{id}: {consequence:?} did not come"),
+            }
+        }
+    }
+
+    #[test]
+    fn frames_are_left_out_by_their_numbers_in_the_file() {
+        let (acts, all) = of("repeated_frames", &[]);
+        assert_eq!((acts.ok().unwrap().parameters[0].value.as_str(), all.skip_frames), ("[8]", Some(vec![8])));
     }
 }

@@ -1,7 +1,7 @@
 //! The units of stamps that no file states, from both streams together.
 //!
 //! Each unit makes one rate of events a pixel, one rate of frames, and one overlap of the two. All pairs of units are scored by how usual these are; a unit that is recorded
-//! or stated is fixed. The best pair is proposed with its evidence, and the second best is named.
+//! or stated is fixed, unless what is recorded is impossible: files lie about their units too. The best pair is proposed with its evidence, and the second best is named.
 //!
 //! Limits: rates are those of cameras with frames (some 1 to 1,000 events a pixel and second, 10 to 1,000 frames a second); a time lapse is proposed wrongly.
 
@@ -11,7 +11,7 @@ use photocurrent_formats::gather::{Scan, scan};
 use photocurrent_formats::hazard::time;
 use photocurrent_formats::pictures::PictureFiles;
 use photocurrent_formats::{FormatError, TimeUnit, joined};
-use photocurrent_nodes::read::foreign::All;
+use photocurrent_nodes::read::foreign::{All, takes};
 
 const UNITS: [TimeUnit; 4] = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
 
@@ -125,6 +125,26 @@ fn frames_in(parts: &Parts, all: &All, unit: TimeUnit) -> Option<Vec<(i64, i64)>
     Some(recording.pictures()?.about().stamps.iter().map(|stamp| both(stamp.at, stamp.exposure)).collect())
 }
 
+/// What the recorded units make of a recording that no camera gives: rates that are impossible, or streams of which one lasts a hundred times as long as the other.
+/// `None` of a recording that can be.
+fn impossible(parts: &Parts, all: &All) -> Option<String> {
+    let recording = joined::open(parts.format, &parts.recording, &all.settings().declared).ok()?;
+    let found = scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()?;
+    let events = of_events(&found, TimeUnit::Ns, true)?;
+    let frames = recording.pictures().and_then(|pictures| {
+        let stamps: Vec<(i64, i64)> = pictures.about().stamps.iter().map(|stamp| stamp.exposure.unwrap_or((stamp.at, stamp.at))).collect();
+        of_frames(&stamps, TimeUnit::Ns, true)
+    });
+    let length = |stream: &Stream| (stream.span.1 - stream.span.0).max(1.0);
+    let is_apart = frames.as_ref().is_some_and(|frames| !(0.01..100.0).contains(&(length(frames) / length(&events))));
+    let is_impossible = |stream: &Stream| stream.score < IMPOSSIBLE;
+    let rates = |frames: &Stream| format!("frames one every {} for {}", time(1e9 / frames.rate_hz), time(length(frames)));
+    (is_apart || is_impossible(&events) || frames.as_ref().is_some_and(is_impossible)).then(|| {
+        let of_events = format!("{:.3e} events a pixel and second for {}", events.rate_hz, time(length(&events)));
+        frames.as_ref().map_or(of_events.clone(), |frames| format!("{of_events} and {}", rates(frames)))
+    })
+}
+
 /// Proposes the units that are neither recorded nor stated, and puts them into `all`.
 pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
     let lacks = |all: &All, frames: bool| {
@@ -139,9 +159,17 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
         };
         error.is_some_and(|error| error.undeclared == Some(if frames { "stamps_unit" } else { "time_unit" }))
     };
-    let (events_lack, frames_lack) = (lacks(all, false), lacks(all, true));
+    let (mut events_lack, mut frames_lack) = (lacks(all, false), lacks(all, true));
+    let mut recorded = String::new();
     if !events_lack && !frames_lack {
-        return Vec::new();
+        // What is recorded is kept, unless no camera is like that and another unit makes one of it.
+        let Some(why) = impossible(parts, all) else { return Vec::new() };
+        recorded = why;
+        events_lack = all.time_unit.is_none() && takes(parts.format.id, "time_unit");
+        frames_lack = parts.frames.is_some() && all.stamps_unit.is_none() && all.trigger_line.is_none();
+        if !events_lack && !frames_lack {
+            return Vec::new();
+        }
     }
     let of_one_set = parts.frames.is_none();
     let mut of_events_units: Vec<Stream> = Vec::new();
@@ -180,7 +208,8 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
     }
     pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
     let Some((score, events, frames)) = pairs.first().copied() else { return Vec::new() };
-    let mut why = format!("the unit is not recorded; {}", evidence(events.as_ref(), frames.as_ref()));
+    let known = if recorded.is_empty() { "the unit is not recorded".to_owned() } else { format!("the unit that the files state makes {recorded}") };
+    let mut why = format!("{known}; {}", evidence(events.as_ref(), frames.as_ref()));
     if let Some((second, events, frames)) = pairs.get(1).filter(|second| score - second.0 < 8.0) {
         why += &format!(". Second best ({:.1} less in the logarithm of the likelihood): {}", score - second, evidence(events.as_ref(), frames.as_ref()));
     }

@@ -130,7 +130,8 @@ pub(crate) fn parse(path: &Path, text: &[u8], declared: &Declared, defined: Opti
     };
     // The unit of the events serves where none is stated for the frames.
     let unit = match (stated, declared.stamps_unit.or(declared.time_unit), defined) {
-        (Some(file), Some(user), _) if file != user && declared.stamps.is_some() => {
+        // A unit that is stated for these very stamps goes before what the file says of them.
+        (Some(file), Some(user), _) if file != user && (declared.stamps.is_some() || declared.stamps_unit.is_some()) => {
             stamps.notes.push(format!("the stamps file says {}; {} was declared and taken", unit_name(file), unit_name(user)));
             user
         }

@@ -101,7 +101,7 @@ fn stamps_are_read_in_every_form() {
         assert_eq!(stamp(text, &us()), (vec![10_000, 20_000, 30_000], Some((10_000, 15_000))), "{text}");
     }
     let error = open(&folder, "0.01\n0.02\n0.03\n", &Declared::default()).err().unwrap();
-    assert_eq!((error.undeclared, error.hint.contains("\"s\"")), (Some("time_unit"), true), "{error}");
+    assert_eq!((error.undeclared, error.hint.contains("\"s\"")), (Some("stamps_unit"), true), "{error}");
     let error = open(&folder, "10 20 15\n20 5 25\n", &us()).err().unwrap();
     assert!(error.hint.contains("header"), "{error}");
 }

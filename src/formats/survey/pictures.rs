@@ -76,7 +76,7 @@ pub struct ValuesSurvey {
 }
 
 /// Frames.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct FramesSurvey {
     /// How many.
     pub count: u64,
