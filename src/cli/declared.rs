@@ -4,7 +4,7 @@ use crate::common::Failure;
 use clap::Args as ClapArgs;
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_formats::{Column, Declared, StampRole, TimeUnit, Transfer};
+use photocurrent_formats::{Column, Counter, Declared, Polarity, StampRole, TimeUnit, Transfer};
 use photocurrent_nodes::read::foreign::{All, Size};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
@@ -54,6 +54,15 @@ pub struct DeclaredOptions {
     /// Added to every stamp of a frame, for clocks that begin apart
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub frame_offset: Option<Duration>,
+    /// How polarity is stored: signs, counts or one_two; recognised where it is not given
+    #[arg(long, value_name = "CODE", value_parser = word::<Polarity>)]
+    pub polarity: Option<Polarity>,
+    /// Number of the first column and row: 0 or 1
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1))]
+    pub origin: Option<u32>,
+    /// Counter of the stamps that begins again: us23, us24, us28, us31, us32, ns32, or none
+    #[arg(long, value_name = "BITS", value_parser = word::<Counter>)]
+    pub counter: Option<Counter>,
 }
 
 impl DeclaredOptions {
@@ -76,6 +85,9 @@ impl DeclaredOptions {
             stamp: self.stamp,
             row_time: self.row_time,
             transfer: self.transfer,
+            polarity: self.polarity,
+            origin: self.origin,
+            counter: self.counter,
             ..All::default()
         }
     }

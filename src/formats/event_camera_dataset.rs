@@ -4,6 +4,7 @@
 //! not recorded. E2VID's folders are the same with a first line `width height`.
 
 use crate::csv::Csv;
+use crate::convention::Convention;
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
@@ -80,6 +81,10 @@ impl Recording for EventCameraDataset {
 
     fn facts(&self) -> Vec<(String, String)> {
         self.calibration.iter().map(|(_, line)| ("calibration (fx fy cx cy k1 k2 p1 p2 k3)".to_string(), line.clone())).collect()
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.events.conventions()
     }
 
     fn losses(&self) -> Vec<Loss> {

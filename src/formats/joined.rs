@@ -4,9 +4,11 @@
 //! opens the shutter, falling closes it.
 
 use crate::chunk::{Edge, Trigger};
+use crate::convention::Convention;
 use crate::declared::Declared;
 use crate::error::{FormatError, Loss};
 use crate::format::Format;
+use crate::instead::explained;
 use crate::known::with_known_camera;
 use crate::pictures::{PictureFiles, exposures_from_triggers};
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
@@ -35,8 +37,11 @@ pub fn with_declared_frames(events: Box<dyn Recording>, declared: &Declared) -> 
 /// # Errors
 /// When the file cannot be read, or its frames cannot.
 pub fn open(format: &Format, path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
-    let recording = (format.open)(path, declared)?;
-    if declared.frames.is_some() { with_declared_frames(recording, declared) } else { Ok(with_known_camera(format, recording)) }
+    let opened = (format.open)(path, declared).and_then(|recording| match declared.frames {
+        Some(_) => with_declared_frames(recording, declared),
+        None => Ok(with_known_camera(format, recording)),
+    });
+    opened.map_err(|error| explained(error, declared))
 }
 
 impl Joined {
@@ -118,6 +123,10 @@ impl Recording for Joined {
 
     fn facts(&self) -> Vec<(String, String)> {
         self.events.facts()
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.events.conventions()
     }
 
     fn losses(&self) -> Vec<Loss> {
