@@ -15,6 +15,7 @@
 //! - `figures`: the tables of README.md and docs/ are what their commands print.
 //! - `first_run`: `init` and `run` on files of every kind, `convert` there and back.
 //! - `inspect`: several files as one recording, exit codes, the form of `--json`.
+//! - `instead`: files that are no recordings, recordings with unusual conventions.
 //! - `films`: pictures as light, from files to events.
 //! - `learned`: the manifests of methods whose networks are elsewhere.
 //! - `parts`: rows made apart and merged are the bytes of one process.
@@ -40,6 +41,7 @@ mod files;
 mod films;
 mod first_run;
 mod inspect;
+mod instead;
 mod learned;
 mod manifests;
 mod pages;

@@ -13,7 +13,7 @@ use photocurrent_core::value::DataType;
 use photocurrent_core::{Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
 use photocurrent_formats::trim::Crop;
-use photocurrent_formats::{Column, Declared, EventCursor, Mirror, Recording, Shift, StampRole, TimeUnit, Transfer, format};
+use photocurrent_formats::{Column, Counter, Declared, EventCursor, Mirror, Polarity, Recording, Shift, StampRole, TimeUnit, Transfer, format, instead};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::borrow::Cow;
@@ -127,6 +127,13 @@ pub struct All {
     pub skip_frames: Option<Vec<u32>>,
     /// Read events that are there twice (one time, pixel and sign) once.
     pub drop_duplicates: Option<bool>,
+    /// How polarity is stored. Default: recognised over the whole file, with a note where it is unusual.
+    pub polarity: Option<Polarity>,
+    /// Which number the first column and row have. Default: 1 where an array of known size shows it, with a note; otherwise 0.
+    #[schemars(range(max = 1))]
+    pub origin: Option<u32>,
+    /// The counter of the stamps, whose range is added each time it begins again. Default: recognised where time goes back by the range of one, with a note.
+    pub counter: Option<Counter>,
 }
 
 impl All {
@@ -152,6 +159,9 @@ impl All {
                 shift: self.shift,
                 skip_frames: self.skip_frames.clone(),
                 drop_duplicates: self.drop_duplicates,
+                polarity: self.polarity,
+                origin: self.origin,
+                counter: self.counter,
             },
             zero: self.zero,
             start: self.start,
@@ -269,7 +279,12 @@ impl<R: Reader> Read<R> {
             let (path, name) = (path.display(), format.name);
             let error = match format::recognise(self.all.path.path())? {
                 Some(other) => NodeError::input(format!("{path} is {}, and not {name}", other.name)).hint(format!("read it with read/{}", other.id)),
-                None => NodeError::input(format!("{path} is not {name}: {}", beginning(&probe))).hint("photocurrent inspect lists the formats that are known"),
+                None => match instead::what_it_is(&probe) {
+                    Some(instead) => NodeError::input(format!("{path} is not {name}: this is {}", instead.what)).hint(instead.todo),
+                    None => {
+                        NodeError::input(format!("{path} is not {name}: {}", beginning(&probe))).hint("photocurrent inspect lists the formats that are known")
+                    }
+                },
             };
             return Err(error.param("path"));
         }
@@ -334,6 +349,9 @@ impl<R: Reader> Node for Read<R> {
             && !(gamma > 0.0 && gamma.is_finite())
         {
             return Err(NodeError::usage(format!("a gamma of {gamma} is no curve; it must be positive")).param("transfer"));
+        }
+        if let Some(origin) = all.origin.filter(|origin| *origin > 1) {
+            return Err(NodeError::usage(format!("coordinates begin at 0 or 1, not at {origin}")).param("origin"));
         }
         Ok(Read { all, open: OnceLock::new(), events: Mutex::new(None), reader: PhantomData })
     }

@@ -16,7 +16,7 @@ macro_rules! readers {
                 const DECL: Decl = Decl {
                     kind: $kind,
                     about: $about,
-                    revision: 1,
+                    revision: 2,
                     grain: Grain::Pixel,
                     draws: false,
                     exports: false,
@@ -74,34 +74,34 @@ readers! {
         accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
         example "path = \"street.hdf5\"";
     Dsec "read/dsec" "dsec" "Reads events of a DSEC file, and the frames of a DSEC sequence." ["Gehrig et al., DSEC: A Stereo Event Camera Dataset for Driving Scenarios, RA-L 2021"]
-        accepts ["extent", "time_unit", "camera", "frame_camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "time_unit", "camera", "frame_camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"interlaken_00_c/events/left/events.h5\"";
     M3ed "read/m3ed" "m3ed" "Reads events and frames of an M3ED file." ["Chaney et al., M3ED: Multi-Robot, Multi-Sensor, Multi-Environment Event Dataset, CVPRW 2023"]
-        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"car_urban_day.h5\", exposure = \"2 ms\", stamp = \"middle\", transfer = \"linear\"";
     Mvsec "read/mvsec" "mvsec" "Reads events and frames of an MVSEC file." ["Zhu et al., The Multi Vehicle Stereo Event Camera Dataset, RA-L 2018"]
-        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"outdoor_day1_data.hdf5\", exposure = \"5 ms\", stamp = \"middle\"";
     V2eHdf5 "read/v2e_hdf5" "v2e_hdf5" "Reads events and frames of an HDF5 file of the simulator v2e." ["Hu et al., v2e: From Video Frames to Realistic DVS Events, CVPRW 2021"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"v2e.h5\", exposure = \"3 ms\", stamp = \"start\", row_time = \"0 us\", transfer = \"srgb\"";
     EventUtilsHdf5 "read/event_utils_hdf5" "event_utils_hdf5" "Reads events and frames of an HDF5 file of event_utils." ["Stoffregen et al., Reducing the Sim-to-Real Gap for Event Cameras, ECCV 2020"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"slider.h5\", exposure = \"5 ms\", stamp = \"middle\", row_time = \"0 us\", transfer = \"linear\"";
     Memmap "read/memmap" "memmap" "Reads events and frames of a folder of arrays (event_utils, EVREAL)." ["Ercan et al., EVREAL: Towards a Comprehensive Benchmark, CVPRW 2023"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"boxes_6dof\", exposure = \"5 ms\", stamp = \"middle\", row_time = \"0 us\", transfer = \"linear\"";
     Ecd "read/ecd" "ecd" "Reads a folder of the Event Camera Dataset: events.txt and PNG pictures." ["Mueggler et al., The Event-Camera Dataset and Simulator, IJRR 2017"]
-        accepts ["extent", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"slider_depth\", exposure = \"5 ms\", stamp = \"middle\"";
     HsErgb "read/hs_ergb" "hs_ergb" "Reads a sequence of HS-ERGB or BS-ERGB: npz events and PNG pictures." ["Tulyakov et al., Time Lens, CVPR 2021", "Tulyakov et al., Time Lens++, CVPR 2022"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"far/test/bridge_lake_01\", exposure = \"1 ms\", stamp = \"middle\", transfer = \"srgb\"";
     Csv "read/csv" "csv" "Reads events of a text file: commas, tabs or blanks, with a header or declared columns." ["docs/formats.md"]
-        accepts ["extent", "time_unit", "columns", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "time_unit", "columns", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"events.txt\", columns = [\"t\", \"x\", \"y\", \"p\"], time_unit = \"s\", extent = { width = 240, height = 180 }";
     Npz "read/npz" "npz" "Reads events of an npz or npy file of NumPy." ["NumPy enhancement proposal 1, the .npy format"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "time_unit", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"events.npz\", time_unit = \"us\"";
     Rosbag "read/rosbag" "rosbag" "Reads events and images of a ROS 1 bag." ["ROS bag format 2.0", "dvs_msgs, prophesee_event_msgs, event_camera_msgs, sensor_msgs"]
         accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]

@@ -11,7 +11,7 @@ pub mod sensor;
 use photocurrent_core::quantity::InputPath;
 use photocurrent_core::{EventStream, FrameSequence, NodeError};
 use photocurrent_formats::arrange::{EVENTS_BUDGET, arrange};
-use photocurrent_formats::{format, joined};
+use photocurrent_formats::{format, instead, joined};
 use std::path::Path;
 
 /// Both streams of a file of any format, for those who look at it before a graph does.
@@ -32,7 +32,11 @@ pub struct Whole {
 /// When the file is of no known format, cannot be read, or something must be stated that is not.
 pub fn whole(all: &foreign::All) -> Result<Whole, NodeError> {
     let (path, settings) = (all.path.path(), all.settings());
-    let format = format::recognise(path)?.ok_or_else(|| NodeError::input(format!("{} is a recording of no known format", path.display())).param("path"))?;
+    let unknown = || match format::Probe::new(path).ok().and_then(|probe| instead::what_it_is(&probe)) {
+        Some(instead) => NodeError::from(instead.refusal(path)),
+        None => NodeError::input(format!("{} is a recording of no known format", path.display())).param("path"),
+    };
+    let format = format::recognise(path)?.ok_or_else(unknown)?;
     let recording = joined::open(format, path, &settings.declared)?;
     let arranged = arrange(path, recording.as_ref(), &settings, |_| Ok::<(), NodeError>(()))?;
     let events = arranged.gather(recording.as_ref(), EVENTS_BUDGET, |_| Ok::<(), NodeError>(()))?.map(|(events, _)| events);

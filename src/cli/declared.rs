@@ -4,7 +4,7 @@ use crate::common::Failure;
 use clap::Args as ClapArgs;
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_formats::{Column, Declared, Mirror, Shift, StampRole, TimeUnit, Transfer};
+use photocurrent_formats::{Column, Counter, Declared, Mirror, Polarity, Shift, StampRole, TimeUnit, Transfer};
 use photocurrent_nodes::read::foreign::{All, Size};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
@@ -69,6 +69,15 @@ pub struct DeclaredOptions {
     /// Read events that are there twice once
     #[arg(long)]
     pub drop_duplicates: bool,
+    /// How polarity is stored: signs, counts or one_two; recognised where it is not given
+    #[arg(long, value_name = "CODE", value_parser = word::<Polarity>)]
+    pub polarity: Option<Polarity>,
+    /// Number of the first column and row: 0 or 1
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1))]
+    pub origin: Option<u32>,
+    /// Counter of the stamps that begins again: us23, us24, us28, us31, us32, ns32, or none
+    #[arg(long, value_name = "BITS", value_parser = word::<Counter>)]
+    pub counter: Option<Counter>,
 }
 
 impl DeclaredOptions {
@@ -96,6 +105,9 @@ impl DeclaredOptions {
             shift: self.shift,
             skip_frames: self.skip_frames.clone(),
             drop_duplicates: self.drop_duplicates.then_some(true),
+            polarity: self.polarity,
+            origin: self.origin,
+            counter: self.counter,
             ..All::default()
         }
     }

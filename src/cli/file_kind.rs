@@ -4,7 +4,8 @@
 //! read. Limits: a text that looks like TOML and does not constrain itself counts as a manifest, whose mistakes are then reported.
 
 use crate::common::Failure;
-use photocurrent_formats::Format;
+use photocurrent_formats::instead::{Instead, what_it_is};
+use photocurrent_formats::{Format, Probe};
 use photocurrent_store::format_attribute;
 use photocurrent_store::recording::FORMAT as OURS;
 use std::io::Read;
@@ -36,6 +37,8 @@ pub enum FileKind {
     Diagnosis,
     /// Lines of scores.
     Scores,
+    /// A file that is no recording and known all the same: a web page, an archive.
+    Instead(Instead),
     /// Nothing of the above, in words.
     Other(String),
     /// It is not there, or may not be read: whoever opens it says so.
@@ -62,7 +65,7 @@ impl FileKind {
             return FileKind::Missing;
         }
         let own = of_hdf5(path, &head).or_else(|| of_text(path, &head, metadata.len()));
-        own.or_else(|| of_formats(path)).unwrap_or_else(|| fallback(&head, metadata.len()))
+        own.or_else(|| of_formats(path)).or_else(|| instead(path)).unwrap_or_else(|| fallback(&head, metadata.len()))
     }
 
     /// "a manifest": for messages.
@@ -76,6 +79,7 @@ impl FileKind {
             FileKind::RunFolder => "the output folder of a run".into(),
             FileKind::Diagnosis => "a diagnosis".into(),
             FileKind::Scores => "a file of scores".into(),
+            FileKind::Instead(instead) => instead.what.clone(),
             FileKind::Other(what) => what.clone(),
             FileKind::Missing => "not there".into(),
         }
@@ -91,6 +95,7 @@ impl FileKind {
             FileKind::Manifest => format!("`photocurrent check {path}`, `plan`, `run` and `graph` take it"),
             FileKind::RunFolder | FileKind::Scores => format!("`photocurrent table {path}` prints its scores; the manifest makes them anew"),
             FileKind::Diagnosis => "open report.html in a browser; `photocurrent diagnose RECORDING` makes it anew".into(),
+            FileKind::Instead(instead) => instead.todo.clone(),
             FileKind::Other(_) | FileKind::Missing => "docs/formats.md lists the files that are read".into(),
         }
     }
@@ -121,7 +126,7 @@ pub fn need_recording(path: &Path, command: &str) -> Result<(), Failure> {
 /// Refuses what evidently belongs to another command: for `inspect`, which looks at recordings and cached results and says itself what it cannot read.
 pub fn need_data(path: &Path, command: &str) -> Result<(), Failure> {
     match FileKind::of(path) {
-        FileKind::Recording(_) | FileKind::Artefact | FileKind::Other(_) | FileKind::Missing => Ok(()),
+        FileKind::Recording(_) | FileKind::Artefact | FileKind::Instead(_) | FileKind::Other(_) | FileKind::Missing => Ok(()),
         kind => Err(kind.refuse(path, command, "a recording or a cached result")),
     }
 }
@@ -136,11 +141,16 @@ fn of_folder(path: &Path) -> FileKind {
     if scores.iter().any(|name| path.join(name).is_file()) || is_stamped(path) || children().any(|child| is_stamped(&child.path())) {
         return FileKind::RunFolder;
     }
-    of_formats(path).unwrap_or_else(|| FileKind::Other("a folder without anything that is known here".into()))
+    of_formats(path).or_else(|| instead(path)).unwrap_or_else(|| FileKind::Other("a folder without anything that is known here".into()))
 }
 
 fn of_formats(path: &Path) -> Option<FileKind> {
     photocurrent_formats::recognise(path).ok().flatten().map(|format| FileKind::Recording(Reader::Format(format)))
+}
+
+/// What is recognised by no format, and is known all the same.
+fn instead(path: &Path) -> Option<FileKind> {
+    what_it_is(&Probe::new(path).ok()?).map(FileKind::Instead)
 }
 
 fn of_hdf5(path: &Path, head: &[u8]) -> Option<FileKind> {

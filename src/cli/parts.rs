@@ -2,7 +2,8 @@
 
 use crate::case::usage;
 use crate::common::Failure;
-use photocurrent_formats::{Declared, Format, FormatError, bias, calibration, format};
+use photocurrent_formats::instead::{may_be_stamps, what_it_is};
+use photocurrent_formats::{Declared, Format, FormatError, Probe, bias, calibration, format};
 use std::path::{Path, PathBuf};
 
 /// Which file is what.
@@ -37,11 +38,15 @@ impl Parts {
                     continue;
                 }
                 Some(format) => (&mut recording, format),
-                None if path.is_file() && stamps.is_none() => {
-                    stamps = Some(path.clone());
-                    continue;
-                }
                 None => {
+                    let probe = Probe::new(path).map_err(|error| usage(error.to_string()))?;
+                    if let Some(instead) = what_it_is(&probe) {
+                        return Err(usage(instead.refusal(path).to_string()));
+                    }
+                    if stamps.is_none() && may_be_stamps(&probe) {
+                        stamps = Some(path.clone());
+                        continue;
+                    }
                     let hint = "hint: photocurrent inspect lists what it can read; text files need columns: --columns t,x,y,p";
                     return Err(usage(format!("{}: this is no recording of a known format\n  {hint}", path.display())));
                 }

@@ -18,7 +18,7 @@
 
 use crate::chunk::{CHUNK_EVENTS, Edge, EventChunk, Trigger};
 use crate::declared::Declared;
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::losses::Losses;
 use crate::recording::{EventCursor, EventsAbout, Recording};
@@ -228,7 +228,7 @@ impl Cursor {
         let left = count % record;
         if left > 0 {
             let at = || format!("bytes {} to {}", self.at - left as u64, self.at);
-            self.losses.add("records that are cut off", at, || "the last record is cut off and left out".into());
+            self.losses.add_by(Cause::Cut, "records that are cut off", 1, at, || "the last record is cut off and left out".into());
         }
         let mut outside = 0_u64;
         for bytes in self.bytes.chunks_exact(record) {
@@ -250,7 +250,7 @@ impl Cursor {
             }
         }
         let what = || format!("{outside} addresses name no pixel of the {} pixels of this camera; they are left out", self.camera.extent);
-        self.losses.add_items("addresses outside the pixel array were left out", outside, || format!("bytes {start} to {}", self.at), what);
+        self.losses.add_by(Cause::Outside, "addresses outside the pixel array were left out", outside, || format!("bytes {start} to {}", self.at), what);
         Ok(true)
     }
 }

@@ -3,6 +3,7 @@
 //! The order of the columns and the unit of the stamps come from a header line, from comments, or from the user; nothing is guessed. What this module
 //! writes says both, and reads back without a declaration. Limits: one event a line, one stamp unit a file, a decimal point.
 
+use crate::convention::{Convention, Lazy, Rules, Tally};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::FormatError;
 use crate::evidence::{self, Of, unit_name};
@@ -38,7 +39,7 @@ fn recognises(probe: &Probe) -> bool {
 /// An opened text file.
 pub struct Csv {
     path: PathBuf,
-    about: EventsAbout,
+    about: Lazy,
     layout: Arc<Layout>,
 }
 
@@ -86,8 +87,8 @@ impl Csv {
             stamps: format!("decimal {}{}", unit_name(unit), if places > 0 { format!(", {places} places") } else { String::new() }),
             notes,
         };
-        let layout = Layout { separator: found.separator, columns, unit, scale, extent, has_t_in, start: found.start };
-        Ok(Csv { path: path.into(), about, layout: Arc::new(layout) })
+        let layout = Layout { separator: found.separator, columns, unit, scale, extent, has_t_in, start: found.start, rules: Rules::default() };
+        Ok(Csv { path: path.into(), about: Lazy::new(path, declared, about), layout: Arc::new(layout) })
     }
 
     /// Unit of the stamps.
@@ -95,10 +96,15 @@ impl Csv {
         self.layout.unit
     }
 
+    /// Counts what all lines hold.
+    fn tally(&self, tally: &mut Tally) -> Result<(), FormatError> {
+        TextCursor::open(&self.path, self.layout.clone())?.tally(tally)
+    }
+
     /// Sets an extent that stands elsewhere: in the header of a picture.
     pub(crate) fn or_extent(mut self, extent: Option<Extent>) -> Csv {
-        if self.about.extent.is_none() {
-            self.about.extent = extent;
+        if self.about.before().extent.is_none() {
+            self.about = self.about.with_extent(extent);
             self.layout = Arc::new(Layout { extent, ..(*self.layout).clone() });
         }
         self
@@ -151,11 +157,17 @@ fn columns(path: &Path, declared: &Declared, defined: Option<&[Column]>, found: 
 
 impl Recording for Csv {
     fn events_about(&self) -> Option<&EventsAbout> {
-        Some(&self.about)
+        Some(self.about.about(|tally| self.tally(tally)))
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
-        Ok(Box::new(TextCursor::open(&self.path, self.layout.clone())?))
+        let settled = self.about.settled(|tally| self.tally(tally))?;
+        let layout = Layout { rules: settled.rules, ..(*self.layout).clone() };
+        Ok(settled.followed(Box::new(TextCursor::open(&self.path, Arc::new(layout))?)))
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.about.settled(|tally| self.tally(tally)).map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
     }
 
     fn facts(&self) -> Vec<(String, String)> {

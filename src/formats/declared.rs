@@ -43,6 +43,12 @@ pub struct Declared {
     pub skip_frames: Option<Vec<u32>>,
     /// Are events that are there twice (one time, pixel and sign) read once?
     pub drop_duplicates: Option<bool>,
+    /// How polarity is stored, where it is not recognised.
+    pub polarity: Option<Polarity>,
+    /// Which number the first column and row have: 0 or 1.
+    pub origin: Option<u32>,
+    /// The counter of the stamps, which begins again at its range.
+    pub counter: Option<Counter>,
 }
 
 /// How the frames' picture lies against the events'.
@@ -123,6 +129,82 @@ pub enum StampRole {
     Middle,
     /// End of the exposure of row 0.
     End,
+}
+
+/// How polarity is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Polarity {
+    /// 1 is ON; 0 or -1 is OFF; what has another value is left out.
+    Signs,
+    /// Every value above 0 is ON, every other OFF.
+    Counts,
+    /// 1 is OFF, 2 is ON: as programs of MATLAB number them.
+    OneTwo,
+}
+
+/// The counter that gave the stamps: after its last value it begins again at 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Counter {
+    /// None: stamps are taken as they are stored.
+    None,
+    /// 23 bits of microseconds, 8.39 s.
+    Us23,
+    /// 24 bits of microseconds, 16.8 s.
+    Us24,
+    /// 28 bits of microseconds, 268 s.
+    Us28,
+    /// 31 bits of microseconds, 35.8 min.
+    Us31,
+    /// 32 bits of microseconds, 71.6 min.
+    Us32,
+    /// 32 bits of nanoseconds, 4.29 s.
+    Ns32,
+}
+
+impl Counter {
+    /// Those that begin again, by their range.
+    pub const ALL: [Counter; 6] = [Counter::Ns32, Counter::Us23, Counter::Us24, Counter::Us28, Counter::Us31, Counter::Us32];
+
+    /// After which time it begins again, ns; 0 for [`Counter::None`].
+    pub fn range_ns(self) -> i64 {
+        match self {
+            Counter::None => 0,
+            Counter::Us23 => (1 << 23) * 1000,
+            Counter::Us24 => (1 << 24) * 1000,
+            Counter::Us28 => (1 << 28) * 1000,
+            Counter::Us31 => (1 << 31) * 1000,
+            Counter::Us32 => (1 << 32) * 1000,
+            Counter::Ns32 => 1 << 32,
+        }
+    }
+
+    /// For people: "32 bits of microseconds".
+    pub fn name(self) -> &'static str {
+        match self {
+            Counter::None => "no counter",
+            Counter::Us23 => "23 bits of microseconds",
+            Counter::Us24 => "24 bits of microseconds",
+            Counter::Us28 => "28 bits of microseconds",
+            Counter::Us31 => "31 bits of microseconds",
+            Counter::Us32 => "32 bits of microseconds",
+            Counter::Ns32 => "32 bits of nanoseconds",
+        }
+    }
+
+    /// As parameters have it: "us32".
+    pub fn word(self) -> &'static str {
+        match self {
+            Counter::None => "none",
+            Counter::Us23 => "us23",
+            Counter::Us24 => "us24",
+            Counter::Us28 => "us28",
+            Counter::Us31 => "us31",
+            Counter::Us32 => "us32",
+            Counter::Ns32 => "ns32",
+        }
+    }
 }
 
 /// How stored values follow from linear ones.

@@ -1,6 +1,7 @@
 //! Why a file is refused, and what was lost of one that is damaged.
 
 use photocurrent_core::{DataError, NodeError};
+use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
@@ -91,11 +92,50 @@ impl From<FormatError> for NodeError {
     }
 }
 
+/// Why a part of a file was left out: what can be done about it follows from this.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Cause {
+    /// Bytes are not what they were when they were written.
+    #[default]
+    Damage,
+    /// The file ends before its content does.
+    Cut,
+    /// Pixels lie outside of the array that is stated.
+    Outside,
+    /// Polarities are none that the reading knows.
+    Polarity,
+    /// Stamps are no times.
+    Stamp,
+}
+
 /// A part of a file that could not be read; what stands around it was.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Loss {
     /// Where: "bytes 4096 to 5120", "line 17", "packet 12".
     pub at: String,
     /// What is wrong there and what was left out: "the packet is cut off; its events are lost".
     pub what: String,
+    /// Why.
+    pub cause: Cause,
+    /// Places that this entry counts, where it closes a list of them; 0 for a place by itself.
+    pub more: u64,
+}
+
+impl Loss {
+    /// One place.
+    pub fn new(at: impl Into<String>, what: impl Into<String>) -> Loss {
+        Loss { at: at.into(), what: what.into(), ..Loss::default() }
+    }
+
+    /// States why.
+    #[must_use]
+    pub fn by(self, cause: Cause) -> Loss {
+        Loss { cause, ..self }
+    }
+
+    /// How many places it stands for.
+    pub fn places(&self) -> u64 {
+        self.more.max(1)
+    }
 }

@@ -3,6 +3,7 @@
 //! Source: Mueggler et al., The Event-Camera Dataset and Simulator, IJRR 2017. What an image's stamp means, the exposure and the encoding of its values are
 //! not recorded. E2VID's folders are the same with a first line `width height`.
 
+use crate::convention::Convention;
 use crate::csv::Csv;
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
@@ -80,6 +81,10 @@ impl Recording for EventCameraDataset {
 
     fn facts(&self) -> Vec<(String, String)> {
         self.calibration.iter().map(|(_, line)| ("calibration (fx fy cx cy k1 k2 p1 p2 k3)".to_string(), line.clone())).collect()
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.events.conventions()
     }
 
     fn losses(&self) -> Vec<Loss> {

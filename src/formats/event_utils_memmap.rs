@@ -4,6 +4,7 @@
 //! Stamps are seconds in floats; whole numbers need a declared unit. What the image stamps mean, and the exposure, are not recorded.
 //! `image_event_indices.npy` follows from the stamps and is not read. EVIMO2's `dataset_events_*.npy` is the same layout.
 
+use crate::convention::{Convention, Lazy, Rules};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
@@ -30,7 +31,7 @@ fn recognises(probe: &Probe) -> bool {
 
 /// An opened folder.
 pub struct Memmap {
-    about: EventsAbout,
+    about: Lazy,
     table: Arc<Table>,
     reading: Reading,
     frames: Option<Arc<NpyPictures>>,
@@ -74,8 +75,8 @@ impl Memmap {
             _ => None,
         };
         let scale = declared.coordinate_scale.unwrap_or(1).max(1);
-        let reading = Reading { unit, scale, wraps_at: None, extent, has_t_in: false };
-        let about = npz::about(&table, &reading, notes);
+        let reading = Reading { unit, scale, wraps_at: None, extent, has_t_in: false, rules: Rules::default() };
+        let about = Lazy::new(path, declared, npz::about(&table, &reading, notes));
         Ok(Memmap { about, table: Arc::new(table), reading, frames, losses, files })
     }
 }
@@ -86,7 +87,7 @@ fn frames(path: &Path, unit: TimeUnit, losses: &mut Vec<Loss>, files: &mut Vec<P
         return Ok(None);
     }
     if !stamps.is_file() {
-        losses.push(Loss { at: "images.npy".into(), what: "there is no images_ts.npy with the stamps of its frames; they were left out".into() });
+        losses.push(Loss::new("images.npy", "there is no images_ts.npy with the stamps of its frames; they were left out"));
         return Ok(None);
     }
     let place = Place { path: stamps.clone(), member: None };
@@ -127,11 +128,17 @@ fn stated_extent(path: &Path, files: &mut Vec<PathBuf>) -> Option<Extent> {
 
 impl Recording for Memmap {
     fn events_about(&self) -> Option<&EventsAbout> {
-        Some(&self.about)
+        Some(self.about.about(|tally| self.table.tally(self.reading, tally)))
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
-        Ok(Box::new(TableCursor::open(self.table.clone(), self.reading)?))
+        let settled = self.about.settled(|tally| self.table.tally(self.reading, tally))?;
+        let reading = Reading { rules: settled.rules, ..self.reading };
+        Ok(settled.followed(Box::new(TableCursor::open(self.table.clone(), reading)?)))
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.about.settled(|tally| self.table.tally(self.reading, tally)).map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
     }
 
     fn pictures(&self) -> Option<Arc<dyn Pictures>> {

@@ -7,6 +7,7 @@
 //! Limits: the events' array is taken to be as large as the pictures, on which they were aligned; what lies outside is left out.
 
 use crate::chunk::EventChunk;
+use crate::convention::{Convention, Lazy, Rules, Tally};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::evidence::{self, Of};
@@ -55,7 +56,7 @@ fn archives(folder: &Path) -> Result<Vec<PathBuf>, FormatError> {
 
 /// An opened sequence.
 pub struct HsErgb {
-    about: EventsAbout,
+    about: Lazy,
     reading: Reading,
     archives: Arc<Vec<PathBuf>>,
     declared: Declared,
@@ -96,10 +97,24 @@ impl HsErgb {
         };
         let mut files = archives.clone();
         files.extend(frames.iter().flat_map(|frames| frames.files().to_vec()));
-        let reading = Reading { unit, scale, wraps_at, extent, has_t_in: false };
+        let reading = Reading { unit, scale, wraps_at, extent, has_t_in: false, rules: Rules::default() };
         let mut about = npz::about(&sample.table, &reading, notes);
         about.count = None;
+        let about = Lazy::new(path, declared, about);
         Ok(HsErgb { about, reading, archives: Arc::new(archives), declared: declared.clone(), frames, files })
+    }
+}
+
+impl HsErgb {
+    /// Counts what all event files hold; what cannot be read of them is reported by who reads the events.
+    fn tally(&self, tally: &mut Tally) -> Result<(), FormatError> {
+        for file in self.archives.iter() {
+            let Ok((mut table, _)) = npz::table(file, &self.declared) else { continue };
+            if table.compare().is_ok() {
+                Arc::new(table).tally(self.reading, tally)?;
+            }
+        }
+        Ok(())
     }
 }
 
@@ -286,12 +301,18 @@ impl EventCursor for SequenceCursor {
 
 impl Recording for HsErgb {
     fn events_about(&self) -> Option<&EventsAbout> {
-        Some(&self.about)
+        Some(self.about.about(|tally| self.tally(tally)))
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
+        let settled = self.about.settled(|tally| self.tally(tally))?;
         let (archives, declared) = (self.archives.clone(), self.declared.clone());
-        Ok(Box::new(SequenceCursor { archives, declared, reading: self.reading, index: 0, inner: None, losses: Losses::default() }))
+        let reading = Reading { rules: settled.rules, ..self.reading };
+        Ok(settled.followed(Box::new(SequenceCursor { archives, declared, reading, index: 0, inner: None, losses: Losses::default() })))
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.about.settled(|tally| self.tally(tally)).map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
     }
 
     fn pictures(&self) -> Option<Arc<dyn Pictures>> {

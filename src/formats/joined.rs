@@ -4,9 +4,11 @@
 //! opens the shutter, falling closes it.
 
 use crate::chunk::{Edge, Trigger};
+use crate::convention::Convention;
 use crate::declared::Declared;
 use crate::error::{FormatError, Loss};
 use crate::format::Format;
+use crate::instead::explained;
 use crate::known::with_known_camera;
 use crate::pictures::{PictureFiles, exposures_from_triggers};
 use crate::placed::placed;
@@ -36,9 +38,11 @@ pub fn with_declared_frames(events: Box<dyn Recording>, declared: &Declared) -> 
 /// # Errors
 /// When the file cannot be read, or its frames cannot.
 pub fn open(format: &Format, path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
-    let recording = (format.open)(path, declared)?;
-    let recording = if declared.frames.is_some() { with_declared_frames(recording, declared)? } else { with_known_camera(format, recording) };
-    placed(path, recording, declared)
+    let opened = (format.open)(path, declared).and_then(|recording| match declared.frames {
+        Some(_) => with_declared_frames(recording, declared),
+        None => Ok(with_known_camera(format, recording)),
+    });
+    opened.and_then(|recording| placed(path, recording, declared)).map_err(|error| explained(error, declared))
 }
 
 impl Joined {
@@ -120,6 +124,10 @@ impl Recording for Joined {
 
     fn facts(&self) -> Vec<(String, String)> {
         self.events.facts()
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.events.conventions()
     }
 
     fn losses(&self) -> Vec<Loss> {

@@ -3,6 +3,7 @@
 //! Facts of hardware, each with its reason, in one table. They stand behind whatever a file or the user states, and a note says that they were used.
 
 use crate::chunk::Trigger;
+use crate::convention::Convention;
 use crate::declared::Transfer;
 use crate::error::{FormatError, Loss};
 use crate::format::Format;
@@ -92,6 +93,10 @@ impl Recording for WithCamera {
 
     fn facts(&self) -> Vec<(String, String)> {
         self.recording.facts()
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.recording.conventions()
     }
 
     fn losses(&self) -> Vec<Loss> {

@@ -14,6 +14,7 @@
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //! - [`placed`]: a mirrored picture, a shift by whole pixels, frames that are left out, as they are stated.
 //! - [`losses`]: what was left out, as a list that stays short.
+//! - [`convention`]: unusual ways of storing events that are no damage; [`instead`]: what a file is that is no recording.
 //! - [`aedat4`], [`aedat2`], [`event_stream`]: one module a format.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
@@ -26,6 +27,7 @@ pub mod bias;
 pub mod calibration;
 pub mod catalog;
 pub mod chunk;
+pub mod convention;
 pub mod csv;
 mod decimal;
 pub mod declared;
@@ -40,6 +42,7 @@ pub mod gather;
 pub mod hazard;
 pub mod hdf;
 pub mod hs_ergb;
+pub mod instead;
 pub mod joined;
 pub mod known;
 pub mod losses;
@@ -58,7 +61,7 @@ pub mod trim;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};
-pub use declared::{Column, Declared, Mirror, Shift, StampRole, TimeUnit, Transfer};
+pub use declared::{Column, Counter, Declared, Mirror, Polarity, Shift, StampRole, TimeUnit, Transfer};
 pub use error::{FormatError, Loss};
 pub use format::{Format, Probe, recognise};
 pub use recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};

@@ -1,6 +1,6 @@
 //! What a reader left out: a list that stays short, however damaged a file is.
 
-use crate::error::Loss;
+use crate::error::{Cause, Loss};
 
 /// Places of one kind that are listed one by one.
 const LISTED: u64 = 20;
@@ -20,6 +20,7 @@ pub struct Losses {
 #[derive(Clone, Debug)]
 struct Kind {
     name: &'static str,
+    cause: Cause,
     listed: u64,
     /// Places that are not listed.
     more_places: u64,
@@ -35,16 +36,21 @@ impl Losses {
 
     /// Adds `items` losses of one place, such as events of one packet; none for 0. A listed one that is met again is not added again.
     pub fn add_items(&mut self, kind: &'static str, items: u64, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
+        self.add_by(Cause::Damage, kind, items, at, what);
+    }
+
+    /// As [`Losses::add_items`], of a cause other than damage.
+    pub fn add_by(&mut self, cause: Cause, kind: &'static str, items: u64, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
         if items == 0 {
             return;
         }
-        let k = self.kind(kind);
+        let k = self.kind(kind, cause);
         if self.kinds[k].listed >= LISTED {
             self.kinds[k].more_places += 1;
             self.kinds[k].more_items += items;
             return;
         }
-        let loss = Loss { at: at(), what: what() };
+        let loss = Loss::new(at(), what()).by(cause);
         if !self.listed.iter().any(|(_, known)| *known == loss) {
             self.kinds[k].listed += 1;
             self.listed.push((k, loss));
@@ -55,19 +61,19 @@ impl Losses {
     pub fn append(&mut self, part: Losses, place: impl Fn(String) -> String) {
         let Losses { listed, kinds } = part;
         for (kind, loss) in listed {
-            self.add(kinds[kind].name, || place(loss.at), || loss.what);
+            self.add_by(kinds[kind].cause, kinds[kind].name, 1, || place(loss.at), || loss.what);
         }
         for more in kinds.iter().filter(|kind| kind.more_places > 0) {
-            let k = self.kind(more.name);
+            let k = self.kind(more.name, more.cause);
             self.kinds[k].more_places += more.more_places;
             self.kinds[k].more_items += more.more_items;
         }
     }
 
     /// The index of a kind.
-    fn kind(&mut self, name: &'static str) -> usize {
+    fn kind(&mut self, name: &'static str, cause: Cause) -> usize {
         self.kinds.iter().position(|known| known.name == name).unwrap_or_else(|| {
-            self.kinds.push(Kind { name, listed: 0, more_places: 0, more_items: 0 });
+            self.kinds.push(Kind { name, cause, listed: 0, more_places: 0, more_items: 0 });
             self.kinds.len() - 1
         })
     }
@@ -82,7 +88,8 @@ impl Losses {
             let kind = &self.kinds[*k];
             if left[*k] == 0 && kind.more_places > 0 {
                 let places = if kind.more_places == 1 { "place" } else { "places" };
-                list.push(Loss { at: format!("{} more {places}", kind.more_places), what: format!("{} more of this kind: {}", kind.more_items, kind.name) });
+                let what = format!("{} more of this kind: {}", kind.more_items, kind.name);
+                list.push(Loss { more: kind.more_places, ..Loss::new(format!("{} more {places}", kind.more_places), what).by(kind.cause) });
             }
         }
         list
@@ -105,7 +112,8 @@ mod tests {
         losses.add("cut ends", || "line 1001".into(), || "the last line is cut off".into());
         let list = losses.list();
         assert_eq!((list.len(), list[19].at.as_str(), list[21].at.as_str()), (22, "line 20", "line 1001"));
-        assert_eq!(list[20], Loss { at: "980 more places".into(), what: "980 more of this kind: lines without a number".into() });
+        assert_eq!((list[20].at.as_str(), list[20].what.as_str()), ("980 more places", "980 more of this kind: lines without a number"));
+        assert_eq!(list.iter().map(Loss::places).sum::<u64>(), 1001, "every place is counted once");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //!
 //! The unit of the stamps is in none of these, and the user states it; of an array of N x 4 the order of the columns too.
 
+use crate::convention::{Convention, Lazy, Rules};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::evidence::{self, Of, unit_name};
@@ -30,7 +31,7 @@ fn recognises(probe: &Probe) -> bool {
 /// An opened npz or npy file.
 pub struct Npz {
     path: PathBuf,
-    about: EventsAbout,
+    about: Lazy,
     table: Arc<Table>,
     reading: Reading,
     losses: Vec<Loss>,
@@ -51,8 +52,8 @@ impl Npz {
             notes.push(format!("coordinates divided by {scale} and rounded to the nearest pixel"));
         }
         let has_t_in = table.scalar(Column::TIn).is_some();
-        let reading = Reading { unit, scale, wraps_at: None, extent: declared.extent, has_t_in };
-        let about = about(&table, &reading, notes);
+        let reading = Reading { unit, scale, wraps_at: None, extent: declared.extent, has_t_in, rules: Rules::default() };
+        let about = Lazy::new(path, declared, about(&table, &reading, notes));
         Ok(Npz { path: path.into(), about, table: Arc::new(table), reading, losses, names })
     }
 }
@@ -166,11 +167,17 @@ fn path_begins(path: &Path, with: &[u8]) -> Result<bool, FormatError> {
 
 impl Recording for Npz {
     fn events_about(&self) -> Option<&EventsAbout> {
-        Some(&self.about)
+        Some(self.about.about(|tally| self.table.tally(self.reading, tally)))
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
-        Ok(Box::new(TableCursor::open(self.table.clone(), self.reading)?))
+        let settled = self.about.settled(|tally| self.table.tally(self.reading, tally))?;
+        let reading = Reading { rules: settled.rules, ..self.reading };
+        Ok(settled.followed(Box::new(TableCursor::open(self.table.clone(), reading)?)))
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.about.settled(|tally| self.table.tally(self.reading, tally)).map_or_else(|_| Vec::new(), |settled| settled.conventions.clone())
     }
 
     fn facts(&self) -> Vec<(String, String)> {

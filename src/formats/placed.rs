@@ -5,6 +5,7 @@
 
 use crate::arrange::Arranged;
 use crate::chunk::{EventChunk, Trigger};
+use crate::convention::Convention;
 use crate::declared::{Declared, Mirror, Shift};
 use crate::error::{FormatError, Loss};
 use crate::recording::{EventCursor, EventsAbout, FramesAbout, Pictures, Recording};
@@ -116,6 +117,10 @@ impl Recording for Placed {
 
     fn facts(&self) -> Vec<(String, String)> {
         self.recording.facts()
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.recording.conventions()
     }
 
     fn losses(&self) -> Vec<Loss> {
@@ -251,6 +256,10 @@ impl Recording for PartOf<'_> {
 
     fn facts(&self) -> Vec<(String, String)> {
         self.recording.facts()
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.recording.conventions()
     }
 
     fn losses(&self) -> Vec<Loss> {

@@ -1,6 +1,7 @@
 //! What an opened file gives.
 
 use crate::chunk::{EventChunk, Trigger};
+use crate::convention::Convention;
 use crate::declared::{StampRole, Transfer};
 use crate::error::{FormatError, Loss};
 use photocurrent_core::{Colour, Extent};
@@ -41,6 +42,11 @@ pub trait Recording: Send + Sync {
         Vec::new()
     }
 
+    /// Unusual ways of storing events that were recognised over the whole file, each also a note of [`Recording::events_about`].
+    fn conventions(&self) -> Vec<Convention> {
+        Vec::new()
+    }
+
     /// What was found damaged while opening.
     fn losses(&self) -> Vec<Loss> {
         Vec::new()
@@ -65,6 +71,11 @@ pub struct EventsAbout {
     pub stamps: String,
     /// What the reader did to give whole pixels, nanoseconds and 0/1: "coordinates divided by 32", "t_offset of 1234 us added".
     pub notes: Vec<String>,
+}
+
+/// The note that one camera of several was read: "events are those of left; not read: right (`camera` chooses)".
+pub(crate) fn not_read(what: &str, chosen: &str, others: &[&str], field: &str) -> String {
+    format!("{what} are those of {chosen}; not read: {} (`{field}` chooses)", others.join(", "))
 }
 
 /// Walks through events in file order.

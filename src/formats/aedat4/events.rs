@@ -7,7 +7,7 @@ use super::chain::{Chain, Packet};
 use super::flat::Table;
 use super::index::{Mark, marks_by_reading};
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use crate::losses::Losses;
 use crate::recording::EventCursor;
 use photocurrent_core::Extent;
@@ -132,7 +132,7 @@ impl EventCursor for Cursor {
             self.rest.start = end;
             let what = || format!("{outside} events lie outside the {} pixels, or have impossible stamps; they are left out", self.extent);
             let at = || self.packet.map(|packet| packet.place()).unwrap_or_default();
-            self.losses.add_items("events outside the pixels or with impossible stamps were left out", outside as u64, at, what);
+            self.losses.add_by(Cause::Outside, "events outside the pixels or with impossible stamps were left out", outside as u64, at, what);
         }
         Ok(true)
     }

@@ -6,6 +6,7 @@
 use super::decompress::Compression;
 use super::flat::Table;
 use crate::error::FormatError;
+use crate::recording::not_read;
 use photocurrent_core::Extent;
 use std::fs::File;
 use std::io::Read;
@@ -104,18 +105,25 @@ impl Header {
         Ok(Header { compression, first: 18 + length, table, size, streams })
     }
 
-    /// The stream of a kind that is to be read: the one that was named, or that with the lowest number; and how many others there are.
+    /// The stream of a kind that is to be read: the one that was named, or that with the lowest number; then a note on the others.
     ///
     /// # Errors
     /// When there is none of that name.
-    pub fn choose(&self, path: &Path, content: Content, named: Option<&str>, field: &'static str) -> Result<(Option<&Stream>, usize), FormatError> {
+    pub fn choose(&self, path: &Path, content: Content, named: Option<&str>, field: &'static str) -> Result<(Option<&Stream>, Option<String>), FormatError> {
         let all: Vec<&Stream> = self.streams.iter().filter(|stream| stream.content == content).collect();
-        let Some(wanted) = named else { return Ok((all.first().copied(), all.len().saturating_sub(1))) };
+        let Some(wanted) = named else {
+            let Some((first, rest)) = all.split_first() else { return Ok((None, None)) };
+            let others: Vec<String> = rest.iter().map(|stream| stream.describe()).collect();
+            let others: Vec<&str> = others.iter().map(String::as_str).collect();
+            let what = if content == Content::Events { "events" } else { "frames" };
+            let note = (!others.is_empty()).then(|| not_read(what, &format!("stream {}", first.describe()), &others, field));
+            return Ok((Some(first), note));
+        };
         let is = |stream: &&&Stream| stream.id.to_string() == wanted || stream.name.as_deref() == Some(wanted) || stream.source.as_deref() == Some(wanted);
         match all.iter().find(is) {
-            Some(stream) => Ok((Some(stream), all.len() - 1)),
+            Some(stream) => Ok((Some(stream), None)),
             // The camera of the events may be named where another stream is looked for.
-            None if all.is_empty() => Ok((None, 0)),
+            None if all.is_empty() => Ok((None, None)),
             None => {
                 let names: Vec<String> = all.iter().map(|stream| stream.describe()).collect();
                 Err(FormatError::new(path, format!("no stream is called `{wanted}`"), format!("name one of these by its number: {}", names.join("; ")))

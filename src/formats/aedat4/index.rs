@@ -8,7 +8,7 @@ use super::chain::{Chain, Packet, read_at};
 use super::decompress::{MOST_BYTES, Plain};
 use super::flat::Table;
 use super::header::Header;
-use crate::error::FormatError;
+use crate::error::{Cause, FormatError};
 use crate::losses::Losses;
 use std::path::Path;
 use std::sync::Arc;
@@ -83,7 +83,7 @@ impl Index {
             },
             Some(at) => {
                 let what = || format!("the file ends here, and its data table should stand at byte {at}: the end is cut off");
-                losses.add("ends that are cut off", || format!("byte {}", header.size), what);
+                losses.add_by(Cause::Cut, "ends that are cut off", 1, || format!("byte {}", header.size), what);
             }
             None => {}
         }

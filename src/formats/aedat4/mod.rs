@@ -90,11 +90,10 @@ impl Aedat4 {
         let (events, other_events) = header.choose(path, Content::Events, declared.camera.as_deref(), "camera")?;
         let (frames, other_frames) = header.choose(path, Content::Frames, declared.frame_camera.as_deref(), "frame_camera")?;
         let (events, frames) = (events.cloned(), frames.cloned());
-        let others = |count: usize, what: &str| if count > 0 { vec![format!("{count} further {what} in the file: not read")] } else { Vec::new() };
         let mut about = None;
         let mut chosen = None;
         if let Some(stream) = &events {
-            let mut notes = others(other_events, "streams of events");
+            let mut notes: Vec<String> = other_events.into_iter().collect();
             let extent = match (declared.extent, stream.extent) {
                 (Some(declared), Some(stated)) if declared != stated => {
                     notes.push(format!("the extent is declared as {declared}; the file states {stated}"));
@@ -118,7 +117,7 @@ impl Aedat4 {
             about.count = index.events;
         }
         let inner = Arc::new(Inner { path: path.into(), header, index, marks: OnceLock::new() });
-        let frame_notes = others(other_frames, "streams of frames");
+        let frame_notes = other_frames.into_iter().collect();
         let (pictures, triggers) = (OnceLock::new(), OnceLock::new());
         Ok(Aedat4 { inner, about, events: chosen, frames, frame_notes, losses, pictures, triggers })
     }
@@ -129,7 +128,7 @@ impl Aedat4 {
             let Some(stream) = &self.frames else { return (None, Vec::new()) };
             match Frames::new(&self.inner, stream.extent, self.frame_notes.clone()) {
                 Ok((frames, losses)) => (frames.map(Arc::new), losses),
-                Err(error) => (None, vec![Loss { at: "all frames".into(), what: error.found }]),
+                Err(error) => (None, vec![Loss::new("all frames", error.found)]),
             }
         })
     }

@@ -7,7 +7,7 @@ use super::header::{self, Header};
 use super::{Decoder, Faults};
 use crate::bias;
 use crate::chunk::{EventChunk, Trigger};
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use crate::losses::Losses;
 use crate::recording::{EventCursor, EventsAbout, Recording};
 use photocurrent_core::Extent;
@@ -220,7 +220,7 @@ impl<D: Decoder> Cursor<D> {
         let outside = now.outside.saturating_sub(known.outside);
         let array = self.extent.map_or("what the format can have".into(), |extent| format!("{extent} pixels"));
         let what = || format!("{outside} events lie outside {array}, or have no row; they are left out");
-        self.losses.add_items("events outside the pixel array, or without a row, were left out", outside, at, what);
+        self.losses.add_by(Cause::Outside, "events outside the pixel array, or without a row, were left out", outside, at, what);
         let unknown = now.unknown.saturating_sub(known.unknown);
         self.losses.add_items("words of no known kind were left out", unknown, at, || format!("{unknown} words are of no known kind; they are left out"));
         let strays = now.strays.saturating_sub(known.strays);
@@ -245,7 +245,7 @@ impl<D: Decoder> EventCursor for Cursor<D> {
             // Only the end of the file is no whole word. Some programs end a file with a line feed.
             if self.piece[used..read] != *b"\n" {
                 let what = || format!("the file ends within a word of {} bytes: it is cut off, and what came after it is lost", D::WORD);
-                self.losses.add("words that are cut off", || format!("bytes {} to {}", self.mark.at, self.mark.at + left as u64), what);
+                self.losses.add_by(Cause::Cut, "words that are cut off", 1, || format!("bytes {} to {}", self.mark.at, self.mark.at + left as u64), what);
             }
             self.file.seek(SeekFrom::End(0)).map_err(|error| FormatError::io(&self.path, &error))?;
         }

@@ -24,6 +24,10 @@ use Consequence::{Corrects, Marks, None as Nothing, Proposes, Refuses};
 pub const CONSEQUENCES: &[(&str, Consequence)] = &[
     // Of the file.
     ("damaged", Nothing),
+    ("cut_off", Nothing),
+    ("events_outside", Marks),
+    ("odd_polarity", Marks),
+    ("stamps_without_time", Marks),
     ("event_count", Marks),
     // Of the events' clock.
     ("no_events", Refuses("--camera")),
@@ -110,6 +114,7 @@ pub fn consequence(id: &str) -> Option<Consequence> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::Cause;
     use std::collections::BTreeSet;
 
     /// Ids in the sources of the detectors: the first literal of each finding, and those of lines, which are chosen between rows and columns.
@@ -124,6 +129,7 @@ mod tests {
                 ids.extend(literals.filter(|text| *text != "column").map(String::from));
             }
         }
+        ids.extend([Cause::Damage, Cause::Cut, Cause::Outside, Cause::Polarity, Cause::Stamp].map(|cause| super::super::advice(cause).0.to_owned()));
         ids
     }
 

@@ -1,17 +1,9 @@
 //! Hazards of an event stream by itself: unit, clock, stamps, polarity, places.
 
 use super::{Finding, Limits, Severity, count, percent, time};
+use crate::declared::Counter;
 use crate::survey::EventsSurvey;
 use crate::survey::places::LinesSurvey;
-
-/// Ranges of counters that start again, ns: 24, 28, 31 and 32 bits of microseconds, 32 bits of nanoseconds.
-const COUNTERS: [(&str, f64); 5] = [
-    ("24 bits of microseconds", 16_777_216e3),
-    ("28 bits of microseconds", 268_435_456e3),
-    ("31 bits of microseconds", 2_147_483_648e3),
-    ("32 bits of microseconds", 4_294_967_296e3),
-    ("32 bits of nanoseconds", 4_294_967_296.0),
-];
 
 /// Adds what there is to say.
 pub fn judge(events: &EventsSurvey, format: &str, limits: &Limits, found: &mut Vec<Finding>) {
@@ -38,6 +30,9 @@ pub fn judge(events: &EventsSurvey, format: &str, limits: &Limits, found: &mut V
         unit(events, limits, found);
         stamps(events, limits, found);
         polarity(events, limits, found);
+    }
+    for convention in &events.conventions {
+        found.push(Finding::new(convention.id, Severity::Fact, &convention.what, &convention.evidence, &convention.otherwise));
     }
     clock(events, format, limits, found);
     places(events, limits, found);
@@ -182,23 +177,23 @@ fn stamps(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     }
     let rate = &events.rate;
     if rate.counts.len() >= 50 {
-        let most = rate.counts.iter().copied().max().unwrap_or(0);
         let empty = rate.counts.iter().filter(|n| **n == 0).count();
-        let mut sorted = rate.counts.clone();
-        sorted.sort_unstable_by_key(|n| std::cmp::Reverse(*n));
         let kept = (limits.stray_span * rate.counts.len() as f64).ceil() as usize;
-        let inside: u64 = sorted.iter().take(kept).sum();
-        if most > 0 && inside as f64 >= limits.stray_share * events.count as f64 && empty * 10 > rate.counts.len() * 8 {
+        // Ends of the stretch are stamps, not edges of bins, which may be seconds wide.
+        if let Some((inside, first, last)) = rate.densest(kept)
+            && inside as f64 >= limits.stray_share * events.count as f64
+            && empty * 10 > rate.counts.len() * 8
+        {
             found.push(Finding::new(
                 "stray_stamps",
                 Severity::Hazard,
                 "a few events lie far from all others in time",
                 format!(
-                    "{} of {} events lie in {} of a span of {}",
-                    inside,
+                    "{inside} of {} events lie in {} of a span of {}; {} beyond",
                     events.count,
-                    percent(kept as f64 / rate.counts.len() as f64),
-                    time(events.seconds() * 1e9)
+                    percent(last.saturating_sub(first) as f64 * 1e-9 / events.seconds()),
+                    time(events.seconds() * 1e9),
+                    count(events.count.saturating_sub(inside), "lies", "lie")
                 ),
                 "cut the recording to the span that is full, and look for damaged packets",
             ));
@@ -214,13 +209,17 @@ fn clock(events: &EventsSurvey, format: &str, limits: &Limits, found: &mut Vec<F
             furthest.map_or_else(String::new, |step| format!(", at event {}: from {} to {}", step.event, time(step.from_ns as f64), time(step.to_ns as f64)));
         let evidence = format!("time goes back {}, {} at most{place}", count(stamps.backward, "time", "times"), time(stamps.furthest_back_ns as f64));
         let size = stamps.furthest_back_ns as f64;
-        match COUNTERS.iter().find(|(_, range)| (size - range).abs() < limits.wrap_share * range) {
-            Some((counter, _)) => found.push(Finding::new(
+        match Counter::ALL.iter().find(|counter| (size - counter.range_ns() as f64).abs() < limits.wrap_share * counter.range_ns() as f64) {
+            Some(counter) => found.push(Finding::new(
                 "counter_wrap",
                 Severity::Error,
                 "a counter started again, and nobody added its range",
-                format!("{evidence}; {counter} have that range"),
-                "convert again with a reader that follows the counter, or cut the recording there",
+                format!("{evidence}; {} have that range", counter.name()),
+                if crate::convention::FORMATS.contains(&format) {
+                    format!("state the counter, `counter = \"{}\"`, so that its range is added; or cut the recording there", counter.word())
+                } else {
+                    "convert again with a reader that follows the counter, or cut the recording there".into()
+                },
             )),
             None => found.push(Finding::new(
                 "time_goes_back",
@@ -271,13 +270,18 @@ fn polarity(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
 fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let places = &events.places;
     let (x, y) = places.largest;
+    let begins_at_one = places.smallest == (1, 1) && events.count >= limits.fewest_events;
     match events.extent {
         None => found.push(Finding::new(
             "extent_unknown",
             Severity::Question,
             "the size of the pixel array is not recorded",
-            format!("events reach column {x} and row {y}"),
-            "state the extent; the largest coordinates are its least size",
+            format!("events reach column {x} and row {y}{}", if begins_at_one { ", and none lies in column 0 or row 0" } else { "" }),
+            if begins_at_one {
+                "state the extent; if coordinates begin at 1, as programs of MATLAB write them, state `origin = 1` too"
+            } else {
+                "state the extent; the largest coordinates are its least size"
+            },
         )),
         Some((width, height)) if x >= width || y >= height => found.push(Finding::new(
             "outside",

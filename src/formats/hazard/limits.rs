@@ -36,7 +36,7 @@ pub struct Limits {
     pub float_share: f64,
     /// Stamps that decide that, at least.
     pub float_fewest: u64,
-    /// Share of all events within `stray_span` of the span from which the others are strays.
+    /// Share of all events within `stray_span` of the span from which the others are strays: more of them, further away, are a second part of the recording.
     pub stray_share: f64,
     /// See there.
     pub stray_span: f64,
@@ -108,7 +108,7 @@ impl Default for Limits {
             wrap_share: 0.02,
             float_share: 0.99,
             float_fewest: 1000,
-            stray_share: 0.999,
+            stray_share: 0.98,
             stray_span: 0.02,
             hot_share: 0.05,
             duplicate_share: 0.01,

@@ -24,6 +24,7 @@ pub use consequence::{Consequence, consequence};
 pub use limits::Limits;
 pub use places::{mirror_of, shift_of};
 
+use crate::error::Cause;
 use crate::survey::Survey;
 use serde::Serialize;
 use std::fmt;
@@ -100,15 +101,44 @@ pub fn findings(survey: &Survey, limits: &Limits) -> Vec<Finding> {
     found
 }
 
+/// What was left out, one finding for each cause: what can be done depends on it.
 fn damage(survey: &Survey, found: &mut Vec<Finding>) {
-    if let Some(first) = survey.losses.first() {
-        found.push(Finding::new(
-            "damaged",
-            Severity::Hazard,
-            "parts of the file are damaged and were left out",
-            format!("{} in all; first {}: {}", count(survey.losses.len() as u64, "loss", "losses"), first.at, first.what),
-            "copy the file again from where it came; what is whole can be used",
-        ));
+    let mut causes: Vec<Cause> = survey.losses.iter().map(|loss| loss.cause).collect();
+    causes.sort_unstable();
+    causes.dedup();
+    for cause in causes {
+        let of_cause = || survey.losses.iter().filter(|loss| loss.cause == cause);
+        let Some(first) = of_cause().next() else { continue };
+        let (id, message, what_to_do) = advice(cause);
+        let places = count(of_cause().map(|loss| loss.places).sum(), "place", "places");
+        found.push(Finding::new(id, Severity::Hazard, message, format!("{places} in all; first {}: {}", first.at, first.what), what_to_do));
+    }
+}
+
+/// Id, message and what to do.
+fn advice(cause: Cause) -> (&'static str, &'static str, &'static str) {
+    match cause {
+        Cause::Damage => ("damaged", "parts of the file are damaged and were left out", "copy the file again from where it came; what is whole can be used"),
+        Cause::Cut => (
+            "cut_off",
+            "the file ends before its content does; what lies behind is lost",
+            "copy the file again from where it came, or record it again; what stands before the end can be used",
+        ),
+        Cause::Outside => (
+            "events_outside",
+            "events lie outside of the pixel array and were left out",
+            "state the array's size as `extent`, or how coordinates are stored: `origin = 1` where they begin at 1, `coordinate_scale` where they count parts of a pixel",
+        ),
+        Cause::Polarity => (
+            "odd_polarity",
+            "some events have a polarity that the others do not have, and were left out",
+            "if these values mean something, state `polarity`: \"counts\" (every value above 0 is ON) or \"one_two\" (1 is OFF, 2 is ON)",
+        ),
+        Cause::Stamp => (
+            "stamps_without_time",
+            "some events have a stamp that is no time, and were left out",
+            "check the program that wrote the stamps; if there are many, check which column is the time and its unit (`time_unit`)",
+        ),
     }
 }
 

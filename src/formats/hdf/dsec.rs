@@ -5,9 +5,9 @@
 //! from another camera than the events. The file does not state the sensor's size: `rectify_map.h5` in its folder does, and so do our own files.
 
 use super::table::EventTable;
-use super::{HdfRecording, declared_extent, extent, holds, open_file, optional, refused, with_cut};
+use super::{HdfRecording, declared_extent, extent, holds, open_file, optional, others, refused, with_cut};
 use crate::Declared;
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::recording::Recording;
 use photocurrent_core::Extent;
@@ -35,8 +35,11 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     let missing = || FormatError::new(path, "there is no events.h5", "name the file with the events").expected("events/left/events.h5 or events.h5");
     let events = folder::events_of(path, side).ok_or_else(missing)?;
     let mut recording = open_events(path, &events, declared)?;
+    let there = folder::cameras_of(path);
+    let there: Vec<&str> = there.iter().map(String::as_str).collect();
+    recording.note(others(side, "left", &there, "events and frames", "camera"));
     recording.more_files = vec![events];
-    if let Some(pictures) = folder::pictures_of(path, declared.frame_camera.as_deref())? {
+    if let Some(pictures) = folder::pictures_of(path, declared.frame_camera.as_deref().or(side))? {
         recording.more_files.extend_from_slice(pictures.files());
         recording.losses.extend_from_slice(pictures.losses());
         recording.pictures = Some(Arc::new(pictures));
@@ -58,12 +61,12 @@ fn open_events(path: &Path, events: &Path, declared: &Declared) -> Result<HdfRec
         table.offset_ns = us.checked_mul(table.unit_ns).ok_or_else(wrong)?;
         notes.push(format!("t_offset of {us} us added"));
     } else if file.cut().is_some() {
-        lost.push(Loss { at: "/t_offset".into(), what: "none is left: if there was one, all times are too early by it".into() });
+        lost.push(Loss::new("/t_offset", "none is left: if there was one, all times are too early by it").by(Cause::Cut));
     }
     table.index = optional(&file, "ms_to_idx", &mut lost)?.filter(|index| index.shape().len() == 1 && table.unit_ns == 1000);
     table.extent = declared_extent(declared, stated_extent(&file));
     notes.extend(table.polarity_note());
-    Ok(HdfRecording::new(path, &file, Some(table), notes, lost))
+    Ok(HdfRecording::new(path, &file, Some(table), notes, lost).recognising(declared))
 }
 
 /// The sensor's size: of attributes as we write them, or of a rectification map in its folder.

@@ -6,7 +6,7 @@
 use super::stack::{Order, Stack, about, shape_of};
 use super::table::{EventTable, nanoseconds};
 use super::{HdfRecording, declared_extent, extent, holds, open_file, refused, with_cut};
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::recording::{FrameStamp, Pictures, Recording};
 use crate::{Declared, TimeUnit};
@@ -33,7 +33,7 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     table.extent = declared_extent(declared, found);
     let (pictures, losses) = pictures(&file, table.unit_ns)?;
     let notes = table.polarity_note().into_iter().collect();
-    let mut recording = HdfRecording::new(path, &file, Some(table), notes, losses);
+    let mut recording = HdfRecording::new(path, &file, Some(table), notes, losses).recognising(declared);
     recording.pictures = pictures.map(|pictures| Arc::new(pictures) as Arc<dyn Pictures>);
     Ok(Box::new(recording))
 }
@@ -83,10 +83,10 @@ fn pictures(file: &ForeignFile, unit_ns: i64) -> Result<(Option<Stack>, Vec<Loss
     }
     let mut losses = Vec::new();
     if lost > 0 {
-        losses.push(Loss { at: "/images".into(), what: format!("{lost} pictures lie behind the cut; they are lost") });
+        losses.push(Loss::new("/images", format!("{lost} pictures lie behind the cut; they are lost")).by(Cause::Cut));
     }
     if odd > 0 {
-        losses.push(Loss { at: "/images".into(), what: format!("{odd} pictures have another shape than the first and were left out") });
+        losses.push(Loss::new("/images", format!("{odd} pictures have another shape than the first and were left out")));
     }
     let (Some((extent, colour)), Some((_, field))) = (first, kept.first()) else { return Ok((None, losses)) };
     let mut about = about(extent, colour, *field, stamps);

@@ -5,7 +5,7 @@
 
 use super::stack::{Order, Stack};
 use super::table::EventTable;
-use super::{HdfRecording, chosen, declared_extent, extent, holds, open_file, optional, refused, with_cut};
+use super::{HdfRecording, chosen, declared_extent, extent, holds, open_file, optional, others, refused, with_cut};
 use crate::Declared;
 use crate::error::FormatError;
 use crate::format::{Format, Probe};
@@ -34,18 +34,21 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     let found = resolution.as_deref().and_then(|sides| if let [width, height] = *sides { extent(width, height) } else { None });
     table.extent = declared_extent(declared, found);
     table.index = optional(&file, &name("ms_map_idx"), &mut lost)?;
-    let notes = table.polarity_note().into_iter().collect();
-    let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost);
+    let notes = table.polarity_note().into_iter().chain(others(declared.camera.as_deref(), camera, &there, "events", "camera")).collect();
+    let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost).recognising(declared);
     recording.facts = vec![("event camera".into(), format!("prophesee/{camera} (of {})", there.join(", ")))];
     let frames: Vec<&str> = ["left", "rgb", "right"].into_iter().filter(|side| file.has(&format!("ovc/{side}/data"))).collect();
     if !frames.is_empty() || declared.frame_camera.is_some() {
-        let side = chosen(path, declared.frame_camera.as_deref(), &frames, "frame camera", "frame_camera")?;
+        // Of the side of the events, where another is not stated.
+        let wanted = declared.frame_camera.as_deref().or(frames.contains(&camera).then_some(camera));
+        let side = chosen(path, wanted, &frames, "frame camera", "frame_camera")?;
         let images = optional(&file, &format!("ovc/{side}/data"), &mut recording.losses)?;
         let stamps = optional(&file, "ovc/ts", &mut recording.losses)?.map(|stamps| stamps.integers()).transpose().map_err(wrap)?.unwrap_or_default();
         let stamps = stamps.into_iter().map(|t| FrameStamp { at: t.saturating_mul(1000), exposure: None }).collect();
         if let Some(images) = images {
             let mut stack = Stack::of_dataset(path, images, stamps, Order::Bgr)?;
             recording.losses.extend(stack.lost.take());
+            stack.about_mut().notes.extend(others(declared.frame_camera.as_deref(), side, &frames, "frames", "frame_camera"));
             if stack.about().colour == Colour::Rgb {
                 stack.about_mut().notes.push("channels are stored as blue, green, red, and were turned round".into());
             }

@@ -28,16 +28,17 @@ mod cut_tests;
 #[cfg(test)]
 mod tests;
 
-use crate::error::{FormatError, Loss};
+use crate::convention::{Convention, Lazy, Rules, Settled};
+use crate::error::{Cause, FormatError, Loss};
 use crate::format::Probe;
-use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
+use crate::recording::{EventCursor, EventsAbout, Pictures, Recording, not_read};
 use crate::{Declared, chunk::Trigger};
 use photocurrent_core::Extent;
 use photocurrent_store::StoreError;
 use photocurrent_store::foreign::{ForeignDataset, ForeignFile};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use table::EventTable;
+use table::{EventTable, TableCursor};
 
 /// What to do about a damaged file.
 const COPY: &str = "the file is damaged: copy or record it again";
@@ -61,7 +62,7 @@ fn open_file(path: &Path) -> Result<ForeignFile, FormatError> {
 fn optional(file: &ForeignFile, name: &str, losses: &mut Vec<Loss>) -> Result<Option<ForeignDataset>, FormatError> {
     match file.dataset(name) {
         Err(_) if file.cut().is_some() => {
-            losses.push(Loss { at: format!("/{name}"), what: "its header lies behind the cut; it is lost".into() });
+            losses.push(Loss::new(format!("/{name}"), "its header lies behind the cut; it is lost").by(Cause::Cut));
             Ok(None)
         }
         found => found.map_err(|error| refused(file.path(), error)),
@@ -109,11 +110,19 @@ fn chosen<'a>(path: &Path, wanted: Option<&str>, there: &[&'a str], what: &str, 
     }
 }
 
+/// The note that one camera of several was read, where none was stated.
+fn others(wanted: Option<&str>, chosen: &str, there: &[&str], what: &str, field: &str) -> Option<String> {
+    let others: Vec<&str> = there.iter().copied().filter(|name| *name != chosen).collect();
+    (wanted.is_none() && !others.is_empty()).then(|| not_read(what, chosen, &others, field))
+}
+
 /// What every layout gives: a table of events, pictures, triggers, facts.
 struct HdfRecording {
     path: PathBuf,
     about: Option<EventsAbout>,
     table: Option<Arc<EventTable>>,
+    /// What is recognised of the columns; none for layouts that define all of it.
+    lazy: Option<Lazy>,
     pictures: Option<Arc<dyn Pictures>>,
     triggers: Vec<Trigger>,
     sensor: Option<String>,
@@ -126,12 +135,13 @@ struct HdfRecording {
 impl HdfRecording {
     /// Of a file, or of a folder and its file, with or without events. What was lost while it was opened stands behind the cut that caused it.
     fn new(path: &Path, file: &ForeignFile, table: Option<EventTable>, notes: Vec<String>, lost: Vec<Loss>) -> HdfRecording {
-        let whole = |cut: String| Loss { at: "the file".into(), what: format!("{cut}; what lies behind is lost") };
+        let whole = |cut: String| Loss::new("the file", format!("{cut}; what lies behind is lost")).by(Cause::Cut);
         let about = table.as_ref().map(|table| table.about(notes));
         HdfRecording {
             path: path.into(),
             about,
             table: table.map(Arc::new),
+            lazy: None,
             pictures: None,
             triggers: Vec::new(),
             sensor: None,
@@ -142,14 +152,46 @@ impl HdfRecording {
     }
 }
 
+impl HdfRecording {
+    /// Adds a note on the events.
+    fn note(&mut self, note: Option<String>) {
+        if let Some(about) = &mut self.about {
+            about.notes.extend(note.clone());
+        }
+        if let Some(lazy) = &mut self.lazy {
+            lazy.note(note);
+        }
+    }
+
+    /// Lets what the columns hold decide how they are read: for layouts that other people's programs write.
+    fn recognising(mut self, declared: &Declared) -> HdfRecording {
+        self.lazy = self.about.clone().map(|about| Lazy::new(&self.path, declared, about));
+        self
+    }
+
+    /// How the events are read, where what the columns hold decides it.
+    fn settled(&self) -> Option<Result<&Settled, FormatError>> {
+        let (lazy, table) = (self.lazy.as_ref()?, self.table.as_ref()?);
+        Some(lazy.settled(|tally| table.tally(tally)))
+    }
+}
+
 impl Recording for HdfRecording {
     fn events_about(&self) -> Option<&EventsAbout> {
-        self.about.as_ref()
+        match self.settled() {
+            Some(Ok(settled)) => Some(&settled.about),
+            _ => self.about.as_ref(),
+        }
     }
 
     fn events(&self) -> Result<Box<dyn EventCursor>, FormatError> {
         let table = self.table.clone().ok_or_else(|| FormatError::new(&self.path, "there are no events", "name a file with events"))?;
-        Ok(Box::new(table::TableCursor::new(table)))
+        let Some(settled) = self.settled().transpose()? else { return Ok(Box::new(TableCursor::new(table, Rules::default()))) };
+        Ok(settled.followed(Box::new(TableCursor::new(table, settled.rules))))
+    }
+
+    fn conventions(&self) -> Vec<Convention> {
+        self.settled().and_then(Result::ok).map_or_else(Vec::new, |settled| settled.conventions.clone())
     }
 
     fn pictures(&self) -> Option<Arc<dyn Pictures>> {

@@ -4,7 +4,7 @@
 
 use super::stack::{Order, Stack};
 use super::table::{EventTable, nanoseconds};
-use super::{HdfRecording, chosen, declared_extent, holds, open_file, optional, refused, with_cut};
+use super::{HdfRecording, chosen, declared_extent, holds, open_file, optional, others, refused, with_cut};
 use crate::error::FormatError;
 use crate::format::{Format, Probe};
 use crate::recording::{FrameStamp, Pictures, Recording};
@@ -41,8 +41,8 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
         pictures = Some(stack);
     }
     table.extent = declared_extent(declared, pictures.as_ref().map(|pictures| pictures.about().extent));
-    let notes = table.polarity_note().into_iter().collect();
-    let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost);
+    let notes = table.polarity_note().into_iter().chain(others(declared.camera.as_deref(), camera, &there, "events and frames", "camera")).collect();
+    let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost).recognising(declared);
     recording.pictures = pictures.map(|pictures| Arc::new(pictures) as Arc<dyn Pictures>);
     recording.facts = vec![("camera".into(), format!("davis/{camera} (of {})", there.join(", ")))];
     Ok(Box::new(recording))

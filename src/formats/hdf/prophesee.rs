@@ -64,7 +64,7 @@ pub(super) fn triggers(file: &ForeignFile, most: usize, losses: &mut Vec<Loss>) 
         block.integers(t, &mut times);
         block.integers(id, &mut lines);
         for gap in block.gaps() {
-            losses.push(Loss { at: format!("triggers {} to {}", gap.rows.start, gap.rows.end - 1), what: format!("{}; they are lost", gap.why) });
+            losses.push(Loss::new(format!("triggers {} to {}", gap.rows.start, gap.rows.end - 1), format!("{}; they are lost", gap.why)));
         }
         for i in 0..times.len() {
             if block.gaps().iter().any(|gap| gap.rows.contains(&(start + i))) {
@@ -78,7 +78,7 @@ pub(super) fn triggers(file: &ForeignFile, most: usize, losses: &mut Vec<Loss>) 
     losses.truncate(MOST_LOSSES);
     if count < events.rows() {
         let what = format!("no more than {most} triggers are read; the others are left out");
-        losses.push(Loss { at: format!("triggers {count} to {}", events.rows() - 1), what });
+        losses.push(Loss::new(format!("triggers {count} to {}", events.rows() - 1), what));
     }
     Ok(triggers)
 }

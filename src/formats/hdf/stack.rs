@@ -1,7 +1,7 @@
 //! Frames in HDF5: one dataset [frames, rows, columns] with channels last, or a dataset for each frame.
 
 use super::refused;
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use crate::recording::{FrameStamp, FramesAbout, Pictures};
 use photocurrent_core::{Colour, Extent};
 use photocurrent_store::foreign::{Field, ForeignDataset, ForeignFile};
@@ -61,7 +61,7 @@ impl Stack {
         let field = dataset.numbers().ok_or_else(wrong)?;
         let (frames, whole, stamped) = (dataset.rows(), dataset.rows_before_the_cut().map_err(|error| refused(path, error))?, stamps.len());
         let lost =
-            (whole < frames).then(|| Loss { at: dataset.at().into(), what: format!("frames {whole} to {} lie behind the cut; they are lost", frames - 1) });
+            (whole < frames).then(|| Loss::new(dataset.at(), format!("frames {whole} to {} lie behind the cut; they are lost", frames - 1)).by(Cause::Cut));
         stamps.truncate(whole);
         let mut about = about(extent, colour, field, stamps);
         if frames > stamped {

@@ -5,7 +5,8 @@
 
 use super::refused;
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
-use crate::error::{FormatError, Loss};
+use crate::convention::{NONE, Rules, Tally};
+use crate::error::{Cause, FormatError, Loss};
 use crate::losses::Losses;
 use crate::recording::{EventCursor, EventsAbout};
 use photocurrent_core::Extent;
@@ -257,9 +258,34 @@ impl Coordinates {
     }
 }
 
+impl EventTable {
+    /// Counts what all rows hold that can be read.
+    pub fn tally(&self, tally: &mut Tally) -> Result<(), FormatError> {
+        let (mut x, mut y, mut p, mut t) = (Vec::new(), Vec::new(), Vec::new(), Stamps::default());
+        for first in (0..self.count).step_by(PIECE) {
+            let rows = first..self.count.min(first + PIECE);
+            let blocks = self.sources.iter().map(|source| source.rows_at(rows.clone()).map_err(|error| refused(&self.path, error)));
+            let blocks = blocks.collect::<Result<Vec<_>, _>>()?;
+            for (column, values) in [(self.x, &mut x), (self.y, &mut y), (self.p, &mut p)] {
+                values.clear();
+                blocks[column.source].integers(column.field, values);
+            }
+            t.read(self, &blocks[self.t.source]);
+            let is_lost = |row: usize| blocks.iter().any(|block| block.gaps().iter().any(|gap| gap.rows.contains(&row)));
+            let is_whole = blocks.iter().all(|block| block.gaps().is_empty());
+            for i in (0..rows.len()).filter(|i| is_whole || !is_lost(first + i)) {
+                tally.add(t.get(self, i).unwrap_or(NONE), x[i], y[i], p[i]);
+            }
+        }
+        Ok(())
+    }
+}
+
 /// Walks through a table.
 pub(super) struct TableCursor {
     table: Arc<EventTable>,
+    /// What polarities and coordinates mean.
+    rules: Rules,
     /// The next row to be read from the file.
     next: usize,
     /// What is read and not given yet, and from which place on.
@@ -276,10 +302,11 @@ pub(super) struct TableCursor {
 }
 
 impl TableCursor {
-    pub fn new(table: Arc<EventTable>) -> TableCursor {
+    pub fn new(table: Arc<EventTable>, rules: Rules) -> TableCursor {
         let ready = EventChunk { t_in: table.t_in.map(|_| Vec::new()), ..EventChunk::default() };
         TableCursor {
             table,
+            rules,
             next: 0,
             ready,
             given: 0,
@@ -352,7 +379,7 @@ impl TableCursor {
         let (width, height) = table.sides();
         // Without branches, so that the compiler works on several events at once.
         let places = x.iter().zip(y).fold(true, |sound, (&x, &y)| sound & (0..width).contains(&x) & (0..height).contains(&y));
-        let polarities = p.iter().fold(true, |sound, &p| sound & (-1..=1).contains(&p));
+        let polarities = self.rules.is_usual() && p.iter().fold(true, |sound, &p| sound & (-1..=1).contains(&p));
         let (low, high) = t.iter().fold((i64::MAX, i64::MIN), |(low, high), &t| (low.min(t), high.max(t)));
         let fits = |t: i64| t.checked_mul(table.unit_ns).and_then(|ns| ns.checked_add(table.offset_ns)).is_some();
         if !(places && polarities && fits(low) && fits(high)) {
@@ -368,11 +395,13 @@ impl TableCursor {
     /// Checks one event and puts it into `ready`.
     #[inline]
     fn take(&mut self, table: &EventTable, index: usize, i: usize) {
-        let (x, y, p) = (self.x.integers[i], self.y.integers[i], self.p[i]);
+        let (x, y, p) = (self.rules.pixel(self.x.integers[i]), self.rules.pixel(self.y.integers[i]), self.p[i]);
         let event = || format!("event {index}");
         let Some(t) = self.t.get(table, i) else {
             let stored = || self.t.floats.get(i).map_or_else(|| self.t.integers[i].to_string(), f64::to_string);
-            return self.losses.add("events without a sound stamp were left out", event, || format!("its stamp {} is no time; it was left out", stored()));
+            return self.losses.add_by(Cause::Stamp, "events without a sound stamp were left out", 1, event, || {
+                format!("its stamp {} is no time; it was left out", stored())
+            });
         };
         if !(self.x.is_whole(i) && self.y.is_whole(i)) {
             let at = |of: &Coordinates| of.floats.get(i).copied().unwrap_or(of.integers[i] as f64);
@@ -383,13 +412,13 @@ impl TableCursor {
         let (width, height) = table.sides();
         if !((0..width).contains(&x) && (0..height).contains(&y)) {
             let what = || format!("its pixel x = {x}, y = {y} lies outside {width} x {height}; it was left out");
-            return self.losses.add("events outside the pixel array were left out", event, what);
+            return self.losses.add_by(Cause::Outside, "events outside the pixel array were left out", 1, event, what);
         }
-        if !(-1..=1).contains(&p) {
+        let Some(on) = self.rules.on(p) else {
             let what = || format!("its polarity {p} is none of 0, 1, -1; it was left out");
-            return self.losses.add("events whose polarity is none of 0, 1, -1 were left out", event, what);
-        }
-        self.ready.push(t, x as u16, y as u16, p == 1);
+            return self.losses.add_by(Cause::Polarity, "events whose polarity is none of 0, 1, -1 were left out", 1, event, what);
+        };
+        self.ready.push(t, x as u16, y as u16, on);
         if let (Some(column), Some(&t_in)) = (&mut self.ready.t_in, self.t_in.get(i)) {
             column.push(t_in.saturating_mul(table.unit_ns).saturating_add(table.offset_ns));
         }

@@ -90,10 +90,29 @@ fn a_dsec_folder_has_its_pictures_with_their_exposures() {
 }
 
 #[test]
+fn of_a_folder_of_two_dsec_cameras_left_is_read_with_a_note() {
+    let folder = tempfile::tempdir().unwrap();
+    for side in ["left", "right"] {
+        let events = folder.path().join(format!("events/{side}"));
+        std::fs::create_dir_all(&events).unwrap();
+        std::fs::copy(fixture("dsec_blosc_zstd.h5"), events.join("events.h5")).unwrap();
+    }
+    let notes = |declared: &Declared| open(folder.path(), "dsec", declared).events_about().unwrap().notes.clone();
+    let note = "events and frames are those of left; not read: right (`camera` chooses)".to_string();
+    assert!(notes(&Declared::default()).contains(&note), "{:?}", notes(&Declared::default()));
+    let stated = notes(&Declared { camera: Some("right".into()), ..Declared::default() });
+    assert!(!stated.iter().any(|note| note.contains("not read")), "{stated:?}");
+}
+
+#[test]
 fn m3ed_is_read_by_camera() {
     let recording = open(&fixture("m3ed.h5"), "m3ed", &Declared::default());
     assert_eq!(recording.events_about().unwrap().extent, Some(Extent { width: 1280, height: 720 }));
     assert_eq!(all(&*recording, None), (expected(0..1000, 1280, 720, 0), 0));
+    let note = "events are those of left; not read: right (`camera` chooses)";
+    assert!(recording.events_about().unwrap().notes.iter().any(|found| found == note), "{:?}", recording.events_about().unwrap().notes);
+    let note = "frames are those of left; not read: rgb (`frame_camera` chooses)";
+    assert!(recording.pictures().unwrap().about().notes.iter().any(|found| found == note));
     let declared = Declared { camera: Some("right".into()), frame_camera: Some("rgb".into()), ..Declared::default() };
     let recording = open(&fixture("m3ed.h5"), "m3ed", &declared);
     assert_eq!(all(&*recording, None), (expected(0..3000, 1280, 720, 0), 0));

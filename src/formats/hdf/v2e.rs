@@ -41,7 +41,7 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     table.extent = declared_extent(declared, found.and_then(|found| extent(found.width.into(), found.height.into())));
     let mut notes = vec!["v2e computes with 32-bit seconds: stamps beyond 16 s come in steps of 2 us and more".to_string()];
     notes.extend(table.polarity_note());
-    let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost);
+    let mut recording = HdfRecording::new(path, &file, Some(table), notes, lost).recognising(declared);
     recording.pictures = pictures.map(|pictures| Arc::new(pictures) as Arc<dyn Pictures>);
     Ok(Box::new(recording))
 }

@@ -2,7 +2,7 @@
 
 use super::header::{Element, Kind, Number, Scalar, each};
 use super::place::Place;
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use crate::recording::{FrameStamp, FramesAbout, Pictures};
 use photocurrent_core::{Colour, Extent};
 use std::io::Read;
@@ -42,7 +42,7 @@ impl NpyPictures {
         let room = place.bytes()?.saturating_sub(header.start) / bytes;
         let mut losses = Vec::new();
         if frames > room {
-            losses.push(Loss { at: place.name(), what: format!("its header claims {frames} frames and {room} are there; the rest is lost") });
+            losses.push(Loss::new(place.name(), format!("its header claims {frames} frames and {room} are there; the rest is lost")).by(Cause::Cut));
         }
         let frames = usize::try_from(frames.min(room)).unwrap_or(usize::MAX);
         let mut notes = Vec::new();

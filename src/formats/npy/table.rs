@@ -5,8 +5,9 @@
 use super::header::{Element, Header, Number, Scalar, each};
 use super::place::{Bytes, Place};
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
+use crate::convention::{Rules, Tally};
 use crate::declared::{Column, TimeUnit};
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use crate::losses::Losses;
 use crate::recording::EventCursor;
 use photocurrent_core::Extent;
@@ -44,6 +45,8 @@ pub(crate) struct Reading {
     pub(crate) wraps_at: Option<(i64, i64)>,
     pub(crate) extent: Option<Extent>,
     pub(crate) has_t_in: bool,
+    /// What polarities and coordinates mean.
+    pub(crate) rules: Rules,
 }
 
 /// What a name of an array or of a field means.
@@ -110,6 +113,11 @@ impl Table {
         self.sources.push(source);
     }
 
+    /// Counts what all rows hold, as `reading` takes stamps and coordinates.
+    pub(crate) fn tally(self: &Arc<Table>, reading: Reading, tally: &mut Tally) -> Result<(), FormatError> {
+        TableCursor::open(self.clone(), Reading { rules: Rules::default(), ..reading })?.tally(tally)
+    }
+
     /// How a column is stored.
     pub(crate) fn scalar(&self, column: Column) -> Option<Scalar> {
         self.sources.iter().flat_map(|source| &source.fields).find(|field| field.0 == column).map(|field| field.1)
@@ -135,7 +143,7 @@ impl Table {
             let room = source.place.bytes()?.saturating_sub(source.start) / source.stride.max(1) as u64;
             if source.rows > room {
                 let what = format!("its header claims {} rows and {room} are there; the file is cut off", source.rows);
-                losses.push(Loss { at: source.place.name(), what });
+                losses.push(Loss::new(source.place.name(), what).by(Cause::Cut));
                 source.rows = room;
             }
         }
@@ -143,7 +151,7 @@ impl Table {
         for source in &self.sources {
             if source.rows > self.rows && losses.is_empty() {
                 let what = format!("it has {} rows and another array only {}; the rest belongs to no event", source.rows, self.rows);
-                losses.push(Loss { at: source.place.name(), what });
+                losses.push(Loss::new(source.place.name(), what));
             }
         }
         Ok(losses)
@@ -204,7 +212,7 @@ fn fill(bytes: &mut Bytes, buffer: &mut [u8], place: &Place) -> Result<usize, Fo
 }
 
 /// A number that stands for "not to be read".
-const NONE: i64 = i64::MIN;
+const NONE: i64 = crate::convention::NONE;
 
 /// A cursor over a table.
 pub(crate) struct TableCursor {
@@ -239,6 +247,47 @@ impl TableCursor {
         self.losses
     }
 
+    /// Reads the next rows of all columns as they are stored: how many were wanted, and how many there are. `None` at the end.
+    fn load(&mut self) -> Result<Option<(usize, usize)>, FormatError> {
+        let wanted = usize::try_from(self.table.rows.saturating_sub(self.row)).unwrap_or(usize::MAX).min(CHUNK_EVENTS);
+        if wanted == 0 {
+            return Ok(None);
+        }
+        for column in &mut self.columns {
+            column.clear();
+        }
+        let mut got = wanted;
+        let table = self.table.clone();
+        for (source, stream) in table.sources.iter().zip(&mut self.streams) {
+            self.rows.resize(wanted * source.stride, 0);
+            let whole = fill(stream, &mut self.rows[..wanted * source.stride], &source.place)? / source.stride;
+            got = got.min(whole);
+            for &(column, scalar, at) in &source.fields {
+                let into = &mut self.columns[slot(column)];
+                let rows = &self.rows[..whole * source.stride];
+                let Reading { unit, scale, wraps_at, .. } = self.reading;
+                match column {
+                    Column::T | Column::TIn => each(scalar, rows, source.stride, at, |number| into.push(time(number, unit))),
+                    Column::X => each(scalar, rows, source.stride, at, |number| into.push(pixel(number, scale, wraps_at.map(|(x, _)| x)))),
+                    Column::Y => each(scalar, rows, source.stride, at, |number| into.push(pixel(number, scale, wraps_at.map(|(_, y)| y)))),
+                    Column::P => each(scalar, rows, source.stride, at, |number| into.push(polarity(number))),
+                    Column::Skip => {}
+                }
+            }
+        }
+        Ok(Some((wanted, got)))
+    }
+
+    /// Counts what all rows hold.
+    pub(crate) fn tally(mut self, tally: &mut Tally) -> Result<(), FormatError> {
+        while let Some((wanted, got)) = self.load()? {
+            let [t, x, y, p, _] = &self.columns;
+            (0..got).for_each(|k| tally.add(t[k], x[k], y[k], p[k]));
+            self.row = if got < wanted { self.table.rows } else { self.row + got as u64 };
+        }
+        Ok(())
+    }
+
     fn take(&mut self, chunk: &mut EventChunk, rows: usize) {
         let [t, x, y, p, t_in] = &self.columns;
         let (width, height) = self.reading.extent.map_or((1 << 16, 1 << 16), |extent| (i64::from(extent.width), i64::from(extent.height)));
@@ -246,8 +295,9 @@ impl TableCursor {
         for k in 0..rows {
             let (inside_x, inside_y) = ((0..width.min(1 << 16)).contains(&x[k]), (0..height.min(1 << 16)).contains(&y[k]));
             let has_t_in = !self.reading.has_t_in || t_in[k] != NONE;
-            if inside_x && inside_y && t[k] != NONE && p[k] != NONE && has_t_in {
-                chunk.push(t[k], x[k] as u16, y[k] as u16, p[k] == 1);
+            let on = self.reading.rules.on(p[k]);
+            if let Some(on) = on.filter(|_| inside_x && inside_y && t[k] != NONE && has_t_in) {
+                chunk.push(t[k], x[k] as u16, y[k] as u16, on);
                 if let Some(all) = &mut chunk.t_in {
                     all.push(t_in[k]);
                 }
@@ -255,16 +305,18 @@ impl TableCursor {
             }
             let at = || format!("event {}", first + k as u64);
             if t[k] == NONE || !has_t_in {
-                self.losses.add("events without a finite stamp were left out", at, || "its stamp is not finite, or beyond 292 years; it was left out".into());
-            } else if p[k] == NONE {
+                self.losses.add_by(Cause::Stamp, "events without a finite stamp were left out", 1, at, || {
+                    "its stamp is not finite, or beyond 292 years; it was left out".into()
+                });
+            } else if on.is_none() {
                 let what = || "its polarity is none of 0, 1, -1; it was left out".into();
-                self.losses.add("events whose polarity is none of 0, 1, -1 were left out", at, what);
+                self.losses.add_by(Cause::Polarity, "events whose polarity is none of 0, 1, -1 were left out", 1, at, what);
             } else {
                 let what = || match self.reading.extent {
                     Some(extent) => format!("its pixel lies outside {extent}; it was left out"),
                     None => "its pixel is negative, not finite or beyond 65,535; it was left out".into(),
                 };
-                self.losses.add("events outside the pixel array were left out", at, what);
+                self.losses.add_by(Cause::Outside, "events outside the pixel array were left out", 1, at, what);
             }
         }
     }
@@ -302,14 +354,15 @@ fn pixel(number: Number, scale: u32, wraps_at: Option<i64>) -> i64 {
     }
 }
 
+/// A polarity as it is stored.
 #[inline]
 fn polarity(number: Number) -> i64 {
     match number {
-        Number::Whole(1) => 1,
-        Number::Whole(0 | -1) => 0,
-        Number::Fraction(1.0) => 1,
-        Number::Fraction(0.0 | -1.0) => 0,
-        _ => NONE,
+        Number::Whole(value) => value,
+        // -1 in 64 bits without a sign.
+        Number::Beyond => i64::MAX,
+        Number::Fraction(value) if value.fract() == 0.0 && value.abs() < 9e15 => value as i64,
+        Number::Fraction(_) => NONE,
     }
 }
 
@@ -321,38 +374,19 @@ impl EventCursor for TableCursor {
             (false, Some(_)) => chunk.t_in = None,
             _ => {}
         }
-        let wanted = usize::try_from(self.table.rows.saturating_sub(self.row)).unwrap_or(usize::MAX).min(CHUNK_EVENTS);
-        if wanted == 0 {
-            return Ok(false);
-        }
-        for column in &mut self.columns {
-            column.clear();
-        }
-        let mut got = wanted;
+        let Some((wanted, got)) = self.load()? else { return Ok(false) };
         let table = self.table.clone();
-        for (source, stream) in table.sources.iter().zip(&mut self.streams) {
-            self.rows.resize(wanted * source.stride, 0);
-            let whole = fill(stream, &mut self.rows[..wanted * source.stride], &source.place)? / source.stride;
-            got = got.min(whole);
-            for &(column, scalar, at) in &source.fields {
-                let into = &mut self.columns[slot(column)];
-                let rows = &self.rows[..whole * source.stride];
-                let Reading { unit, scale, wraps_at, .. } = self.reading;
-                match column {
-                    Column::T | Column::TIn => each(scalar, rows, source.stride, at, |number| into.push(time(number, unit))),
-                    Column::X => each(scalar, rows, source.stride, at, |number| into.push(pixel(number, scale, wraps_at.map(|(x, _)| x)))),
-                    Column::Y => each(scalar, rows, source.stride, at, |number| into.push(pixel(number, scale, wraps_at.map(|(_, y)| y)))),
-                    Column::P => each(scalar, rows, source.stride, at, |number| into.push(polarity(number))),
-                    Column::Skip => {}
-                }
-            }
+        let origin = self.reading.rules;
+        if !origin.is_usual() {
+            let [_, x, y, ..] = &mut self.columns;
+            x.iter_mut().chain(y).for_each(|place| *place = origin.pixel(*place));
         }
         self.take(chunk, got);
         self.row += got as u64;
         if got < wanted {
             let (row, rows) = (self.row, self.table.rows);
             let what = || format!("the data end or cannot be unpacked after {row} of {rows} events; the rest is lost");
-            self.losses.add("arrays that end early", || format!("event {row}"), what);
+            self.losses.add_by(Cause::Cut, "arrays that end early", 1, || format!("event {row}"), what);
             self.row = rows;
         }
         if self.row >= self.table.rows {

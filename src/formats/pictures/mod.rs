@@ -17,6 +17,7 @@ use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::losses::Losses;
 use crate::recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};
+use photocurrent_core::Extent;
 use stamps::{Row, Stamps};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -118,6 +119,16 @@ impl PictureFiles {
     pub fn files(&self) -> &[PathBuf] {
         &self.files
     }
+}
+
+/// Size of the first picture of a folder or a Y4M file that can be read; `None` where there is none.
+pub(crate) fn size_of(path: &Path) -> Option<Extent> {
+    if !path.is_dir() {
+        return Y4m::open(path).ok().map(|video| video.extent);
+    }
+    let folders = [path.to_path_buf(), path.join("images"), path.join("frames")];
+    let files = folders.iter().filter(|folder| folder.is_dir()).find_map(|folder| names::pictures(folder).ok().filter(|files| !files.is_empty()))?;
+    files.iter().find_map(|file| decode::head(file).ok()).map(|head| head.extent)
 }
 
 /// Looks for the pictures of a folder or a Y4M file, and reads their headers.

@@ -4,7 +4,7 @@
 //! the `XCOLORRANGE` of the header; without one it is limited (16 to 235), as the tools that write such files take it, and a note says so.
 //! The rate of the header is one number: frames that came at other times are not seen in it. Source: the `yuv4mpeg(5)` manual of mjpegtools.
 
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use photocurrent_core::{Colour, Extent};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
@@ -127,13 +127,13 @@ impl Y4m {
             let whole = line(reader, &mut text)?;
             let start = at + text.len() as u64 + 1;
             if !whole || !(text == b"FRAME" || text.starts_with(b"FRAME ")) {
-                let what = "no `FRAME` line stands here; the rest of the file is lost".into();
-                self.losses.push(Loss { at: format!("byte {at}"), what });
+                let what = "no `FRAME` line stands here; the rest of the file is lost";
+                self.losses.push(Loss::new(format!("byte {at}"), what));
                 break;
             }
             if start + size > bytes {
                 let what = format!("frame {} is cut off; it was left out", self.frames.len());
-                self.losses.push(Loss { at: format!("bytes {at} to {bytes}"), what });
+                self.losses.push(Loss::new(format!("bytes {at} to {bytes}"), what).by(Cause::Cut));
                 break;
             }
             self.frames.push(start);

@@ -8,7 +8,7 @@ use super::topics::Group;
 use super::walk::Walker;
 use super::wire::{Layout, Wire, label};
 use crate::chunk::{CHUNK_EVENTS, EventChunk, Trigger};
-use crate::error::{FormatError, Loss};
+use crate::error::{Cause, FormatError, Loss};
 use crate::losses::Losses;
 use crate::recording::EventCursor;
 use photocurrent_core::Extent;
@@ -86,7 +86,7 @@ impl Cursor {
             let held = (body.len() - array.at) / EventArray::EVENT_BYTES;
             if array.count as usize > held {
                 let what = format!("it claims {} events and holds {held}; those are read", array.count);
-                losses.add("event arrays that are cut off", at, || what);
+                losses.add_by(Cause::Cut, "event arrays that are cut off", 1, at, || what);
             }
             let left = array.count.min(u32::try_from(held).unwrap_or(u32::MAX));
             self.pending = Some(Pending::Array { at: array.at, left, layout: array.layout });
@@ -154,9 +154,15 @@ impl Cursor {
         }
         lose_events(losses, at, [0, u64::from(outside), 0, 0], self.stream.extent);
         let what = || format!("{timeless} events have no sound stamp; they are left out");
-        losses.add_items("events without a sound stamp were left out", u64::from(timeless), || format!("event array, byte {at}"), what);
+        losses.add_by(Cause::Stamp, "events without a sound stamp were left out", u64::from(timeless), || format!("event array, byte {at}"), what);
         if missing > 0 {
-            losses.add("event arrays that are cut off", || format!("event array, byte {at}"), || format!("the last {missing} events are cut off"));
+            losses.add_by(
+                Cause::Cut,
+                "event arrays that are cut off",
+                1,
+                || format!("event array, byte {at}"),
+                || format!("the last {missing} events are cut off"),
+            );
         } else if left > now {
             self.pending = Some(Pending::Array { at: wire.at(), left: left - now, layout });
         }
@@ -228,7 +234,8 @@ fn lose_events(losses: &mut Losses, at: usize, counts: [u64; 4], extent: Option<
     let size = extent.map(|extent| format!("{}x{}", extent.width, extent.height)).unwrap_or("the pixel array".into());
     let [early, outside, unknown, strays] = counts;
     let mut note = |kind: &'static str, count: u64, what: &str| {
-        losses.add_items(kind, count, || format!("event message, byte {at} of it"), || format!("{count} {what}"));
+        let cause = if kind.starts_with("events outside") { Cause::Outside } else { Cause::Damage };
+        losses.add_by(cause, kind, count, || format!("event message, byte {at} of it"), || format!("{count} {what}"));
     };
     note("events outside the pixel array were left out", outside, &format!("events lie outside {size}; they are left out"));
     note("events before the first time were left out", early, "events come before the first time; they are left out");

@@ -10,7 +10,7 @@ use super::messages::Serial;
 use super::records::{Container, Record, Source, Topic};
 use super::wire::label;
 use super::{Contents, Piece, scan};
-use crate::error::FormatError;
+use crate::error::{Cause, FormatError};
 use crate::losses::Losses;
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -305,7 +305,7 @@ fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> s
         let end = at.saturating_add(9).saturating_add(length);
         if op == 0 || end > size && op != CHUNK {
             let what = if op == 0 { "no record begins here; what follows is lost" } else { "the record is cut off; it and what follows are lost" };
-            losses.add("ends that are cut off", || format!("bytes {at} to {size}"), || what.into());
+            losses.add_by(Cause::Cut, "ends that are cut off", 1, || format!("bytes {at} to {size}"), || what.into());
             break;
         }
         match op {
@@ -326,7 +326,7 @@ fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> s
     }
     pieces.extend(run.map(|from| whole(from, at)));
     if at < size && outer(file, size, at)?.is_none() {
-        losses.add("ends that are cut off", || format!("bytes {at} to {size}"), || "the file ends within a record".into());
+        losses.add_by(Cause::Cut, "ends that are cut off", 1, || format!("bytes {at} to {size}"), || "the file ends within a record".into());
     }
     Ok(pieces)
 }

@@ -8,7 +8,7 @@ use super::messages::ImageHead;
 use super::topics::Group;
 use super::walk::Walker;
 use super::wire::label;
-use crate::error::FormatError;
+use crate::error::{Cause, FormatError};
 use crate::losses::Losses;
 use crate::recording::{FrameStamp, FramesAbout, Pictures};
 use photocurrent_core::Colour;
@@ -30,7 +30,7 @@ struct Pixels {
 }
 
 /// Names of the encodings that are read, for messages.
-const NAMES: &str = "mono8, mono16, 8UC1, 16UC1, 32FC1, rgb8, bgr8, rgba8, bgra8, rgb16, bgr16, rgba16, bgra16, bayer_*8, bayer_*16";
+const NAMES: &str = "mono8, mono16, 8UC1, 8UC3, 8UC4, 16UC1, 16UC3, 16UC4, 32FC1, rgb8, bgr8, rgba8, bgra8, rgb16, bgr16, rgba16, bgra16, bayer_*8, bayer_*16";
 
 fn pixels(encoding: &[u8]) -> Option<Pixels> {
     let of = |colour, bits, stored, blue_first| Some(Pixels { colour, bits, stored, blue_first });
@@ -39,13 +39,13 @@ fn pixels(encoding: &[u8]) -> Option<Pixels> {
         b"mono16" | b"16UC1" => of(Colour::Mono, 16, 1, false),
         b"32FC1" => of(Colour::Mono, 32, 1, false),
         b"rgb8" => of(Colour::Rgb, 8, 3, false),
-        b"bgr8" => of(Colour::Rgb, 8, 3, true),
+        b"bgr8" | b"8UC3" => of(Colour::Rgb, 8, 3, true),
         b"rgba8" => of(Colour::Rgb, 8, 4, false),
-        b"bgra8" => of(Colour::Rgb, 8, 4, true),
+        b"bgra8" | b"8UC4" => of(Colour::Rgb, 8, 4, true),
         b"rgb16" => of(Colour::Rgb, 16, 3, false),
-        b"bgr16" => of(Colour::Rgb, 16, 3, true),
+        b"bgr16" | b"16UC3" => of(Colour::Rgb, 16, 3, true),
         b"rgba16" => of(Colour::Rgb, 16, 4, false),
-        b"bgra16" => of(Colour::Rgb, 16, 4, true),
+        b"bgra16" | b"16UC4" => of(Colour::Rgb, 16, 4, true),
         b"bayer_rggb8" => of(Colour::Bayer(Order::Rggb), 8, 1, false),
         b"bayer_bggr8" => of(Colour::Bayer(Order::Bggr), 8, 1, false),
         b"bayer_gbrg8" => of(Colour::Bayer(Order::Gbrg), 8, 1, false),
@@ -56,6 +56,38 @@ fn pixels(encoding: &[u8]) -> Option<Pixels> {
         b"bayer_grbg16" => of(Colour::Bayer(Order::Grbg), 16, 1, false),
         _ => None,
     }
+}
+
+/// How the values of a message stand. A driver may state `mono8` and send colour: rows are then three or four times as long, and so are all values.
+///
+/// `davis_ros_driver` did so for every DAVIS346 with a colour filter (uzh-rpg/rpg_dvs_ros#77).
+fn pixels_of(head: &ImageHead<'_>) -> Option<Pixels> {
+    let stated = pixels(head.encoding)?;
+    let (width, height) = (u64::from(head.extent.width), u64::from(head.extent.height));
+    let is_grey = stated.stored == 1 && stated.colour == Colour::Mono && stated.bits == 8;
+    let all = u64::from(head.step) * height;
+    match u64::from(head.step).checked_div(width) {
+        Some(stored @ (3 | 4)) if is_grey && width > 1 && u64::from(head.step) == stored * width && u64::from(head.length) == all => {
+            Some(Pixels { colour: Colour::Rgb, stored: stored as usize, blue_first: true, ..stated })
+        }
+        _ => Some(stated),
+    }
+}
+
+/// What the length of a row shows that the encoding does not state.
+fn row_note(head: &ImageHead<'_>, pixels: &Pixels) -> Option<String> {
+    let (step, needed) = (u64::from(head.step), pixels.row_bytes(head.extent.width));
+    let (encoding, width) = (label(head.encoding), head.extent.width);
+    if Some(*pixels) != self::pixels(head.encoding) {
+        let channels = pixels.stored;
+        return Some(format!(
+            "rows have {step} bytes, and {encoding} of {width} columns needs {}: {channels} channels under a wrong name, read as {} (blue first, as ROS has it; should red stand first, \
+             red and blue are exchanged and grey stays as it is)",
+            u64::from(width),
+            if channels == 3 { "bgr8" } else { "bgra8" },
+        ));
+    }
+    (step != needed).then(|| format!("rows have {step} bytes, and {encoding} of {width} columns needs {needed}: the others are taken as padding"))
 }
 
 impl Pixels {
@@ -105,11 +137,11 @@ pub struct Images {
 }
 
 impl Images {
-    /// Goes over all messages of the topic. `None` when none holds a picture.
+    /// Goes over all messages of the topic; `note` joins those on the pictures. `None` when none holds a picture.
     ///
     /// # Errors
     /// When the file has gone, or its pictures have an encoding that is not read.
-    pub fn survey(contents: &Arc<Contents>, group: &Group) -> Result<(Option<Images>, Losses), FormatError> {
+    pub fn survey(contents: &Arc<Contents>, group: &Group, note: Option<String>) -> Result<(Option<Images>, Losses), FormatError> {
         let mut walker = Walker::new(contents, &group.ids()).heads(HEAD_BYTES);
         let mut images: Option<Images> = None;
         let (mut stampless, mut others) = (0_u64, 0_u64);
@@ -121,7 +153,7 @@ impl Images {
                 losses.add("messages that are no picture", at, || "the message is no picture; it is left out".into());
                 continue;
             };
-            let Some(pixels) = pixels(head.encoding) else {
+            let Some(pixels) = pixels_of(&head) else {
                 if images.is_none() {
                     return Err(unknown_encoding(contents, group, head.encoding));
                 }
@@ -129,7 +161,8 @@ impl Images {
                 continue;
             };
             if !pixels.fits(&head, envelope.length) {
-                losses.add("pictures that are cut off", at, || "the picture claims more values than the message holds; it is left out".into());
+                losses
+                    .add_by(Cause::Cut, "pictures that are cut off", 1, at, || "the picture claims more values than the message holds; it is left out".into());
                 continue;
             }
             let images = images.get_or_insert_with(|| Images::new(contents, group, &head, pixels));
@@ -144,6 +177,7 @@ impl Images {
         }
         losses.append(walker.losses, |at| at);
         if let Some(images) = &mut images {
+            images.about.notes.extend(note);
             if stampless > 0 {
                 images.about.notes.push(format!("{stampless} pictures have no `header.stamp`; the time when their message was received stands in"));
             }
@@ -155,6 +189,8 @@ impl Images {
     }
 
     fn new(contents: &Arc<Contents>, group: &Group, head: &ImageHead<'_>, pixels: Pixels) -> Images {
+        let mut notes = vec![format!("pictures are those of {}, as {}; their stamps are `header.stamp`", group.name, label(head.encoding))];
+        notes.extend(row_note(head, &pixels));
         let about = FramesAbout {
             extent: head.extent,
             colour: pixels.colour,
@@ -163,7 +199,7 @@ impl Images {
             stamp_role: None,
             row_time_ns: None,
             transfer: None,
-            notes: vec![format!("pictures are those of {}, as {}; their stamps are `header.stamp`", group.name, label(head.encoding))],
+            notes,
         };
         let walker = Mutex::new(Walker::new(contents, &group.ids()));
         Images { contents: contents.clone(), group: group.clone(), pixels, about, places: Vec::new(), walker }

@@ -24,6 +24,8 @@ struct Ros {
     /// Topics with packets of the encoding `trigger`.
     trigger_topics: Vec<Group>,
     image_topic: Option<Group>,
+    /// Which other topics have pictures.
+    picture_note: Option<String>,
     images: OnceLock<Survey>,
     facts: Vec<(String, String)>,
     losses: Vec<Loss>,
@@ -64,7 +66,7 @@ pub fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Recording
             }
         }
     }
-    let chosen = topics::choose(&contents, &candidates, declared.camera.as_deref(), "camera", "events")?;
+    let (chosen, which) = topics::choose(&contents, &candidates, declared.camera.as_deref(), None, "camera", "events")?.unzip();
     let first = chosen.and_then(|chosen| candidates.iter().zip(&firsts).find(|(group, _)| std::ptr::eq(*group, chosen)).map(|(_, first)| first));
     let mut stream = None;
     let mut about = None;
@@ -72,13 +74,16 @@ pub fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Recording
         if let First::Unknown(encoding) = first {
             return Err(topics::unknown_encoding(&contents, group, encoding));
         }
-        let (made, known) = event_stream(&contents, group, first, declared.extent)?;
+        let (made, mut known) = event_stream(&contents, group, first, declared.extent)?;
+        known.notes.extend(which.flatten());
         facts.push(("events".into(), format!("{} ({})", group.name, known.stamps)));
         (stream, about) = (Some(made), Some(known));
     }
 
     let with_pictures: Vec<Group> = groups.iter().filter(|group| group.kind == Kind::Image).filter(sent).cloned().collect();
-    let image_topic = topics::choose(&contents, &with_pictures, declared.frame_camera.as_deref(), "frame_camera", "pictures")?.cloned();
+    let chosen = topics::choose(&contents, &with_pictures, declared.frame_camera.as_deref(), chosen, "frame_camera", "pictures")?;
+    let (image_topic, picture_note) = chosen.map(|(group, note)| (group.clone(), note)).unzip();
+    let picture_note = picture_note.flatten();
     if let Some(group) = &image_topic {
         facts.push(("pictures".into(), group.name.clone()));
     }
@@ -92,12 +97,12 @@ pub fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Recording
         return Err(FormatError::new(&contents.path, found + &lost, "record those topics, or check that the file is whole").expected(expected));
     }
     let losses = contents.losses.list();
-    let recording = Ros { contents, stream, about, trigger_topics, image_topic, images: OnceLock::new(), facts, losses };
+    let recording = Ros { contents, stream, about, trigger_topics, image_topic, picture_note, images: OnceLock::new(), facts, losses };
     // Without events the pictures are all there is: then what is wrong with them is a reason to refuse the file.
     if recording.stream.is_none()
         && let Some(group) = &recording.image_topic
     {
-        let (images, losses) = Images::survey(&recording.contents, group)?;
+        let (images, losses) = Images::survey(&recording.contents, group, recording.picture_note.clone())?;
         let _ = recording.images.set(Survey { images: images.map(Arc::new), losses });
     }
     Ok(Box::new(recording))
@@ -141,7 +146,7 @@ fn event_stream(contents: &Arc<Contents>, group: &Group, first: &First, declared
 impl Ros {
     fn survey(&self) -> Option<&Survey> {
         let group = self.image_topic.as_ref()?;
-        Some(self.images.get_or_init(|| match Images::survey(&self.contents, group) {
+        Some(self.images.get_or_init(|| match Images::survey(&self.contents, group, self.picture_note.clone()) {
             Ok((images, losses)) => Survey { images: images.map(Arc::new), losses },
             Err(error) => {
                 let mut survey = Survey::default();

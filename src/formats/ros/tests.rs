@@ -182,7 +182,7 @@ fn events_in_cdr_are_aligned() {
 }
 
 #[test]
-fn an_empty_topic_is_no_candidate_and_several_must_be_named() {
+fn an_empty_topic_is_no_candidate_and_of_several_the_first_is_read_with_a_note() {
     let mut bag = BagWriter::new(Packing::None);
     let left = bag.connect("/left/events", "dvs_msgs/EventArray");
     bag.connect("/silent/events", "prophesee_event_msgs/EventArray");
@@ -195,11 +195,88 @@ fn an_empty_topic_is_no_candidate_and_several_must_be_named() {
         bag.message(id, 1, &event_array(Wire::Ros1, 1, (4, 4), &[(5, x, 1, true)]));
     }
     let bytes = bag.finish().unwrap();
-    let refused = opened(&bytes, &Declared::default()).err().unwrap();
-    assert_eq!(refused.undeclared, Some("camera"));
-    assert!(refused.found.contains("/left/events (prophesee_event_msgs/EventArray, 1 messages)"), "{refused}");
+    let first = open(&bytes);
+    assert_eq!(events(&*first).0, [(5, 0, 1, true)]);
+    assert_eq!(first.events_about().unwrap().notes, ["events are those of /left/events; not read: /right/events (`camera` chooses)"]);
     assert_eq!(events(&*opened(&bytes, &declared_camera("/right/events")).unwrap()).0, [(5, 1, 1, true)]);
     assert!(opened(&bytes, &declared_camera("/up/events")).err().unwrap().found.contains("/right/events"));
+}
+
+/// A bag of two event cameras with pictures each, and of one camera that has no events.
+fn stereo(topics: &[&str]) -> Vec<u8> {
+    let mut bag = BagWriter::new(Packing::None);
+    let events = ["/davis/right/events", "/davis/left/events"].map(|topic| bag.connect(topic, "dvs_msgs/EventArray"));
+    for (x, id) in (0..).zip(events) {
+        bag.message(id, 1, &event_array(Wire::Ros1, 1, (4, 2), &[(5, x, 1, true)]));
+    }
+    for (k, topic) in topics.iter().enumerate() {
+        let id = bag.connect(topic, "sensor_msgs/Image");
+        bag.message(id, 2, &image(Wire::Ros1, 2, (4, 2), "mono8", 4, &[k as u8; 8]));
+    }
+    bag.finish().unwrap()
+}
+
+#[test]
+fn pictures_are_those_of_the_camera_whose_events_are_read() {
+    let topics = ["/davis/right/image_raw", "/davis/left/image_raw", "/camera/color/image_raw"];
+    let value = |recording: &Opened| {
+        let mut values = Vec::new();
+        recording.pictures().unwrap().read(0, &mut values).unwrap();
+        values[0]
+    };
+    let left = open(&stereo(&topics));
+    assert_eq!((events(&*left).0[0].1, value(&left)), (1, 1.0));
+    assert!(left.events_about().unwrap().notes.contains(&"events are those of /davis/left/events; not read: /davis/right/events (`camera` chooses)".into()));
+    let notes = left.pictures().unwrap().about().notes.clone();
+    assert!(
+        notes.contains(
+            &"pictures are those of /davis/left/image_raw; not read: /davis/right/image_raw, /camera/color/image_raw (`frame_camera` chooses)".into()
+        ),
+        "{notes:?}"
+    );
+    let right = opened(&stereo(&topics), &declared_camera("/davis/right/events")).unwrap();
+    assert_eq!((events(&*right).0[0].1, value(&right)), (0, 0.0));
+    // Names that are no kin of the events' decide nothing.
+    let refused = opened(&stereo(&["/a/image_raw", "/b/image_raw"]), &Declared::default()).err().unwrap();
+    assert_eq!(refused.undeclared, Some("frame_camera"));
+    assert!(refused.found.contains("/a/image_raw") && refused.found.contains("/b/image_raw"), "{refused}");
+}
+
+/// uzh-rpg/rpg_dvs_ros#77: the driver states mono8 for the colour frames of a DAVIS346, "so the encoding is wrong and it gets the sizes wrong too".
+#[test]
+fn three_channels_under_the_name_of_one_are_colour_and_padding_is_read_over() {
+    let of = |encoding: &str, step: u32, values: &[u8]| {
+        let mut bag = BagWriter::new(Packing::None);
+        let id = bag.connect("/dvs/image_raw", "sensor_msgs/Image");
+        bag.message(id, 2, &image(Wire::Ros1, 2, (4, 2), encoding, step, values));
+        let recording = open(&bag.finish().unwrap());
+        let pictures = recording.pictures().unwrap();
+        let mut read = Vec::new();
+        pictures.read(0, &mut read).unwrap();
+        (pictures.about().colour, read, pictures.about().notes.join("; "))
+    };
+    let colour: Vec<u8> = (0..24).collect();
+    let red_first: Vec<f32> = (0..8).flat_map(|k| [3 * k + 2, 3 * k + 1, 3 * k]).map(|value| value as f32).collect();
+    for encoding in ["mono8", "8UC1", "bgr8", "8UC3"] {
+        let (kind, read, notes) = of(encoding, 12, &colour);
+        assert_eq!((kind, &read), (Colour::Rgb, &red_first), "{encoding}");
+        let is_misnamed = encoding.ends_with("o8") || encoding.ends_with("C1");
+        assert_eq!(notes.contains("rows have 12 bytes, and"), is_misnamed, "{notes}");
+        assert_eq!(notes.contains("3 channels under a wrong name, read as bgr8"), is_misnamed, "{notes}");
+    }
+    assert_eq!(of("rgb8", 12, &colour).1, (0..24).map(|value| value as f32).collect::<Vec<_>>());
+    let (kind, read, notes) = of("mono8", 16, &(0..32).collect::<Vec<u8>>());
+    assert_eq!((kind, &read[..3], notes.contains("bgra8")), (Colour::Rgb, &[2.0, 1.0, 0.0][..], true));
+    // A step that is no whole number of pixels, or values that are not there, is padding.
+    let (kind, read, notes) = of("mono8", 6, &(0..12).collect::<Vec<u8>>());
+    assert_eq!((kind, read), (Colour::Mono, vec![0.0, 1.0, 2.0, 3.0, 6.0, 7.0, 8.0, 9.0]));
+    assert!(notes.contains("rows have 6 bytes, and mono8 of 4 columns needs 4: the others are taken as padding"), "{notes}");
+    let (kind, read, _) = of("mono16", 10, &(0..20).collect::<Vec<u8>>());
+    assert_eq!((kind, read[4]), (Colour::Mono, f32::from(u16::from_le_bytes([10, 11]))));
+    let (kind, read, _) = of("bayer_rggb8", 6, &(0..12).collect::<Vec<u8>>());
+    assert_eq!((kind.channels(), read[4]), (1, 6.0));
+    let (kind, read, _) = of("bgra8", 16, &(0..32).collect::<Vec<u8>>());
+    assert_eq!((kind, &read[..3]), (Colour::Rgb, &[2.0, 1.0, 0.0][..]));
 }
 
 /// A packet every 10 ms over 40 s: the 24 bits of the sensor's microseconds begin again twice.

@@ -64,16 +64,27 @@ pub fn groups(contents: &Contents) -> Vec<Group> {
     groups
 }
 
-/// Chooses among topics: the one that is `named`, or the only one. `None` when there is none and none is named.
+/// A topic that was chosen, and a note that names the others where it was not the only one.
+pub type Chosen<'a> = Option<(&'a Group, Option<String>)>;
+
+/// Chooses among topics: the one that is `named`; the only one; of several with events the first by name; of several with pictures the one of the camera
+/// whose events are read, which shares the beginning of its name with them ([`kin`]). `None` when there is none and none is named.
 ///
 /// # Errors
-/// When there are several and none is named, or when the named one is not there.
-pub fn choose<'a>(contents: &Contents, groups: &'a [Group], named: Option<&str>, field: &'static str, what: &str) -> Result<Option<&'a Group>, FormatError> {
+/// When no topic with pictures shares a name with the events more than the others, or when the named one is not there.
+pub fn choose<'a>(
+    contents: &Contents,
+    groups: &'a [Group],
+    named: Option<&str>,
+    events: Option<&Group>,
+    field: &'static str,
+    what: &str,
+) -> Result<Chosen<'a>, FormatError> {
     let list = || groups.iter().take(32).map(Group::describe).collect::<Vec<_>>().join("; ");
     let trim = |name: &str| name.trim_start_matches('/').to_string();
     match (named, groups) {
         (Some(name), _) => match groups.iter().find(|group| trim(&group.name) == trim(name)) {
-            Some(group) => Ok(Some(group)),
+            Some(group) => Ok(Some((group, None))),
             None if groups.is_empty() => Err(FormatError::new(&contents.path, format!("the file has no topic with {what}"), format!("leave `{field}` out"))),
             None => {
                 let found = format!("no topic with {what} is called `{name}`; there are: {}", list());
@@ -81,11 +92,35 @@ pub fn choose<'a>(contents: &Contents, groups: &'a [Group], named: Option<&str>,
             }
         },
         (None, []) => Ok(None),
-        (None, [only]) => Ok(Some(only)),
+        (None, [only]) => Ok(Some((only, None))),
         (None, _) => {
-            let found = format!("{} topics have {what}: {}", groups.len(), list());
-            Err(FormatError::new(&contents.path, found, format!("name one of them as `{field}`")).undeclared(field))
+            let first = match field {
+                "camera" => groups.iter().min_by(|a, b| a.name.cmp(&b.name)),
+                _ => events.and_then(|events| kin(groups, &events.name)),
+            };
+            let Some(group) = first else {
+                let found = format!("{} topics have {what}: {}", groups.len(), list());
+                return Err(FormatError::new(&contents.path, found, format!("name one of them as `{field}`")).undeclared(field));
+            };
+            let others: Vec<&str> = groups.iter().map(|group| group.name.as_str()).filter(|name| *name != group.name).take(32).collect();
+            Ok(Some((group, Some(crate::recording::not_read(what, &group.name, &others, field)))))
         }
+    }
+}
+
+/// The topic with most parts of its name in front equal to those of another: /davis/left/image_raw of /davis/left/events. Of several alike the one that
+/// ends in `image_raw`, as drivers call what comes from the camera; `None` when that is not one either, or when no part is equal.
+fn kin<'a>(groups: &'a [Group], name: &str) -> Option<&'a Group> {
+    let parts = |name: &str| name.trim_start_matches('/').rsplit_once('/').map_or(Vec::new(), |(front, _)| front.split('/').map(String::from).collect());
+    let of = parts(name);
+    let shared = |group: &Group| parts(&group.name).iter().zip(&of).take_while(|(a, b)| a == b).count();
+    let most = groups.iter().map(shared).max().filter(|most| *most > 0)?;
+    let best: Vec<&Group> = groups.iter().filter(|group| shared(group) == most).collect();
+    let raw: Vec<&&Group> = best.iter().filter(|group| group.name.ends_with("/image_raw")).collect();
+    match (best.as_slice(), raw.as_slice()) {
+        ([only], _) => Some(only),
+        (_, [only]) => Some(only),
+        _ => None,
     }
 }
 

@@ -27,7 +27,8 @@ pub mod readout;
 pub mod stamps;
 
 use crate::chunk::EventChunk;
-use crate::error::{FormatError, Loss};
+use crate::convention::Convention;
+use crate::error::{Cause, FormatError, Loss};
 use crate::recording::Recording;
 use lag::{LagSurvey, Panel};
 use lines::LineSurvey;
@@ -81,6 +82,8 @@ pub struct EventsSurvey {
     pub stored_as: String,
     /// What the reader did.
     pub notes: Vec<String>,
+    /// Unusual ways of storing that the reader recognised.
+    pub conventions: Vec<Convention>,
     /// Events over time.
     pub rate: RateSurvey,
     /// Stamps.
@@ -144,11 +147,15 @@ pub struct LossSurvey {
     pub at: String,
     /// What.
     pub what: String,
+    /// Why.
+    pub cause: Cause,
+    /// Places that it stands for.
+    pub places: u64,
 }
 
 impl From<Loss> for LossSurvey {
     fn from(loss: Loss) -> LossSurvey {
-        LossSurvey { at: loss.at, what: loss.what }
+        LossSurvey { places: loss.places(), at: loss.at, what: loss.what, cause: loss.cause }
     }
 }
 
@@ -191,6 +198,7 @@ pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut progress
         events.stated_count = about.count;
         events.stored_as = about.stamps.clone();
         events.notes = about.notes.clone();
+        events.conventions = recording.conventions();
         found.events = Some(events);
     }
     found.triggers = lines::survey(&recording.triggers()?);

@@ -18,6 +18,21 @@ pub struct RateSurvey {
     pub bin_ns: u64,
     /// Events in each bin, from the first to the last that has any.
     pub counts: Vec<u64>,
+    /// Earliest and latest stamp in each of these bins, ns; none where it is empty.
+    #[serde(skip)]
+    pub ends: Vec<Option<(i64, i64)>>,
+}
+
+impl RateSurvey {
+    /// The stretch of `bins` neighbouring bins that holds most events: how many, and their earliest and latest stamp, ns. None without events.
+    pub fn densest(&self, bins: usize) -> Option<(u64, i64, i64)> {
+        let bins = bins.clamp(1, self.counts.len().max(1));
+        let held = |from: usize| self.counts[from..from + bins].iter().sum::<u64>();
+        let from = (0..=self.counts.len().checked_sub(bins)?).max_by_key(|from| (held(*from), std::cmp::Reverse(*from)))?;
+        let ends = self.ends.get(from..from + bins)?.iter().flatten();
+        let (first, last) = ends.copied().reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))?;
+        Some((held(from), first, last))
+    }
 }
 
 /// Counts events over time.
@@ -26,12 +41,13 @@ pub(super) struct Rate {
     start: i128,
     bin: u64,
     counts: Vec<u64>,
+    ends: Vec<Option<(i64, i64)>>,
     is_empty: bool,
 }
 
 impl Rate {
     pub fn new() -> Rate {
-        Rate { start: 0, bin: FIRST_BIN_NS, counts: vec![0; BINS], is_empty: true }
+        Rate { start: 0, bin: FIRST_BIN_NS, counts: vec![0; BINS], ends: vec![None; BINS], is_empty: true }
     }
 
     /// Takes an event at `t`, ns.
@@ -45,7 +61,10 @@ impl Rate {
         if at < 0 || at >= i128::from(self.bin) * BINS as i128 {
             at = self.grow(t);
         }
-        self.counts[(at as u128 / u128::from(self.bin)) as usize] += 1;
+        let bin = (at as u128 / u128::from(self.bin)) as usize;
+        self.counts[bin] += 1;
+        let (first, last) = self.ends[bin].get_or_insert((t, t));
+        (*first, *last) = ((*first).min(t), (*last).max(t));
     }
 
     #[cold]
@@ -57,9 +76,12 @@ impl Rate {
                 return at;
             }
             let joined: Vec<u64> = self.counts.chunks(2).map(|pair| pair.iter().sum()).collect();
-            self.counts = vec![0; BINS];
+            let both = |pair: &[Option<(i64, i64)>]| pair.iter().flatten().copied().reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)));
+            let joined_ends: Vec<Option<(i64, i64)>> = self.ends.chunks(2).map(both).collect();
+            (self.counts, self.ends) = (vec![0; BINS], vec![None; BINS]);
             let from = if at < 0 { BINS / 2 } else { 0 };
             self.counts[from..from + BINS / 2].copy_from_slice(&joined);
+            self.ends[from..from + BINS / 2].copy_from_slice(&joined_ends);
             if at < 0 {
                 self.start -= length;
             }
@@ -72,7 +94,12 @@ impl Rate {
             return RateSurvey::default();
         };
         let start = self.start + first as i128 * i128::from(self.bin);
-        RateSurvey { start_ns: start.clamp(i64::MIN.into(), i64::MAX.into()) as i64, bin_ns: self.bin, counts: self.counts[first..=last].to_vec() }
+        RateSurvey {
+            start_ns: start.clamp(i64::MIN.into(), i64::MAX.into()) as i64,
+            bin_ns: self.bin,
+            counts: self.counts[first..=last].to_vec(),
+            ends: self.ends[first..=last].to_vec(),
+        }
     }
 }
 
@@ -86,6 +113,17 @@ mod tests {
         let stamps = [0, 5_000_000, -3_000_000, 999, 1_000_000_000, i64::MAX, i64::MIN];
         stamps.iter().for_each(|t| rate.add(*t));
         assert_eq!(rate.survey().counts.iter().sum::<u64>(), stamps.len() as u64);
+    }
+
+    #[test]
+    fn the_densest_stretch_has_exact_ends_however_wide_a_bin_is() {
+        let mut rate = Rate::new();
+        (0..150).for_each(|k| rate.add(1_702_000_000_000 + k));
+        (0..18_286).for_each(|k| rate.add(5_000 + k * 16_000));
+        let found = rate.survey();
+        assert!(found.bin_ns > 1_000_000_000, "{} ns", found.bin_ns);
+        assert_eq!(found.densest(4), Some((18_286, 5_000, 5_000 + 18_285 * 16_000)));
+        assert_eq!(RateSurvey::default().densest(4), None);
     }
 
     #[test]

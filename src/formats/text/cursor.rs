@@ -3,7 +3,8 @@
 use super::line::{self, Event};
 use super::{Layout, is_comment};
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
-use crate::error::{FormatError, Loss};
+use crate::convention::Tally;
+use crate::error::{Cause, FormatError, Loss};
 use crate::losses::Losses;
 use crate::recording::EventCursor;
 use std::fs::File;
@@ -77,6 +78,51 @@ impl TextCursor {
         Ok(())
     }
 
+    /// Counts what all lines hold.
+    pub(crate) fn tally(mut self, tally: &mut Tally) -> Result<(), FormatError> {
+        while let Some((from, to, whole)) = self.line()? {
+            self.line += 1;
+            let line = &self.block[from..to];
+            if std::mem::take(&mut self.overlong) || is_comment(line) {
+                continue;
+            }
+            if let Ok(stored) = line::stored(line, &self.layout)
+                && whole
+            {
+                tally.add(stored.t, stored.x, stored.y, stored.p);
+            }
+        }
+        Ok(())
+    }
+
+    /// The place of the next line in the block, and whether a line feed ends it; `None` at the end of the file.
+    #[inline]
+    fn line(&mut self) -> Result<Option<(usize, usize, bool)>, FormatError> {
+        loop {
+            let (from, to) = (self.unread.start, self.unread.end);
+            match memchr::memchr(b'\n', &self.block[from..to]) {
+                Some(length) => {
+                    self.unread.start = from + length + 1;
+                    return Ok(Some((from, from + length, true)));
+                }
+                None if self.ended => {
+                    self.unread = to..to;
+                    return Ok((from < to).then_some((from, to, false)));
+                }
+                None if to - from == BLOCK => {
+                    if !self.overlong {
+                        let number = self.line;
+                        let what = || format!("the line is longer than {BLOCK} bytes and was left out");
+                        self.losses.add("lines of no plausible length were left out", || format!("line {number}"), what);
+                    }
+                    self.overlong = true;
+                    self.unread = 0..0;
+                }
+                None => self.refill()?,
+            }
+        }
+    }
+
     /// Reads one line, without its line feed. `whole` says that there was one.
     #[inline]
     fn take(&mut self, from: usize, to: usize, whole: bool, chunk: &mut EventChunk) {
@@ -95,9 +141,15 @@ impl TextCursor {
             }
             Err(_) if !whole => {
                 let shown = line::shown(line);
-                self.losses.add("lines that are cut off", || format!("line {number}"), || format!("the file ends inside the line {shown}; its event is lost"));
+                self.losses.add_by(
+                    Cause::Cut,
+                    "lines that are cut off",
+                    1,
+                    || format!("line {number}"),
+                    || format!("the file ends inside the line {shown}; its event is lost"),
+                );
             }
-            Err(wrong) => self.losses.add(wrong.kind(), || format!("line {number}"), || wrong.what(line, &self.layout)),
+            Err(wrong) => self.losses.add_by(wrong.cause(), wrong.kind(), 1, || format!("line {number}"), || wrong.what(line, &self.layout)),
         }
     }
 }
@@ -111,30 +163,8 @@ impl EventCursor for TextCursor {
             _ => {}
         }
         while chunk.len() < CHUNK_EVENTS {
-            let (from, to) = (self.unread.start, self.unread.end);
-            match memchr::memchr(b'\n', &self.block[from..to]) {
-                Some(length) => {
-                    self.unread.start = from + length + 1;
-                    self.take(from, from + length, true, chunk);
-                }
-                None if self.ended => {
-                    self.unread = to..to;
-                    if from < to {
-                        self.take(from, to, false, chunk);
-                    }
-                    break;
-                }
-                None if to - from == BLOCK => {
-                    if !self.overlong {
-                        let number = self.line;
-                        let what = || format!("the line is longer than {BLOCK} bytes and was left out");
-                        self.losses.add("lines of no plausible length were left out", || format!("line {number}"), what);
-                    }
-                    self.overlong = true;
-                    self.unread = 0..0;
-                }
-                None => self.refill()?,
-            }
+            let Some((from, to, whole)) = self.line()? else { break };
+            self.take(from, to, whole, chunk);
         }
         Ok(!(chunk.is_empty() && self.ended && self.unread.is_empty()))
     }

@@ -1,8 +1,10 @@
 //! One line of text becomes one event, or the reason why not.
 
 use super::{Layout, Separator};
+use crate::convention::NONE;
 use crate::decimal::Decimal;
 use crate::declared::Column;
+use crate::error::Cause;
 
 /// An event as a line has it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,6 +43,16 @@ impl Wrong {
         }
     }
 
+    /// Why the event is left out.
+    pub(crate) fn cause(self) -> Cause {
+        match self {
+            Wrong::Short(_) | Wrong::NoNumber(_) => Cause::Damage,
+            Wrong::Time => Cause::Stamp,
+            Wrong::Polarity => Cause::Polarity,
+            Wrong::Outside => Cause::Outside,
+        }
+    }
+
     /// What is wrong with this line.
     pub(crate) fn what(self, line: &[u8], layout: &Layout) -> String {
         let shown = shown(line);
@@ -64,10 +76,20 @@ pub(crate) fn shown(line: &[u8]) -> String {
     format!("`{}`{}", cut.escape_debug(), if cut.len() < line.trim_ascii().len() { " ..." } else { "" })
 }
 
+/// A line as it is stored: stamps in ns, coordinates in pixels, the polarity as a number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Stored {
+    pub(crate) t: i64,
+    pub(crate) x: i64,
+    pub(crate) y: i64,
+    pub(crate) p: i64,
+    t_in: i64,
+}
+
 /// Reads one line that is neither empty nor a comment.
 #[inline]
-pub(crate) fn read(line: &[u8], layout: &Layout) -> Result<Event, Wrong> {
-    let mut event = Event::default();
+pub(crate) fn stored(line: &[u8], layout: &Layout) -> Result<Stored, Wrong> {
+    let mut event = Stored::default();
     let mut fields = layout.separator.fields(line);
     for (index, column) in layout.columns.iter().enumerate() {
         // An empty field of a line that goes on is a column that is there.
@@ -76,12 +98,22 @@ pub(crate) fn read(line: &[u8], layout: &Layout) -> Result<Event, Wrong> {
             Column::Skip => {}
             Column::T => event.t = time(field, index, layout)?,
             Column::TIn => event.t_in = time(field, index, layout)?,
-            Column::X => event.x = coordinate(field, index, layout, true)?,
-            Column::Y => event.y = coordinate(field, index, layout, false)?,
-            Column::P => event.on = polarity(field, index)?,
+            Column::X => event.x = coordinate(field, index, layout)?,
+            Column::Y => event.y = coordinate(field, index, layout)?,
+            Column::P => event.p = polarity(field, index)?,
         }
     }
     Ok(event)
+}
+
+/// As [`stored`], as an event within the array.
+#[inline]
+pub(crate) fn read(line: &[u8], layout: &Layout) -> Result<Event, Wrong> {
+    let stored = stored(line, layout)?;
+    let on = layout.rules.on(stored.p).ok_or(Wrong::Polarity)?;
+    let (width, height) = layout.extent.map_or((1 << 16, 1 << 16), |extent| (extent.width, extent.height));
+    let inside = |place: i64, limit: u32| u16::try_from(layout.rules.pixel(place)).ok().filter(|place| u32::from(*place) < limit).ok_or(Wrong::Outside);
+    Ok(Event { t: stored.t, x: inside(stored.x, width)?, y: inside(stored.y, height)?, on, t_in: stored.t_in })
 }
 
 #[inline]
@@ -90,13 +122,11 @@ fn time(field: &[u8], index: usize, layout: &Layout) -> Result<i64, Wrong> {
 }
 
 #[inline]
-fn coordinate(field: &[u8], index: usize, layout: &Layout, across: bool) -> Result<u16, Wrong> {
-    let pixel = match short(field).filter(|_| layout.scale == 1) {
-        Some(pixel) => i64::from(pixel),
-        None => Decimal::read(field).ok_or(Wrong::NoNumber(index))?.pixel(layout.scale).ok_or(Wrong::Outside)?,
-    };
-    let limit = layout.extent.map_or(1 << 16, |extent| if across { extent.width } else { extent.height });
-    if pixel < 0 || pixel >= i64::from(limit) { Err(Wrong::Outside) } else { u16::try_from(pixel).map_err(|_| Wrong::Outside) }
+fn coordinate(field: &[u8], index: usize, layout: &Layout) -> Result<i64, Wrong> {
+    match short(field).filter(|_| layout.scale == 1) {
+        Some(pixel) => Ok(i64::from(pixel)),
+        None => Decimal::read(field).ok_or(Wrong::NoNumber(index))?.pixel(layout.scale).ok_or(Wrong::Outside),
+    }
 }
 
 /// One to six digits, the usual case.
@@ -116,20 +146,17 @@ fn short(field: &[u8]) -> Option<u32> {
     Some(value)
 }
 
-/// 1 is ON; 0 and -1 are OFF.
+/// The polarity as it is stored; true is 1, false 0.
 #[inline]
-fn polarity(field: &[u8], index: usize) -> Result<bool, Wrong> {
+fn polarity(field: &[u8], index: usize) -> Result<i64, Wrong> {
     match field {
-        b"1" | b"+1" | b"true" | b"True" | b"TRUE" => Ok(true),
-        b"0" | b"-1" | b"false" | b"False" | b"FALSE" => Ok(false),
+        b"1" | b"+1" | b"true" | b"True" | b"TRUE" => Ok(1),
+        b"0" | b"false" | b"False" | b"FALSE" => Ok(0),
+        b"-1" => Ok(-1),
         _ => {
             // 1.0 and -1.0000e+00 are written by programs that keep all columns as floats.
             let number = Decimal::read(field).ok_or(Wrong::NoNumber(index))?;
-            match number.pixel(1).filter(|_| number.is_whole()) {
-                Some(1) => Ok(true),
-                Some(0 | -1) => Ok(false),
-                _ => Err(Wrong::Polarity),
-            }
+            Ok(number.pixel(1).filter(|_| number.is_whole()).unwrap_or(NONE))
         }
     }
 }

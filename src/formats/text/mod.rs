@@ -9,6 +9,7 @@ pub(crate) mod sniff;
 #[cfg(test)]
 pub(crate) mod tests;
 
+use crate::convention::Rules;
 use crate::declared::{Column, TimeUnit};
 use photocurrent_core::Extent;
 
@@ -88,6 +89,8 @@ pub(crate) struct Layout {
     pub(crate) extent: Option<Extent>,
     /// Does a column hold in-pixel times?
     pub(crate) has_t_in: bool,
+    /// What polarities and coordinates mean.
+    pub(crate) rules: Rules,
     /// Byte at which the first line of data begins, and its number, from 1.
     pub(crate) start: (u64, u64),
 }

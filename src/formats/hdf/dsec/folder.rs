@@ -12,6 +12,16 @@ pub(super) fn events_of(folder: &Path, camera: Option<&str>) -> Option<PathBuf> 
     places.iter().map(|place| folder.join(place)).find(|path| path.is_file())
 }
 
+/// Cameras whose events lie in a folder, by their names.
+pub(super) fn cameras_of(folder: &Path) -> Vec<String> {
+    let inner = |place: PathBuf| std::fs::read_dir(place).into_iter().flatten().flatten();
+    let names = inner(folder.join("events")).chain(inner(folder.into())).filter(|entry| entry.path().join("events.h5").is_file());
+    let mut names: Vec<String> = names.map(|entry| entry.file_name().to_string_lossy().into_owned()).filter(|name| name != "events").collect();
+    names.sort();
+    names.dedup();
+    names
+}
+
 /// The pictures, with their exposures or the middles of these; `None` when there are none.
 pub(super) fn pictures_of(folder: &Path, camera: Option<&str>) -> Result<Option<PictureFiles>, FormatError> {
     let camera = camera.unwrap_or("left");
