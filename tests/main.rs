@@ -14,6 +14,7 @@
 //! - `files`: what a command does with a file of another kind, with mistakes in every line, with streams on two clocks.
 //! - `figures`: the tables of README.md and docs/ are what their commands print.
 //! - `first_run`: `init` and `run` on files of every kind, `convert` there and back.
+//! - `fuzzed`: changed files of every format through `init` and `run`.
 //! - `inspect`: several files as one recording, exit codes, the form of `--json`.
 //! - `instead`: files that are no recordings, recordings with unusual conventions.
 //! - `films`: pictures as light, from files to events.
@@ -40,6 +41,7 @@ mod figures;
 mod files;
 mod films;
 mod first_run;
+mod fuzzed;
 mod inspect;
 mod instead;
 mod learned;

@@ -129,7 +129,9 @@ fn ros() -> Vec<Seed> {
 }
 
 fn hdf() -> Vec<Seed> {
-    let folder: PathBuf = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/formats");
+    // Of this crate, or of the command, whose tests share this file.
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder: PathBuf = ["../../data/formats", "data/formats"].into_iter().map(|folder| here.join(folder)).find(|folder| folder.is_dir()).unwrap();
     let of = |(format, name): (&'static str, &str)| Seed::file(format, name, std::fs::read(folder.join(name)).unwrap(), &Declared::default());
     [
         ("dsec", "dsec_blosc_zstd.h5"),
