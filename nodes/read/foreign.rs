@@ -35,7 +35,7 @@ pub trait Reader: Send + Sync + 'static {
 const COMMON: [&str; 5] = ["path", "start", "end", "zero", "crop"];
 
 /// Parameters that every format with events accepts in addition.
-const OF_EVENTS: [&str; 3] = ["mirror", "shift", "drop_duplicates"];
+const OF_EVENTS: [&str; 4] = ["mirror", "shift", "drop_duplicates", "invert_polarity"];
 
 /// Parameters that every format with frames, in its files or elsewhere, accepts in addition.
 const OF_FRAMES: [&str; 1] = ["skip_frames"];
@@ -127,6 +127,8 @@ pub struct All {
     pub skip_frames: Option<Vec<u32>>,
     /// Read events that are there twice (one time, pixel and sign) once.
     pub drop_duplicates: Option<bool>,
+    /// Exchange ON and OFF, for files whose ON means darker.
+    pub invert_polarity: Option<bool>,
     /// How polarity is stored. Default: recognised over the whole file, with a note where it is unusual.
     pub polarity: Option<Polarity>,
     /// Which number the first column and row have. Default: 1 where an array of known size shows it, with a note; otherwise 0.
@@ -159,6 +161,7 @@ impl All {
                 shift: self.shift,
                 skip_frames: self.skip_frames.clone(),
                 drop_duplicates: self.drop_duplicates,
+                invert_polarity: self.invert_polarity,
                 polarity: self.polarity,
                 origin: self.origin,
                 counter: self.counter,

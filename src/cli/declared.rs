@@ -69,6 +69,9 @@ pub struct DeclaredOptions {
     /// Read events that are there twice once
     #[arg(long)]
     pub drop_duplicates: bool,
+    /// Exchange ON and OFF, where ON means darker
+    #[arg(long)]
+    pub invert_polarity: bool,
     /// How polarity is stored: signs, counts or one_two; recognised where it is not given
     #[arg(long, value_name = "CODE", value_parser = word::<Polarity>)]
     pub polarity: Option<Polarity>,
@@ -105,6 +108,7 @@ impl DeclaredOptions {
             shift: self.shift,
             skip_frames: self.skip_frames.clone(),
             drop_duplicates: self.drop_duplicates.then_some(true),
+            invert_polarity: self.invert_polarity.then_some(true),
             polarity: self.polarity,
             origin: self.origin,
             counter: self.counter,

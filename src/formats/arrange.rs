@@ -150,7 +150,7 @@ fn in_microseconds(ns: i64) -> String {
 
 /// The size of event array that frames suggest where the largest coordinates do not fit them: the frames' own, or that of which they are a multiple, the smallest
 /// that holds every event and of which events use more than half each way. `None` where frames are a whole multiple of what events reach, or hold them not at all.
-pub fn extent_of_frames(frames: Extent, (x, y): (u16, u16)) -> Option<Extent> {
+fn extent_of_frames(frames: Extent, (x, y): (u16, u16)) -> Option<Extent> {
     let (width, height) = (u32::from(x) + 1, u32::from(y) + 1);
     if frames.multiple_of(Extent { width, height }).is_some() || frames.width < width || frames.height < height {
         return None;
@@ -163,6 +163,20 @@ pub fn extent_of_frames(frames: Extent, (x, y): (u16, u16)) -> Option<Extent> {
     const MOST_TIMES: u32 = 8;
     let is_used = |times: &u32| 2 * width > part(*times).width && 2 * height > part(*times).height;
     Some(part((1..=MOST_TIMES).rev().filter(fits).find(is_used).unwrap_or(1)))
+}
+
+/// Share of the events that decide how far an array reaches: single events far outside are a decoder's or a sensor's fault.
+const REACH: f64 = 0.999;
+
+/// The size of event array that frames suggest where what events reach does not fit them; `None` where it does, or most events lie outside of the frames.
+pub fn likely_extent(frames: Extent, found: &Scan) -> Option<Extent> {
+    let corner = found.corner?;
+    if u32::from(corner.0) < frames.width && u32::from(corner.1) < frames.height {
+        return extent_of_frames(frames, corner);
+    }
+    let reach = found.reach(REACH)?;
+    let whole = Extent { width: u32::from(reach.0) + 1, height: u32::from(reach.1) + 1 };
+    extent_of_frames(frames, reach).or_else(|| frames.multiple_of(whole).map(|_| whole))
 }
 
 /// A stamp less another, or an error when they are further apart than the clock counts.
@@ -210,9 +224,11 @@ impl Arranged {
         let extent = match (declared.extent.or(about.extent), found.corner) {
             (Some(extent), _) => extent,
             // What events reach is no size of an array: where frames state another that holds them, it has to be stated.
-            (None, Some(corner)) if let Some(likely) = frames.and_then(|frames| extent_of_frames(frames, corner)) => {
+            (None, Some(corner)) if let Some(likely) = frames.and_then(|frames| likely_extent(frames, found)) => {
+                let outside = found.outside(likely.width, likely.height);
+                let few = if outside > 0 { format!("{outside} of {} events lie outside of it", found.count) } else { "it holds the events".into() };
                 let reach = format!("events reach column {} and row {}, frames have {} pixels", corner.0, corner.1, frames.unwrap_or(likely));
-                let hint = format!("state it: `extent = {{ width = {}, height = {} }}` holds the events and fits the frames", likely.width, likely.height);
+                let hint = format!("state it: `extent = {{ width = {}, height = {} }}` fits the frames, and {few}", likely.width, likely.height);
                 return Err(FormatError::new(path, format!("the size of the event array is not recorded, and {reach}"), hint).undeclared("extent"));
             }
             (None, Some((x, y))) => {

@@ -43,6 +43,8 @@ pub struct Declared {
     pub skip_frames: Option<Vec<u32>>,
     /// Are events that are there twice (one time, pixel and sign) read once?
     pub drop_duplicates: Option<bool>,
+    /// Are ON and OFF exchanged?
+    pub invert_polarity: Option<bool>,
     /// How polarity is stored, where it is not recognised.
     pub polarity: Option<Polarity>,
     /// Which number the first column and row have: 0 or 1.

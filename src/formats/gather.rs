@@ -32,6 +32,8 @@ pub struct Scan {
     pub losses: Vec<Loss>,
     /// Every n-th stamp in file order, at most [`KEPT_STAMPS`] of them.
     pub some_stamps: Vec<i64>,
+    /// Events of each column and each row, up to the largest.
+    pub places: (Vec<u64>, Vec<u64>),
 }
 
 /// Stamps that a scan keeps, at most.
@@ -44,6 +46,27 @@ impl Scan {
         sorted.sort_unstable();
         let inside = ((share * sorted.len() as f64).ceil() as usize).clamp(1, sorted.len().max(1));
         sorted.windows(inside).map(|window| (window[0], window[inside - 1])).min_by_key(|(first, last)| last.saturating_sub(*first))
+    }
+}
+
+impl Scan {
+    /// Largest column and row without the few events beyond: a share (0 to 1) of the events lies within each. `None` without events.
+    pub fn reach(&self, share: f64) -> Option<(u16, u16)> {
+        let within = |counts: &[u64]| {
+            let (mut below, wanted) = (0, (share * self.count as f64).ceil() as u64);
+            counts.iter().position(|count| {
+                below += count;
+                below >= wanted.max(1)
+            })
+        };
+        Some((within(&self.places.0)? as u16, within(&self.places.1)? as u16))
+    }
+
+    /// Events outside of an array.
+    pub fn outside(&self, width: u32, height: u32) -> u64 {
+        let beyond = |counts: &[u64], from: u32| counts.iter().skip(from as usize).sum::<u64>();
+        // An event beyond both is counted twice: an upper bound, and mostly the number.
+        (beyond(&self.places.0, width) + beyond(&self.places.1, height)).min(self.count)
     }
 }
 
@@ -68,6 +91,13 @@ pub fn scan<E: From<FormatError>>(cursor: &mut dyn EventCursor, mut advance: imp
                         index % 2 == 1
                     });
                 }
+            }
+            let most = |column: &[u16]| usize::from(column.iter().copied().max().unwrap_or(0)) + 1;
+            for (counts, column) in [(&mut scan.places.0, &chunk.x), (&mut scan.places.1, &chunk.y)] {
+                if counts.len() < most(column) {
+                    counts.resize(most(column), 0);
+                }
+                column.iter().for_each(|at| counts[usize::from(*at)] += 1);
             }
             scan.count += chunk.len() as u64;
             let (mut earliest, mut latest) = scan.span.unwrap_or((first, first));
@@ -437,6 +467,9 @@ mod tests {
         assert_eq!(found.disordered as usize, all.windows(2).filter(|w| w[1] < w[0]).count());
         assert_eq!(found.corner, Some((5, 131)));
         assert_eq!(found.some_stamps, all);
+        // Columns 0 to 5 and rows 0 to 131 are drawn evenly.
+        assert_eq!((found.reach(1.0), found.reach(0.5).map(|(x, _)| x)), (Some((5, 131)), Some(2)));
+        assert_eq!(found.outside(5, 132), made().chunks.iter().flat_map(|c| &c.x).filter(|x| **x >= 5).count() as u64);
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! What a user states of how both streams lie on each other: a mirrored picture, a shift by whole pixels, frames to leave out.
+//! What a user states of how both streams lie on each other: a mirrored picture, a shift by whole pixels, exchanged polarity, frames to leave out.
 //!
 //! Events are moved to where the frames see the same ([`Declared::mirror`] first, then [`Declared::shift`]); events that are moved off the array are left out.
 //! Frames are left out by their number in the file ([`Declared::skip_frames`]).
@@ -20,7 +20,8 @@ use std::sync::Arc;
 pub fn placed(path: &Path, recording: Box<dyn Recording>, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let mut about = recording.events_about().cloned();
     let mut places = None;
-    if declared.mirror.is_some() || declared.shift.is_some() {
+    let inverts = declared.invert_polarity == Some(true);
+    if declared.mirror.is_some() || declared.shift.is_some() || inverts {
         let extent = declared.extent.or(about.as_ref().and_then(|about| about.extent));
         if declared.mirror.is_some() && about.is_some() && extent.is_none() {
             let hint = "state the size of the event array too: `extent = { width = 640, height = 480 }`";
@@ -34,7 +35,10 @@ pub fn placed(path: &Path, recording: Box<dyn Recording>, declared: &Declared) -
                 about.notes.push(format!("events were moved {right} pixels to the left and {down} up, as stated"));
             }
         }
-        places = Some(Places { mirror: declared.mirror, shift: declared.shift.unwrap_or(Shift { right: 0, down: 0 }), extent });
+        if let Some(about) = about.as_mut().filter(|_| inverts) {
+            about.notes.push("ON and OFF were exchanged, as stated".into());
+        }
+        places = Some(Places { inverts, mirror: declared.mirror, shift: declared.shift.unwrap_or(Shift { right: 0, down: 0 }), extent });
     }
     let mut pictures = recording.pictures();
     if let (Some(skipped), Some(inner)) = (&declared.skip_frames, &pictures) {
@@ -58,6 +62,7 @@ impl Mirror {
 
 #[derive(Clone, Copy)]
 struct Places {
+    inverts: bool,
     mirror: Option<Mirror>,
     shift: Shift,
     extent: Option<Extent>,
@@ -146,7 +151,7 @@ impl EventCursor for PlacedCursor {
         let mut t_in = piece.t_in.as_ref().map(|column| Vec::with_capacity(column.len()));
         for i in 0..piece.len() {
             let Some((x, y)) = self.places.of(piece.x[i], piece.y[i]) else { continue };
-            chunk.push(piece.t[i], x, y, piece.on[i] != 0);
+            chunk.push(piece.t[i], x, y, (piece.on[i] != 0) != self.places.inverts);
             if let (Some(kept), Some(column)) = (&mut t_in, &piece.t_in) {
                 kept.push(column[i]);
             }
@@ -279,7 +284,7 @@ mod tests {
 
     #[test]
     fn a_place_is_mirrored_first_and_moved_then_and_nothing_leaves_the_array() {
-        let of = |mirror, right, down| Places { mirror, shift: Shift { right, down }, extent: Some(EXTENT) };
+        let of = |mirror, right, down| Places { inverts: false, mirror, shift: Shift { right, down }, extent: Some(EXTENT) };
         assert_eq!(of(Some(Mirror::LeftRight), 0, 0).of(1, 2), Some((6, 2)));
         assert_eq!(of(Some(Mirror::TopBottom), 0, 0).of(1, 2), Some((1, 3)));
         assert_eq!(of(Some(Mirror::Both), 2, -1).of(1, 2), Some((4, 4)));

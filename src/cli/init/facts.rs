@@ -226,7 +226,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             let (size, reach) = extent_of_frames(parts, all)?;
             all.extent = Some(size);
             let why = format!(
-                "the size of the event array is not recorded; {reach}: they lie inside of the frames' pixels, whose size (or a whole part of it) was taken"
+                "the size of the event array is not recorded; {reach}: the frames' size, or a whole part of it, was taken"
             );
             Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", size.width, size.height), why))
         }
@@ -292,9 +292,11 @@ fn busiest_line(parts: &Parts) -> Option<(u16, usize)> {
 fn extent_of_frames(parts: &Parts, all: &All) -> Option<(Size, String)> {
     let recording = joined::open(parts.format, &parts.recording, &all.settings().declared).ok()?;
     let frames = recording.pictures()?.about().extent;
-    let corner = photocurrent_formats::gather::scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()?.corner?;
-    let size = arrange::extent_of_frames(frames, corner)?;
-    let reach = format!("events reach column {} and row {}, frames have {frames} pixels", corner.0, corner.1);
+    let found = photocurrent_formats::gather::scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()?;
+    let (corner, size) = (found.corner?, arrange::likely_extent(frames, &found)?);
+    let outside = found.outside(size.width, size.height);
+    let few = if outside > 0 { format!(", {outside} of {} events outside of them", found.count) } else { String::new() };
+    let reach = format!("events reach column {} and row {}, frames have {frames} pixels{few}", corner.0, corner.1);
     Some((Size { width: size.width, height: size.height }, reach))
 }
 

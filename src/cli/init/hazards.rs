@@ -83,6 +83,10 @@ pub fn act(
             Some(Consequence::None) | None => {}
         }
     }
+    if reading.is_some_and(|reading| reading.is_inverted) && all.invert_polarity.is_none() && takes(format.id, "invert_polarity") {
+        let why = format!("events and frames agree with ON and OFF exchanged only: {}", reading.map_or("", |reading| &reading.why));
+        acts.parameters.push(Fill::open("invert_polarity", "true".into(), why));
+    }
     apply(&acts.parameters, all);
     Ok(acts)
 }
@@ -160,6 +164,7 @@ fn apply(parameters: &[Fill], all: &mut All) {
         let text = format!("value = {}", fill.value);
         let Some(value) = text.parse::<toml::Table>().ok().and_then(|mut table| table.remove("value")) else { continue };
         match fill.name {
+            "invert_polarity" => all.invert_polarity = value.try_into().ok(),
             "drop_duplicates" => all.drop_duplicates = value.try_into().ok(),
             "skip_frames" => all.skip_frames = value.try_into().ok(),
             "mirror" => all.mirror = value.try_into().ok(),
@@ -207,7 +212,7 @@ mod tests {
 
     fn of(id: &'static str, accepted: &[String]) -> (Result<Acts, Failure>, All) {
         let finding = Finding::new(id, Severity::Hazard, "what", "evidence", "state `coordinate_scale = 32`");
-        let reading = Reading { mirror: Some(Mirror::Both), shift: Some(Shift { right: 1, down: 0 }), why: "why".into() };
+        let reading = Reading { mirror: Some(Mirror::Both), shift: Some(Shift { right: 1, down: 0 }), is_inverted: false, why: "why".into() };
         let (film, mut all) = (film(), All { start: Some(photocurrent_core::quantity::Duration::new(0)), ..All::default() });
         let numbers: Vec<usize> = (5..15).collect();
         let npz = format::named("npz").unwrap();

@@ -8,7 +8,7 @@
 
 use photocurrent_formats::hazard::{self, Finding, Limits};
 use photocurrent_formats::survey::Survey;
-use photocurrent_formats::survey::alternatives::{Alternative, LEAST_AHEAD, LEAST_EXPLAINED, Much, Scored, compare};
+use photocurrent_formats::survey::alternatives::{Alternative, LEAST_AHEAD, LEAST_EXPLAINED, Much, Scored, compare, decided};
 use photocurrent_formats::{FormatError, Mirror, Recording, Shift};
 use std::collections::BTreeMap;
 
@@ -24,9 +24,14 @@ pub struct Reading {
     pub mirror: Option<Mirror>,
     /// How far the events lie right of and below the frames' picture.
     pub shift: Option<Shift>,
+    /// Are ON and OFF exchanged?
+    pub is_inverted: bool,
     /// What each reading explains, for people.
     pub why: String,
 }
+
+/// Pairs of frames that decide whether streams agree, at least.
+const FEWEST: usize = 4;
 
 /// Findings that an offset of the clocks would explain away.
 const APART: [&str; 3] = ["mirrored", "displaced", "events_late"];
@@ -36,7 +41,9 @@ const APART: [&str; 3] = ["mirrored", "displaced", "events_late"];
 /// # Errors
 /// When the recording cannot be read any more.
 pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) -> Result<Option<Reading>, FormatError> {
-    if !findings.iter().any(|finding| APART.contains(&finding.id)) {
+    // Streams that agree at no shift at all may be exchanged in sign.
+    let is_unclear = survey.lag.as_ref().is_some_and(|lag| lag.pairs >= FEWEST && lag.late_ns.is_none());
+    if !is_unclear && !findings.iter().any(|finding| APART.contains(&finding.id)) {
         return Ok(None);
     }
     let much = Much { span_ns: survey.events.as_ref().and_then(|events| events.span_ns), events: EVENTS };
@@ -51,8 +58,14 @@ pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) ->
         let name = format!("{}, with an offset", of.name);
         Alternative { name, ..of }.fitting_offset()
     };
-    let of_ways: Vec<Alternative> = ways.into_iter().flat_map(|way| [mirrored(way), with_offset(mirrored(way))]).collect();
+    let mut of_ways: Vec<Alternative> = ways.into_iter().flat_map(|way| [mirrored(way), with_offset(mirrored(way))]).collect();
+    of_ways.push(Alternative::new("ON and OFF exchanged").inverted());
     let scored = compare(recording, &of_ways, &much)?;
+    let exchanged = of_ways.len() - 1;
+    if scored.first().is_some_and(|best| best.alternative == exchanged) && decided(&scored).is_some() {
+        return Ok(Some(Reading { is_inverted: true, why: listed(&scored), ..Reading::default() }));
+    }
+    let scored: Vec<Scored> = scored.into_iter().filter(|one| one.alternative != exchanged).collect();
     let way_of = |one: &Scored| ways[one.alternative / 2];
     let Some(first) = scored.first().filter(|first| first.explained.ci95.0 > LEAST_EXPLAINED) else { return Ok(None) };
     let as_is = scored.iter().find(|one| way_of(one).is_none());
@@ -96,7 +109,11 @@ pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) ->
     let scored = compare(recording, &finals, &much)?;
     let is_shifted = scored.first().is_some_and(|best| best.alternative == 2 && shift != (0, 0))
         && scored.iter().filter(|one| one.alternative != 2).all(|one| one.behind.ci95.0 > 0.0 && one.behind.value > LEAST_AHEAD);
+    Ok(Some(Reading { mirror, shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }), is_inverted: false, why: listed(&scored) }))
+}
+
+/// The best three readings, for people.
+fn listed(scored: &[Scored]) -> String {
     let list = scored.iter().take(3).map(|one| format!("{} explains {:.0} % of the frames' change", one.name, 100.0 * one.explained.value));
-    let why = list.collect::<Vec<_>>().join("; ");
-    Ok(Some(Reading { mirror, shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }), why }))
+    list.collect::<Vec<_>>().join("; ")
 }

@@ -104,23 +104,23 @@ fn evidence(events: Option<&Stream>, frames: Option<&Stream>) -> String {
     said.join("; ")
 }
 
-/// What one unit gives; `None` where it cannot be read so.
-fn events_in(parts: &Parts, all: &All, unit: TimeUnit) -> Option<Scan> {
-    let mut declared = All { time_unit: Some(unit), ..all.clone() }.settings().declared;
+/// What one unit gives, or without one what is recorded or stated; `None` where it cannot be read so.
+fn events_in(parts: &Parts, all: &All, unit: Option<TimeUnit>) -> Option<Scan> {
+    let mut declared = All { time_unit: unit.or(all.time_unit), ..all.clone() }.settings().declared;
     (declared.frames, declared.stamps, declared.trigger_line) = (None, None, None);
     let recording = (parts.format.open)(&parts.recording, &declared).ok()?;
     scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()
 }
 
-/// Start and end of every frame, as far as its stamps state them.
-fn frames_in(parts: &Parts, all: &All, unit: TimeUnit) -> Option<Vec<(i64, i64)>> {
+/// Start and end of every frame, as far as its stamps state them; `unit` as in [`events_in`].
+fn frames_in(parts: &Parts, all: &All, unit: Option<TimeUnit>) -> Option<Vec<(i64, i64)>> {
     let both = |at: i64, exposure: Option<(i64, i64)>| exposure.unwrap_or((at, at));
     if let Some(place) = parts.frames.as_ref().filter(|_| all.trigger_line.is_none()) {
-        let declared = All { stamps_unit: Some(unit), ..all.clone() }.settings().declared;
+        let declared = All { stamps_unit: unit.or(all.stamps_unit), ..all.clone() }.settings().declared;
         let pictures = PictureFiles::open(place, &declared).ok()?;
         return Some(photocurrent_formats::Pictures::about(&pictures).stamps.iter().map(|stamp| both(stamp.at, stamp.exposure)).collect());
     }
-    let declared = All { time_unit: all.time_unit.or(Some(unit)), stamps_unit: Some(unit), ..all.clone() }.settings().declared;
+    let declared = All { time_unit: all.time_unit.or(unit), stamps_unit: unit.or(all.stamps_unit), ..all.clone() }.settings().declared;
     let recording = joined::open(parts.format, &parts.recording, &declared).ok()?;
     Some(recording.pictures()?.about().stamps.iter().map(|stamp| both(stamp.at, stamp.exposure)).collect())
 }
@@ -172,28 +172,23 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
         }
     }
     let of_one_set = parts.frames.is_none();
+    // Where a unit is recorded or stated there is one candidate, whose name stays open.
+    let candidates = |lacks: bool, stated: Option<TimeUnit>| -> Vec<Option<TimeUnit>> { if lacks { UNITS.map(Some).to_vec() } else { vec![stated] } };
     let mut of_events_units: Vec<Stream> = Vec::new();
-    for unit in UNITS.into_iter().filter(|unit| all.time_unit.is_none_or(|stated| stated == *unit)) {
+    for unit in candidates(events_lack, all.time_unit) {
         if let Some(found) = events_in(parts, all, unit) {
             // In their own unit whole numbers are whole; fractions of it show as a remainder.
-            let whole = is_whole(&found.some_stamps, unit);
-            of_events_units.extend(of_events(&found, unit, whole));
-        }
-        if !events_lack {
-            break;
+            let shown = unit.unwrap_or(TimeUnit::Us);
+            of_events_units.extend(of_events(&found, shown, is_whole(&found.some_stamps, shown)));
         }
     }
     let mut of_frames_units: Vec<Stream> = Vec::new();
-    for unit in UNITS.into_iter().filter(|unit| all.stamps_unit.is_none_or(|stated| stated == *unit)) {
+    for unit in candidates(frames_lack || of_one_set && events_lack, all.stamps_unit) {
         if let Some(stamps) = frames_in(parts, all, unit) {
-            let starts: Vec<i64> = stamps.iter().map(|stamp| stamp.0).collect();
-            of_frames_units.extend(of_frames(&stamps, unit, is_whole(&starts, unit)));
-        }
-        if !frames_lack && !(of_one_set && events_lack) {
-            break;
+            let (starts, shown): (Vec<i64>, TimeUnit) = (stamps.iter().map(|stamp| stamp.0).collect(), unit.unwrap_or(TimeUnit::Us));
+            of_frames_units.extend(of_frames(&stamps, shown, is_whole(&starts, shown)));
         }
     }
-    // Events of the largest number: a unit in which stamps overflow loses some.
     let mut pairs: Vec<(f64, Option<Stream>, Option<Stream>)> = Vec::new();
     for events in &of_events_units {
         if of_frames_units.is_empty() {
