@@ -57,7 +57,9 @@ fn look_at(options: &CheckOptions) -> Result<Findings, Failure> {
             let value = open_value(path).map_err(|error| data(error.to_string()))?;
             Ok(Findings::new(path).of(format!("the header of a cached result of type {} (`photocurrent cache verify` reads all of it)", value.data_type())))
         }
-        FileKind::Instead(_) | FileKind::Other(_) => Err(kind.refuse(path, "check", "a manifest, a recording, a sensor description or the output folder of a run")),
+        FileKind::Instead(_) | FileKind::Other(_) => {
+            Err(kind.refuse(path, "check", "a manifest, a recording, a sensor description or the output folder of a run"))
+        }
     }
 }
 

@@ -353,10 +353,7 @@ impl Tally {
             let bits = counter.name();
             conventions.push(Convention {
                 id: "counter_followed",
-                what: format!(
-                    "the stamps' counter of {bits} started again {turns} {}; its range was added",
-                    if turns == 1 { "time" } else { "times" }
-                ),
+                what: format!("the stamps' counter of {bits} started again {turns} {}; its range was added", if turns == 1 { "time" } else { "times" }),
                 evidence: format!("time goes back by the range of {bits}, and all stamps lie within it"),
                 otherwise: "state `counter = \"none\"` where recordings were joined that begin anew".into(),
             });

@@ -3,8 +3,8 @@
 //! Source: Mueggler et al., The Event-Camera Dataset and Simulator, IJRR 2017. What an image's stamp means, the exposure and the encoding of its values are
 //! not recorded. E2VID's folders are the same with a first line `width height`.
 
-use crate::csv::Csv;
 use crate::convention::Convention;
+use crate::csv::Csv;
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};

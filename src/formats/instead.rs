@@ -53,7 +53,10 @@ fn by_signature(probe: &Probe) -> Option<Instead> {
         return inside::folder(&probe.path, names);
     }
     if probe.bytes == 0 {
-        return Some(Instead::new("an empty file (0 bytes)", "the download or the copy did not begin: fetch the file again, and compare its size with the source's"));
+        return Some(Instead::new(
+            "an empty file (0 bytes)",
+            "the download or the copy did not begin: fetch the file again, and compare its size with the source's",
+        ));
     }
     let head = probe.head.as_slice();
     pointer(head)
@@ -117,9 +120,8 @@ fn pointer(head: &[u8]) -> Option<Instead> {
             "in its repository run `git lfs install`, then `git lfs pull`; or download the file itself. An archive of a repository holds pointers only",
         ));
     }
-    text.contains("/annex/objects/").then(|| {
-        Instead::new("a pointer of git-annex, not the file itself", "in its repository run `git annex get` with its name (or `datalad get`)")
-    })
+    text.contains("/annex/objects/")
+        .then(|| Instead::new("a pointer of git-annex, not the file itself", "in its repository run `git annex get` with its name (or `datalad get`)"))
 }
 
 /// HTML, and what servers answer in its place.

@@ -15,8 +15,8 @@ use crate::terminal::{print, print_json, say};
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Value;
 use photocurrent_formats::hazard::{self, Finding, Limits};
-use photocurrent_formats::survey::{Most, Survey, survey};
 use photocurrent_formats::instead::what_it_is;
+use photocurrent_formats::survey::{Most, Survey, survey};
 use photocurrent_formats::{Declared, Format, FormatError, Probe, joined, recognise};
 use photocurrent_store::open_value;
 use serde_json::json;
@@ -135,7 +135,7 @@ pub fn look(path: &Path, format: &'static Format, declared: &Declared, quiet: bo
 }
 
 /// What to say of a file that is none of ours.
-fn unknown(path: &Path) -> Failure {
+pub fn unknown(path: &Path) -> Failure {
     if let Some(instead) = Probe::new(path).ok().and_then(|probe| what_it_is(&probe)) {
         return Failure::Other { message: instead.refusal(path).to_string(), code: 2 };
     }

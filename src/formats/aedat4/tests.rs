@@ -331,7 +331,10 @@ fn of_several_streams_the_named_one_is_read() {
     with_path(&bytes, |path| {
         let open = |camera: Option<&str>| Aedat4::open(path, &Declared { camera: camera.map(String::from), ..Declared::default() });
         assert_eq!(read(&open(None).unwrap()).0, [(1000, 0, 0, 1)]);
-        assert_eq!(open(None).unwrap().events_about().unwrap().notes, ["events are those of stream 0 EVTS `out0` 3 x 2 of DAVIS346_00000007; not read: 1 EVTS `out1` 5 x 5 of DAVIS346_00000007 (`camera` chooses)"]);
+        assert_eq!(
+            open(None).unwrap().events_about().unwrap().notes,
+            ["events are those of stream 0 EVTS `out0` 3 x 2 of DAVIS346_00000007; not read: 1 EVTS `out1` 5 x 5 of DAVIS346_00000007 (`camera` chooses)"]
+        );
         assert_eq!(read(&open(Some("1")).unwrap()).0, [(2000, 4, 4, 0)]);
         assert_eq!(read(&open(Some("out1")).unwrap()).0, [(2000, 4, 4, 0)]);
         let error = open(Some("left")).err().unwrap();

@@ -113,9 +113,7 @@ fn damage(survey: &Survey, found: &mut Vec<Finding>) {
 /// Id, message and what to do.
 fn advice(cause: Cause) -> (&'static str, &'static str, &'static str) {
     match cause {
-        Cause::Damage => {
-            ("damaged", "parts of the file are damaged and were left out", "copy the file again from where it came; what is whole can be used")
-        }
+        Cause::Damage => ("damaged", "parts of the file are damaged and were left out", "copy the file again from where it came; what is whole can be used"),
         Cause::Cut => (
             "cut_off",
             "the file ends before its content does; what lies behind is lost",

@@ -28,8 +28,8 @@ mod cut_tests;
 #[cfg(test)]
 mod tests;
 
-use crate::error::{Cause, FormatError, Loss};
 use crate::convention::{Convention, Lazy, Rules, Settled};
+use crate::error::{Cause, FormatError, Loss};
 use crate::format::Probe;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording, not_read};
 use crate::{Declared, chunk::Trigger};

@@ -399,7 +399,9 @@ impl TableCursor {
         let event = || format!("event {index}");
         let Some(t) = self.t.get(table, i) else {
             let stored = || self.t.floats.get(i).map_or_else(|| self.t.integers[i].to_string(), f64::to_string);
-            return self.losses.add_by(Cause::Stamp, "events without a sound stamp were left out", 1, event, || format!("its stamp {} is no time; it was left out", stored()));
+            return self.losses.add_by(Cause::Stamp, "events without a sound stamp were left out", 1, event, || {
+                format!("its stamp {} is no time; it was left out", stored())
+            });
         };
         if !(self.x.is_whole(i) && self.y.is_whole(i)) {
             let at = |of: &Coordinates| of.floats.get(i).copied().unwrap_or(of.integers[i] as f64);

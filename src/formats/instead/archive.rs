@@ -46,7 +46,10 @@ pub(super) fn archive(probe: &Probe) -> Option<Instead> {
 fn zip(probe: &Probe) -> Instead {
     let name = probe.path.display();
     let Some(members) = members(probe) else {
-        return Instead::new("an archive (zip) without its directory, which stands at the end: the download broke off", "fetch it again, and compare its size with the source's");
+        return Instead::new(
+            "an archive (zip) without its directory, which stands at the end: the download broke off",
+            "fetch it again, and compare its size with the source's",
+        );
     };
     if members.iter().any(|member| member.ends_with("data.pkl")) {
         return Instead::new(
@@ -89,7 +92,10 @@ fn gzip(probe: &Probe) -> Instead {
     let mut head = Vec::new();
     let unpacked = File::open(&probe.path).map(|file| flate2::read::GzDecoder::new(BufReader::new(file)).take(4096).read_to_end(&mut head));
     if matches!(unpacked, Ok(Ok(_))) && head.get(257..262) == Some(b"ustar") {
-        return Instead::new(format!("an archive (tar, packed by gzip){}", first_of_tar(&head)), format!("unpack it: `tar xzf {path}`, then name what it holds"));
+        return Instead::new(
+            format!("an archive (tar, packed by gzip){}", first_of_tar(&head)),
+            format!("unpack it: `tar xzf {path}`, then name what it holds"),
+        );
     }
     let stem = probe.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let inner = Probe { path: probe.path.with_extension(""), bytes: head.len() as u64, head, names: None };

@@ -28,14 +28,16 @@ pub(super) fn hdf5(path: &Path) -> Option<Instead> {
                  [f.move('{from}' + a, 'events/' + b) for a, b in [('{t}', 't'), ('{x}', 'x'), ('{y}', 'y'), ('{p}', 'p')]]\"`"
             )
         }
-        None => "the layouts that are read are in docs/recordings.md; the simplest is DSEC's: /events/t (in microseconds), /events/x, /events/y, /events/p".to_string(),
+        None => "the layouts that are read are in docs/recordings.md; the simplest is DSEC's: /events/t (in microseconds), /events/x, /events/y, /events/p"
+            .to_string(),
     };
     Some(Instead::new(format!("an HDF5 file of a layout that is not known here; {holds}"), todo))
 }
 
 /// The group whose datasets are the four columns of events, and what they are called.
 pub(super) fn columns(all: &[(String, String)]) -> Option<(String, [String; 4])> {
-    const NAMES: [&[&str]; 4] = [&["t", "ts", "time", "times", "timestamp", "timestamps"], &["x", "xs"], &["y", "ys"], &["p", "ps", "pol", "polarity", "polarities"]];
+    const NAMES: [&[&str]; 4] =
+        [&["t", "ts", "time", "times", "timestamp", "timestamps"], &["x", "xs"], &["y", "ys"], &["p", "ps", "pol", "polarity", "polarities"]];
     let split = |name: &str| name.rsplit_once('/').map_or((String::new(), name.to_string()), |(group, name)| (group.to_string(), name.to_string()));
     let parts: Vec<(String, String)> = all.iter().map(|(name, _)| split(name)).collect();
     parts.iter().map(|(group, _)| group).find_map(|group| {

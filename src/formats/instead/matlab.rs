@@ -47,7 +47,9 @@ fn variables(probe: &Probe) -> Vec<String> {
         let (kind, size) = (number(&tag, 0, big), u64::from(number(&tag, 4, big)));
         let mut head = Vec::new();
         let read = match kind {
-            15 => flate2::read::ZlibDecoder::new(file.by_ref().take(size)).take(HEAD).read_to_end(&mut head).map(|_| head.get(8..).unwrap_or_default().to_vec()),
+            15 => {
+                flate2::read::ZlibDecoder::new(file.by_ref().take(size)).take(HEAD).read_to_end(&mut head).map(|_| head.get(8..).unwrap_or_default().to_vec())
+            }
             14 => file.by_ref().take(size.min(HEAD)).read_to_end(&mut head).map(|_| head.clone()),
             _ => break,
         };

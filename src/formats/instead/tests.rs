@@ -64,8 +64,13 @@ fn archives_say_what_they_hold_and_how_to_unpack_them() {
     tar[257..262].copy_from_slice(b"ustar");
     assert!(said("p.tar", &tar).0.contains("its first entry is events.raw"));
     assert!(said("p.tgz", &gzip(&tar)).1.contains("tar xzf"));
-    for (magic, command) in [(&b"\xfd7zXZ\0"[..], "xz -dk"), (b"BZh9", "bzip2 -dk"), (b"\x28\xb5\x2f\xfd", "zstd -d"), (b"7z\xbc\xaf\x27\x1c", "7z x"), (b"\x04\x22\x4d\x18", "lz4 -d")]
-    {
+    for (magic, command) in [
+        (&b"\xfd7zXZ\0"[..], "xz -dk"),
+        (b"BZh9", "bzip2 -dk"),
+        (b"\x28\xb5\x2f\xfd", "zstd -d"),
+        (b"7z\xbc\xaf\x27\x1c", "7z x"),
+        (b"\x04\x22\x4d\x18", "lz4 -d"),
+    ] {
         assert!(said("p.bin", &[magic, &[0; 64]].concat()).1.contains(command), "{command}");
     }
 }
@@ -123,9 +128,13 @@ fn words_without_a_header_show_their_encoding() {
     let header = b"% evt 3.0\n% format EVT3;height=720;width=1280\n% end\n";
     let (_folder, path) = probe("with_header.raw", &[&header[..], &bytes].concat());
     assert_eq!(recognise(&path).unwrap().map(|format| format.id), Some("evt3"));
-    let evt2: Vec<u8> = (0..400_u32).flat_map(|k| [0x8000_0000 | (1000 + k), (k % 2) << 28 | (k % 64) << 22 | (k % 96) << 11 | k % 72]).flat_map(u32::to_le_bytes).collect();
+    let evt2: Vec<u8> =
+        (0..400_u32).flat_map(|k| [0x8000_0000 | (1000 + k), (k % 2) << 28 | (k % 64) << 22 | (k % 96) << 11 | k % 72]).flat_map(u32::to_le_bytes).collect();
     assert_eq!(said("headless.raw", &evt2).0, "a file without a header that looks like EVT2 words");
-    let evt21: Vec<u8> = (0..400_u64).flat_map(|k| [8 << 60 | (1000 + k) << 32, (k % 2) << 60 | (k % 64) << 54 | (k % 3) << 43 | (k % 72) << 32 | 5]).flat_map(u64::to_le_bytes).collect();
+    let evt21: Vec<u8> = (0..400_u64)
+        .flat_map(|k| [8 << 60 | (1000 + k) << 32, (k % 2) << 60 | (k % 64) << 54 | (k % 3) << 43 | (k % 72) << 32 | 5])
+        .flat_map(u64::to_le_bytes)
+        .collect();
     assert_eq!(said("headless.raw", &evt21).0, "a file without a header that looks like EVT2.1 words");
     // Noise, zeros and text are none.
     let mut state = 7_u32;

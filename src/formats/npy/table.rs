@@ -305,7 +305,9 @@ impl TableCursor {
             }
             let at = || format!("event {}", first + k as u64);
             if t[k] == NONE || !has_t_in {
-                self.losses.add_by(Cause::Stamp, "events without a finite stamp were left out", 1, at, || "its stamp is not finite, or beyond 292 years; it was left out".into());
+                self.losses.add_by(Cause::Stamp, "events without a finite stamp were left out", 1, at, || {
+                    "its stamp is not finite, or beyond 292 years; it was left out".into()
+                });
             } else if on.is_none() {
                 let what = || "its polarity is none of 0, 1, -1; it was left out".into();
                 self.losses.add_by(Cause::Polarity, "events whose polarity is none of 0, 1, -1 were left out", 1, at, what);

@@ -156,7 +156,13 @@ impl Cursor {
         let what = || format!("{timeless} events have no sound stamp; they are left out");
         losses.add_by(Cause::Stamp, "events without a sound stamp were left out", u64::from(timeless), || format!("event array, byte {at}"), what);
         if missing > 0 {
-            losses.add_by(Cause::Cut, "event arrays that are cut off", 1, || format!("event array, byte {at}"), || format!("the last {missing} events are cut off"));
+            losses.add_by(
+                Cause::Cut,
+                "event arrays that are cut off",
+                1,
+                || format!("event array, byte {at}"),
+                || format!("the last {missing} events are cut off"),
+            );
         } else if left > now {
             self.pending = Some(Pending::Array { at: wire.at(), left: left - now, layout });
         }

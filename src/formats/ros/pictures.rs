@@ -30,8 +30,7 @@ struct Pixels {
 }
 
 /// Names of the encodings that are read, for messages.
-const NAMES: &str =
-    "mono8, mono16, 8UC1, 8UC3, 8UC4, 16UC1, 16UC3, 16UC4, 32FC1, rgb8, bgr8, rgba8, bgra8, rgb16, bgr16, rgba16, bgra16, bayer_*8, bayer_*16";
+const NAMES: &str = "mono8, mono16, 8UC1, 8UC3, 8UC4, 16UC1, 16UC3, 16UC4, 32FC1, rgb8, bgr8, rgba8, bgra8, rgb16, bgr16, rgba16, bgra16, bayer_*8, bayer_*16";
 
 fn pixels(encoding: &[u8]) -> Option<Pixels> {
     let of = |colour, bits, stored, blue_first| Some(Pixels { colour, bits, stored, blue_first });
@@ -162,7 +161,8 @@ impl Images {
                 continue;
             };
             if !pixels.fits(&head, envelope.length) {
-                losses.add_by(Cause::Cut, "pictures that are cut off", 1, at, || "the picture claims more values than the message holds; it is left out".into());
+                losses
+                    .add_by(Cause::Cut, "pictures that are cut off", 1, at, || "the picture claims more values than the message holds; it is left out".into());
                 continue;
             }
             let images = images.get_or_insert_with(|| Images::new(contents, group, &head, pixels));

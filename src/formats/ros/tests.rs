@@ -229,7 +229,9 @@ fn pictures_are_those_of_the_camera_whose_events_are_read() {
     assert!(left.events_about().unwrap().notes.contains(&"events are those of /davis/left/events; not read: /davis/right/events (`camera` chooses)".into()));
     let notes = left.pictures().unwrap().about().notes.clone();
     assert!(
-        notes.contains(&"pictures are those of /davis/left/image_raw; not read: /davis/right/image_raw, /camera/color/image_raw (`frame_camera` chooses)".into()),
+        notes.contains(
+            &"pictures are those of /davis/left/image_raw; not read: /davis/right/image_raw, /camera/color/image_raw (`frame_camera` chooses)".into()
+        ),
         "{notes:?}"
     );
     let right = opened(&stereo(&topics), &declared_camera("/davis/right/events")).unwrap();

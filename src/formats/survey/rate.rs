@@ -94,7 +94,12 @@ impl Rate {
             return RateSurvey::default();
         };
         let start = self.start + first as i128 * i128::from(self.bin);
-        RateSurvey { start_ns: start.clamp(i64::MIN.into(), i64::MAX.into()) as i64, bin_ns: self.bin, counts: self.counts[first..=last].to_vec(), ends: self.ends[first..=last].to_vec() }
+        RateSurvey {
+            start_ns: start.clamp(i64::MIN.into(), i64::MAX.into()) as i64,
+            bin_ns: self.bin,
+            counts: self.counts[first..=last].to_vec(),
+            ends: self.ends[first..=last].to_vec(),
+        }
     }
 }
 

@@ -141,7 +141,13 @@ impl TextCursor {
             }
             Err(_) if !whole => {
                 let shown = line::shown(line);
-                self.losses.add_by(Cause::Cut, "lines that are cut off", 1, || format!("line {number}"), || format!("the file ends inside the line {shown}; its event is lost"));
+                self.losses.add_by(
+                    Cause::Cut,
+                    "lines that are cut off",
+                    1,
+                    || format!("line {number}"),
+                    || format!("the file ends inside the line {shown}; its event is lost"),
+                );
             }
             Err(wrong) => self.losses.add_by(wrong.cause(), wrong.kind(), 1, || format!("line {number}"), || wrong.what(line, &self.layout)),
         }

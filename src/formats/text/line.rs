@@ -1,8 +1,8 @@
 //! One line of text becomes one event, or the reason why not.
 
 use super::{Layout, Separator};
-use crate::decimal::Decimal;
 use crate::convention::NONE;
+use crate::decimal::Decimal;
 use crate::declared::Column;
 use crate::error::Cause;
 
