@@ -75,7 +75,9 @@ pub fn check_covered(events: Option<&EventsMeta>, frames: &FramesMeta, sensor: O
         None => Ok(()),
         Some(why) => {
             let window = coverage.window().unwrap_or_default();
-            let hint = format!("read a part that has frames: {window} of the reader of both, or of a node split/time; `photocurrent inspect` shows pauses and stray events");
+            let hint = format!(
+                "read a part that has frames: {window} of the reader of both, or of a node split/time; `photocurrent inspect` shows pauses and stray events"
+            );
             Err(NodeError::input(why).hint(hint).blames(if events.is_some() { DataType::Events } else { DataType::Frames }))
         }
     }

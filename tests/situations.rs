@@ -111,7 +111,12 @@ fn a_pause_of_an_hour_costs_no_memory_and_one_part_is_rendered() {
     let whole = manifest.lines().filter(|line| !line.starts_with("start =") && !line.starts_with("end =")).collect::<Vec<_>>().join("\n");
     bench.write("whole.toml", &whole);
     let done = bench.run_within(1 << 30, &["plan", "whole.toml"]);
-    assert!(done.code == 2 && done.stderr.contains("has frames near") && done.stderr.contains("start = \"0.000576 s\", end = "), "{} {}", done.code, done.stderr);
+    assert!(
+        done.code == 2 && done.stderr.contains("has frames near") && done.stderr.contains("start = \"0.000576 s\", end = "),
+        "{} {}",
+        done.code,
+        done.stderr
+    );
 }
 
 /// Events of a simulator in nanoseconds, its stamps of frames in seconds: uzh-rpg/rpg_esim#70.

@@ -249,15 +249,6 @@ photocurrent_core::ports! {
     }
 }
 
-/// What stands there instead: for messages.
-fn beginning(probe: &format::Probe) -> String {
-    match &probe.names {
-        Some(names) => format!("it is a folder with {} entries", names.len()),
-        None if probe.head.is_empty() => "it is an empty file".into(),
-        None => format!("it begins with `{}`", probe.head[..probe.head.len().min(12)].escape_ascii()),
-    }
-}
-
 /// An opened file, arranged.
 struct Open {
     recording: Box<dyn Recording>,
@@ -283,9 +274,11 @@ impl<R: Reader> Read<R> {
             let error = match format::recognise(self.all.path.path())? {
                 Some(other) => NodeError::input(format!("{path} is {}, and not {name}", other.name)).hint(format!("read it with read/{}", other.id)),
                 None => match instead::what_it_is(&probe) {
-                    Some(instead) => NodeError::input(format!("{path} is not {name}: this is {}", instead.what)).hint(instead.todo),
+                    Some(instead) => NodeError::input(format!("{path} is not {name}: it is {}", instead.what)).hint(instead.todo),
                     None => {
-                        NodeError::input(format!("{path} is not {name}: {}", beginning(&probe))).hint("photocurrent inspect lists the formats that are known")
+                        let beginning = probe.head[..probe.head.len().min(12)].escape_ascii();
+                        NodeError::input(format!("{path} is not {name}: it begins with `{beginning}`"))
+                            .hint("photocurrent inspect lists the formats that are known")
                     }
                 },
             };

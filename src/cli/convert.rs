@@ -35,8 +35,7 @@ pub fn convert(options: &ConvertOptions) -> Done {
     let settings = Settings { start: options.start, end: options.end, crop: options.crop, ..options.declared.parameters(input).settings() };
     check_window(settings.start, settings.end).map_err(|error| usage(error.message))?;
     let found = format::recognise(input).map_err(refused)?;
-    let found =
-        found.ok_or_else(|| usage(format!("{}: this is no recording of a known format\n  hint: photocurrent inspect says what was found", input.display())))?;
+    let found = found.ok_or_else(|| crate::inspect::unknown(input))?;
     let recording = joined::open(found, input, &settings.declared).map_err(refused)?;
     match to {
         Written::Recording => whole(options, recording.as_ref(), &settings),

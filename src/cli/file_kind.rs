@@ -229,9 +229,6 @@ fn is_key(key: &str) -> bool {
 }
 
 fn fallback(head: &[u8], bytes: u64) -> FileKind {
-    if bytes == 0 {
-        return FileKind::Other("an empty file".into());
-    }
     if head.starts_with(b"\x89HDF\r\n\x1a\n") {
         return FileKind::Other("an HDF5 file of another form than those that are read".into());
     }
@@ -264,7 +261,7 @@ mod tests {
             ("d.json", b"{\n \"schema\": \"photocurrent-diagnosis/1\"}", "a diagnosis"),
             ("r.html", b"<!doctype html>\n<html>\n<head><meta name=\"generator\" content=\"photocurrent diagnose\">", "a diagnosis"),
             ("m", b"{\"variant\":\"base\",\"node\":\"psnr\",\"metric\":\"psnr_db\"}\n", "a file of scores"),
-            ("empty", b"", "an empty file"),
+            ("empty", b"", "an empty file (0 bytes)"),
         ];
         for (name, content, expected) in cases {
             assert_eq!(kind(name, content), expected, "{name}");

@@ -76,17 +76,17 @@ pub fn explained(error: FormatError, declared: &Declared) -> FormatError {
     if is_frames || is_stamps {
         let (option, wanted) =
             if is_frames { ("frames", "a folder of PNG or TIFF pictures, or a Y4M file") } else { ("stamps", "a text file with the stamps of the frames") };
-        let other = recognise(&path).ok().flatten().filter(|format| format.id != "csv" && !(is_frames && format.id == "pictures"));
-        if let Some(format) = other {
-            let hint = format!("`{option}` takes {wanted}; name a recording as the first file: frames that it holds are read with it");
-            return FormatError::new(&path, format!("this is a recording ({})", format.name), hint).expected(wanted);
-        }
         if is_stamps && probe.names.is_some() {
             return FormatError::new(&path, "this is a folder", "name the text file with the stamps").expected(wanted);
         }
-        return match what_it_is(&probe) {
-            Some(instead) => instead.refusal(&path).expected(wanted),
-            None => error,
+        return match recognise(&path).ok().flatten() {
+            Some(format) if format.id != "csv" && !(is_frames && format.id == "pictures") => {
+                let hint = format!("`{option}` takes {wanted}; name a recording as the first file: frames that it holds are read with it");
+                FormatError::new(&path, format!("this is a recording ({})", format.name), hint).expected(wanted)
+            }
+            // What is missing of pictures, or wrong in a line of a text, is said by who reads them.
+            Some(_) => error,
+            None => what_it_is(&probe).filter(|_| probe.names.is_none()).map_or(error, |instead| instead.refusal(&path).expected(wanted)),
         };
     }
     match by_signature(&probe) {

@@ -225,9 +225,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
         "extent" if all.extent.is_none() => {
             let (size, reach) = extent_of_frames(parts, all)?;
             all.extent = Some(size);
-            let why = format!(
-                "the size of the event array is not recorded; {reach}: the frames' size, or a whole part of it, was taken"
-            );
+            let why = format!("the size of the event array is not recorded; {reach}: the frames' size, or a whole part of it, was taken");
             Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", size.width, size.height), why))
         }
         "stamps" if all.trigger_line.is_none() => {

@@ -135,7 +135,7 @@ pub fn look(path: &Path, format: &'static Format, declared: &Declared, quiet: bo
 }
 
 /// What to say of a file that is none of ours.
-fn unknown(path: &Path) -> Failure {
+pub fn unknown(path: &Path) -> Failure {
     if let Some(instead) = Probe::new(path).ok().and_then(|probe| what_it_is(&probe)) {
         return Failure::Other { message: instead.refusal(path).to_string(), code: 2 };
     }

@@ -203,3 +203,18 @@ fn texts_of_stamps_are_lines_of_numbers() {
     assert!(is("2000\n22000\n42000\n") && is("# t_us\n2000\n") && is("t_us\n2000\n22000\n") && is("a.png 0.1\nb.png 0.2\n") && is("1,2\n3,4\n"));
     assert!(!is("Dear reader,\nthis is prose.\nIt goes on.\nAnd on.\n") && !is("a b c\n"));
 }
+
+#[test]
+fn what_is_missing_of_pictures_is_no_other_kind_of_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let error = FormatError::new(folder.path(), "no stamps", "state them").undeclared("stamps");
+    let declared = Declared { frames: Some(folder.path().into()), ..Declared::default() };
+    assert_eq!(explained(error.clone(), &declared), error, "an empty folder of frames is reported as it was");
+    std::fs::write(folder.path().join("0.png"), b"\x89PNG\r\n\x1a\n").unwrap();
+    assert_eq!(explained(error.clone(), &declared), error);
+    let stamps = folder.path().join("t.txt");
+    std::fs::write(&stamps, "2000\n22000\n").unwrap();
+    let error = FormatError::new(&stamps, "the unit is not stated", "state it").undeclared("time_unit");
+    let declared = Declared { stamps: Some(stamps), ..Declared::default() };
+    assert_eq!(explained(error.clone(), &declared), error);
+}
