@@ -103,7 +103,7 @@ fn coordinates_from_one_are_recognised_by_the_frames_or_stated() {
     let bench = Bench::new();
     recording(&bench, "one.txt", |k| (k % 2) as i64, 1);
     pictures(&bench.path("frames"));
-    let seen = bench.run(&["inspect", "one.txt", "frames"]);
+    let seen = bench.run(&["inspect", "one.txt", "frames", "--stamps-unit", "us"]);
     assert!(seen.stdout.contains("coordinates begin at 1: 1 was subtracted"), "{}{}", seen.stdout, seen.stderr);
     let alone = bench.run(&["inspect", "one.txt"]);
     assert!(alone.stdout.contains("state `origin = 1`") && alone.stdout.contains("columns 1 to 20"), "{}", alone.stdout);
