@@ -52,19 +52,19 @@ fn by_signature(probe: &Probe) -> Option<Instead> {
     if let Some(names) = &probe.names {
         return inside::folder(&probe.path, names);
     }
-    if probe.bytes == 0 {
+    let head = probe.head.as_slice();
+    not_fetched(probe).or_else(|| archive::archive(probe)).or_else(|| matlab::matlab(probe)).or_else(|| container(probe)).or_else(|| our_text(head))
+}
+
+/// What a download leaves that did not fetch the file: nothing, a pointer, a page.
+fn not_fetched(probe: &Probe) -> Option<Instead> {
+    if probe.names.is_none() && probe.bytes == 0 {
         return Some(Instead::new(
             "an empty file (0 bytes)",
             "the download or the copy did not begin: fetch the file again, and compare its size with the source's",
         ));
     }
-    let head = probe.head.as_slice();
-    pointer(head)
-        .or_else(|| page(head))
-        .or_else(|| archive::archive(probe))
-        .or_else(|| matlab::matlab(probe))
-        .or_else(|| container(probe))
-        .or_else(|| our_text(head))
+    pointer(&probe.head).or_else(|| page(&probe.head))
 }
 
 /// Puts what a file is in place of an error about its content, where the file that the error names is something else altogether.
@@ -89,10 +89,8 @@ pub fn explained(error: FormatError, declared: &Declared) -> FormatError {
             None => what_it_is(&probe).filter(|_| probe.names.is_none()).map_or(error, |instead| instead.refusal(&path).expected(wanted)),
         };
     }
-    match by_signature(&probe) {
-        Some(instead) if probe.names.is_none() => instead.refusal(&path),
-        _ => error,
-    }
+    // A file of a recording of several, which stands for itself: a text of events, an archive of a sequence, a picture.
+    not_fetched(&probe).map_or(error, |instead| instead.refusal(&path))
 }
 
 /// Could this be a text of stamps: lines of numbers, of which the first may be a header?

@@ -212,6 +212,13 @@ fn what_is_missing_of_pictures_is_no_other_kind_of_file() {
     assert_eq!(explained(error.clone(), &declared), error, "an empty folder of frames is reported as it was");
     std::fs::write(folder.path().join("0.png"), b"\x89PNG\r\n\x1a\n").unwrap();
     assert_eq!(explained(error.clone(), &declared), error);
+    // An archive of arrays of which one is missing is still that; a pointer in its place is none.
+    let arrays = folder.path().join("events.npz");
+    std::fs::write(&arrays, stored(&[("t.npy", vec![1; 80])])).unwrap();
+    let missing = FormatError::new(&arrays, "no array for `x`", "save it");
+    assert_eq!(explained(missing.clone(), &Declared::default()), missing);
+    std::fs::write(&arrays, "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n").unwrap();
+    assert!(explained(missing, &Declared::default()).found.contains("a Git LFS pointer to a file of 9 bytes"));
     let stamps = folder.path().join("t.txt");
     std::fs::write(&stamps, "2000\n22000\n").unwrap();
     let error = FormatError::new(&stamps, "the unit is not stated", "state it").undeclared("time_unit");
