@@ -106,8 +106,8 @@ fn every_command_knows_what_it_was_given() {
     }
     says(&bench.run(&["explain", "data.bin", "solve"]), 2, &["`explain` takes a manifest"]);
     says(&bench.run(&["inspect", "small.toml"]), 2, &["`inspect` takes a recording", "this is a manifest"]);
-    says(&bench.run(&["diagnose", "small.toml"]), 2, &["`diagnose` takes a recording, and this is a manifest"]);
-    says(&bench.run(&["diagnose", "hybrid.txt"]), 2, &["this is a sensor description"]);
+    says(&bench.run(&["diagnose", "small.toml"]), 2, &["small.toml: the manifest reads no recording", "--sensor SENSOR.toml"]);
+    says(&bench.run(&["diagnose", "hybrid.txt"]), 2, &["`diagnose` takes a recording, or a manifest that reads one, and this is a sensor description"]);
     says(&bench.run(&["table", "data.bin"]), 2, &["`table` takes a manifest that was run", "this is a recording"]);
     assert!(!bench.path("out").exists());
     // What a run wrote, and what a diagnosis wrote.

@@ -150,6 +150,9 @@ fn two_commands(bench: &Bench, files: &[&str], options: &[&str]) {
     // Half the error at least: a shift of a frame period, a wrong curve or events of the wrong sign all fall below.
     assert!(ours > repeated + 3.0, "sharp frames have {ours:.1} dB, captured ones {repeated:.1} dB\n{manifest}");
     assert!(bench.path("out/my/sheet/contact_sheet.png").is_file() && bench.path("out/my/frames/preview").is_dir(), "there is something to look at");
+    // And the third command.
+    let report = crate::diagnosis::follows_init(bench, files);
+    assert_eq!(report["effects"].as_array().map(Vec::len), Some(0), "nothing is wrong with this sensor: {}", report["summary"]);
 }
 
 /// What this test knows of the scene and a dataset does not record; a user knows it too, or looks at the marked lines.
@@ -310,6 +313,16 @@ fn unknowns_are_proposed_and_marked_and_the_manifest_runs_all_the_same() {
     }
     assert!(sensor.lines().any(|line| line.starts_with("threshold_on =") && line.contains("# FILL: ")), "{sensor}");
     assert_eq!(bench.run(&["run", "my.toml", "--quiet"]).code, 0);
+    // By the files alone a reader needs what the manifest states: its name, or the options.
+    fs::copy(bench.path("my.sensor.toml"), bench.path("other.toml")).unwrap();
+    let files = ["diagnose", "events.csv", "frames", "stamps.txt", "--sensor", "other.toml", "--direct", "-o", "found"];
+    let done = bench.run(&files);
+    assert!(done.code == 2 && done.stderr.contains("photocurrent diagnose my.toml") && done.stderr.contains("--exposure"), "{}", done.stderr);
+    let done = bench.run(&[&files[..], &KNOWN, &["--row-time", "0 us"]].concat());
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    // Next to its manifest the description is enough.
+    let done = bench.run(&["diagnose", "events.csv", "frames", "stamps.txt", "--sensor", "my.sensor.toml", "--direct", "-o", "found"]);
+    assert!(done.code == 0 && done.stderr.contains("exposure, stamp, row_time, transfer as in my.toml"), "{}", done.stderr);
     // Nothing is overwritten unasked.
     let again = bench.run(&["init", "events.csv", "frames", "stamps.txt", "-o", "my.toml"]);
     assert!(again.code == 2 && again.stderr.contains("--force"), "{}", again.stderr);

@@ -40,7 +40,7 @@ photocurrent_core::ports! {
     pub struct In {
         /// The events.
         events: Option<EventStream>,
-        /// The frames as captured, grey, of the events' pixels.
+        /// The frames as captured; colours and finer pixels are averaged over each event pixel.
         frames: Option<FrameSequence>,
         /// The nominal description.
         sensor: Arc<Sensor>,

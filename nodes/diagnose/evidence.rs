@@ -19,12 +19,14 @@ use photocurrent_core::{
 };
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::diagnose::{amend, can_compare};
+use photocurrent_diagnosis::grey::Grey;
 use photocurrent_diagnosis::picture::PictureSetting;
 use photocurrent_diagnosis::picture::patches::PatchSetting;
 use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting, evidence};
 use photocurrent_diagnosis::residual::mosaic::{MosaicSetting, scene};
 use photocurrent_diagnosis::residual::source::{Given, Knots, MovingPicture, Source};
 use photocurrent_diagnosis::stages::{Seen, write_evidence};
+use photocurrent_diagnosis::unstated::without_scene;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -147,7 +149,7 @@ photocurrent_core::ports! {
     pub struct In {
         /// The events.
         events: Option<EventStream>,
-        /// The frames as captured, grey, of the events' pixels.
+        /// The frames as captured; colours and finer pixels are averaged over each event pixel.
         frames: Option<FrameSequence>,
         /// The nominal description.
         sensor: Arc<Sensor>,
@@ -234,6 +236,9 @@ impl DiagnoseEvidence {
         if !can_compare(&case, &known) {
             return Ok(Seen::Nothing("there is too little, or it is not sound enough, to estimate a scene".into()));
         }
+        if let Some(why) = without_scene(&input.sensor).or_else(|| behind_filters(input.frames.as_ref(), &case)) {
+            return Ok(Seen::Nothing(why));
+        }
         let case = amend(&case, &known)?;
         let nominal = case.nominal()?;
         let (picture, parts, of) = self.settings(cx.seed());
@@ -262,6 +267,13 @@ impl DiagnoseEvidence {
         let found = source.and_then(|source| evidence(case, &nominal, source.as_ref(), &of));
         Ok(found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(Evidence { span_ns, ..found }))))
     }
+}
+
+/// Why frames behind a mosaic of filters state no scene; none for others.
+fn behind_filters(frames: Option<&FrameSequence>, case: &Case) -> Option<String> {
+    let meta = &frames?.meta;
+    let is_behind = Grey::new(case.extent, meta, &case.sensor).is_ok_and(|grey| grey.is_behind_filters());
+    is_behind.then(|| format!("the frames are behind a mosaic of filters ({}): neighbouring pixels measure other light", meta.colour))
 }
 
 /// The light of every pixel.

@@ -38,7 +38,7 @@ photocurrent_core::ports! {
     pub struct In {
         /// The events.
         events: Option<EventStream>,
-        /// The frames as captured, grey, of the events' pixels.
+        /// The frames as captured; colours and finer pixels are averaged over each event pixel.
         frames: Option<FrameSequence>,
         /// The description to be held against them.
         sensor: Arc<Sensor>,

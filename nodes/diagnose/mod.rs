@@ -11,6 +11,7 @@ pub mod target;
 use crate::spans::check_one_clock;
 use photocurrent_core::{DataType, Diagnosis, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
 use photocurrent_diagnosis::case::{Case, CaseFrames, PixelEvents};
+use photocurrent_diagnosis::grey::Grey;
 use photocurrent_diagnosis::integrity::Integrity;
 use photocurrent_diagnosis::stages::read_integrity;
 use schemars::JsonSchema;
@@ -57,16 +58,10 @@ fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
     let Some(extent) = events.map(|events| events.extent).or(frames.map(|frames| frames.extent)) else {
         return Err(NodeError::usage("there is nothing to diagnose: neither `events` nor `frames` is there").hint("connect at least one of them"));
     };
-    if let Some(frames) = frames
-        && (frames.extent != extent || frames.row_values() != extent.width as usize || frames.colour.is_mosaic())
-    {
-        return Err(NodeError::usage(format!(
-            "a diagnosis needs grey frames of {extent} pixels, as the events have; these have {}, {}",
-            frames.extent, frames.colour
-        ))
-        .hint("bin the frames to the pixels of the event sensor, and weigh their colours as its photodiodes do")
-        .blames(DataType::Frames));
-    }
+    let grey = frames
+        .map(|frames| Grey::new(extent, frames, sensor))
+        .transpose()
+        .map_err(|error| NodeError::usage(error.message).hint("crop or bin the frames to the pixels of the event sensor").blames(DataType::Frames))?;
     if let (Some(events), Some(frames)) = (events, frames) {
         check_one_clock(events, frames, Some(sensor))?;
     }
@@ -76,7 +71,7 @@ fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
         events: PixelEvents::default(),
         has_t_in: events.is_some_and(|events| events.has_t_in),
         t_resolution_ns: events.and_then(|events| events.t_resolution_ns).unwrap_or(0),
-        frames: frames.map(|frames| CaseFrames::new(frames.times.clone(), Vec::new())),
+        frames: frames.zip(grey).map(|(frames, grey)| CaseFrames::new(grey.times(&frames.times), Vec::new())),
         sensor: (**sensor).clone(),
     };
     empty.nominal().map_err(|error| error.blames(DataType::Sensor))?;
@@ -105,12 +100,23 @@ mod tests {
     fn what_cannot_be_diagnosed_is_refused_before_any_data() {
         let frames = (*testing::frames(6, 5, 3).meta).clone();
         let error = check(&metas(Sensor::unknown("blank"), Some(frames.clone()))).unwrap_err();
-        assert!(error.message.contains("`front_end.tau_0`") && error.message.contains("`frames.gain`"), "{}", error.message);
-        let larger = FramesMeta { extent: Extent { width: 12, height: 10 }, ..frames.clone() };
+        assert!(error.message.contains("`comparator.threshold_on`") && error.message.contains("`frames.gain`"), "{}", error.message);
+        assert!(error.hint.is_some_and(|hint| hint.contains("photocurrent init")));
+        let larger = FramesMeta { extent: Extent { width: 13, height: 10 }, ..frames };
         let error = check(&metas(Sensor::unknown("blank"), Some(larger))).unwrap_err();
-        assert!(error.message.contains("grey frames of 6 x 5 pixels") && error.message.contains("12 x 10"), "{}", error.message);
-        assert!(check(&metas(Sensor::unknown("blank"), Some(FramesMeta { colour: Colour::Rgb, ..frames }))).is_err());
+        assert!(error.message.contains("frames of 6 x 5 pixels") && error.message.contains("13 x 10"), "{}", error.message);
         let nothing = PortMetas::new([("sensor".to_string(), vec![Meta::Sensor(Arc::new(Sensor::unknown("blank")))])].into());
         assert!(check(&nothing).unwrap_err().message.contains("nothing to diagnose"));
+    }
+
+    #[test]
+    fn thresholds_and_gain_are_enough_and_frames_may_be_in_colour_or_finer() {
+        let mut sensor = Sensor::unknown("as `photocurrent init` writes it");
+        (sensor.comparator.threshold_on, sensor.comparator.threshold_off, sensor.frames.gain) = (Some(0.2), Some(0.2), Some(100.0));
+        let frames = (*testing::frames(6, 5, 3).meta).clone();
+        let finer = FramesMeta { extent: Extent { width: 12, height: 10 }, ..frames.clone() };
+        for frames in [frames.clone(), finer, FramesMeta { colour: Colour::Rgb, ..frames }] {
+            assert!(check(&metas(sensor.clone(), Some(frames))).is_ok());
+        }
     }
 }

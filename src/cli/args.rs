@@ -417,15 +417,16 @@ pub struct InspectOptions {
 
 #[derive(ClapArgs)]
 pub struct DiagnoseOptions {
-    /// The recording, of any format that records exposures
-    pub recording: PathBuf,
-    /// The sensor description, TOML [default: the one in the recording]
+    /// The recording, with its frames and their stamps where they lie elsewhere; or a manifest that reads them, as `photocurrent init` writes it
+    #[arg(required = true, value_name = "FILE")]
+    pub files: Vec<PathBuf>,
+    /// The sensor description, TOML [default: the manifest's, or the one in the recording]
     #[arg(short, long, value_name = "FILE")]
     pub sensor: Option<PathBuf>,
     /// What the camera looked at, where that is known: a scene of `photocurrent nodes diagnose/target`, a TOML file with its parameters and with ranges of those that are to be fitted
     #[arg(long, value_name = "FILE", conflicts_with = "direct")]
     pub scene: Option<PathBuf>,
-    /// Folder for diagnosis.json, sensor.fitted.toml and report.html [default: out/NAME of the recording]
+    /// Folder for diagnosis.json, sensor.fitted.toml and report.html [default: out/NAME of the recording, out/NAME.diagnosis of a manifest]
     #[arg(short, long, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
     /// Only the tests that need no scene: a second, and blind for most effects
@@ -452,6 +453,8 @@ pub struct DiagnoseOptions {
     /// Say only what went wrong
     #[arg(short, long)]
     pub quiet: bool,
+    #[command(flatten)]
+    pub declared: crate::declared::DeclaredOptions,
 }
 
 #[derive(ClapArgs)]

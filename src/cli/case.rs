@@ -1,11 +1,11 @@
 //! A recording and its description as a diagnosis takes them.
 
 use crate::common::{Failure, human_bytes};
+use crate::diagnose::Given;
 use crate::file_kind::{FileKind, Reader};
 use photocurrent_core::document::Source;
 use photocurrent_core::error::Trouble;
-use photocurrent_core::quantity::InputPath;
-use photocurrent_core::{EventsMeta, FramesMeta, Sensor};
+use photocurrent_core::{EventsMeta, FramesMeta, NodeError, Sensor};
 use photocurrent_diagnosis::case::Case;
 use photocurrent_engine::machine_memory;
 use photocurrent_nodes::read::foreign::All;
@@ -31,29 +31,42 @@ impl From<Failure> for Unread {
 }
 
 /// Reads a recording with the description in a file, or its own; refuses, before its data, one that takes more than `memory` bytes (none = what the machine has).
-pub fn read(path: &Path, sensor_file: Option<&Path>, memory: Option<u64>) -> Result<Case, Unread> {
+pub fn read(given: &Given, memory: Option<u64>) -> Result<Case, Unread> {
+    let path = given.path();
     // The HDF5 library's word for a missing file comes without what to do about it.
     if let Err(error) = std::fs::metadata(path) {
         let hint = "hint: name a recording: docs/recordings.md lists the formats";
         return Err(usage(format!("{}: cannot read the recording: {error}\n  {hint}", path.display())).into());
     }
     if let FileKind::Recording(Reader::Format(_)) = FileKind::of(path) {
-        return of_others(path, sensor_file, memory);
+        return of_others(given, memory);
     }
     let recording = Recording::open(path).map_err(Failure::from)?;
-    let sensor = sensor(path, sensor_file, recording.sensor_text())?;
+    let sensor = sensor(given, recording.sensor_text())?;
     of_recording(&recording, &sensor, memory)
 }
 
 /// From a file of another program.
-fn of_others(path: &Path, sensor_file: Option<&Path>, memory: Option<u64>) -> Result<Case, Unread> {
-    let sensor = sensor(path, sensor_file, None)?;
+fn of_others(given: &Given, memory: Option<u64>) -> Result<Case, Unread> {
+    let path = given.path();
+    let sensor = sensor(given, None)?;
     // What the file does not record of its rows, a description may know.
-    let all = All { path: InputPath::new(path), row_time: sensor.frames.row_time, ..All::default() };
-    let streams = whole(&all).map_err(|error| usage(error.to_string()))?;
+    let all = All { row_time: given.all.row_time.or(sensor.frames.row_time), ..given.all.clone() };
+    let streams = whole(&all).map_err(|error| usage(unread(&error)))?;
     one_clock(path, streams.events.as_ref().map(|events| &*events.meta), streams.frames.as_ref().map(|frames| &*frames.meta), &sensor)?;
     fits(path, streams.events.as_ref().map(|events| &events.meta), streams.frames.as_ref().map(|frames| &frames.meta), memory)?;
     Case::read(streams.events.as_ref(), streams.frames.as_ref(), &sensor).map_err(|error| usage(format!("{}: {}", path.display(), error.message)).into())
+}
+
+/// Why a file is not read; with what states what it does not.
+fn unread(error: &NodeError) -> String {
+    match error.param.as_deref().filter(|param| *param != "path") {
+        Some(param) => {
+            let option = param.replace('_', "-");
+            format!("{error}\n  state it: --{option} ..., or name the manifest that `photocurrent init` writes: photocurrent diagnose my.toml")
+        }
+        None => error.to_string(),
+    }
 }
 
 /// From a recording in this project's form.
@@ -100,19 +113,20 @@ fn one_clock(path: &Path, events: Option<&EventsMeta>, frames: Option<&FramesMet
     })
 }
 
-/// The description: a file's, or the recording's own.
-fn sensor(path: &Path, file: Option<&Path>, own: Option<&str>) -> Result<Sensor, Failure> {
+/// The description: a file's, with what a manifest lays over it, or the recording's own.
+fn sensor(given: &Given, own: Option<&str>) -> Result<Sensor, Failure> {
     let parse = |source| Sensor::parse(&source).map_err(Failure::Problems);
-    if let Some(file) = file {
+    if let Some(file) = &given.sensor {
         let text = std::fs::read_to_string(file).map_err(|error| usage(format!("{}: cannot read the sensor description: {error}", file.display())))?;
-        return parse(Source::new(file.display().to_string(), file.parent().unwrap_or(Path::new(".")), text));
+        let sensor = parse(Source::new(file.display().to_string(), file.parent().unwrap_or(Path::new(".")), text))?;
+        return sensor.changed(&given.change).map_err(|why| usage(format!("{}: {why}", file.display())));
     }
-    let name = path.display();
+    let name = given.path().display();
     let Some(text) = own else {
-        let hint = "hint: say which sensor it is: --sensor sensor.toml (docs/formats.md states the form)";
+        let hint = "hint: say which sensor it is: --sensor sensor.toml (docs/formats.md states the form; `photocurrent init` writes one)";
         return Err(usage(format!("{name}: there is no sensor description in the recording (/sensor)\n  {hint}")));
     };
-    parse(Source::new(format!("{name}:/sensor"), path.parent().unwrap_or(Path::new(".")), text))
+    parse(Source::new(format!("{name}:/sensor"), given.path().parent().unwrap_or(Path::new(".")), text))
 }
 
 /// A failure of what was asked for.

@@ -115,14 +115,6 @@ pub fn need_manifest(path: &Path, command: &str) -> Result<(), Failure> {
     }
 }
 
-/// Refuses what is no recording; `wanted` says what else is taken.
-pub fn need_recording(path: &Path, command: &str) -> Result<(), Failure> {
-    match FileKind::of(path) {
-        FileKind::Recording(_) | FileKind::Missing => Ok(()),
-        kind => Err(kind.refuse(path, command, "a recording")),
-    }
-}
-
 /// Refuses what evidently belongs to another command: for `inspect`, which looks at recordings and cached results and says itself what it cannot read.
 pub fn need_data(path: &Path, command: &str) -> Result<(), Failure> {
     match FileKind::of(path) {
@@ -281,8 +273,8 @@ mod tests {
         std::fs::write(&path, "format = \"photocurrent-sensor/1\"\n").unwrap();
         let Err(Failure::Other { message, code: 2 }) = need_manifest(&path, "run") else { panic!("refused") };
         assert!(message.contains("`run` takes a manifest, and this is a sensor description") && message.contains("photocurrent check"), "{message}");
-        assert!(need_recording(&path, "diagnose").is_err() && need_data(&path, "inspect").is_err());
+        assert!(need_data(&path, "inspect").is_err());
         let nowhere = folder.path().join("nowhere");
-        assert!(need_manifest(&nowhere, "run").is_ok() && need_recording(&nowhere, "diagnose").is_ok());
+        assert!(need_manifest(&nowhere, "run").is_ok() && need_data(&nowhere, "inspect").is_ok());
     }
 }

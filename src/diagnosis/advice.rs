@@ -2,7 +2,9 @@
 
 use crate::case::Case;
 use crate::integrity::Integrity;
+use crate::integrity::data::is_enough;
 use crate::report::Verdict;
+use crate::unstated::{self, without_scene};
 use crate::verdict::Answer;
 use photocurrent_sensor::effects::catalogue;
 
@@ -21,13 +23,19 @@ pub fn next_experiments(case: &Case, answer: &Answer, integrity: &Integrity) -> 
         }
     }
     if answer.verdict == Verdict::Insufficient {
-        advice.extend(integrity.lacking.iter().map(|what| format!("record more: {what}")));
+        // What the description lacks is stated, not recorded.
+        let of_description = without_scene(&case.sensor);
+        let is_recorded = |what: &&String| of_description.as_ref().is_none_or(|why| !what.contains(why.as_str()));
+        advice.extend(integrity.lacking.iter().filter(is_recorded).map(|what| format!("record more: {what}")));
     }
     if answer.verdict == Verdict::BrokenData {
         advice.push("record again, or repair the file: nothing can be said of a sensor whose data contradict themselves".into());
     }
     if answer.verdict == Verdict::Consistent && case.frame_count() > 0 {
         advice.push("faster motion, sharper edges and a wider range of light make smaller effects visible".into());
+    }
+    if answer.verdict != Verdict::BrokenData && is_enough(case) {
+        advice.extend(unstated::advice(&case.sensor));
     }
     advice
 }

@@ -1,5 +1,6 @@
 //! What is diagnosed: the events of every pixel in order of time, the frames, and the description of the sensor.
 
+use crate::grey::Grey;
 use crate::recorded::Gathered;
 pub use crate::recorded::{CaseFrames, PixelEvents, Recorded};
 use photocurrent_core::events::{Event, EventRow};
@@ -54,19 +55,14 @@ impl Case {
     /// Reads a recording into memory.
     ///
     /// # Errors
-    /// When neither stream is there, they cannot be read, or frames are not grey or have another extent than the events.
+    /// When neither stream is there, they cannot be read, or frames have no whole number of pixels along the side of an event's.
     pub fn read(events: Option<&EventStream>, frames: Option<&FrameSequence>, sensor: &Sensor) -> Result<Case, DataError> {
         let extent = match (events, frames) {
             (Some(events), _) => events.meta.extent,
             (None, Some(frames)) => frames.meta.extent,
             (None, None) => return Err(DataError::new("the recording has neither events nor frames")),
         };
-        if let Some(frames) = frames
-            && (frames.meta.extent != extent || frames.meta.row_values() != extent.width as usize || frames.meta.colour.is_mosaic())
-        {
-            let found = format!("{} pixels, {}", frames.meta.extent, frames.meta.colour.name());
-            return Err(DataError::new(format!("frames have {found}; a diagnosis needs grey frames of {extent} pixels, as the events have")));
-        }
+        let grey = frames.map(|frames| Grey::new(extent, &frames.meta, sensor)).transpose()?;
         let latency_ns = sensor.readout.latency_min.map_or(0, Duration::ns);
         let count = events.and_then(|events| events.meta.count_hint).unwrap_or(0);
         let mut gathered = Gathered::default();
@@ -81,11 +77,8 @@ impl Case {
             }
             None => (0..extent.pixels()).for_each(|_| gathered.pixel([])),
         }
-        let frames = frames.filter(|frames| !frames.is_empty()).map(|frames| -> Result<CaseFrames, DataError> {
-            let block = frames.read_rows(extent.rows())?;
-            Ok(CaseFrames::new(frames.meta.times.clone(), block.dn))
-        });
-        let frames = frames.transpose()?;
+        let both = frames.zip(grey).filter(|(frames, _)| !frames.is_empty());
+        let frames = both.map(|(frames, grey)| Ok(CaseFrames::new(grey.times(&frames.meta.times), grey.read(frames)?))).transpose()?;
         let span = Case::span_of(events.map(|events| &*events.meta), frames.as_ref().map(|frames| (&frames.times, extent.height)));
         Ok(Case {
             extent,

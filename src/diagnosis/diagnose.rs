@@ -4,7 +4,7 @@ use crate::candidates::{CANDIDATES, Candidate, Scales};
 use crate::case::Case;
 use crate::fitted::{add_numbers, fitted};
 use crate::heldout::{Prediction, predict};
-use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES};
+use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
 use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
 use crate::judge::{Judging, judged};
 use crate::nominal::Nominal;
@@ -12,6 +12,7 @@ use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIM
 use crate::residual::located::{Located, answered, of_claim, of_unnamed};
 use crate::sample::Sample;
 use crate::scene::SceneSetting;
+use crate::unstated;
 use crate::verdict::{Answer, Claim, DIRECT, Decided, Proposal, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
@@ -96,7 +97,7 @@ pub fn check(case: &Case) -> Result<Integrity, NodeError> {
 
 /// Is there enough, and is it sound enough, to estimate a scene?
 pub fn can_compare(case: &Case, integrity: &Integrity) -> bool {
-    integrity.broken.is_empty() && case.events.len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES
+    integrity.broken.is_empty() && is_enough(case)
 }
 
 /// The recording with what direct tests found in its description, and without the pixels that they exclude: what is decided on a scene is the rest.
@@ -125,7 +126,8 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     if answer.verdict == Verdict::Consistent {
         if let Proposed::Nothing(why) = &proposed {
             answer.verdict = Verdict::Insufficient;
-            integrity.lacking.push(why.clone());
+            let is_unstated = unstated::without_scene(&case.sensor).is_some();
+            integrity.lacking.push(if is_unstated { format!("no direct test contradicts the description, and {why}") } else { why.clone() });
         } else if !can_compare {
             answer.verdict = Verdict::Insufficient;
         }
@@ -244,7 +246,7 @@ fn report(
     Report {
         schema: SCHEMA.to_owned(),
         verdict: answer.verdict,
-        summary: summary(integrity, answer, decided),
+        summary: summary(case, integrity, answer, decided),
         not_testable: not_testable(case, proposed, &answer.claims),
         next_experiment: crate::advice::next_experiments(case, answer, integrity),
         residual_left: decided.and_then(|decided| decided.residual_left).filter(|_| answer.claims.iter().any(|claim| claim.finding.is_none())),
@@ -298,13 +300,22 @@ fn effect(case: &Case, nominal: &Nominal, claim: &Claim) -> EffectReport {
     let mut effect = EffectReport::of(&decl, location(case, &decl, claim.finding.as_ref()), evidence);
     effect.also_possible = claim.also_possible.iter().map(|id| (*id).to_owned()).collect();
     for (candidate, value, ci95) in &claim.values {
-        effect.put(&CANDIDATES[*candidate], *value, *ci95, nominal);
+        let candidate = &CANDIDATES[*candidate];
+        effect.put(candidate, *value, *ci95, nominal);
+        if !unstated::is_stated(&case.sensor, candidate)
+            && let Some(parameter) = effect.parameters.get_mut(&candidate.json_key().0)
+        {
+            parameter.nominal = None;
+        }
     }
     if claim.values.iter().any(|(candidate, ..)| CANDIDATES[*candidate].is_reset()) {
         effect.equation = "the reference moves by one threshold at each event, or is taken anew, other than stated (comparator.reset)".into();
     }
     if let Some(finding) = &claim.finding {
         effect.plain = format!("{}: {}", decl.about, finding.seen);
+        if let Some((_, because)) = unstated::alike(&case.sensor, finding) {
+            effect.plain += &format!("; the front end is not stated, and {because}");
+        }
         // Numbers that are no candidates of their own are added.
         for (parameter, value) in &finding.parameters {
             if let Some(of) = decl.parameters.iter().find(|of| of.name == *parameter).filter(|_| Candidate::find(claim.id, parameter).is_none()) {
@@ -356,7 +367,7 @@ fn location(case: &Case, decl: &EffectDecl, finding: Option<&Finding>) -> Locati
     location
 }
 
-fn summary(integrity: &Integrity, answer: &Answer, decided: Option<&Decided>) -> String {
+fn summary(case: &Case, integrity: &Integrity, answer: &Answer, decided: Option<&Decided>) -> String {
     let name = |claim: &Claim| {
         let others: String = claim.also_possible.iter().map(|id| format!(" or {id}")).collect();
         format!("{}{others}", claim.id)
@@ -369,7 +380,10 @@ fn summary(integrity: &Integrity, answer: &Answer, decided: Option<&Decided>) ->
         Verdict::Numerical => "what differs is an error of our own".into(),
         Verdict::Named | Verdict::Ambiguous => answer.claims.iter().map(name).collect::<Vec<_>>().join(", and "),
     };
-    let Some(decided) = decided else { return said };
+    let Some(decided) = decided else {
+        let left_out = unstated::without_scene(&case.sensor).filter(|_| is_enough(case));
+        return left_out.map_or(said.clone(), |why| format!("{said}; {why}"));
+    };
     let near = nearly(decided, answer);
     let near = if near.is_empty() { near } else { format!("; near the detection threshold, and not reported: {near}") };
     format!("{said} ({}){near}", looked_at_of(decided))
@@ -407,6 +421,12 @@ fn not_testable(case: &Case, proposed: &Proposed, claims: &[Claim]) -> Vec<NotTe
         Proposed::NotAsked => "it needs the scene, and no test that estimates the scene took part",
     };
     let is_tested = |id: &str| TESTED.contains(&id) && case.events.len() >= FEWEST_EVENTS || claims.iter().any(|claim| claim.id == id);
+    if is_enough(case) {
+        let left_out = unstated::not_testable(&case.sensor, is_tested);
+        if !left_out.is_empty() {
+            return left_out;
+        }
+    }
     let ids = catalogue().into_iter().map(|kind| kind.decl.id).filter(|id| !is_tested(id));
     ids.map(|id| NotTestable { id: id.to_owned(), why: why.to_owned() }).collect()
 }

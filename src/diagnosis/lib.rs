@@ -5,8 +5,8 @@
 //!
 //! In reading order:
 //!
-//! - [`case`]: what is diagnosed: events by pixel, frames, the description.
-//! - [`nominal`]: the sensor as the description states it, ready to simulate and to solve.
+//! - [`case`]: what is diagnosed: events by pixel, frames ([`grey`]: one value for each event pixel), the description.
+//! - [`nominal`]: the sensor as the description states it, ready to simulate and to solve; [`unstated`]: what it leaves out, and what is left out for it.
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
 //! - [`picture`]: a scene that frames alone state.
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is applied.
@@ -33,6 +33,7 @@ pub mod decide;
 pub mod dependence;
 pub mod diagnose;
 pub mod fitted;
+pub mod grey;
 pub mod heldout;
 pub mod integrity;
 pub mod judge;
@@ -50,6 +51,7 @@ pub mod scene;
 pub mod scenes;
 pub mod stages;
 pub mod targets;
+pub mod unstated;
 pub mod verdict;
 
 #[cfg(test)]

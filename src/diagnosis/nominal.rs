@@ -7,7 +7,8 @@ use photocurrent_sensor::exposure::DigitalNumber;
 pub use photocurrent_sensor::model::Model as Nominal;
 
 impl Case {
-    /// The stated sensor of the recording; the random part of its latency is as long as the recording's, the row time that of its frames.
+    /// The stated sensor of the recording; the random part of its latency is as long as the recording's, the row time that of its frames. Without a front end it is the ideal
+    /// one, without a refractory period pixels are not blind ([`crate::unstated`]).
     ///
     /// # Errors
     /// When the description does not state what the model needs, or its effects are not understood.
@@ -22,17 +23,19 @@ impl Case {
     pub fn described(&self, sensor: &Sensor) -> Result<Nominal, NodeError> {
         const WHO: &str = "a diagnosis";
         let with_frames = self.frames.is_some();
-        sensor.need_all(
-            &[
-                ("front_end.tau_0", sensor.front_end.tau_0.is_some()),
-                ("front_end.alpha", sensor.front_end.alpha.is_some()),
-                ("comparator.threshold_on", sensor.comparator.threshold_on.is_some()),
-                ("comparator.threshold_off", sensor.comparator.threshold_off.is_some()),
-                ("readout.refractory", sensor.readout.refractory.is_some()),
-                ("frames.gain", !with_frames || sensor.frames.gain.is_some()),
-            ],
-            WHO,
-        )?;
+        sensor
+            .need_all(
+                &[
+                    ("comparator.threshold_on", sensor.comparator.threshold_on.is_some()),
+                    ("comparator.threshold_off", sensor.comparator.threshold_off.is_some()),
+                    ("frames.gain", !with_frames || sensor.frames.gain.is_some()),
+                ],
+                WHO,
+            )
+            .map_err(|error| {
+                let add = error.hint.clone().unwrap_or_default();
+                error.hint(format!("{add}; `photocurrent init` writes one with values to begin with"))
+            })?;
         from_description(&sensor.effects).map_err(|why| NodeError::usage(why).hint("`photocurrent effects` lists what there is"))?;
         let mut nominal = Nominal::of(sensor);
         nominal.pixel.latency_spread_ns = latency_spread_ns(self, nominal.pixel.latency_ns);

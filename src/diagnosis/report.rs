@@ -258,6 +258,20 @@ impl Report {
     }
 }
 
+impl Report {
+    /// What is not testable by reason, in the order of the report: the reason, and the ids.
+    pub fn not_testable_by_reason(&self) -> Vec<(&str, Vec<&str>)> {
+        let mut all: Vec<(&str, Vec<&str>)> = Vec::new();
+        for one in &self.not_testable {
+            match all.iter_mut().find(|(why, _)| *why == one.why) {
+                Some((_, ids)) => ids.push(&one.id),
+                None => all.push((&one.why, vec![&one.id])),
+            }
+        }
+        all
+    }
+}
+
 impl EffectReport {
     /// What the catalogue says of an effect; numbers, location and evidence are the caller's.
     pub fn of(decl: &EffectDecl, location: Location, evidence: Evidence) -> EffectReport {

@@ -13,6 +13,7 @@ use crate::integrity::{Finding, Integrity};
 use crate::nominal::Nominal;
 use crate::report::{Detectable, Verdict};
 use crate::residual::located::Locations;
+use crate::unstated::alike;
 use photocurrent_sensor::effects::catalogue;
 use photocurrent_sensor::effects::sought::Measure;
 use serde::{Deserialize, Serialize};
@@ -256,7 +257,7 @@ fn direct(case: &Case, nominal: &Nominal, finding: &Finding) -> Option<Claim> {
     let matters = values.is_empty() || values.iter().any(is_material);
     matters.then(|| Claim {
         id: finding.id,
-        also_possible: Vec::new(),
+        also_possible: alike(&case.sensor, finding).map(|(id, _)| id).into_iter().collect(),
         values,
         score: finding.statistic / finding.threshold,
         posterior: None,

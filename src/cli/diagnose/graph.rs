@@ -1,9 +1,9 @@
 //! The stages of `photocurrent diagnose` as the graph that they are: `pipelines/diagnose/recording.toml` with this recording, this description and this seed in it.
 
+use super::given::Given;
 use crate::args::DiagnoseOptions;
 use crate::case::usage;
 use crate::common::{Failure, failed_nodes};
-use crate::file_kind::{FileKind, Reader};
 use crate::progress::Watcher;
 use crate::run::stop_on_signal;
 use photocurrent_core::{Digest, Node};
@@ -35,8 +35,8 @@ pub struct Answered {
 }
 
 /// Runs the stages in `folder`, which is empty and goes away afterwards; the exit code when they did not come to an end, which was reported.
-pub fn run(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Result<Answered, u8>, Failure> {
-    let plan = plan(options, case, folder)?;
+pub fn run(options: &DiagnoseOptions, given: &Given, case: &Case, folder: &Path) -> Result<Result<Answered, u8>, Failure> {
+    let plan = plan(options, given, case, folder)?;
     let cancel = Arc::new(AtomicBool::new(false));
     stop_on_signal(&cancel, Some(folder))?;
     // An answer does not hang on what is kept of it.
@@ -67,49 +67,56 @@ fn notes(outcome: &Outcome) -> Vec<(String, String)> {
 }
 
 /// The wiring, and what is laid over it, as files in `folder`; planned.
-fn plan(options: &DiagnoseOptions, case: &Case, folder: &Path) -> Result<Plan, Failure> {
+fn plan(options: &DiagnoseOptions, given: &Given, case: &Case, folder: &Path) -> Result<Plan, Failure> {
     let write = |name: &str, text: &str| {
         let path = folder.join(name);
         std::fs::write(&path, text).map_err(|error| Failure::other(format!("{}: cannot write: {error}", path.display()))).map(|()| path)
     };
     write("wiring.toml", WIRING)?;
-    let manifest = write("diagnosis.toml", &manifest(options, case)?)?;
+    let manifest = write("diagnosis.toml", &manifest(options, given, case)?)?;
     let selection = Selection { to: vec![ANSWER.into()], memory: options.memory, ..Selection::default() };
     let (_, mut plan) = Plan::load(&manifest, &[], &photocurrent_nodes::catalogue(), &selection)?;
     // The folder is another one each time, and the cache's history goes by what is diagnosed.
-    plan.manifest_id = Digest::of_bytes(format!("diagnosis of {}", whole(&options.recording)?.display()).as_bytes());
+    plan.manifest_id = Digest::of_bytes(format!("diagnosis of {}", whole(given.path())?.display()).as_bytes());
     Ok(plan)
 }
 
 /// What is laid over the wiring.
-fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
-    let kind = match FileKind::of(&options.recording) {
-        FileKind::Recording(Reader::Format(format)) => format!("read/{}", format.id),
-        _ => "read/recording".into(),
-    };
+fn manifest(options: &DiagnoseOptions, given: &Given, case: &Case) -> Result<String, Failure> {
     let mut all = toml::Table::new();
     let mut put = |path: &str, value: toml::Value| lay(&mut all, path, value);
     put("format", 1.into());
     put("extends", "wiring.toml".into());
     put("pipeline.seed", (options.seed as i64).into());
-    put("nodes.recording.kind", kind.into());
-    put("nodes.recording.params.path", quoted(&options.recording)?);
-    put("nodes.answer.params.recording", file_name(&options.recording).into());
-    if let Some(sensor) = &options.sensor {
+    put("nodes.recording.kind", given.kind.as_str().into());
+    let failed = |why: String| Failure::other(format!("the manifest of the diagnosis cannot be written: {why}"));
+    for (name, value) in toml::Table::try_from(&given.all).map_err(|why| failed(why.to_string()))? {
+        put(&format!("nodes.recording.params.{name}"), value);
+    }
+    for (name, place) in [("path", Some(&given.all.path)), ("frames", given.all.frames.as_ref()), ("stamps", given.all.stamps.as_ref())] {
+        if let Some(place) = place {
+            put(&format!("nodes.recording.params.{name}"), quoted(place.path())?);
+        }
+    }
+    put("nodes.answer.params.recording", file_name(given.path()).into());
+    if let Some(sensor) = &given.sensor {
         put("nodes.answer.params.description", file_name(sensor).into());
     }
     // A description knows the row time of frames that do not state it.
-    if let Some(row_time) = case.sensor.frames.row_time {
+    if let Some(row_time) = case.sensor.frames.row_time.filter(|_| given.all.row_time.is_none()) {
         put("nodes.recording.params.row_time", row_time.to_string().into());
     }
-    if let Some(sensor) = &options.sensor {
+    if let Some(sensor) = &given.sensor {
         put("nodes.sensor.kind", "read/sensor".into());
         put("nodes.sensor.params.path", quoted(sensor)?);
+        if !given.change.is_empty() {
+            put("nodes.sensor.params.change", toml::Value::try_from(&given.change).map_err(|why| failed(why.to_string()))?);
+        }
         STAGES.iter().for_each(|stage| put(&format!("nodes.{stage}.in.sensor"), "sensor".into()));
     }
     if let Some(scene) = &options.scene {
         put("nodes.target.kind", "diagnose/target".into());
-        let sensor = if options.sensor.is_some() { "sensor" } else { "recording.sensor" };
+        let sensor = if given.sensor.is_some() { "sensor" } else { "recording.sensor" };
         [("events", "recording.events"), ("frames", "recording.frames"), ("sensor", sensor)]
             .into_iter()
             .for_each(|(port, from)| put(&format!("nodes.target.in.{port}"), from.into()));
@@ -120,7 +127,7 @@ fn manifest(options: &DiagnoseOptions, case: &Case) -> Result<String, Failure> {
         put("nodes.evidence.params.scene", "none".into());
         put("nodes.confirm.params.proof", false.into());
     }
-    toml::to_string(&all).map_err(|why| Failure::other(format!("the manifest of the diagnosis cannot be written: {why}")))
+    toml::to_string(&all).map_err(|why| failed(why.to_string()))
 }
 
 /// Puts a value at a path of tables, which are made.

@@ -1,15 +1,18 @@
-//! `photocurrent diagnose`: looks at what it is given, runs the stages as a graph ([`graph`]), puts the report in place and prints its summary.
+//! `photocurrent diagnose`: looks at what it is given ([`given`]), runs the stages as a graph ([`graph`]), puts the report in place and prints its summary.
 
+mod given;
 mod graph;
+
+pub use given::Given;
 
 use crate::args::DiagnoseOptions;
 use crate::case::{self, Unread, usage};
 use crate::common::{Done, Failure, human_seconds};
-use crate::file_kind::need_recording;
 use crate::terminal::{print, say};
 use photocurrent_diagnosis::diagnose::broken;
 use photocurrent_diagnosis::page::{page, readable, with_names};
 use photocurrent_diagnosis::report::{Report, Verdict};
+use photocurrent_diagnosis::unstated::short;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -26,11 +29,14 @@ const BROKEN: u8 = 3;
 /// Diagnoses a recording and writes the report.
 pub fn diagnose(options: &DiagnoseOptions) -> Done {
     let started = Instant::now();
-    let folder = options.out.clone().unwrap_or_else(|| Path::new("out").join(options.recording.file_stem().unwrap_or_default()));
+    let given = Given::new(options)?;
+    let folder = options.out.clone().unwrap_or_else(|| given.folder.clone());
     check_free(&folder)?;
-    need_recording(&options.recording, "diagnose")?;
+    if !options.quiet {
+        given.notes.iter().for_each(|note| say!("note: {note}"));
+    }
     // What is wrong with the input is reported in the words of this command, before the graph begins.
-    let case = match case::read(&options.recording, options.sensor.as_deref(), options.memory) {
+    let case = match case::read(&given, options.memory) {
         Ok(case) => case,
         Err(Unread::Content(why)) => {
             let report = broken(&why, options.seed);
@@ -38,7 +44,7 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
             std::fs::write(scratch.path().join(REPORT), text(&report)?)?;
             std::fs::write(
                 scratch.path().join(PAGE),
-                with_names(&page(&report, None, None), Some(&graph::file_name(&options.recording)), options.sensor.as_deref().map(graph::file_name).as_deref()),
+                with_names(&page(&report, None, None), Some(&graph::file_name(given.path())), given.sensor.as_deref().map(graph::file_name).as_deref()),
             )?;
             put(scratch.path(), &folder, &scratch)?;
             show(options, &report, &folder, started)?;
@@ -46,9 +52,9 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
         }
         Err(Unread::Other(failure)) => return Err(failure),
     };
-    case.nominal().map_err(|error| usage(format!("{}: {error}", options.recording.display())))?;
+    case.nominal().map_err(|error| usage(format!("{}: {error}", given.path().display())))?;
     let scratch = scratch(&folder)?;
-    let answered = match graph::run(options, &case, scratch.path())? {
+    let answered = match graph::run(options, &given, &case, scratch.path())? {
         Ok(answered) => answered,
         Err(code) => return Ok(code),
     };
@@ -140,6 +146,9 @@ fn summary(report: &Report) -> String {
     }
     for property in &report.scene {
         let _ = writeln!(text, "\nthe scene: {} at {:.0} Hz, depth {:.2}", property.property, property.frequency_hz, property.depth);
+    }
+    for (why, ids) in report.not_testable_by_reason().into_iter().filter_map(|(why, ids)| Some((short(why)?, ids))) {
+        let _ = writeln!(text, "\nnot tested: {}\n  {why}", ids.join(", "));
     }
     if let Some(psnr) = report.fit.heldout_frame_psnr_db {
         let _ = writeln!(text, "\nheld-out frames: {:.1} dB nominal, {:.1} dB fitted", psnr.before, psnr.after);

@@ -68,6 +68,7 @@ fn talk(options: &InitOptions, found: &facts::Facts, manifest: &Path, sensor: &P
         n => say!("{n} lines are marked FILL: the files do not state them; check them first"),
     }
     say!("next: photocurrent run {}", manifest.display());
+    say!("then: photocurrent diagnose {}", manifest.display());
 }
 
 fn usage(message: String) -> Failure {

@@ -96,6 +96,11 @@ fn apart(case: &Case) -> Option<String> {
     })
 }
 
+/// Are there enough events and frames to compare the two paths?
+pub fn is_enough(case: &Case) -> bool {
+    case.events.len() >= FEWEST_EVENTS && case.frame_count() >= FEWEST_FRAMES
+}
+
 /// What there is too little of, a sentence each.
 pub fn lacking(case: &Case) -> Vec<String> {
     let mut why = Vec::new();

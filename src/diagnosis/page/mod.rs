@@ -303,14 +303,7 @@ fn not_testable(html: &mut String, report: &Report) {
         return;
     }
     html.push_str("<dl>\n");
-    let mut reasons: Vec<&str> = Vec::new();
-    report.not_testable.iter().map(|one| one.why.as_str()).for_each(|why| {
-        if !reasons.contains(&why) {
-            reasons.push(why);
-        }
-    });
-    for why in reasons {
-        let ids: Vec<&str> = report.not_testable.iter().filter(|one| one.why == why).map(|one| one.id.as_str()).collect();
+    for (why, ids) in report.not_testable_by_reason() {
         let _ = writeln!(html, "<dt>{}</dt><dd>{}</dd>", escaped(why), escaped(&ids.join(", ")));
     }
     html.push_str("</dl>\n");

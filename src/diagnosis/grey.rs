@@ -1,0 +1,172 @@
+//! Frames as the event pixels receive them: one grey value for each pixel of the events.
+//!
+//! Frames may have three values a pixel, or a whole number of pixels along the side of each event pixel: a photodiode without a filter receives the light of all of
+//! them, so their values are averaged by what it receives of each colour (`optics.event_weights`, alike where nothing is stated), over the channels' gains. Behind a mosaic of
+//! filters at the events' own pixels, events have the colour of their pixel as well, so each value stays as it is; neighbours then measure other light
+//! ([`Grey::is_behind_filters`]).
+//!
+//! Limit: a mean of values of which one is saturated is not known.
+
+use photocurrent_core::{Colour, DataError, Exposure, Extent, FrameSequence, FrameTimes, FramesMeta, Sensor, Timestamp};
+
+/// How frames become one grey value for each event pixel.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Grey {
+    extent: Extent,
+    /// Frame pixels along the side of an event pixel.
+    ratio: u32,
+    colour: Colour,
+    /// What an event pixel receives of red, green and blue.
+    weights: [f64; 3],
+    gains: [f64; 3],
+    black: f64,
+    full: f64,
+}
+
+impl Grey {
+    /// Of frames next to events of `extent` pixels.
+    ///
+    /// # Errors
+    /// When the frames' extent is no whole multiple of the events', or weights or gains are not positive.
+    pub fn new(extent: Extent, frames: &FramesMeta, sensor: &Sensor) -> Result<Grey, DataError> {
+        let ratio = frames.extent.multiple_of(extent).ok_or_else(|| {
+            let (found, times) = (frames.extent, "or a whole number of times as many");
+            DataError::new(format!(
+                "frames have {found} pixels, {}; a diagnosis needs frames of {extent} pixels, as the events have, {times}",
+                frames.colour.name()
+            ))
+        })?;
+        let (weights, gains) = (sensor.optics.event_weights.unwrap_or([1.0; 3]), sensor.frames.channel_gain.unwrap_or([1.0; 3]));
+        if !gains.iter().all(|gain| *gain > 0.0 && gain.is_finite()) {
+            return Err(DataError::new(format!("`frames.channel_gain` is {gains:?}, and must be three positive numbers: red, green, blue")));
+        }
+        if !weights.iter().all(|weight| *weight >= 0.0 && weight.is_finite()) || weights.iter().sum::<f64>() <= 0.0 {
+            return Err(DataError::new(format!("`optics.event_weights` is {weights:?}, and must be three numbers, not negative and not all 0")));
+        }
+        let (black, full) = (sensor.frames.black_level_dn.unwrap_or(0.0), sensor.frames.saturation_dn.unwrap_or(f64::INFINITY));
+        Ok(Grey { extent, ratio, colour: frames.colour, weights, gains, black, full })
+    }
+
+    /// Are frames what a diagnosis takes already?
+    pub fn is_plain(&self) -> bool {
+        self.ratio == 1 && self.colour == Colour::Mono
+    }
+
+    /// Does each event pixel lie behind one filter of several?
+    pub fn is_behind_filters(&self) -> bool {
+        self.colour.is_mosaic() && !self.ratio.is_multiple_of(self.colour.cell())
+    }
+
+    /// Exposures of the events' rows: the middle of those of the frame rows that lie on each.
+    pub fn times(&self, times: &FrameTimes) -> FrameTimes {
+        if self.ratio == 1 {
+            return times.clone();
+        }
+        let later_ns = i64::from(self.ratio - 1) * times.row_time_ns / 2;
+        let moved = |exposure: &Exposure| Exposure { start: Timestamp(exposure.start.0 + later_ns), end: Timestamp(exposure.end.0 + later_ns) };
+        let exposures: Vec<Exposure> = times.exposures.iter().map(moved).collect();
+        FrameTimes { exposures: exposures.into(), row_time_ns: i64::from(self.ratio) * times.row_time_ns }
+    }
+
+    /// The grey values as [frame][y][x], DN; NaN = not known.
+    ///
+    /// # Errors
+    /// When the frames cannot be read.
+    pub fn read(&self, frames: &FrameSequence) -> Result<Vec<f32>, DataError> {
+        let rows = frames.meta.extent.rows();
+        if self.is_plain() {
+            return Ok(frames.read_rows(rows)?.dn);
+        }
+        let mut all = Vec::with_capacity(frames.len() * self.extent.pixels());
+        for l in 0..frames.len() {
+            // One frame at a time: in colour they are larger than what is made of them.
+            let block = frames.read(l..l + 1, rows)?;
+            let values = block.frame(l);
+            (0..self.extent.height).for_each(|y| all.extend((0..self.extent.width).map(|x| self.of_pixel(values, block.row_values, x, y))));
+        }
+        Ok(all)
+    }
+
+    fn of_pixel(&self, values: &[f32], row_values: usize, x: u32, y: u32) -> f32 {
+        let (mut sum, mut weight) = (0.0, 0.0);
+        let side = self.ratio * self.colour.channels();
+        for row in y * self.ratio..(y + 1) * self.ratio {
+            for value in x * side..(x + 1) * side {
+                let dn = f64::from(values[row as usize * row_values + value as usize]);
+                let (of, gain) = self.colour.channel(value, row).map_or((1.0, 1.0), |channel| (self.weights[channel], self.gains[channel]));
+                // One value alone is not weighted.
+                let of = if side == 1 { 1.0 } else { of };
+                sum += if dn < self.full {
+                    of * (self.black + (dn - self.black) / gain)
+                } else if side == 1 {
+                    dn
+                } else {
+                    f64::NAN
+                };
+                weight += of;
+            }
+        }
+        (sum / weight) as f32
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::{FrameBlock, testing};
+    use std::sync::Arc;
+
+    const EXTENT: Extent = Extent { width: 2, height: 1 };
+
+    /// One frame of given values next to events of 2 x 1 pixels.
+    fn frames(ratio: u32, colour: &str, values: &[f32]) -> FrameSequence {
+        let colour = Colour::named(colour).unwrap();
+        let extent = Extent { width: 2 * ratio, height: ratio };
+        let meta = FramesMeta { extent, colour, ..(*testing::frames(2, 1, 1).meta).clone() };
+        let mut block = FrameBlock::zeros(0..1, extent.rows(), meta.row_values());
+        block.dn.copy_from_slice(values);
+        FrameSequence::in_memory(Arc::new(meta), block)
+    }
+
+    fn grey(frames: &FrameSequence, sensor: &Sensor) -> Vec<f32> {
+        Grey::new(EXTENT, &frames.meta, sensor).unwrap().read(frames).unwrap()
+    }
+
+    #[test]
+    fn colours_are_averaged_by_what_an_event_pixel_receives() {
+        let mut sensor = Sensor::unknown("");
+        let rgb = frames(1, "rgb", &[30.0, 60.0, 90.0, 3.0, 6.0, 0.0]);
+        assert_eq!(grey(&rgb, &sensor), [60.0, 3.0]);
+        sensor.optics.event_weights = Some([0.0, 1.0, 0.0]);
+        assert_eq!(grey(&rgb, &sensor), [60.0, 6.0]);
+        // A gain of two above a black of 10: 10 + (90 - 10) / 2 in blue.
+        (sensor.frames.channel_gain, sensor.frames.black_level_dn) = (Some([1.0, 1.0, 2.0]), Some(10.0));
+        sensor.optics.event_weights = Some([0.0, 0.0, 1.0]);
+        assert_eq!(grey(&rgb, &sensor)[0], 50.0);
+        sensor.frames.saturation_dn = Some(80.0);
+        assert!(grey(&rgb, &sensor)[0].is_nan());
+    }
+
+    #[test]
+    fn pixels_on_one_event_pixel_are_averaged_and_a_mosaic_at_its_pixels_stays() {
+        let sensor = Sensor::unknown("");
+        let finer = frames(2, "mono", &[1.0, 2.0, 10.0, 20.0, 3.0, 4.0, 30.0, 40.0]);
+        assert_eq!(grey(&finer, &sensor), [2.5, 25.0]);
+        let of = |frames: &FrameSequence| Grey::new(EXTENT, &frames.meta, &sensor).unwrap();
+        let (mosaic, cells) = (frames(1, "bayer_rggb", &[5.0, 7.0]), frames(2, "bayer_rggb", &[1.0; 8]));
+        assert_eq!(grey(&mosaic, &sensor), [5.0, 7.0]);
+        assert!(of(&mosaic).is_behind_filters() && !of(&cells).is_behind_filters() && !of(&finer).is_behind_filters());
+        assert!(of(&frames(1, "mono", &[1.0, 2.0])).is_plain() && !of(&mosaic).is_plain());
+        let other = FramesMeta { extent: Extent { width: 3, height: 1 }, ..(*finer.meta).clone() };
+        assert!(Grey::new(EXTENT, &other, &sensor).unwrap_err().message.contains("whole number of times"));
+    }
+
+    #[test]
+    fn a_row_of_events_is_exposed_as_the_middle_of_its_frame_rows() {
+        let frames = frames(2, "mono", &[0.0; 8]);
+        let times = FrameTimes { row_time_ns: 10, ..frames.meta.times.clone() };
+        let own = Grey::new(EXTENT, &frames.meta, &Sensor::unknown("")).unwrap().times(&times);
+        let middle = (times.exposure(0, 2).start.0 + times.exposure(0, 3).start.0) / 2;
+        assert_eq!((own.exposure(0, 1).start.0, own.row_time_ns), (middle, 20));
+    }
+}
