@@ -4,7 +4,7 @@ use super::facts::Fill;
 use super::readings::Reading;
 use super::usage;
 use crate::common::Failure;
-use photocurrent_formats::hazard::{self, Consequence, Finding};
+use photocurrent_formats::hazard::{self, Consequence, Finding, Severity};
 use photocurrent_formats::survey::Survey;
 use photocurrent_formats::{Format, Mirror, Pictures, Shift};
 use photocurrent_nodes::read::foreign::{All, Size, takes};
@@ -33,7 +33,9 @@ pub fn act(
     all: &mut All,
 ) -> Result<Acts, Failure> {
     let mut acts = Acts::default();
-    for finding in findings {
+    // A fact is no fault.
+    let has_consequence = |finding: &&Finding| finding.severity != Severity::Fact;
+    for finding in findings.iter().filter(has_consequence) {
         let mark = || format!("{}: {}; {}. To do: {}", finding.id, finding.message, finding.evidence, finding.what_to_do);
         match hazard::consequence(finding.id) {
             Some(Consequence::Corrects(parameters)) => {
@@ -179,7 +181,6 @@ fn apply(parameters: &[Fill], all: &mut All) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use photocurrent_formats::hazard::Severity;
     use photocurrent_formats::hazard::consequence::CONSEQUENCES;
     use photocurrent_formats::survey::lag::LagSurvey;
     use photocurrent_formats::survey::pictures::{FramesSurvey, ValuesSurvey};
