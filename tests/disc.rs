@@ -72,7 +72,7 @@ impl Disc {
 }
 
 fn events() -> Vec<Event> {
-    let log = |t_us: i64| light(t_us as f64 * 1e-6).into_iter().map(|light| libm::log1p(light)).collect::<Vec<f64>>();
+    let log = |t_us: i64| light(t_us as f64 * 1e-6).into_iter().map(libm::log1p).collect::<Vec<f64>>();
     let mut reference = log(0);
     let mut before = reference.clone();
     let mut all: Vec<(f64, usize, bool)> = Vec::new();
