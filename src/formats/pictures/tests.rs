@@ -155,6 +155,41 @@ fn damaged_and_odd_pictures_are_losses() {
 }
 
 #[test]
+fn pictures_that_are_cut_off_are_losses_and_keep_their_place_in_the_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let noise: Vec<u8> = (0..64 * 64).map(|n: u32| (n.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    for n in 0..5 {
+        write_png(&folder.path().join(format!("{n}.png")), 64, 64, &noise, png::ColorType::Grayscale);
+    }
+    let cut = |name: &str, to: &dyn Fn(usize) -> usize| {
+        let path = folder.path().join(name);
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &whole[..to(whole.len())]).unwrap();
+    };
+    cut("1.png", &|length| length / 2);
+    // Without its last chunk alone; and of a length that was reserved and never written, as after a loss of power.
+    cut("3.png", &|length| length - 12);
+    let path = folder.path().join("4.png");
+    let mut content = std::fs::read(&path).unwrap();
+    let half = content.len() / 2;
+    content[half..].fill(0);
+    std::fs::write(&path, content).unwrap();
+    let pictures = open(&folder, "1\n2\n3\n4\n5\n", &us()).unwrap();
+    assert_eq!(at(&pictures), [1000, 3000]);
+    let losses: Vec<(&str, bool)> = pictures.losses().iter().map(|loss| (loss.at.as_str(), loss.what.contains("cut off"))).collect();
+    assert_eq!(losses, [("1.png", true), ("3.png", true), ("4.png", false)], "{:?}", pictures.losses());
+    let tiff = folder.path().join("a.tif");
+    std::fs::write(&tiff, &bytes(RGB_TIFF)[..20]).unwrap();
+    assert!(super::decode::head(&tiff).is_err());
+    let mut content = bytes(RGB_TIFF);
+    // The count of bytes of its one strip, 20, becomes 2000.
+    let at = content.windows(12).position(|entry| entry[..2] == [0x17, 1]).unwrap();
+    content[at + 8..at + 10].copy_from_slice(&2000_u16.to_le_bytes());
+    std::fs::write(&tiff, content).unwrap();
+    assert!(super::decode::head(&tiff).unwrap_err().found.contains("cut off"));
+}
+
+#[test]
 fn depths_and_colours_keep_their_stored_values() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.png");
