@@ -13,7 +13,7 @@ use photocurrent_core::value::DataType;
 use photocurrent_core::{Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
 use photocurrent_formats::trim::Crop;
-use photocurrent_formats::{Column, Declared, EventCursor, Recording, StampRole, TimeUnit, Transfer, format};
+use photocurrent_formats::{Column, Declared, EventCursor, Pairing, Recording, StampRole, Strobe, TimeUnit, Transfer, format};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::borrow::Cow;
@@ -97,7 +97,7 @@ pub struct All {
     pub frames: Option<InputPath>,
     /// Stamps of those frames: a text file; relative to the manifest. Default: the one in the folder of the pictures.
     pub stamps: Option<InputPath>,
-    /// The trigger line of the event file whose edges are the exposures of those frames: rising opens, falling closes.
+    /// The trigger line of the event file whose edges are the exposures of those frames; `strobe` states which edge opens the shutter.
     pub trigger_line: Option<u16>,
     /// Added to every stamp of a frame: for clocks that begin apart.
     pub frame_offset: Option<Duration>,
@@ -111,6 +111,14 @@ pub struct All {
     pub row_time: Option<Duration>,
     /// How the stored values of frames follow from linear ones, where it is not recorded.
     pub transfer: Option<Transfer>,
+    /// Which level of the trigger line is an open shutter. Default: `active_high`, rising opens and falling closes.
+    pub strobe: Option<Strobe>,
+    /// The pulse of the trigger line, or the entry of the stamps, that belongs to the first picture: counted from 0, with those that `pairing` counts as missing; -1 where
+    /// only the second picture has the first. Default: what follows from counts, numbers in names and gaps between the times, and an error where nothing follows.
+    pub first_pulse: Option<i64>,
+    /// By what a missing picture, pulse or stamp is recognised where they are paired in order: holes in the numbers of the pictures' names, gaps of whole periods
+    /// between the times, both, or nothing. Default: what leaves least without a partner.
+    pub pairing: Option<Pairing>,
 }
 
 impl All {
@@ -131,6 +139,9 @@ impl All {
                 exposure: self.exposure,
                 stamp: self.stamp,
                 transfer: self.transfer,
+                strobe: self.strobe,
+                first_pulse: self.first_pulse,
+                pairing: self.pairing,
             },
             zero: self.zero,
             start: self.start,

@@ -4,7 +4,7 @@ use crate::common::Failure;
 use clap::Args as ClapArgs;
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_formats::{Column, Declared, StampRole, TimeUnit, Transfer};
+use photocurrent_formats::{Column, Declared, Pairing, StampRole, Strobe, TimeUnit, Transfer};
 use photocurrent_nodes::read::foreign::{All, Size};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
@@ -54,6 +54,15 @@ pub struct DeclaredOptions {
     /// Added to every stamp of a frame, for clocks that begin apart
     #[arg(long, value_name = "TIME", allow_hyphen_values = true)]
     pub frame_offset: Option<Duration>,
+    /// Which level of the trigger line is an open shutter: active_high (rising opens) or active_low
+    #[arg(long, value_name = "LEVEL", value_parser = word::<Strobe>)]
+    pub strobe: Option<Strobe>,
+    /// The pulse or stamp that belongs to the first picture, counted from 0; -1 where the first picture has none
+    #[arg(long, value_name = "N", allow_hyphen_values = true)]
+    pub first_pulse: Option<i64>,
+    /// By what a missing picture, pulse or stamp is recognised: order, numbers, times, numbers_and_times
+    #[arg(long, value_name = "BY", value_parser = word::<Pairing>)]
+    pub pairing: Option<Pairing>,
 }
 
 impl DeclaredOptions {
@@ -76,6 +85,9 @@ impl DeclaredOptions {
             stamp: self.stamp,
             row_time: self.row_time,
             transfer: self.transfer,
+            strobe: self.strobe,
+            first_pulse: self.first_pulse,
+            pairing: self.pairing,
             ..All::default()
         }
     }

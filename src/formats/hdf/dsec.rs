@@ -36,7 +36,7 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     let events = folder::events_of(path, side).ok_or_else(missing)?;
     let mut recording = open_events(path, &events, declared)?;
     recording.more_files = vec![events];
-    if let Some(pictures) = folder::pictures_of(path, declared.frame_camera.as_deref())? {
+    if let Some(pictures) = folder::pictures_of(path, declared)? {
         recording.more_files.extend_from_slice(pictures.files());
         recording.losses.extend_from_slice(pictures.losses());
         recording.pictures = Some(Arc::new(pictures));

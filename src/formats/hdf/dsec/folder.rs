@@ -13,8 +13,8 @@ pub(super) fn events_of(folder: &Path, camera: Option<&str>) -> Option<PathBuf> 
 }
 
 /// The pictures, with their exposures or the middles of these; `None` when there are none.
-pub(super) fn pictures_of(folder: &Path, camera: Option<&str>) -> Result<Option<PictureFiles>, FormatError> {
-    let camera = camera.unwrap_or("left");
+pub(super) fn pictures_of(folder: &Path, declared: &Declared) -> Result<Option<PictureFiles>, FormatError> {
+    let camera = declared.frame_camera.as_deref().unwrap_or("left");
     let images = folder.join("images");
     let places = [images.join(camera).join("rectified"), images.join(camera).join("distorted"), images.join(camera)];
     let has_pictures = |place: &&PathBuf| names::pictures(place).is_ok_and(|files| !files.is_empty());
@@ -26,5 +26,6 @@ pub(super) fn pictures_of(folder: &Path, camera: Option<&str>) -> Result<Option<
         return Err(FormatError::new(place, "pictures without stamps", hint).undeclared("stamps"));
     };
     // The unit and the meaning of these files are the format's: nothing that is stated of the events' file changes them.
-    PictureFiles::open_with(place, &Declared::default(), &stamps, Some(TimeUnit::Us), Some(StampRole::Middle)).map(Some)
+    let declared = Declared { first_pulse: declared.first_pulse, pairing: declared.pairing, ..Declared::default() };
+    PictureFiles::open_with(place, &declared, &stamps, Some(TimeUnit::Us), Some(StampRole::Middle)).map(Some)
 }
