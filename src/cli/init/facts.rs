@@ -7,10 +7,9 @@ use crate::parts::Parts;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{FramesMeta, TimeSpan};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, arrange};
-use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, joined};
+use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, TimeUnit, Transfer, joined};
 use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
 use photocurrent_nodes::read::foreign::All;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -126,8 +125,18 @@ fn stated(all: &All) -> Result<Vec<(String, String)>, Failure> {
 
 /// Opens and arranges; what is missing is proposed until nothing is.
 fn settle(parts: &Parts, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dyn Recording>, Arranged), Failure> {
+    let mut is_paired = false;
     for _ in 0..16 {
-        let error = match open(parts, all) {
+        let opened = open(parts, all);
+        if !is_paired && super::pairing::is_open(all, opened.as_ref().err()) {
+            is_paired = true;
+            let proposed = super::pairing::proposed(parts, all)?;
+            if !proposed.is_empty() {
+                fills.extend(proposed);
+                continue;
+            }
+        }
+        let error = match opened {
             Ok(found) => return Ok(found),
             Err(error) => error,
         };
@@ -160,12 +169,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             })
         }
         "stamps" if all.trigger_line.is_none() => {
-            let (line, count) = busiest_line(parts)?;
-            all.trigger_line = Some(line);
-            let why = format!(
-                "no file states when the frames were taken; trigger line {line} of the event file rose {count} times: rising opens the shutter, falling closes it"
-            );
-            Some(Fill { name: "trigger_line", value: line.to_string(), why })
+            super::pairing::line(parts, all)
         }
         "coordinate_scale" if all.coordinate_scale.is_none() => {
             all.coordinate_scale = Some(32);
@@ -187,6 +191,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             let why = "the exposure is not recorded; half the time between frames is no more than a guess. Too long blurs what is sharp, too short leaves blur";
             Some(Fill { name: "exposure", value: format!("\"{exposure}\""), why: why.into() })
         }
+        "stamp" if all.stamp.is_none() && all.trigger_line.is_some() => Some(super::pairing::stamp(all)),
         "stamp" if all.stamp.is_none() => {
             all.stamp = Some(StampRole::Middle);
             let why = "what a frame's stamp means is not recorded: start, middle or end of its exposure. A wrong one shifts frames against events";
@@ -211,14 +216,6 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
         }
         _ => None,
     }
-}
-
-/// The trigger line with most rising edges, and how many.
-fn busiest_line(parts: &Parts) -> Option<(u16, usize)> {
-    let triggers = (parts.format.open)(&parts.recording, &Declared::default()).ok()?.triggers().ok()?;
-    let mut counts = BTreeMap::new();
-    triggers.iter().filter(|trigger| trigger.edge == Edge::Rising).for_each(|trigger| *counts.entry(trigger.line).or_insert(0) += 1);
-    counts.into_iter().max_by_key(|(_, count)| *count)
 }
 
 /// The unit with which events come at a rate that sensors have: the nearest to 10 a second and pixel on a logarithmic scale.

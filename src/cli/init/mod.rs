@@ -4,6 +4,7 @@
 //! there is a picture after two commands, and what the picture depends on stands in it to be corrected.
 
 mod facts;
+mod pairing;
 mod text;
 
 use crate::args::InitOptions;
