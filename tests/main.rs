@@ -19,6 +19,7 @@
 //! - `instead`: files that are no recordings, recordings with unusual conventions.
 //! - `films`: pictures as light, from files to events.
 //! - `learned`: the manifests of methods whose networks are elsewhere.
+//! - `pairing`: pictures with the pulses of a trigger line, or with stamps, of which some are missing.
 //! - `parts`: rows made apart and merged are the bytes of one process.
 //! - `readers`: the Python and Octave readers of docs/readers against what the command writes.
 //! - `recordings`: input data that are empty, odd, damaged or wrong.
@@ -47,6 +48,7 @@ mod instead;
 mod learned;
 mod manifests;
 mod pages;
+mod pairing;
 mod parts;
 mod pipelines;
 mod readers;

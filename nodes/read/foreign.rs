@@ -13,7 +13,7 @@ use photocurrent_core::value::DataType;
 use photocurrent_core::{Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
 use photocurrent_formats::trim::Crop;
-use photocurrent_formats::{Column, Counter, Declared, EventCursor, Mirror, Polarity, Recording, Shift, StampRole, TimeUnit, Transfer, format, instead};
+use photocurrent_formats::{Column, Counter, Declared, EventCursor, Mirror, Pairing, Polarity, Recording, Shift, StampRole, Strobe, TimeUnit, Transfer, format, instead};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::borrow::Cow;
@@ -103,7 +103,7 @@ pub struct All {
     pub frames: Option<InputPath>,
     /// Stamps of those frames: a text file; relative to the manifest. Default: the one in the folder of the pictures.
     pub stamps: Option<InputPath>,
-    /// The trigger line of the event file whose edges are the exposures of those frames: rising opens, falling closes.
+    /// The trigger line of the event file whose edges are the exposures of those frames; `strobe` states which edge opens the shutter.
     pub trigger_line: Option<u16>,
     /// Added to every stamp of a frame: for clocks that begin apart.
     pub frame_offset: Option<Duration>,
@@ -136,6 +136,14 @@ pub struct All {
     pub origin: Option<u32>,
     /// The counter of the stamps, whose range is added each time it begins again. Default: recognised where time goes back by the range of one, with a note.
     pub counter: Option<Counter>,
+    /// Which level of the trigger line is an open shutter. Default: `active_high`, rising opens and falling closes.
+    pub strobe: Option<Strobe>,
+    /// The pulse of the trigger line, or the entry of the stamps, that belongs to the first picture: counted from 0, with those that `pairing` counts as missing; -1 where
+    /// only the second picture has the first. Default: what follows from counts, numbers in names and gaps between the times, and an error where nothing follows.
+    pub first_pulse: Option<i64>,
+    /// By what a missing picture, pulse or stamp is recognised where they are paired in order: holes in the numbers of the pictures' names, gaps of whole periods
+    /// between the times, both, or nothing. Default: what leaves least without a partner.
+    pub pairing: Option<Pairing>,
 }
 
 impl All {
@@ -165,6 +173,9 @@ impl All {
                 polarity: self.polarity,
                 origin: self.origin,
                 counter: self.counter,
+                strobe: self.strobe,
+                first_pulse: self.first_pulse,
+                pairing: self.pairing,
             },
             zero: self.zero,
             start: self.start,

@@ -53,28 +53,28 @@ readers! {
         accepts ["camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
         example "path = \"davis346_traffic.aedat4\", end = \"1 s\"";
     Aedat2 "read/aedat2" "aedat2" "Reads events of an AEDAT-2.0 file (jAER)." ["AEDAT 2.0 file format, jAER"]
-        accepts ["extent", "camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "strobe", "first_pulse", "pairing"]
         example "path = \"walk.aedat\"";
     EventStreamFile "read/event_stream" "event_stream" "Reads events of an Event Stream file (.es)." ["Event Stream 2.0, neuromorphic systems"]
-        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "strobe", "first_pulse", "pairing"]
         example "path = \"dvs.es\"";
     Evt2 "read/evt2" "evt2" "Reads events of a Prophesee RAW file, encoding EVT2." ["EVT 2.0 format, Prophesee"]
-        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "strobe", "first_pulse", "pairing"]
         example "path = \"street.raw\"";
     Evt21 "read/evt21" "evt21" "Reads events of a Prophesee RAW file, encoding EVT2.1." ["EVT 2.1 format, Prophesee"]
-        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "strobe", "first_pulse", "pairing"]
         example "path = \"street.raw\"";
     Evt3 "read/evt3" "evt3" "Reads events of a Prophesee RAW file, encoding EVT3." ["EVT 3.0 format, Prophesee"]
-        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "strobe", "first_pulse", "pairing"]
         example "path = \"street.raw\", frames = \"frames\", trigger_line = 0, row_time = \"0 us\", transfer = \"srgb\"";
     Dat "read/dat" "dat" "Reads events of a Prophesee DAT file." ["DAT format, Prophesee"]
-        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "strobe", "first_pulse", "pairing"]
         example "path = \"street_td.dat\"";
     PropheseeHdf5 "read/prophesee_hdf5" "prophesee_hdf5" "Reads events of a Prophesee HDF5 file, ECF codec included." ["HDF5 event files, Prophesee", "ECF codec, filter 0x8ECF"]
-        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "strobe", "first_pulse", "pairing"]
         example "path = \"street.hdf5\"";
     Dsec "read/dsec" "dsec" "Reads events of a DSEC file, and the frames of a DSEC sequence." ["Gehrig et al., DSEC: A Stereo Event Camera Dataset for Driving Scenarios, RA-L 2021"]
-        accepts ["extent", "time_unit", "camera", "frame_camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
+        accepts ["extent", "time_unit", "camera", "frame_camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "strobe", "first_pulse", "pairing"]
         example "path = \"interlaken_00_c/events/left/events.h5\"";
     M3ed "read/m3ed" "m3ed" "Reads events and frames of an M3ED file." ["Chaney et al., M3ED: Multi-Robot, Multi-Sensor, Multi-Environment Event Dataset, CVPRW 2023"]
         accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
@@ -95,13 +95,13 @@ readers! {
         accepts ["extent", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"slider_depth\", exposure = \"5 ms\", stamp = \"middle\"";
     HsErgb "read/hs_ergb" "hs_ergb" "Reads a sequence of HS-ERGB or BS-ERGB: npz events and PNG pictures." ["Tulyakov et al., Time Lens, CVPR 2021", "Tulyakov et al., Time Lens++, CVPR 2022"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
+        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "first_pulse", "pairing"]
         example "path = \"far/test/bridge_lake_01\", exposure = \"1 ms\", stamp = \"middle\", transfer = \"srgb\"";
     Csv "read/csv" "csv" "Reads events of a text file: commas, tabs or blanks, with a header or declared columns." ["docs/formats.md"]
-        accepts ["extent", "time_unit", "columns", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
+        accepts ["extent", "time_unit", "columns", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "strobe", "first_pulse", "pairing"]
         example "path = \"events.txt\", columns = [\"t\", \"x\", \"y\", \"p\"], time_unit = \"s\", extent = { width = 240, height = 180 }";
     Npz "read/npz" "npz" "Reads events of an npz or npy file of NumPy." ["NumPy enhancement proposal 1, the .npy format"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
+        accepts ["extent", "time_unit", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "strobe", "first_pulse", "pairing"]
         example "path = \"events.npz\", time_unit = \"us\"";
     Rosbag "read/rosbag" "rosbag" "Reads events and images of a ROS 1 bag." ["ROS bag format 2.0", "dvs_msgs, prophesee_event_msgs, event_camera_msgs, sensor_msgs"]
         accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
@@ -110,6 +110,6 @@ readers! {
         accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
         example "path = \"office.mcap\", camera = \"/event_camera/events\"";
     Pictures "read/pictures" "pictures" "Reads frames from a folder of PNG or TIFF pictures, or from a Y4M file." ["PNG, TIFF 6.0, YUV4MPEG2"]
-        accepts ["stamps", "time_unit", "exposure", "stamp", "row_time", "transfer", "frame_offset"]
+        accepts ["stamps", "time_unit", "exposure", "stamp", "row_time", "transfer", "frame_offset", "first_pulse", "pairing"]
         example "path = \"frames\", stamps = \"timestamps.txt\", time_unit = \"us\", exposure = \"2 ms\", stamp = \"start\", row_time = \"0 us\", transfer = \"srgb\"";
 }

@@ -4,7 +4,7 @@ use crate::common::Failure;
 use clap::Args as ClapArgs;
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_formats::{Column, Counter, Declared, Mirror, Polarity, Shift, StampRole, TimeUnit, Transfer};
+use photocurrent_formats::{Column, Counter, Declared, Mirror, Pairing, Polarity, Shift, StampRole, Strobe, TimeUnit, Transfer};
 use photocurrent_nodes::read::foreign::{All, Size};
 use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
@@ -81,6 +81,15 @@ pub struct DeclaredOptions {
     /// Counter of the stamps that begins again: us23, us24, us28, us31, us32, ns32, or none
     #[arg(long, value_name = "BITS", value_parser = word::<Counter>)]
     pub counter: Option<Counter>,
+    /// Which level of the trigger line is an open shutter: active_high (rising opens) or active_low
+    #[arg(long, value_name = "LEVEL", value_parser = word::<Strobe>)]
+    pub strobe: Option<Strobe>,
+    /// The pulse or stamp that belongs to the first picture, counted from 0; -1 where the first picture has none
+    #[arg(long, value_name = "N", allow_hyphen_values = true)]
+    pub first_pulse: Option<i64>,
+    /// By what a missing picture, pulse or stamp is recognised: order, numbers, times, numbers_and_times
+    #[arg(long, value_name = "BY", value_parser = word::<Pairing>)]
+    pub pairing: Option<Pairing>,
 }
 
 impl DeclaredOptions {
@@ -112,6 +121,9 @@ impl DeclaredOptions {
             polarity: self.polarity,
             origin: self.origin,
             counter: self.counter,
+            strobe: self.strobe,
+            first_pulse: self.first_pulse,
+            pairing: self.pairing,
             ..All::default()
         }
     }

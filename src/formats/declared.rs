@@ -51,6 +51,12 @@ pub struct Declared {
     pub origin: Option<u32>,
     /// The counter of the stamps, which begins again at its range.
     pub counter: Option<Counter>,
+    /// Which level of the trigger line is an open shutter; active high unless it is stated.
+    pub strobe: Option<Strobe>,
+    /// The pulse of the trigger line, or the entry of the stamps, that belongs to the first picture, counted from 0; negative where the first pictures have none.
+    pub first_pulse: Option<i64>,
+    /// By what a missing picture, pulse or stamp is recognised.
+    pub pairing: Option<Pairing>,
 }
 
 /// How the frames' picture lies against the events'.
@@ -75,6 +81,68 @@ pub struct Shift {
     /// Rows by which they lie below it; negative = above.
     #[schemars(range(min = -4096, max = 4096))]
     pub down: i32,
+}
+
+/// Which level of a trigger line is an open shutter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Strobe {
+    /// A rising edge opens the shutter, a falling one closes it.
+    ActiveHigh,
+    /// A falling edge opens the shutter, a rising one closes it: the line is inverted, as by an opto-coupler.
+    ActiveLow,
+}
+
+impl Strobe {
+    /// As it stands in manifests.
+    pub fn name(self) -> &'static str {
+        match self {
+            Strobe::ActiveHigh => "active_high",
+            Strobe::ActiveLow => "active_low",
+        }
+    }
+
+    /// What opens the shutter and what closes it.
+    pub fn edges(self) -> &'static str {
+        match self {
+            Strobe::ActiveHigh => "rising opens the shutter, falling closes it",
+            Strobe::ActiveLow => "falling opens the shutter, rising closes it",
+        }
+    }
+}
+
+/// By what a missing picture, pulse or stamp is recognised where pictures and times are paired in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Pairing {
+    /// By nothing: the next picture belongs to the next time.
+    Order,
+    /// A hole in the numbers of the pictures' names is a missing picture.
+    Numbers,
+    /// A gap of whole periods between the times is a missing pulse or stamp.
+    Times,
+    /// Both.
+    NumbersAndTimes,
+}
+
+impl Pairing {
+    /// As it stands in manifests.
+    pub fn name(self) -> &'static str {
+        match self {
+            Pairing::Order => "order",
+            Pairing::Numbers => "numbers",
+            Pairing::Times => "times",
+            Pairing::NumbersAndTimes => "numbers_and_times",
+        }
+    }
+
+    pub(crate) fn uses_numbers(self) -> bool {
+        matches!(self, Pairing::Numbers | Pairing::NumbersAndTimes)
+    }
+
+    pub(crate) fn uses_times(self) -> bool {
+        matches!(self, Pairing::Times | Pairing::NumbersAndTimes)
+    }
 }
 
 /// Unit of stored stamps.

@@ -1,7 +1,6 @@
 //! Events of one file with frames of another place: a RAW file and a folder of PNGs, an AEDAT file and a Y4M video.
 //!
-//! Both must stand on one clock. The frames' times are the stamps of a text file, or the edges of a trigger line that the event file recorded: rising
-//! opens the shutter, falling closes it.
+//! Both must stand on one clock. The frames' times are the stamps of a text file, or the pulses of a trigger line that the event file recorded.
 
 use crate::chunk::{Edge, Trigger};
 use crate::convention::Convention;
@@ -10,7 +9,7 @@ use crate::error::{FormatError, Loss};
 use crate::format::Format;
 use crate::instead::explained;
 use crate::known::with_known_camera;
-use crate::pictures::{PictureFiles, exposures_from_triggers};
+use crate::pictures::PictureFiles;
 use crate::placed::placed;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use std::path::{Path, PathBuf};
@@ -49,19 +48,18 @@ impl Joined {
     /// Joins a recording with the pictures at `path`. A declared trigger line goes before stamps.
     ///
     /// # Errors
-    /// When there are no pictures, or nothing says when they were taken.
+    /// When there are no pictures, nothing says when they were taken, or which belongs to which time is a question.
     pub fn new(events: Box<dyn Recording>, path: &Path, declared: &Declared) -> Result<Joined, FormatError> {
         let frames = match declared.trigger_line {
             Some(line) => {
                 let triggers = events.triggers()?;
-                let (exposures, notes) = exposures_from_triggers(&triggers, line);
-                if exposures.is_empty() {
+                if !triggers.iter().any(|trigger| trigger.line == line) {
                     let found = format!("no exposure on trigger line {line} of the event file ({})", said(&triggers));
                     let mut error = FormatError::new(path, found, "state another `trigger_line`, or a file of `stamps`").expected("rising and falling edges");
                     error.undeclared = Some("trigger_line");
                     return Err(error);
                 }
-                PictureFiles::with_exposures(path, &exposures, notes)?
+                PictureFiles::of_line(path, &triggers, line, declared)?
             }
             None => PictureFiles::open(path, declared).or_else(|error| {
                 if error.undeclared != Some("stamps") {

@@ -11,6 +11,7 @@
 //! - [`hazard`]: what is wrong or unknown, with evidence and what to do.
 //! - [`rosbag`], [`mcap`]: bags of ROS 1 and MCAP files, whose messages and chunks [`ros`] reads.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
+//! - [`alternatives`]: which of several ways to pair pictures with times agrees with the events.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //! - [`placed`]: a mirrored picture, a shift by whole pixels, frames that are left out, as they are stated.
 //! - [`losses`]: what was left out, as a list that stays short.
@@ -22,6 +23,7 @@
 
 pub mod aedat2;
 pub mod aedat4;
+pub mod alternatives;
 pub mod arrange;
 pub mod bias;
 pub mod calibration;
@@ -61,7 +63,7 @@ pub mod trim;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};
-pub use declared::{Column, Counter, Declared, Mirror, Polarity, Shift, StampRole, TimeUnit, Transfer};
+pub use declared::{Column, Counter, Declared, Mirror, Pairing, Polarity, Shift, StampRole, Strobe, TimeUnit, Transfer};
 pub use error::{FormatError, Loss};
 pub use format::{Format, Probe, recognise};
 pub use recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};

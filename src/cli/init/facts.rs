@@ -12,10 +12,9 @@ use photocurrent_formats::arrange::{self, Arranged, EVENTS_BUDGET, arrange};
 use photocurrent_formats::hazard::{self, Limits};
 use photocurrent_formats::placed::PartOf;
 use photocurrent_formats::survey::{Most, survey};
-use photocurrent_formats::{Declared, Edge, EventCursor, Format, FormatError, Recording, StampRole, Transfer, joined};
+use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, Transfer, joined};
 use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
 use photocurrent_nodes::read::foreign::{All, Size, takes};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -199,8 +198,18 @@ fn stated(all: &All) -> Result<Vec<(String, String)>, Failure> {
 
 /// Opens and arranges; what is missing is proposed until nothing is.
 fn settle(parts: &Parts, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dyn Recording>, Arranged), Failure> {
+    let mut is_paired = false;
     for _ in 0..16 {
-        let error = match open(parts, all) {
+        let opened = open(parts, all);
+        if !is_paired && super::pairing::is_open(all, opened.as_ref().err()) {
+            is_paired = true;
+            let proposed = super::pairing::proposed(parts, all)?;
+            if !proposed.is_empty() {
+                fills.extend(proposed);
+                continue;
+            }
+        }
+        let error = match opened {
             Ok(found) => return Ok(found),
             Err(error) => error,
         };
@@ -229,12 +238,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", size.width, size.height), why))
         }
         "stamps" if all.trigger_line.is_none() => {
-            let (line, count) = busiest_line(parts)?;
-            all.trigger_line = Some(line);
-            let why = format!(
-                "no file states when the frames were taken; trigger line {line} of the event file rose {count} times: rising opens the shutter, falling closes it"
-            );
-            Some(Fill::open("trigger_line", line.to_string(), why))
+            super::pairing::line(parts, all)
         }
         "coordinate_scale" if all.coordinate_scale.is_none() => {
             all.coordinate_scale = Some(32);
@@ -252,6 +256,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             let why = "the exposure is not recorded; half the time between frames is no more than a guess. Too long blurs what is sharp, too short leaves blur";
             Some(Fill::open("exposure", format!("\"{exposure}\""), why))
         }
+        "stamp" if all.stamp.is_none() && all.trigger_line.is_some() => Some(super::pairing::stamp(all)),
         "stamp" if all.stamp.is_none() => {
             all.stamp = Some(StampRole::Middle);
             let why = "what a frame's stamp means is not recorded: start, middle or end of its exposure. A wrong one shifts frames against events";
@@ -276,14 +281,6 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
         }
         _ => None,
     }
-}
-
-/// The trigger line with most rising edges, and how many.
-fn busiest_line(parts: &Parts) -> Option<(u16, usize)> {
-    let triggers = (parts.format.open)(&parts.recording, &Declared::default()).ok()?.triggers().ok()?;
-    let mut counts = BTreeMap::new();
-    triggers.iter().filter(|trigger| trigger.edge == Edge::Rising).for_each(|trigger| *counts.entry(trigger.line).or_insert(0) += 1);
-    counts.into_iter().max_by_key(|(_, count)| *count)
 }
 
 /// The size of the event array that the frames suggest, and what events reach.

@@ -6,6 +6,7 @@
 mod facts;
 mod hazards;
 mod readings;
+mod pairing;
 mod text;
 mod units;
 mod window;

@@ -39,7 +39,7 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
     let there: Vec<&str> = there.iter().map(String::as_str).collect();
     recording.note(others(side, "left", &there, "events and frames", "camera"));
     recording.more_files = vec![events];
-    if let Some(pictures) = folder::pictures_of(path, declared.frame_camera.as_deref().or(side))? {
+    if let Some(pictures) = folder::pictures_of(path, declared, declared.frame_camera.as_deref().or(side))? {
         recording.more_files.extend_from_slice(pictures.files());
         recording.losses.extend_from_slice(pictures.losses());
         recording.pictures = Some(Arc::new(pictures));

@@ -6,10 +6,11 @@
 use crate::error::FormatError;
 use photocurrent_core::{Colour, Extent};
 use std::fs::File;
-use std::io::{BufReader, Seek};
+use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 use tiff::ColorType;
 use tiff::decoder::{Decoder as Tiff, DecodingResult, Limits};
+use tiff::tags::Tag;
 
 /// What a header says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,9 +36,61 @@ fn is_tiff(path: &Path) -> bool {
     extension.starts_with("tif")
 }
 
-/// Reads the header of a picture.
+/// Reads the header of a picture, and follows its parts to the end without decoding them: a picture that is cut off is no whole one.
 pub(crate) fn head(path: &Path) -> Result<Head, FormatError> {
-    if is_tiff(path) { open_tiff(path).map(|(_, head)| head) } else { open_png(path).map(|(_, head)| head) }
+    if is_tiff(path) {
+        let (mut decoder, head) = open_tiff(path)?;
+        ends_tiff(path, &mut decoder)?;
+        Ok(head)
+    } else {
+        let (_, head) = open_png(path)?;
+        ends_png(path)?;
+        Ok(head)
+    }
+}
+
+/// Walks from chunk to chunk up to IEND. Values that were changed within a chunk show only when they are decoded.
+fn ends_png(path: &Path) -> Result<(), FormatError> {
+    let io = |error: std::io::Error| FormatError::io(path, &error);
+    let file = File::open(path).map_err(io)?;
+    let bytes = file.metadata().map_err(io)?.len();
+    let cut = |at: u64| damaged(path, format!("it is cut off: its data go on after byte {at} of {bytes}"));
+    let mut reader = BufReader::with_capacity(4096, file);
+    let mut at = 8_u64;
+    reader.seek_relative(8).map_err(io)?;
+    loop {
+        // Length, type, data, checksum.
+        let mut begin = [0; 8];
+        if at + 12 > bytes || reader.read_exact(&mut begin).is_err() {
+            return Err(cut(at.min(bytes)));
+        }
+        let [a, b, c, d, kind @ ..] = begin;
+        let length = i64::from(u32::from_be_bytes([a, b, c, d])) + 4;
+        if !kind.iter().all(u8::is_ascii_alphabetic) {
+            return Err(damaged(path, format!("at byte {at} of {bytes} no chunk begins")));
+        }
+        at += 8 + length.unsigned_abs();
+        if at > bytes {
+            return Err(cut(bytes));
+        }
+        if kind == *b"IEND" {
+            return Ok(());
+        }
+        reader.seek_relative(length).map_err(io)?;
+    }
+}
+
+/// Holds the ends of strips and tiles against the length of the file.
+fn ends_tiff<R: Read + Seek>(path: &Path, decoder: &mut Tiff<R>) -> Result<(), FormatError> {
+    let bytes = std::fs::metadata(path).map_err(|error| FormatError::io(path, &error))?.len();
+    for (offsets, counts) in [(Tag::StripOffsets, Tag::StripByteCounts), (Tag::TileOffsets, Tag::TileByteCounts)] {
+        let mut list = |tag: Tag| decoder.find_tag_unsigned_vec::<u64>(tag).ok().flatten().unwrap_or_default();
+        let (offsets, counts) = (list(offsets), list(counts));
+        if offsets.iter().zip(&counts).any(|(offset, count)| offset.saturating_add(*count) > bytes) {
+            return Err(damaged(path, format!("it is cut off: its data go on after byte {bytes}")));
+        }
+    }
+    Ok(())
 }
 
 /// Replaces `values` by those of a picture.
@@ -146,6 +199,6 @@ fn read_tiff(path: &Path, values: &mut Vec<f32>) -> Result<Head, FormatError> {
     Ok(head)
 }
 
-fn decode<R: std::io::Read + Seek>(decoder: &mut Tiff<R>) -> tiff::TiffResult<DecodingResult> {
+fn decode<R: Read + Seek>(decoder: &mut Tiff<R>) -> tiff::TiffResult<DecodingResult> {
     decoder.read_image()
 }

@@ -6,23 +6,27 @@
 
 pub(crate) mod decode;
 pub(crate) mod names;
+pub mod pairing;
+pub(crate) mod place;
 pub(crate) mod stamps;
 #[cfg(test)]
 pub(crate) mod tests;
 pub mod triggers;
 pub(crate) mod y4m;
 
-use crate::declared::{Declared, StampRole, TimeUnit, Transfer};
+use crate::chunk::Trigger;
+use crate::declared::{Declared, StampRole, Strobe, TimeUnit, Transfer};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::losses::Losses;
-use crate::recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};
+use crate::recording::{EventCursor, EventsAbout, FramesAbout, Pictures, Recording};
+use pairing::Sides;
 use photocurrent_core::Extent;
+use place::Times;
 use stamps::{Row, Stamps};
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-pub use triggers::exposures_from_triggers;
+use triggers::{Pulses, pulses};
 use y4m::Y4m;
 
 /// Folders of pictures and Y4M files.
@@ -56,13 +60,13 @@ pub struct PictureFiles {
 }
 
 /// Pictures of one size and depth, before anything is known of their times.
-struct Found {
-    about: FramesAbout,
+pub(crate) struct Found {
+    pub(crate) about: FramesAbout,
     source: Source,
     /// Names without folders, of every picture that stands there, whole or not.
-    names: Vec<String>,
+    pub(crate) names: Vec<String>,
     /// Which pictures are whole.
-    whole: Vec<bool>,
+    pub(crate) whole: Vec<bool>,
     losses: Vec<Loss>,
     files: Vec<PathBuf>,
 }
@@ -74,20 +78,17 @@ impl PictureFiles {
     /// When there are no pictures, no stamps, or the unit of the stamps is not stated.
     pub fn open(path: &Path, declared: &Declared) -> Result<PictureFiles, FormatError> {
         let found = find(path)?;
-        let folder = if path.is_dir() { path.to_path_buf() } else { path.parent().map(Path::to_path_buf).unwrap_or_default() };
-        let mut candidates: Vec<PathBuf> = STAMPS.iter().map(|name| folder.join(name)).collect();
-        if !path.is_dir() {
-            // In the folder of a video only a file of the same name surely belongs to it.
-            candidates = vec![path.with_extension("txt"), path.with_extension("csv")];
-        }
-        let stamps_file = declared.stamps.clone().or_else(|| candidates.into_iter().find(|file| file.is_file()));
-        match stamps_file {
-            Some(file) => found.with_stamps(&file, stamps::read(&file, declared, None)?),
+        match stamps_file(path, declared) {
+            Some(file) => {
+                let stamps = stamps::read(&file, declared, None)?;
+                found.with_stamps(&file, stamps, declared)
+            }
             None => found.at_constant_rate(path),
         }
     }
 
-    /// As [`PictureFiles::open`], with the stamps of a file whose unit, and the meaning of whose plain stamps, the folder's format defines.
+    /// As [`PictureFiles::open`], with the stamps of a file whose unit, and the meaning of whose plain stamps, the folder's format defines; where it names no
+    /// pictures and has less lines, these count them from 0.
     pub(crate) fn open_with(
         path: &Path,
         declared: &Declared,
@@ -97,17 +98,36 @@ impl PictureFiles {
     ) -> Result<PictureFiles, FormatError> {
         let mut stamps = stamps::read(stamps_file, declared, unit)?;
         stamps.role = stamps.role.or(role);
-        find(path)?.with_stamps(stamps_file, stamps)
+        stamps.lines_count = true;
+        find(path)?.with_stamps(stamps_file, stamps, declared)
     }
 
-    /// Pictures whose exposures are known from elsewhere: the edges of a trigger line.
+    /// Pictures whose times are the pulses of a trigger line.
     ///
     /// # Errors
-    /// When there are no pictures.
-    pub fn with_exposures(path: &Path, exposures: &[(i64, i64)], notes: Vec<String>) -> Result<PictureFiles, FormatError> {
-        let rows = exposures.iter().map(|&(start, end)| Row { name: None, at: start, exposure: Some((start, end)), line: 0 }).collect();
-        let stamps = Stamps { rows, role: Some(StampRole::Start), notes, ..Stamps::default() };
-        find(path)?.place(stamps)
+    /// When there are no pictures, the line has no pulse with all its edges, or which picture belongs to which pulse is a question.
+    pub fn of_line(path: &Path, triggers: &[Trigger], line: u16, declared: &Declared) -> Result<PictureFiles, FormatError> {
+        let found = find(path)?;
+        let of_line = pulses(triggers, line, declared.strobe.unwrap_or(Strobe::ActiveHigh));
+        let names = found.names.clone();
+        let is_inverted = || {
+            let inverted = pulses(triggers, line, Strobe::ActiveLow);
+            inverted.has_both && inverted.whole() == names.len() && Sides::new(&names, &rows_of(&inverted)).decide(declared).is_ok()
+        };
+        let (whole, has_both) = (of_line.whole(), of_line.has_both);
+        let role = has_both.then_some(StampRole::Start);
+        let stamps = Stamps { rows: rows_of(&of_line), role, notes: of_line.notes, ..Stamps::default() };
+        found.place(path, stamps, declared, Times::Pulses(line)).map_err(|error| {
+            if error.undeclared.is_none() || declared.strobe.is_some() || !has_both || !is_inverted() {
+                return error;
+            }
+            let count = names.len();
+            let found =
+                format!("{count} pictures, and {whole} whole exposures on trigger line {line} where rising opens the shutter, {count} where falling opens it");
+            let hint =
+                "state it: `strobe = \"active_low\"` for a line that is inverted, \"active_high\" otherwise; photocurrent init compares both with the events";
+            FormatError::new(path, found, hint).undeclared("strobe")
+        })
     }
 
     /// What was left out.
@@ -131,8 +151,24 @@ pub(crate) fn size_of(path: &Path) -> Option<Extent> {
     files.iter().find_map(|file| decode::head(file).ok()).map(|head| head.extent)
 }
 
+/// Pulses as stamps.
+pub(crate) fn rows_of(pulses: &Pulses) -> Vec<Row> {
+    pulses.all.iter().map(|pulse| Row::at(pulse.at, pulse.exposure, pulse.is_whole)).collect()
+}
+
+/// The declared file of stamps, or the one that stands with the pictures.
+pub(crate) fn stamps_file(path: &Path, declared: &Declared) -> Option<PathBuf> {
+    let folder = if path.is_dir() { path.to_path_buf() } else { path.parent().map(Path::to_path_buf).unwrap_or_default() };
+    let mut candidates: Vec<PathBuf> = STAMPS.iter().map(|name| folder.join(name)).collect();
+    if !path.is_dir() {
+        // In the folder of a video only a file of the same name surely belongs to it.
+        candidates = vec![path.with_extension("txt"), path.with_extension("csv")];
+    }
+    declared.stamps.clone().or_else(|| candidates.into_iter().find(|file| file.is_file()))
+}
+
 /// Looks for the pictures of a folder or a Y4M file, and reads their headers.
-fn find(path: &Path) -> Result<Found, FormatError> {
+pub(crate) fn find(path: &Path) -> Result<Found, FormatError> {
     if !path.is_dir() {
         return Y4m::open(path).map(|video| of_video(path, video));
     }
@@ -231,81 +267,23 @@ impl Found {
         let (frames, seconds) = video.rate.unwrap_or((1, 1));
         let note =
             format!("stamps follow from the header's constant rate, {frames}/{seconds} per second, from 0: frames that came at other times are not seen in it");
-        let rows = at.into_iter().map(|at| Row { name: None, at, exposure: None, line: 0 }).collect();
-        self.place(Stamps { rows, notes: vec![note], ..Stamps::default() })
+        let rows = at.into_iter().map(|at| Row::at(at, None, true)).collect();
+        self.place(path, Stamps { rows, notes: vec![note], ..Stamps::default() }, &Declared::default(), Times::Stamps)
     }
 
-    fn with_stamps(mut self, file: &Path, mut stamps: Stamps) -> Result<PictureFiles, FormatError> {
+    fn with_stamps(mut self, file: &Path, mut stamps: Stamps, declared: &Declared) -> Result<PictureFiles, FormatError> {
         self.files.push(file.into());
         if let Source::Video(video) = &self.source
             && let Some(note) = rate_note(video, &stamps.rows)
         {
             stamps.notes.push(note);
         }
-        self.place(stamps)
+        self.place(file, stamps, declared, Times::Stamps)
     }
 
-    /// Gives every picture its stamp: by name where the stamps have names, else by order.
-    fn place(self, stamps: Stamps) -> Result<PictureFiles, FormatError> {
-        let Found { mut about, source, names, whole, losses, files } = self;
-        let Stamps { mut rows, role, row_time_ns, is_linear, notes } = stamps;
-        about.notes.extend(notes);
-        let mut chosen = Vec::new();
-        if rows.iter().any(|row| row.name.is_some()) {
-            let index: HashMap<&str, usize> = names.iter().enumerate().map(|(index, name)| (name.as_str(), index)).collect();
-            let mut missing: Option<&str> = None;
-            let (mut used, mut absent) = (vec![false; names.len()], 0);
-            for row in &rows {
-                let name = row.name.as_deref().unwrap_or_default();
-                match index.get(name) {
-                    Some(&picture) if !used[picture] => {
-                        used[picture] = true;
-                        if whole[picture] {
-                            chosen.push(picture);
-                            about.stamps.push(FrameStamp { at: row.at, exposure: row.exposure });
-                        }
-                    }
-                    _ => {
-                        absent += 1;
-                        missing = missing.or(Some(name));
-                    }
-                }
-            }
-            if absent > 0 {
-                about.notes.push(format!(
-                    "{absent} stamps name no picture that is there, or one twice (the first: `{}`); they were left out",
-                    missing.unwrap_or_default()
-                ));
-            }
-            let unstamped = used.iter().filter(|used| !**used).count();
-            if unstamped > 0 {
-                about.notes.push(format!("{unstamped} pictures have no stamp and were left out"));
-            }
-        } else {
-            if let Some((wrong, why)) = stamps::leading_wrong(&rows, rows.len().saturating_sub(names.len())) {
-                about.notes.push(why);
-                rows.drain(..wrong);
-            }
-            if rows.len() != names.len() {
-                let (both, more) = (rows.len().min(names.len()), if rows.len() > names.len() { "stamps" } else { "pictures" });
-                let count = rows.len().abs_diff(names.len());
-                about.notes.push(format!(
-                    "{} pictures and {} stamps: the first {both} of both are taken to belong together; the last {count} {more} were left out",
-                    names.len(),
-                    rows.len()
-                ));
-            }
-            for (picture, row) in rows.iter().enumerate().take(names.len()).filter(|(picture, _)| whole[*picture]) {
-                chosen.push(picture);
-                about.stamps.push(FrameStamp { at: row.at, exposure: row.exposure });
-            }
-        }
-        about.stamp_role = role;
-        about.row_time_ns = row_time_ns;
-        if is_linear {
-            about.transfer = Some(Transfer::Linear);
-        }
-        Ok(PictureFiles { about, source, chosen, losses, files })
+    /// Replaces `values` by those of a picture.
+    pub(crate) fn read(&self, picture: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
+        self.source.read(picture, &self.about, values)
     }
 }
 
@@ -335,11 +313,16 @@ impl Pictures for PictureFiles {
             let path = self.files.first().cloned().unwrap_or_default();
             return Err(FormatError::new(&path, format!("there is no frame {frame}"), "ask for one of the frames that have a stamp"));
         };
-        match &self.source {
+        self.source.read(picture, &self.about, values)
+    }
+}
+
+impl Source {
+    fn read(&self, picture: usize, about: &FramesAbout, values: &mut Vec<f32>) -> Result<(), FormatError> {
+        match self {
             Source::Video(video) => video.read(picture, values),
             Source::Files(files) => {
                 let head = decode::read(&files[picture], values)?;
-                let about = &self.about;
                 if (head.extent, head.colour, head.bits) != (about.extent, about.colour, about.bits) {
                     values.clear();
                     return Err(FormatError::new(&files[picture], "the picture was changed since it was opened", "start again"));

@@ -21,8 +21,19 @@ pub(crate) struct Row {
     pub(crate) name: Option<String>,
     pub(crate) at: i64,
     pub(crate) exposure: Option<(i64, i64)>,
-    /// Number of the line, from 1.
+    /// The number by which the file counts it.
+    pub(crate) index: Option<i64>,
+    /// Is all of it there? A pulse of which an edge is missing has its place, and no exposure.
+    pub(crate) is_whole: bool,
+    /// Number of the line, from 1; 0 of what stands in no file.
     pub(crate) line: u64,
+}
+
+impl Row {
+    /// A stamp that stands in no file.
+    pub(crate) fn at(at: i64, exposure: Option<(i64, i64)>, is_whole: bool) -> Row {
+        Row { name: None, at, exposure, index: None, is_whole, line: 0 }
+    }
 }
 
 /// A stamps file.
@@ -34,6 +45,8 @@ pub(crate) struct Stamps {
     /// Does a comment say that codes are linear (`# dn = offset + scale * code`)?
     pub(crate) is_linear: bool,
     pub(crate) notes: Vec<String>,
+    /// Does the format define that the n-th entry is that of the picture with the number n, from 0, where pictures are more?
+    pub(crate) lines_count: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,6 +56,7 @@ enum Role {
     End,
     Mid,
     Name,
+    Index,
     Skip,
 }
 
@@ -63,7 +77,9 @@ fn role(name: &str) -> (Role, Option<TimeUnit>) {
     }
     let has = |words: &[&str]| words.iter().any(|word| text.contains(word));
     let is = |words: &[&str]| words.contains(&text.as_str());
-    let role = if has(&["file", "name", "image", "picture", "path"]) && !has(&["stamp", "time"]) {
+    let role = if is(&["index", "idx", "seq", "id", "number", "frame", "frame_id", "frame_index", "frame_number", "image_id", "image_index"]) {
+        Role::Index
+    } else if has(&["file", "name", "image", "picture", "path"]) && !has(&["stamp", "time"]) {
         Role::Name
     } else if has(&["start", "begin", "open"]) {
         Role::Start
@@ -110,7 +126,7 @@ pub(crate) fn parse(path: &Path, text: &[u8], declared: &Declared, defined: Opti
             lines.push((number, fields));
         } else if lines.is_empty() && roles.is_none() {
             let named: Vec<_> = fields.iter().map(|field| role(&String::from_utf8_lossy(field))).collect();
-            if named.iter().any(|(role, _)| *role != Role::Skip) { roles = Some(named) } else { wrong_lines.push(number) }
+            if named.iter().any(|(role, _)| !matches!(role, Role::Skip | Role::Index)) { roles = Some(named) } else { wrong_lines.push(number) }
         } else {
             wrong_lines.push(number);
         }
@@ -162,7 +178,7 @@ pub(crate) fn parse(path: &Path, text: &[u8], declared: &Declared, defined: Opti
 
 /// Which column holds the first stamp of a line.
 fn column_of(roles: &[Role]) -> usize {
-    roles.iter().position(|role| !matches!(role, Role::Name | Role::Skip)).unwrap_or(0)
+    roles.iter().position(|role| !matches!(role, Role::Name | Role::Index | Role::Skip)).unwrap_or(0)
 }
 
 /// What the stamps look like.
@@ -198,7 +214,7 @@ fn comment(line: &[u8], stamps: &mut Stamps, roles: &mut Option<Vec<(Role, Optio
     *stated = stated.or(words.iter().find_map(|word| word.strip_prefix("time_unit=").and_then(unit_named)));
     // A header as numpy and DSEC write it: `# exposure_start_timestamp_us, exposure_end_timestamp_us`.
     let named: Vec<_> = Separator::of(text.as_bytes()).fields(text.as_bytes()).map(|field| role(&String::from_utf8_lossy(field))).collect();
-    if roles.is_none() && named.iter().all(|(role, unit)| *role != Role::Skip || unit.is_some()) && !named.is_empty() {
+    if roles.is_none() && named.iter().all(|(role, unit)| *role != Role::Skip || unit.is_some()) && named.iter().any(|(role, _)| *role != Role::Index) {
         *roles = Some(named);
     }
 }
@@ -210,14 +226,19 @@ fn roles_of(path: &Path, lines: &[(u64, Vec<&[u8]>)]) -> Result<Vec<Role>, Forma
         (0..width).map(|index| if lines.iter().take(100).all(|(_, fields)| is_number(fields, index)) { Role::At } else { Role::Name }).collect();
     let numbers: Vec<usize> = (0..width).filter(|index| roles[*index] == Role::At).collect();
     let value = |line: usize, column: usize| lines[line].1.get(column).and_then(|field| Decimal::read(field)).map_or(f64::NAN, Decimal::value);
-    let counts_up = |column: usize| lines.len() > 1 && (1..lines.len()).all(|line| value(line, column) - value(line - 1, column) == 1.0);
+    // By ones, but for some that are missing.
+    let counts_up = |column: usize| {
+        let steps: Vec<f64> = (1..lines.len()).map(|line| value(line, column) - value(line - 1, column)).collect();
+        let ones = steps.iter().filter(|step| **step == 1.0).count();
+        !steps.is_empty() && 2 * ones > steps.len() && steps.iter().all(|step| *step >= 1.0) && value(0, column).fract() == 0.0
+    };
     let is_span =
         |a: usize, b: usize| (0..lines.len()).all(|line| value(line, a) <= value(line, b)) && (1..lines.len()).all(|line| value(line, a) > value(line - 1, a));
     match numbers.as_slice() {
         [_] => {}
-        &[a, b] if counts_up(a) && !counts_up(b) => roles[a] = Role::Skip,
+        &[a, b] if counts_up(a) && !counts_up(b) => roles[a] = Role::Index,
         &[a, b] if is_span(a, b) => (roles[a], roles[b]) = (Role::Start, Role::End),
-        &[a, b, c] if counts_up(a) && is_span(b, c) => (roles[a], roles[b], roles[c]) = (Role::Skip, Role::Start, Role::End),
+        &[a, b, c] if counts_up(a) && is_span(b, c) => (roles[a], roles[b], roles[c]) = (Role::Index, Role::Start, Role::End),
         _ => {
             return Err(FormatError::new(
                 path,
@@ -237,7 +258,7 @@ fn is_number(fields: &[&[u8]], index: usize) -> bool {
 
 fn row(path: &Path, line: u64, fields: &[&[u8]], roles: &[Role], unit: TimeUnit) -> Result<Row, FormatError> {
     let wrong = |what: String| FormatError::new(path, what, "correct the line, or leave it out").at(format!("line {line}"));
-    let mut row = Row { name: None, at: 0, exposure: None, line };
+    let mut row = Row { line, ..Row::at(0, None, true) };
     let (mut at, mut start, mut end, mut mid) = (None, None, None, None);
     for (index, role) in roles.iter().enumerate() {
         if *role == Role::Skip {
@@ -245,6 +266,10 @@ fn row(path: &Path, line: u64, fields: &[&[u8]], roles: &[Role], unit: TimeUnit)
         }
         let field = fields.get(index).ok_or_else(|| wrong(format!("{} of {} columns", fields.len(), roles.len())))?;
         let text = String::from_utf8_lossy(field);
+        if *role == Role::Index {
+            row.index = text.trim_matches('"').parse().ok();
+            continue;
+        }
         if *role == Role::Name {
             let name = text.trim_matches('"').rsplit(['/', '\\']).next().unwrap_or_default().to_string();
             row.name = row.name.or(Some(name).filter(|name| is_picture(name) || name.contains('.')));

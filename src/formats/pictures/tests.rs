@@ -1,14 +1,15 @@
 //! Folders of small pictures, stamps files, trigger edges and Y4M files made here, read as frames.
 
 use crate::chunk::{Edge, Trigger};
-use crate::declared::{Declared, StampRole, TimeUnit, Transfer};
+use crate::declared::{Declared, StampRole, Strobe, TimeUnit, Transfer};
 use crate::error::FormatError;
 use crate::event_camera_dataset::EventCameraDataset;
 use crate::format::recognise;
 use crate::joined::{Joined, with_declared_frames};
 use crate::npy::tests::bytes;
 use crate::pictures::stamps::{self, Stamps};
-use crate::pictures::{PictureFiles, exposures_from_triggers, names};
+use crate::pictures::triggers::pulses;
+use crate::pictures::{PictureFiles, names};
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use crate::text::tests::collect;
 use photocurrent_core::{Colour, Extent};
@@ -121,13 +122,19 @@ fn rendered_frames_of_this_project_are_read_back() {
 #[test]
 fn counts_that_differ_are_noted_and_a_wrong_first_line_is_found() {
     let folder = folder(&["a.png", "b.png", "c.png", "d.png"]);
-    let pictures = open(&folder, "10\n20\n30\n", &us()).unwrap();
-    assert_eq!((at(&pictures).len(), pictures.about().notes.iter().any(|note| note.contains("4 pictures and 3 stamps"))), (3, true));
+    let error = open(&folder, "10\n20\n30\n", &us()).err().unwrap();
+    assert_eq!(error.undeclared, Some("first_pulse"), "{error}");
+    assert!(
+        error.found.contains("4 pictures and 3 stamps") && error.hint.contains("`first_pulse = -1`") && error.hint.contains("`first_pulse = 0`"),
+        "{error}"
+    );
+    let pictures = open(&folder, "10\n20\n30\n", &Declared { first_pulse: Some(-1), ..us() }).unwrap();
+    assert_eq!((at(&pictures), firsts(&pictures)), (vec![10_000, 20_000, 30_000], vec![1.0, 2.0, 3.0]));
+    assert!(pictures.about().notes.iter().any(|note| note.contains("1 pictures have no stamp and were left out: a.png")), "{:?}", pictures.about().notes);
     let pictures = open(&folder, "3\n1000000\n1000010\n1000020\n1000030\n", &us()).unwrap();
     assert_eq!(at(&pictures)[0], 1_000_000_000, "{:?}", pictures.about().notes);
     assert!(pictures.about().notes.iter().any(|note| note.contains("wrong lines at the front")));
-    let pictures = open(&folder, "10\n20\n30\n40\n50\n", &us()).unwrap();
-    assert_eq!(at(&pictures), [10_000, 20_000, 30_000, 40_000], "evenly spaced lines show no wrong one");
+    assert_eq!(open(&folder, "10\n20\n30\n40\n50\n", &us()).err().unwrap().undeclared, Some("first_pulse"), "evenly spaced lines show no wrong one");
     let pictures = open(&folder, "a.png 10\nx.png 20\nc.png 30\n", &us()).unwrap();
     assert_eq!((at(&pictures), firsts(&pictures)), (vec![10_000, 30_000], vec![0.0, 2.0]));
 }
@@ -152,6 +159,41 @@ fn damaged_and_odd_pictures_are_losses() {
     assert_eq!((at(&pictures), firsts(&pictures)), (vec![1000, 4000], vec![0.0, 3.0]), "the others keep their stamps");
     let losses: Vec<&str> = pictures.losses().iter().map(|loss| loss.at.as_str()).collect();
     assert_eq!(losses, ["b.png", "c.png"]);
+}
+
+#[test]
+fn pictures_that_are_cut_off_are_losses_and_keep_their_place_in_the_order() {
+    let folder = tempfile::tempdir().unwrap();
+    let noise: Vec<u8> = (0..64 * 64).map(|n: u32| (n.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+    for n in 0..5 {
+        write_png(&folder.path().join(format!("{n}.png")), 64, 64, &noise, png::ColorType::Grayscale);
+    }
+    let cut = |name: &str, to: &dyn Fn(usize) -> usize| {
+        let path = folder.path().join(name);
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &whole[..to(whole.len())]).unwrap();
+    };
+    cut("1.png", &|length| length / 2);
+    // Without its last chunk alone; and of a length that was reserved and never written, as after a loss of power.
+    cut("3.png", &|length| length - 12);
+    let path = folder.path().join("4.png");
+    let mut content = std::fs::read(&path).unwrap();
+    let half = content.len() / 2;
+    content[half..].fill(0);
+    std::fs::write(&path, content).unwrap();
+    let pictures = open(&folder, "1\n2\n3\n4\n5\n", &us()).unwrap();
+    assert_eq!(at(&pictures), [1000, 3000]);
+    let losses: Vec<(&str, bool)> = pictures.losses().iter().map(|loss| (loss.at.as_str(), loss.what.contains("cut off"))).collect();
+    assert_eq!(losses, [("1.png", true), ("3.png", true), ("4.png", false)], "{:?}", pictures.losses());
+    let tiff = folder.path().join("a.tif");
+    std::fs::write(&tiff, &bytes(RGB_TIFF)[..20]).unwrap();
+    assert!(super::decode::head(&tiff).is_err());
+    let mut content = bytes(RGB_TIFF);
+    // The count of bytes of its one strip, 20, becomes 2000.
+    let at = content.windows(12).position(|entry| entry[..2] == [0x17, 1]).unwrap();
+    content[at + 8..at + 10].copy_from_slice(&2000_u16.to_le_bytes());
+    std::fs::write(&tiff, content).unwrap();
+    assert!(super::decode::head(&tiff).unwrap_err().found.contains("cut off"));
 }
 
 #[test]
@@ -239,6 +281,12 @@ fn colour_is_converted_by_bt_601_in_both_ranges() {
 
 fn edge(t: i64, rising: bool) -> Trigger {
     Trigger { t, line: 0, edge: if rising { Edge::Rising } else { Edge::Falling } }
+}
+
+/// Exposures of a line where rising opens.
+fn exposures_from_triggers(triggers: &[Trigger], line: u16) -> (Vec<(i64, i64)>, Vec<String>) {
+    let found = pulses(triggers, line, Strobe::ActiveHigh);
+    (found.all.iter().filter_map(|pulse| pulse.exposure).collect(), found.notes)
 }
 
 #[test]

@@ -22,8 +22,8 @@ pub(super) fn cameras_of(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The pictures, with their exposures or the middles of these; `None` when there are none.
-pub(super) fn pictures_of(folder: &Path, camera: Option<&str>) -> Result<Option<PictureFiles>, FormatError> {
+/// The pictures of a camera, left unless another is wanted, with their exposures or the middles of these; `None` when there are none.
+pub(super) fn pictures_of(folder: &Path, declared: &Declared, camera: Option<&str>) -> Result<Option<PictureFiles>, FormatError> {
     let camera = camera.unwrap_or("left");
     let images = folder.join("images");
     let places = [images.join(camera).join("rectified"), images.join(camera).join("distorted"), images.join(camera)];
@@ -36,5 +36,7 @@ pub(super) fn pictures_of(folder: &Path, camera: Option<&str>) -> Result<Option<
         return Err(FormatError::new(place, "pictures without stamps", hint).undeclared("stamps"));
     };
     // The unit and the meaning of these files are the format's: nothing that is stated of the events' file changes them.
-    PictureFiles::open_with(place, &Declared::default(), &stamps, Some(TimeUnit::Us), Some(StampRole::Middle)).map(Some)
+    let declared =
+        Declared { first_pulse: declared.first_pulse, pairing: declared.pairing, stamps_unit: declared.stamps_unit, ..Declared::default() };
+    PictureFiles::open_with(place, &declared, &stamps, Some(TimeUnit::Us), Some(StampRole::Middle)).map(Some)
 }

@@ -1,0 +1,199 @@
+//! Gives every picture its time: by name where the stamps have names, else by [`super::pairing`].
+
+use super::pairing::{Candidate, Sides, Unclear};
+use super::stamps::{self, Row, Stamps};
+use super::{Found, PictureFiles};
+use crate::declared::{Declared, Pairing, Transfer};
+use crate::error::FormatError;
+use crate::recording::{FrameStamp, FramesAbout};
+use std::collections::HashMap;
+use std::path::Path;
+
+/// What times are, for messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Times {
+    /// Pulses of this trigger line.
+    Pulses(u16),
+    /// Stamps of a file.
+    Stamps,
+}
+
+impl Times {
+    fn one(self) -> &'static str {
+        if self == Times::Stamps { "stamp" } else { "pulse" }
+    }
+
+    fn many(self) -> String {
+        match self {
+            Times::Pulses(line) => format!("pulses of trigger line {line}"),
+            Times::Stamps => "stamps".into(),
+        }
+    }
+}
+
+/// Entries that are named one by one.
+const NAMED: usize = 5;
+
+impl Stamps {
+    /// Wrong lines at the front are left out, and lines that count pictures are numbered.
+    pub(crate) fn settle(&mut self, pictures: usize) {
+        if let Some((wrong, why)) = stamps::leading_wrong(&self.rows, self.rows.len().saturating_sub(pictures)) {
+            self.notes.push(why);
+            self.rows.drain(..wrong);
+        }
+        // More lines than pictures: the first of BS-ERGB's may be too many (ercanburak/EVREAL#5).
+        if self.lines_count && self.rows.len() < pictures && self.rows.iter().all(|row| row.index.is_none()) {
+            self.rows.iter_mut().zip(0..).for_each(|(row, n)| row.index = Some(n));
+        }
+    }
+}
+
+impl Found {
+    /// Gives every picture its stamp. `path` is the file or folder that messages name.
+    pub(super) fn place(self, path: &Path, mut stamps: Stamps, declared: &Declared, times: Times) -> Result<PictureFiles, FormatError> {
+        let mut chosen = Vec::new();
+        let mut about = self.about.clone();
+        if stamps.rows.iter().any(|row| row.name.is_some()) {
+            by_name(&self, &stamps.rows, &mut about, &mut chosen);
+        } else {
+            stamps.settle(self.names.len());
+            let sides = Sides::new(&self.names, &stamps.rows);
+            let decided = sides.decide(declared).map_err(|unclear| question(path, &self, &stamps, &sides, &unclear, times))?;
+            let Some(candidate) = decided else { return Err(nothing(path, &self, &stamps.rows, declared, times)) };
+            let pairs = sides.pairs(&candidate);
+            about.notes.extend(left_out(&self, &stamps.rows, &candidate, &pairs, times));
+            for &(picture, row) in pairs.iter().filter(|(picture, row)| self.whole[*picture] && stamps.rows[*row].is_whole) {
+                chosen.push(picture);
+                about.stamps.push(FrameStamp { at: stamps.rows[row].at, exposure: stamps.rows[row].exposure });
+            }
+        }
+        // What the stamps' file states goes before what follows from it.
+        let own = self.about.notes.len();
+        about.notes.splice(own..own, stamps.notes);
+        about.stamp_role = stamps.role;
+        about.row_time_ns = stamps.row_time_ns;
+        if stamps.is_linear {
+            about.transfer = Some(Transfer::Linear);
+        }
+        Ok(PictureFiles { about, source: self.source, chosen, losses: self.losses, files: self.files })
+    }
+}
+
+fn by_name(found: &Found, rows: &[Row], about: &mut FramesAbout, chosen: &mut Vec<usize>) {
+    let index: HashMap<&str, usize> = found.names.iter().enumerate().map(|(index, name)| (name.as_str(), index)).collect();
+    let mut missing: Option<&str> = None;
+    let (mut used, mut absent) = (vec![false; found.names.len()], 0);
+    for row in rows {
+        let name = row.name.as_deref().unwrap_or_default();
+        match index.get(name) {
+            Some(&picture) if !used[picture] => {
+                used[picture] = true;
+                if found.whole[picture] {
+                    chosen.push(picture);
+                    about.stamps.push(FrameStamp { at: row.at, exposure: row.exposure });
+                }
+            }
+            _ => {
+                absent += 1;
+                missing = missing.or(Some(name));
+            }
+        }
+    }
+    if absent > 0 {
+        let first = missing.unwrap_or_default();
+        about.notes.push(format!("{absent} stamps name no picture that is there, or one twice (the first: `{first}`); they were left out"));
+    }
+    let unstamped = used.iter().filter(|used| !**used).count();
+    if unstamped > 0 {
+        about.notes.push(format!("{unstamped} pictures have no stamp and were left out"));
+    }
+}
+
+/// The first of some, and how many more.
+fn list(all: &[String]) -> String {
+    let more = all.len().saturating_sub(NAMED);
+    let first = all[..all.len().min(NAMED)].join(", ");
+    if more > 0 { format!("{first} and {more} more") } else { first }
+}
+
+/// A picture by its name, or by its number in a film.
+fn name(found: &Found, picture: usize) -> String {
+    if found.names[picture].is_empty() { format!("frame {picture}") } else { found.names[picture].clone() }
+}
+
+/// Pictures without a time, and times without a picture.
+fn alone(pictures: usize, rows: &[Row], pairs: &[(usize, usize)]) -> (Vec<usize>, Vec<usize>) {
+    let (mut has_time, mut has_picture) = (vec![false; pictures], vec![false; rows.len()]);
+    pairs.iter().for_each(|(picture, row)| (has_time[*picture], has_picture[*row]) = (true, true));
+    let none = |has: Vec<bool>| has.into_iter().enumerate().filter(|(_, has)| !has).map(|(n, _)| n).collect::<Vec<_>>();
+    (none(has_time), none(has_picture).into_iter().filter(|row| rows[*row].is_whole).collect())
+}
+
+/// What has no partner, for the user.
+fn left_out(found: &Found, rows: &[Row], candidate: &Candidate, pairs: &[(usize, usize)], times: Times) -> Vec<String> {
+    let (pictures, unused) = alone(found.names.len(), rows, pairs);
+    let broken: Vec<String> = pairs.iter().filter(|(_, row)| !rows[*row].is_whole).map(|(picture, _)| name(found, *picture)).collect();
+    let mut notes = Vec::new();
+    if pictures.is_empty() && unused.is_empty() && broken.is_empty() {
+        return notes;
+    }
+    let by = match candidate.by {
+        Pairing::Order => "in order",
+        Pairing::Numbers => "by the numbers in their names",
+        Pairing::Times => "by the period of the times",
+        Pairing::NumbersAndTimes => "by the numbers in their names and the period of the times",
+    };
+    let whole = rows.iter().filter(|row| row.is_whole).count();
+    notes.push(format!("{} pictures and {whole} {}: paired {by}, the first picture with {} {}", found.names.len(), times.many(), times.one(), candidate.first));
+    if !pictures.is_empty() {
+        let names: Vec<String> = pictures.iter().map(|picture| name(found, *picture)).collect();
+        notes.push(format!("{} pictures have no {} and were left out: {}", names.len(), times.one(), list(&names)));
+    }
+    if !unused.is_empty() {
+        let at: Vec<String> = unused.iter().map(|row| format!("{} ns", rows[*row].at)).collect();
+        notes.push(format!("{} {}s have no picture and were left out: {}", at.len(), times.one(), list(&at)));
+    }
+    if !broken.is_empty() {
+        notes.push(format!("{} pictures belong to a pulse of which an edge is missing and were left out: {}", broken.len(), list(&broken)));
+    }
+    notes
+}
+
+/// One of several ways to pair, as it is stated, and what it leaves over.
+pub(crate) fn stated(candidate: &Candidate, with_by: bool) -> String {
+    let by = if with_by { format!(", `pairing = \"{}\"`", candidate.by.name()) } else { String::new() };
+    format!("`first_pulse = {}`{by}", candidate.first)
+}
+
+/// How many of both sides a candidate leaves without a partner: "1 picture and 2 pulses have no partner".
+pub(crate) fn remainder(pictures: usize, rows: &[Row], pairs: &[(usize, usize)], times: Times) -> String {
+    let (pictures, unused) = alone(pictures, rows, pairs);
+    let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
+    format!("{} and {} without a partner", count(pictures.len(), "picture"), count(unused.len(), times.one()))
+}
+
+fn question(path: &Path, found: &Found, stamps: &Stamps, sides: &Sides, unclear: &Unclear, times: Times) -> FormatError {
+    let rows = &stamps.rows;
+    let with_by = unclear.best.by != unclear.second.by;
+    let of = |candidate: &Candidate| format!("{} leaves {}", stated(candidate, with_by), remainder(found.names.len(), rows, &sides.pairs(candidate), times));
+    let whole = rows.iter().filter(|row| row.is_whole).count();
+    let what = format!(
+        "{} pictures and {whole} {}: counts, numbers in the pictures' names and gaps between the times leave open which belong together",
+        found.names.len(),
+        times.many()
+    );
+    // Folders of events and pictures together are not compared.
+    let compared = if stamps.lines_count { "" } else { "; photocurrent init compares them with the events" };
+    let hint = format!("state it: {}, {}{compared}", of(&unclear.best), of(&unclear.second));
+    FormatError::new(path, what, hint).undeclared(if unclear.best.first == unclear.second.first { "pairing" } else { "first_pulse" })
+}
+
+fn nothing(path: &Path, found: &Found, rows: &[Row], declared: &Declared, times: Times) -> FormatError {
+    let what = format!("{} pictures and {} {}", found.names.len(), rows.len(), times.many());
+    match declared.first_pulse {
+        Some(first) => {
+            FormatError::new(path, format!("{what}: with `first_pulse = {first}` none belongs to another"), "state a smaller `first_pulse`, or none")
+        }
+        None => FormatError::new(path, what, format!("name pictures that have a {}", times.one())),
+    }
+}
