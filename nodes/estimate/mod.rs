@@ -56,7 +56,7 @@ pub struct Proposals {
 /// # Errors
 /// When a stream cannot be read, or frames are no whole multiple of the events' pixels.
 pub fn proposals(events: &EventStream, frames: &FrameSequence) -> Result<Proposals, NodeError> {
-    let panel = panel(events, frames, None, &Settings::default())?;
+    let panel = panel(events, frames, None, &Settings { by_row: true, ..Settings::default() })?;
     let offset_ns = estimate::offset(&panel).map(|shift| shift.ns);
     let late = offset_ns.unwrap_or(exactly(0.0));
     let thresholds = estimate::thresholds(&panel, late.value).map(|steps| (steps.on, steps.off));

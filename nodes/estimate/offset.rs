@@ -1,7 +1,8 @@
 //! `estimate/offset`: how late events are against the frames, and whether the two clocks drift apart.
 //!
 //! Frames' log change from mid-exposure to mid-exposure, and the events between, are held against each other at shifts of up to a frame period.
-//! The shift holds everything that delays events: the latency of front end and readout, and an offset of the clocks.
+//! Rows are compared at their own exposure, and the delay of a front end that the description states (`front_end.alpha`, with `frames.gain`) is subtracted by light.
+//! The shift holds everything else that delays events: the latency of the readout, a front end that is not stated, and an offset of the clocks.
 //!
 //! Limits: nothing where nothing moves; a scene that repeats within a frame period has several shifts.
 
@@ -30,7 +31,7 @@ impl Default for Params {
 photocurrent_core::ports! {
     /// What was found.
     pub struct Out {
-        /// `offset`, ms: events are stamped so much later than frames saw the same; `drift`, us a second.
+        /// `offset`, ms: events are stamped so much later than frames saw the same, over what a stated front end explains; `drift`, us a second.
         estimates: Arc<Table>,
     }
 }
@@ -44,7 +45,7 @@ impl Node for EstimateOffset {
     const DECL: Decl = Decl {
         kind: "estimate/offset",
         about: "How late events are against frames, and how fast the clocks drift apart, with intervals.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -72,7 +73,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let settings = Settings { frames: self.params.frames, ..Settings::default() };
+        let settings = Settings { frames: self.params.frames, by_row: true, by_front_end: true, ..Settings::default() };
         let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
         let shift = estimate::offset(&panel);
         let drift = estimate::drift(&panel);

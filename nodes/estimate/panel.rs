@@ -5,7 +5,8 @@
 
 use photocurrent_core::{DataType, EventStream, EventsMeta, FrameSequence, FramesMeta, NodeError, Rows, Sensor};
 use photocurrent_formats::survey::pictures::chosen;
-use photocurrent_sensor::estimate::{Centring, NOWHERE, Panel, Stretch};
+use photocurrent_sensor::estimate::{Centring, Delay, NOWHERE, Panel, Stretch};
+use photocurrent_sensor::front_end::FrontEnd;
 
 /// How much is looked at.
 #[derive(Clone, Copy, Debug)]
@@ -16,11 +17,15 @@ pub struct Settings {
     pub pixels: usize,
     /// Steps of time from frame to frame.
     pub steps: i64,
+    /// Are rows that are exposed later compared at their own time?
+    pub by_row: bool,
+    /// Is the delay of a stated front end subtracted from the events' times?
+    pub by_front_end: bool,
 }
 
 impl Default for Settings {
     fn default() -> Settings {
-        Settings { frames: 48, pixels: 4096, steps: 32 }
+        Settings { frames: 48, pixels: 4096, steps: 32, by_row: false, by_front_end: false }
     }
 }
 
@@ -32,6 +37,9 @@ const GAP: i64 = 4;
 const HOT: usize = 200;
 /// A step of an eight-bit scale, as part of the largest value: what is darker counts as so dark.
 const DARK: f32 = 0.5 / 255.0;
+
+/// No event is put earlier for its front end by more than this part of a frame period: in darkness no time is long enough.
+const DELAY_SHARE: f64 = 0.5;
 
 /// From this part of a frame's largest value on it may be saturated.
 const SATURATED: f32 = 0.995;
@@ -79,12 +87,24 @@ pub fn panel(events: &EventStream, frames: &FrameSequence, sensor: Option<&Senso
         panel.stretches.push(Stretch::new(mids, period + period / 4, (period / settings.steps).max(1), panel.places()));
     }
     pictures(frames, &runs, &place_of, times, sensor, &mut panel)?;
+    let row_time_ns = if settings.by_row { frames.meta.times.row_time_ns.saturating_mul(i64::from(times)) } else { 0 };
+    for (stretch, run) in panel.stretches.iter_mut().zip(&runs) {
+        for (within, &frame) in run.iter().enumerate() {
+            let exposure = frames.meta.times.exposure(frame, 0);
+            if let Some(delay) = delay(sensor.filter(|_| settings.by_front_end), (exposure.end.0 - exposure.start.0) as f64, DELAY_SHARE * period as f64) {
+                stretch.delay(within, |log| delay.ns(libm::exp(f64::from(log))));
+            }
+        }
+    }
     let mut centring = Centring::new(extent.pixels(), period / 4);
     let put = |panel: &mut Panel, pixel: usize, t: i64, is_on: bool| {
+        let t = t.saturating_sub(row_time_ns.saturating_mul((pixel / width) as i64));
         // Runs may overlap by their margins: an event belongs to each.
         let after = panel.stretches.partition_point(|stretch| stretch.start_ns <= t);
         for n in after.saturating_sub(2)..after {
-            panel.stretches[n].event(t, place_of[pixel] as usize, is_on);
+            let stretch = &mut panel.stretches[n];
+            let late_ns = stretch.lag_ns(t, place_of[pixel] as usize);
+            stretch.event(t.saturating_sub(late_ns as i64), place_of[pixel] as usize, is_on);
         }
     };
     for band in bands {
@@ -104,6 +124,14 @@ pub fn panel(events: &EventStream, frames: &FrameSequence, sensor: Option<&Senso
     let rest: Vec<_> = centring.rest().collect();
     rest.into_iter().for_each(|(pixel, t, is_on)| put(&mut panel, pixel, t, is_on));
     Ok(panel)
+}
+
+/// What the stated front end delays, where it and what its photocurrent is counted in are stated.
+fn delay(sensor: Option<&Sensor>, exposure_ns: f64, most_ns: f64) -> Option<Delay> {
+    let sensor = sensor?;
+    let (alpha, gain) = sensor.front_end.alpha.zip(sensor.frames.gain)?;
+    let tau_0_s = sensor.front_end.tau_0.map_or(0.0, |tau| tau.ns() as f64 * 1e-9);
+    Delay::new(FrontEnd { tau_0_s, alpha_s: alpha.ns() as f64 * 1e-9 }, gain, exposure_ns, most_ns)
 }
 
 /// Numbers the pixels with most events of each band of rows.

@@ -1,6 +1,6 @@
 //! `estimate/row_time`: the delay from one row of the frames to the next.
 //!
-//! The shift at which events and frames agree, by bands of rows, over rows. The row time that frames are read with should be zero: their middles are those of row 0.
+//! The shift at which events and frames agree, by bands of rows, over rows. A row time that frames are read with is not used: their middles are those of row 0.
 //!
 //! Limits: it needs motion in many rows; a scene that repeats within a frame period has several shifts.
 
@@ -43,7 +43,7 @@ impl Node for EstimateRowTime {
     const DECL: Decl = Decl {
         kind: "estimate/row_time",
         about: "Delay from row to row of the frames, from the shift of events by rows, with an interval.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Whole,
         draws: false,
         exports: false,
@@ -71,7 +71,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
     }
 
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
-        let settings = Settings { frames: self.params.frames, ..Settings::default() };
+        let settings = Settings { frames: self.params.frames, by_front_end: true, ..Settings::default() };
         let panel = panel(&input.events, &input.frames, input.sensor.as_deref(), &settings)?;
         let found = estimate::row_time(&panel);
         if found.is_none() {

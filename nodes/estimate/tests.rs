@@ -90,6 +90,39 @@ fn a_scene_with_known_values_gives_them_in_their_units() {
 }
 
 #[test]
+fn rows_and_a_stated_front_end_are_no_offset() {
+    // What the light of row y is, all of it is later by 100 us times y and by the 3 ms of the front end: frames of a rolling shutter show the first and events both.
+    let (events, frames) = recording(250.0, 3_000_000, 0.0);
+    let block = events.read(frames.rows()).unwrap();
+    let mut later = Vec::new();
+    for y in frames.rows().iter() {
+        let row = block.row(y);
+        for k in 0..row.len() {
+            let polarity = if row.on[k] == 1 { Polarity::On } else { Polarity::Off };
+            later.push(Event { x: row.x[k], y: y as u16, polarity, t: row.t[k] + 100_000 * i64::from(y), t_in: None });
+        }
+    }
+    let events = testing::stream(EXTENT, later);
+    let values = frames.read(0..frames.len(), frames.rows()).unwrap();
+    let rolling = testing::captured(EXTENT, frames.meta.times.exposures.to_vec(), 100_000, |frame, x, y| values.row(frame, y)[x as usize]);
+    let mut sensor = Sensor::unknown("slow");
+    (sensor.front_end.tau_0, sensor.front_end.alpha, sensor.frames.gain) = (Some(Duration::new(3_000_000)), Some(Duration::new(0)), Some(1e5));
+    let node = offset::EstimateOffset::build(offset::Params::default()).unwrap();
+    let of = |frames: &FrameSequence, sensor: Option<Sensor>| {
+        let input = In { events: events.clone(), frames: frames.clone(), sensor: sensor.map(Arc::new) };
+        let (out, _) = testing::with_context(frames.rows(), &["estimates"], |cx| node.run(input, cx));
+        match &out.unwrap().estimates.columns()[1].1 {
+            Column::Numbers(numbers) => numbers[0],
+            other => panic!("no number: {other:?}"),
+        }
+    };
+    assert!(of(&rolling, Some(sensor)).abs() < 0.5, "{}", of(&rolling, None));
+    assert!((of(&rolling, None) - 3.0).abs() < 0.5);
+    // As if all rows were exposed at once: half of 32 rows more.
+    assert!((of(&frames, None) - 4.6).abs() < 0.6, "{}", of(&frames, None));
+}
+
+#[test]
 fn a_stated_offset_is_used_and_not_estimated() {
     let (events, frames) = recording(250.0, 3_000_000, 0.0);
     let node =

@@ -13,7 +13,9 @@ use photocurrent_core::value::DataType;
 use photocurrent_core::{Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
 use photocurrent_formats::trim::Crop;
-use photocurrent_formats::{Column, Counter, Declared, EventCursor, Mirror, Pairing, Polarity, Recording, Shift, StampRole, Strobe, TimeUnit, Transfer, format, instead};
+use photocurrent_formats::{
+    Column, Counter, Declared, EventCursor, Mirror, Pairing, Polarity, Recording, Shift, StampRole, Strobe, TimeUnit, Transfer, format, instead,
+};
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::borrow::Cow;

@@ -237,9 +237,7 @@ fn propose(name: &str, parts: &Parts, all: &mut All) -> Option<Fill> {
             let why = format!("the size of the event array is not recorded; {reach}: the frames' size, or a whole part of it, was taken");
             Some(Fill::open("extent", format!("{{ width = {}, height = {} }}", size.width, size.height), why))
         }
-        "stamps" if all.trigger_line.is_none() => {
-            super::pairing::line(parts, all)
-        }
+        "stamps" if all.trigger_line.is_none() => super::pairing::line(parts, all),
         "coordinate_scale" if all.coordinate_scale.is_none() => {
             all.coordinate_scale = Some(32);
             Some(Fill::open("coordinate_scale", "32".into(), "coordinates exceed the pictures; the authors of HS-ERGB store 32 times the pixel"))

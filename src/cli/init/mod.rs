@@ -5,8 +5,8 @@
 
 mod facts;
 mod hazards;
-mod readings;
 mod pairing;
+mod readings;
 mod text;
 mod units;
 mod window;

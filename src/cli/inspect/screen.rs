@@ -32,11 +32,12 @@ pub fn screen(path: &str, format: &str, bytes: u64, survey: &Survey, findings: &
         let (late, lag) = late;
         let _ = writeln!(
             text,
-            "{:<9}events later than frames by {} (95 % {} to {}), correlation {:.2}",
+            "{:<9}events later than frames by {} (95 % {} to {}){}, correlation {:.2}",
             "clocks",
             time(late.value),
             time(late.ci95.0),
             time(late.ci95.1),
+            lag.front_end_ns.map_or_else(String::new, |ns| format!(" beyond the {} of the stated front end", time(ns))),
             lag.correlation.0
         );
     }

@@ -72,19 +72,28 @@ pub struct Limits {
     pub readout_sigma: f64,
     /// Frames that decide that, at least: in three frames much is in step by chance.
     pub phase_fewest: u64,
-    /// Events later than frames by more than this share of the frame period are reported as a hazard: a shift of a twentieth of a period is visible.
+    /// Events later than frames by more than this share of the frame period are reported as a hazard: a shift of a twentieth of a period is visible. Simulated recordings without an
+    /// offset, whose row time and front end are stated, stay below it (`pipelines/calibration/inspect.py`, docs/inspect.md).
     pub late_share: f64,
-    /// And by more than this, ns: front ends in dim light are late by milliseconds, and that is physics which a description states.
+    /// And by more than this, ns, where no front end is stated: front ends in dim light are late by milliseconds, and that is physics which a description states.
     pub late_ns: f64,
+    /// And by more than this part of what a stated front end explains: light that steps comes ln 2 of the time constant late, light that rises steadily all of it, and a scene has both.
+    pub late_explained: f64,
+    /// Correlation below which half of the exposure is added to that.
+    pub late_correlation: f64,
     /// Correlation of events and frames from which their shift is reported.
     pub correlation: f64,
-    /// Change of the shift over the recording, as a share of the frame period, that is reported.
+    /// Change of the shift over the recording, as a share of the frame period, that is reported (`pipelines/calibration/inspect.py`, docs/inspect.md).
     pub drift_share: f64,
+    /// And beyond this part of the front end's delay, or of `late_ns` where none is stated: when something dark moves after something bright, events are later by what physics delays.
+    pub drift_explained: f64,
     /// Pairs of frames that decide that, at least: with fewer, what moves early and what moves late are other things, with other latencies.
     pub drift_pairs: usize,
+    /// By how much the correlation with the drift must exceed the one without: of a drift below a twentieth of a period there is no more to gain than chance gains.
+    pub drift_gain: f64,
     /// Event pixels from which a shift of the frames against the events is a hazard: less is a matter of the middle of a pixel.
     pub displaced_px: f64,
-    /// By how much the correlation there must exceed the one without a shift.
+    /// By how much the correlation there must exceed the one without a shift, each at the offset in time that suits it best, and both at the one that suits no shift (`pipelines/calibration/inspect.py`, docs/inspect.md).
     pub displaced_gain: f64,
     /// By how much the correlation with a mirrored picture must exceed the one as it is.
     pub mirrored: f64,
@@ -128,11 +137,15 @@ impl Default for Limits {
             phase_fewest: 6,
             late_share: 0.06,
             late_ns: 2.5e6,
+            late_explained: 0.35,
+            late_correlation: 0.75,
             correlation: 0.3,
-            drift_share: 0.1,
-            drift_pairs: 24,
+            drift_share: 0.05,
+            drift_explained: 0.5,
+            drift_pairs: 12,
+            drift_gain: 0.0003,
             displaced_px: 0.75,
-            displaced_gain: 0.05,
+            displaced_gain: 0.02,
             mirrored: 0.2,
         }
     }

@@ -3,6 +3,7 @@
 use super::*;
 use crate::error::{FormatError, Loss};
 use crate::recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};
+use crate::survey::lag::{Interval, LagSurvey};
 use crate::survey::{Most, survey};
 use crate::{Edge, EventChunk, StampRole, Transfer, Trigger};
 use photocurrent_core::random::Random;
@@ -23,6 +24,7 @@ struct Made {
     frames: FramesAbout,
     values: Vec<Vec<f32>>,
     triggers: Vec<Trigger>,
+    sensor: Option<String>,
 }
 
 struct Cursor(Option<EventChunk>);
@@ -72,6 +74,10 @@ impl Recording for Made {
 
     fn triggers(&self) -> Result<Vec<Trigger>, FormatError> {
         Ok(self.triggers.clone())
+    }
+
+    fn sensor_text(&self) -> Option<&str> {
+        self.sensor.as_deref()
     }
 
     fn files(&self) -> Vec<PathBuf> {
@@ -127,6 +133,7 @@ fn sound() -> Made {
         },
         values,
         triggers: Vec::new(),
+        sensor: None,
     }
 }
 
@@ -194,6 +201,76 @@ fn clocks_that_do_not_meet_are_reported_with_the_offset() {
 fn events_that_are_late_or_mirrored_are_reported() {
     assert_eq!(with(|made| made.events.t.iter_mut().for_each(|t| *t += 5 * MS)), ["events_late"]);
     assert_eq!(with(|_| {}), Vec::<&str>::new());
+    let mirrored = with(|made| made.events.x.iter_mut().for_each(|x| *x = EXTENT.width as u16 - 1 - *x));
+    assert!(mirrored.contains(&"mirrored"), "{mirrored:?}");
+}
+
+#[test]
+fn rows_are_compared_at_their_own_time() {
+    // Row y shows all of it 100 us times y later, as a rolling shutter would with these frames.
+    let rolling = |row_time_ns: Option<i64>| {
+        let mut made = sound();
+        made.events.t.iter_mut().zip(&made.events.y).for_each(|(t, y)| *t += 100_000 * i64::from(*y));
+        made.frames.row_time_ns = row_time_ns;
+        survey(&made, "made", &Most::default(), |_| {}).unwrap()
+    };
+    let recorded = rolling(Some(100_000));
+    // References that step by whole thresholds lag behind the light a little, with and without rows.
+    let late = |survey: &Survey| survey.lag.as_ref().unwrap().late_ns.unwrap().value;
+    let at_once = late(&survey(&sound(), "made", &Most::default(), |_| {}).unwrap());
+    assert!((late(&recorded) - at_once).abs() < 0.2e6 && recorded.lag.as_ref().unwrap().row_time_ns == Some(100_000), "{:?}", recorded.lag);
+    let unknown = rolling(None);
+    // Half of 48 rows.
+    assert!((late(&unknown) - at_once - 2.4e6).abs() < 0.6e6, "{:?}", unknown.lag);
+    let found = findings(&unknown, &Limits::default());
+    assert!(found.iter().any(|finding| ["in_time", "events_late"].contains(&finding.id) && finding.evidence.contains("of the middle row")), "{found:?}");
+}
+
+#[test]
+fn what_a_stated_front_end_delays_is_not_late() {
+    let described = |front_end: &str| {
+        let mut made = sound();
+        made.events.t.iter_mut().for_each(|t| *t += 4 * MS);
+        made.sensor = Some(format!("format = \"photocurrent-sensor/1\"\n[front_end]\n{front_end}\n[frames]\ngain = 100.0\n"));
+        survey(&made, "made", &Most::default(), |_| {}).unwrap()
+    };
+    let ids = |survey: &Survey| findings(survey, &Limits::default()).into_iter().map(|finding| finding.id).collect::<Vec<_>>();
+    let stated = described("tau_0 = \"4 ms\"\nalpha = \"0 ns\"");
+    let lag = stated.lag.clone().unwrap();
+    let without = survey(&sound(), "made", &Most::default(), |_| {}).unwrap().lag.unwrap().late_ns.unwrap().value;
+    assert!((lag.front_end_ns.unwrap() - 4e6).abs() < 1e3 && (lag.late_ns.unwrap().value - without).abs() < 0.2e6, "{lag:?}");
+    assert!(ids(&stated).contains(&"in_time"), "{:?}", ids(&stated));
+    let fast = described("tau_0 = \"10 us\"\nalpha = \"0 ns\"");
+    assert!(ids(&fast).contains(&"events_late"), "{:?}", ids(&fast));
+    // Not stated: four milliseconds of a period of twenty are late.
+    assert!(ids(&described("")).contains(&"events_late"));
+}
+
+/// What counts as a drift; that it is measured as it was made is tested in `photocurrent_sensor::estimate`.
+#[test]
+fn a_drift_is_reported_when_all_of_the_picture_shows_it_and_no_front_end_explains_it() {
+    let survey = survey(&sound(), "made", &Most::default(), |_| {}).unwrap();
+    // Of a frame period of 20 ms, 3 ms in a second and 24 pairs.
+    let drifting = LagSurvey {
+        pairs: 24,
+        drift_ns_per_s: Some(Interval { value: 3e6, ci95: (2e6, 4e6) }),
+        drift_halves_ns_per_s: (2.8e6, 3.1e6),
+        drift_correlation: (0.9, 0.89),
+        drift_over_s: 1.0,
+        ..survey.lag.clone().unwrap()
+    };
+    let is_reported =
+        |lag: LagSurvey| findings(&Survey { lag: Some(lag), ..survey.clone() }, &Limits::default()).iter().any(|finding| finding.id == "clock_drift");
+    assert!(is_reported(drifting.clone()));
+    assert!(is_reported(LagSurvey { front_end_ns: Some(1e6), ..drifting.clone() }));
+    let chance = [
+        LagSurvey { pairs: 11, ..drifting.clone() },
+        LagSurvey { drift_halves_ns_per_s: (5e6, 0.1e6), ..drifting.clone() },
+        LagSurvey { drift_ns_per_s: Some(Interval { value: 3e6, ci95: (-1e6, 4e6) }), ..drifting.clone() },
+        LagSurvey { drift_correlation: (0.9, 0.9), ..drifting.clone() },
+        LagSurvey { front_end_ns: Some(5e6), ..drifting },
+    ];
+    chance.into_iter().for_each(|lag| assert!(!is_reported(lag.clone()), "{lag:?}"));
 }
 
 #[test]

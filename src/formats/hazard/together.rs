@@ -2,7 +2,7 @@
 
 use super::{Finding, Limits, Severity, count, mirror_of, percent, shift_of, time};
 use crate::survey::grid::GridSurvey;
-use crate::survey::lag::Interval;
+use crate::survey::lag::{Interval, LagSurvey};
 use crate::survey::lines::LineSurvey;
 use crate::survey::pictures::FramesSurvey;
 use crate::survey::{EventsSurvey, Survey};
@@ -126,7 +126,7 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
             "mirrored",
             Severity::Hazard,
             format!("events and frames may be mirrored, {how}"),
-            format!("where events are correlates {r:.2} with where frames change when mirrored, {as_is:.2} as it is"),
+            format!("events correlate {r:.2} with the changes of the frames when mirrored, {as_is:.2} as they are"),
             "look at a picture of both; flip one of them",
         ));
     }
@@ -135,15 +135,20 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
     }
     let Some(late) = lag.late_ns.filter(|_| lag.correlation.0 >= limits.correlation) else { return };
     let interval = format!("{} (95 % {} to {})", time(late.value), time(late.ci95.0), time(late.ci95.1));
+    let explained = lag.front_end_ns.map_or_else(String::new, |ns| format!(", and {} more that the stated front end explains", time(ns)));
+    let of_row = if lag.row_time_ns.is_none() { ", of the middle row as the row time is not recorded" } else { "" };
     let evidence = format!(
-        "{interval}; correlation {:.2} there, {:.2} without a shift, over {}",
+        "{interval}{explained}{of_row}; correlation {:.2} there, {:.2} without a shift, over {}",
         lag.correlation.0,
         lag.correlation.1,
         count(lag.pairs as u64, "pair of frames", "pairs of frames")
     );
-    // A description that travels with the recording states its front end, and with it the latency in dim light.
-    let latency = if survey.has_sensor { 2.0 * limits.late_ns } else { limits.late_ns };
-    let beyond = (limits.late_share * period).max(latency);
+    // What a stated front end explains is not part of it; where none is stated, dim light may be what is late.
+    let share = limits.late_share * period;
+    let beyond = lag.front_end_ns.map_or(share.max(limits.late_ns), |ns| share + limits.late_explained * ns);
+    // What moves far within an exposure is a streak in a frame: which part of it the events show is not certain, and the two correlate weakly.
+    let streak = frames.exposure.filter(|_| lag.correlation.0 < limits.late_correlation).map_or(0.0, |exposure| 0.5 * exposure.median_ns as f64);
+    let beyond = beyond + streak;
     if late.ci95.0 > 0.5 * beyond && late.value > beyond || late.ci95.1 < -0.5 * beyond && late.value < -beyond {
         let way = if late.value > 0.0 { "late" } else { "early" };
         found.push(Finding::new(
@@ -157,17 +162,35 @@ fn late(survey: &Survey, frames: &FramesSurvey, limits: &Limits, found: &mut Vec
         found.push(Finding::new("in_time", Severity::Fact, "events and frames show the same changes", format!("events later by {evidence}"), "nothing"));
     }
     if let Some(drift) = lag.drift_ns_per_s {
-        let change = drift.value.abs() * lag.drift_over_s;
-        let is_sure = lag.pairs >= limits.drift_pairs && (drift.ci95.0 > 0.0 || drift.ci95.1 < 0.0);
-        if is_sure && change > limits.drift_share * period {
-            found.push(Finding::new(
-                "clock_drift",
-                Severity::Hazard,
-                "the clocks of events and frames drift apart",
-                format!("{:.0} us a second (95 % {:.0} to {:.0})", drift.value * 1e-3, drift.ci95.0 * 1e-3, drift.ci95.1 * 1e-3),
-                "state `clock_drift` in the description, or record with a common trigger",
-            ));
-        }
+        drifts(drift, lag, period, limits, found);
+    }
+}
+
+/// Do the clocks drift apart?
+fn drifts(drift: Interval, lag: &LagSurvey, period_ns: f64, limits: &Limits, found: &mut Vec<Finding>) {
+    let least = limits.drift_share * period_ns + limits.drift_explained * lag.front_end_ns.unwrap_or(limits.late_ns);
+    let (early, late) = lag.drift_halves_ns_per_s;
+    // Each half of the picture by itself must show it: what moves in one part only is no clock.
+    let halves = [early, late].map(|half| half * drift.value.signum() * lag.drift_over_s);
+    let is_sure = lag.pairs >= limits.drift_pairs && (drift.ci95.0 > 0.0 || drift.ci95.1 < 0.0) && halves.iter().all(|half| *half > 0.5 * least);
+    if is_sure && drift.value.abs() * lag.drift_over_s > least && lag.drift_correlation.0 > lag.drift_correlation.1 + limits.drift_gain {
+        let per_s = |ns: f64| format!("{:.0}", ns * 1e-3);
+        found.push(Finding::new(
+            "clock_drift",
+            Severity::Hazard,
+            "the clocks of events and frames drift apart",
+            format!(
+                "{} us a second (95 % {} to {}), {} over {}; {} and {} us a second in the two halves of the picture",
+                per_s(drift.value),
+                per_s(drift.ci95.0),
+                per_s(drift.ci95.1),
+                time(drift.value * lag.drift_over_s),
+                time(lag.drift_over_s * 1e9),
+                per_s(early),
+                per_s(late)
+            ),
+            "state `clock_drift` in the description, or record with a common trigger",
+        ));
     }
 }
 
@@ -180,7 +203,7 @@ fn displaced(grid: &GridSurvey, limits: &Limits, found: &mut Vec<Finding>) {
     let (right, down) = (grid.right_px, grid.down_px);
     let interval = |of: Interval, way: &str| format!("{:.2} pixels {way} (95 % {:.2} to {:.2})", of.value, of.ci95.0, of.ci95.1);
     let evidence = format!(
-        "frames lie {} and {} of the events; correlation {best:.2} there, {none:.2} without a shift, over {}",
+        "frames lie {} and {} of the events; correlation {best:.3} there, {none:.3} without a shift at the offset that suits that best, over {}",
         interval(right, "right"),
         interval(down, "down"),
         count(grid.patches as u64, "patch", "patches")
@@ -191,7 +214,7 @@ fn displaced(grid: &GridSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             Severity::Hazard,
             "frames and events are shifted against each other by whole pixels",
             evidence,
-            "crop one of them by that shift, or state `misalignment` in the description; a picture that moves one way shifts so too while `events_late` stands",
+            "crop one of them by that shift, or state `misalignment` in the description",
         ));
     } else {
         found.push(Finding::new("on_one_grid", Severity::Fact, "events and frames lie on one pixel grid", evidence, "nothing"));

@@ -42,7 +42,8 @@ fn open(path: &Path, _: &Declared) -> Result<Box<dyn Recording>, FormatError> {
         about.tick_ns = step.max(1);
     }
     if let (Some(meta), Some(source)) = (stored.frames_meta(stored.row_time_ns().unwrap_or(0)), stored.frames_source()) {
-        let about = FramesAbout { row_time_ns: stored.row_time_ns(), ..about(&meta) };
+        let bits = file.dataset("frames/dn").map_err(wrap)?.and_then(|dn| dn.numbers()).map_or(32, super::stack::bits);
+        let about = FramesAbout { row_time_ns: stored.row_time_ns(), bits, ..about(&meta) };
         recording.pictures = Some(Arc::new(Frames { path: path.into(), about, source }) as Arc<dyn Pictures>);
     }
     recording.sensor = stored.sensor_text().map(str::to_string);

@@ -26,7 +26,7 @@ pub(super) fn shape_of(shape: &[usize]) -> Option<(Extent, Colour)> {
 }
 
 /// Bits of a stored value.
-fn bits(field: Field) -> u32 {
+pub(super) fn bits(field: Field) -> u32 {
     if field.number().is_float() { 32 } else { 8 * field.number().bytes() as u32 }
 }
 

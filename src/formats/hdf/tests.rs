@@ -276,6 +276,8 @@ fn a_streamed_recording_is_a_recording() {
     pictures.read(1, &mut right).unwrap();
     assert_eq!(values, right);
     assert_eq!(back.pictures().unwrap().about().stamps[1].exposure, Some((10_500_000, 11_500_000)));
+    // Stored as u16: no floats.
+    assert_eq!(back.pictures().unwrap().about().bits, 16);
     // The whole of it passes the checks of a recording.
     assert_eq!(photocurrent_store::Recording::open(&path).unwrap().read_events(extent.rows()).unwrap().t.len(), 2000);
 }

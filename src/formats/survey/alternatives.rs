@@ -360,8 +360,7 @@ fn pairs(alternatives: &[Alternative], span_ns: (i64, i64), mids: impl Fn(&Alter
     (0..PAIRS.min(chosen.len())).map(|n| chosen[n * chosen.len() / PAIRS.min(chosen.len())]).collect()
 }
 
-/// The tiles of a pair that change most, and of each tile of the picture its number among them.
-#[expect(clippy::type_complexity, reason = "two halves of one answer")]
+/// The tiles of a pair that change most, each with its part of the picture; and of each tile of the picture its number among them.
 fn tiles(canvas: &Canvas, change: &[f32]) -> (Vec<(usize, Vec<f32>)>, Vec<u16>) {
     let cells = canvas.across() * (canvas.height / TILE);
     let mut sizes: Vec<(f32, usize)> = Vec::new();

@@ -139,7 +139,7 @@ fn stored(made: &Made, event: impl Fn(i64, i64, i64) -> (i64, i64, i64)) -> Made
 /// As read, and everything that the other cases are; each with an offset of its own.
 fn alternatives(made: &Made) -> Vec<Alternative> {
     // An active-low strobe: the picture is exposed while the line is low.
-    let flipped = made.frames.stamps.iter().map(|stamp| middle(stamp) + PERIOD_US * 500).collect();
+    let flipped = made.frames.stamps.iter().map(|stamp| middle(stamp).saturating_add(PERIOD_US * 500)).collect();
     let all = [
         Alternative::new("as read"),
         Alternative::new("milliseconds"),

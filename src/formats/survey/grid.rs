@@ -15,6 +15,10 @@ pub const PAIRS: usize = 24;
 pub const A_PAIR: usize = 48;
 /// Steps of time from frame to frame.
 const STEPS: i64 = 16;
+/// Offsets in time to each side of the best one of the whole picture at which a shift is looked for, and their distance as a part of the frame period.
+const AROUND: i64 = 3;
+/// See [`AROUND`].
+const OFFSET_STEP: f64 = 0.125;
 /// No patch.
 const NONE: u16 = u16::MAX;
 
@@ -25,8 +29,10 @@ pub struct GridSurvey {
     pub right_px: Interval,
     /// Event pixels by which it lies below.
     pub down_px: Interval,
-    /// Correlation at that shift, and without one.
+    /// Correlation at that shift and the offset in time that suits it best, and without a shift at the offset that suits that best.
     pub correlation: (f64, f64),
+    /// Whole pixels right and down that agree best at the latter offset, and the correlation there.
+    pub at_one_offset: ((i32, i32), f64),
     /// Patches that were compared.
     pub patches: usize,
 }
@@ -154,13 +160,15 @@ impl Grid {
         }
     }
 
-    /// What they show, with events `offset_ns` later than frames.
+    /// What they show, with events later than frames by about `offset_ns`.
     pub fn survey(self, offset_ns: f64) -> Option<GridSurvey> {
         let patches: Vec<Patch> = self.pairs.into_iter().flat_map(|pair| pair.patches).collect();
-        displacement(&patches, offset_ns).map(|found| GridSurvey {
+        let offsets: Vec<f64> = (-AROUND..=AROUND).map(|n| offset_ns + n as f64 * OFFSET_STEP * self.period_ns as f64).collect();
+        displacement(&patches, &offsets).map(|found| GridSurvey {
             right_px: found.right.into(),
             down_px: found.down.into(),
             correlation: (found.correlation, found.correlation_at_none),
+            at_one_offset: found.at_one_offset,
             patches: found.patches,
         })
     }

@@ -3,22 +3,29 @@
 //! The picture is cut into some four thousand places. Frames give the mean logarithm of each, events their numbers in sixteenths of the frame period;
 //! [`photocurrent_sensor::estimate`] finds the shift at which the two agree. The same with the events' picture mirrored shows mirrored data.
 //!
+//! Rows that are exposed later are compared at their own time where the row time is recorded or stated; the delay of a stated front end, by the light that the frames show, is
+//! subtracted from the events' times. What is left is the offset of the clocks, and what nobody states.
+//!
 //! Limits: places are several pixels wide, so that fine motion shows less; what a scene without motion hides stays hidden.
 
 use super::grid::{Grid, GridSurvey};
 use super::pictures::middle;
 use super::places::MOST_PIXELS;
+use crate::declared::Transfer;
 use crate::recording::FramesAbout;
 use photocurrent_core::Extent;
-use photocurrent_sensor::estimate::{self, Centring, Estimate, Stretch};
+use photocurrent_sensor::estimate::{self, Centring, Delay, Estimate, NOWHERE, Stretch};
+use photocurrent_sensor::front_end::FrontEnd;
 use serde::Serialize;
 
 /// Places, about.
 const PLACES: u32 = 4096;
 /// Steps of time from frame to frame.
-const STEPS: i64 = 16;
+const STEPS: i64 = 32;
 /// Counters of events, at most: recordings with long gaps between frames get wider steps.
-const MOST_COUNTERS: usize = 1 << 23;
+const MOST_COUNTERS: usize = 1 << 24;
+/// No event is put earlier for its front end by more than this part of a frame period: in darkness no time is long enough.
+const DELAY_SHARE: f64 = 0.5;
 /// A step of the grey scale: added before the logarithm, as parts of the largest value, so that darkness is finite.
 const DARK: f32 = 1.0 / 255.0;
 
@@ -37,22 +44,52 @@ impl From<Estimate> for Interval {
     }
 }
 
+/// What a description that travels with the recording states about time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Stated {
+    /// Delay from row to row of the frames, ns, for frames that do not record it.
+    pub row_time_ns: Option<i64>,
+    /// The front end, where it and what its photocurrent is counted in are stated.
+    pub front_end: Option<StatedFrontEnd>,
+}
+
+/// A front end, and how frames show its photocurrent.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StatedFrontEnd {
+    /// Time constant in bright light, s.
+    pub tau_0_s: f64,
+    /// Time constant times photocurrent, s.
+    pub alpha_s: f64,
+    /// DN per second and unit of photocurrent.
+    pub gain: f64,
+    /// DN of darkness.
+    pub black_level_dn: f64,
+}
+
 /// Events against frames.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct LagSurvey {
     /// Pairs of frames that were compared.
     pub pairs: usize,
-    /// How late events are, ns; none where the two do not clearly agree.
+    /// How late events are, ns, over what row times and a stated front end explain; none where the two do not clearly agree.
     pub late_ns: Option<Interval>,
+    /// The delay from row to row that rows were compared with; none where it is neither recorded nor stated: the offset is then that of the middle row.
+    pub row_time_ns: Option<i64>,
+    /// Mean delay of the stated front end, ns, that was subtracted from the events' times; none where none is stated.
+    pub front_end_ns: Option<f64>,
     /// Correlation at that shift, and without one.
     pub correlation: (f64, f64),
     /// Change of the shift, ns a second.
     pub drift_ns_per_s: Option<Interval>,
-    /// From the early to the late frames of the drift, s.
+    /// Its size in each half of the picture, and the correlation with and without it: chance differs from half to half.
+    pub drift_halves_ns_per_s: (f64, f64),
+    /// See there.
+    pub drift_correlation: (f64, f64),
+    /// From the first frames to the last of the drift, s.
     pub drift_over_s: f64,
     /// Whether both lie on one pixel grid; none where sizes do not agree, or nothing moves.
     pub grid: Option<GridSurvey>,
-    /// Correlation of where events are with where frames change: as they are, mirrored left to right, top to bottom, both.
+    /// Correlation of events with the frames' changes at the best shift in time: as they are, mirrored left to right, top to bottom, both.
     pub mirrored: [f64; 4],
 }
 
@@ -73,11 +110,18 @@ pub(super) struct Panel {
     channels: usize,
     dark: f32,
     grid: Option<Grid>,
+    row_time_ns: Option<i64>,
+    front_end: Option<StatedFrontEnd>,
+    /// Length of each frame's exposure that is read, ns, in the order of `at`.
+    exposures_ns: Vec<Option<i64>>,
+    period_ns: i64,
+    /// Delays of the front end that were subtracted, ns, and how many.
+    delays: (f64, u64),
 }
 
 impl Panel {
     /// For frames that will be read, in order; none when there are too few, or sizes are unknown.
-    pub fn new(about: &FramesAbout, events: Option<Extent>, chosen: &[usize]) -> Option<Panel> {
+    pub fn new(about: &FramesAbout, events: Option<Extent>, chosen: &[usize], stated: &Stated) -> Option<Panel> {
         let extent = events.unwrap_or(about.extent);
         if extent.pixels() == 0 || extent.pixels() > MOST_PIXELS || about.extent.pixels() == 0 || chosen.len() < 2 {
             return None;
@@ -110,7 +154,28 @@ impl Panel {
             at.windows(2).zip(mids.windows(2)).filter(|(at, _)| at[0].1 == at[1].1).map(|(at, mids)| (at[1].0, mids[0], mids[1])).collect();
         let grid = Grid::new(about, extent, &pairs, period);
         let (frame, channels) = (about.extent, about.colour.channels() as usize);
-        Some(Panel { panel, place_of, width: extent.width, height: extent.height, across, down, at, now: 0, centring, frame, channels, dark: 0.0, grid })
+        let is_linear = matches!(about.transfer, None | Some(Transfer::Linear));
+        let length = |frame: &usize| about.stamps[*frame].exposure.map(|(start, end)| end.saturating_sub(start));
+        Some(Panel {
+            panel,
+            place_of,
+            width: extent.width,
+            height: extent.height,
+            across,
+            down,
+            now: 0,
+            centring,
+            frame,
+            channels,
+            dark: 0.0,
+            grid,
+            row_time_ns: about.row_time_ns.or(stated.row_time_ns),
+            front_end: stated.front_end.filter(|_| is_linear),
+            exposures_ns: at.iter().map(|(frame, ..)| length(frame)).collect(),
+            at,
+            period_ns: period,
+            delays: (0.0, 0),
+        })
     }
 
     /// Takes the values of a frame.
@@ -144,6 +209,13 @@ impl Panel {
         let (_, stretch, within) = self.at[found];
         let log = self.panel.stretches[stretch].frame_mut(within);
         log.iter_mut().zip(sums).zip(counts).for_each(|((log, sum), count)| *log = if count > 0 { sum / count as f32 } else { f32::NAN });
+        let delay = self.front_end.zip(self.exposures_ns[found]).and_then(|(of, exposure_ns)| {
+            let front_end = FrontEnd { tau_0_s: of.tau_0_s, alpha_s: of.alpha_s };
+            Some((Delay::new(front_end, of.gain, exposure_ns as f64, DELAY_SHARE * self.period_ns as f64)?, f64::from(dark) + of.black_level_dn))
+        });
+        if let Some((delay, black)) = delay {
+            self.panel.stretches[stretch].delay(within, |log| delay.ns(libm::exp(f64::from(log)) - black));
+        }
     }
 
     /// Takes an event.
@@ -159,9 +231,10 @@ impl Panel {
     }
 
     fn put(&mut self, pixel: usize, t: i64, is_on: bool) {
-        if let Some(grid) = &mut self.grid {
-            grid.event(t, pixel % self.width as usize, pixel / self.width as usize, is_on);
-        }
+        let (x, y) = (pixel % self.width as usize, pixel / self.width as usize);
+        // Row 0 is what the frames' middles are of: a row that is exposed later is compared as much later.
+        let frame_row = y as i64 * i64::from(self.frame.height) / i64::from(self.height);
+        let mut t = t.saturating_sub(self.row_time_ns.unwrap_or(0).saturating_mul(frame_row));
         let place = self.place_of[pixel] as usize;
         let holds = |stretch: &Stretch| t >= stretch.start_ns && t.saturating_sub(stretch.start_ns) < stretch.step_ns.saturating_mul(stretch.steps as i64);
         if !self.panel.stretches.get(self.now).is_some_and(holds) {
@@ -170,7 +243,16 @@ impl Panel {
             let Some(now) = after.checked_sub(1).filter(|now| holds(&self.panel.stretches[*now])) else { return };
             self.now = now;
         }
-        self.panel.stretches[self.now].event(t, place, is_on);
+        let stretch = &mut self.panel.stretches[self.now];
+        if self.front_end.is_some() {
+            let late_ns = stretch.lag_ns(t, place);
+            self.delays = (self.delays.0 + late_ns, self.delays.1 + 1);
+            t = t.saturating_sub(late_ns as i64);
+        }
+        stretch.event(t, place, is_on);
+        if let Some(grid) = &mut self.grid {
+            grid.event(t, x, y, is_on);
+        }
     }
 
     pub fn survey(mut self) -> Option<LagSurvey> {
@@ -188,45 +270,25 @@ impl Panel {
             late_ns: shift.map(|shift| shift.ns.into()),
             correlation: shift.map_or((0.0, 0.0), |shift| (shift.correlation, shift.correlation_at_none)),
             drift_ns_per_s: drift.map(|drift| drift.ns_per_s.into()),
+            drift_halves_ns_per_s: drift.map_or((0.0, 0.0), |drift| drift.halves_ns_per_s),
+            drift_correlation: drift.map_or((0.0, 0.0), |drift| (drift.correlation, drift.correlation_at_none)),
             drift_over_s: drift.map_or(0.0, |drift| drift.over_s),
+            row_time_ns: self.row_time_ns,
+            front_end_ns: (self.delays.1 > 0).then(|| self.delays.0 / self.delays.1 as f64),
             grid,
             mirrored: self.mirrored(),
         })
     }
 
-    /// Where frames change, against where events are, mirrored in four ways.
+    /// Events against the changes of the frames, mirrored in four ways.
     fn mirrored(&self) -> [f64; 4] {
-        let places = self.panel.places();
-        let (mut frames, mut events) = (vec![0.0; places], vec![0.0; places]);
-        for stretch in &self.panel.stretches {
-            for frame in 1..stretch.mids_ns.len() {
-                let logs = &stretch.log[(frame - 1) * places..(frame + 1) * places];
-                for place in 0..places {
-                    let change = f64::from((logs[places + place] - logs[place]).abs());
-                    frames[place] += if change.is_finite() { change } else { 0.0 };
-                }
-            }
-            for counts in stretch.on.chunks(places).chain(stretch.off.chunks(places)) {
-                events.iter_mut().zip(counts).for_each(|(sum, count)| *sum += f64::from(*count));
-            }
-        }
-        // Roots and ranks alike: one hot place must not decide.
-        frames.iter_mut().chain(&mut events).for_each(|value| *value = libm::sqrt(*value));
-        let at = |x: u32, y: u32| (y * self.across + x) as usize;
+        let at = |x: u32, y: u32| y * self.across + x;
         [(false, false), (true, false), (false, true), (true, true)].map(|(flip_x, flip_y)| {
-            let pairs = (0..self.down).flat_map(|y| (0..self.across).map(move |x| (x, y)));
-            let pairs = pairs.map(|(x, y)| {
-                let (fx, fy) = (if flip_x { self.across - 1 - x } else { x }, if flip_y { self.down - 1 - y } else { y });
-                (events[at(x, y)], frames[at(fx, fy)])
-            });
-            correlation(pairs.collect())
+            let places = (0..self.down).flat_map(|y| (0..self.across).map(move |x| (x, y)));
+            let from = places.map(|(x, y)| at(if flip_x { self.across - 1 - x } else { x }, if flip_y { self.down - 1 - y } else { y }));
+            let mut from: Vec<u32> = from.collect();
+            from.resize(self.panel.places(), NOWHERE);
+            estimate::agreement_from(&self.panel, &from)
         })
     }
-}
-
-fn correlation(pairs: Vec<(f64, f64)>) -> f64 {
-    let n = pairs.len().max(1) as f64;
-    let (a, b) = pairs.iter().fold((0.0, 0.0), |sums, pair| (sums.0 + pair.0 / n, sums.1 + pair.1 / n));
-    let (aa, bb, ab) = pairs.iter().fold((0.0, 0.0, 0.0), |s, (x, y)| (s.0 + (x - a) * (x - a), s.1 + (y - b) * (y - b), s.2 + (x - a) * (y - b)));
-    if aa * bb > 0.0 { ab / libm::sqrt(aa * bb) } else { 0.0 }
 }

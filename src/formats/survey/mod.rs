@@ -30,9 +30,11 @@ use crate::chunk::EventChunk;
 use crate::convention::Convention;
 use crate::error::{Cause, FormatError, Loss};
 use crate::recording::Recording;
-use lag::{LagSurvey, Panel};
+use lag::{LagSurvey, Panel, Stated, StatedFrontEnd};
 use lines::LineSurvey;
 use phase::{Phase, PhaseSurvey};
+use photocurrent_core::Sensor;
+use photocurrent_core::document::Source;
 use pictures::FramesSurvey;
 use places::{Places, PlacesSurvey};
 use rate::{Rate, RateSurvey};
@@ -173,7 +175,7 @@ pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut progress
         let mut frames = pictures::times(about);
         let chosen = pictures::chosen(about.stamps.len(), most.frames);
         let has_events = recording.events_about().is_some();
-        let mut building = has_events.then(|| Panel::new(about, extent, &chosen)).flatten();
+        let mut building = has_events.then(|| Panel::new(about, extent, &chosen, &stated(recording))).flatten();
         frames.values = pictures::read(&*pictures, &chosen, |frame, values| {
             if let Some(panel) = &mut building {
                 panel.picture(frame, values);
@@ -206,6 +208,21 @@ pub fn survey(recording: &dyn Recording, format: &str, most: &Most, mut progress
     found.lag = panel.and_then(|panel| panel.survey());
     found.losses = losses.into_iter().map(LossSurvey::from).collect();
     Ok(found)
+}
+
+/// What the description that travels with a recording states about time; nothing of one with a mistake, which its reader reports.
+fn stated(recording: &dyn Recording) -> Stated {
+    let parsed = recording.sensor_text().and_then(|text| Sensor::parse(&Source::new("sensor", "", text)).ok());
+    let Some(sensor) = parsed else { return Stated::default() };
+    let seconds = |of: photocurrent_core::quantity::Duration| of.ns() as f64 * 1e-9;
+    // Without a photocurrent that frames show there is no light to take the time constant at.
+    let front_end = sensor.front_end.alpha.zip(sensor.frames.gain).map(|(alpha, gain)| StatedFrontEnd {
+        tau_0_s: sensor.front_end.tau_0.map_or(0.0, seconds),
+        alpha_s: seconds(alpha),
+        gain,
+        black_level_dn: sensor.frames.black_level_dn.unwrap_or(0.0),
+    });
+    Stated { row_time_ns: sensor.frames.row_time.map(|row| row.ns()), front_end }
 }
 
 /// Events as they are counted.

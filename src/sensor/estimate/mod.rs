@@ -12,7 +12,7 @@
 //! - [`Panel`]: events and frames of some places, side by side; [`Centring`]: when light changed, from when events came.
 //!
 //! Source: the residual of Eq. (13) without its front end; the double integral of Pan et al., CVPR 2019, for the blur.
-//! Limits: the latency of the front end and the readout is part of the offset, and differs with light; frames with a curve that is not linear give
+//! Limits: the latency of the front end and the readout is part of the offset, and differs with light, unless the front end is stated ([`Delay`]); frames with a curve that is not linear give
 //! thresholds of that curve. Light that changes between two places of a panel as a whole (an exposure that adapts) is taken out.
 
 mod agree;
@@ -25,9 +25,9 @@ mod step;
 
 pub use agree::{Agreement, Changes, STEPS, TILE, Trial, Waits, agreements};
 pub use blur::{Unclear, exposure};
-pub use panel::{Centring, NOWHERE, Panel, Stretch};
+pub use panel::{Centring, Delay, NOWHERE, Panel, Stretch};
 pub use place::{Displacement, FRAME_SIDE, Patch, REACH, SIDE, displacement};
-pub use shift::{Drift, Shift, drift, offset, row_time};
+pub use shift::{Drift, Shift, agreement_from, drift, offset, row_time};
 pub use step::{StepGains, Steps, step_gains, thresholds};
 
 /// A value with its 95 % interval.

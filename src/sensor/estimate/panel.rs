@@ -3,6 +3,8 @@
 //! A place is a pixel or a few neighbouring ones. Frames give the mean logarithm of each place, events the numbers of ON and OFF events in even steps of time.
 //! Long recordings are given in stretches of neighbouring frames; between them nothing is kept.
 
+use crate::front_end::{FrontEnd, time_constant};
+
 /// A pixel that belongs to no place.
 pub const NOWHERE: u32 = u32::MAX;
 
@@ -75,7 +77,32 @@ pub struct Stretch {
     pub on: Vec<u16>,
     /// OFF ones.
     pub off: Vec<u16>,
+    /// By how much events of each place are late in the light of each frame, ns, [frame][place]; empty where nothing is stated of that.
+    lag_ns: Vec<f32>,
     places: usize,
+}
+
+/// The delay that a stated front end causes: its time constant at the photocurrent that frames show.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Delay {
+    front_end: FrontEnd,
+    dn_per_photocurrent: f64,
+    most_ns: f64,
+}
+
+impl Delay {
+    /// Of a front end, where `gain` is the DN per second and unit of photocurrent and `exposure_ns` the length of a frame's exposure; `most_ns` at most, as in darkness no time is long
+    /// enough. None where one of them is not positive.
+    pub fn new(front_end: FrontEnd, gain: f64, exposure_ns: f64, most_ns: f64) -> Option<Delay> {
+        let dn_per_photocurrent = gain * exposure_ns * 1e-9;
+        (dn_per_photocurrent > 0.0 && most_ns > 0.0).then_some(Delay { front_end, dn_per_photocurrent, most_ns })
+    }
+
+    /// By how much a voltage that follows a slow change of light is late, ns; `dn` is that of a frame over black level.
+    pub fn ns(&self, dn: f64) -> f64 {
+        let photocurrent = (dn / self.dn_per_photocurrent).max(1e-12);
+        (1e9 * time_constant(&self.front_end, photocurrent)).clamp(0.0, self.most_ns)
+    }
 }
 
 impl Stretch {
@@ -87,7 +114,7 @@ impl Stretch {
         let length = last.saturating_sub(start_ns).saturating_add(margin_ns);
         let steps = (length / step_ns + 1).max(1) as usize;
         let log = vec![f32::NAN; mids_ns.len() * places];
-        Stretch { mids_ns, log, start_ns, step_ns, steps, on: vec![0; steps * places], off: vec![0; steps * places], places }
+        Stretch { mids_ns, log, start_ns, step_ns, steps, on: vec![0; steps * places], off: vec![0; steps * places], lag_ns: Vec::new(), places }
     }
 
     /// Takes an event of a place; what lies outside of the stretch is let go.
@@ -108,6 +135,35 @@ impl Stretch {
     /// The logarithms of a frame, to write.
     pub fn frame_mut(&mut self, frame: usize) -> &mut [f32] {
         &mut self.log[frame * self.places..(frame + 1) * self.places]
+    }
+
+    /// States by how much events are late in the light of a frame whose logarithms are filled in: of each place from its logarithm.
+    pub fn delay(&mut self, frame: usize, of: impl Fn(f32) -> f64) {
+        if self.lag_ns.is_empty() {
+            self.lag_ns = vec![0.0; self.log.len()];
+        }
+        let at = frame * self.places..(frame + 1) * self.places;
+        self.lag_ns[at.clone()].iter_mut().zip(&self.log[at]).for_each(|(lag, log)| *lag = if log.is_finite() { of(*log) as f32 } else { 0.0 });
+    }
+
+    /// By how much an event of a place at an instant is late, ns: between two frames, between what is stated in their light. Zero where nothing is.
+    #[inline]
+    pub fn lag_ns(&self, t_ns: i64, place: usize) -> f64 {
+        if self.lag_ns.is_empty() {
+            return 0.0;
+        }
+        let after = self.mids_ns.partition_point(|mid| *mid <= t_ns);
+        let of = |frame: usize| f64::from(self.lag_ns[frame * self.places + place]);
+        match (after.checked_sub(1), after < self.mids_ns.len()) {
+            (Some(before), true) => {
+                let (from, to) = (self.mids_ns[before], self.mids_ns[after]);
+                let part = t_ns.saturating_sub(from) as f64 / to.saturating_sub(from) as f64;
+                of(before) + part * (of(after) - of(before))
+            }
+            (Some(before), false) => of(before),
+            (None, true) => of(0),
+            (None, false) => 0.0,
+        }
     }
 
     /// Sums over time: element [step][place] is the sum of `on` times ON events less `off` times OFF events of the steps before.

@@ -5,7 +5,7 @@
 //! frames see what the events see.
 //!
 //! Limits: shifts up to [`REACH`] pixels; one shift for the whole picture, no rotation and no scale. Events that come late in a scene that moves one way look like
-//! a shift against the motion: give the offset in time that [`super::offset()`] finds.
+//! a shift against the motion: give several offsets in time around the one that [`super::offset()`] finds.
 
 use super::Estimate;
 use super::draw::{estimate, peak};
@@ -76,26 +76,29 @@ impl Patch {
         Some(sums)
     }
 
-    /// Sums of (event x frame, event x event, frame x frame) at each shift, less the means; none without events or with unknown values.
-    fn sums(&self, offset_ns: f64) -> Option<Vec<[f64; 3]>> {
-        let events = self.between(offset_ns).filter(|events| events.iter().any(|sum| *sum != 0.0))?;
+    /// Sums of (event x frame, event x event, frame x frame), less the means: [offset][shift]; none at an offset without events, or with unknown values.
+    fn sums(&self, offsets_ns: &[f64]) -> Vec<Option<Vec<[f64; 3]>>> {
         if self.change.iter().any(|change| !change.is_finite()) {
-            return None;
+            return vec![None; offsets_ns.len()];
         }
-        let events = centred(&events);
-        let mut sums = Vec::with_capacity(SHIFTS * SHIFTS);
+        let has_events = |events: &Vec<f32>| events.iter().any(|sum| *sum != 0.0);
+        let events: Vec<Option<Vec<f32>>> =
+            offsets_ns.iter().map(|offset_ns| self.between(*offset_ns).filter(has_events).map(|events| centred(&events))).collect();
+        let mut sums: Vec<Option<Vec<[f64; 3]>>> = events.iter().map(|events| events.as_ref().map(|_| Vec::with_capacity(SHIFTS * SHIFTS))).collect();
         for down in 0..SHIFTS {
             for right in 0..SHIFTS {
                 let rows = (0..SIDE).map(|y| &self.change[(y + down) * FRAME_SIDE + right..][..SIDE]);
                 let frames = centred(&rows.flatten().copied().collect::<Vec<f32>>());
-                let products = events.iter().zip(&frames).fold([0.0; 3], |sum: [f64; 3], (x, y)| {
-                    let (x, y) = (f64::from(*x), f64::from(*y));
-                    [sum[0] + x * y, sum[1] + x * x, sum[2] + y * y]
-                });
-                sums.push(products);
+                for (sums, events) in sums.iter_mut().zip(&events) {
+                    let (Some(sums), Some(events)) = (sums, events) else { continue };
+                    sums.push(events.iter().zip(&frames).fold([0.0; 3], |sum: [f64; 3], (x, y)| {
+                        let (x, y) = (f64::from(*x), f64::from(*y));
+                        [sum[0] + x * y, sum[1] + x * x, sum[2] + y * y]
+                    }));
+                }
             }
         }
-        Some(sums)
+        sums
     }
 }
 
@@ -115,47 +118,71 @@ pub struct Displacement {
     pub down: Estimate,
     /// Correlation over the patches there.
     pub correlation: f64,
-    /// Correlation without a shift.
+    /// Correlation without a shift, at the offset that suits that best.
     pub correlation_at_none: f64,
+    /// Whole pixels right and down that agree best at that same offset, and the correlation there: what is a shift for the one offset and none for the other is motion.
+    pub at_one_offset: ((i32, i32), f64),
     /// Patches with events.
     pub patches: usize,
 }
 
-/// The shift of the frames against the events, with events taken `offset_ns` later than frames; none where patches are few, or agree at no shift, or at the end of
-/// what is tried.
-pub fn displacement(patches: &[Patch], offset_ns: f64) -> Option<Displacement> {
-    let sums: Vec<Vec<[f64; 3]>> = patches.iter().filter_map(|patch| patch.sums(offset_ns)).collect();
-    if sums.len() < FEWEST {
-        return None;
+/// The shift of the frames against the events, with events taken later than frames by the one of `offsets_ns` at which a shift agrees best; none where patches are few, or agree at no
+/// shift, or at the end of what is tried.
+///
+/// The correlation without a shift is that at the offset that suits it best: of a picture that moves one way, a shift along the motion and an offset show the same, and the two
+/// correlations are then close.
+pub fn displacement(patches: &[Patch], offsets_ns: &[f64]) -> Option<Displacement> {
+    let none = SHIFTS * REACH + REACH;
+    let mut found: Option<(f64, Vec<Vec<[f64; 3]>>)> = None;
+    let (mut at_none, mut at_one_offset) = (f64::NEG_INFINITY, ((0, 0), 0.0));
+    let mut by_patch: Vec<Vec<Option<Vec<[f64; 3]>>>> = patches.iter().map(|patch| patch.sums(offsets_ns)).collect();
+    for offset in 0..offsets_ns.len() {
+        let sums: Vec<Vec<[f64; 3]>> = by_patch.iter_mut().filter_map(|of_offset| of_offset[offset].take()).collect();
+        if sums.len() < FEWEST {
+            continue;
+        }
+        let all = correlations(&sums, &vec![1.0; sums.len()]);
+        let at = (0..all.len()).max_by(|a, b| all[*a].total_cmp(&all[*b])).unwrap_or(none);
+        let most = all[at];
+        if all[none] > at_none {
+            let pixels = |at: usize| at as i32 - REACH as i32;
+            (at_none, at_one_offset) = (all[none], ((pixels(at % SHIFTS), pixels(at / SHIFTS)), most));
+        }
+        if found.as_ref().is_none_or(|(best, _)| most > *best) {
+            found = Some((most, sums));
+        }
     }
-    let correlations = |weights: &[f64]| -> Vec<f64> {
-        let of = |shift: usize| {
-            let total = sums.iter().zip(weights).fold([0.0; 3], |total: [f64; 3], (sums, weight)| {
-                let sums = sums[shift];
-                [total[0] + weight * sums[0], total[1] + weight * sums[1], total[2] + weight * sums[2]]
-            });
-            total[0] / (total[1] * total[2]).sqrt().max(1e-30)
-        };
-        (0..SHIFTS * SHIFTS).map(of).collect()
-    };
+    let (_, sums) = found?;
     // The best whole shift, and between pixels by a parabola in each direction.
     let best = |weights: &[f64]| -> Option<(f64, f64, f64)> {
-        let all = correlations(weights);
+        let all = correlations(&sums, weights);
         let at = (0..all.len()).max_by(|a, b| all[*a].total_cmp(&all[*b])).filter(|at| all[*at] >= LEAST_CORRELATION)?;
         let (down, right) = (at / SHIFTS, at % SHIFTS);
         let row = &all[down * SHIFTS..][..SHIFTS];
         let column: Vec<f64> = (0..SHIFTS).map(|down| all[down * SHIFTS + right]).collect();
         Some((peak(row, right)? - REACH as f64, peak(&column, down)? - REACH as f64, all[at]))
     };
-    let ones = vec![1.0; sums.len()];
-    let (_, _, correlation) = best(&ones)?;
+    let (_, _, correlation) = best(&vec![1.0; sums.len()])?;
     Some(Displacement {
         right: estimate(sums.len(), |weights| best(weights).map(|found| found.0))?,
         down: estimate(sums.len(), |weights| best(weights).map(|found| found.1))?,
         correlation,
-        correlation_at_none: correlations(&ones)[SHIFTS * REACH + REACH],
+        correlation_at_none: at_none,
+        at_one_offset,
         patches: sums.len(),
     })
+}
+
+/// Correlation over patches by weight, at each shift.
+fn correlations(sums: &[Vec<[f64; 3]>], weights: &[f64]) -> Vec<f64> {
+    let of = |shift: usize| {
+        let total = sums.iter().zip(weights).fold([0.0; 3], |total: [f64; 3], (sums, weight)| {
+            let sums = sums[shift];
+            [total[0] + weight * sums[0], total[1] + weight * sums[1], total[2] + weight * sums[2]]
+        });
+        total[0] / (total[1] * total[2]).sqrt().max(1e-30)
+    };
+    (0..SHIFTS * SHIFTS).map(of).collect()
 }
 
 #[cfg(test)]
@@ -193,7 +220,7 @@ mod tests {
     #[test]
     fn a_picture_that_was_shifted_is_shifted_so_much() {
         for (right, down) in [(0, 0), (2, -1), (-3, 3)] {
-            let found = displacement(&patches(right, down, 0.3, 0), 0.0).unwrap();
+            let found = displacement(&patches(right, down, 0.3, 0), &[0.0]).unwrap();
             assert!((found.right.value - right as f64).abs() < 0.3 && (found.down.value - down as f64).abs() < 0.3, "{found:?}");
             assert!(found.right.ci95.1 - found.right.ci95.0 < 0.5 && found.correlation > 0.6, "{found:?}");
             assert_eq!(found.correlation_at_none > 0.5, right == 0 && down == 0, "{found:?}");
@@ -203,14 +230,14 @@ mod tests {
     #[test]
     fn late_events_are_summed_where_they_are() {
         let late = patches(1, 0, 0.0, 9_000_000);
-        assert!(displacement(&late, 9e6).unwrap().correlation > displacement(&late, 0.0).map_or(0.0, |found| found.correlation) + 0.2);
+        assert!(displacement(&late, &[9e6]).unwrap().correlation > displacement(&late, &[0.0]).map_or(0.0, |found| found.correlation) + 0.2);
     }
 
     #[test]
     fn what_does_not_agree_gives_no_shift() {
-        assert_eq!(displacement(&[], 0.0), None);
+        assert_eq!(displacement(&[], &[0.0]), None);
         // Beyond what is tried, and events that have nothing to do with the frames.
-        assert!(displacement(&patches(0, 0, 0.0, 30_000_000), 0.0).is_none());
+        assert!(displacement(&patches(0, 0, 0.0, 30_000_000), &[0.0]).is_none());
         assert_eq!(Patch::new((0, 1), 1, 1, vec![0.0; 3]), None);
     }
 }

@@ -35,8 +35,14 @@ pub struct Shift {
 pub struct Drift {
     /// Change of the shift, ns a second: microseconds a second are parts in a million.
     pub ns_per_s: Estimate,
-    /// From the middle of the early pairs to that of the late ones, s.
+    /// From the first pair of frames to the last, s.
     pub over_s: f64,
+    /// The same from each half of the picture, in squares like a chessboard; zero where one shows none.
+    pub halves_ns_per_s: (f64, f64),
+    /// Correlation with that change, and without one.
+    pub correlation: f64,
+    /// See there.
+    pub correlation_at_none: f64,
 }
 
 /// Sums of products of each unit (pair of frames and part of the picture) at each shift.
@@ -144,24 +150,156 @@ pub fn offset(panel: &Panel) -> Option<Shift> {
     Some(Shift { ns, correlation, correlation_at_none: all[SHIFTS], pairs: curves.pairs })
 }
 
-/// How the shift changes from the first third of the pairs to the last; none below eight pairs, or where one of the two has no shift.
+/// Parts of time that a drift is fitted over.
+const TIMES: usize = 8;
+/// Changes of the shift over the whole time that are tried, to each side of none.
+const CHANGES: usize = 20;
+/// The largest of them, as a part of the time from frame to frame.
+const LARGEST_CHANGE: f64 = 0.8;
+
+/// Shifts to each side of the one without a change at which a change is looked for.
+const NEAR: usize = 12;
+
+/// Sums by part of the picture and part of time.
+struct Drifting {
+    /// Shifts, ns.
+    shifts: Vec<f64>,
+    /// Middle of each part of time, -0.5 to 0.5 of the whole.
+    times: Vec<f64>,
+    /// [shift][time][part].
+    sums: Vec<[f64; 3]>,
+    parts: usize,
+    over_s: f64,
+}
+
+impl Drifting {
+    fn of(curves: &Curves, parts: usize) -> Option<Drifting> {
+        let (first, last) = (curves.units.first()?.0, curves.units.last()?.0);
+        let over = last - first;
+        if over <= 0.0 {
+            return None;
+        }
+        let time_of = |at: f64| (((at - first) / over * TIMES as f64) as usize).min(TIMES - 1);
+        let (mut times, mut counts) = (vec![0.0; TIMES], vec![0.0f64; TIMES]);
+        curves.units.iter().for_each(|unit| {
+            times[time_of(unit.0)] += (unit.0 - first) / over - 0.5;
+            counts[time_of(unit.0)] += 1.0;
+        });
+        times.iter_mut().zip(&counts).for_each(|(time, count)| *time /= count.max(1.0));
+        let mut sums = vec![[0.0; 3]; curves.shifts.len() * TIMES * parts];
+        for (n, of_shift) in curves.sums.chunks(curves.units.len()).enumerate() {
+            for ((at, part), [xy, xx, yy]) in curves.units.iter().zip(of_shift) {
+                let sum = &mut sums[(n * TIMES + time_of(*at)) * parts + usize::from(*part)];
+                *sum = [sum[0] + xy, sum[1] + xx, sum[2] + yy];
+            }
+        }
+        Some(Drifting { shifts: curves.shifts.clone(), times, sums, parts, over_s: over * 1e-9 })
+    }
+
+    /// Sums by shift and time, of parts by weight (and of times by weight).
+    fn total(&self, of_part: &[f64], of_time: &[f64]) -> Vec<[f64; 3]> {
+        let one = |(n, sums): (usize, &[[f64; 3]])| {
+            let weight = of_time[n % TIMES];
+            sums.iter().zip(of_part).fold([0.0; 3], |total: [f64; 3], (sums, w)| std::array::from_fn(|k| total[k] + weight * w * sums[k]))
+        };
+        self.sums.chunks(self.parts).enumerate().map(one).collect()
+    }
+
+    /// Correlation when the shift is `shift` in the middle and changes by `change` over the whole time, both in steps of shifts.
+    fn correlation(&self, total: &[[f64; 3]], shift: f64, change: f64) -> f64 {
+        let mut sum = [0.0; 3];
+        for (n, time) in self.times.iter().enumerate() {
+            let at = (shift + change * time).clamp(0.0, (self.shifts.len() - 1) as f64);
+            let (whole, part) = (libm::floor(at) as usize, at - libm::floor(at));
+            let (before, after) = (total[whole * TIMES + n], total[(whole + 1).min(self.shifts.len() - 1) * TIMES + n]);
+            sum = std::array::from_fn(|k| sum[k] + before[k] + part * (after[k] - before[k]));
+        }
+        sum[0] / (sum[1] * sum[2]).sqrt().max(1e-30)
+    }
+
+    fn change(n: usize) -> f64 {
+        (n as f64 / CHANGES as f64 - 1.0) * LARGEST_CHANGE * SHIFTS as f64 / REACH
+    }
+
+    /// The shift without a change that agrees best, of all.
+    fn middle(&self) -> usize {
+        let total = self.total(&vec![1.0; self.parts], &[1.0; TIMES]);
+        let of: Vec<f64> = (0..self.shifts.len()).map(|shift| self.correlation(&total, shift as f64, 0.0)).collect();
+        (0..of.len()).max_by(|a, b| of[*a].total_cmp(&of[*b])).unwrap_or(SHIFTS)
+    }
+
+    /// The change over the whole time that agrees best, in steps of shifts, at a shift near `middle`, with the correlation there and without a change; none at an end or without a
+    /// clear one.
+    fn best(&self, middle: usize, of_part: &[f64], of_time: &[f64]) -> Option<(f64, f64, f64)> {
+        let total = self.total(of_part, of_time);
+        let near = middle.saturating_sub(NEAR)..(middle + NEAR + 1).min(self.shifts.len());
+        let over_shifts = |change: f64| near.clone().map(|shift| self.correlation(&total, shift as f64, change)).fold(f64::NEG_INFINITY, f64::max);
+        let curve: Vec<f64> = (0..=2 * CHANGES).map(|n| over_shifts(Drifting::change(n))).collect();
+        let at = top(&curve)?;
+        let most = curve[at.round() as usize];
+        let step = Drifting::change(1) - Drifting::change(0);
+        (most >= LEAST_CORRELATION).then(|| (Drifting::change(0) + at * step, most, curve[CHANGES]))
+    }
+}
+
+/// How the shift changes over the recording: the change at which events and frames agree best, one for the whole picture, while the parts of the picture (and eighths of the time) are drawn
+/// anew for its interval. None below eight pairs, or where the two do not clearly agree.
 pub fn drift(panel: &Panel) -> Option<Drift> {
     if panel.pairs() < FEWEST_FOR_DRIFT {
         return None;
     }
     let curves = Curves::of(panel)?;
-    let (first, last) = (curves.units.first()?.0, curves.units.last()?.0);
-    let third = (last - first) / 3.0;
-    let (early, late) = (curves.shift(|unit| unit.0 <= first + third)?, curves.shift(|unit| unit.0 >= last - third)?);
-    let middle = |takes: &dyn Fn(f64) -> bool| {
-        let times: Vec<f64> = curves.units.iter().map(|unit| unit.0).filter(|t| takes(*t)).collect();
-        times.iter().sum::<f64>() / times.len().max(1) as f64
+    let parts = panel.part_count();
+    let drifting = Drifting::of(&curves, parts)?;
+    let (middle, always) = (drifting.middle(), vec![1.0; TIMES]);
+    let (_, correlation, correlation_at_none) = drifting.best(middle, &vec![1.0; parts], &always)?;
+    let per_s = (drifting.shifts[1] - drifting.shifts[0]) / drifting.over_s;
+    // Parts that hold something, and after them the times.
+    let has = |part: usize| (0..TIMES).any(|time| drifting.sums[(SHIFTS * TIMES + time) * parts + part][1] > 0.0);
+    let some: Vec<usize> = (0..parts).filter(|part| has(*part)).collect();
+    let of = |drawn: &[f64]| {
+        let mut weights = vec![0.0; parts];
+        some.iter().zip(drawn).for_each(|(part, weight)| weights[*part] = *weight);
+        drifting.best(middle, &weights, &always).map(|found| found.0 * per_s)
     };
-    let over_s = (middle(&|t| t >= last - third) - middle(&|t| t <= first + third)) * 1e-9;
-    let half = |of: &Estimate| 0.5 * (of.ci95.1 - of.ci95.0);
-    let (change, spread) = (late.value - early.value, libm::hypot(half(&early), half(&late)));
-    let per_s = |ns: f64| ns / over_s;
-    (over_s > 0.0).then(|| Drift { ns_per_s: Estimate { value: per_s(change), ci95: (per_s(change - spread), per_s(change + spread)) }, over_s })
+    let ns_per_s = estimate(some.len(), of)?;
+    let over_times = estimate(TIMES, |drawn| drifting.best(middle, &vec![1.0; parts], drawn).map(|found| found.0 * per_s))?;
+    let half = |takes: usize| {
+        let weights: Vec<f64> = (0..parts).map(|part| f64::from(u8::from((part / super::panel::ACROSS + part % super::panel::ACROSS) % 2 == takes))).collect();
+        drifting.best(middle, &weights, &always).map_or(0.0, |found| found.0 * per_s)
+    };
+    let ci95 = (ns_per_s.ci95.0.min(over_times.ci95.0), ns_per_s.ci95.1.max(over_times.ci95.1));
+    Some(Drift { ns_per_s: Estimate { ci95, ..ns_per_s }, over_s: drifting.over_s, halves_ns_per_s: (half(0), half(1)), correlation, correlation_at_none })
+}
+
+/// The largest correlation at any shift of up to a frame period, when events of each place are those of another: `from` gives the place, [`super::NOWHERE`] for none.
+pub fn agreement_from(panel: &Panel, from: &[u32]) -> f64 {
+    /// Shifts to each side of none: fewer than for an offset, as only the height of the top counts.
+    const COARSE: usize = 8;
+    let Some(period) = panel.period_ns() else { return 0.0 };
+    let (places, mut sums) = (panel.places(), vec![[0.0; 3]; 2 * COARSE + 1]);
+    let (mut counts, mut moved) = (vec![0.0f32; places], vec![0.0f32; places]);
+    for stretch in &panel.stretches {
+        let summed = stretch.summed(1.0, 1.0);
+        for frame in 1..stretch.mids_ns.len() {
+            let (before, after) = (stretch.mids_ns[frame - 1] as f64, stretch.mids_ns[frame] as f64);
+            let change = centred(stretch.logs(frame).iter().zip(stretch.logs(frame - 1)).map(|(after, before)| after - before).collect());
+            for (n, sums) in sums.iter_mut().enumerate() {
+                let shift = (n as f64 / COARSE as f64 - 1.0) * REACH * period as f64;
+                counts.fill(0.0);
+                if !(stretch.add_at(&summed, after + shift, 1.0, &mut counts) && stretch.add_at(&summed, before + shift, -1.0, &mut counts)) {
+                    continue;
+                }
+                let of = |place: u32| counts.get(place as usize).map_or(0.0, |count| count / panel.pixels[place as usize] as f32);
+                moved.iter_mut().zip(from).for_each(|(moved, from)| *moved = of(*from));
+                for (count, change) in centred(moved.clone()).iter().zip(&change).filter(|(_, change)| change.is_finite()) {
+                    let (x, y) = (f64::from(*count), f64::from(*change));
+                    *sums = [sums[0] + x * y, sums[1] + x * x, sums[2] + y * y];
+                }
+            }
+        }
+    }
+    sums.iter().map(|[xy, xx, yy]| xy / (xx * yy).sqrt().max(1e-30)).fold(0.0, f64::max)
 }
 
 /// How much later each row is exposed than the one before, ns: the shift by bands of rows, over rows. The frames' middles must be those of row 0.

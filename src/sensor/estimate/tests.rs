@@ -23,11 +23,13 @@ struct Made {
     row_time_ns: i64,
     /// Pixels a second.
     speed: f64,
+    /// Time constant of the front end times photocurrent, s.
+    alpha_s: f64,
     /// Share of events that are lost, and of noise events that are added; stamps wander by as many periods.
     noise: f64,
 }
 
-const PLAIN: Made = Made { on: 0.2, off: 0.2, late_ns: 0, drift_ns_per_s: 0.0, exposure_ns: 2_000_000, row_time_ns: 0, speed: 250.0, noise: 0.0 };
+const PLAIN: Made = Made { on: 0.2, off: 0.2, late_ns: 0, drift_ns_per_s: 0.0, exposure_ns: 2_000_000, row_time_ns: 0, speed: 250.0, alpha_s: 0.0, noise: 0.0 };
 
 /// Logarithm of the light: waves that drift, of several lengths so that nothing repeats from frame to frame.
 fn log_light(made: &Made, x: f64, y: f64, t_ns: f64) -> f64 {
@@ -35,13 +37,14 @@ fn log_light(made: &Made, x: f64, y: f64, t_ns: f64) -> f64 {
     1.0 + 0.55 * libm::sin(0.41 * x + 0.23 * y) + 0.35 * libm::sin(0.17 * x - 0.31 * y + 1.0) + 0.25 * libm::sin(0.73 * x + 0.11 * y + 2.0)
 }
 
-fn panel(made: Made) -> Panel {
+/// Events and frames; with `states` the front end is stated.
+fn stated(made: Made, states: bool) -> Panel {
     let mut panel = Panel::new(&(0..WIDTH * HEIGHT).collect::<Vec<u32>>(), WIDTH, HEIGHT);
     let mids: Vec<i64> = (0..FRAMES as i64).map(|l| 30_000_000 + l * PERIOD_NS).collect();
     let mut stretch = Stretch::new(mids.clone(), PERIOD_NS + PERIOD_NS / 4, PERIOD_NS / 64, panel.places());
     let end_ns = 60_000_000 + FRAMES as i64 * PERIOD_NS;
     let pixel = Pixel {
-        front_end: FrontEnd::IDEAL,
+        front_end: FrontEnd { tau_0_s: 0.0, alpha_s: made.alpha_s },
         threshold_on: made.on,
         threshold_off: made.off,
         latency_ns: 0,
@@ -50,7 +53,7 @@ fn panel(made: Made) -> Panel {
         log_step: 0.1,
     };
     let mut random = Random::new(7, &[]);
-    let mut centring = Centring::new(panel.places(), PERIOD_NS / 4);
+    let (mut centring, mut late) = (Centring::new(panel.places(), PERIOD_NS / 4), Vec::new());
     let t_ns: Vec<i64> = (0..=end_ns / 250_000).map(|n| n * 250_000).collect();
     for y in 0..HEIGHT {
         for x in 0..WIDTH {
@@ -69,9 +72,7 @@ fn panel(made: Made) -> Panel {
             events.sort_unstable();
             for (t_in_ns, was_on) in events {
                 let t = t_in_ns + made.late_ns + (made.drift_ns_per_s * t_in_ns as f64 * 1e-9) as i64;
-                if let Some((t, is_on)) = centring.next(place, t, was_on) {
-                    stretch.event(t, place, is_on);
-                }
+                late.extend(centring.next(place, t, was_on).map(|(t, is_on)| (t, place, is_on)));
             }
             for (frame, mid) in mids.iter().enumerate() {
                 let start = (mid - made.exposure_ns / 2 + i64::from(y) * made.row_time_ns) as f64;
@@ -81,9 +82,22 @@ fn panel(made: Made) -> Panel {
             }
         }
     }
-    centring.rest().for_each(|(place, t, is_on)| stretch.event(t, place, is_on));
+    late.extend(centring.rest().map(|(place, t, is_on)| (t, place, is_on)));
+    if states {
+        // Frames read the photocurrent itself.
+        let delay = Delay::new(FrontEnd { tau_0_s: 0.0, alpha_s: made.alpha_s }, 1.0, 1e9, 0.5 * PERIOD_NS as f64).unwrap();
+        (0..FRAMES).for_each(|frame| stretch.delay(frame, |log| delay.ns(libm::exp(f64::from(log)))));
+    }
+    for (t, place, is_on) in late {
+        let lag_ns = stretch.lag_ns(t, place);
+        stretch.event(t - lag_ns as i64, place, is_on);
+    }
     panel.stretches.push(stretch);
     panel
+}
+
+fn panel(made: Made) -> Panel {
+    stated(made, false)
 }
 
 fn exactly(value: f64) -> Estimate {
@@ -106,6 +120,27 @@ fn late_events_are_as_late_as_they_were_made() {
     }
 }
 
+/// tau = alpha / i: 1 to 11 ms for a photocurrent of 0.9 to 9. Of light that goes up and down that fast a part of it is not certain.
+#[test]
+fn the_delay_of_a_stated_front_end_is_subtracted() {
+    let slow = Made { alpha_s: 10e-3, ..PLAIN };
+    let (unknown, known) = (offset(&stated(slow, false)).unwrap().ns, offset(&stated(slow, true)).unwrap().ns);
+    assert!(unknown.value > 2e6 && known.value.abs() < 0.5 * unknown.value, "{unknown:?} {known:?}");
+    // What is late beyond it is left.
+    let late = offset(&stated(Made { late_ns: 3_000_000, ..slow }, true)).unwrap().ns;
+    assert!((late.value - known.value - 3e6).abs() < 0.8e6, "{late:?}");
+}
+
+#[test]
+fn a_delay_takes_its_light_from_frames() {
+    let front_end = FrontEnd { tau_0_s: 1e-4, alpha_s: 2e-2 };
+    let delay = Delay::new(front_end, 500.0, 4e6, 5e6).unwrap();
+    // 100 DN of 500 DN a second and unit over 4 ms: a photocurrent of 50.
+    assert!((delay.ns(100.0) - 5e5).abs() < 1.0);
+    assert_eq!((delay.ns(0.0), delay.ns(-3.0)), (5e6, 5e6));
+    assert_eq!(Delay::new(front_end, 0.0, 4e6, 5e6), None);
+}
+
 #[test]
 fn nothing_that_moves_gives_no_offset() {
     assert_eq!(offset(&panel(Made { speed: 0.0, ..PLAIN })), None);
@@ -116,6 +151,7 @@ fn nothing_that_moves_gives_no_offset() {
 fn clocks_that_drift_apart_do_so_at_their_rate() {
     let found = drift(&panel(Made { drift_ns_per_s: 30e6, ..PLAIN })).unwrap();
     near(&found.ns_per_s, 30e6, 8e6, 40e6);
+    assert!(found.halves_ns_per_s.0 > 15e6 && found.halves_ns_per_s.1 > 15e6 && found.correlation > found.correlation_at_none, "{found:?}");
     let none = drift(&panel(PLAIN)).unwrap();
     assert!(none.ns_per_s.holds(0.0) || none.ns_per_s.value.abs() < 6e6, "{none:?}");
 }

@@ -36,7 +36,6 @@ pub(super) fn pictures_of(folder: &Path, declared: &Declared, camera: Option<&st
         return Err(FormatError::new(place, "pictures without stamps", hint).undeclared("stamps"));
     };
     // The unit and the meaning of these files are the format's: nothing that is stated of the events' file changes them.
-    let declared =
-        Declared { first_pulse: declared.first_pulse, pairing: declared.pairing, stamps_unit: declared.stamps_unit, ..Declared::default() };
+    let declared = Declared { first_pulse: declared.first_pulse, pairing: declared.pairing, stamps_unit: declared.stamps_unit, ..Declared::default() };
     PictureFiles::open_with(place, &declared, &stamps, Some(TimeUnit::Us), Some(StampRole::Middle)).map(Some)
 }
