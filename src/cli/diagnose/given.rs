@@ -121,8 +121,11 @@ fn read(manifest: &Path, catalogue: &Catalogue) -> Result<Project, Failure> {
     Ok(Project::load(manifest, &[], catalogue)?)
 }
 
+/// Kind and parameters of a node.
+type KindAndParams = (String, Map<String, Json>);
+
 /// Kind and parameters, paths joined to the manifest's folder, of the one node that `is_wanted` and the name prefers; none where there is none.
-fn node(project: &Project, name: &str, is_wanted: impl Fn(&str) -> bool) -> Result<Option<(String, Map<String, Json>)>, Vec<String>> {
+fn node(project: &Project, name: &str, is_wanted: impl Fn(&str) -> bool) -> Result<Option<KindAndParams>, Vec<String>> {
     let Some(pipeline) = project.pipelines.first() else { return Ok(None) };
     let nodes: Vec<_> = pipeline.nodes.iter().filter(|node| is_wanted(&node.kind)).collect();
     let chosen = match nodes.as_slice() {

@@ -78,7 +78,7 @@ const NATS: f64 = 30.0;
 
 impl Finding {
     /// Of a test that predicts each half of the array from the other: `nats` in all, on so many events.
-    fn of_halves(id: &'static str, parameter: (&'static str, f64), nats: f64, events: usize, seen: String) -> Finding {
+    pub(crate) fn of_halves(id: &'static str, parameter: (&'static str, f64), nats: f64, events: usize, seen: String) -> Finding {
         let heldout = Some(Heldout { nats, events });
         Finding {
             id,

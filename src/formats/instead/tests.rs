@@ -129,7 +129,7 @@ fn words_without_a_header_show_their_encoding() {
     let (_folder, path) = probe("with_header.raw", &[&header[..], &bytes].concat());
     assert_eq!(recognise(&path).unwrap().map(|format| format.id), Some("evt3"));
     let evt2: Vec<u8> =
-        (0..400_u32).flat_map(|k| [0x8000_0000 | (1000 + k), (k % 2) << 28 | (k % 64) << 22 | (k % 96) << 11 | k % 72]).flat_map(u32::to_le_bytes).collect();
+        (0..400_u32).flat_map(|k| [0x8000_0000 | (1000 + k), (k % 2) << 28 | (k % 64) << 22 | (k % 96) << 11 | (k % 72)]).flat_map(u32::to_le_bytes).collect();
     assert_eq!(said("headless.raw", &evt2).0, "a file without a header that looks like EVT2 words");
     let evt21: Vec<u8> = (0..400_u64)
         .flat_map(|k| [8 << 60 | (1000 + k) << 32, (k % 2) << 60 | (k % 64) << 54 | (k % 3) << 43 | (k % 72) << 32 | 5])

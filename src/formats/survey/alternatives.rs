@@ -298,7 +298,8 @@ pub fn compare(recording: &dyn Recording, alternatives: &[Alternative], much: &M
     let chosen = pairs(alternatives, span, mids);
     // Frames: the tiles that change most, and where each lies.
     let (mut changes, mut kept, mut tile_of): (Changes, Vec<usize>, Vec<Vec<u16>>) = Default::default();
-    let (mut before, mut dark, mut values): (Option<(usize, Vec<f32>)>, f32, Vec<f32>) = (None, 0.0, Vec::new());
+    let mut before: Option<(usize, Vec<f32>)> = None;
+    let (mut dark, mut values) = (0.0f32, Vec::new());
     let mut log = |frame: usize| -> Option<Vec<f32>> {
         pictures.read(frame, &mut values).ok()?;
         if dark == 0.0 {
