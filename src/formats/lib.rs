@@ -39,6 +39,8 @@ pub mod gather;
 pub mod hazard;
 pub mod hdf;
 pub mod hs_ergb;
+#[cfg(test)]
+mod incomplete_tests;
 pub mod joined;
 pub mod known;
 pub mod losses;
