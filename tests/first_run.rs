@@ -7,7 +7,7 @@
 
 use crate::support::{Bench, root};
 use photocurrent_formats::ros::testing::{BagWriter, Packing, Wire, event_array, image};
-use photocurrent_formats::{EventChunk, aedat4::made, format, joined};
+use photocurrent_formats::{EventChunk, aedat3::made as made3, aedat4::made, format, joined};
 use photocurrent_store::recording::Recording;
 use std::fmt::Write as _;
 use std::fs;
@@ -236,6 +236,20 @@ fn a_bag_of_ros() {
     }
     fs::write(bench.path("clip.bag"), bag.finish().unwrap()).unwrap();
     two_commands(&bench, &["clip.bag"], &KNOWN);
+}
+
+#[test]
+fn an_aedat_3_file() {
+    let bench = Bench::new();
+    let mut parts = vec![made3::header("DAVISprototype")];
+    parts.extend(scene().events.chunks(1000).map(|part| made3::polarity(0, part)));
+    for (t, codes) in &scene().frames {
+        let values: Vec<u16> = codes.iter().map(|code| u16::from(*code)).collect();
+        parts.push(made3::frame(0, (1, 0), (*t, t + EXPOSURE_US), (WIDTH as u32, HEIGHT as u32), &values));
+    }
+    fs::write(bench.path("clip.aedat"), parts.concat()).unwrap();
+    // Everything is recorded.
+    two_commands(&bench, &["clip.aedat"], &[]);
 }
 
 /// A column of 8-byte integers as NumPy writes it.

@@ -99,4 +99,7 @@ readers! {
     Pictures "read/pictures" "pictures" "Reads frames from a folder of PNG or TIFF pictures, or from a Y4M file." ["PNG, TIFF 6.0, YUV4MPEG2"]
         accepts ["stamps", "time_unit", "exposure", "stamp", "row_time", "transfer", "frame_offset"]
         example "path = \"frames\", stamps = \"timestamps.txt\", time_unit = \"us\", exposure = \"2 ms\", stamp = \"start\", row_time = \"0 us\", transfer = \"srgb\"";
+    Aedat3 "read/aedat3" "aedat3" "Reads events and frames of an AEDAT 3.1 file (cAER)." ["AEDAT 3.1 file format, iniVation"]
+        accepts ["extent", "camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        example "path = \"davis240_walk.aedat\", end = \"1 s\"";
 }

@@ -9,6 +9,7 @@ use crate::hdf;
 pub static FORMATS: &[&Format] = &[
     // By a signature.
     &crate::aedat4::FORMAT,
+    &crate::aedat3::FORMAT,
     &crate::aedat2::FORMAT,
     &crate::event_stream::FORMAT,
     &crate::evt::EVT2,

@@ -13,12 +13,13 @@
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //! - [`losses`]: what was left out, as a list that stays short.
-//! - [`aedat4`], [`aedat2`], [`event_stream`]: one module a format.
+//! - [`aedat4`], [`aedat3`], [`aedat2`], [`event_stream`]: one module a format.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
 
 pub mod aedat2;
+pub mod aedat3;
 pub mod aedat4;
 pub mod arrange;
 pub mod bias;

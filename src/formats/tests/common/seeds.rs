@@ -2,6 +2,7 @@
 
 use super::Seed;
 use photocurrent_core::Extent;
+use photocurrent_formats::aedat3::made as made3;
 use photocurrent_formats::aedat4::made;
 use photocurrent_formats::ros::testing::{BagWriter, McapWriter, Packing, Wire, event_array, event_packet, evt3, image};
 use photocurrent_formats::{Column, Declared, TimeUnit};
@@ -26,7 +27,7 @@ fn declared() -> Declared {
 
 /// All of them; at least one of every format in the catalogue.
 pub fn all() -> Vec<Seed> {
-    [prophesee(), older(), aedat4(), ros(), hdf(), text(), numpy(), pictures()].concat()
+    [prophesee(), older(), aedat3(), aedat4(), ros(), hdf(), text(), numpy(), pictures()].concat()
 }
 
 fn prophesee() -> Vec<Seed> {
@@ -67,6 +68,23 @@ fn older() -> Vec<Seed> {
         Seed::file("event_stream", "a.es", stream(1), &Declared::default()),
         Seed::file("event_stream", "b.es", stream(2), &Declared::default()),
     ]
+}
+
+fn aedat3() -> Vec<Seed> {
+    let values: Vec<u16> = (0..48).map(|k| k << 6).collect();
+    let of = |camera: &str| {
+        let parts = [
+            made3::header(camera),
+            made3::polarity(0, &events()[..20]),
+            made3::frame(0, (1, 0), (1_400, 1_600), (8, 6), &values),
+            made3::special(0, &[(1_100, 2), (1_200, 3)]),
+            made3::polarity(1, &events()[20..]),
+            made3::frame(1, (1, 0), (1_800, 1_900), (8, 6), &values),
+        ];
+        parts.concat()
+    };
+    let declared = Declared { extent: Some(Extent { width: 32, height: 24 }), ..Declared::default() };
+    vec![Seed::file("aedat3", "a.aedat", of("prototype"), &declared), Seed::file("aedat3", "b.aedat", of("DVS128"), &Declared::default())]
 }
 
 fn aedat4() -> Vec<Seed> {
