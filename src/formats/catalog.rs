@@ -17,6 +17,7 @@ pub static FORMATS: &[&Format] = &[
     &crate::evt::EVT3,
     &crate::evt::DAT,
     &crate::rosbag::FORMAT,
+    &crate::rosbag2::FORMAT,
     &crate::mcap::FORMAT,
     &crate::npz::FORMAT,
     // By what an HDF5 file holds.

@@ -9,7 +9,7 @@
 //! - [`evt`]: Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT; [`bias`]: settings of these sensors.
 //! - [`survey`]: one pass over a recording: everything that a person, or the judge of hazards, wants to know.
 //! - [`hazard`]: what is wrong or unknown, with evidence and what to do.
-//! - [`rosbag`], [`mcap`]: bags of ROS 1 and MCAP files, whose messages and chunks [`ros`] reads.
+//! - [`rosbag`], [`rosbag2`], [`mcap`]: bags of ROS 1 and 2 and MCAP files, whose messages and chunks [`ros`] reads.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //! - [`losses`]: what was left out, as a list that stays short.
@@ -52,6 +52,7 @@ pub mod pictures;
 pub mod recording;
 pub mod ros;
 pub mod rosbag;
+pub mod rosbag2;
 pub mod survey;
 mod text;
 pub mod transfer;
