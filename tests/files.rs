@@ -295,3 +295,36 @@ fn what_needs_more_than_the_stated_memory_is_refused_before_anything_runs() {
     );
     says(&bench.run(&["diagnose", "rec.h5", "--memory", "100B"]), 2, &["rec.h5: a diagnosis holds the recording", "and there are 100 B"]);
 }
+
+#[test]
+fn two_manifests_of_one_name_do_not_replace_each_others_files() {
+    let bench = Bench::new();
+    bench.write("a/my.toml", &small_pipeline());
+    bench.write("b/my.toml", &small_pipeline().replace("seed = 7", "seed = 8"));
+    says(&bench.run(&["run", "a/my.toml", "--quiet"]), 0, &[]);
+    let before = support::files(&bench.path("out"));
+    for command in ["run", "plan"] {
+        says(&bench.run(&[command, "b/my.toml"]), 2, &["out/my has the results of a/my.toml; they would be replaced by those of b/my.toml", "--out out/b-my"]);
+    }
+    for command in [&["table", "b/my.toml"][..], &["report", "b/my.toml"]] {
+        says(&bench.run(command), 2, &["out/my has the results of a/my.toml; this is b/my.toml", "--out FOLDER"]);
+    }
+    assert!(support::files(&bench.path("out")) == before, "a refused run leaves everything as it was");
+    // The same manifest by another path, and another manifest into a folder that is named, run as they did.
+    says(&bench.run(&["run", "./b/../a/my.toml", "--quiet"]), 0, &[]);
+    says(&bench.run(&["run", "b/my.toml", "--out", "out/b-my", "--quiet"]), 0, &[]);
+    says(&bench.run(&["run", "b/my.toml", "--out", "out/my", "--quiet"]), 0, &[]);
+    // The folder is now that of b. Moved with everything, it still is; and when its manifest is gone, it is anybody's.
+    std::fs::create_dir(bench.path("moved")).expect("a folder");
+    for name in ["a", "b", "out"] {
+        std::fs::rename(bench.path(name), bench.path("moved").join(name)).expect("a move");
+    }
+    let inside = |arguments: &[&str]| {
+        let output = bench.command(arguments).current_dir(bench.path("moved")).output().expect("the command starts");
+        Done { code: output.status.code().unwrap_or(-1), stdout: String::new(), stderr: String::from_utf8_lossy(&output.stderr).into_owned() }
+    };
+    says(&inside(&["run", "b/my.toml", "--quiet"]), 0, &[]);
+    says(&inside(&["run", "a/my.toml", "--quiet"]), 2, &["out/my has the results of b/my.toml"]);
+    std::fs::remove_file(bench.path("moved/b/my.toml")).expect("a file");
+    says(&inside(&["run", "a/my.toml", "--quiet"]), 0, &[]);
+}

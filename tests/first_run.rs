@@ -6,8 +6,8 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::support::{Bench, root};
-use photocurrent_formats::ros::testing::{BagWriter, Packing, Wire, event_array, image};
-use photocurrent_formats::{EventChunk, aedat4::made, format, joined};
+use photocurrent_formats::ros::testing::{BagWriter, Packing, Wire, compressed_image, db3, event_array, image};
+use photocurrent_formats::{EventChunk, aedat3::made as made3, aedat4::made, format, joined};
 use photocurrent_store::recording::Recording;
 use std::fmt::Write as _;
 use std::fs;
@@ -88,12 +88,19 @@ fn read(path: &Path) -> Scene {
     }
 }
 
-fn write_png(path: &Path, codes: &[u8]) {
-    fs::create_dir_all(path.parent().unwrap()).unwrap();
-    let mut encoder = png::Encoder::new(fs::File::create(path).unwrap(), WIDTH as u32, HEIGHT as u32);
+/// A grey picture as PNG.
+fn png(codes: &[u8]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let mut encoder = png::Encoder::new(&mut bytes, WIDTH as u32, HEIGHT as u32);
     encoder.set_color(png::ColorType::Grayscale);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.write_header().unwrap().write_image_data(codes).unwrap();
+    bytes
+}
+
+fn write_png(path: &Path, codes: &[u8]) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    fs::write(path, png(codes)).unwrap();
 }
 
 /// PSNR against the truth nearest in time, between the first and the last frame but one, with a peak of 250.
@@ -239,6 +246,64 @@ fn a_bag_of_ros() {
     }
     fs::write(bench.path("clip.bag"), bag.finish().unwrap()).unwrap();
     two_commands(&bench, &["clip.bag"], &KNOWN);
+}
+
+#[test]
+fn a_bag_of_ros_with_compressed_pictures() {
+    let bench = Bench::new();
+    let mut bag = BagWriter::new(Packing::Lz4);
+    let (events, images) = (bag.connect("/dvs/events", "dvs_msgs/EventArray"), bag.connect("/dvs/image_raw/compressed", "sensor_msgs/CompressedImage"));
+    for part in scene().events.chunks(500) {
+        let part: Vec<Event> = part.iter().map(|(t, x, y, on)| (t * 1000, *x, *y, *on)).collect();
+        let last = part.last().unwrap().0;
+        bag.message(events, last, &event_array(Wire::Ros1, last, (WIDTH as u32, HEIGHT as u32), &part));
+    }
+    for (t, codes) in &scene().frames {
+        bag.message(images, t * 1000, &compressed_image(Wire::Ros1, t * 1000, "mono8; png compressed ", &png(codes)));
+    }
+    fs::write(bench.path("clip.bag"), bag.finish().unwrap()).unwrap();
+    two_commands(&bench, &["clip.bag"], &KNOWN);
+}
+
+#[test]
+fn a_bag_of_ros_2_in_sqlite_as_a_file_and_as_a_folder() {
+    let bench = Bench::new();
+    let topics = [("/dvs/events", "dvs_msgs/msg/EventArray"), ("/dvs/image_raw", "sensor_msgs/msg/Image")];
+    let size = (WIDTH as u32, HEIGHT as u32);
+    let mut messages: Vec<(u32, i64, Vec<u8>)> = Vec::new();
+    for part in scene().events.chunks(500) {
+        let part: Vec<Event> = part.iter().map(|(t, x, y, on)| (t * 1000, *x, *y, *on)).collect();
+        let last = part.last().unwrap().0;
+        messages.push((0, last, event_array(Wire::Cdr, last, size, &part)));
+    }
+    for (t, codes) in &scene().frames {
+        messages.push((1, t * 1000, image(Wire::Cdr, t * 1000, size, "mono8", WIDTH as u32, codes)));
+    }
+    messages.sort_by_key(|message| message.1);
+    fs::write(bench.path("clip.db3"), db3(&topics, &messages).unwrap()).unwrap();
+    two_commands(&bench, &["clip.db3"], &KNOWN);
+    // The same, split as a long recording is.
+    let (first, second) = messages.split_at(messages.len() / 2);
+    bench.write("bag/metadata.yaml", "rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n    - bag_0.db3\n    - bag_1.db3\n");
+    fs::write(bench.path("bag/bag_0.db3"), db3(&topics, first).unwrap()).unwrap();
+    fs::write(bench.path("bag/bag_1.db3"), db3(&topics, second).unwrap()).unwrap();
+    fs::remove_file(bench.path("my.toml")).unwrap();
+    fs::remove_file(bench.path("my.sensor.toml")).unwrap();
+    two_commands(&bench, &["bag"], &KNOWN);
+}
+
+#[test]
+fn an_aedat_3_file() {
+    let bench = Bench::new();
+    let mut parts = vec![made3::header("DAVISprototype")];
+    parts.extend(scene().events.chunks(1000).map(|part| made3::polarity(0, part)));
+    for (t, codes) in &scene().frames {
+        let values: Vec<u16> = codes.iter().map(|code| u16::from(*code)).collect();
+        parts.push(made3::frame(0, (1, 0), (*t, t + EXPOSURE_US), (WIDTH as u32, HEIGHT as u32), &values));
+    }
+    fs::write(bench.path("clip.aedat"), parts.concat()).unwrap();
+    // Everything is recorded.
+    two_commands(&bench, &["clip.aedat"], &[]);
 }
 
 /// A column of 8-byte integers as NumPy writes it.

@@ -101,7 +101,7 @@ pub struct All {
     pub camera: Option<String>,
     /// Which frame camera, stream or topic of a file with several, as the file names it.
     pub frame_camera: Option<String>,
-    /// Frames that lie elsewhere: a folder of PNG or TIFF pictures, or a Y4M file; relative to the manifest.
+    /// Frames that lie elsewhere: a folder of PNG, TIFF or JPEG pictures, or a Y4M file; relative to the manifest.
     pub frames: Option<InputPath>,
     /// Stamps of those frames: a text file; relative to the manifest. Default: the one in the folder of the pictures.
     pub stamps: Option<InputPath>,

@@ -109,7 +109,13 @@ readers! {
     Mcap "read/mcap" "mcap" "Reads events and images of an MCAP file (ROS 1 or ROS 2 messages)." ["MCAP specification", "event_camera_msgs, sensor_msgs"]
         accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
         example "path = \"office.mcap\", camera = \"/event_camera/events\"";
-    Pictures "read/pictures" "pictures" "Reads frames from a folder of PNG or TIFF pictures, or from a Y4M file." ["PNG, TIFF 6.0, YUV4MPEG2"]
+    Pictures "read/pictures" "pictures" "Reads frames from a folder of PNG, TIFF or JPEG pictures, or from a Y4M file." ["PNG, TIFF 6.0, JPEG (ITU-T T.81), YUV4MPEG2"]
         accepts ["stamps", "time_unit", "exposure", "stamp", "row_time", "transfer", "frame_offset", "first_pulse", "pairing"]
         example "path = \"frames\", stamps = \"timestamps.txt\", time_unit = \"us\", exposure = \"2 ms\", stamp = \"start\", row_time = \"0 us\", transfer = \"srgb\"";
+    Aedat3 "read/aedat3" "aedat3" "Reads events and frames of an AEDAT 3.1 file (cAER)." ["AEDAT 3.1 file format, iniVation"]
+        accepts ["extent", "camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        example "path = \"davis240_walk.aedat\", end = \"1 s\"";
+    Rosbag2 "read/rosbag2" "rosbag2" "Reads events and images of a ROS 2 bag: its folder, or a file in SQLite (.db3)." ["rosbag2, storage sqlite3 and mcap", "dvs_msgs, event_camera_msgs, sensor_msgs"]
+        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        example "path = \"office_bag\", camera = \"/event_camera/events\"";
 }

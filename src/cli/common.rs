@@ -2,6 +2,7 @@
 
 use crate::args::Target;
 use crate::file_kind::need_manifest;
+use crate::run_record::check_same_manifest;
 use crate::terminal::say;
 use photocurrent_core::document::Problem;
 use photocurrent_engine::{End, Outcome, Plan, Project, Selection};
@@ -82,6 +83,18 @@ impl Target {
     /// Where files for the user go.
     pub fn out_dir(&self) -> PathBuf {
         self.out.clone().unwrap_or_else(|| Path::new("out").join(self.manifest.file_stem().unwrap_or_default()))
+    }
+
+    /// Refuses to put files where those of another manifest with the same name are; a folder that is named by `--out` is taken as it is.
+    pub fn check_out_dir(&self) -> Result<(), Failure> {
+        if self.out.is_some() {
+            return Ok(());
+        }
+        let folder = self.out_dir();
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let within = self.manifest.canonicalize().ok().and_then(|path| Some(path.parent()?.file_name()?.to_string_lossy().into_owned())).unwrap_or_default();
+        let hint = format!("name another folder, such as --out out/{within}-{name}, or the same folder by --out to replace what is there");
+        check_same_manifest(&folder, &self.manifest, "they would be replaced by those of", &hint)
     }
 }
 

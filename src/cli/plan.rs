@@ -52,6 +52,7 @@ fn as_json(plan: &Plan, status: &TaskStatus) -> Value {
 /// Shows every task in running order.
 pub fn plan(options: &PlanOptions) -> Done {
     let (_, plan) = options.target.plan("plan")?;
+    options.target.check_out_dir()?;
     let look = Look::new(&options.target)?;
     let all = status(&plan, &look.cache, &options.target.out_dir());
     if options.json {

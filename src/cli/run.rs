@@ -32,6 +32,9 @@ pub fn merge(options: &MergeOptions) -> Done {
 fn run_with(options: &RunOptions, parts: &[PathBuf]) -> Done {
     let (project, plan) = options.target.plan(if parts.is_empty() { "run" } else { "merge" })?;
     check_forced(options, &plan)?;
+    if options.part.is_none() {
+        options.target.check_out_dir()?;
+    }
     let cancel = Arc::new(AtomicBool::new(false));
     stop_on_signal(&cancel, None)?;
     let cache = Cache::open(&options.target.cache)?;

@@ -30,6 +30,9 @@ pub struct RunRecord {
     pub sets: Vec<String>,
     /// The cache, from the folder of this file.
     pub cache: PathBuf,
+    /// The manifest's file, from the folder of this file; empty in what earlier versions wrote.
+    #[serde(default, skip_serializing_if = "is_empty")]
+    pub manifest_file: PathBuf,
     /// From start to end.
     pub seconds: f64,
     /// Axes of the ablation with their levels; empty without one.
@@ -143,6 +146,7 @@ impl RunRecord {
             seed: first.map_or(0, |pipeline| pipeline.seed),
             sets: sets.to_vec(),
             cache: relative(folder, cache),
+            manifest_file: relative(&real(folder), &real(&project.path)),
             seconds,
             axes: project.ablation.as_ref().map_or_else(Vec::new, |ablation| ablation.axes.clone()),
             variants: outcome.variants.iter().map(variant).collect(),
@@ -190,6 +194,37 @@ fn input_record(input: &TaskInput) -> InputRecord {
         record.from.push((parts[0].task, parts[0].port.into()));
     }
     record
+}
+
+fn is_empty(path: &Path) -> bool {
+    path.as_os_str().is_empty()
+}
+
+/// The path without links, where it is there.
+fn real(path: &Path) -> PathBuf {
+    std::fs::canonicalize(path).unwrap_or_else(|_| path.into())
+}
+
+/// The path as it is shown: from the current folder, when it is below.
+fn shown(path: &Path) -> String {
+    let here = std::env::current_dir().map(|here| real(&here)).unwrap_or_default();
+    path.strip_prefix(&here).unwrap_or(path).display().to_string()
+}
+
+/// Two manifests of one name share `out/NAME`. Refuses a folder whose results are of another manifest that is still there; where that was moved or
+/// deleted, the folder belongs to whoever has its name. `doing` completes "..., and this is ...; " in the message; `hint` is what to do.
+///
+/// # Errors
+/// When the folder holds the results of another manifest.
+pub fn check_same_manifest(folder: &Path, manifest: &Path, doing: &str, hint: &str) -> Result<(), Failure> {
+    let Some(record) = std::fs::read_to_string(folder.join(FILE)).ok().and_then(|text| serde_json::from_str::<RunRecord>(&text).ok()) else { return Ok(()) };
+    let other = real(&folder.join(&record.manifest_file));
+    let this = real(manifest);
+    if is_empty(&record.manifest_file) || !other.is_file() || other == this {
+        return Ok(());
+    }
+    let message = format!("{} has the results of {}; {doing} {}\n  hint: {hint}", folder.display(), shown(&other), shown(&this));
+    Err(Failure::Other { message, code: 2 })
 }
 
 /// `path` as it is written from inside `folder`, so that both may move together.

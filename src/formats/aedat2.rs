@@ -14,7 +14,7 @@
 //! Sources: jAER (`DVS128`, `DavisChip`, `DavisBaseCamera`), iniVation's page on AEDAT formats.
 //!
 //! Limits: frames of DAVIS cameras, which stand in the file as single samples of the converter, are not put together; they are counted. Random access goes back
-//! to the first event. AEDAT 3 is recognised and refused.
+//! to the first event.
 
 use crate::chunk::{CHUNK_EVENTS, Edge, EventChunk, Trigger};
 use crate::declared::Declared;
@@ -27,14 +27,14 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-/// AEDAT 2.0 and 1.0; AEDAT 3 is refused.
+/// AEDAT 2.0 and 1.0.
 pub static FORMAT: Format = Format { id: "aedat2", name: "AEDAT 2.0 (jAER)", recognises, open };
 
 /// Comment lines beyond this belong to no header.
 const MOST_HEADER: u64 = 1 << 20;
 
 fn recognises(probe: &Probe) -> bool {
-    ["#!AER-DAT1.", "#!AER-DAT2.", "#!AER-DAT3."].iter().any(|line| probe.head.starts_with(line.as_bytes()))
+    ["#!AER-DAT1.", "#!AER-DAT2."].iter().any(|line| probe.head.starts_with(line.as_bytes()))
 }
 
 fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
@@ -156,10 +156,6 @@ impl Aedat2 {
         let record = match version.split('.').next() {
             Some("1") => 6,
             Some("2") => 8,
-            Some("3") => {
-                let hint = "convert it to AEDAT4 with DV (Convert AEDAT files), or record anew with DV";
-                return Err(FormatError::new(path, format!("the file is AEDAT {version}"), hint).at("line 1").expected("AEDAT 2.0 or 1.0"));
-            }
             _ => {
                 let hint = "let the program find the format by itself";
                 return Err(FormatError::new(path, "the file does not begin as AEDAT files do", hint).at("line 1").expected("`#!AER-DAT2.0`"));

@@ -103,14 +103,6 @@ fn a_first_record_that_begins_like_a_comment_is_a_record() {
 }
 
 #[test]
-fn version_3_is_refused_with_what_to_do() {
-    with(b"#!AER-DAT3.1\r\n#Format: RAW\r\n", &Declared::default(), |recording| {
-        let error = recording.err().unwrap().to_string();
-        assert!(error.contains("the file is AEDAT 3.1, expected AEDAT 2.0") && error.contains("DV"), "{error}");
-    });
-}
-
-#[test]
 fn a_file_cut_anywhere_gives_its_whole_records_and_a_loss() {
     let bytes = file(DVS128, &[(0, 5), (2, 6), (4, 7)]);
     let all = events(&bytes);

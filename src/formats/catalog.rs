@@ -9,6 +9,7 @@ use crate::hdf;
 pub static FORMATS: &[&Format] = &[
     // By a signature.
     &crate::aedat4::FORMAT,
+    &crate::aedat3::FORMAT,
     &crate::aedat2::FORMAT,
     &crate::event_stream::FORMAT,
     &crate::evt::EVT2,
@@ -16,6 +17,7 @@ pub static FORMATS: &[&Format] = &[
     &crate::evt::EVT3,
     &crate::evt::DAT,
     &crate::rosbag::FORMAT,
+    &crate::rosbag2::FORMAT,
     &crate::mcap::FORMAT,
     &crate::npz::FORMAT,
     // By what an HDF5 file holds.

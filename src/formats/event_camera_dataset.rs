@@ -8,7 +8,7 @@ use crate::csv::Csv;
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
-use crate::pictures::PictureFiles;
+use crate::pictures::{PictureFiles, names};
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,8 +21,28 @@ pub static FORMAT: Format = Format {
     open: |path, declared| Ok(Box::new(EventCameraDataset::open(path, declared)?)),
 };
 
+/// A folder with the list of pictures and their folder, but no events, is one that was copied or unpacked in part.
 fn recognises(probe: &Probe) -> bool {
-    probe.has("events.txt")
+    let pictures_here = probe.names.iter().flatten().any(|name| names::is_picture(name));
+    probe.has("events.txt") || probe.has("images.txt") && probe.has("images") && !pictures_here
+}
+
+/// The refusal of a folder without its events.
+fn without_events(path: &Path) -> FormatError {
+    let packed = ["events.zip", "events.txt.gz", "events.txt.zip"].into_iter().find(|name| path.join(name).is_file());
+    let hint = match packed {
+        Some(name) if name.ends_with(".gz") => format!("unpack it there: gunzip -k {}", path.join(name).display()),
+        Some(name) => format!("unpack it there: unzip {} -d {}", path.join(name).display(), path.display()),
+        None => {
+            let frames = "for its frames alone name the folder `images`, with `images.txt` as stamps";
+            format!("it is in the sequence's zip (rpg.ifi.uzh.ch/davis_data.html), with the pictures; {frames}")
+        }
+    };
+    let found = match packed {
+        Some(name) => format!("events.txt is missing; {name} is there, packed"),
+        None => "events.txt is missing; images.txt and the pictures are there".into(),
+    };
+    FormatError::new(path, found, hint).expected("events.txt with a line `t x y p` an event")
 }
 
 /// An opened folder.
@@ -37,8 +57,11 @@ impl EventCameraDataset {
     /// Opens a folder.
     ///
     /// # Errors
-    /// When `events.txt` has no events, or `images.txt` names no pictures.
+    /// When `events.txt` is missing or has no events, or `images.txt` names no pictures.
     pub fn open(path: &Path, declared: &Declared) -> Result<EventCameraDataset, FormatError> {
+        if !path.join("events.txt").exists() {
+            return Err(without_events(path));
+        }
         let columns = [Column::T, Column::X, Column::Y, Column::P];
         let events = Csv::open_as(&path.join("events.txt"), declared, Some((&columns, TimeUnit::S)))?;
         let images = path.join("images.txt");

@@ -25,8 +25,16 @@ const STAMPS: [&str; 4] = ["events_ts.npy", "t.npy", "events_t.npy", "dataset_ev
 const PIXELS: [&str; 3] = ["events_xy.npy", "xy.npy", "dataset_events_xy.npy"];
 const POLARITIES: [&str; 3] = ["events_p.npy", "p.npy", "dataset_events_p.npy"];
 
+/// A folder with two of the three arrays is one that was copied in part.
 fn recognises(probe: &Probe) -> bool {
-    [&STAMPS[..], &PIXELS, &POLARITIES].iter().all(|names| names.iter().any(|name| probe.has(name)))
+    [&STAMPS[..], &PIXELS, &POLARITIES].iter().filter(|names| names.iter().any(|name| probe.has(name))).count() >= 2
+}
+
+/// The refusal of a folder without one of its arrays.
+fn without(path: &Path, names: &[&str]) -> FormatError {
+    let others = names[1..].iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+    let hint = "copy it from where the others came from: event_utils (h5_to_memmap) and EVREAL write all three together";
+    FormatError::new(path, format!("{} is missing; the other arrays of events are there", names[0]), hint).expected(format!("{}, or {others}", names[0]))
 }
 
 /// An opened folder.
@@ -45,11 +53,16 @@ impl Memmap {
     /// # Errors
     /// When an array is missing or has another shape, or the unit of whole stamps is not declared.
     pub fn open(path: &Path, declared: &Declared) -> Result<Memmap, FormatError> {
+        for names in [&STAMPS[..], &PIXELS, &POLARITIES] {
+            if !names.iter().any(|name| path.join(name).is_file()) {
+                return Err(without(path, names));
+            }
+        }
         let mut table = Table::default();
         let mut files = Vec::new();
         for (names, columns) in [(&STAMPS[..], &[Column::T][..]), (&PIXELS, &[Column::X, Column::Y]), (&POLARITIES, &[Column::P])] {
             let Some(file) = names.iter().map(|name| path.join(name)).find(|file| file.is_file()) else {
-                return Err(FormatError::new(path, format!("no {}", names[0]), "check that the folder was copied whole"));
+                return Err(without(path, names));
             };
             let place = Place { path: file.clone(), member: None };
             let mut header = place.header()?;

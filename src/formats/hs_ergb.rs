@@ -31,7 +31,29 @@ const IMAGES: [&str; 3] = ["images_corrected", "images_aligned", "images"];
 const STAMPS: [&str; 2] = ["timestamp.txt", "timestamps.txt"];
 
 fn recognises(probe: &Probe) -> bool {
-    events_folder(&probe.path, |name| probe.has(name)).is_some_and(|folder| archives(&folder).is_ok_and(|files| !files.is_empty()))
+    let events = events_folder(&probe.path, |name| probe.has(name));
+    // Pictures in folders of these names, but no event files: a sequence that was copied or unpacked in part.
+    let in_part = ["images_corrected", "images_aligned"].iter().any(|name| probe.has(name));
+    let has_images = IMAGES.iter().any(|name| probe.has(name))
+        && (probe.has("timestamp.txt") || IMAGES.iter().any(|name| probe.path.join(name).join("timestamp.txt").is_file()));
+    match events {
+        Some(folder) => archives(&folder).is_ok_and(|files| !files.is_empty() || in_part || has_images && is_empty(&folder)),
+        None => in_part,
+    }
+}
+
+fn is_empty(folder: &Path) -> bool {
+    std::fs::read_dir(folder).is_ok_and(|mut entries| entries.next().is_none())
+}
+
+/// The refusal of a sequence without event files.
+fn without_events(path: &Path) -> FormatError {
+    let found = match events_folder(path, |name| path.join(name).is_dir()) {
+        Some(folder) => format!("{}/000000.npz and all other event files are missing", folder.file_name().unwrap_or_default().to_string_lossy()),
+        None => "the folder of event files is missing".into(),
+    };
+    let hint = "they come with the sequence's download (Time Lens: HS-ERGB, Time Lens++: BS-ERGB on rpg.ifi.uzh.ch); name the folder of one sequence";
+    FormatError::new(path, found, hint).expected("a folder `events`, `events_aligned` or `events_corrected` with 000000.npz and so on")
 }
 
 fn events_folder(path: &Path, has: impl Fn(&str) -> bool) -> Option<PathBuf> {
@@ -70,10 +92,11 @@ impl HsErgb {
     /// # Errors
     /// When it has no events, or the values contradict microseconds or leave open how coordinates are stored.
     pub fn open(path: &Path, declared: &Declared) -> Result<HsErgb, FormatError> {
-        let folder = events_folder(path, |name| path.join(name).is_dir()).ok_or_else(|| {
-            FormatError::new(path, "no folder of event files", "name the folder of one sequence").expected("a folder `events` or `events_aligned`")
-        })?;
+        let folder = events_folder(path, |name| path.join(name).is_dir()).ok_or_else(|| without_events(path))?;
         let archives = archives(&folder)?;
+        if archives.is_empty() {
+            return Err(without_events(path));
+        }
         let sample = Sample::of(&folder, &archives, declared)?;
         let unit = sample.unit(&folder, declared)?;
         let mut notes = Vec::new();

@@ -24,7 +24,7 @@ fn known(format: &Format, recording: &dyn Recording) -> Option<Known> {
     let shutter = |why| Some(Known { linear: false, why });
     match format.id {
         "mvsec" | "ecd" => Some(DAVIS),
-        "aedat4" => recording.facts().iter().any(|(name, value)| name == "camera" && value.starts_with("DAVIS")).then_some(DAVIS),
+        "aedat4" | "aedat3" => recording.facts().iter().any(|(name, value)| name == "camera" && value.starts_with("DAVIS")).then_some(DAVIS),
         "dsec" => shutter("the frame cameras of DSEC have global shutters: row time 0"),
         "m3ed" => shutter("the frame cameras of M3ED have global shutters: row time 0"),
         "hs_ergb" => shutter("the frame cameras of HS-ERGB and BS-ERGB have global shutters: row time 0"),

@@ -9,19 +9,20 @@
 //! - [`evt`]: Prophesee RAW (EVT2, EVT2.1, EVT3) and DAT; [`bias`]: settings of these sensors.
 //! - [`survey`]: one pass over a recording: everything that a person, or the judge of hazards, wants to know.
 //! - [`hazard`]: what is wrong or unknown, with evidence and what to do.
-//! - [`rosbag`], [`mcap`]: bags of ROS 1 and MCAP files, whose messages and chunks [`ros`] reads.
+//! - [`rosbag`], [`rosbag2`], [`mcap`]: bags of ROS 1 and 2 and MCAP files, whose messages and chunks [`ros`] reads.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`alternatives`]: which of several ways to pair pictures with times agrees with the events.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //! - [`placed`]: a mirrored picture, a shift by whole pixels, frames that are left out, as they are stated.
 //! - [`losses`]: what was left out, as a list that stays short.
 //! - [`convention`]: unusual ways of storing events that are no damage; [`instead`]: what a file is that is no recording.
-//! - [`aedat4`], [`aedat2`], [`event_stream`]: one module a format.
+//! - [`aedat4`], [`aedat3`], [`aedat2`], [`event_stream`]: one module a format.
 //!
 //! Times are i64 nanoseconds on the file's own clock; x and y are whole event pixels; 1 is ON. A reader holds one piece, whatever the size of
 //! the file, and takes no memory that the file only claims to need. What is damaged is left out and reported as a [`error::Loss`]: what is whole is read.
 
 pub mod aedat2;
+pub mod aedat3;
 pub mod aedat4;
 pub mod alternatives;
 pub mod arrange;
@@ -44,6 +45,8 @@ pub mod gather;
 pub mod hazard;
 pub mod hdf;
 pub mod hs_ergb;
+#[cfg(test)]
+mod incomplete_tests;
 pub mod instead;
 pub mod joined;
 pub mod known;
@@ -56,6 +59,7 @@ pub mod placed;
 pub mod recording;
 pub mod ros;
 pub mod rosbag;
+pub mod rosbag2;
 pub mod survey;
 mod text;
 pub mod transfer;

@@ -3,7 +3,7 @@
 use crate::args::ReportOptions;
 use crate::common::Failure;
 use crate::file_kind::FileKind;
-use crate::run_record::{FILE, Part, RunRecord, TaskRecord, VariantRecord};
+use crate::run_record::{FILE, Part, RunRecord, TaskRecord, VariantRecord, check_same_manifest};
 use photocurrent_core::{TimeSpan, Value};
 use photocurrent_engine::node_of;
 use photocurrent_store::Cache;
@@ -51,6 +51,9 @@ impl Run {
                 "{} is not there\n  hint: `{command}` makes it; with --out, name that folder instead of the manifest",
                 folder.join(FILE).display()
             )));
+        }
+        if is_manifest {
+            check_same_manifest(&folder, source, "this is", "run this manifest with --out FOLDER, and name that folder instead of the manifest")?;
         }
         let record = RunRecord::load(&folder)?;
         let at = options.cache.clone().unwrap_or_else(|| folder.join(&record.cache));

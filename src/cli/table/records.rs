@@ -4,6 +4,7 @@ use super::usage;
 use crate::args::Pooled;
 use crate::common::Failure;
 use crate::file_kind::FileKind;
+use crate::run_record::check_same_manifest;
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 
@@ -88,6 +89,8 @@ fn find(source: &Path, by_frame: bool) -> Result<(PathBuf, String), Failure> {
                 source.display()
             )));
         }
+        let hint = "run this manifest with --out FOLDER, and name that folder instead of the manifest";
+        check_same_manifest(&Path::new("out").join(&stem), source, "this is", hint)?;
         return Ok((path, stem));
     }
     if source.is_dir() {

@@ -22,7 +22,8 @@ pub static FORMAT: Format = Format { id: "dsec", name: "DSEC HDF5", recognises, 
 
 fn recognises(probe: &Probe) -> bool {
     if probe.names.is_some() {
-        return folder::events_of(&probe.path, None).is_some_and(|events| Probe::new(&events).is_ok_and(|probe| recognises(&probe)));
+        let events = folder::events_of(&probe.path, None);
+        return events.map_or_else(|| folder::is_sequence(&probe.path), |events| Probe::new(&events).is_ok_and(|probe| recognises(&probe)));
     }
     holds(probe, &["events/x", "events/y", "events/t", "events/p"])
 }
@@ -32,8 +33,7 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
         return Ok(Box::new(open_events(path, path, declared)?));
     }
     let side = declared.camera.as_deref();
-    let missing = || FormatError::new(path, "there is no events.h5", "name the file with the events").expected("events/left/events.h5 or events.h5");
-    let events = folder::events_of(path, side).ok_or_else(missing)?;
+    let events = folder::events_of(path, side).ok_or_else(|| folder::without_events(path, side))?;
     let mut recording = open_events(path, &events, declared)?;
     let there = folder::cameras_of(path);
     let there: Vec<&str> = there.iter().map(String::as_str).collect();

@@ -1,12 +1,14 @@
-//! Stored values of one picture: PNG of 8 or 16 bits, TIFF of 8 or 16 bits or floats, grey or RGB.
+//! Stored values of one picture: PNG of 8 or 16 bits, TIFF of 8 or 16 bits or floats, JPEG ([`super::jpeg`]), grey or RGB; of a file, or within a message.
 //!
+//! Which it is follows from the first bytes, where they say so, else from the name.
 //! Values are those that are stored: no profile and no gamma is applied. Alpha is left out, a palette is looked up, 1 to 4 bits are widened to 8.
 //! A header may claim any size; memory is taken only when the file could hold it: deflate packs at most 1032 : 1, LZW less.
 
+use super::jpeg;
 use crate::error::FormatError;
 use photocurrent_core::{Colour, Extent};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek};
+use std::io::{BufRead, BufReader, Cursor, Read, Seek};
 use std::path::Path;
 use tiff::ColorType;
 use tiff::decoder::{Decoder as Tiff, DecodingResult, Limits};
@@ -31,21 +33,65 @@ fn damaged(path: &Path, what: impl std::fmt::Display) -> FormatError {
     FormatError::new(path, format!("the picture cannot be read: {what}"), "leave it out, or copy it again")
 }
 
-fn is_tiff(path: &Path) -> bool {
-    let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();
-    extension.starts_with("tif")
+/// How a picture is stored.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Coding {
+    /// PNG.
+    Png,
+    /// JPEG.
+    Jpeg,
+    /// TIFF.
+    Tiff,
 }
+
+impl Coding {
+    /// By the first bytes; `None` when they are those of no picture that is read.
+    pub(crate) fn of(start: &[u8]) -> Option<Coding> {
+        match start {
+            [0x89, b'P', b'N', b'G', ..] => Some(Coding::Png),
+            [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..] => Some(Coding::Tiff),
+            _ => start.starts_with(jpeg::MAGIC).then_some(Coding::Jpeg),
+        }
+    }
+
+    /// Of a file: by its first bytes, else by its name.
+    fn of_file(path: &Path) -> Result<Coding, FormatError> {
+        let mut start = Vec::new();
+        let read = File::open(path).and_then(|file| file.take(4).read_to_end(&mut start));
+        read.map_err(|error| FormatError::io(path, &error))?;
+        let extension = path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default();
+        Ok(Coding::of(&start).unwrap_or(match extension.as_str() {
+            "tif" | "tiff" => Coding::Tiff,
+            "jpg" | "jpeg" => Coding::Jpeg,
+            _ => Coding::Png,
+        }))
+    }
+}
+
+/// Bytes of a JPEG file before its values: profiles and previews can stand there.
+const JPEG_HEAD: u64 = 1 << 20;
 
 /// Reads the header of a picture, and follows its parts to the end without decoding them: a picture that is cut off is no whole one.
 pub(crate) fn head(path: &Path) -> Result<Head, FormatError> {
-    if is_tiff(path) {
-        let (mut decoder, head) = open_tiff(path)?;
-        ends_tiff(path, &mut decoder)?;
-        Ok(head)
-    } else {
-        let (_, head) = open_png(path)?;
-        ends_png(path)?;
-        Ok(head)
+    match Coding::of_file(path)? {
+        Coding::Tiff => {
+            let (mut decoder, head) = open_tiff(path)?;
+            ends_tiff(path, &mut decoder)?;
+            Ok(head)
+        }
+        Coding::Png => {
+            let (_, head) = open_png(path)?;
+            ends_png(path)?;
+            Ok(head)
+        }
+        Coding::Jpeg => {
+            let io = |error: std::io::Error| FormatError::io(path, &error);
+            let file = File::open(path).map_err(io)?;
+            let length = file.metadata().map_err(io)?.len();
+            let mut start = Vec::new();
+            file.take(JPEG_HEAD).read_to_end(&mut start).map_err(io)?;
+            jpeg::head(&start, length).map_err(|error| damaged(path, error))
+        }
     }
 }
 
@@ -96,17 +142,51 @@ fn ends_tiff<R: Read + Seek>(path: &Path, decoder: &mut Tiff<R>) -> Result<(), F
 /// Replaces `values` by those of a picture.
 pub(crate) fn read(path: &Path, values: &mut Vec<f32>) -> Result<Head, FormatError> {
     values.clear();
-    if is_tiff(path) { read_tiff(path, values) } else { read_png(path, values) }
+    match Coding::of_file(path)? {
+        Coding::Tiff => read_tiff(path, values),
+        Coding::Png => {
+            let (reader, head) = open_png(path)?;
+            png_values(reader, &head, values).map_err(|error| damaged(path, error))?;
+            Ok(head)
+        }
+        Coding::Jpeg => {
+            let bytes = std::fs::read(path).map_err(|error| FormatError::io(path, &error))?;
+            jpeg::read(&bytes, values).map_err(|error| damaged(path, error))
+        }
+    }
+}
+
+/// The head of a picture that stands in a message: PNG or JPEG. `start` may be the beginning of its `length` bytes.
+pub(crate) fn head_of(coding: Coding, start: &[u8], length: u64) -> Result<Head, String> {
+    match coding {
+        Coding::Png => png_head(Cursor::new(start), length).map(|(_, head)| head),
+        Coding::Jpeg => jpeg::head(start, length),
+        Coding::Tiff => Err("TIFF is not read in messages".into()),
+    }
+}
+
+/// Replaces `values` by those of a picture that stands in a message.
+pub(crate) fn read_of(coding: Coding, bytes: &[u8], values: &mut Vec<f32>) -> Result<Head, String> {
+    values.clear();
+    match coding {
+        Coding::Png => {
+            let (reader, head) = png_head(Cursor::new(bytes), bytes.len() as u64)?;
+            png_values(reader, &head, values)?;
+            Ok(head)
+        }
+        Coding::Jpeg => jpeg::read(bytes, values),
+        Coding::Tiff => Err("TIFF is not read in messages".into()),
+    }
 }
 
 /// Most pixels of a frame: 16,384 x 16,384.
 const LARGEST: u64 = 1 << 28;
 
-/// Could a file of `bytes` hold so many pixels?
-fn check_size(path: &Path, bytes: u64, extent: Extent, bits_a_pixel: u64) -> Result<(), FormatError> {
+/// Could so many bytes hold so many pixels?
+pub(crate) fn check_size(bytes: u64, extent: Extent, bits_a_pixel: u64) -> Result<(), String> {
     let pixels = u64::from(extent.width) * u64::from(extent.height);
     if pixels == 0 || pixels > LARGEST || pixels.saturating_mul(bits_a_pixel) / 8 > bytes.saturating_mul(PACKED) {
-        return Err(damaged(path, format!("its header claims {extent} pixels, which a file of {bytes} bytes cannot hold")));
+        return Err(format!("its header claims {extent} pixels, which {bytes} bytes cannot hold"));
     }
     Ok(())
 }
@@ -114,13 +194,18 @@ fn check_size(path: &Path, bytes: u64, extent: Extent, bits_a_pixel: u64) -> Res
 fn open_png(path: &Path) -> Result<(png::Reader<BufReader<File>>, Head), FormatError> {
     let file = File::open(path).map_err(|error| FormatError::io(path, &error))?;
     let bytes = file.metadata().map_err(|error| FormatError::io(path, &error))?.len();
-    let mut decoder = png::Decoder::new_with_limits(BufReader::new(file), png::Limits { bytes: 64 << 20 });
+    png_head(BufReader::new(file), bytes).map_err(|error| damaged(path, error))
+}
+
+/// Reads the header of a PNG picture of so many bytes.
+fn png_head<R: BufRead + Seek>(source: R, bytes: u64) -> Result<(png::Reader<R>, Head), String> {
+    let mut decoder = png::Decoder::new_with_limits(source, png::Limits { bytes: 64 << 20 });
     decoder.set_transformations(png::Transformations::EXPAND);
-    let reader = decoder.read_info().map_err(|error| damaged(path, error))?;
+    let reader = decoder.read_info().map_err(|error| error.to_string())?;
     let info = reader.info();
     let extent = Extent { width: info.width, height: info.height };
     let (colour, depth) = reader.output_color_type();
-    check_size(path, bytes, extent, info.bits_per_pixel() as u64)?;
+    check_size(bytes, extent, info.bits_per_pixel() as u64)?;
     let head = Head {
         extent,
         colour: if matches!(colour, png::ColorType::Rgb | png::ColorType::Rgba) { Colour::Rgb } else { Colour::Mono },
@@ -131,12 +216,11 @@ fn open_png(path: &Path) -> Result<(png::Reader<BufReader<File>>, Head), FormatE
     Ok((reader, head))
 }
 
-fn read_png(path: &Path, values: &mut Vec<f32>) -> Result<Head, FormatError> {
-    let (mut reader, head) = open_png(path)?;
-    let bytes = reader.output_buffer_size().ok_or_else(|| damaged(path, "it is too large"))?;
+fn png_values<R: BufRead + Seek>(mut reader: png::Reader<R>, head: &Head, values: &mut Vec<f32>) -> Result<(), String> {
+    let bytes = reader.output_buffer_size().ok_or("it is too large")?;
     let (colour, _) = reader.output_color_type();
     let mut stored = vec![0; bytes];
-    reader.next_frame(&mut stored).map_err(|error| damaged(path, error))?;
+    reader.next_frame(&mut stored).map_err(|error| error.to_string())?;
     let channels = colour.samples();
     let kept = if head.colour == Colour::Rgb { 3 } else { 1 };
     values.reserve(head.extent.pixels() * kept);
@@ -149,7 +233,7 @@ fn read_png(path: &Path, values: &mut Vec<f32>) -> Result<Head, FormatError> {
             values.extend(pixel[..kept].iter().map(|&sample| f32::from(sample)));
         }
     }
-    Ok(head)
+    Ok(())
 }
 
 fn open_tiff(path: &Path) -> Result<(Tiff<BufReader<File>>, Head), FormatError> {
@@ -169,7 +253,7 @@ fn open_tiff(path: &Path) -> Result<(Tiff<BufReader<File>>, Head), FormatError> 
     };
     let extent = Extent { width, height };
     let channels = if colour == Colour::Rgb { 3 } else { 1 };
-    check_size(path, bytes, extent, channels * u64::from(bits))?;
+    check_size(bytes, extent, channels * u64::from(bits)).map_err(|error| damaged(path, error))?;
     let has_more = decoder.more_images();
     Ok((decoder, Head { extent, colour, bits: u32::from(bits), says_srgb: false, has_more }))
 }

@@ -1,10 +1,13 @@
-//! Frames without events: a folder of PNG or TIFF pictures, or a Y4M file, with stamps from a text file.
+//! Frames without events: a folder of PNG, TIFF or JPEG pictures, or a Y4M file, with stamps from a text file.
 //!
 //! The stamps come from a declared file, or from one that stands in the folder (`timestamps.txt`, `timestamp.txt`, `images.txt`, `frames.csv`). A Y4M file
 //! without stamps has the constant rate of its header, and a note says so. Values are given as stored: see [`crate::declared::Transfer`].
 //! Limits: the first picture of a file with several; all frames have one size and one depth.
 
 pub(crate) mod decode;
+mod jpeg;
+#[cfg(test)]
+mod jpeg_tests;
 pub(crate) mod names;
 pub mod pairing;
 pub(crate) mod place;
@@ -30,8 +33,12 @@ use triggers::{Pulses, pulses};
 use y4m::Y4m;
 
 /// Folders of pictures and Y4M files.
-pub static FORMAT: Format =
-    Format { id: "pictures", name: "pictures (PNG or TIFF folder, Y4M)", recognises, open: |path, declared| Ok(Box::new(PicturesOnly::open(path, declared)?)) };
+pub static FORMAT: Format = Format {
+    id: "pictures",
+    name: "pictures (PNG, TIFF or JPEG folder, Y4M)",
+    recognises,
+    open: |path, declared| Ok(Box::new(PicturesOnly::open(path, declared)?)),
+};
 
 /// Names of stamps files, in the order in which they are looked for.
 pub(crate) const STAMPS: [&str; 6] = ["frames.csv", "timestamps.txt", "timestamp.txt", "images.txt", "exposure_timestamps.txt", "timestamps.csv"];
@@ -196,7 +203,7 @@ pub(crate) fn find(path: &Path) -> Result<Found, FormatError> {
         return Err(FormatError::new(
             path,
             if files.is_empty() { "no pictures" } else { "no picture that can be read" },
-            "name a folder of PNG or TIFF pictures",
+            "name a folder of PNG, TIFF or JPEG pictures",
         )
         .expected("pictures such as 000000.png"));
     };

@@ -26,7 +26,7 @@ pub(crate) fn is_picture(name: &str) -> bool {
     let lower = name.to_lowercase();
     let Some((stem, extension)) = lower.rsplit_once('.') else { return false };
     let is_thumbnail = stem.starts_with("thumb") || stem.ends_with("thumb") || stem.ends_with("thumbnail");
-    !lower.starts_with('.') && !is_thumbnail && matches!(extension, "png" | "tif" | "tiff")
+    !lower.starts_with('.') && !is_thumbnail && matches!(extension, "png" | "tif" | "tiff" | "jpg" | "jpeg")
 }
 
 /// Compares names with numbers by value: digits as a number, everything else as text.

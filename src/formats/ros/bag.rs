@@ -224,7 +224,8 @@ fn chunk_info(header: &[u8], data: &[u8], size: u64) -> Option<Piece> {
         let (id, messages) = (u32::from_le_bytes([pair[0], pair[1], pair[2], pair[3]]), u32::from_le_bytes([pair[4], pair[5], pair[6], pair[7]]));
         (id, u64::from(messages))
     });
-    Some(Piece { at, length: None, received: (field_time(header, "start_time")?, field_time(header, "end_time")?), counts: Some(counts.collect()) })
+    let received = (field_time(header, "start_time")?, field_time(header, "end_time")?);
+    Some(Piece { file: 0, at, length: None, rows: None, received, counts: Some(counts.collect()) })
 }
 
 /// Goes from record to record and notes the chunks. After bytes that are no record, looks for the next chunk.
@@ -241,7 +242,7 @@ fn find_chunks(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> s
             continue;
         };
         if op(&record.header) == Some(CHUNK) {
-            pieces.push(Piece { at, length: None, received: (0, 0), counts: None });
+            pieces.push(Piece { file: 0, at, length: None, rows: None, received: (0, 0), counts: None });
         }
         // A length that is wrong would carry over everything after it: what follows must be a record, or the end of the file.
         let end = record.data + record.length;

@@ -275,7 +275,7 @@ fn chunk_index(content: &[u8], size: u64) -> Option<(Piece, Vec<u8>)> {
     fields.string()?;
     fields.u64()?;
     let compression = fields.string()?.to_vec();
-    Some((Piece { at, length: None, received, counts: None }, compression))
+    Some((Piece { file: 0, at, length: None, rows: None, received, counts: None }, compression))
 }
 
 /// How many messages in all, and of every channel.
@@ -297,7 +297,7 @@ fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> s
     let mut pieces = Vec::new();
     let mut run: Option<u64> = None;
     let mut at = first;
-    let whole = |from: u64, to: u64| Piece { at: from, length: Some(to - from), received: (0, 0), counts: None };
+    let whole = |from: u64, to: u64| Piece { file: 0, at: from, length: Some(to - from), rows: None, received: (0, 0), counts: None };
     while let Some((op, length)) = outer(file, size, at)? {
         if matches!(op, DATA_END | FOOTER) {
             break;
@@ -311,7 +311,7 @@ fn find_pieces(file: &mut File, size: u64, first: u64, losses: &mut Losses) -> s
         match op {
             CHUNK => {
                 pieces.extend(run.take().map(|from| whole(from, at)));
-                pieces.push(Piece { at, length: None, received: (0, 0), counts: None });
+                pieces.push(Piece { file: 0, at, length: None, rows: None, received: (0, 0), counts: None });
             }
             SCHEMA | CHANNEL | MESSAGE => {
                 let from = *run.get_or_insert(at);

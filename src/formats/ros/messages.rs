@@ -14,6 +14,8 @@ pub enum Kind {
     EventPacket,
     /// A picture: `sensor_msgs/Image`.
     Image,
+    /// A picture as PNG or JPEG: `sensor_msgs/CompressedImage`.
+    CompressedImage,
     /// Anything else.
     Other,
 }
@@ -25,6 +27,7 @@ pub fn kind_of(type_name: &str) -> Kind {
         // The older name of the same message.
         "event_camera_msgs/EventPacket" | "event_array_msgs/EventArray" => Kind::EventPacket,
         "sensor_msgs/Image" => Kind::Image,
+        "sensor_msgs/CompressedImage" => Kind::CompressedImage,
         _ => Kind::Other,
     }
 }
@@ -181,5 +184,28 @@ impl<'a> ImageHead<'a> {
         let step = wire.u32()?;
         let length = wire.u32()?;
         Some(ImageHead { stamp, extent: extent(width, height)?, encoding, big, step, length, at: wire.at() })
+    }
+}
+
+/// A compressed picture: what stands before its bytes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CompressedHead<'a> {
+    /// When it was taken, as the driver says.
+    pub stamp: Stamp,
+    /// What was compressed and how, as the driver says: `jpeg`, `bgr8; jpeg compressed bgr8`, `16UC1; png compressed`.
+    pub format: &'a [u8],
+    /// Bytes of the picture, as claimed.
+    pub length: u32,
+    /// Where the first of them stands in the message.
+    pub at: usize,
+}
+
+impl<'a> CompressedHead<'a> {
+    /// Reads what stands before the bytes.
+    pub fn read(mut wire: Wire<'a>) -> Option<CompressedHead<'a>> {
+        let stamp = header(&mut wire)?;
+        let format = wire.string()?;
+        let length = wire.u32()?;
+        Some(CompressedHead { stamp, format, length, at: wire.at() })
     }
 }

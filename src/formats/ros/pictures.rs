@@ -1,22 +1,27 @@
 //! Pictures of one image topic, by index.
 //!
 //! Their stamps are in the messages, so all image messages are gone over once, their heads only; that happens when pictures are first asked for.
-//! A picture's place is kept as (piece, byte), 16 bytes; its values are read when they are wanted. Stored values are given as they are.
+//! A picture's place is kept as (piece, byte), 16 bytes; its values are read when they are wanted. Stored values are given as they are. Compressed pictures
+//! (`sensor_msgs/CompressedImage`) are PNG or JPEG, by their first bytes; their `format` names the mosaic when it was compressed as one channel.
 
 use super::Contents;
-use super::messages::ImageHead;
+use super::messages::{CompressedHead, ImageHead, Kind, Serial};
+use super::records::Envelope;
 use super::topics::Group;
 use super::walk::Walker;
-use super::wire::label;
+use super::wire::{Stamp, label};
 use crate::error::{Cause, FormatError};
 use crate::losses::Losses;
+use crate::pictures::decode::{self, Coding};
 use crate::recording::{FrameStamp, FramesAbout, Pictures};
-use photocurrent_core::Colour;
 use photocurrent_core::colour::Order;
+use photocurrent_core::{Colour, Extent};
 use std::sync::{Arc, Mutex};
 
 /// Bytes of a message that hold all that stands before the values: names of frames are short.
 const HEAD_BYTES: u64 = 4096;
+/// The same of a compressed picture, whose own head can hold a profile.
+const COMPRESSED_HEAD_BYTES: u64 = 1 << 16;
 
 /// How values stand in a message: `sensor_msgs/image_encodings.h`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -125,11 +130,83 @@ impl Pixels {
     }
 }
 
+/// How pictures stand in messages.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Form {
+    /// Value by value.
+    Raw(Pixels),
+    /// As PNG or JPEG, of these colours and bits.
+    Packed(Coding, Colour, u32),
+}
+
+/// A picture's message, without the values.
+struct Found {
+    stamp: Stamp,
+    extent: Extent,
+    form: Form,
+    /// Name of its encoding or format.
+    name: String,
+    /// What the length of its rows shows that the encoding does not state.
+    note: Option<String>,
+}
+
+/// Why a message gives no picture.
+enum Not {
+    /// It is none, or is cut off: it is left out.
+    Sound(Cause, &'static str, String),
+    /// Its encoding, by name, is not read.
+    Known(String),
+}
+
+/// Looks at a message, of which `body` is the beginning.
+fn found(kind: Kind, serial: Option<Serial>, envelope: Envelope, body: &[u8]) -> Result<Found, Not> {
+    let none = || Not::Sound(Cause::Damage, "messages that are no picture", "the message is no picture; it is left out".into());
+    let wire = serial.and_then(|serial| serial.wire(body)).ok_or_else(none)?;
+    if kind == Kind::Image {
+        let head = ImageHead::read(wire).ok_or_else(none)?;
+        let pixels = pixels_of(&head).ok_or_else(|| Not::Known(label(head.encoding)))?;
+        if !pixels.fits(&head, envelope.length) {
+            let what = "the picture claims more values than the message holds; it is left out";
+            return Err(Not::Sound(Cause::Cut, "pictures that are cut off", what.into()));
+        }
+        let note = row_note(&head, &pixels);
+        return Ok(Found { stamp: head.stamp, extent: head.extent, form: Form::Raw(pixels), name: label(head.encoding), note });
+    }
+    let head = CompressedHead::read(wire).ok_or_else(none)?;
+    let start = body.get(head.at..).unwrap_or_default();
+    let coding = Coding::of(start).filter(|_| !is_depth(head.format)).ok_or_else(|| match head.format {
+        b"" => Not::Known("unnamed".into()),
+        format => Not::Known(label(format)),
+    })?;
+    if head.at as u64 + u64::from(head.length) > envelope.length {
+        return Err(Not::Sound(Cause::Cut, "pictures that are cut off", "the picture claims more bytes than the message holds; it is left out".into()));
+    }
+    let start = &start[..start.len().min(head.length as usize)];
+    let inner = decode::head_of(coding, start, head.length.into());
+    let inner =
+        inner.map_err(|error| Not::Sound(Cause::Damage, "pictures that cannot be read", format!("the picture cannot be read ({error}); it is left out")))?;
+    // One channel of a mosaic, as its format says.
+    let mosaic = head.format.split(|byte| *byte == b';').next().and_then(|name| pixels(name.trim_ascii())).filter(|pixels| pixels.colour.is_mosaic());
+    let colour = mosaic.filter(|_| inner.colour == Colour::Mono).map_or(inner.colour, |pixels| pixels.colour);
+    Ok(Found {
+        stamp: head.stamp,
+        extent: inner.extent,
+        form: Form::Packed(coding, colour, inner.bits),
+        name: format!("{} ({coding:?})", label(head.format)),
+        note: None,
+    })
+}
+
+/// Depth in its own form, which is no picture of a camera.
+fn is_depth(format: &[u8]) -> bool {
+    format.windows(b"compressedDepth".len()).any(|window| window == b"compressedDepth")
+}
+
 /// The pictures of a topic.
 pub struct Images {
     contents: Arc<Contents>,
     group: Group,
-    pixels: Pixels,
+    form: Form,
     about: FramesAbout,
     /// Piece and byte of every message.
     places: Vec<(u32, u64)>,
@@ -142,31 +219,27 @@ impl Images {
     /// # Errors
     /// When the file has gone, or its pictures have an encoding that is not read.
     pub fn survey(contents: &Arc<Contents>, group: &Group, note: Option<String>) -> Result<(Option<Images>, Losses), FormatError> {
-        let mut walker = Walker::new(contents, &group.ids()).heads(HEAD_BYTES);
+        let head_bytes = if group.kind == Kind::Image { HEAD_BYTES } else { COMPRESSED_HEAD_BYTES };
+        let mut walker = Walker::new(contents, &group.ids()).heads(head_bytes);
         let mut images: Option<Images> = None;
         let (mut stampless, mut others) = (0_u64, 0_u64);
         let mut losses = Losses::default();
         while let Some(envelope) = walker.advance()? {
             let at = || format!("message received at {} ns on {}", envelope.received, group.name);
-            let wire = group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body));
-            let Some(head) = wire.and_then(ImageHead::read) else {
-                losses.add("messages that are no picture", at, || "the message is no picture; it is left out".into());
-                continue;
-            };
-            let Some(pixels) = pixels_of(&head) else {
-                if images.is_none() {
-                    return Err(unknown_encoding(contents, group, head.encoding));
+            let head = match found(group.kind, group.serial(envelope.id), envelope, &walker.body) {
+                Ok(head) => head,
+                Err(Not::Known(name)) if images.is_none() => return Err(unknown_encoding(contents, group, &name)),
+                Err(Not::Known(_)) => {
+                    others += 1;
+                    continue;
                 }
-                others += 1;
-                continue;
+                Err(Not::Sound(cause, kind, what)) => {
+                    losses.add_by(cause, kind, 1, at, || what);
+                    continue;
+                }
             };
-            if !pixels.fits(&head, envelope.length) {
-                losses
-                    .add_by(Cause::Cut, "pictures that are cut off", 1, at, || "the picture claims more values than the message holds; it is left out".into());
-                continue;
-            }
-            let images = images.get_or_insert_with(|| Images::new(contents, group, &head, pixels));
-            if images.about.extent != head.extent || images.pixels != pixels {
+            let images = images.get_or_insert_with(|| Images::new(contents, group, &head));
+            if images.about.extent != head.extent || images.form != head.form {
                 others += 1;
                 continue;
             }
@@ -188,27 +261,29 @@ impl Images {
         Ok((images, losses))
     }
 
-    fn new(contents: &Arc<Contents>, group: &Group, head: &ImageHead<'_>, pixels: Pixels) -> Images {
-        let mut notes = vec![format!("pictures are those of {}, as {}; their stamps are `header.stamp`", group.name, label(head.encoding))];
-        notes.extend(row_note(head, &pixels));
-        let about = FramesAbout {
-            extent: head.extent,
-            colour: pixels.colour,
-            bits: pixels.bits,
-            stamps: Vec::new(),
-            stamp_role: None,
-            row_time_ns: None,
-            transfer: None,
-            notes,
+    fn new(contents: &Arc<Contents>, group: &Group, head: &Found) -> Images {
+        let (colour, bits) = match head.form {
+            Form::Raw(pixels) => (pixels.colour, pixels.bits),
+            Form::Packed(_, colour, bits) => (colour, bits),
         };
+        let mut notes = vec![format!("pictures are those of {}, as {}; their stamps are `header.stamp`", group.name, head.name)];
+        notes.extend(head.note.clone());
+        let about = FramesAbout { extent: head.extent, colour, bits, stamps: Vec::new(), stamp_role: None, row_time_ns: None, transfer: None, notes };
         let walker = Mutex::new(Walker::new(contents, &group.ids()));
-        Images { contents: contents.clone(), group: group.clone(), pixels, about, places: Vec::new(), walker }
+        Images { contents: contents.clone(), group: group.clone(), form: head.form, about, places: Vec::new(), walker }
     }
 }
 
 /// The refusal of pictures in an encoding that is not read.
-fn unknown_encoding(contents: &Contents, group: &Group, encoding: &[u8]) -> FormatError {
-    let found = format!("pictures of {} have the encoding `{}`", group.name, label(encoding));
+fn unknown_encoding(contents: &Contents, group: &Group, encoding: &str) -> FormatError {
+    let found = format!("pictures of {} have the encoding `{encoding}`", group.name);
+    if group.kind == Kind::CompressedImage {
+        let hint = match is_depth(encoding.as_bytes()) {
+            true => "depth is no picture of a camera: choose another topic by `frame_camera`",
+            false => "republish the topic as raw (`image_transport republish compressed raw`), or choose another by `frame_camera`",
+        };
+        return FormatError::new(&contents.path, found, hint).expected("PNG or JPEG in sensor_msgs/CompressedImage");
+    }
     FormatError::new(&contents.path, found, "convert the topic with image_proc or cv_bridge, or choose another by `frame_camera`").expected(NAMES)
 }
 
@@ -224,13 +299,31 @@ impl Pictures for Images {
         let mut walker = self.walker.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let envelope = walker.fetch(piece as usize, offset)?.map_err(|what| refuse(&what))?;
         let wire = self.group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body));
-        let head = wire.and_then(ImageHead::read).filter(|head| head.extent == self.about.extent && self.pixels.fits(head, walker.body.len() as u64));
-        let head = head.ok_or_else(|| refuse("the message has changed since the file was opened"))?;
-        let row = self.pixels.row_bytes(head.extent.width) as usize;
-        values.reserve_exact(head.extent.pixels() * self.pixels.stored.min(3));
-        for y in 0..head.extent.height as usize {
-            let at = head.at + y * head.step as usize;
-            self.pixels.push_row(walker.body.get(at..at + row).unwrap_or_default(), head.big, values);
+        let changed = || refuse("the message has changed since the file was opened");
+        match self.form {
+            Form::Raw(pixels) => {
+                let fits = |head: &ImageHead<'_>| head.extent == self.about.extent && pixels.fits(head, walker.body.len() as u64);
+                let head = wire.and_then(ImageHead::read).filter(fits).ok_or_else(changed)?;
+                let row = pixels.row_bytes(head.extent.width) as usize;
+                values.reserve_exact(head.extent.pixels() * pixels.stored.min(3));
+                for y in 0..head.extent.height as usize {
+                    let at = head.at + y * head.step as usize;
+                    pixels.push_row(walker.body.get(at..at + row).unwrap_or_default(), head.big, values);
+                }
+            }
+            Form::Packed(coding, colour, bits) => {
+                let head = wire.and_then(CompressedHead::read).ok_or_else(changed)?;
+                let bytes = walker.body.get(head.at..).and_then(|bytes| bytes.get(..head.length as usize)).ok_or_else(changed)?;
+                let read = decode::read_of(coding, bytes, values);
+                let read = read.and_then(|inner| {
+                    let same = inner.extent == self.about.extent && inner.colour.channels() == colour.channels() && inner.bits == bits;
+                    same.then_some(()).ok_or_else(|| "it has changed since the file was opened".into())
+                });
+                if let Err(error) = read {
+                    values.clear();
+                    return Err(refuse(&format!("the picture cannot be read: {error}")));
+                }
+            }
         }
         Ok(())
     }

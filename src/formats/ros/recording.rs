@@ -1,4 +1,4 @@
-//! A bag or MCAP file as a recording: its event topic, its image topic, what else it has.
+//! A bag, MCAP file or database as a recording: its event topic, its image topic, what else it has.
 
 use super::Contents;
 use super::clock::{self, Shift};
@@ -80,19 +80,19 @@ pub fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Recording
         (stream, about) = (Some(made), Some(known));
     }
 
-    let with_pictures: Vec<Group> = groups.iter().filter(|group| group.kind == Kind::Image).filter(sent).cloned().collect();
+    let with_pictures = topics::with_pictures(&groups, declared.frame_camera.as_deref());
     let chosen = topics::choose(&contents, &with_pictures, declared.frame_camera.as_deref(), chosen, "frame_camera", "pictures")?;
     let (image_topic, picture_note) = chosen.map(|(group, note)| (group.clone(), note)).unzip();
     let picture_note = picture_note.flatten();
     if let Some(group) = &image_topic {
         facts.push(("pictures".into(), group.name.clone()));
     }
-    for group in groups.iter().filter(|group| group.type_name.replace("/msg/", "/") == "sensor_msgs/CompressedImage").filter(sent) {
-        facts.push(("not read".into(), format!("{}: republish compressed pictures as raw", group.describe())));
+    for group in groups.iter().filter(|group| topics::is_depth(group)).filter(sent) {
+        facts.push(("not read".into(), format!("{}: depth, which is no picture of a camera", group.describe())));
     }
     if stream.is_none() && image_topic.is_none() {
         let found = format!("no topic has events or pictures; there are: {}", groups.iter().take(32).map(Group::describe).collect::<Vec<_>>().join("; "));
-        let expected = "dvs_msgs/EventArray, prophesee_event_msgs/EventArray, event_camera_msgs/EventPacket or sensor_msgs/Image";
+        let expected = "dvs_msgs/EventArray, prophesee_event_msgs/EventArray, event_camera_msgs/EventPacket, sensor_msgs/Image or sensor_msgs/CompressedImage";
         let lost = contents.losses.list().first().map(|loss| format!("; {}: {}", loss.at, loss.what)).unwrap_or_default();
         return Err(FormatError::new(&contents.path, found + &lost, "record those topics, or check that the file is whole").expected(expected));
     }
@@ -203,6 +203,6 @@ impl Recording for Ros {
     }
 
     fn files(&self) -> Vec<PathBuf> {
-        vec![self.contents.path.clone()]
+        self.contents.files.clone()
     }
 }

@@ -1,4 +1,4 @@
-//! The records inside one piece of a bag or MCAP file: a compressed chunk, or a run of records that stand in the file as they are.
+//! The records inside one piece of a recording: a compressed chunk, a run of records that stand in the file as they are, or rows of a database.
 //!
 //! A piece is decompressed as it is read, and one message is held at a time: what a piece claims to need is never taken. Anything that is wrong
 //! ends the piece with a reason; the pieces after it can still be read.
@@ -6,6 +6,7 @@
 use super::bag;
 use super::mcap;
 use super::messages::Serial;
+use super::sqlite::Rows;
 use super::wire::label;
 use std::fs::File;
 use std::io::{BufReader, Read};
@@ -17,10 +18,12 @@ pub enum Container {
     Bag,
     /// MCAP.
     Mcap,
+    /// SQLite database of rosbag2.
+    Sqlite,
 }
 
 /// One message longer than this is left out: no camera sends it, and it is held whole.
-const MOST_MESSAGE: u64 = 256 << 20;
+pub const MOST_MESSAGE: u64 = 256 << 20;
 /// A compressed chunk that claims more than this is left out: it would be a day's work for a few bytes.
 pub const MOST_CHUNK: u64 = 1 << 30;
 /// What stands before the data of a bag's record is short text.
@@ -174,7 +177,7 @@ pub struct Envelope {
     pub id: u32,
     /// When it was received, ns.
     pub received: i64,
-    /// Where its record begins, in bytes of the piece.
+    /// Where its record begins, in bytes of the piece; in a database, how many numbers of rows after the first.
     pub offset: u64,
     /// Bytes of the message, of which the buffer may hold fewer.
     pub length: u64,
@@ -199,6 +202,18 @@ pub struct Topic {
 
 /// Walks over the records of one piece.
 pub struct Records {
+    /// Added to the numbers of connections.
+    first_id: u32,
+    inner: Inner,
+}
+
+enum Inner {
+    Stream(Stream),
+    Rows(Box<Rows>),
+}
+
+/// Records one after another, as bags and MCAP files have them.
+struct Stream {
     source: Source,
     container: Container,
     /// Bytes of the piece before the next record.
@@ -207,21 +222,34 @@ pub struct Records {
 }
 
 impl Records {
-    /// From the first record of a piece.
-    pub fn new(container: Container, source: Source) -> Records {
-        Records { source, container, at: 0, header: Vec::new() }
+    /// From the first record of a piece of a file, whose connections are numbered from `first_id`.
+    pub fn new(container: Container, source: Source, first_id: u32) -> Records {
+        Records { first_id, inner: Inner::Stream(Stream { source, container, at: 0, header: Vec::new() }) }
     }
 
-    /// Bytes of the piece before the next record.
+    /// From the first row of a piece.
+    pub fn of_rows(rows: Rows, first_id: u32) -> Records {
+        Records { first_id, inner: Inner::Rows(Box::new(rows)) }
+    }
+
+    /// Bytes (of a database: rows) of the piece before the next record.
     pub fn at(&self) -> u64 {
-        self.at
+        match &self.inner {
+            Inner::Stream(stream) => stream.at,
+            Inner::Rows(rows) => rows.at(),
+        }
     }
 
-    /// Goes over bytes up to a record that stands at `offset`.
+    /// Goes over bytes or rows up to a record that stands at `offset`.
     pub fn forward(&mut self, offset: u64) -> Result<(), String> {
-        let step = offset.checked_sub(self.at).ok_or("the record has been passed")?;
-        self.source.skip(step)?;
-        self.at = offset;
+        let step = offset.checked_sub(self.at()).ok_or("the record has been passed")?;
+        match &mut self.inner {
+            Inner::Stream(stream) => {
+                stream.source.skip(step)?;
+                stream.at = offset;
+            }
+            Inner::Rows(rows) => rows.forward(offset),
+        }
         Ok(())
     }
 
@@ -229,12 +257,22 @@ impl Records {
     /// emptied for any other record.
     pub fn next(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
         body.clear();
-        match self.container {
-            Container::Bag => self.next_of_bag(wanted, most, body),
-            Container::Mcap => self.next_of_mcap(wanted, most, body),
-        }
+        let first = self.first_id;
+        let wanted = |id: u32| wanted(id.wrapping_add(first));
+        let record = match &mut self.inner {
+            Inner::Rows(rows) => rows.next(&wanted, most, body)?,
+            Inner::Stream(stream) if stream.container == Container::Bag => stream.next_of_bag(&wanted, most, body)?,
+            Inner::Stream(stream) => stream.next_of_mcap(&wanted, most, body)?,
+        };
+        Ok(record.map(|record| match record {
+            Record::Message(envelope) => Record::Message(Envelope { id: envelope.id.wrapping_add(first), ..envelope }),
+            Record::Topic(topic) => Record::Topic(Topic { id: topic.id.wrapping_add(first), ..topic }),
+            other => other,
+        }))
     }
+}
 
+impl Stream {
     fn next_of_bag(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
         let Some(header_length) = self.source.u32()? else { return Ok(None) };
         if header_length > MOST_HEADER {

@@ -166,6 +166,15 @@ pub fn image(wire: Wire, stamp: i64, (width, height): (u32, u32), encoding: &str
     fields.bytes
 }
 
+/// `sensor_msgs/CompressedImage`, of the bytes of a PNG or JPEG file.
+pub fn compressed_image(wire: Wire, stamp: i64, format: &str, bytes: &[u8]) -> Vec<u8> {
+    let mut fields = Fields::new(wire);
+    fields.header(stamp);
+    fields.string(format);
+    fields.sequence(bytes);
+    fields.bytes
+}
+
 /// EVT3 words of events of time (us of the sensor's clock), x, y, ON: four words each, nothing left out.
 pub fn evt3(events: &[(i64, u16, u16, bool)]) -> Vec<u8> {
     let words = events.iter().flat_map(|(t, x, y, on)| {
@@ -174,6 +183,31 @@ pub fn evt3(events: &[(i64, u16, u16, bool)]) -> Vec<u8> {
         [high, low, *y & 0x7ff, 0x2000 | u16::from(*on) << 11 | x & 0x7ff]
     });
     words.flat_map(u16::to_le_bytes).collect()
+}
+
+/// A bag of ROS 2 in SQLite, as a file's bytes, with pages of 1 KiB: names and types of its topics; topic, time of receipt and body of its messages.
+///
+/// # Errors
+/// When SQLite or the folder for temporary files refuses.
+pub fn db3(topics: &[(&str, &str)], messages: &[(u32, i64, Vec<u8>)]) -> std::result::Result<Vec<u8>, Box<dyn std::error::Error>> {
+    let folder = tempfile::tempdir()?;
+    let path = folder.path().join("made.db3");
+    let database = rusqlite::Connection::open(&path)?;
+    database.execute_batch(
+        "PRAGMA page_size = 1024; PRAGMA journal_mode = OFF; BEGIN;
+         CREATE TABLE topics(id INTEGER PRIMARY KEY,name TEXT NOT NULL,type TEXT NOT NULL,serialization_format TEXT NOT NULL,offered_qos_profiles TEXT NOT NULL);
+         CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL,timestamp INTEGER NOT NULL, data BLOB NOT NULL);
+         CREATE INDEX timestamp_idx ON messages (timestamp ASC);",
+    )?;
+    for (k, (name, type_name)) in topics.iter().enumerate() {
+        database.execute("INSERT INTO topics VALUES (?1, ?2, ?3, 'cdr', '')", (k as i64 + 1, name, type_name))?;
+    }
+    for (topic, received, body) in messages {
+        database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?1, ?2, ?3)", (i64::from(*topic) + 1, received, body))?;
+    }
+    database.execute_batch("COMMIT")?;
+    drop(database);
+    Ok(std::fs::read(&path)?)
 }
 
 /// Writes a bag of ROS 1.

@@ -481,26 +481,6 @@ fn what_stands_around_a_damaged_chunk_is_read() {
     }
 }
 
-#[test]
-fn sqlite_bags_and_folders_of_ros2_are_recognised() {
-    let folder = tempfile::tempdir().unwrap();
-    let mut page = b"SQLite format 3\0".to_vec();
-    page.resize(4000, 0);
-    page.extend(b"CREATE TABLE messages(id INTEGER PRIMARY KEY,topic_id INTEGER NOT NULL)");
-    let database = folder.path().join("bag_0.db3");
-    std::fs::write(&database, &page).unwrap();
-    std::fs::write(folder.path().join("metadata.yaml"), "rosbag2_bagfile_information:").unwrap();
-    for path in [database.as_path(), folder.path()] {
-        let format = recognise(path).unwrap().unwrap();
-        let refused = (format.open)(path, &Declared::default()).err().unwrap();
-        assert!(refused.hint.contains("ros2 bag convert"), "{refused}");
-    }
-    std::fs::remove_file(&database).unwrap();
-    std::fs::write(folder.path().join("bag_0.mcap"), mcap_of(Packing::Zstd, Wire::Cdr, 2, 300).finish().unwrap()).unwrap();
-    let recording = (recognise(folder.path()).unwrap().unwrap().open)(folder.path(), &Declared::default()).unwrap();
-    assert_eq!(events(&*recording).0.len(), 10);
-}
-
 /// Opens and reads all that can be read; must neither panic nor loop.
 fn read_all(bytes: &[u8]) {
     let folder = tempfile::tempdir().unwrap();

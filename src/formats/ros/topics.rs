@@ -124,6 +124,23 @@ fn kin<'a>(groups: &'a [Group], name: &str) -> Option<&'a Group> {
     }
 }
 
+/// Depth in a form of its own, by the name that `image_transport` gives the topic.
+pub fn is_depth(group: &Group) -> bool {
+    group.kind == Kind::CompressedImage && group.name.ends_with("/compressedDepth")
+}
+
+/// The topics with pictures among which one is chosen: depth, and compressed copies of pictures that are there as they were, only when they are named.
+pub fn with_pictures(groups: &[Group], named: Option<&str>) -> Vec<Group> {
+    let is_sent = |group: &&Group| matches!(group.kind, Kind::Image | Kind::CompressedImage) && group.messages != Some(0);
+    let all: Vec<&Group> = groups.iter().filter(is_sent).collect();
+    let is_named = |group: &Group| named.is_some_and(|named| named.trim_start_matches('/') == group.name.trim_start_matches('/'));
+    let is_copy = |group: &Group| {
+        let original = group.name.strip_suffix("/compressed");
+        group.kind == Kind::CompressedImage && all.iter().any(|other| other.kind == Kind::Image && Some(other.name.as_str()) == original)
+    };
+    all.iter().filter(|group| is_named(group) || !is_depth(group) && !is_copy(group)).map(|group| (*group).clone()).collect()
+}
+
 /// What the first message of an event topic says.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum First {

@@ -1,7 +1,8 @@
 //! Walks over the messages of some topics, through all pieces of a file, and goes to a message by its place.
 
 use super::records::{Container, Envelope, Record, Records};
-use super::{Contents, bag, mcap};
+use super::sqlite::Rows;
+use super::{Contents, bag, mcap, packed};
 use crate::error::FormatError;
 use crate::losses::Losses;
 use std::fs::File;
@@ -12,18 +13,22 @@ use std::sync::Arc;
 /// # Errors
 /// When the file has gone; `Ok(Err)` says why the piece cannot be read.
 pub fn open_piece(contents: &Contents, index: usize) -> Result<Result<Records, String>, FormatError> {
-    let io = |error: std::io::Error| FormatError::io(&contents.path, &error);
     let Some(piece) = contents.pieces.get(index) else { return Ok(Err("there is no such piece".into())) };
-    let file = File::open(&contents.path).map_err(io)?;
+    let Some(part) = contents.parts.get(piece.file) else { return Ok(Err("there is no such file".into())) };
+    let io = |error: std::io::Error| FormatError::io(&part.path, &error);
+    if let Some(rows) = piece.rows {
+        return Ok(Rows::open(&part.path, &part.database, rows).map(|rows| Records::of_rows(rows, part.first_id)));
+    }
+    let file = File::open(&part.path).map_err(io)?;
     let size = file.metadata().map_err(io)?.len();
     if piece.at > size {
         return Ok(Err("the file has become shorter since it was opened".into()));
     }
-    let source = match contents.container {
+    let source = match part.container {
         Container::Bag => bag::open_piece(file, size, piece),
-        Container::Mcap => mcap::open_piece(file, size, piece),
+        Container::Mcap | Container::Sqlite => mcap::open_piece(file, size, piece),
     };
-    Ok(source.map_err(io)?.map(|source| Records::new(contents.container, source)))
+    Ok(source.map_err(io)?.map(|source| Records::new(part.container, source, part.first_id)))
 }
 
 /// A place between messages.
@@ -67,7 +72,8 @@ impl Walker {
 
     /// Where the walker stands, in bytes of the file, to a piece.
     pub fn position(&self) -> u64 {
-        self.contents.pieces.get(self.piece).map_or(self.contents.size, |piece| piece.at)
+        let before = |file: usize| self.contents.parts.get(file).map_or(0, |part| part.before);
+        self.contents.pieces.get(self.piece).map_or(self.contents.size, |piece| before(piece.file).saturating_add(piece.at))
     }
 
     /// The next message; its bytes are in `body`.
@@ -92,7 +98,13 @@ impl Walker {
             let at = records.at();
             let wanted = &self.wanted;
             match records.next(&|id| wanted.contains(&id), self.most, &mut self.body) {
-                Ok(Some(Record::Message(envelope))) if self.wanted.contains(&envelope.id) => return Ok(Some(envelope)),
+                Ok(Some(Record::Message(envelope))) if self.wanted.contains(&envelope.id) => match packed::unpack(envelope, self.most, &mut self.body) {
+                    Ok(envelope) => return Ok(Some(envelope)),
+                    Err(what) => {
+                        let at = || format!("message received at {} ns", envelope.received);
+                        self.losses.add("messages that cannot be decompressed", at, || format!("{what}; it is left out"));
+                    }
+                },
                 Ok(Some(_)) => {}
                 Ok(None) => {
                     self.piece += 1;
@@ -120,7 +132,7 @@ impl Walker {
         let Some(records) = &mut self.records else { return Ok(Err("the piece is not open".into())) };
         let got = records.forward(offset).and_then(|()| records.next(&|_| true, self.most, &mut self.body));
         match got {
-            Ok(Some(Record::Message(envelope))) => Ok(Ok(envelope)),
+            Ok(Some(Record::Message(envelope))) => Ok(packed::unpack(envelope, self.most, &mut self.body)),
             Ok(_) => {
                 self.records = None;
                 Ok(Err("there is no message any more where one was".into()))
@@ -134,10 +146,11 @@ impl Walker {
 
     /// Notes that the rest of this piece cannot be read, and goes to the next.
     fn lose(&mut self, what: &str, within: Option<u64>) {
-        let start = self.position();
-        let within = within.map(|at| format!(", {at} bytes into its content")).unwrap_or_default();
-        let what = format!("{what}; the messages that follow in this chunk are lost");
-        self.losses.add("chunks that are damaged", || format!("chunk at byte {start}{within}"), || what);
+        let place = self.contents.place(self.piece);
+        let of_rows = self.contents.pieces.get(self.piece).is_some_and(|piece| piece.rows.is_some());
+        let within = within.map(|at| if of_rows { format!(", {at} rows on") } else { format!(", {at} bytes into its content") }).unwrap_or_default();
+        let what = format!("{what}; the messages that follow in {} are lost", if of_rows { "these rows" } else { "this chunk" });
+        self.losses.add("chunks that are damaged", || format!("{place}{within}"), || what);
         self.piece += 1;
         self.records = None;
     }

@@ -2,8 +2,9 @@
 
 use super::Seed;
 use photocurrent_core::Extent;
+use photocurrent_formats::aedat3::made as made3;
 use photocurrent_formats::aedat4::made;
-use photocurrent_formats::ros::testing::{BagWriter, McapWriter, Packing, Wire, event_array, event_packet, evt3, image};
+use photocurrent_formats::ros::testing::{BagWriter, McapWriter, Packing, Wire, compressed_image, db3, event_array, event_packet, evt3, image};
 use photocurrent_formats::{Column, Declared, TimeUnit};
 use std::path::{Path, PathBuf};
 
@@ -26,7 +27,7 @@ fn declared() -> Declared {
 
 /// All of them; at least one of every format in the catalogue.
 pub fn all() -> Vec<Seed> {
-    [prophesee(), older(), aedat4(), ros(), hdf(), text(), numpy(), pictures()].concat()
+    [prophesee(), older(), aedat3(), aedat4(), ros(), hdf(), text(), numpy(), pictures()].concat()
 }
 
 fn prophesee() -> Vec<Seed> {
@@ -67,6 +68,23 @@ fn older() -> Vec<Seed> {
         Seed::file("event_stream", "a.es", stream(1), &Declared::default()),
         Seed::file("event_stream", "b.es", stream(2), &Declared::default()),
     ]
+}
+
+fn aedat3() -> Vec<Seed> {
+    let values: Vec<u16> = (0..48).map(|k| k << 6).collect();
+    let of = |camera: &str| {
+        let parts = [
+            made3::header(camera),
+            made3::polarity(0, &events()[..20]),
+            made3::frame(0, (1, 0), (1_400, 1_600), (8, 6), &values),
+            made3::special(0, &[(1_100, 2), (1_200, 3)]),
+            made3::polarity(1, &events()[20..]),
+            made3::frame(1, (1, 0), (1_800, 1_900), (8, 6), &values),
+        ];
+        parts.concat()
+    };
+    let declared = Declared { extent: Some(Extent { width: 32, height: 24 }), ..Declared::default() };
+    vec![Seed::file("aedat3", "a.aedat", of("prototype"), &declared), Seed::file("aedat3", "b.aedat", of("DVS128"), &Declared::default())]
 }
 
 fn aedat4() -> Vec<Seed> {
@@ -125,7 +143,31 @@ fn ros() -> Vec<Seed> {
     file.connect("/cam/events", "event_camera_msgs/msg/EventPacket", Wire::Cdr);
     packets(Wire::Cdr).iter().for_each(|(id, t, body)| file.message(*id as u16, *t, body));
     seeds.push(Seed::file("mcap", "b.mcap", file.unfinished().unwrap(), &Declared::default()));
+    let mut file = McapWriter::new(Packing::None);
+    file.connect("/dvs/image_raw/compressed", "sensor_msgs/msg/CompressedImage", Wire::Cdr);
+    for (k, name) in ["colour.jpg", "progressive.jpg", "colour.jpg"].into_iter().enumerate() {
+        let t = 1_000_000 * (k as i64 + 2);
+        file.message(0, t, &compressed_image(Wire::Cdr, t, "bgr8; jpeg compressed bgr8", &example(name)));
+    }
+    seeds.push(Seed::file("mcap", "c.mcap", file.finish().unwrap(), &Declared::default()));
+    let topics = [("/dvs/events", "dvs_msgs/msg/EventArray"), ("/dvs/image_raw", "sensor_msgs/msg/Image")];
+    let plain: Vec<(u32, i64, Vec<u8>)> = messages(Wire::Cdr);
+    let packed: Vec<(u32, i64, Vec<u8>)> = plain.iter().map(|(id, t, body)| (*id, *t, zstd::stream::encode_all(body.as_slice(), 1).unwrap())).collect();
+    let halves = [db3(&topics, &plain[..4]).unwrap(), db3(&topics, &plain[4..]).unwrap()];
+    let metadata = b"rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n  - bag_0.db3\n  - bag_1.db3\n".to_vec();
+    let [first, second] = halves;
+    seeds.push(Seed::file("rosbag2", "a.db3", db3(&topics, &plain).unwrap(), &Declared::default()));
+    seeds.push(Seed::file("rosbag2", "b.db3", db3(&topics, &packed).unwrap(), &Declared::default()));
+    let declared = Declared { frame_camera: Some("/cam/colour/compressed".into()), ..Declared::default() };
+    seeds.push(Seed::file("rosbag2", "c.db3", example("rosbag2.db3"), &declared));
+    let files = vec![("metadata.yaml".into(), metadata), ("bag_0.db3".into(), first), ("bag_1.db3".into(), second)];
+    seeds.push(Seed { format: "rosbag2", files, declared: Declared::default() });
     seeds
+}
+
+/// A file of `data/formats`.
+fn example(name: &str) -> Vec<u8> {
+    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/formats").join(name)).unwrap()
 }
 
 fn hdf() -> Vec<Seed> {
@@ -264,11 +306,13 @@ fn pictures() -> Vec<Seed> {
     let mut video = b"YUV4MPEG2 W8 H6 F25:1 Ip A1:1 Cmono\n".to_vec();
     (0..2).for_each(|k: u8| video.extend([b"FRAME\n".to_vec(), vec![k; 48]].concat()));
     let folder = vec![("a.png".into(), png(8, 6, 1)), ("b.png".into(), png(8, 6, 2)), ("timestamps.txt".into(), b"1000\n2000\n".to_vec())];
+    let photos = vec![("a.jpg".into(), example("grey.jpg")), ("b.jpeg".into(), example("grey.jpg")), ("timestamps.txt".into(), b"1000\n2000\n".to_vec())];
     let scans = vec![("a.tif".into(), tiff(8, 6)), ("b.tif".into(), tiff(8, 6)), ("timestamps.txt".into(), b"1000\n2000\n".to_vec())];
     vec![
         Seed::file("pictures", "a.y4m", video, &declared()),
         Seed { format: "pictures", files: folder, declared: declared() },
         Seed { format: "pictures", files: scans, declared: declared() },
+        Seed { format: "pictures", files: photos, declared: declared() },
     ]
 }
 
