@@ -5,6 +5,7 @@
 
 #![allow(clippy::unwrap_used)]
 
+use crate::disc::zip;
 use crate::support::{Bench, root};
 use photocurrent_formats::ros::testing::{BagWriter, Packing, Wire, compressed_image, db3, event_array, image};
 use photocurrent_formats::{EventChunk, aedat3::made as made3, aedat4::made, format, joined};
@@ -312,25 +313,6 @@ fn npy(values: &[i64]) -> Vec<u8> {
     let padded = format!("{head:<117}\n");
     let bytes = values.iter().flat_map(|value| value.to_le_bytes());
     b"\x93NUMPY\x01\x00\x76\x00".iter().copied().chain(padded.bytes()).chain(bytes).collect()
-}
-
-/// A zip file whose members are stored as they are.
-fn zip(members: &[(&str, Vec<u8>)]) -> Vec<u8> {
-    let (mut out, mut directory) = (Vec::new(), Vec::new());
-    for (name, bytes) in members {
-        let mut crc = flate2::Crc::new();
-        crc.update(bytes);
-        let size = (bytes.len() as u32).to_le_bytes();
-        let common = [&[20, 0, 0, 0, 0, 0, 0, 0, 0, 0][..], &crc.sum().to_le_bytes(), &size, &size, &(name.len() as u16).to_le_bytes(), &[0, 0]].concat();
-        let at = (out.len() as u32).to_le_bytes();
-        directory.extend([&b"PK\x01\x02\x14\x00"[..], &common, &[0; 10], &at, name.as_bytes()].concat());
-        out.extend([&b"PK\x03\x04"[..], &common, name.as_bytes(), bytes].concat());
-    }
-    let (count, start) = ((members.len() as u16).to_le_bytes(), (out.len() as u32).to_le_bytes());
-    let size = (directory.len() as u32).to_le_bytes();
-    out.extend(directory);
-    out.extend([&b"PK\x05\x06\0\0\0\0"[..], &count, &count, &size, &start, &[0, 0]].concat());
-    out
 }
 
 #[test]

@@ -22,7 +22,7 @@ use std::sync::Mutex;
 /// Address space of a command.
 const BYTES: u64 = 2 << 30;
 /// Time of a command, s.
-const SECONDS: u32 = 20;
+const SECONDS: i64 = 20;
 /// Formats whose files hold no frames: a folder of pictures is given with them.
 const WITHOUT_FRAMES: [&str; 9] = ["evt2", "evt21", "evt3", "dat", "aedat2", "event_stream", "prophesee_hdf5", "csv", "npz"];
 
@@ -117,11 +117,12 @@ fn broken(bench: &Bench, arguments: &[&str]) -> Option<String> {
     let mut command = bench.command(arguments);
     command.env("RAYON_NUM_THREADS", "1").env("RUST_BACKTRACE", "0").stdout(Stdio::null()).stderr(Stdio::piped());
     let limit = libc::rlimit { rlim_cur: BYTES, rlim_max: BYTES };
-    // SAFETY: between fork and exec only setrlimit and alarm are called, which are safe there.
+    let timer = libc::itimerval { it_interval: libc::timeval { tv_sec: 0, tv_usec: 0 }, it_value: libc::timeval { tv_sec: SECONDS, tv_usec: 0 } };
+    // SAFETY: between fork and exec only setrlimit and setitimer are called, which are safe there; the timer outlives exec.
     unsafe {
         command.pre_exec(move || {
-            libc::alarm(SECONDS);
-            if libc::setrlimit(libc::RLIMIT_AS, &limit) == 0 { Ok(()) } else { Err(std::io::Error::last_os_error()) }
+            let is_set = libc::setitimer(libc::ITIMER_REAL, &timer, std::ptr::null_mut()) == 0 && libc::setrlimit(libc::RLIMIT_AS, &limit) == 0;
+            if is_set { Ok(()) } else { Err(std::io::Error::last_os_error()) }
         });
     }
     let done = command.output().unwrap();

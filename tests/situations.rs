@@ -121,7 +121,7 @@ fn a_pause_of_an_hour_costs_no_memory_and_one_part_is_rendered() {
 
 /// Events of a simulator in nanoseconds, its stamps of frames in seconds: uzh-rpg/rpg_esim#70.
 #[test]
-fn events_in_nanoseconds_and_stamps_in_seconds_are_told_apart() {
+fn events_in_nanoseconds_and_stamps_in_seconds_are_distinguished() {
     let disc = Disc::get();
     let bench = Bench::new();
     let mut events = disc.events.clone();

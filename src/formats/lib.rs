@@ -11,7 +11,7 @@
 //! - [`hazard`]: what is wrong or unknown, with evidence and what to do.
 //! - [`rosbag`], [`rosbag2`], [`mcap`]: bags of ROS 1 and 2 and MCAP files, whose messages and chunks [`ros`] reads.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
-//! - [`alternatives`]: which of several ways to pair pictures with times agrees with the events.
+//! - [`pairings`]: which of several ways to pair pictures with times agrees with the events.
 //! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
 //! - [`placed`]: a mirrored picture, a shift by whole pixels, frames that are left out, as they are stated.
 //! - [`losses`]: what was left out, as a list that stays short.
@@ -24,7 +24,6 @@
 pub mod aedat2;
 pub mod aedat3;
 pub mod aedat4;
-pub mod alternatives;
 pub mod arrange;
 pub mod bias;
 pub mod calibration;
@@ -54,6 +53,7 @@ pub mod losses;
 pub mod mcap;
 mod npy;
 pub mod npz;
+pub mod pairings;
 pub mod pictures;
 pub mod placed;
 pub mod recording;

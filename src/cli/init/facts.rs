@@ -147,7 +147,13 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
     // Everything that was recorded is measured, whichever part is rendered.
     let (start, end) = (all.start.take(), all.end.take());
     let whole = open(&parts, &all).map_err(refused)?;
-    let found = measured(whole.0.as_ref(), &whole.1, &parts, &mut all, &mut reader)?;
+    let mut found = measured(whole.0.as_ref(), &whole.1, &parts, &mut all, &mut reader)?;
+    let mut offset_why = String::new();
+    found.offset_ns = found.offset_ns.filter(is_an_offset);
+    if found.offset_ns.is_some() {
+        let (helps, why) = readings::offset_helps(whole.0.as_ref()).map_err(refused)?;
+        (found.offset_ns, offset_why) = (found.offset_ns.filter(|_| helps), why);
+    }
     (all.start, all.end) = (start, end);
     // A better exposure moves the frames' times.
     if found.exposure_ns.is_some() {
@@ -180,7 +186,7 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
         notes: arranged.notes.clone(),
         losses,
     };
-    facts.sensor = describe(&found);
+    facts.sensor = describe(&found, &offset_why);
     Ok(facts)
 }
 
@@ -345,8 +351,13 @@ fn measured(recording: &dyn Recording, arranged: &Arranged, parts: &Parts, all: 
 /// An offset below this is no matter: a latency of the front end is of that size.
 const SMALL_OFFSET_NS: f64 = 5e5;
 
+/// Is a shift between events and frames worth a line?
+fn is_an_offset(offset: &Estimate) -> bool {
+    offset.value.abs() > SMALL_OFFSET_NS && !offset.holds(0.0)
+}
+
 /// Fields of the description that no file states.
-fn describe(found: &Proposals) -> Vec<Fill> {
+fn describe(found: &Proposals, offset_why: &str) -> Vec<Fill> {
     let matters = "Too small a value gives pale motion, too large a value ghosts";
     let threshold = |name: &'static str, estimate: Option<Estimate>| match estimate.filter(|estimate| (0.02..2.0).contains(&estimate.value)) {
         Some(Estimate { value, ci95: (low, high) }) => Fill::open(
@@ -367,9 +378,9 @@ fn describe(found: &Proposals) -> Vec<Fill> {
             "the blind time after an event is a bias of the camera; the shortest interval between events of one pixel bounds it",
         ),
     ];
-    if let Some(Estimate { value, ci95: (low, high) }) = found.offset_ns.filter(|offset| offset.value.abs() > SMALL_OFFSET_NS && !offset.holds(0.0)) {
+    if let Some(Estimate { value, ci95: (low, high) }) = found.offset_ns {
         let why = format!(
-            "events lag the frames by so much (95 %: {:.2} to {:.2} ms): clocks, or the latency of the pixels; 0 if you know better",
+            "events lag the frames by so much (95 %: {:.2} to {:.2} ms): clocks, or the latency of the pixels; {offset_why}. 0 if you know better",
             low / 1e6,
             high / 1e6
         );

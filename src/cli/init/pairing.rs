@@ -6,7 +6,7 @@ use super::facts::Fill;
 use crate::common::Failure;
 use crate::parts::Parts;
 use photocurrent_core::quantity::Duration;
-use photocurrent_formats::alternatives::{Comparison, Way, compare, likeliest_line};
+use photocurrent_formats::pairings::{Comparison, Way, compare, likeliest_line};
 use photocurrent_formats::{FormatError, StampRole};
 use photocurrent_nodes::read::foreign::All;
 

@@ -112,6 +112,24 @@ pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) ->
     Ok(Some(Reading { mirror, shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }), is_inverted: false, why: listed(&scored) }))
 }
 
+/// Share of the frames' change that an offset must explain beyond none, to be proposed.
+const OFFSET_GAIN: f64 = 0.01;
+
+/// Does an offset of the clocks explain clearly more than none, on pairs of frames that it was not fitted to? With what both explain, for people.
+///
+/// # Errors
+/// When the recording cannot be read any more.
+pub fn offset_helps(recording: &dyn Recording) -> Result<(bool, String), FormatError> {
+    let readings = [Alternative::new("without an offset"), Alternative::new("with one").fitting_offset()];
+    let scored = compare(recording, &readings, &Much { span_ns: None, events: EVENTS })?;
+    let is_better = match scored.as_slice() {
+        [best, second, ..] => best.alternative == 1 && second.behind.ci95.0 > 0.0 && second.behind.value > OFFSET_GAIN,
+        // Too little to compare: the estimate stands.
+        _ => true,
+    };
+    Ok((is_better, listed(&scored)))
+}
+
 /// The best three readings, for people.
 fn listed(scored: &[Scored]) -> String {
     let list = scored.iter().take(3).map(|one| format!("{} explains {:.0} % of the frames' change", one.name, 100.0 * one.explained.value));

@@ -6,7 +6,7 @@
 //! otherwise it is a question, and never an answer ([`Unclear`]).
 //!
 //! Limits: a first pulse and a last picture that are both missing leave no trace in counts, numbers and periods. Only events show that: see
-//! [`crate::alternatives`].
+//! [`crate::pairings`].
 
 use super::stamps::Row;
 use crate::declared::{Declared, Pairing};

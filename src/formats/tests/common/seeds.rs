@@ -6,7 +6,7 @@ use photocurrent_formats::aedat3::made as made3;
 use photocurrent_formats::aedat4::made;
 use photocurrent_formats::ros::testing::{BagWriter, McapWriter, Packing, Wire, compressed_image, db3, event_array, event_packet, evt3, image};
 use photocurrent_formats::{Column, Declared, TimeUnit};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 type Event = (i64, u16, u16, bool);
 
@@ -167,14 +167,14 @@ fn ros() -> Vec<Seed> {
 
 /// A file of `data/formats`.
 fn example(name: &str) -> Vec<u8> {
-    std::fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../data/formats").join(name)).unwrap()
+    // Of this crate, or of the command, whose tests share this file.
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let folder = ["../../data/formats", "data/formats"].into_iter().map(|folder| here.join(folder)).find(|folder| folder.is_dir()).unwrap();
+    std::fs::read(folder.join(name)).unwrap()
 }
 
 fn hdf() -> Vec<Seed> {
-    // Of this crate, or of the command, whose tests share this file.
-    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let folder: PathBuf = ["../../data/formats", "data/formats"].into_iter().map(|folder| here.join(folder)).find(|folder| folder.is_dir()).unwrap();
-    let of = |(format, name): (&'static str, &str)| Seed::file(format, name, std::fs::read(folder.join(name)).unwrap(), &Declared::default());
+    let of = |(format, name): (&'static str, &str)| Seed::file(format, name, example(name), &Declared::default());
     [
         ("dsec", "dsec_blosc_zstd.h5"),
         ("m3ed", "m3ed.h5"),
