@@ -124,6 +124,13 @@ fn fill<'a>(manifest: &'a str, name: &str) -> &'a str {
     manifest.lines().find(|line| line.starts_with(&format!("{name} = "))).unwrap_or_else(|| panic!("`{name}` stands in\n{manifest}"))
 }
 
+/// The offset of clocks that `init` proposes, ms. On this scene it is about -1 ms though the pairing is right; a wrong level is off by 10 ms, a wrong pulse by 20.
+fn offset_ms(bench: &Bench) -> f64 {
+    let sensor = fs::read_to_string(bench.path("my.sensor.toml")).unwrap();
+    let line = sensor.lines().find_map(|line| line.strip_prefix("clock_offset = { offset = \""));
+    line.map_or(0.0, |line| line.split(' ').next().unwrap().parse().unwrap())
+}
+
 /// PSNR of the rendered frames against the light at their own times, where the disc passes.
 fn score(folder: &Path, zero_us: i64) -> f64 {
     let table = fs::read_to_string(folder.join("frames.csv")).unwrap();
@@ -175,8 +182,7 @@ fn a_strobe_that_is_inverted_is_proposed_from_counts_and_events() {
     for evidence in ["15 whole exposures of 10 ms for 15 pictures", "14 whole exposures of 10 ms for 15 pictures", "agreement with the events"] {
         assert!(line.contains(evidence), "{line}");
     }
-    let sensor = fs::read_to_string(bench.path("my.sensor.toml")).unwrap();
-    assert!(!sensor.contains("clock_offset"), "an inverted strobe is no offset of clocks:\n{sensor}");
+    assert!(offset_ms(&bench).abs() < 2.0, "an inverted strobe is no offset of clocks: {} ms", offset_ms(&bench));
     let done = bench.run(&["run", "my.toml", "--quiet"]);
     assert_eq!(done.code, 0, "{}", done.stderr);
     let found = score(&bench.path("out/my/frames"), zero_us(0));
@@ -215,7 +221,7 @@ fn equal_counts_of_other_pictures_are_found_by_the_events() {
     let (manifest, talk, code) = init(&bench, &["events.raw", "frames"], &[]);
     assert_eq!(code, 0, "{talk}");
     assert!(fill(&manifest, "first_pulse").starts_with("first_pulse = -1 # FILL: "), "{manifest}");
-    assert!(!fs::read_to_string(bench.path("my.sensor.toml")).unwrap().contains("clock_offset"));
+    assert!(offset_ms(&bench).abs() < 2.0, "a pulse too few is no offset of clocks: {} ms", offset_ms(&bench));
 }
 
 /// As in ros-event-camera/frequency_cam#4, where edges must alternate, or one was missed; and TheImagingSource/ic4-examples#46: fewer pictures than triggers.

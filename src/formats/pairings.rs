@@ -26,6 +26,8 @@ use std::path::Path;
 const ACROSS: u32 = 32;
 /// Pictures whose values are read, at most.
 const PICTURES: usize = 64;
+/// Neighbours in a run of them.
+const RUN: usize = 8;
 /// Steps of a period.
 const STEPS: i64 = 16;
 /// Delays of events that are tried, in steps, at most: a quarter of the period, since the two levels of a strobe lie half a period apart.
@@ -66,7 +68,7 @@ pub struct Way {
     pub remainder: String,
     /// Does a reader take it where only `strobe` is stated?
     pub is_plain: bool,
-    /// Picture and the middle of its exposure, ns.
+    /// Picture and the middle of its exposure, ns, of the pictures that are compared.
     pairs: Vec<(usize, i64)>,
     /// Correlation of the pictures' changes with the events, and how late events are there, ns; none where it was not compared.
     pub agreement: Option<(f64, i64)>,
@@ -169,6 +171,7 @@ fn ways(recording: &dyn Recording, frames: &Path, found: &Found, declared: &Decl
 }
 
 fn add(all: &mut Vec<Way>, found: &Found, rows: &[Row], declared: &Declared, times: Times, strobe: Option<Strobe>) {
+    let picked = picked(found, 1);
     let sides = Sides::new(&found.names, rows);
     let candidates = sides.candidates(declared);
     let Some(dearest) = candidates.first().map(|best| best.cost + DEAREST) else { return };
@@ -182,13 +185,21 @@ fn add(all: &mut Vec<Way>, found: &Found, rows: &[Row], declared: &Declared, tim
         let Candidate { by, first, cost } = *candidate;
         let places = sides.pairs(candidate);
         let remainder = remainder(found.names.len(), rows, &places, times);
-        let usable = places.iter().filter(|(picture, row)| found.whole[*picture] && rows[*row].is_whole);
+        let usable = places.iter().filter(|(picture, row)| picked[*picture] && rows[*row].is_whole);
         let pairs = usable.map(|(picture, row)| (*picture, middle(&rows[*row]))).collect();
         // The pulse of a pair is seen in its number, not in its exposure: as many whole exposures as pictures speak for a level.
         let is_plain = plain.as_ref() == Some(&places);
         let uneven = if strobe.is_some() { 2 * (whole.abs_diff(found.names.len()).min(4) as u32) } else { 0 };
         all.push(Way { strobe, by, first, cost: cost + uneven, whole, exposure_ns, remainder, is_plain, pairs, agreement: None });
     }
+}
+
+/// Pictures that are compared: whole ones of a few runs of neighbours, and of these runs one of `every`.
+fn picked(found: &Found, every: usize) -> Vec<bool> {
+    let mut picked = vec![false; found.names.len()];
+    let some = chosen(found.names.len(), PICTURES);
+    some.chunks(RUN).step_by(every).flatten().filter(|picture| found.whole[**picture]).for_each(|picture| picked[*picture] = true);
+    picked
 }
 
 /// A stretch of time with counters of events.
@@ -206,11 +217,10 @@ fn agree(recording: &dyn Recording, found: &Found, ways: &mut [Way]) -> Result<O
     let Some(period) = periods.get(periods.len() / 2).copied() else { return Ok(None) };
     let step = (period / STEPS).max(1);
     let extent = recording.events_about().and_then(|about| about.extent).unwrap_or(found.about.extent);
-    let mut settings = [(PICTURES, ACROSS), (PICTURES, ACROSS / 2), (PICTURES / 4, ACROSS / 4)].into_iter();
+    let mut settings = [(1, ACROSS), (1, ACROSS / 2), (4, ACROSS / 4)].into_iter();
     let (picked, across, down, windows) = loop {
-        let Some((pictures, across)) = settings.next() else { return Ok(Some(period)) };
-        let mut picked = vec![false; found.names.len()];
-        chosen(found.names.len(), pictures).into_iter().filter(|picture| found.whole[*picture]).for_each(|picture| picked[picture] = true);
+        let Some((every, across)) = settings.next() else { return Ok(Some(period)) };
+        let picked = picked(found, every);
         let (across, down) = (across.min(extent.width.max(1)), across.min(extent.height.max(1)));
         let windows = windows(ways, &picked, period, step);
         let steps: usize = windows.iter().fold(0, |sum, window| sum.saturating_add(window.steps + 1));
