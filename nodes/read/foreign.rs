@@ -37,10 +37,10 @@ pub trait Reader: Send + Sync + 'static {
 const COMMON: [&str; 5] = ["path", "start", "end", "zero", "crop"];
 
 /// Parameters that every format with events accepts in addition.
-const OF_EVENTS: [&str; 4] = ["mirror", "shift", "drop_duplicates", "invert_polarity"];
+const OF_EVENTS: [&str; 5] = ["mirror", "shift", "drop_duplicates", "invert_polarity", "time_unit"];
 
 /// Parameters that every format with frames, in its files or elsewhere, accepts in addition.
-const OF_FRAMES: [&str; 1] = ["skip_frames"];
+const OF_FRAMES: [&str; 2] = ["skip_frames", "stamps_unit"];
 
 /// Width and height of the array of event pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -90,7 +90,7 @@ pub struct All {
     pub crop: Option<Part>,
     /// Size of the array of event pixels, where the file does not state it.
     pub extent: Option<Size>,
-    /// Unit of the stamps, where the file does not state it.
+    /// Unit of the events' stamps, where the file does not state it, or states a wrong one.
     pub time_unit: Option<TimeUnit>,
     /// What the columns hold, from the left, where no header says so.
     pub columns: Option<Vec<Column>>,
@@ -119,7 +119,7 @@ pub struct All {
     pub row_time: Option<Duration>,
     /// How the stored values of frames follow from linear ones, where it is not recorded.
     pub transfer: Option<Transfer>,
-    /// Unit of the frames' stamps, where their file does not state it. Default: `time_unit`.
+    /// Unit of the frames' stamps, where their file does not state it, or states a wrong one. Default: `time_unit` for frames that lie elsewhere.
     pub stamps_unit: Option<TimeUnit>,
     /// How the frames' picture is mirrored against the events; events are moved.
     pub mirror: Option<Mirror>,
@@ -206,9 +206,7 @@ impl<R> Default for Params<R> {
 /// Does this format accept a parameter?
 pub(super) fn accepted<R: Reader>(name: &str) -> bool {
     let has_events = R::FORMAT != "pictures";
-    // Frames that lie elsewhere have stamps of their own.
-    let is_of_stamps = name == "stamps_unit" && R::ACCEPTS.contains(&"stamps");
-    COMMON.contains(&name) || R::ACCEPTS.contains(&name) || OF_FRAMES.contains(&name) || is_of_stamps || has_events && OF_EVENTS.contains(&name)
+    COMMON.contains(&name) || R::ACCEPTS.contains(&name) || OF_FRAMES.contains(&name) || has_events && OF_EVENTS.contains(&name)
 }
 
 impl<R: Reader> Serialize for Params<R> {

@@ -92,7 +92,7 @@ readers! {
         accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"boxes_6dof\", exposure = \"5 ms\", stamp = \"middle\", row_time = \"0 us\", transfer = \"linear\"";
     Ecd "read/ecd" "ecd" "Reads a folder of the Event Camera Dataset: events.txt and PNG pictures." ["Mueggler et al., The Event-Camera Dataset and Simulator, IJRR 2017"]
-        accepts ["extent", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
+        accepts ["extent", "time_unit", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"slider_depth\", exposure = \"5 ms\", stamp = \"middle\"";
     HsErgb "read/hs_ergb" "hs_ergb" "Reads a sequence of HS-ERGB or BS-ERGB: npz events and PNG pictures." ["Tulyakov et al., Time Lens, CVPR 2021", "Tulyakov et al., Time Lens++, CVPR 2022"]
         accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "first_pulse", "pairing"]
@@ -101,7 +101,7 @@ readers! {
         accepts ["extent", "time_unit", "columns", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "strobe", "first_pulse", "pairing"]
         example "path = \"events.txt\", columns = [\"t\", \"x\", \"y\", \"p\"], time_unit = \"s\", extent = { width = 240, height = 180 }";
     Npz "read/npz" "npz" "Reads events of an npz or npy file of NumPy." ["NumPy enhancement proposal 1, the .npy format"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "strobe", "first_pulse", "pairing"]
+        accepts ["extent", "time_unit", "columns", "coordinate_scale", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "strobe", "first_pulse", "pairing"]
         example "path = \"events.npz\", time_unit = \"us\"";
     Rosbag "read/rosbag" "rosbag" "Reads events and images of a ROS 1 bag." ["ROS bag format 2.0", "dvs_msgs, prophesee_event_msgs, event_camera_msgs, sensor_msgs"]
         accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]

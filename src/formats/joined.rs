@@ -12,6 +12,7 @@ use crate::known::with_known_camera;
 use crate::pictures::PictureFiles;
 use crate::placed::placed;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
+use crate::restamped::restamped;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -41,7 +42,7 @@ pub fn open(format: &Format, path: &Path, declared: &Declared) -> Result<Box<dyn
         Some(_) => with_declared_frames(recording, declared),
         None => Ok(with_known_camera(format, recording)),
     });
-    opened.and_then(|recording| placed(path, recording, declared)).map_err(|error| explained(error, declared))
+    opened.and_then(|recording| placed(path, restamped(format.id, recording, declared), declared)).map_err(|error| explained(error, declared))
 }
 
 impl Joined {

@@ -57,6 +57,7 @@ pub mod pairings;
 pub mod pictures;
 pub mod placed;
 pub mod recording;
+mod restamped;
 pub mod ros;
 pub mod rosbag;
 pub mod rosbag2;

@@ -227,7 +227,11 @@ fn settle(parts: &Parts, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dy
 }
 
 fn open(parts: &Parts, all: &All) -> Result<(Box<dyn Recording>, Arranged), FormatError> {
-    let settings = all.settings();
+    let mut settings = all.settings();
+    if parts.format.id == super::text::OWN {
+        // The reader of our own recordings keeps their clock.
+        settings.zero = Some(Duration::new(0));
+    }
     let recording = joined::open(parts.format, &parts.recording, &settings.declared)?;
     let arranged = arrange(&parts.recording, recording.as_ref(), &settings, |_: &dyn EventCursor| Ok::<(), FormatError>(()))?;
     Ok((recording, arranged))
@@ -306,9 +310,18 @@ fn overlap(path: &Path, events: TimeSpan, frames: &FramesMeta) -> Result<(), Fai
         return Ok(());
     }
     let offset = Duration::new(events.start - span.start);
+    // Clocks that begin apart last equally long; other units do not.
+    let ratio = span.length_ns().max(1) as f64 / events.length_ns().max(1) as f64;
+    let hint = if (0.01..100.0).contains(&ratio) {
+        format!("their clocks begin apart; state the offset: --frame-offset \"{offset}\"; or the units of both: --time-unit, --stamps-unit")
+    } else {
+        format!(
+            "frames last {ratio:.3e} times as long as events: one of the two is in another unit; state it: --time-unit for the events, --stamps-unit for the frames"
+        )
+    };
     Err(Failure::Other {
         message: format!(
-            "{}: events from {} to {} and frames from {} to {} share no time\n  hint: their clocks begin apart; state the offset: --frame-offset \"{offset}\"",
+            "{}: events from {} to {} and frames from {} to {} share no time\n  hint: {hint}",
             path.display(),
             events.start,
             events.end,

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 /// The format whose reader takes no window.
-const OWN: &str = "recording";
+pub const OWN: &str = "recording";
 
 /// A text in quotes, escaped as TOML wants.
 fn quoted(text: &str) -> String {

@@ -3,14 +3,14 @@
 //! Each unit makes one rate of events a pixel, one rate of frames, and one overlap of the two. All pairs of units are scored by how usual these are; a unit that is recorded
 //! or stated is fixed, unless what is recorded is impossible: files lie about their units too. The best pair is proposed with its evidence, and the second best is named.
 //!
-//! Limits: rates are those of cameras with frames (some 1 to 1,000 events a pixel and second, 10 to 1,000 frames a second); a time lapse is proposed wrongly.
+//! Limits: rates are those of cameras with frames (some 1 to 1,000 events a pixel and second, 10 to 1,000 frames a second, none below 0.2); a time lapse is proposed wrongly.
 
 use super::facts::Fill;
 use crate::parts::Parts;
 use photocurrent_formats::gather::{Scan, scan};
 use photocurrent_formats::hazard::time;
 use photocurrent_formats::pictures::PictureFiles;
-use photocurrent_formats::{FormatError, TimeUnit, joined};
+use photocurrent_formats::{Declared, FormatError, Pairing, TimeUnit, joined};
 use photocurrent_nodes::read::foreign::{All, takes};
 
 const UNITS: [TimeUnit; 4] = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
@@ -74,7 +74,7 @@ fn of_frames(stamps: &[(i64, i64)], unit: TimeUnit, whole: bool) -> Option<Strea
     periods.sort_unstable();
     let period = *periods.get(periods.len() / 2)?;
     let rate_hz = 1e9 / period as f64;
-    let plausible = if (0.02..3e4).contains(&rate_hz) { 0.0 } else { IMPOSSIBLE };
+    let plausible = if (0.2..3e4).contains(&rate_hz) { 0.0 } else { IMPOSSIBLE };
     let (first, last) = (stamps.iter().map(|stamp| stamp.0).min()?, stamps.iter().map(|stamp| stamp.1).max()?);
     Some(Stream { unit, span: (first as f64, last as f64), score: usual(rate_hz, 1.7, 0.6) + plausible + convention(unit, whole), rate_hz })
 }
@@ -108,15 +108,22 @@ fn evidence(events: Option<&Stream>, frames: Option<&Stream>) -> String {
 fn events_in(parts: &Parts, all: &All, unit: Option<TimeUnit>) -> Option<Scan> {
     let mut declared = All { time_unit: unit.or(all.time_unit), ..all.clone() }.settings().declared;
     (declared.frames, declared.stamps, declared.trigger_line) = (None, None, None);
-    let recording = (parts.format.open)(&parts.recording, &declared).ok()?;
+    let recording = joined::open(parts.format, &parts.recording, &declared).ok()?;
     scan(&mut *recording.events().ok()?, |_| Ok::<(), FormatError>(())).ok()
+}
+
+/// Which picture belongs to which stamp is another question: in order they have the same period.
+fn in_order(declared: &mut Declared) {
+    declared.first_pulse = declared.first_pulse.or(Some(0));
+    declared.pairing = declared.pairing.or(Some(Pairing::Order));
 }
 
 /// Start and end of every frame, as far as its stamps state them; `unit` as in [`events_in`].
 fn frames_in(parts: &Parts, all: &All, unit: Option<TimeUnit>) -> Option<Vec<(i64, i64)>> {
     let both = |at: i64, exposure: Option<(i64, i64)>| exposure.unwrap_or((at, at));
     if let Some(place) = parts.frames.as_ref().filter(|_| all.trigger_line.is_none()) {
-        let declared = All { stamps_unit: unit.or(all.stamps_unit), ..all.clone() }.settings().declared;
+        let mut declared = All { stamps_unit: unit.or(all.stamps_unit), ..all.clone() }.settings().declared;
+        in_order(&mut declared);
         let pictures = PictureFiles::open(place, &declared).ok()?;
         return Some(photocurrent_formats::Pictures::about(&pictures).stamps.iter().map(|stamp| both(stamp.at, stamp.exposure)).collect());
     }
@@ -152,6 +159,7 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
         let error = if frames {
             // Events' unit is no statement about frames.
             declared.time_unit = None;
+            in_order(&mut declared);
             parts.frames.as_ref().filter(|_| declared.trigger_line.is_none()).and_then(|place| PictureFiles::open(place, &declared).err())
         } else {
             (declared.frames, declared.stamps) = (None, None);
@@ -166,12 +174,13 @@ pub fn propose(parts: &Parts, all: &mut All) -> Vec<Fill> {
         let Some(why) = impossible(parts, all) else { return Vec::new() };
         recorded = why;
         events_lack = all.time_unit.is_none() && takes(parts.format.id, "time_unit");
-        frames_lack = parts.frames.is_some() && all.stamps_unit.is_none() && all.trigger_line.is_none();
+        frames_lack = all.stamps_unit.is_none() && all.trigger_line.is_none() && takes(parts.format.id, "stamps_unit");
         if !events_lack && !frames_lack {
             return Vec::new();
         }
     }
-    let of_one_set = parts.frames.is_none();
+    // One unit serves a set of files, unless what they state is impossible.
+    let of_one_set = parts.frames.is_none() && recorded.is_empty();
     // Where a unit is recorded or stated there is one candidate, whose name stays open.
     let candidates = |lacks: bool, stated: Option<TimeUnit>| -> Vec<Option<TimeUnit>> { if lacks { UNITS.map(Some).to_vec() } else { vec![stated] } };
     let mut of_events_units: Vec<Stream> = Vec::new();

@@ -69,13 +69,14 @@ fn unit(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         if events.stored_as.is_empty() { "not stated" } else { &events.stored_as }
     );
     if rate > limits.fastest_pixel_hz || all > limits.fastest_array_hz {
-        let guess = if rate > 1e3 * limits.fastest_pixel_hz { "milliseconds or seconds" } else { "microseconds" };
+        // A unit by its name could be the one that is in use.
+        let times = if rate > 1e3 * limits.fastest_pixel_hz { "a million or more" } else { "a thousand" };
         found.push(Finding::new(
             "unit_too_small",
             Severity::Error,
             "events come faster than any sensor gives them: the stamps are of a larger unit than they are read in",
             evidence,
-            format!("state the unit of the stamps; {guess} would make the rate plausible"),
+            format!("state the unit of the stamps; one that is {times} times larger would make the rate plausible"),
         ));
     } else if rate < limits.slowest_pixel_hz {
         found.push(Finding::new(
@@ -83,7 +84,7 @@ fn unit(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
             Severity::Hazard,
             "events come slower than the noise of any sensor: the stamps may be of a smaller unit than they are read in",
             evidence,
-            "state the unit of the stamps; microseconds or nanoseconds would make the rate plausible",
+            "state the unit of the stamps; one that is a thousand or more times smaller would make the rate plausible",
         ));
     }
     if events.stamps.step_ns >= 1_000_000_000 {
@@ -292,7 +293,7 @@ fn places(events: &EventsSurvey, limits: &Limits, found: &mut Vec<Finding>) {
         )),
         Some((width, height)) if events.count >= limits.fewest_events => {
             let (used_x, used_y) = (f64::from(x + 1) / f64::from(width), f64::from(y + 1) / f64::from(height));
-            if used_x < limits.used_share && used_y < limits.used_share {
+            if used_x <= limits.used_share && used_y <= limits.used_share {
                 found.push(Finding::new(
                     "small_part_used",
                     Severity::Hazard,
