@@ -77,19 +77,19 @@ readers! {
         accepts ["extent", "time_unit", "camera", "frame_camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "strobe", "first_pulse", "pairing"]
         example "path = \"interlaken_00_c/events/left/events.h5\"";
     M3ed "read/m3ed" "m3ed" "Reads events and frames of an M3ED file." ["Chaney et al., M3ED: Multi-Robot, Multi-Sensor, Multi-Environment Event Dataset, CVPRW 2023"]
-        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
+        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "first_pulse", "pairing"]
         example "path = \"car_urban_day.h5\", exposure = \"2 ms\", stamp = \"middle\", transfer = \"linear\"";
     Mvsec "read/mvsec" "mvsec" "Reads events and frames of an MVSEC file." ["Zhu et al., The Multi Vehicle Stereo Event Camera Dataset, RA-L 2018"]
-        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
+        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "first_pulse", "pairing"]
         example "path = \"outdoor_day1_data.hdf5\", exposure = \"5 ms\", stamp = \"middle\"";
     V2eHdf5 "read/v2e_hdf5" "v2e_hdf5" "Reads events and frames of an HDF5 file of the simulator v2e." ["Hu et al., v2e: From Video Frames to Realistic DVS Events, CVPRW 2021"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
+        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "first_pulse", "pairing"]
         example "path = \"v2e.h5\", exposure = \"3 ms\", stamp = \"start\", row_time = \"0 us\", transfer = \"srgb\"";
     EventUtilsHdf5 "read/event_utils_hdf5" "event_utils_hdf5" "Reads events and frames of an HDF5 file of event_utils." ["Stoffregen et al., Reducing the Sim-to-Real Gap for Event Cameras, ECCV 2020"]
         accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
         example "path = \"slider.h5\", exposure = \"5 ms\", stamp = \"middle\", row_time = \"0 us\", transfer = \"linear\"";
     Memmap "read/memmap" "memmap" "Reads events and frames of a folder of arrays (event_utils, EVREAL)." ["Ercan et al., EVREAL: Towards a Comprehensive Benchmark, CVPRW 2023"]
-        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]
+        accepts ["extent", "time_unit", "coordinate_scale", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter", "first_pulse", "pairing"]
         example "path = \"boxes_6dof\", exposure = \"5 ms\", stamp = \"middle\", row_time = \"0 us\", transfer = \"linear\"";
     Ecd "read/ecd" "ecd" "Reads a folder of the Event Camera Dataset: events.txt and PNG pictures." ["Mueggler et al., The Event-Camera Dataset and Simulator, IJRR 2017"]
         accepts ["extent", "time_unit", "frame_offset", "exposure", "stamp", "row_time", "transfer", "polarity", "origin", "counter"]

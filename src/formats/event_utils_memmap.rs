@@ -78,7 +78,7 @@ impl Memmap {
         }
         let mut losses = table.compare()?;
         let (unit, mut notes) = npz::unit(&files[0], &table, declared, Some(TimeUnit::S))?;
-        let frames = frames(path, unit, &mut losses, &mut files)?;
+        let frames = frames(path, unit, declared, &mut losses, &mut files)?;
         let extent = match (declared.extent, stated_extent(path, &mut files), &frames) {
             (Some(extent), ..) | (None, Some(extent), _) => Some(extent),
             (None, None, Some(frames)) => {
@@ -94,7 +94,7 @@ impl Memmap {
     }
 }
 
-fn frames(path: &Path, unit: TimeUnit, losses: &mut Vec<Loss>, files: &mut Vec<PathBuf>) -> Result<Option<Arc<NpyPictures>>, FormatError> {
+fn frames(path: &Path, unit: TimeUnit, declared: &Declared, losses: &mut Vec<Loss>, files: &mut Vec<PathBuf>) -> Result<Option<Arc<NpyPictures>>, FormatError> {
     let (images, stamps) = (path.join("images.npy"), path.join("images_ts.npy"));
     if !images.is_file() {
         return Ok(None);
@@ -118,7 +118,7 @@ fn frames(path: &Path, unit: TimeUnit, losses: &mut Vec<Loss>, files: &mut Vec<P
     if let Some(frame) = values.iter().position(|stamp| *stamp == i64::MIN) {
         return Err(FormatError::new(&stamps, "a stamp that is not finite", "correct it, or leave the frame out of both arrays").at(format!("frame {frame}")));
     }
-    let (frames, lost) = NpyPictures::open(&images, &values)?;
+    let (frames, lost) = NpyPictures::open(&images, &values, declared)?;
     losses.extend(lost);
     files.extend([images, stamps]);
     Ok(Some(Arc::new(frames)))

@@ -46,7 +46,7 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
         let stamps = optional(&file, "ovc/ts", &mut recording.losses)?.map(|stamps| stamps.integers()).transpose().map_err(wrap)?.unwrap_or_default();
         let stamps = stamps.into_iter().map(|t| FrameStamp { at: t.saturating_mul(1000), exposure: None }).collect();
         if let Some(images) = images {
-            let mut stack = Stack::of_dataset(path, images, stamps, Order::Bgr)?;
+            let mut stack = Stack::of_dataset(path, images, stamps, Order::Bgr, file.cut().is_none().then_some(declared))?;
             recording.losses.extend(stack.lost.take());
             stack.about_mut().notes.extend(others(declared.frame_camera.as_deref(), side, &frames, "frames", "frame_camera"));
             if stack.about().colour == Colour::Rgb {

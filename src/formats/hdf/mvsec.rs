@@ -36,7 +36,7 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
         let at = |s: f64| nanoseconds(s, TimeUnit::S.ns()).map(|at| FrameStamp { at, exposure: None });
         let bad = || FormatError::new(path, "a stamp that is no time", "the file is damaged: copy it again").at(format!("/{}", name("image_raw_ts")));
         let stamps = stamps.into_iter().map(|s| at(s).ok_or_else(bad)).collect::<Result<Vec<_>, _>>()?;
-        let mut stack = Stack::of_dataset(path, images, stamps, Order::Rgb)?;
+        let mut stack = Stack::of_dataset(path, images, stamps, Order::Rgb, file.cut().is_none().then_some(declared))?;
         lost.extend(stack.lost.take());
         pictures = Some(stack);
     }

@@ -70,7 +70,7 @@ fn open_cut(path: &Path, file: &ForeignFile) -> Result<Box<dyn Recording>, Forma
     let stamps = starts.iter().zip(&ends).map(|(&start, &end)| FrameStamp { at: start, exposure: Some((start, end)) }).collect();
     let mut pictures = None;
     if let Some(dn) = optional(file, "frames/dn", &mut lost)? {
-        let mut stack = Stack::of_dataset(path, dn, stamps, Order::Rgb)?;
+        let mut stack = Stack::of_dataset(path, dn, stamps, Order::Rgb, None)?;
         lost.extend(stack.lost.take());
         let about = stack.about_mut();
         (about.stamp_role, about.transfer) = (Some(StampRole::Start), Some(Transfer::Linear));

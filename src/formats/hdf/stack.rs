@@ -1,7 +1,9 @@
 //! Frames in HDF5: one dataset [frames, rows, columns] with channels last, or a dataset for each frame.
 
 use super::refused;
+use crate::declared::Declared;
 use crate::error::{Cause, FormatError, Loss};
+use crate::pictures::pairing::of_array;
 use crate::recording::{FrameStamp, FramesAbout, Pictures};
 use photocurrent_core::{Colour, Extent};
 use photocurrent_store::foreign::{Field, ForeignDataset, ForeignFile};
@@ -46,13 +48,18 @@ pub(super) struct Stack {
 }
 
 enum From {
-    Dataset(ForeignDataset),
+    /// Frames of one dataset, by their numbers there.
+    Dataset(ForeignDataset, Vec<usize>),
     Each(ForeignFile, Vec<String>),
 }
 
 impl Stack {
-    /// A dataset whose first dimension counts frames; stamps beyond its frames, or frames beyond its stamps, are left out with a note.
-    pub fn of_dataset(path: &Path, dataset: ForeignDataset, mut stamps: Vec<FrameStamp>, order: Order) -> Result<Stack, FormatError> {
+    /// A dataset whose first dimension counts frames, and their stamps. Where these are others in number they are paired as `declared` states, or by gaps between them;
+    /// in order without `declared`, as those of a file that is cut off. Frames and stamps without a partner are left out with a note.
+    ///
+    /// # Errors
+    /// When the dataset holds no frames, or it stays open which stamp belongs to which.
+    pub fn of_dataset(path: &Path, dataset: ForeignDataset, stamps: Vec<FrameStamp>, order: Order, declared: Option<&Declared>) -> Result<Stack, FormatError> {
         let wrong = || {
             let expected = "[frames, height, width], with 1 or 3 channels last";
             FormatError::new(path, format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected(expected)
@@ -62,14 +69,19 @@ impl Stack {
         let (frames, whole, stamped) = (dataset.rows(), dataset.rows_before_the_cut().map_err(|error| refused(path, error))?, stamps.len());
         let lost =
             (whole < frames).then(|| Loss::new(dataset.at(), format!("frames {whole} to {} lie behind the cut; they are lost", frames - 1)).by(Cause::Cut));
-        stamps.truncate(whole);
-        let mut about = about(extent, colour, field, stamps);
-        if frames > stamped {
+        let at: Vec<i64> = stamps.iter().map(|stamp| stamp.at).collect();
+        let in_order = || ((0..frames.min(stamped)).map(|n| (n, n)).collect(), None);
+        let (mut pairs, note) = declared.map_or_else(|| Ok(in_order()), |declared| of_array(path, frames, &at, declared))?;
+        pairs.retain(|(frame, _)| *frame < whole);
+        let mut about = about(extent, colour, field, pairs.iter().map(|(_, stamp)| stamps[*stamp]).collect());
+        about.notes.extend(note);
+        if declared.is_none() && frames > stamped {
             about.notes.push(format!("{} frames have no stamp and were left out", frames - stamped));
-        } else if stamped > frames {
+        } else if declared.is_none() && stamped > frames {
             about.notes.push(format!("{} stamps have no frame and were left out", stamped - frames));
         }
-        Ok(Stack { path: path.into(), from: From::Dataset(dataset), order, about, lost })
+        let rows = pairs.into_iter().map(|(frame, _)| frame).collect();
+        Ok(Stack { path: path.into(), from: From::Dataset(dataset, rows), order, about, lost })
     }
 
     /// Datasets by name, one for each stamp of `about`.
@@ -93,7 +105,10 @@ impl Pictures for Stack {
             return Err(missing());
         }
         let (dataset, rows) = match &self.from {
-            From::Dataset(dataset) => (dataset.clone(), frame..frame + 1),
+            From::Dataset(dataset, rows) => {
+                let row = *rows.get(frame).ok_or_else(missing)?;
+                (dataset.clone(), row..row + 1)
+            }
             From::Each(file, names) => {
                 let dataset = file.dataset(names.get(frame).ok_or_else(missing)?).map_err(|error| refused(&self.path, error))?.ok_or_else(missing)?;
                 let rows = 0..dataset.rows();

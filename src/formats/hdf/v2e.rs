@@ -33,7 +33,7 @@ fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatEr
         let stamps = optional(&file, "frame_ts", &mut lost)?;
         let stamps = stamps.map(|stamps| stamps.integers()).transpose().map_err(wrap)?.unwrap_or_default();
         let stamps = stamps.into_iter().map(|t| FrameStamp { at: t.saturating_mul(1000), exposure: None }).collect();
-        let mut stack = Stack::of_dataset(path, frames, stamps, Order::Rgb)?;
+        let mut stack = Stack::of_dataset(path, frames, stamps, Order::Rgb, file.cut().is_none().then_some(declared))?;
         lost.extend(stack.lost.take());
         pictures = Some(stack);
     }

@@ -2,7 +2,9 @@
 
 use super::header::{Element, Kind, Number, Scalar, each};
 use super::place::Place;
+use crate::declared::Declared;
 use crate::error::{Cause, FormatError, Loss};
+use crate::pictures::pairing::of_array;
 use crate::recording::{FrameStamp, FramesAbout, Pictures};
 use photocurrent_core::{Colour, Extent};
 use std::io::Read;
@@ -16,11 +18,13 @@ pub(crate) struct NpyPictures {
     /// Bytes of a frame.
     bytes: usize,
     about: FramesAbout,
+    /// Of each frame its number in the array.
+    rows: Vec<usize>,
 }
 
 impl NpyPictures {
-    /// Opens the array; the stamps are those of its frames, in order. Frames or stamps beyond the shorter of both are left out.
-    pub(crate) fn open(path: &Path, stamps: &[i64]) -> Result<(NpyPictures, Vec<Loss>), FormatError> {
+    /// Opens the array; the stamps are those of its frames, in order. Where these are others in number they are paired as `declared` states, or by gaps between them.
+    pub(crate) fn open(path: &Path, stamps: &[i64], declared: &Declared) -> Result<(NpyPictures, Vec<Loss>), FormatError> {
         let place = Place { path: path.into(), member: None };
         let header = place.header()?;
         let wrong = |expected: &str| {
@@ -44,12 +48,14 @@ impl NpyPictures {
         if frames > room {
             losses.push(Loss::new(place.name(), format!("its header claims {frames} frames and {room} are there; the rest is lost")).by(Cause::Cut));
         }
-        let frames = usize::try_from(frames.min(room)).unwrap_or(usize::MAX);
-        let mut notes = Vec::new();
-        if frames != stamps.len() {
-            notes.push(format!("{frames} frames and {} stamps: the first {} of both are taken to belong together", stamps.len(), frames.min(stamps.len())));
-        }
-        let stamps = stamps.iter().take(frames).map(|&at| FrameStamp { at, exposure: None }).collect();
+        let whole = usize::try_from(frames.min(room)).unwrap_or(usize::MAX);
+        // Those that are cut off count as they were written; a header may claim any number.
+        let claimed = usize::try_from(frames).unwrap_or(usize::MAX);
+        let claimed = if claimed == stamps.len() { claimed } else { whole.max(claimed.min(stamps.len())) };
+        let (mut pairs, note) = of_array(path, claimed, stamps, declared)?;
+        pairs.retain(|(frame, _)| *frame < whole);
+        let notes = note.into_iter().collect();
+        let (rows, stamps) = pairs.iter().map(|&(frame, stamp)| (frame, FrameStamp { at: stamps[stamp], exposure: None })).unzip();
         let about = FramesAbout {
             extent: Extent { width, height },
             colour: if channels == 3 { Colour::Rgb } else { Colour::Mono },
@@ -61,7 +67,7 @@ impl NpyPictures {
             notes,
         };
         let bytes = usize::try_from(bytes).map_err(|_| wrong("smaller frames"))?;
-        Ok((NpyPictures { place, start: header.start, scalar, bytes, about }, losses))
+        Ok((NpyPictures { place, start: header.start, scalar, bytes, about, rows }, losses))
     }
 }
 
@@ -72,11 +78,11 @@ impl Pictures for NpyPictures {
 
     fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
         values.clear();
-        if frame >= self.about.stamps.len() {
+        let Some(&row) = self.rows.get(frame) else {
             return Err(FormatError::new(&self.place.path, format!("there is no frame {frame}"), "ask for one of the frames that have a stamp"));
-        }
+        };
         let mut stored = vec![0; self.bytes];
-        let mut bytes = self.place.open(self.start + frame as u64 * self.bytes as u64)?;
+        let mut bytes = self.place.open(self.start + row as u64 * self.bytes as u64)?;
         bytes.read_exact(&mut stored).map_err(|error| FormatError::io(&self.place.path, &error).at(format!("frame {frame}")))?;
         values.reserve(self.bytes / self.scalar.bytes);
         each(self.scalar, &stored, self.scalar.bytes, 0, |number| {

@@ -8,8 +8,11 @@
 //! Limits: a first pulse and a last picture that are both missing leave no trace in counts, numbers and periods. Only events show that: see
 //! [`crate::pairings`].
 
+use super::place::{Times, remainder, stated};
 use super::stamps::Row;
 use crate::declared::{Declared, Pairing};
+use crate::error::FormatError;
+use std::path::Path;
 
 /// What it costs to leave something at one end without a partner.
 const END: u32 = 4;
@@ -203,11 +206,49 @@ impl Sides {
     }
 }
 
+/// Frames of an array and the times of another: `(frame, time)` of those that belong together, and a note where some have no partner. Equal numbers belong
+/// together in order; of unequal ones a gap of whole periods between the times is a time that is missing.
+///
+/// # Errors
+/// When it stays open which belong together, with the ways to state it.
+pub(crate) fn of_array(path: &Path, frames: usize, times: &[i64], declared: &Declared) -> Result<Paired, FormatError> {
+    if frames == times.len() && declared.first_pulse.is_none() && declared.pairing.is_none() {
+        return Ok(((0..frames).map(|n| (n, n)).collect(), None));
+    }
+    let rows: Vec<Row> = times.iter().map(|at| Row::at(*at, None, true)).collect();
+    let sides = Sides::new(&vec![String::new(); frames], &rows);
+    let what = format!("{frames} frames and {} stamps", times.len());
+    match sides.decide(declared) {
+        Ok(Some(candidate)) => {
+            let pairs = sides.pairs(&candidate);
+            let note = format!("{what}: paired by the period of the stamps; {}", remainder(frames, &rows, &pairs, Times::Stamps));
+            Ok((pairs, Some(note)))
+        }
+        Ok(None) => Ok((Vec::new(), Some(format!("{what}: none belongs to another")))),
+        Err(Unclear { best, second }) => {
+            let with_by = best.by != second.by;
+            let of =
+                |candidate: &Candidate| format!("{} leaves {}", stated(candidate, with_by), remainder(frames, &rows, &sides.pairs(candidate), Times::Stamps));
+            let hint = format!("state it: {}, {}", of(&best), of(&second));
+            let field = if best.first == second.first { "pairing" } else { "first_pulse" };
+            Err(FormatError::new(path, format!("{what}: counts and gaps between the stamps leave open which belong together"), hint).undeclared(field))
+        }
+    }
+}
+
+/// Frames with their times, and a note where some have none.
+pub(crate) type Paired = (Vec<(usize, usize)>, Option<String>);
+
 /// The lower middle of the steps; 0 without any.
 fn usual(values: &[i64]) -> i64 {
     let mut steps: Vec<i64> = values.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
     steps.sort_unstable();
     if steps.is_empty() { 0 } else { steps[(steps.len() - 1) / 2] }
+}
+
+/// From the first time to the last, in usual steps; none where a step is no whole number of them.
+pub(crate) fn periods(times: &[i64]) -> Option<i64> {
+    slots(times, usual(times)).and_then(|slots| slots.last().copied())
 }
 
 /// Values as whole numbers of steps from the first; none where a step is no whole number of usual ones, to a quarter.

@@ -1,6 +1,6 @@
 //! Gives every picture its time: by name where the stamps have names, else by [`super::pairing`].
 
-use super::pairing::{Candidate, Sides, Unclear};
+use super::pairing::{Candidate, Sides, Unclear, periods};
 use super::stamps::{self, Row, Stamps};
 use super::{Found, PictureFiles};
 use crate::declared::{Declared, Pairing, Transfer};
@@ -42,7 +42,10 @@ impl Stamps {
             self.rows.drain(..wrong);
         }
         // More lines than pictures: the first of BS-ERGB's may be too many (ercanburak/EVREAL#5).
-        if self.lines_count && self.rows.len() < pictures && self.rows.iter().all(|row| row.index.is_none()) {
+        // Where a gap of whole periods is as long as what is missing, that is where it is missing.
+        let times: Vec<i64> = self.rows.iter().map(|row| row.at).collect();
+        let shows = periods(&times).is_some_and(|periods| periods + 1 == pictures as i64);
+        if self.lines_count && self.rows.len() < pictures && !shows && self.rows.iter().all(|row| row.index.is_none()) {
             self.rows.iter_mut().zip(0..).for_each(|(row, n)| row.index = Some(n));
         }
     }
