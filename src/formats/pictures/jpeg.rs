@@ -24,7 +24,10 @@ pub(crate) fn head(bytes: &[u8], length: u64) -> Result<Head, String> {
     open(bytes, length).map(|(_, head)| head)
 }
 
-fn open(bytes: &[u8], length: u64) -> Result<(JpegDecoder<ZCursor<&[u8]>>, Head), String> {
+/// Over bytes in memory.
+type Decoder<'a> = JpegDecoder<ZCursor<&'a [u8]>>;
+
+fn open(bytes: &[u8], length: u64) -> Result<(Decoder<'_>, Head), String> {
     let options = DecoderOptions::default().set_strict_mode(true).set_max_width(1 << 16).set_max_height(1 << 16);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
     decoder.decode_headers().map_err(|error| format!("{error:?}"))?;
