@@ -1,6 +1,6 @@
 //! Changed files of every format through the two commands of a new user, `init` and `run`: no panic, no abort, no endless work, whatever the files hold.
 //!
-//! Each command has an address space of 2 GiB and 20 s. The quick test takes few inputs; the long run is
+//! Each command has an address space of 2 GiB, 20 s of processor time, and two minutes where it waits. The quick test takes few inputs; the long run is
 //! `FUZZED_INPUTS=100000 FUZZED_SEED=1 cargo test --release --test photocurrent fuzzed -- --nocapture`; inputs that fail are kept in `fuzz-failures`.
 //! Half of the inputs are files changed in some bytes ([`common::mutate`]); half are whole recordings whose stamps, places and pictures are changed in meaning: other units, pauses, strays,
 //! counters that wrap, numbers at the ends of their range.
@@ -21,8 +21,10 @@ use std::sync::Mutex;
 
 /// Address space of a command.
 const BYTES: u64 = 2 << 30;
-/// Time of a command, s.
-const SECONDS: i64 = 20;
+/// Processor time of a command, s.
+const SECONDS: u64 = 20;
+/// And time on the clock: a machine with other work is slow, one that waits for nothing is stuck.
+const WAITED: i64 = 120;
 /// Formats whose files hold no frames: a folder of pictures is given with them.
 const WITHOUT_FRAMES: [&str; 9] = ["evt2", "evt21", "evt3", "dat", "aedat2", "event_stream", "prophesee_hdf5", "csv", "npz"];
 
@@ -117,11 +119,14 @@ fn broken(bench: &Bench, arguments: &[&str]) -> Option<String> {
     let mut command = bench.command(arguments);
     command.env("RAYON_NUM_THREADS", "1").env("RUST_BACKTRACE", "0").stdout(Stdio::null()).stderr(Stdio::piped());
     let limit = libc::rlimit { rlim_cur: BYTES, rlim_max: BYTES };
-    let timer = libc::itimerval { it_interval: libc::timeval { tv_sec: 0, tv_usec: 0 }, it_value: libc::timeval { tv_sec: SECONDS, tv_usec: 0 } };
+    let processor = libc::rlimit { rlim_cur: SECONDS, rlim_max: SECONDS };
+    let timer = libc::itimerval { it_interval: libc::timeval { tv_sec: 0, tv_usec: 0 }, it_value: libc::timeval { tv_sec: WAITED, tv_usec: 0 } };
     // SAFETY: between fork and exec only setrlimit and setitimer are called, which are safe there; the timer outlives exec.
     unsafe {
         command.pre_exec(move || {
-            let is_set = libc::setitimer(libc::ITIMER_REAL, &timer, std::ptr::null_mut()) == 0 && libc::setrlimit(libc::RLIMIT_AS, &limit) == 0;
+            let is_set = libc::setitimer(libc::ITIMER_REAL, &timer, std::ptr::null_mut()) == 0
+                && libc::setrlimit(libc::RLIMIT_CPU, &processor) == 0
+                && libc::setrlimit(libc::RLIMIT_AS, &limit) == 0;
             if is_set { Ok(()) } else { Err(std::io::Error::last_os_error()) }
         });
     }
