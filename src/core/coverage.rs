@@ -51,6 +51,8 @@ impl Coverage {
         let mut parts: Vec<Part> = Vec::new();
         for frame in 0..exposures.len() {
             let Some(span) = times.select(&[frame]).span(height) else { continue };
+            // One exposure that lasts longer than a pause is a wrong stamp, and covers no more than one.
+            let span = TimeSpan::new(span.start.0, span.end.0.min(span.start.0.saturating_add(period_ns.saturating_mul(PAUSE))));
             let joins = frame > 0 && exposures[frame].start.0.saturating_sub(exposures[frame - 1].start.0) <= period_ns.saturating_mul(PAUSE);
             match parts.last_mut().filter(|_| joins) {
                 Some(part) => {
@@ -145,6 +147,15 @@ mod tests {
         let whole = Coverage::of(&film(0), 72);
         assert!(whole.refuses(TimeSpan::new(0, 1_702_000 * MS)).is_some() && whole.refuses(TimeSpan::new(-60_000 * MS, 300 * MS)).is_some());
         assert_eq!(whole.refuses(TimeSpan::new(-300 * MS, 600 * MS)), None);
+    }
+
+    #[test]
+    fn one_exposure_of_seconds_among_short_ones_covers_no_seconds() {
+        let exposure = |start: i64, end: i64| Exposure::new(start * MS, end * MS);
+        let times = FrameTimes::new(vec![exposure(0, 10), exposure(20, 30), exposure(40, 17_000), exposure(60, 70)], 0).unwrap();
+        let coverage = Coverage::of(&times, 1);
+        assert_eq!(coverage.parts[0].span, TimeSpan::new(0, 40 * MS + 16 * 20 * MS));
+        assert!(coverage.refuses(TimeSpan::new(0, 17_000 * MS)).is_some());
     }
 
     #[test]

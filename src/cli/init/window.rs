@@ -35,7 +35,9 @@ pub fn with_frames(recording: &dyn Recording, arranged: &Arranged, frames: &Fram
     let coverage = Coverage::of(&frames.times, frames.extent.height);
     let Some(part) = coverage.fullest() else { return Ok(None) };
     let around = coverage.around(part);
-    let ends_outside = events.start < around.start || events.end > around.end;
+    // A frame that is exposed for seconds among short ones ends outside too.
+    let last = frames.times.span(frames.extent.height).map_or(events.end, |span| span.end.max(events.end));
+    let ends_outside = events.start < around.start || last > around.end;
     if coverage.parts.len() == 1 && !ends_outside {
         return Ok(None);
     }
@@ -56,6 +58,9 @@ pub fn with_frames(recording: &dyn Recording, arranged: &Arranged, frames: &Fram
     if outside > 0 {
         let span = events.end.0.saturating_sub(events.start.0);
         why.push(format!("{outside} of {count} events lie far from these frames, in a span of {}", time(span as f64)));
+    }
+    if why.is_empty() {
+        why.push("the exposure of a frame ends long after the others".to_owned());
     }
     window.why = why.join("; ");
     Ok(Some(window))
