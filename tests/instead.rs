@@ -4,7 +4,7 @@ use crate::support::Bench;
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// What is downloaded or exported in place of a recording: name, bytes, what is said, what to do.
+/// What is downloaded or exported in place of a recording: name, bytes, the message, what to do.
 fn strangers() -> Vec<(&'static str, Vec<u8>, &'static str, &'static str)> {
     let pointer = format!("version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize 123456789\n", "0123456789abcdef".repeat(4)).into_bytes();
     let mut words = Vec::new();
@@ -136,7 +136,7 @@ fn frames_and_stamps_that_are_recordings_are_named() {
     assert!(done.code == 2 && done.stderr.contains("notes.txt"), "{}", done.stderr);
 }
 
-/// Three tenths of a second of events, and forty of them half an hour later: what is said of them is true to the event.
+/// Three tenths of a second of events, and forty of them half an hour later: their counts are true to the event.
 #[test]
 fn strays_are_counted_one_by_one() {
     let bench = Bench::new();

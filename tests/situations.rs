@@ -277,7 +277,7 @@ fn single_events_far_outside_decide_no_size() {
     (events[500].y, events[900].x) = (33_014, 1_308);
     npz(&bench.path("events.npz"), &events);
     let done = init(&bench, &["events.npz", "frames"]);
-    // Two events are lost, and that is said in the exit code.
+    // Two events are lost, which the exit code states.
     assert_eq!(done.code, 3, "{}", done.stderr);
     let (manifest, _) = written(&bench);
     let extent = line(&manifest, "extent");

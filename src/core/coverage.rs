@@ -4,7 +4,7 @@
 //! the next frame begins more than [`PAUSE`] usual periods after the one before. The time within as many periods of a frame is near one.
 //!
 //! The usual period is the median time from frame to frame, at most [`LONGEST`] exposures: two frames an hour apart state no period.
-//! A lone frame counts as one of a film with [`LONE`] exposures to a period.
+//! A single frame counts as one of a film with [`SINGLE`] exposures to a period.
 
 use crate::frames::FrameTimes;
 use crate::time::{TimeSpan, in_seconds};
@@ -14,8 +14,8 @@ use std::ops::Range;
 pub const PAUSE: i64 = 16;
 /// The longest period, in exposures.
 const LONGEST: i64 = 1000;
-/// The period of a lone frame, in exposures.
-const LONE: i64 = 64;
+/// The period of a single frame, in exposures.
+const SINGLE: i64 = 64;
 /// A span is covered when the time near frames is at least one part in so many of it.
 const SPARSE: i64 = 4;
 /// Parts that messages list.
@@ -46,7 +46,7 @@ impl Coverage {
         let mut periods: Vec<i64> = exposures.windows(2).map(|pair| pair[1].start.0.saturating_sub(pair[0].start.0)).filter(|period| *period > 0).collect();
         periods.sort_unstable();
         let exposure = times.nominal_exposure_ns().unwrap_or(1).max(1);
-        let usual = periods.get(periods.len().saturating_sub(1) / 2).copied().unwrap_or(exposure.saturating_mul(LONE));
+        let usual = periods.get(periods.len().saturating_sub(1) / 2).copied().unwrap_or(exposure.saturating_mul(SINGLE));
         let period_ns = usual.min(exposure.saturating_mul(LONGEST)).max(1);
         let mut parts: Vec<Part> = Vec::new();
         for frame in 0..exposures.len() {
@@ -163,10 +163,10 @@ mod tests {
         // An hour between two frames of 10 ms: each is a part of its own.
         let coverage = Coverage::of(&times([0, 3_600_000]), 72);
         assert!(coverage.refuses(TimeSpan::new(0, 3_600_010 * MS)).is_some() || coverage.period_ns <= 10_000 * MS);
-        let lone = Coverage::of(&times([0]), 72);
-        assert_eq!(lone.refuses(TimeSpan::new(0, 10_000 * MS)), None);
-        assert!(lone.refuses(TimeSpan::new(0, 3_600_000 * MS)).is_some());
+        let single = Coverage::of(&times([0]), 72);
+        assert_eq!(single.refuses(TimeSpan::new(0, 10_000 * MS)), None);
+        assert!(single.refuses(TimeSpan::new(0, 3_600_000 * MS)).is_some());
         assert_eq!(Coverage::of(&times([]), 72).refuses(TimeSpan::new(0, i64::MAX)), None);
-        assert!(lone.refuses(TimeSpan::new(i64::MIN, i64::MAX)).is_some());
+        assert!(single.refuses(TimeSpan::new(i64::MIN, i64::MAX)).is_some());
     }
 }

@@ -2,7 +2,7 @@
 //! negative numbers in columns without a sign.
 //!
 //! A reader counts what its columns hold over the whole file ([`Tally`]); [`Tally::settle`] decides once how stored numbers are read ([`Rules`]). What was
-//! recognised is said in a note and as a fact ([`Convention`]). What is stated goes before: `polarity`, `origin`, `counter` of [`Declared`].
+//! recognised is stated in a note and as a fact ([`Convention`]). What is stated goes before: `polarity`, `origin`, `counter` of [`Declared`].
 //!
 //! | stored | read as | recognised where |
 //! | --- | --- | --- |
@@ -362,7 +362,7 @@ impl Tally {
         Ok(Settled { about, rules, follow: counter.map(|(counter, share)| (counter.range_ns(), (share * counter.range_ns() as f64) as i64)), conventions })
     }
 
-    /// What is said of the polarity; nothing of the usual signs.
+    /// What is noted of the polarity; nothing of the usual signs.
     fn polarity_said(&self, code: Code, is_stated: bool) -> Option<Convention> {
         let all = self.polarities();
         let (least, most) = (all.first()?.0, all.last()?.0);

@@ -84,7 +84,7 @@ pub fn explained(error: FormatError, declared: &Declared) -> FormatError {
                 let hint = format!("`{option}` takes {wanted}; name a recording as the first file: frames that it holds are read with it");
                 FormatError::new(&path, format!("this is a recording ({})", format.name), hint).expected(wanted)
             }
-            // What is missing of pictures, or wrong in a line of a text, is said by who reads them.
+            // What is missing of pictures, or wrong in a line of a text, is reported by its reader.
             Some(_) => error,
             None => what_it_is(&probe).filter(|_| probe.names.is_none()).map_or(error, |instead| instead.refusal(&path).expected(wanted)),
         };

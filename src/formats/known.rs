@@ -3,12 +3,10 @@
 //! Facts of hardware, each with its reason, in one table. They stand behind whatever a file or the user states, and a note says that they were used.
 
 use crate::chunk::Trigger;
-use crate::convention::Convention;
 use crate::declared::Transfer;
-use crate::error::{FormatError, Loss};
+use crate::error::FormatError;
 use crate::format::Format;
 use crate::recording::{EventCursor, EventsAbout, FramesAbout, Pictures, Recording};
-use std::path::PathBuf;
 use std::sync::Arc;
 
 /// What is known, and why.
@@ -49,9 +47,9 @@ pub fn with_known_camera(format: &Format, recording: Box<dyn Recording>) -> Box<
 }
 
 /// Frames with another description.
-struct Described {
-    inner: Arc<dyn Pictures>,
-    about: FramesAbout,
+pub(crate) struct Described {
+    pub(crate) inner: Arc<dyn Pictures>,
+    pub(crate) about: FramesAbout,
 }
 
 impl Pictures for Described {
@@ -87,23 +85,5 @@ impl Recording for WithCamera {
         self.recording.triggers()
     }
 
-    fn sensor_text(&self) -> Option<&str> {
-        self.recording.sensor_text()
-    }
-
-    fn facts(&self) -> Vec<(String, String)> {
-        self.recording.facts()
-    }
-
-    fn conventions(&self) -> Vec<Convention> {
-        self.recording.conventions()
-    }
-
-    fn losses(&self) -> Vec<Loss> {
-        self.recording.losses()
-    }
-
-    fn files(&self) -> Vec<PathBuf> {
-        self.recording.files()
-    }
+    crate::recording::forward!(recording);
 }

@@ -5,12 +5,11 @@
 
 use crate::arrange::Arranged;
 use crate::chunk::{EventChunk, Trigger};
-use crate::convention::Convention;
 use crate::declared::{Declared, Mirror, Shift};
 use crate::error::{FormatError, Loss};
 use crate::recording::{EventCursor, EventsAbout, FramesAbout, Pictures, Recording};
 use photocurrent_core::Extent;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 /// Applies what is declared; a recording of which nothing of this is declared stays as it is.
@@ -116,25 +115,7 @@ impl Recording for Placed {
         self.recording.triggers()
     }
 
-    fn sensor_text(&self) -> Option<&str> {
-        self.recording.sensor_text()
-    }
-
-    fn facts(&self) -> Vec<(String, String)> {
-        self.recording.facts()
-    }
-
-    fn conventions(&self) -> Vec<Convention> {
-        self.recording.conventions()
-    }
-
-    fn losses(&self) -> Vec<Loss> {
-        self.recording.losses()
-    }
-
-    fn files(&self) -> Vec<PathBuf> {
-        self.recording.files()
-    }
+    crate::recording::forward!(recording);
 }
 
 struct PlacedCursor {
@@ -255,25 +236,7 @@ impl Recording for PartOf<'_> {
         self.recording.triggers()
     }
 
-    fn sensor_text(&self) -> Option<&str> {
-        self.recording.sensor_text()
-    }
-
-    fn facts(&self) -> Vec<(String, String)> {
-        self.recording.facts()
-    }
-
-    fn conventions(&self) -> Vec<Convention> {
-        self.recording.conventions()
-    }
-
-    fn losses(&self) -> Vec<Loss> {
-        self.recording.losses()
-    }
-
-    fn files(&self) -> Vec<PathBuf> {
-        self.recording.files()
-    }
+    crate::recording::forward!(recording);
 }
 
 #[cfg(test)]

@@ -56,6 +56,32 @@ pub trait Recording: Send + Sync {
     fn files(&self) -> Vec<PathBuf>;
 }
 
+/// What a recording that changes another one's events or frames passes on from the field that holds it: description, facts, conventions, losses and files.
+macro_rules! forward {
+    ($field:ident) => {
+        fn sensor_text(&self) -> Option<&str> {
+            self.$field.sensor_text()
+        }
+
+        fn facts(&self) -> Vec<(String, String)> {
+            self.$field.facts()
+        }
+
+        fn conventions(&self) -> Vec<$crate::convention::Convention> {
+            self.$field.conventions()
+        }
+
+        fn losses(&self) -> Vec<$crate::error::Loss> {
+            self.$field.losses()
+        }
+
+        fn files(&self) -> Vec<std::path::PathBuf> {
+            self.$field.files()
+        }
+    };
+}
+pub(crate) use forward;
+
 /// What is known of an event stream before it is read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EventsAbout {

@@ -6,12 +6,11 @@
 //! Limits: stamps that the format's own unit cannot hold (microseconds since 1970 read as seconds) are refused before.
 
 use crate::chunk::{EventChunk, Trigger};
-use crate::convention::Convention;
 use crate::declared::{Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::evidence::unit_name;
-use crate::recording::{EventCursor, EventsAbout, FramesAbout, Pictures, Recording};
-use std::path::PathBuf;
+use crate::known::Described;
+use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use std::sync::Arc;
 
 /// The unit that a format defines for events; `None` where the reader takes the stated one.
@@ -82,7 +81,7 @@ pub fn restamped(format: &str, recording: Box<dyn Recording>, declared: &Declare
                 stamp.exposure = stamp.exposure.map(|(start, end)| (ratio.apply(start), ratio.apply(end)));
             }
             about.notes.push(format!("stamps of frames were read in {}, as stated", unit_name(unit)));
-            Arc::new(Restamped { inner, about })
+            Arc::new(Described { inner, about })
         }
         _ => inner,
     });
@@ -121,25 +120,7 @@ impl Recording for InOtherUnits {
         Ok(triggers)
     }
 
-    fn sensor_text(&self) -> Option<&str> {
-        self.recording.sensor_text()
-    }
-
-    fn facts(&self) -> Vec<(String, String)> {
-        self.recording.facts()
-    }
-
-    fn conventions(&self) -> Vec<Convention> {
-        self.recording.conventions()
-    }
-
-    fn losses(&self) -> Vec<Loss> {
-        self.recording.losses()
-    }
-
-    fn files(&self) -> Vec<PathBuf> {
-        self.recording.files()
-    }
+    crate::recording::forward!(recording);
 }
 
 struct RestampedCursor {
@@ -164,22 +145,6 @@ impl EventCursor for RestampedCursor {
 
     fn position(&self) -> (u64, u64) {
         self.inner.position()
-    }
-}
-
-/// Frames with other stamps.
-struct Restamped {
-    inner: Arc<dyn Pictures>,
-    about: FramesAbout,
-}
-
-impl Pictures for Restamped {
-    fn about(&self) -> &FramesAbout {
-        &self.about
-    }
-
-    fn read(&self, frame: usize, values: &mut Vec<f32>) -> Result<(), FormatError> {
-        self.inner.read(frame, values)
     }
 }
 

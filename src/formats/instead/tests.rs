@@ -11,7 +11,7 @@ fn probe(name: &str, bytes: &[u8]) -> (tempfile::TempDir, PathBuf) {
     (folder, path)
 }
 
-/// What is said of a file, and what to do; it is recognised as no recording.
+/// The message about a file, and what to do; it is recognised as no recording.
 fn said(name: &str, bytes: &[u8]) -> (String, String) {
     let (_folder, path) = probe(name, bytes);
     assert!(recognise(&path).unwrap().is_none(), "{name}");

@@ -33,7 +33,7 @@ const HEAD: usize = 100;
 /// Rows of a piece, and bytes of its messages, at most (one message may be longer).
 const PIECE_ROWS: u64 = 1024;
 const PIECE_BYTES: u64 = 4 << 20;
-/// Rows whose numbers and times are asked for at a time.
+/// Rows whose numbers and times are read at a time.
 const BATCH: usize = 256;
 /// More topics than any recording has.
 const MOST_TOPICS: usize = 1 << 16;

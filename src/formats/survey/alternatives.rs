@@ -24,7 +24,7 @@
 //! A reading with an offset of its own explains whatever is a constant shift (a strobe read upside down, a stamp that means the exposure's end): hold readings without one
 //! against each other first, and let an offset be fitted where none of them is clear.
 //!
-//! Limits: nothing is decided where nothing moves. Of a picture that moves one way, a shift along the motion and lateness explain the same; that shows as two readings close
+//! Limits: no reading is preferred where nothing moves. Of a picture that moves one way, a shift along the motion and lateness explain the same; that shows as two readings close
 //! to each other. Of [`PAIRS`] pairs of frames the [`A_PAIR`] tiles that change most are evaluated.
 
 use super::lag::Interval;
