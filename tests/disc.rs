@@ -5,7 +5,6 @@
 
 #![allow(clippy::unwrap_used)]
 
-use crate::support::Bench;
 use std::fs;
 use std::io::BufReader;
 use std::path::Path;
@@ -153,12 +152,13 @@ pub fn npz_with(path: &Path, events: &[Event], polarity: &[u8]) {
     fs::write(path, zip(&members)).unwrap();
 }
 
-/// Pictures as 000000.png and so on, in place of those that are there.
+/// Pictures of any whole multiple of the array as 000000.png and so on, in place of those that are there.
 pub fn write_pictures(folder: &Path, pictures: &[Vec<u8>]) {
     fs::create_dir_all(folder).unwrap();
     for (l, values) in pictures.iter().enumerate() {
+        let times = (values.len() / (WIDTH * HEIGHT)).isqrt();
         let file = fs::File::create(folder.join(format!("{l:06}.png"))).unwrap();
-        let mut encoder = png::Encoder::new(file, WIDTH as u32, HEIGHT as u32);
+        let mut encoder = png::Encoder::new(file, (WIDTH * times) as u32, (HEIGHT * times) as u32);
         encoder.set_color(png::ColorType::Grayscale);
         encoder.set_depth(png::BitDepth::Eight);
         encoder.write_header().unwrap().write_image_data(values).unwrap();
@@ -196,7 +196,10 @@ pub fn score(folder: &Path, zero_s: f64) -> f64 {
         let info = reader.next_frame(&mut bytes).unwrap();
         let channels = info.color_type.samples();
         let stored: Vec<f64> = bytes.chunks_exact(2).map(|pair| f64::from(u16::from_be_bytes([pair[0], pair[1]]))).collect();
-        let grey = |pixel: usize| stored[pixel * channels..][..channels].iter().sum::<f64>() / channels as f64;
+        let times = info.width as usize / WIDTH;
+        let row = |pixel: usize, down: usize| ((pixel / WIDTH * times + down) * WIDTH + pixel % WIDTH) * times * channels;
+        let sum = |pixel: usize| (0..times).map(|down| stored[row(pixel, down)..][..times * channels].iter().sum::<f64>()).sum::<f64>();
+        let grey = |pixel: usize| sum(pixel) / (times * times * channels) as f64;
         for pixel in 20 * WIDTH..66 * WIDTH {
             let error = grey(pixel) * scale + offset - 255.0 * linear(truth[pixel] / 255.0);
             square += error * error;
@@ -204,22 +207,4 @@ pub fn score(folder: &Path, zero_s: f64) -> f64 {
         }
     }
     10.0 * libm::log10(255.0 * 255.0 * count / square)
-}
-
-/// The score of the recording with nothing wrong.
-pub fn control_db() -> f64 {
-    static CONTROL: OnceLock<f64> = OnceLock::new();
-    *CONTROL.get_or_init(|| {
-        let (bench, disc) = (Bench::new(), Disc::get());
-        npz(&bench.path("events.npz"), &disc.events);
-        write_pictures(&bench.path("frames"), &disc.frames.pictures);
-        write_stamps(&bench.path("frames/timestamps.txt"), disc.frames.starts_us.iter().map(|start| format!("{start} {}", start + EXPOSURE_US)));
-        let done = bench.run(&["init", "events.npz", "frames", "-o", "my.toml", "--extent", "96x72", "--time-unit", "us"]);
-        assert_eq!(done.code, 0, "{}", done.stderr);
-        let done = bench.run(&["run", "my.toml", "--to", "frames", "--quiet"]);
-        assert_eq!(done.code, 0, "{}", done.stderr);
-        let found = score(&bench.path("out/my/frames"), disc.zero_s());
-        assert!(found > 39.0, "{found:.2} dB");
-        found
-    })
 }

@@ -70,7 +70,7 @@ impl Node for EstimateThresholds {
     const DECL: Decl = Decl {
         kind: "estimate/thresholds",
         about: "Contrast thresholds from the log change of frames an event, with intervals, and the description with those that held-out frames prefer.",
-        revision: 4,
+        revision: 5,
         grain: Grain::Whole,
         draws: false,
         exports: false,

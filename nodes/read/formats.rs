@@ -50,7 +50,7 @@ macro_rules! readers {
 
 readers! {
     Aedat4 "read/aedat4" "aedat4" "Reads events and frames of an AEDAT4 file (DAVIS cameras)." ["AEDAT 4.0 file format, iniVation"]
-        accepts ["camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
+        accepts ["extent", "camera", "frame_camera", "frame_offset", "exposure", "stamp", "row_time", "transfer"]
         example "path = \"davis346_traffic.aedat4\", end = \"1 s\"";
     Aedat2 "read/aedat2" "aedat2" "Reads events of an AEDAT-2.0 file (jAER)." ["AEDAT 2.0 file format, jAER"]
         accepts ["extent", "camera", "frames", "stamps", "trigger_line", "frame_offset", "exposure", "stamp", "row_time", "transfer", "strobe", "first_pulse", "pairing"]

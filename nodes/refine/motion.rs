@@ -122,7 +122,7 @@ impl Node for RefineMotion {
     const DECL: Decl = Decl {
         kind: "refine/motion",
         about: "Solves tracks again with what neighbouring pixels saw before and after, carried along the motion.",
-        revision: 17,
+        revision: 18,
         grain: Grain::Whole,
         draws: false,
         exports: false,

@@ -103,7 +103,7 @@ impl Node for RefinePicture {
     const DECL: Decl = Decl {
         kind: "refine/picture",
         about: "Solves tracks again with a moving picture that explains the frames, and with what neighbouring pixels saw.",
-        revision: 14,
+        revision: 15,
         grain: Grain::Whole,
         draws: false,
         exports: false,

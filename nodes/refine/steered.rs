@@ -77,7 +77,7 @@ impl Node for RefineSteered {
     const DECL: Decl = Decl {
         kind: "refine/steered",
         about: "Smooths the rough tracks of the paper's solver along the motion, without solving again.",
-        revision: 1,
+        revision: 2,
         grain: Grain::Row { halo: HALO },
         draws: false,
         exports: false,

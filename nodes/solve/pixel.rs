@@ -310,7 +310,7 @@ impl Node for SolvePixel {
     const DECL: Decl = Decl {
         kind: "solve/pixel",
         about: "Solves for the photocurrent of every pixel from its events and frame values.",
-        revision: 18,
+        revision: 19,
         grain: Grain::Pixel,
         draws: false,
         exports: false,

@@ -9,6 +9,8 @@
 //!
 //! Rows count from below in the file; given are rows from above, as `faery` does. Source: the README of neuromorphicsystems/event_stream.
 //!
+//! A stated `extent` stands in for that of the file: rows count from its last.
+//!
 //! Limits: the file begins at time 0 and has no index, so that a search for a time goes back to the first event. Steps have no mark to find after a damaged
 //! byte: an event outside of the pixels ends what can be read, because all that follows would be made up. Generic and colour events have no polarity and are refused.
 
@@ -35,8 +37,8 @@ fn recognises(probe: &Probe) -> bool {
     probe.head.starts_with(MAGIC)
 }
 
-fn open(path: &Path, _: &Declared) -> Result<Box<dyn Recording>, FormatError> {
-    Ok(Box::new(EventStream::open(path)?))
+fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
+    Ok(Box::new(EventStream::open(path, declared.extent)?))
 }
 
 /// What the events are.
@@ -57,7 +59,7 @@ struct EventStream {
 }
 
 impl EventStream {
-    fn open(path: &Path) -> Result<EventStream, FormatError> {
+    fn open(path: &Path, stated: Option<Extent>) -> Result<EventStream, FormatError> {
         let io = |error: std::io::Error| FormatError::io(path, &error);
         let file = File::open(path).map_err(io)?;
         let size = file.metadata().map_err(io)?.len();
@@ -94,11 +96,18 @@ impl EventStream {
             }
         };
         let [.., w0, w1, h0, h1] = *head.first_chunk::<20>().ok_or_else(cut)?;
-        let extent = Extent { width: u16::from_le_bytes([w0, w1]).into(), height: u16::from_le_bytes([h0, h1]).into() };
+        let recorded = Extent { width: u16::from_le_bytes([w0, w1]).into(), height: u16::from_le_bytes([h0, h1]).into() };
+        // Coordinates have 16 bits.
+        let sides = 1..=1 << 16;
+        let extent = stated.filter(|stated| sides.contains(&stated.width) && sides.contains(&stated.height)).unwrap_or(recorded);
         if extent.width == 0 || extent.height == 0 {
-            return Err(refuse("byte 16", format!("an extent of {extent}"), "at least one pixel", "copy the file again; its header is damaged"));
+            let hint = "state its `extent`, such as 640 x 480; or copy the file again: its header is damaged";
+            return Err(refuse("byte 16", format!("an extent of {extent}"), "at least one pixel", hint).undeclared("extent"));
         }
         let mut notes = vec!["rows counted from above; the file has them from below".to_owned()];
+        if extent != recorded {
+            notes.push(format!("the extent is declared as {extent}; the file states {recorded}"));
+        }
         if kind == Kind::Atis {
             notes.push("events that measure the exposure of a pixel (threshold crossings of an ATIS) are left out".into());
         }
@@ -176,7 +185,7 @@ impl Cursor {
             k += 5;
             t += i64::from(step);
             if !skip {
-                // Below the height, which is 65,535 at most.
+                // Below the height, which is 65,536 at most.
                 chunk.push(t * 1000, x, (height - 1) as u16 - y, on);
             }
         }
@@ -272,7 +281,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("clip.es");
         std::fs::write(&path, bytes).unwrap();
-        work(EventStream::open(&path))
+        work(EventStream::open(&path, None))
     }
 
     /// ns, x, y, ON.
@@ -333,6 +342,18 @@ mod tests {
         assert_eq!(events.len(), 2);
         assert_eq!(losses[0].at, "bytes 33 to 51");
         assert!(losses[0].what.contains("(4, 0) lies outside the 4 x 3 pixels"), "{losses:?}");
+    }
+
+    #[test]
+    fn a_stated_extent_stands_in_for_that_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("clip.es");
+        std::fs::write(&path, file(1, &[DVS.as_slice(), &[0, 4, 0, 7, 0], &DVS].concat())).unwrap();
+        let recording = EventStream::open(&path, Some(Extent { width: 6, height: 8 })).unwrap();
+        let (mut cursor, mut chunk) = (recording.events().unwrap(), EventChunk::default());
+        assert!(cursor.next(&mut chunk).unwrap() && cursor.losses().is_empty());
+        assert_eq!((chunk.x, chunk.y), (vec![1, 3, 4, 1, 3], vec![7, 5, 0, 7, 5]));
+        assert!(recording.about.notes.iter().any(|note| note == "the extent is declared as 6 x 8; the file states 4 x 3"), "{:?}", recording.about.notes);
     }
 
     #[test]

@@ -129,20 +129,19 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
         }
         None => (recording, arranged),
     };
-    let acts = {
-        let part = PartOf::new(recording.as_ref(), &arranged);
-        let survey = survey(&part, parts.format.id, &Most::default(), |_| ()).map_err(refused)?;
-        let findings = hazard::findings(&survey, &Limits::default());
-        let mut numbers = arranged.frames_read().to_vec();
-        numbers.sort_unstable();
-        let pictures = part.pictures();
-        let surveyed = pictures.as_deref().map(|pictures| (pictures, numbers.as_slice()));
-        let reading = if (all.mirror, all.shift) == (None, None) { readings::best(&part, &survey, &findings).map_err(refused)? } else { None };
-        hazards::act(&survey, &findings, parts.format, surveyed, reading.as_ref(), accepted, &mut all)?
-    };
-    if !acts.parameters.is_empty() {
-        reader.extend(acts.parameters);
+    let mut acts = hazards::Acts::default();
+    // Another size of the array changes what everything else is compared on: the findings are those of that size.
+    for _ in 0..2 {
+        let was = all.extent;
+        acts = surveyed(recording.as_ref(), &arranged, &parts, accepted, &mut all)?;
+        if acts.parameters.is_empty() {
+            break;
+        }
+        reader.append(&mut acts.parameters);
         (recording, arranged) = settle(&parts, &mut all, &mut reader)?;
+        if all.extent == was {
+            break;
+        }
     }
     // Everything that was recorded is measured, whichever part is rendered.
     let (start, end) = (all.start.take(), all.end.take());
@@ -188,6 +187,19 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
     };
     facts.sensor = describe(&found, &offset_why);
     Ok(facts)
+}
+
+/// Surveys the part that is read and acts on what is found.
+fn surveyed(recording: &dyn Recording, arranged: &Arranged, parts: &Parts, accepted: &[String], all: &mut All) -> Result<hazards::Acts, Failure> {
+    let part = PartOf::new(recording, arranged);
+    let survey = survey(&part, parts.format.id, &Most::default(), |_| ()).map_err(refused)?;
+    let findings = hazard::findings(&survey, &Limits::default());
+    let mut numbers = arranged.frames_read().to_vec();
+    numbers.sort_unstable();
+    let pictures = part.pictures();
+    let frames = pictures.as_deref().map(|pictures| (pictures, numbers.as_slice()));
+    let reading = if (all.mirror, all.shift) == (None, None) { readings::best(&part, &survey, &findings).map_err(refused)? } else { None };
+    hazards::act(&survey, &findings, parts.format, frames, reading.as_ref(), accepted, all)
 }
 
 /// A refusal of a reader.

@@ -4,6 +4,7 @@ use super::facts::Fill;
 use super::readings::Reading;
 use super::usage;
 use crate::common::Failure;
+use photocurrent_core::Extent;
 use photocurrent_formats::hazard::{self, Consequence, Finding, Severity};
 use photocurrent_formats::survey::Survey;
 use photocurrent_formats::{Format, Mirror, Pictures, Shift};
@@ -65,7 +66,8 @@ pub fn act(
                     }
                 }
                 // It was proposed, or is stated, before.
-                None if ["exposure", "stamp", "row_time", "transfer", "extent", "clock_offset"].contains(&parameter) => {}
+                None if ["exposure", "stamp", "row_time", "transfer", "clock_offset"].contains(&parameter) => {}
+                None if parameter == "extent" && all.extent.is_some() => {}
                 // Another reading explains it better.
                 None if reading.is_some() && ["mirror", "shift"].contains(&parameter) => {}
                 _ => acts.marks.push(mark()),
@@ -147,6 +149,11 @@ fn proposal(parameter: &str, finding: &Finding, survey: &Survey, reading: Option
             let why = format!("{why}; {}", reading.why);
             Some(Fill::open("shift", format!("{{ right = {right}, down = {down} }}"), why))
         }
+        "extent" if all.extent.is_none() && finding.id == "small_part_used" => {
+            let Reading { extent, why: explained, .. } = reading?;
+            let Extent { width, height } = (*extent)?;
+            Some(Fill::open("extent", format!("{{ width = {width}, height = {height} }}"), format!("{why}; {explained}")))
+        }
         "extent" if all.extent.is_none() => {
             let (x, y) = survey.events.as_ref()?.places.largest;
             let why = format!("{why}; a larger array has more rows or columns than those that fired");
@@ -213,7 +220,9 @@ mod tests {
 
     fn of(id: &'static str, accepted: &[String]) -> (Result<Acts, Failure>, All) {
         let finding = Finding::new(id, Severity::Hazard, "what", "evidence", "state `coordinate_scale = 32`");
-        let reading = Reading { mirror: Some(Mirror::Both), shift: Some(Shift { right: 1, down: 0 }), is_inverted: false, why: "why".into() };
+        let reading = Reading { mirror: Some(Mirror::Both), shift: Some(Shift { right: 1, down: 0 }), why: "why".into(), ..Reading::default() };
+        let extent = (id == "small_part_used").then_some(Extent { width: 4, height: 3 });
+        let reading = Reading { extent, ..reading };
         let (film, mut all) = (film(), All { start: Some(photocurrent_core::quantity::Duration::new(0)), ..All::default() });
         let numbers: Vec<usize> = (5..15).collect();
         let npz = format::named("npz").unwrap();

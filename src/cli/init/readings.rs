@@ -3,9 +3,12 @@
 //! A shift in time explains much: a picture moved along its motion, a mirrored one, a strobe read upside down. So where `inspect` finds the two streams apart, the readings are
 //! held against each other on pairs of frames that nothing was fitted to ([`compare`]). A mirror or a shift is proposed where it explains clearly more than an offset does.
 //!
+//! Where events use a small part of an array that has the frames' size, arrays of which the frames are a multiple are compared too ([`smaller_array`]).
+//!
 //! Limits: shifts are searched for by steps of one pixel from none and from what patches suggest; of a scene that moves one way a shift along the motion and an offset explain
 //! the same, and the offset is taken.
 
+use photocurrent_core::Extent;
 use photocurrent_formats::hazard::{self, Finding, Limits};
 use photocurrent_formats::survey::Survey;
 use photocurrent_formats::survey::alternatives::{Alternative, LEAST_AHEAD, LEAST_EXPLAINED, Much, Scored, compare, decided};
@@ -26,6 +29,8 @@ pub struct Reading {
     pub shift: Option<Shift>,
     /// Are ON and OFF exchanged?
     pub is_inverted: bool,
+    /// The size of the event array, where it is another than the recording's.
+    pub extent: Option<Extent>,
     /// What each reading explains, for people.
     pub why: String,
 }
@@ -41,12 +46,17 @@ const APART: [&str; 3] = ["mirrored", "displaced", "events_late"];
 /// # Errors
 /// When the recording cannot be read any more.
 pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) -> Result<Option<Reading>, FormatError> {
+    if findings.iter().any(|finding| finding.id == "small_part_used")
+        && let Some(reading) = smaller_array(recording, survey)?
+    {
+        return Ok(Some(reading));
+    }
     // Streams that agree at no shift at all may be exchanged in sign.
     let is_unclear = survey.lag.as_ref().is_some_and(|lag| lag.pairs >= FEWEST && lag.late_ns.is_none());
     if !is_unclear && !findings.iter().any(|finding| APART.contains(&finding.id)) {
         return Ok(None);
     }
-    let much = Much { span_ns: survey.events.as_ref().and_then(|events| events.span_ns), events: EVENTS };
+    let much = Much { span_ns: survey.events.as_ref().and_then(|events| events.span_ns), events: EVENTS, extent: None };
     // Mirrors first, each with and without an offset.
     let ways = [None, Some(Mirror::LeftRight), Some(Mirror::TopBottom), Some(Mirror::Both)];
     let mirrored = |way: Option<Mirror>| {
@@ -109,7 +119,37 @@ pub fn best(recording: &dyn Recording, survey: &Survey, findings: &[Finding]) ->
     let scored = compare(recording, &finals, &much)?;
     let is_shifted = scored.first().is_some_and(|best| best.alternative == 2 && shift != (0, 0))
         && scored.iter().filter(|one| one.alternative != 2).all(|one| one.behind.ci95.0 > 0.0 && one.behind.value > LEAST_AHEAD);
-    Ok(Some(Reading { mirror, shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }), is_inverted: false, why: listed(&scored) }))
+    Ok(Some(Reading { mirror, shift: is_shifted.then_some(Shift { right: -shift.0, down: -shift.1 }), why: listed(&scored), ..Reading::default() }))
+}
+
+/// Frame pixels along the side of an event pixel, at most, in the search for another array.
+const MOST_TIMES: u32 = 8;
+
+/// The array of which the frames are a whole multiple and on which events explain the frames' change, where they do not explain it on the recorded one. `None` where none does.
+///
+/// # Errors
+/// When the recording cannot be read any more.
+fn smaller_array(recording: &dyn Recording, survey: &Survey) -> Result<Option<Reading>, FormatError> {
+    let (Some(events), Some(pictures)) = (survey.events.as_ref(), recording.pictures()) else { return Ok(None) };
+    let (frames, (x, y)) = (pictures.about().extent, events.places.largest);
+    let part = |times: u32| Extent { width: frames.width / times, height: frames.height / times };
+    let holds = |times: &u32| frames.multiple_of(part(*times)) == Some(*times) && x < part(*times).width && y < part(*times).height;
+    let mut scored = Vec::new();
+    for extent in (2..=MOST_TIMES).filter(holds).map(part).map(Some).chain([None]) {
+        let name = extent.map_or("the recorded array".to_owned(), |extent| format!("an array of {extent}"));
+        let much = Much { span_ns: events.span_ns, events: EVENTS, extent };
+        scored.extend(compare(recording, &[Alternative::new(name)], &much)?.into_iter().map(|one| (extent, one)));
+    }
+    // Each array has its own pixels and pairs of tiles: intervals that do not meet.
+    scored.sort_by(|a, b| b.1.explained.value.total_cmp(&a.1.explained.value));
+    let clear = |best: &Scored, other: &Scored| best.explained.ci95.0 > other.explained.ci95.1.max(LEAST_EXPLAINED);
+    Ok(match scored.as_slice() {
+        [(Some(extent), best), rest @ ..] if rest.iter().all(|(_, other)| clear(best, other)) && !rest.is_empty() => {
+            let why = listed(&scored.iter().map(|(_, one)| one.clone()).collect::<Vec<_>>());
+            Some(Reading { extent: Some(*extent), why, ..Reading::default() })
+        }
+        _ => None,
+    })
 }
 
 /// Share of the frames' change that an offset must explain beyond none, to be proposed. The road clip of `data/recordings`, whose events are 2.5 ms late, gains 0.0046, the
@@ -122,7 +162,7 @@ const OFFSET_GAIN: f64 = 0.002;
 /// When the recording cannot be read any more.
 pub fn offset_helps(recording: &dyn Recording) -> Result<(bool, String), FormatError> {
     let readings = [Alternative::new("without an offset"), Alternative::new("with one").fitting_offset()];
-    let scored = compare(recording, &readings, &Much { span_ns: None, events: EVENTS })?;
+    let scored = compare(recording, &readings, &Much { span_ns: None, events: EVENTS, extent: None })?;
     let is_better = match scored.as_slice() {
         [best, second, ..] => best.alternative == 1 && second.behind.ci95.0 > 0.0 && second.behind.value > OFFSET_GAIN,
         // Too little to compare: the estimate stands.

@@ -52,7 +52,7 @@ pub const CONSEQUENCES: &[(&str, Consequence)] = &[
     ("extent_unknown", Proposes("extent")),
     ("outside", Refuses("--extent")),
     ("scaled", Proposes("coordinate_scale")),
-    ("small_part_used", Marks),
+    ("small_part_used", Proposes("extent")),
     ("swapped", Refuses("--columns")),
     ("hot_pixels", Marks),
     ("silent_rows", Marks),

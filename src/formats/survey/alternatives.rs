@@ -176,11 +176,13 @@ pub struct Much {
     pub span_ns: Option<(i64, i64)>,
     /// Events that are read, at most.
     pub events: u64,
+    /// Size of the event array, in place of the one that is recorded.
+    pub extent: Option<Extent>,
 }
 
 impl Default for Much {
     fn default() -> Much {
-        Much { span_ns: None, events: 50_000_000 }
+        Much { span_ns: None, events: 50_000_000, extent: None }
     }
 }
 
@@ -291,7 +293,7 @@ impl Canvas {
 pub fn compare(recording: &dyn Recording, alternatives: &[Alternative], much: &Much) -> Result<Vec<Scored>, FormatError> {
     let (Some(pictures), Some(events)) = (recording.pictures(), recording.events_about()) else { return Ok(Vec::new()) };
     let about = pictures.about();
-    let Some(canvas) = Canvas::of(about, events.extent) else { return Ok(Vec::new()) };
+    let Some(canvas) = Canvas::of(about, much.extent.or(events.extent)) else { return Ok(Vec::new()) };
     let Some(span) = much.span_ns.map_or_else(|| span(recording, much), |span| Ok(Some(span)))? else { return Ok(Vec::new()) };
     let read: Vec<i64> = about.stamps.iter().map(middle).collect();
     let mids = |of: &Alternative| of.mids_ns.as_deref().filter(|mids| mids.len() == read.len()).map_or_else(|| read.clone(), <[i64]>::to_vec);
@@ -433,8 +435,10 @@ fn count(
         }
     };
     // Pixels by the coordinates that are stored: those of an unknown array are many, and are folded together.
-    let (width, height) =
-        recording.events_about().and_then(|about| about.extent).map_or((canvas.width, canvas.height), |extent| (extent.width as usize, extent.height as usize));
+    let (width, height) = much
+        .extent
+        .or(recording.events_about().and_then(|about| about.extent))
+        .map_or((canvas.width, canvas.height), |extent| (extent.width as usize, extent.height as usize));
     let side = (width.max(height)).clamp(1, 4096);
     let pixel_of = |x: u16, y: u16| usize::from(y) % side * side + usize::from(x) % side;
     let (mut waits, mut places) = (Waits::new(side * side), vec![(0u16, 0u16); side * side]);

@@ -1,13 +1,15 @@
 //! Where the unknowns of a pixel stand, and what happens there.
 //!
 //! Knots are put at every event (in-pixel time), at every instant when the reference is taken anew, and at the edges of exposures; and
-//! between them so that none lie further apart than asked for near events, and up to [`COARSEST`] times as far in long quiet gaps. What happens at a knot is a short list of [`Op`]s in causal order.
+//! between them so that none lie further apart than asked for near events, and up to [`COARSEST`] times as far, or a 64th of the frame period, in long quiet gaps. What happens at a knot is a short list of [`Op`]s in causal order.
 
 use super::{LoneEvents, MapProblem};
 use photocurrent_core::sensor::Reset;
 
 /// In quiet gaps knots may lie so many times as far apart as near events.
 pub const COARSEST: i64 = 32;
+/// Or so many to a frame period, where that is further apart: a film of one frame in twenty seconds needs no knot every 8 ms.
+const A_PERIOD: i64 = 64;
 /// They do so from this many times their distance from the nearest event on.
 const WIDENING: i64 = 2;
 
@@ -47,6 +49,23 @@ struct Neighbours {
     after: i64,
 }
 
+/// Distances between knots, ns.
+#[derive(Clone, Copy, Debug)]
+struct Spacing {
+    /// Near events.
+    finest: i64,
+    /// In quiet gaps.
+    coarsest: i64,
+}
+
+impl Spacing {
+    fn of(problem: &MapProblem<'_>, spacing_ns: i64) -> Spacing {
+        let periods = problem.frames.windows(2).map(|pair| pair[1].start_ns.saturating_sub(pair[0].start_ns)).filter(|period| *period > 0);
+        let quiet = periods.min().unwrap_or(0) / A_PERIOD;
+        Spacing { finest: spacing_ns, coarsest: quiet.max(COARSEST * spacing_ns) }
+    }
+}
+
 /// The knots of one pixel; kept from pixel to pixel for its memory.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Knots {
@@ -64,7 +83,7 @@ impl Knots {
     ///
     /// Events, exposures and hints are inside that span; what lies outside is left away.
     pub fn lay(&mut self, problem: &MapProblem<'_>, spacing_ns: i64) {
-        let (start_ns, end_ns) = (problem.start_ns, problem.end_ns);
+        let (start_ns, end_ns, spacing) = (problem.start_ns, problem.end_ns, Spacing::of(problem, spacing_ns));
         self.mark(problem);
         self.t_ns.clear();
         self.first_op.clear();
@@ -73,13 +92,13 @@ impl Knots {
         let mut events = Neighbours { before: i64::MIN / 2, after: self.next_event(0) };
         for k in 0..self.marks.len() {
             let (t, _, op) = self.marks[k];
-            self.fill_to(t, spacing_ns, events);
+            self.fill_to(t, spacing, events);
             self.ops.push(op);
             if let Op::Fire { .. } = op {
                 events = Neighbours { before: t, after: self.next_event(k + 1) };
             }
         }
-        self.fill_to(end_ns, spacing_ns, events);
+        self.fill_to(end_ns, spacing, events);
         self.first_op.push(self.ops.len() as u32);
     }
 
@@ -100,11 +119,11 @@ impl Knots {
     }
 
     /// Adds knots up to and including `t_ns`, unless it is one already.
-    fn fill_to(&mut self, t_ns: i64, spacing_ns: i64, events: Neighbours) {
+    fn fill_to(&mut self, t_ns: i64, wanted: Spacing, events: Neighbours) {
         let mut last = self.t_ns[self.t_ns.len() - 1];
         while last < t_ns {
             let quiet = i64::min(last - events.before, events.after - last) / WIDENING;
-            let spacing = quiet.clamp(spacing_ns, COARSEST * spacing_ns);
+            let spacing = quiet.clamp(wanted.finest, wanted.coarsest);
             // What is left is shared out evenly, so that no short rest remains.
             let left = t_ns - last;
             last = if left <= spacing {

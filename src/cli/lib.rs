@@ -1,0 +1,76 @@
+//! The photocurrent command: arguments, exit codes, what the terminal shows. Nothing numerical.
+//!
+//! Data go to stdout, talk to stderr. Exit codes: 0 done, 1 a node failed, 2 manifest or usage error (nothing ran), 3 input data failed a
+//! check, 4 an ablation finished with failed variants, 130 interrupted (artefacts intact).
+
+#![warn(clippy::print_stdout, clippy::print_stderr)]
+
+mod args;
+mod cache;
+mod calibrate;
+mod case;
+mod check;
+mod common;
+mod convert;
+mod declared;
+mod diagnose;
+mod effects;
+mod file_kind;
+mod graph;
+mod help;
+mod init;
+mod inspect;
+mod nodes;
+mod parts;
+mod plan;
+mod problems;
+mod progress;
+mod report;
+mod run;
+mod run_record;
+mod table;
+mod tables;
+mod terminal;
+
+use crate::terminal::say;
+use args::{Args, Command};
+use clap::FromArgMatches;
+use common::Failure;
+use std::ffi::OsString;
+
+/// Runs one command to its end and returns the exit code. `arguments` begin with the name of the program; wrong ones, `--help` and `--version` end the process.
+pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
+    let args = Args::from_arg_matches(&help::command().get_matches_from(arguments)).unwrap_or_else(|error| error.exit());
+    let done = match &args.command {
+        Command::Init(options) => init::init(options),
+        Command::Convert(options) => convert::convert(options),
+        Command::Run(options) => run::run(options),
+        Command::Merge(options) => run::merge(options),
+        Command::Plan(options) => plan::plan(options),
+        Command::Explain(options) => plan::explain(options),
+        Command::Check(options) => check::check(options),
+        Command::Table(options) => table::table(options),
+        Command::Report(options) => report::report(options),
+        Command::Graph(options) => graph::graph(options),
+        Command::Inspect(options) => inspect::inspect(options),
+        Command::Diagnose(options) => diagnose::diagnose(options),
+        Command::Calibrate(options) => calibrate::calibrate(options),
+        Command::Nodes(options) => nodes::nodes(options),
+        Command::Effects(options) => effects::effects(options),
+        Command::Schema => nodes::schema(),
+        Command::Man(options) => help::man(options),
+        Command::Completions(options) => help::completions(options),
+        Command::Cache(options) => cache::cache(options),
+    };
+    match done {
+        Ok(code) => code,
+        Err(Failure::Problems(found)) => {
+            problems::show(&found);
+            2
+        }
+        Err(Failure::Other { message, code }) => {
+            say!("error: {message}");
+            code
+        }
+    }
+}
