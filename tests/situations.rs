@@ -351,3 +351,30 @@ fn frames_finer_than_the_events_in_a_layout_that_takes_their_size_are_a_question
     assert!(line(&manifest, "transfer").starts_with("transfer = \"srgb\" # FILL: "), "{manifest}");
     is_right(&bench);
 }
+
+/// A sequence of DSEC whose first stamp is missing: fifteen pictures and fourteen stamps, one of a period between all of them. The events show which end misses it.
+#[test]
+fn a_first_stamp_that_is_missing_is_found_by_the_events_in_a_folder_too() {
+    let disc = Disc::get();
+    let bench = Bench::new();
+    let rows: String = disc.events.iter().map(|event| format!("{},{},{},{}\n", event.t_us, event.x, event.y, u8::from(event.is_on))).collect();
+    bench.write("events.csv", &format!("# photocurrent-events/1 time_unit=us width={WIDTH} height={HEIGHT}\nt,x,y,p\n{rows}"));
+    fs::create_dir_all(bench.path("clip/events/left")).unwrap();
+    let done = bench.run(&["convert", "events.csv", "clip/events/left/events.h5", "--to", "dsec"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    write_pictures(&bench.path("clip/images/left/rectified"), &disc.frames.pictures);
+    let stamps = disc.frames.starts_us[1..].iter().map(|start| format!("{start}, {}", start + disc::EXPOSURE_US));
+    write_stamps(&bench.path("clip/images/left/exposure_timestamps_left.txt"), stamps);
+    let done = init(&bench, &["clip"]);
+    assert_eq!(done.code, 0, "{}", done.stderr);
+    let manifest = written(&bench).0;
+    let first = line(&manifest, "first_pulse");
+    assert!(first.starts_with("first_pulse = -1 # FILL: ") && first.contains("in the second half"), "{first}");
+    let found = scored(&bench, disc.zero_s());
+    assert!(found > control_db() - 1.5, "{found:.2} dB");
+    // Without `init` the reader refuses, and names both.
+    let bare = manifest.lines().filter(|line| !line.starts_with("first_pulse =")).collect::<Vec<_>>().join("\n");
+    bench.write("bare.toml", &bare);
+    let done = bench.run(&["run", "bare.toml"]);
+    assert!(done.code == 2 && done.stderr.contains("`first_pulse = -1`") && done.stderr.contains("`first_pulse = 0`"), "{}", done.stderr);
+}

@@ -8,7 +8,7 @@ use crate::csv::Csv;
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
-use crate::pictures::{PictureFiles, names};
+use crate::pictures::{Defined, PictureFiles, names};
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -67,7 +67,7 @@ impl EventCameraDataset {
         let images = path.join("images.txt");
         let frames = match images.is_file() {
             // The stamps of both files have one unit.
-            true => Some(Arc::new(PictureFiles::open_with(path, declared, &images, Some(events.unit()), None)?)),
+            true => Some(Arc::new(PictureFiles::open_with(path, declared, &images, &Defined { unit: Some(events.unit()), ..Defined::default() })?)),
             false => None,
         };
         let extent = frames.as_ref().map(|frames| frames.about().extent);

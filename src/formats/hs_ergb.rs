@@ -16,7 +16,7 @@ use crate::losses::Losses;
 use crate::npy::header::Kind;
 use crate::npy::table::{Reading, Table, TableCursor};
 use crate::npz;
-use crate::pictures::{PictureFiles, names};
+use crate::pictures::{Defined, PictureFiles, names};
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use std::path::{Path, PathBuf};
@@ -147,7 +147,7 @@ fn frames(path: &Path, declared: &Declared, unit: TimeUnit) -> Result<Option<Arc
         declared.stamps.clone().or_else(|| [&folder, path].into_iter().flat_map(|place| STAMPS.map(|name| place.join(name))).find(|file| file.is_file()));
     let pictures = match stamps {
         // One unit a file set.
-        Some(file) => PictureFiles::open_with(&folder, declared, &file, Some(unit), None)?,
+        Some(file) => PictureFiles::open_with(&folder, declared, &file, &Defined { unit: Some(unit), role: None, lines_count: true })?,
         None => PictureFiles::open(&folder, declared)?,
     };
     Ok(Some(Arc::new(pictures)))

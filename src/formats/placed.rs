@@ -193,7 +193,7 @@ impl Pictures for Fewer {
     }
 }
 
-/// The part of a recording that an arrangement reads: its window of time, its part of the array; stamps stay on the file's clock.
+/// The part of a recording that an arrangement reads: its window of time, its part of the array, exposures as they are arranged; times stay on the events' clock.
 pub struct PartOf<'a> {
     recording: &'a dyn Recording,
     arranged: &'a Arranged,
@@ -210,10 +210,24 @@ impl<'a> PartOf<'a> {
             about.count = None;
         }
         let pictures = recording.pictures().map(|inner| {
-            let mut kept = arranged.frames_read().to_vec();
+            let mut kept: Vec<(usize, usize)> = arranged.frames_read().iter().copied().zip(0..).collect();
             kept.sort_unstable();
             let about = inner.about().clone();
-            Arc::new(Fewer::of(inner, about, kept)) as Arc<dyn Pictures>
+            let mut fewer = Fewer::of(inner, about, kept.iter().map(|(frame, _)| *frame).collect());
+            // As they are arranged: with what was stated of exposures, stamps and clocks.
+            if let Ok(frames) = &arranged.frames {
+                let of = |place: usize| {
+                    frames
+                        .times
+                        .exposures
+                        .get(place)
+                        .map(|exposure| exposure.start.0.saturating_add(arranged.zero_ns)..exposure.end.0.saturating_add(arranged.zero_ns))
+                };
+                for (stamp, (_, place)) in fewer.about.stamps.iter_mut().zip(&kept) {
+                    stamp.exposure = of(*place).map(|exposure| (exposure.start, exposure.end));
+                }
+            }
+            Arc::new(fewer) as Arc<dyn Pictures>
         });
         PartOf { recording, arranged, about, pictures }
     }

@@ -148,10 +148,14 @@ pub fn collect(files: &[PathBuf], declared: &DeclaredOptions, accepted: &[String
     let whole = open(&parts, &all).map_err(refused)?;
     let mut found = measured(whole.0.as_ref(), &whole.1, &parts, &mut all, &mut reader)?;
     let mut offset_why = String::new();
-    found.offset_ns = found.offset_ns.filter(is_an_offset);
+    let by_finding = acts.late.as_ref().map(|(late, _)| Estimate { value: late.value, ci95: late.ci95 });
+    found.offset_ns = found.offset_ns.filter(is_an_offset).or(by_finding.filter(is_an_offset));
     if found.offset_ns.is_some() {
-        let (helps, why) = readings::offset_helps(whole.0.as_ref()).map_err(refused)?;
+        let (helps, why) = readings::offset_helps(&PartOf::new(whole.0.as_ref(), &whole.1)).map_err(refused)?;
         (found.offset_ns, offset_why) = (found.offset_ns.filter(|_| helps), why);
+    }
+    if let (None, Some((_, mark))) = (&found.offset_ns, &acts.late) {
+        acts.marks.push(format!("{mark}; no offset was proposed: {offset_why}"));
     }
     (all.start, all.end) = (start, end);
     // A better exposure moves the frames' times.
@@ -221,7 +225,10 @@ fn settle(parts: &Parts, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dy
         let opened = open(parts, all);
         if !is_paired && super::pairing::is_open(all, opened.as_ref().err()) {
             is_paired = true;
-            let proposed = super::pairing::proposed(parts, all)?;
+            let mut proposed = super::pairing::proposed(parts, all)?;
+            if proposed.is_empty() && opened.is_err() {
+                proposed.extend(super::pairing::by_trial(parts, all)?);
+            }
             if !proposed.is_empty() {
                 fills.extend(proposed);
                 continue;

@@ -7,6 +7,7 @@ use crate::common::Failure;
 use photocurrent_core::Extent;
 use photocurrent_formats::hazard::{self, Consequence, Finding, Severity};
 use photocurrent_formats::survey::Survey;
+use photocurrent_formats::survey::lag::Interval;
 use photocurrent_formats::{Format, Mirror, Pictures, Shift};
 use photocurrent_nodes::read::foreign::{All, Size, takes};
 
@@ -17,6 +18,8 @@ pub struct Acts {
     pub parameters: Vec<Fill>,
     /// Findings that no parameter holds, a line each.
     pub marks: Vec<String>,
+    /// How late events are by a finding that no mirror and no shift explains, ns, and its line.
+    pub late: Option<(Interval, String)>,
 }
 
 /// Acts on findings; those in `accepted` are not refused. `frames`: those that were surveyed, and their numbers in the file; `reading`:
@@ -57,6 +60,8 @@ pub fn act(
                 let found = ["mirror", "shift"].into_iter().filter_map(|parameter| proposal(parameter, finding, survey, reading, all));
                 let fresh: Vec<Fill> =
                     found.filter(|fill| takes(format.id, fill.name) && !acts.parameters.iter().any(|known| known.name == fill.name)).collect();
+                let is_late = reading.is_none_or(|reading| (reading.mirror, reading.shift) == (None, None));
+                acts.late = survey.lag.as_ref().and_then(|lag| lag.late_ns).filter(|_| is_late).map(|late| (late, mark()));
                 acts.parameters.extend(fresh);
             }
             Some(Consequence::Proposes(parameter)) => match proposal(parameter, finding, survey, reading, all) {

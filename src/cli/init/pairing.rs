@@ -1,14 +1,19 @@
 //! Proposals for pictures without times of their own: the trigger line, which of its levels is an open shutter, and which pulse or stamp belongs to the first picture.
 //!
-//! Both levels and every pulse that may be the first picture's are held against the events; what is proposed stands in the manifest with what speaks for the others.
+//! Both levels and every pulse that may be the first picture's are held against the events; what is proposed stands in the manifest with what speaks for the others. Frames in a file or
+//! folder with the events are read with each first stamp that may be ([`by_trial`]).
+//!
+//! Limits: a picture that is lost between others whose stamps are all there has no first stamp that fits; then nothing is proposed.
 
 use super::facts::Fill;
+use super::readings;
 use crate::common::Failure;
 use crate::parts::Parts;
 use photocurrent_core::quantity::Duration;
 use photocurrent_formats::pairings::{Comparison, Way, compare, likeliest_line};
-use photocurrent_formats::{FormatError, StampRole};
-use photocurrent_nodes::read::foreign::All;
+use photocurrent_formats::survey::alternatives::{Alternative, LEAST_EXPLAINED, Much, compare as compare_readings};
+use photocurrent_formats::{FormatError, Recording, StampRole, joined};
+use photocurrent_nodes::read::foreign::{All, takes};
 
 /// Is it open how pictures and times are paired? So it is for every trigger line whose strobe is not stated, and where a reader refuses to pair.
 pub fn is_open(all: &All, error: Option<&FormatError>) -> bool {
@@ -60,6 +65,61 @@ pub fn proposed(parts: &Parts, all: &mut All) -> Result<Vec<Fill>, Failure> {
         }
     }
     Ok(fills)
+}
+
+/// First stamps that are tried, to both sides of 0.
+const TRIED: i64 = 3;
+
+/// The first stamp with which the events explain most of the frames' change, put into `all`, for a reader that leaves it open. `None` where the halves of the recording disagree, or one
+/// decides nothing.
+pub fn by_trial(parts: &Parts, all: &mut All) -> Result<Option<Fill>, Failure> {
+    let refused = |error: FormatError| crate::declared::refused(&error);
+    if all.first_pulse.is_some() || all.pairing.is_some() || !takes(parts.format.id, "first_pulse") {
+        return Ok(None);
+    }
+    let read = |first: i64| {
+        let mut trial = all.clone();
+        trial.first_pulse = Some(first);
+        let recording = joined::open(parts.format, &parts.recording, &trial.settings().declared).ok()?;
+        let frames = recording.pictures()?.about().stamps.len();
+        Some((first, recording, frames))
+    };
+    let mut trials: Vec<_> = (-TRIED..=TRIED).filter_map(read).collect();
+    let most = trials.iter().map(|(_, _, frames)| *frames).max().unwrap_or(0);
+    trials.retain(|(_, _, frames)| *frames == most);
+    let stamps = |recording: &dyn Recording| recording.pictures().map(|pictures| pictures.about().stamps.iter().map(|stamp| stamp.at).collect::<Vec<_>>());
+    let [start, middle, end] = match trials.first().and_then(|(_, recording, _)| stamps(recording.as_ref())).as_deref() {
+        Some([start, .., end]) if trials.len() > 1 => [*start, start.midpoint(*end), *end],
+        _ => return Ok(None),
+    };
+    let mut whys: Vec<(i64, String)> = Vec::new();
+    for (span_ns, half) in [((start, middle), "first"), ((middle, end), "second")] {
+        let much = Much { span_ns: Some(span_ns), events: readings::EVENTS, extent: None };
+        let mut scored = Vec::new();
+        for (first, recording, _) in &trials {
+            let found = compare_readings(recording.as_ref(), &[Alternative::new(first.to_string())], &much).map_err(refused)?;
+            scored.extend(found.into_iter().map(|one| (*first, one.explained)));
+        }
+        scored.sort_by(|a, b| b.1.value.total_cmp(&a.1.value));
+        let [(best, explained), (second, less), ..] = scored.as_slice() else { return Ok(None) };
+        if explained.ci95.0 < LEAST_EXPLAINED.max(less.ci95.1) {
+            return Ok(None);
+        }
+        let percent = |share: f64| 100.0 * share;
+        let why = format!(
+            "in the {half} half events explain {:.0} % of the frames' change with {best}, {:.0} % with {second}",
+            percent(explained.value),
+            percent(less.value)
+        );
+        whys.push((*best, why));
+    }
+    let [(first, in_first), (other, in_second)] = whys.as_slice() else { return Ok(None) };
+    if first != other {
+        return Ok(None);
+    }
+    all.first_pulse = Some(*first);
+    let why = format!("which stamp belongs to the first frame follows from no count: {in_first}, {in_second}. A wrong one shifts every frame by whole periods");
+    Ok(Some(Fill::open("first_pulse", first.to_string(), why)))
 }
 
 /// How well a way agrees with the events.

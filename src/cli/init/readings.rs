@@ -16,7 +16,7 @@ use photocurrent_formats::{FormatError, Mirror, Recording, Shift};
 use std::collections::BTreeMap;
 
 /// Events that are counted for a reading, at most: enough for every pair of frames that is compared.
-const EVENTS: u64 = 5_000_000;
+pub const EVENTS: u64 = 5_000_000;
 /// Steps of the search for a shift, at most.
 const STEPS: usize = 12;
 

@@ -78,6 +78,17 @@ pub(crate) struct Found {
     files: Vec<PathBuf>,
 }
 
+/// What the format of a folder defines of its file of stamps.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Defined {
+    /// Unit.
+    pub(crate) unit: Option<TimeUnit>,
+    /// Meaning of plain stamps.
+    pub(crate) role: Option<StampRole>,
+    /// Where pictures are more than lines, do the lines belong to the first ones?
+    pub(crate) lines_count: bool,
+}
+
 impl PictureFiles {
     /// Opens a folder or a Y4M file with the stamps that are declared or stand with it.
     ///
@@ -94,18 +105,11 @@ impl PictureFiles {
         }
     }
 
-    /// As [`PictureFiles::open`], with the stamps of a file whose unit, and the meaning of whose plain stamps, the folder's format defines; where it names no
-    /// pictures and has less lines, these count them from 0.
-    pub(crate) fn open_with(
-        path: &Path,
-        declared: &Declared,
-        stamps_file: &Path,
-        unit: Option<TimeUnit>,
-        role: Option<StampRole>,
-    ) -> Result<PictureFiles, FormatError> {
-        let mut stamps = stamps::read(stamps_file, declared, unit)?;
-        stamps.role = stamps.role.or(role);
-        stamps.lines_count = true;
+    /// As [`PictureFiles::open`], with a file of stamps of which the folder's format defines something.
+    pub(crate) fn open_with(path: &Path, declared: &Declared, stamps_file: &Path, defined: &Defined) -> Result<PictureFiles, FormatError> {
+        let mut stamps = stamps::read(stamps_file, declared, defined.unit)?;
+        stamps.role = stamps.role.or(defined.role);
+        stamps.lines_count = defined.lines_count;
         find(path)?.with_stamps(stamps_file, stamps, declared)
     }
 

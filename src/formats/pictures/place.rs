@@ -35,13 +35,14 @@ impl Times {
 const NAMED: usize = 5;
 
 impl Stamps {
-    /// Wrong lines at the front are left out, and lines that count pictures are numbered.
+    /// Wrong lines at the front are left out where there are more than pictures: the first of BS-ERGB's may be too many (ercanburak/EVREAL#5). Lines that count pictures are
+    /// numbered.
     pub(crate) fn settle(&mut self, pictures: usize) {
         if let Some((wrong, why)) = stamps::leading_wrong(&self.rows, self.rows.len().saturating_sub(pictures)) {
             self.notes.push(why);
             self.rows.drain(..wrong);
         }
-        // More lines than pictures: the first of BS-ERGB's may be too many (ercanburak/EVREAL#5).
+        // Fewer lines than pictures: those of HS-ERGB belong to the first pictures (uzh-rpg/rpg_timelens#36).
         // Where a gap of whole periods is as long as what is missing, that is where it is missing.
         let times: Vec<i64> = self.rows.iter().map(|row| row.at).collect();
         let shows = periods(&times).is_some_and(|periods| periods + 1 == pictures as i64);
@@ -185,9 +186,7 @@ fn question(path: &Path, found: &Found, stamps: &Stamps, sides: &Sides, unclear:
         found.names.len(),
         times.many()
     );
-    // Folders of events and pictures together are not compared.
-    let compared = if stamps.lines_count { "" } else { "; photocurrent init compares them with the events" };
-    let hint = format!("state it: {}, {}{compared}", of(&unclear.best), of(&unclear.second));
+    let hint = format!("state it: {}, {}; photocurrent init compares them with the events", of(&unclear.best), of(&unclear.second));
     FormatError::new(path, what, hint).undeclared(if unclear.best.first == unclear.second.first { "pairing" } else { "first_pulse" })
 }
 

@@ -1,7 +1,7 @@
 //! A sequence's folder of DSEC: where the events are, and its pictures with their exposures.
 
 use crate::error::FormatError;
-use crate::pictures::{PictureFiles, names};
+use crate::pictures::{Defined, PictureFiles, names};
 use crate::{Declared, StampRole, TimeUnit};
 use std::path::{Path, PathBuf};
 
@@ -56,5 +56,6 @@ pub(super) fn pictures_of(folder: &Path, declared: &Declared, camera: Option<&st
     };
     // The unit and the meaning of these files are the format's: nothing that is stated of the events' file changes them.
     let declared = Declared { first_pulse: declared.first_pulse, pairing: declared.pairing, stamps_unit: declared.stamps_unit, ..Declared::default() };
-    PictureFiles::open_with(place, &declared, &stamps, Some(TimeUnit::Us), Some(StampRole::Middle)).map(Some)
+    let defined = Defined { unit: Some(TimeUnit::Us), role: Some(StampRole::Middle), lines_count: false };
+    PictureFiles::open_with(place, &declared, &stamps, &defined).map(Some)
 }
