@@ -378,3 +378,36 @@ fn a_first_stamp_that_is_missing_is_found_by_the_events_in_a_folder_too() {
     let done = bench.run(&["run", "bare.toml"]);
     assert!(done.code == 2 && done.stderr.contains("`first_pulse = -1`") && done.stderr.contains("`first_pulse = 0`"), "{}", done.stderr);
 }
+
+/// Frames of 5 electrons a step of 8 bits and 2 steps of read noise, as dim light gives them: readings are decided as on clean frames.
+#[test]
+fn readings_hold_on_noisy_frames() {
+    let disc = Disc::get();
+    let mut state = 5u64;
+    // Sum of twelve even numbers: nearly normal, with a variance of 1.
+    let mut normal = || {
+        let mut even = || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1u64 << 53) as f64
+        };
+        (0..12).map(|_| even()).sum::<f64>() - 6.0
+    };
+    let mut noisy = |value: u8| (f64::from(value) + normal() * (f64::from(value) / 5.0 + 4.0).sqrt()).round().clamp(0.0, 255.0) as u8;
+    let pictures: Vec<Vec<u8>> = disc.frames.pictures.iter().map(|values| values.iter().map(|value| noisy(*value)).collect()).collect();
+    let lines = |change: &dyn Fn(&disc::Event) -> disc::Event, skipped: usize| {
+        let bench = Bench::new();
+        npz(&bench.path("events.npz"), &disc.events.iter().map(change).collect::<Vec<_>>());
+        write_pictures(&bench.path("frames"), &pictures);
+        let stamps = disc.frames.starts_us[skipped..].iter().map(|start| format!("{start} {}", start + disc::EXPOSURE_US));
+        write_stamps(&bench.path("frames/timestamps.txt"), stamps);
+        let done = init(&bench, &["events.npz", "frames", EXTENT[0], EXTENT[1]]);
+        assert_eq!(done.code, 0, "{}", done.stderr);
+        let (manifest, sensor) = written(&bench);
+        let is_reading = |line: &&str| ["mirror", "shift", "invert_polarity", "first_pulse", "clock_offset"].iter().any(|name| line.starts_with(name));
+        manifest.lines().chain(sensor.lines()).filter(is_reading).map(|line| line.split(" #").next().unwrap().to_owned()).collect::<Vec<_>>()
+    };
+    assert_eq!(lines(&|event| *event, 0), [""; 0]);
+    assert_eq!(lines(&|event| disc::Event { x: WIDTH as u16 - 1 - event.x, ..*event }, 0), ["mirror = \"left_right\""]);
+    assert_eq!(lines(&|event| disc::Event { is_on: !event.is_on, ..*event }, 0), ["invert_polarity = true"]);
+    assert_eq!(lines(&|event| *event, 1), ["first_pulse = -1"]);
+}
