@@ -3,6 +3,12 @@
 use crate::{baseline, compensate, diagnose, estimate, read, refine, render, score, simulate, solve, split, write};
 use photocurrent_core::{Catalogue, Kind};
 
+/// Names that kinds had before, each with what to write in its place.
+const RETIRED: [(&str, &str); 1] = [(
+    "solve/pixel",
+    "write `solve/map`, the MAP estimate, or `solve/paper`, the paper's least squares, and take `method` out: what was stated for one method is a parameter of its kind",
+)];
+
 /// All node kinds.
 pub fn catalogue() -> Catalogue {
     let mut kinds = vec![
@@ -18,7 +24,8 @@ pub fn catalogue() -> Catalogue {
         Kind::of::<split::time::SplitTime>(),
         // Events and frames become photocurrent.
         Kind::of::<compensate::readout::CompensateReadout>(),
-        Kind::of::<solve::pixel::SolvePixel>(),
+        Kind::of::<solve::map::SolveMap>(),
+        Kind::of::<solve::paper::SolvePaper>(),
         Kind::of::<refine::steered::RefineSteered>(),
         Kind::of::<refine::motion::RefineMotion>(),
         Kind::of::<refine::picture::RefinePicture>(),
@@ -67,5 +74,5 @@ pub fn catalogue() -> Catalogue {
     ];
     // Other people's files come in behind our own recording.
     kinds.splice(1..1, read::formats::kinds());
-    Catalogue::new(kinds)
+    Catalogue::new(kinds).with_retired(&RETIRED)
 }

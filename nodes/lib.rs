@@ -1,20 +1,17 @@
 //! Every node kind of photocurrent: one file each, in families.
 //!
 //! A node knows its inputs, parameters and seed, and nothing of the graph around it. [`catalog`] is the one list of all
-//! of them. What several nodes share stands next to the families: [`sampling`] (when virtual frames are exposed), [`pixel_events`] (a pixel's events as
-//! signed steps), [`reconstruct`] (what methods that start from captured frames do alike), [`co_located`] (events next to frames of more pixels or
-//! colours), [`spans`] (clocks that differ, and spans that are too long), [`held`] (means of held values over the exposures of many frames), [`onnx`] (networks). [`show`] is what a report shows of results.
+//! of them. What several nodes share stands next to the families: [`sampling`] (when virtual frames are exposed),
+//! [`reconstruct`] (what methods that start from captured frames do alike), [`spans`] (clocks that differ, and spans that are too long), [`held`] (means of held values over the exposures of many frames), [`onnx`] (networks). [`show`] is what a report shows of results.
 
 pub mod baseline;
 pub mod catalog;
-pub mod co_located;
 mod command;
 pub mod compensate;
 pub mod diagnose;
 pub mod estimate;
 pub mod held;
 pub mod onnx;
-pub mod pixel_events;
 pub mod read;
 pub mod reconstruct;
 pub mod refine;

@@ -4,8 +4,6 @@
 //! Methods that are compared must differ in their idea alone. So the sockets `frames`, `events`, `sensor` and `at` are read here once, for
 //! planning and for running, and [`by_rows`] and [`in_rows`] cut the work into rows.
 
-use crate::co_located::{CoLocated, CoLocatedEvents};
-use crate::pixel_events::{Stamp, StepRule, clock_offset};
 use crate::sampling::{Sampling, virtual_frames};
 use crate::spans::{check_covered, check_one_clock};
 use photocurrent_core::quantity::Duration;
@@ -13,6 +11,8 @@ use photocurrent_core::table::Column;
 use photocurrent_core::{
     Context, EventStream, EventsMeta, Exposure, FrameBlock, FrameScale, FrameSequence, FramesMeta, NodeError, PortMetas, Rows, Sensor, Table,
 };
+use photocurrent_solve::co_located::{CoLocated, CoLocatedEvents};
+use photocurrent_solve::pixel_events::{Stamp, StepRule, clock_offset};
 use rayon::prelude::*;
 use std::sync::Arc;
 

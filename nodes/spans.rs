@@ -4,10 +4,10 @@
 //! entry for every millisecond of that ([`check_steps`]) would take all memory there is, so both are refused while planning; so is a recording most of whose time has
 //! no frame near ([`check_covered`]): a camera that paused, events far from all frames.
 
-use crate::pixel_events::clock_offset;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::time::in_seconds;
 use photocurrent_core::{Apart, Coverage, DataType, EventsMeta, FramesMeta, NodeError, Sensor, TimeSpan};
+use photocurrent_solve::pixel_events::clock_offset;
 
 /// More entries of a list than this are a mistake of stamps or of parameters: more than an hour at a thousand a second.
 pub const MOST_STEPS: u64 = 4_000_000;

@@ -253,7 +253,7 @@ fn the_caches_commands_list_weigh_check_and_clear() {
         "score/psnr",
         "simulate/scene",
         "simulate/sensor",
-        "solve/pixel",
+        "solve/paper",
         "write/frames",
         "write/table",
     ];
@@ -313,7 +313,7 @@ fn looking_makes_no_folder() {
         &["graph", "m.toml"],
         &["graph", "m.toml", "--format", "svg"],
         &["nodes"],
-        &["nodes", "solve/pixel"],
+        &["nodes", "solve/paper"],
         &["schema"],
     ];
     for look in looks {

@@ -32,13 +32,13 @@ const SOLVE: &str = r#"format = 1
 kind = "read/recording"
 params = { path = "out/m/file/recording.h5" }
 [nodes.solve]
-kind = "solve/pixel"
+kind = "solve/paper"
 in = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }
-params = { method = "paper", evs_weight = 1000.0 }
+params = { evs_weight = 1000.0 }
 [nodes.map]
-kind = "solve/pixel"
+kind = "solve/map"
 in = { events = "recording.events", frames = "recording.frames", sensor = "recording.sensor" }
-params = { method = "map", max_iterations = 2 }
+params = { max_iterations = 2 }
 [nodes.render]
 kind = "render/rows"
 in = { tracks = "solve.tracks", sensor = "recording.sensor" }
@@ -106,9 +106,9 @@ fn the_map_estimate_of_changing_colours_is_not_misled_by_events_of_their_mixture
     let inputs = "events = \"camera.events\", frames = \"camera.frames\", sensor = \"sensor\"";
     let methods = format!(
         r#"[nodes.map]
-kind = "solve/pixel"
+kind = "solve/map"
 in = {{ {inputs} }}
-params = {{ method = "map" }}
+params = {{ }}
 [nodes.render]
 kind = "render/rows"
 in = {{ tracks = "map.tracks", sensor = "sensor" }}

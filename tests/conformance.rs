@@ -384,9 +384,9 @@ fn nodes_lists_every_kind_and_prints_the_manual_of_each() {
 
 #[test]
 fn an_unknown_kind_gets_a_suggestion() {
-    let done = Bench::new().run(&["nodes", "solve/pixle"]);
+    let done = Bench::new().run(&["nodes", "solve/papr"]);
     assert_eq!((done.code, done.stdout.as_str()), (2, ""));
-    assert!(done.stderr.contains("did you mean `solve/pixel`?"), "{}", done.stderr);
+    assert!(done.stderr.contains("did you mean `solve/paper`?"), "{}", done.stderr);
 }
 
 #[test]

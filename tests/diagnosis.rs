@@ -264,7 +264,7 @@ fn the_fitted_description_gives_back_the_true_light_better_than_the_stated_one()
     // The description that was written is read, simulates, and solves.
     let solved = |name: &str| {
         format!(
-            "[nodes.solve_{name}]\nkind = \"solve/pixel\"\nin = {{ {streams}, sensor = \"{name}\" }}\nparams = {{ method = \"map\" }}\n\
+            "[nodes.solve_{name}]\nkind = \"solve/map\"\nin = {{ {streams}, sensor = \"{name}\" }}\n\
              [nodes.render_{name}]\nkind = \"render/rows\"\nin = {{ tracks = \"solve_{name}.tracks\", sensor = \"stated\" }}\n\
              params = {{ rate = \"1 kHz\", exposure = \"100 us\", end = \"56 ms\" }}\n\
              [nodes.psnr_{name}]\nkind = \"score/psnr\"\nin = {{ frames = \"render_{name}\", truth = \"scene.truth\", sensor = \"stated\" }}\n\

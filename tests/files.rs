@@ -72,11 +72,10 @@ fn one_stamp_far_from_all_others_makes_no_endless_film() {
     let done = bounded(&bench, "plan m.toml");
     let why = ["nodes.solve: the recording lasts from 0 s to 1700000000.000000001 s, and 0.00 % of that has frames near", "start = \"0 s\", end = "];
     says(&done, 2, &why);
-    let map = pipeline().replace(
-        "params = { method = \"paper\", front_end = \"ideal\", readout = \"none\", cis_weight = 1.0, evs_weight = 1000.0 }",
-        "params = { method = \"map\" }",
-    );
-    assert!(map.contains("\"map\""));
+    let map = pipeline()
+        .replace("params = { front_end = \"ideal\", readout = \"none\", cis_weight = 1.0, evs_weight = 1000.0 }", "params = { front_end = \"ideal\" }");
+    let map = map.replace("solve/paper", "solve/map");
+    assert!(map.contains("solve/map") && !map.contains("readout"));
     bench.write("map.toml", &map);
     says(&bounded(&bench, "plan map.toml"), 2, &why);
     // The part that matters can be had.
@@ -188,9 +187,8 @@ params.path = "bare.toml"
 kind = "read/recording"
 params.path = "rec.h5"
 [nodes.solve]
-kind = "solve/pixel"
+kind = "solve/map"
 in = { events = "recording.events", frames = "recording.frames", sensor = "sensor" }
-params = { method = "map" }
 [nodes.render]
 kind = "render/rows"
 in = { tracks = "solve.tracks", sensor = "sensor" }
@@ -220,7 +218,7 @@ fn a_run_without_a_terminal_speaks_in_plain_lines() {
     let bench = Bench::new();
     bench.write("small.toml", &small_pipeline());
     let done = bench.run(&["run", "small.toml"]);
-    says(&done, 0, &["started solve (solve/pixel)", "done solve (solve/pixel), ", "nodes executed"]);
+    says(&done, 0, &["started solve (solve/map)", "done solve (solve/map), ", "nodes executed"]);
     assert!(!done.stderr.contains('{'), "{}", done.stderr);
     let nodes = small_pipeline().matches("[nodes.").count();
     assert!(done.stderr.lines().count() <= 2 * nodes + 12, "{}", done.stderr);

@@ -187,7 +187,7 @@ fn a_mistake_in_set_is_shown_at_set() {
         ("nodes.solve.params.cis_weight=much", "expected a number, found the text \"much\"", "--set:1:31"),
         ("nodes.scene.params.duration=40", "expected a time with its unit, found the integer 40", "--set:1:29"),
         ("nodes.scene.params.duration=40 parsec", "unknown unit `parsec`", "--set:1:29"),
-        ("nodes.solve.params.cis_wieght=2", "`cis_wieght` is not a parameter of solve/pixel", "--set:1:20"),
+        ("nodes.solve.params.cis_wieght=2", "`cis_wieght` is not a parameter of solve/paper", "--set:1:20"),
         ("nodes.slove.params.cis_weight=2", "there is no node `slove` to change", "--set:1:7"),
         ("node.solve.params.cis_weight=2", "`node` cannot be laid over a manifest", "--set:1:1"),
         ("nodes.solve.in.frames=scene.truth", "nodes.solve: input `frames` takes frames, and `scene.truth` is truth", "--set:1:23"),

@@ -20,9 +20,8 @@ params = { scene = "texture", width = 32, height = 40, duration = "50 ms" }
 kind = "simulate/sensor"
 in = { light = "scene.light", sensor = "sensor" }
 [nodes.solve]
-kind = "solve/pixel"
+kind = "solve/map"
 in = { events = "recording.events", frames = "recording.frames", sensor = "sensor" }
-params = { method = "map" }
 [nodes.render]
 kind = "render/rows"
 in = { tracks = "solve.tracks", sensor = "sensor" }

@@ -25,7 +25,7 @@ kind = "write/frames"
 in = { frames = "render" }
 params = { format = "hdf5_u16" }
 [nodes.map]
-kind = "solve/pixel"
+kind = "solve/map"
 in = { events = "recording.events", frames = "recording.frames", sensor = "sensor" }
 [nodes.render_map]
 kind = "render/rows"

@@ -23,9 +23,9 @@ params = {{ path = {sensor:?} }}
 kind = "read/recording"
 params = {{ path = "rec.h5" }}
 [nodes.solve]
-kind = "solve/pixel"
+kind = "solve/paper"
 in = {{ events = "recording.events", frames = "recording.frames", sensor = "sensor" }}
-params = {{ method = "paper", front_end = "ideal", readout = "none", cis_weight = 1.0, evs_weight = 1000.0 }}
+params = {{ front_end = "ideal", readout = "none", cis_weight = 1.0, evs_weight = 1000.0 }}
 [nodes.render]
 kind = "render/rows"
 in = {{ tracks = "solve.tracks", sensor = "sensor" }}

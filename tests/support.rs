@@ -144,9 +144,9 @@ params = {{ scene = "pellet", width = 32, height = 24, duration = "40 ms", illum
 kind = "simulate/sensor"
 in = {{ light = "scene.light", sensor = "sensor" }}
 [nodes.solve]
-kind = "solve/pixel"
+kind = "solve/paper"
 in = {{ events = "recording.events", frames = "recording.frames", sensor = "sensor" }}
-params = {{ method = "paper", cis_weight = 1.0, evs_weight = 1000.0 }}
+params = {{ cis_weight = 1.0, evs_weight = 1000.0 }}
 [nodes.render]
 kind = "render/rows"
 in = {{ tracks = "solve.tracks", sensor = "sensor" }}

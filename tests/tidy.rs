@@ -14,15 +14,20 @@ use std::process::Command;
 const MOST_LINES: usize = 700;
 
 /// The names of our crates' folders, and which of ours each may depend on, directly or for its tests.
-const DIRECTION: [(&str, &str, &[&str]); 8] = [
+const DIRECTION: [(&str, &str, &[&str]); 9] = [
     ("src/core", "photocurrent-core", &[]),
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
+    ("src/solve", "photocurrent-solve", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/page", "photocurrent-page", &[]),
     ("src/diagnosis", "photocurrent-diagnosis", &["photocurrent-core", "photocurrent-sensor", "photocurrent-page"]),
     ("src/store", "photocurrent-store", &["photocurrent-core"]),
     ("src/formats", "photocurrent-formats", &["photocurrent-core", "photocurrent-sensor", "photocurrent-store"]),
     ("src/engine", "photocurrent-engine", &["photocurrent-core", "photocurrent-store"]),
-    ("nodes", "photocurrent-nodes", &["photocurrent-core", "photocurrent-sensor", "photocurrent-diagnosis", "photocurrent-store", "photocurrent-formats"]),
+    (
+        "nodes",
+        "photocurrent-nodes",
+        &["photocurrent-core", "photocurrent-sensor", "photocurrent-solve", "photocurrent-diagnosis", "photocurrent-store", "photocurrent-formats"],
+    ),
 ];
 
 /// A package that stands outside the workspace: it shares nothing with the others, so that its recordings can examine them.

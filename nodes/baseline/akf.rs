@@ -17,12 +17,12 @@ pub mod events;
 pub mod pixel;
 pub mod sequence;
 
-use crate::pixel_events::{Stamp, StepRule};
 use crate::reconstruct::{Intensity, Request, by_rows, one_contrast_of};
 use crate::sampling::{Sampling, scale_seconds};
 use events::PixelLists;
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_solve::pixel_events::{Stamp, StepRule};
 use pixel::{Picture, Shared};
 use schemars::JsonSchema;
 use sequence::What;

@@ -10,12 +10,12 @@
 //! Limits: no deblurring; a frame counts at one instant of its exposure. A picture is the state at the middle of a virtual exposure, not a mean over it. The authors'
 //! HDR weights and self-tuned thresholds (both off by default there) are not here.
 
-use crate::pixel_events::{Stamp, StepRule};
 use crate::reconstruct::{Intensity, Request, by_rows, events_of, one_contrast_of};
 use crate::sampling::{Sampling, scale_seconds};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_solve::pixel_events::{Stamp, StepRule};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;

@@ -11,8 +11,6 @@
 //! and cut at mean + (1 - mean) / 3); the authors' own interval is not public. Limits: one threshold for both polarities and all pixels; the
 //! energy is not convex, and the search finds one of its valleys.
 
-use crate::co_located::CoLocated;
-use crate::pixel_events::clock_offset;
 use crate::reconstruct::black_level;
 use crate::spans::check_one_clock;
 use photocurrent_core::events::{EventBand, Polarity};
@@ -20,6 +18,8 @@ use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use photocurrent_sensor::exposure::HeldTrack;
+use photocurrent_solve::co_located::CoLocated;
+use photocurrent_solve::pixel_events::clock_offset;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

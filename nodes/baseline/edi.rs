@@ -11,7 +11,6 @@
 //! with the events of the event pixel that it lies on. Limits: no front-end delay, no readout latency, no refractory period.
 
 use crate::held::{Exposures, HeldMeans, Knots, Lanes, TILE, develop};
-use crate::pixel_events::{Stamp, StepRule};
 use crate::reconstruct::{Request, black_level, contrast_of, events_of, in_rows, nearest_frame};
 use crate::sampling::{Sampling, scale_seconds};
 use multiversion::multiversion;
@@ -19,6 +18,7 @@ use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, EventStream, Exposure, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
 use photocurrent_sensor::elementary;
+use photocurrent_solve::pixel_events::{Stamp, StepRule};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;

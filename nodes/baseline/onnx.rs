@@ -19,13 +19,13 @@ pub mod voxel;
 mod tests;
 
 use crate::onnx::{self, Network, Tensor};
-use crate::pixel_events::{Stamp, StepRule};
 use crate::reconstruct::{Intensity, Request};
 use crate::sampling::{Sampling, scale_seconds};
 use crate::score::lpips::Encoding;
 use layout::{FrameInput, Layout, Moment, Side, StateInput, VoxelInput};
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::{Context, Decl, EventStream, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
+use photocurrent_solve::pixel_events::{Stamp, StepRule};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -2,15 +2,15 @@
 //!
 //! Between an event's in-pixel time and the end of the refractory period the front-end voltage moves unseen, so two events lie further apart
 //! than one threshold. Eqs. (9) to (12) estimate the missed part from the slope of the next interval; this node stores the result as
-//! the event column `step`, for methods that have no latch of their own (double integrals, filters). `solve/pixel` does the same
+//! the event column `step`, for methods that have no latch of their own (double integrals, filters). `solve/map` does the same
 //! inside with `readout = "slope"` and refuses a stream that was compensated before.
 //!
 //! Limits: those of [`photocurrent_sensor::readout`]: close ON/OFF pairs break the assumption of one slope. Needs in-pixel times.
 
-use crate::pixel_events::{Stamp, StepRule, clock_offset};
 use photocurrent_core::events::Polarity;
 use photocurrent_core::{Context, Decl, EventStream, EventsMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_sensor::readout::compensated_step;
+use photocurrent_solve::pixel_events::{Stamp, StepRule, check_events, clock_offset};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -43,25 +43,6 @@ photocurrent_core::ports! {
 pub struct CompensateReadout;
 
 const LEAVE_OUT: &str = "leave this node out, and connect the events themselves to what follows";
-
-/// Refuses events that cannot be compensated.
-///
-/// # Errors
-/// When in-pixel times are missing or steps are there already. `who` is the asker, `without` says how to do without.
-pub fn check_events(events: &EventsMeta, who: &str, without: &str) -> Result<(), NodeError> {
-    if events.has_step {
-        return Err(
-            NodeError::usage(format!("{who} compensates the readout itself, and `events` were compensated before")).hint("connect the events as recorded")
-        );
-    }
-    // Without any event there is nothing to compensate, and no stamp to miss.
-    if !events.has_t_in && events.span.is_some() {
-        return Err(NodeError::usage(format!("{who} needs in-pixel times, and `events` has only off-pixel times"))
-            .note("each event has one stamp, the off-pixel one")
-            .hint(without));
-    }
-    Ok(())
-}
 
 impl Node for CompensateReadout {
     const DECL: Decl = Decl {

@@ -5,34 +5,32 @@ use super::film::Fired;
 use super::film::STEP_NS;
 use super::lively::Lively;
 use super::trust::{Measured, Posed, TrustParams};
-use crate::co_located::CoLocated;
-use crate::solve::pixel::choice::Settings;
-use crate::solve::pixel::map::{RowSetting, RowSolver, Taken};
-use crate::solve::pixel::neighbours;
-use crate::solve::pixel::row::Recorded;
-use crate::solve::pixel::shares::Colours;
-use crate::solve::pixel::{Decisions, FrontEndModel, Method, Model, Params as SolveParams, SolvePixel};
+use crate::solve::map::check_length;
 use crate::spans::{check_covered, check_one_clock, check_steps};
-use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Between, Context, EventStream, EventsMeta, Extent, FrameSequence, FramesMeta, Node, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta,
-    handle::Band,
+    Between, Context, EventStream, EventsMeta, Extent, FrameSequence, FramesMeta, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta, handle::Band,
 };
 use photocurrent_sensor::map::estimate;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
+use photocurrent_solve::co_located::CoLocated;
+use photocurrent_solve::row::Recorded;
+use photocurrent_solve::row_solver::{RowSetting, RowSolver, Taken};
+use photocurrent_solve::settings::Settings;
+use photocurrent_solve::shares::Colours;
+use photocurrent_solve::{Model, SolveOptions, neighbours};
 use rayon::prelude::*;
 use std::sync::Arc;
 
 photocurrent_core::ports! {
     /// Inputs of a node that solves again.
     pub struct In {
-        /// The first solution: log-linear tracks, of `solve/pixel` with `method = "map"` or another node that gives such.
+        /// The first solution: log-linear tracks, of `solve/map` or another node that gives such.
         tracks: TrackSet,
         /// The events that it was solved from.
         events: EventStream,
         /// The frames that it was solved from.
         frames: FrameSequence,
-        /// The sensor, as for `solve/pixel`.
+        /// The sensor, as for `solve/map`.
         sensor: Arc<Sensor>,
     }
 }
@@ -45,35 +43,15 @@ photocurrent_core::ports! {
     }
 }
 
-/// How the pixels are solved: the parameters that such a node shares with `solve/pixel`.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Setting {
-    pub front_end: FrontEndModel,
-    pub event_noise: Option<f64>,
-    pub frame_noise: f64,
-    pub knot_spacing: Duration,
-    pub decisions: Option<Decisions>,
-}
-
 /// The solver that solves again.
 pub(super) struct Solver {
-    node: SolvePixel,
+    options: SolveOptions,
 }
 
 impl Solver {
-    pub fn build(setting: Setting) -> Result<Solver, NodeError> {
-        let Setting { front_end, event_noise, frame_noise, knot_spacing, decisions } = setting;
-        Ok(Solver {
-            node: SolvePixel::build(SolveParams {
-                method: Method::Map,
-                front_end,
-                event_noise,
-                frame_noise: Some(frame_noise),
-                knot_spacing: Some(knot_spacing),
-                decisions,
-                ..SolveParams::default()
-            })?,
-        })
+    pub fn build(options: SolveOptions) -> Result<Solver, NodeError> {
+        options.check()?;
+        Ok(Solver { options })
     }
 
     /// What the node's output will be.
@@ -81,9 +59,9 @@ impl Solver {
         let (events, frames) = (inputs.events("events")?, inputs.frames("frames")?);
         check_one_clock(events, frames, Some(inputs.sensor("sensor")?))?;
         check_covered(Some(events), frames, Some(inputs.sensor("sensor")?))?;
-        self.node.model(inputs.sensor("sensor")?, events)?;
+        Model::of_map(&self.options, inputs.sensor("sensor")?, events)?;
         let meta = self.meta(kind, inputs.tracks("tracks")?, events, frames)?;
-        self.node.check_length(meta.span)?;
+        check_length(&self.options, meta.span)?;
         check_steps(meta.span, STEP_NS, "pictures", kind)?;
         Ok(meta)
     }
@@ -91,11 +69,12 @@ impl Solver {
     /// The tracks to come; refuses tracks that are not those of these events and frames.
     pub fn meta(&self, kind: &str, tracks: &TracksMeta, events: &EventsMeta, frames: &FramesMeta) -> Result<TracksMeta, NodeError> {
         if tracks.between != Between::LogLinear {
-            return Err(NodeError::usage(format!("the tracks hold their values between knots; {kind} needs log-linear ones"))
-                .hint("connect tracks of solve/pixel with `method = \"map\"`"));
+            return Err(
+                NodeError::usage(format!("the tracks hold their values between knots; {kind} needs log-linear ones")).hint("connect tracks of solve/map")
+            );
         }
         CoLocated::new(events, frames)?.need_plain(kind)?;
-        let meta = self.node.tracks_meta(events, frames)?;
+        let meta = self.options.tracks_meta(events, frames)?;
         if tracks.extent != meta.extent {
             return Err(NodeError::usage(format!("tracks are {}, events are {}", tracks.extent, meta.extent))
                 .hint("connect the events and frames that the tracks were solved from"));
@@ -105,15 +84,15 @@ impl Solver {
 
     /// Takes a recording in, all rows of it.
     pub fn take_in(&self, meta: TracksMeta, events: &EventStream, frames: &FrameSequence, sensor: &Sensor, cx: &Context) -> Result<Again, NodeError> {
-        let mut model = self.node.model(sensor, &events.meta)?;
+        let mut model = Model::of_map(&self.options, sensor, &events.meta)?;
         model.inform(events)?;
         let (rows, times) = (cx.rows(), &frames.meta.times);
         let colours = Colours::new(CoLocated::new(&events.meta, &frames.meta)?, sensor)?;
         let events = colours.lie.read(events, rows)?;
         let values = frames.read_rows(rows)?;
         let recorded = Recorded { meta: &meta, times, colours: &colours, rows, events: &events, frames: &values };
-        let known = neighbours::known(self.node.params(), &model, &recorded, rows, cx)?;
-        let settings = Settings::choose(self.node.params(), &model, &recorded, rows, known.as_ref())?;
+        let known = neighbours::known(&self.options, &model, &recorded, rows, cx)?;
+        let settings = Settings::choose(&self.options, &model, &recorded, rows, known.as_ref())?;
         let prepare = |solver: &mut RowSolver, row: u32| -> Result<Row, NodeError> {
             let setting = *settings.of(row);
             solver.take(&model, &setting, &recorded, row)?;

@@ -1,7 +1,8 @@
 //! Small recordings whose light is known, for the tests of this folder.
 
 use super::film::{Fired, LogTracks};
-use crate::solve::pixel::{Method, Params, SolvePixel};
+use crate::solve;
+use crate::solve::map::SolveMap;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::random::Random;
@@ -9,6 +10,7 @@ use photocurrent_core::{EventStream, Exposure, Extent, FrameSequence, Node, Sens
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
 use photocurrent_sensor::front_end::FrontEnd;
+use photocurrent_solve::SolveOptions;
 use std::sync::Arc;
 
 pub(super) const EXTENT: Extent = Extent { width: 24, height: 16 };
@@ -75,8 +77,8 @@ pub(super) fn every_pixel_for_itself(x: usize, y: usize, ms: f64) -> f64 {
 }
 
 pub(super) fn solve(events: &EventStream, frames: &FrameSequence) -> TrackSet {
-    let node = SolvePixel::build(Params { method: Method::Map, ..Params::default() }).unwrap();
-    let input = crate::solve::pixel::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
+    let node = SolveMap::build(SolveOptions::default()).unwrap();
+    let input = solve::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
     testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap().tracks
 }
 

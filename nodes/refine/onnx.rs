@@ -13,7 +13,7 @@
 //! The network's inputs: `frame`, `sigma`, `captured` \[1, 1, h, w\] and `events` \[1, 2, h, w\] (ON and OFF, each event counted as 1 at the instant and linearly less up to
 //! `window` away); its output: `refined` \[1, 1, h, w\]. Sides are multiples of 16. An unconnected `sigma` or `captured` is zeros; without `events` all is ones, and every pixel may change.
 //!
-//! Limits: it changes what it was trained to change, noise of `solve/pixel` with `method = "map"`; other solvers' frames may get worse. Each frame is seen alone. Sums of f32
+//! Limits: it changes what it was trained to change, noise of `solve/map`; other solvers' frames may get worse. Each frame is seen alone. Sums of f32
 //! depend on the processor: results agree between machines to about 1e-6 of white, not to the last bit.
 
 pub mod tiles;
@@ -23,13 +23,13 @@ mod tests;
 
 use crate::baseline::onnx::voxel::{Timeline, addresses};
 use crate::onnx::{self, Network, Tensor};
-use crate::pixel_events::{Stamp, StepRule, clock_offset};
 use crate::reconstruct::{black_level, nearest_frame};
 use crate::sampling::scale_seconds;
 use photocurrent_core::quantity::{Duration, InputPath};
 use photocurrent_core::{
     Context, Decl, EventStream, EventsMeta, FileRef, FrameBlock, FrameSequence, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Sensor,
 };
+use photocurrent_solve::pixel_events::{Stamp, StepRule, clock_offset};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

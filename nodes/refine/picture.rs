@@ -18,19 +18,19 @@ mod scene;
 #[cfg(test)]
 mod tests;
 
-use super::again::{In, Out, Row, Setting, Solver};
+use super::again::{In, Out, Row, Solver};
 use super::caution::take_care;
 use super::film::LogTracks;
 use super::flow::{Flow, MotionParams};
 use super::motion::Neighbours;
 use super::trust::{Trust, TrustParams};
-use crate::solve::pixel::{Decisions, FRAME_NOISE, FrontEndModel, KNOT_SPACING};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::picture::PictureSetting;
 use photocurrent_sensor::map::Hint;
 use photocurrent_sensor::map::estimate::kept;
+use photocurrent_solve::{Decisions, FRAME_NOISE, FrontEndModel, KNOT_SPACING, SolveOptions};
 use scene::{OfRow, Pictures};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -58,19 +58,19 @@ pub struct Params {
     pub trust: TrustParams,
     /// Neighbouring pixels along the motion are asked as well, as `refine/motion` does.
     pub neighbours: bool,
-    /// As in `solve/pixel`.
+    /// As in `solve/map`.
     pub front_end: FrontEndModel,
-    /// As in `solve/pixel`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows.
+    /// As in `solve/map`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub event_noise: Option<f64>,
-    /// As in `solve/pixel`: model error of a frame value, as a part of it.
+    /// As in `solve/map`: model error of a frame value, as a part of it.
     #[schemars(range(min = 0.0))]
     pub frame_noise: f64,
-    /// As in `solve/pixel`: knots lie at most this far apart; the picture is asked at every second one.
+    /// As in `solve/map`: knots lie at most this far apart; the picture is asked at every second one.
     #[schemars(extend("x-min" = "10 us"))]
     pub knot_spacing: Duration,
-    /// As in `solve/pixel`; absent = what was measured to suit most recordings.
-    pub decisions: Option<Decisions>,
+    /// As in `solve/map`.
+    pub decisions: Decisions,
 }
 
 impl Default for Params {
@@ -88,7 +88,7 @@ impl Default for Params {
             event_noise: None,
             frame_noise: FRAME_NOISE,
             knot_spacing: KNOT_SPACING,
-            decisions: None,
+            decisions: Decisions::default(),
         }
     }
 }
@@ -115,9 +115,8 @@ impl Node for RefinePicture {
         ],
         example: r#"
 [nodes.solve]
-kind   = "solve/pixel"
+kind   = "solve/map"
 in     = { events = "recording.events", frames = "recording.frames", sensor = "sensor" }
-params = { method = "map" }
 
 [nodes.picture]
 kind = "refine/picture"
@@ -131,7 +130,8 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
 
     fn build(params: Params) -> Result<Self, NodeError> {
         let Params { front_end, event_noise, frame_noise, knot_spacing, decisions, .. } = params;
-        Ok(RefinePicture { solver: Solver::build(Setting { front_end, event_noise, frame_noise, knot_spacing, decisions })?, params })
+        let solver = Solver::build(SolveOptions { front_end, event_noise, frame_noise, knot_spacing, decisions, ..SolveOptions::default() })?;
+        Ok(RefinePicture { solver, params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {

@@ -55,7 +55,7 @@ impl Default for Params {
 photocurrent_core::ports! {
     /// Inputs.
     pub struct In {
-        /// A rough solution: tracks of `solve/pixel` with `method = "paper"`.
+        /// A rough solution: tracks of `solve/paper`.
         tracks: TrackSet,
     }
 }
@@ -87,9 +87,9 @@ impl Node for RefineSteered {
         ],
         example: r#"
 [nodes.solve]
-kind   = "solve/pixel"
+kind   = "solve/paper"
 in     = { events = "recording.events", frames = "recording.frames", sensor = "sensor" }
-params = { method = "paper", evs_weight = 1000.0 }
+params = { evs_weight = 1000.0 }
 
 [nodes.steered]
 kind = "refine/steered"

@@ -5,7 +5,7 @@
 //! second is the interpolation. Integrals are exact, of held tracks and of those whose logarithm is linear between knots.
 //!
 //! `between` says how tracks that are held between knots are read: as they are, or as the light that rises or falls from knot to knot. The paper leaves open what its
-//! pixels do between two events; a track of `method = "map"` says so itself.
+//! pixels do between two events; a track of `solve/map` says so itself.
 //!
 //! With `roi` only a part of the sensor is rendered, so that ten thousand frames a second need no more memory than they must.
 //!
@@ -19,7 +19,6 @@
 //! Limits: a pixel without any knot is unknown and comes out as NaN.
 
 use super::reading::Readout;
-use crate::co_located::{channel_gains, gain_of};
 use crate::held::{Exposures, HeldMeans, Knots, TILE, develop};
 use crate::reconstruct::in_rows;
 use crate::sampling::{Sampling, scale_seconds, virtual_frames};
@@ -30,6 +29,7 @@ use photocurrent_core::{
 };
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::exposure::{DigitalNumber, ExposureCursor, LogLinearTrack};
+use photocurrent_solve::co_located::{channel_gains, gain_of};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -128,7 +128,7 @@ params = { rate = "10 kHz", exposure = "100 us", shutter = "global" }
         Readout::new(sensor, FrameScale::Captured)?;
         let at = inputs.has("at").then(|| inputs.frames("at")).transpose()?;
         let frames = Meta::Frames(Arc::new(self.frames(tracks, at.map(|at| &**at), sensor)?));
-        let why = || "the tracks carry no standard deviation (those of `method = \"map\"` do)".to_string();
+        let why = || "the tracks carry no standard deviation (those of `solve/map` do)".to_string();
         let sigma = if tracks.has_sigma { frames.clone() } else { Meta::Absent { data_type: DataType::Frames, why: why() } };
         Ok(vec![frames, sigma])
     }

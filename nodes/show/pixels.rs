@@ -9,13 +9,13 @@
 //! looked at. Colour has no such pixel: tracks and frames of three channels give nothing.
 
 use super::pictures::{Shown, Tone};
-use crate::pixel_events::clock_offset;
 use photocurrent_core::tracks::Between;
 use photocurrent_core::{Colour, EventStream, NodeError, Rows, Sensor, Value};
 use photocurrent_sensor::exposure::{HeldTrack, LogLinearTrack};
 use photocurrent_sensor::front_end::settled_voltage;
 use photocurrent_sensor::map::ramp_voltage;
 use photocurrent_sensor::model::Model;
+use photocurrent_solve::pixel_events::clock_offset;
 
 /// Of so many rows events are read at a time.
 const ROWS: u32 = 16;

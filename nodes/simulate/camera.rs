@@ -7,8 +7,6 @@
 //!
 //! Limits: photon noise only in the frames; the random part of the readout latency is drawn per event.
 
-use crate::co_located::{channel_gains, gain_of};
-use crate::pixel_events::StepRule;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
@@ -18,6 +16,8 @@ use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_sensor::forward::neighbours::halo;
 use photocurrent_sensor::forward::{Chain, Fired, FrameReadout, LinearLight, PixelNoise, read_frames, simulate};
 use photocurrent_sensor::model::Model;
+use photocurrent_solve::co_located::{channel_gains, gain_of};
+use photocurrent_solve::pixel_events::StepRule;
 /// When frames are taken, and how late events come; stated by the node, not by the sensor.
 #[derive(Clone, Copy, Debug)]
 pub struct Timing {
@@ -106,7 +106,7 @@ impl Camera {
         let row_time_ns = model.row_time_ns;
         let times = timing.frame_times(span, frames.height, row_time_ns)?;
         let frames = FramesMeta { extent: frames, colour, times, scale: FrameScale::Captured };
-        let moved = crate::pixel_events::clock_offset(sensor)?.offset_ns;
+        let moved = photocurrent_solve::pixel_events::clock_offset(sensor)?.offset_ns;
         let events = EventsMeta { extent: events, span: Some(span.moved(moved)), has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
         Ok(Camera { events, frames, model, effects, coupling, channel_gains: channel_gains(sensor)?, span, seed })
     }

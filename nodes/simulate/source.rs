@@ -6,13 +6,13 @@
 
 use super::instants::Sampler;
 use super::scenes::Scene;
-use crate::co_located::channel_gains;
 use photocurrent_core::quantity::{Duration, Illuminance, Rate};
 use photocurrent_core::{
     Colour, Context, Exposure, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Light, LightBand, LightMeta, Meta, NodeError, Rows,
     Sensor, TimeSpan, Truth,
 };
 use photocurrent_sensor::exposure::DigitalNumber;
+use photocurrent_solve::co_located::channel_gains;
 use rayon::prelude::*;
 use std::sync::Arc;
 

@@ -21,13 +21,13 @@ use super::font;
 use super::frames::nominal_exposure_ns;
 use super::picture::Picture;
 use crate::baseline::repeat::black_level;
-use crate::pixel_events::clock_offset;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{
     Context, Decl, EventStream, EventsMeta, Extent, FrameScale, FrameSequence, FrameTimes, FramesMeta, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor,
     Table, TimeSpan, Truth,
 };
+use photocurrent_solve::pixel_events::clock_offset;
 use png::BitDepth;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -495,7 +495,7 @@ pub enum CalibratedScene {
 
 #[derive(ClapArgs)]
 pub struct NodesOptions {
-    /// A kind, such as solve/pixel
+    /// A kind, such as solve/map
     pub kind: Option<String>,
     /// Print as JSON
     #[arg(long)]

@@ -22,11 +22,13 @@ pub fn nodes(options: &NodesOptions) -> Done {
         None => catalogue.kinds().iter().collect(),
         Some(name) => {
             let names = catalogue.kinds().iter().map(|kind| kind.decl.kind);
-            vec![
-                catalogue
-                    .get(name)
-                    .ok_or_else(|| Failure::Problems(vec![Problem::new(format!("there is no node kind `{name}`")).did_you_mean(name, names)]))?,
-            ]
+            vec![catalogue.get(name).ok_or_else(|| {
+                let problem = Problem::new(format!("there is no node kind `{name}`"));
+                Failure::Problems(vec![match catalogue.in_place_of(name) {
+                    Some(instead) => problem.help(instead),
+                    None => problem.did_you_mean(name, names),
+                }])
+            })?]
         }
     };
     if options.json {

@@ -205,6 +205,7 @@ impl Kind {
 /// All node kinds, in reading order.
 pub struct Catalogue {
     kinds: Vec<Kind>,
+    retired: &'static [(&'static str, &'static str)],
 }
 
 impl Catalogue {
@@ -216,7 +217,18 @@ impl Catalogue {
         for (i, kind) in kinds.iter().enumerate() {
             assert!(kinds[..i].iter().all(|other| other.decl.kind != kind.decl.kind), "node kind {} is listed twice", kind.decl.kind);
         }
-        Catalogue { kinds }
+        Catalogue { kinds, retired: &[] }
+    }
+
+    /// With names that kinds had before, each with what to write in its place.
+    #[must_use]
+    pub fn with_retired(self, retired: &'static [(&'static str, &'static str)]) -> Catalogue {
+        Catalogue { retired, ..self }
+    }
+
+    /// What to write in place of a name that kinds had before; `None` for every other.
+    pub fn in_place_of(&self, kind: &str) -> Option<&'static str> {
+        self.retired.iter().find(|(name, _)| *name == kind).map(|(_, instead)| *instead)
     }
 
     /// In reading order.

@@ -10,7 +10,7 @@ use crate::quantity::Dimension;
 use serde_json::Value as Json;
 
 /// Checks `tree` against a whole schema and appends every problem found.
-/// `what` names the thing in messages: "parameter of solve/pixel".
+/// `what` names the thing in messages: "parameter of solve/map".
 pub fn validate(tree: &Tree, schema: &Json, what: &str, problems: &mut Vec<Problem>) {
     Checker { root: schema, what }.check(tree, schema, "", problems);
 }

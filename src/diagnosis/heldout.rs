@@ -1,6 +1,6 @@
 //! Frames that are held out, predicted from the events and the other frames, with the nominal description and with the fitted one.
 //!
-//! Every third frame is held out, the light is estimated from what is left as `solve/pixel` does with the description, effects undone, and the held-out frames are what the camera would
+//! Every third frame is held out, the light is estimated from what is left as `solve/map` does with the description, effects undone, and the held-out frames are what the camera would
 //! read of it.
 //!
 //! Limit: the light of the sample's pixels alone is estimated, so effects that mix that of neighbours are not undone here.

@@ -103,11 +103,15 @@ impl<'a> Checker<'a, '_> {
         let before = self.problems.len();
         let Some(kind) = self.kinds[at] else {
             let problem = Problem::at(&node.kind_origin, format!("there is no node kind `{}`", node.kind)).label("unknown kind");
-            self.problems.push(problem.did_you_mean(&node.kind, catalogue.kinds().iter().map(|kind| kind.decl.kind)));
+            self.problems.push(match catalogue.in_place_of(&node.kind) {
+                Some(instead) => problem.help(instead),
+                None => problem.did_you_mean(&node.kind, catalogue.kinds().iter().map(|kind| kind.decl.kind)),
+            });
             self.broken[at] = true;
             return None;
         };
         schema::validate(&node.params, &kind.schema, &format!("parameter of {}", kind.decl.kind), self.problems);
+        name_readers(&mut self.problems[before..], kind, catalogue);
         if self.problems.len() == before {
             match kind.build(schema::to_json(&node.params, &kind.schema)) {
                 Ok(built) => return Some(built),
@@ -346,3 +350,20 @@ fn count(number: usize, what: &str) -> String {
         _ => format!("{number} {what}s"),
     }
 }
+/// Of parameters that are not those of `kind`, names the kinds that read them and stand in for it: those of its family.
+fn name_readers(problems: &mut [Problem], kind: &Kind, catalogue: &Catalogue) {
+    let family = |name: &str| name.split('/').next().map(str::to_owned);
+    for problem in problems.iter_mut().filter(|problem| problem.help.is_none()) {
+        let end = format!("` is not a parameter of {}", kind.decl.kind);
+        let Some(name) = problem.message.strip_prefix('`').and_then(|rest| rest.strip_suffix(&end)) else { continue };
+        let reads = |other: &&Kind| other.schema.pointer("/properties").and_then(|properties| properties.get(name)).is_some();
+        let of_family = catalogue.kinds().iter().filter(|other| family(other.decl.kind) == family(kind.decl.kind));
+        let readers: Vec<String> = of_family.filter(reads).map(|other| format!("`kind = \"{}\"`", other.decl.kind)).collect();
+        if !readers.is_empty() && readers.len() <= MOST_READERS {
+            problem.help = Some(format!("take it out, or set {}, which reads it", readers.join(" or ")));
+        }
+    }
+}
+
+/// More kinds than this that read a parameter are no advice.
+const MOST_READERS: usize = 2;

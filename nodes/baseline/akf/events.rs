@@ -1,7 +1,7 @@
 //! The events of all pixels: one list per pixel in time order, and the order in which a program that takes one event after the other meets them.
 
-use crate::pixel_events::StepRule;
 use photocurrent_core::events::EventBand;
+use photocurrent_solve::pixel_events::StepRule;
 use rayon::prelude::*;
 
 /// Where an event stands in the order of processing: by time, then by pixel (row by row).

@@ -3,10 +3,10 @@
 //! Each event is shared between the two nearest of `bins` instants, spread evenly from the first to the last instant of a window, by its distance to them
 //! (Zhu et al., CVPR 2019, Eqs. (1) and (2)).
 
-use crate::pixel_events::StepRule;
 use photocurrent_core::events::Polarity;
 use photocurrent_core::handle::Band;
 use photocurrent_core::{EventBand, Extent};
+use photocurrent_solve::pixel_events::StepRule;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;

@@ -1,7 +1,7 @@
 //! Thresholds by evidence: those with which the solver predicts frames best that it has not seen.
 //!
 //! Some pixels are cut out of the recording, spread over its events, and every third of their frames is held out. Their light is solved by the MAP estimate with one pair of thresholds after
-//! the other, and what counts is how far the held-out frames are missed, the measure by which `solve/pixel` chooses the noise of events ([`photocurrent_sensor::map::estimate`]). Half of the
+//! the other, and what counts is how far the held-out frames are missed, the measure by which `solve/map` chooses the noise of events ([`photocurrent_sensor::map::estimate`]). Half of the
 //! pixels search: from the description's pair or from the one that the frames measured, whichever is better, over a common factor and the ratio of ON to OFF. The other half judges the one
 //! pair that was found, against the description's. The halves are tiles of 8 x 8 pixels, dealt like a chessboard; pixels of a tile see the same edges, so the standard error counts
 //! tiles and not pixels.
@@ -12,17 +12,18 @@
 //! Limits: a delay or a dark current that the description leaves out is partly made up for by thresholds; pixels whose event paths share photocurrent are not judged. The whole recording
 //! is used: cut a part out of a long one.
 
-use crate::co_located::{CoLocated, values_of};
 use crate::estimate::In;
-use crate::solve::pixel::choice::{Sample, Unexplained, events_in_company};
-use crate::solve::pixel::row::{Recorded, RowData};
-use crate::solve::pixel::shares::Colours;
-use crate::solve::pixel::{FrontEndModel, Model, Params as SolverParams, SolvePixel};
+use crate::solve::map::check_length;
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Colour, Context, EventStream, Node, NodeError, Rows, Sensor, TracksMeta};
+use photocurrent_core::{Colour, Context, EventStream, NodeError, Rows, Sensor, TracksMeta};
 use photocurrent_sensor::estimate::Estimate;
 use photocurrent_sensor::map::estimate::{Choice, Choosing, FEWEST_EVENTS, FEWEST_FRAMES, choose, prediction_errors};
 use photocurrent_sensor::map::{MapGroup, MapOptions, MapProblem, Noise, Prior};
+use photocurrent_solve::co_located::{CoLocated, values_of};
+use photocurrent_solve::row::{Recorded, RowData};
+use photocurrent_solve::settings::{Sample, Unexplained, events_in_company};
+use photocurrent_solve::shares::Colours;
+use photocurrent_solve::{FrontEndModel, Model, SolveOptions};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -243,12 +244,11 @@ impl Bench {
         let front_end = if has_front_end { FrontEndModel::LowPass } else { FrontEndModel::Ideal };
         let mut sensor = sensor.clone();
         sensor.readout.refractory = Some(sensor.readout.refractory.unwrap_or(Duration::new(0)));
-        let params = SolverParams { front_end, sigma: Some(false), ..SolverParams::default() };
-        let solver = SolvePixel::build(params.clone())?;
+        let options = SolveOptions { front_end, sigma: false, ..SolveOptions::default() };
         let (events, frames) = (&input.events.meta, &input.frames.meta);
         let checked = || -> Result<(Model, TracksMeta, Colours), NodeError> {
-            let (model, meta) = (solver.model(&sensor, events)?, solver.tracks_meta(events, frames)?);
-            solver.check_length(meta.span)?;
+            let (model, meta) = (Model::of_map(&options, &sensor, events)?, options.tracks_meta(events, frames)?);
+            check_length(&options, meta.span)?;
             Ok((model, meta, Colours::new(CoLocated::new(events, frames)?, &sensor)?))
         };
         let (mut model, meta, colours) = match checked() {
@@ -266,7 +266,7 @@ impl Bench {
         let wide = TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta };
         let (times, all) = (&input.frames.meta.times, meta.extent.rows());
         let span = (wide.span.start.0, wide.span.end.0);
-        let mut halves = [(); 2].map(|()| Half { sample: Sample::new(&params, span), tiles: Vec::new() });
+        let mut halves = [(); 2].map(|()| Half { sample: Sample::new(&options, span), tiles: Vec::new() });
         let (mut data, mut unexplained) = (RowData::default(), Unexplained::default());
         for of_block in places.chunk_by(|a, b| a.row / BLOCK_ROWS == b.row / BLOCK_ROWS) {
             let first = of_block[0].row / BLOCK_ROWS * BLOCK_ROWS;

@@ -110,7 +110,7 @@ fn without_evidence_the_description_stays_and_the_note_says_why() {
     stays(&(testing::stream(EXTENT, few), many), &description, "0 events of 0 pixels in 0 tiles are too few, as 40 in 6 tiles are needed");
     let mut unknown = (*description).clone();
     unknown.frames.gain = None;
-    stays(&recording(6), &Arc::new(unknown.clone()), "the description's thresholds stay: solve/pixel needs `frames.gain`");
+    stays(&recording(6), &Arc::new(unknown.clone()), "the description's thresholds stay: solve/map needs `frames.gain`");
     unknown.comparator.threshold_on = None;
     stays(&recording(6), &Arc::new(unknown), "does not state both thresholds");
     let (out, _) = run(&recording(6), None);

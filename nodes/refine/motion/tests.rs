@@ -5,10 +5,11 @@ use crate::refine::film::{Film, Fired};
 use crate::refine::fixtures::{EXTENT, GAIN, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
 use crate::refine::lively::Lively;
 use crate::refine::trust::{Measured, Posed};
-use crate::solve::pixel::Params as SolveParams;
-use crate::solve::pixel::SolvePixel;
+use crate::solve::map::SolveMap;
+use crate::solve::paper::SolvePaper;
 use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
 use photocurrent_sensor::map::{Hint, MapFrame};
+use photocurrent_solve::{PaperOptions, ReadoutModel, SolveOptions};
 
 fn refine(tracks: &TrackSet, events: &EventStream, frames: &FrameSequence, rounds: u32) -> TrackSet {
     let node = RefineMotion::build(Params { rounds, ..Params::default() }).unwrap();
@@ -38,9 +39,9 @@ fn pixels_that_have_nothing_to_do_with_each_other_stay_as_they_are() {
 fn decisions_reach_the_solver() {
     let (events, frames) = record(texture);
     let with = |clear_gain: f64| {
-        let decisions = Some(Decisions { clear_gain, ..Decisions::default() });
-        let alone = SolvePixel::build(SolveParams { decisions, ..SolveParams::default() }).unwrap();
-        let input = crate::solve::pixel::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
+        let decisions = Decisions { clear_gain, ..Decisions::default() };
+        let alone = SolveMap::build(SolveOptions { decisions, ..SolveOptions::default() }).unwrap();
+        let input = crate::solve::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
         let alone = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| alone.run(input, cx)).0.unwrap().tracks;
         let node = RefineMotion::build(Params { rounds: 1, decisions, ..Params::default() }).unwrap();
         let input = In { tracks: solve(&events, &frames), events: events.clone(), frames: frames.clone(), sensor: sensor() };
@@ -190,17 +191,12 @@ fn threads_do_not_change_a_bit() {
 #[test]
 fn held_tracks_are_refused() {
     let (events, frames) = record(|x, _, _| 4.0 + 0.01 * x as f64);
-    let node = SolvePixel::build(SolveParams {
-        readout: Some(crate::solve::pixel::ReadoutModel::None),
-        method: crate::solve::pixel::Method::Paper,
-        ..SolveParams::default()
-    })
-    .unwrap();
-    let input = crate::solve::pixel::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
+    let node = SolvePaper::build(PaperOptions { readout: ReadoutModel::None, ..PaperOptions::default() }).unwrap();
+    let input = crate::solve::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
     let held = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap().tracks;
     let node = RefineMotion::build(Params::default()).unwrap();
     let refused = testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(In { tracks: held, events, frames, sensor: sensor() }, cx)).0;
     let error = refused.err().unwrap();
     assert!(error.to_string().contains("log-linear"), "{error}");
-    assert!(error.hint.is_some_and(|hint| hint.contains("method = \"map\"")));
+    assert!(error.hint.is_some_and(|hint| hint.contains("solve/map")));
 }

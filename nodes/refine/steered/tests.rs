@@ -2,9 +2,10 @@
 
 use super::*;
 use crate::refine::fixtures::{END_NS, EXTENT, decibels, error, record, sensor, texture};
-use crate::solve::pixel::{Params as SolveParams, SolvePixel};
+use crate::solve::paper::SolvePaper;
 use photocurrent_core::random::Random;
 use photocurrent_core::{TimeSpan, testing};
+use photocurrent_solve::PaperOptions;
 use std::sync::Arc;
 
 fn steer_rows(tracks: &TrackSet, rows: Rows) -> TrackBand {
@@ -111,8 +112,8 @@ fn an_unknown_pixel_stays_unknown_and_is_not_asked() {
 /// What the paper's solver makes of the recording of a texture: held tracks.
 fn held() -> TrackSet {
     let (events, frames) = record(texture);
-    let node = SolvePixel::build(SolveParams { method: crate::solve::pixel::Method::Paper, evs_weight: Some(1000.0), ..SolveParams::default() }).unwrap();
-    let input = crate::solve::pixel::In { events, frames, sensor: sensor() };
+    let node = SolvePaper::build(PaperOptions { evs_weight: 1000.0, ..PaperOptions::default() }).unwrap();
+    let input = crate::solve::In { events, frames, sensor: sensor() };
     testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap().tracks
 }
 

@@ -46,9 +46,9 @@ in     = {{ light = "light.light", sensor = "recorder" }}
 params = {{ frame_rate = "{frame_rate} fps", exposure = "{exposure} us" }}
 
 [nodes.solve]
-kind   = "solve/pixel"
+kind   = "solve/map"
 in     = {{ events = "recording.events", frames = "recording.frames", sensor = "sensor" }}
-params = {{ method = "map" }}
+params = {{ }}
 
 [nodes.map]
 kind   = "render/rows"

@@ -4,9 +4,9 @@
 //! only one polarity is a pure tint, and one that saw both (something narrow passed) is purple-grey to black instead of looking idle.
 
 use super::Crop;
-use crate::co_located::CoLocated;
 use photocurrent_core::events::EventRow;
 use photocurrent_core::{Colour, EventStream, NodeError, Rows, TimeSpan};
+use photocurrent_solve::co_located::CoLocated;
 
 /// Rows that are read at a time, so that a long recording need not fit into memory.
 const BAND_ROWS: u32 = 32;

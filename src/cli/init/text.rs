@@ -72,9 +72,9 @@ pub fn manifest(facts: &Facts, name: &str, sensor: &str, relative: &dyn Fn(&Path
         r#"
 # The photocurrent of every pixel, from events and frames together. The front end's delay is not known for this camera, so it is taken as ideal.
 [nodes.solve]
-kind   = "solve/pixel"
+kind   = "solve/map"
 in     = {{ events = "{recording}.events", frames = "{recording}.frames", sensor = "{sensor_port}" }}
-params = {{ method = "map", front_end = "ideal", event_noise = 0.1 }}
+params = {{ front_end = "ideal", event_noise = 0.1 }}
 
 # Sharp frames without rolling shutter.
 [nodes.render]

@@ -66,7 +66,7 @@ pub fn follow(run: &Run, asked: &[(u32, u32)], styles: &mut Styles, page: &mut R
     }
     if tracks.is_empty() {
         page.pixel_notes.push(
-            "The cache holds no photocurrent of single pixels: `solve/pixel` gives it, and `pipeline.keep = [\"NODE.tracks\"]` stores what nothing else takes."
+            "The cache holds no photocurrent of single pixels: `solve/map` gives it, and `pipeline.keep = [\"NODE.tracks\"]` stores what nothing else takes."
                 .into(),
         );
     }

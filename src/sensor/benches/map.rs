@@ -170,7 +170,7 @@ fn events_solved_in_groups(bencher: Bencher<'_, '_>, kind: &str) {
     solve_in_groups(bencher, kind, MapOptions::default());
 }
 
-/// The same with the standard deviation of the light at every knot, as `solve/pixel` asks for it unless it is switched off.
+/// The same with the standard deviation of the light at every knot, as `solve/map` asks for it unless it is switched off.
 #[divan::bench(args = KINDS)]
 fn events_solved_in_groups_with_sigma(bencher: Bencher<'_, '_>, kind: &str) {
     solve_in_groups(bencher, kind, MapOptions { with_sigma: true, ..MapOptions::default() });

@@ -16,7 +16,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 pub struct Listing {
     /// Its key.
     pub key: Digest,
-    /// `solve/pixel`.
+    /// `solve/map`.
     pub kind: String,
     /// Outputs by port; `None` for one that is not stored.
     pub outputs: BTreeMap<String, Option<StoredOutput>>,

@@ -53,7 +53,7 @@ pub struct FileInput {
 /// Everything that decides a node's outputs.
 #[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
 pub struct Ingredients {
-    /// `solve/pixel`.
+    /// `solve/map`.
     pub kind: String,
     /// Revision of that kind.
     pub revision: u32,

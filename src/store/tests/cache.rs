@@ -19,7 +19,7 @@ fn store(cache: &Cache, value: &Value) -> StoredOutput {
 fn ingredients() -> Ingredients {
     let readable = serde_json::json!({ "cis_weight": 1.0, "window": { "start": "1 ms", "end": null }, "many": [1, 2], "big": u64::MAX });
     Ingredients {
-        kind: "solve/pixel".into(),
+        kind: "solve/map".into(),
         revision: 3,
         params: Params { canonical: "{\"cis_weight\":f3ff0000000000000,}".into(), readable: readable.as_object().unwrap().clone() },
         inputs: vec![PortInput {
@@ -82,7 +82,7 @@ fn what_is_committed_is_found_and_loaded() {
     assert_eq!(cache.load(&stored.digest).unwrap().digest().unwrap(), stored.digest);
     assert_eq!(cache.records().unwrap().len(), 1);
     let text = std::fs::read_to_string(root.path().join("keys").join(format!("{}.toml", record.key))).unwrap();
-    assert!(text.contains("cis_weight = 1.0") && text.contains("residuals = \"none\"") && text.contains("kind = \"solve/pixel\""), "{text}");
+    assert!(text.contains("cis_weight = 1.0") && text.contains("residuals = \"none\"") && text.contains("kind = \"solve/map\""), "{text}");
 }
 
 #[test]
@@ -326,7 +326,7 @@ fn every_ingredient_enters_the_key_and_its_change_is_named() {
     let other = Digest::of_bytes(b"another");
     let input = base.inputs[0].clone();
     let cases: Vec<(Ingredients, Vec<&str>)> = vec![
-        (Ingredients { kind: "solve/global".into(), ..base.clone() }, vec!["kind solve/pixel -> solve/global"]),
+        (Ingredients { kind: "solve/global".into(), ..base.clone() }, vec!["kind solve/map -> solve/global"]),
         (Ingredients { revision: 4, ..base.clone() }, vec!["revision 3 -> 4"]),
         (
             Ingredients { params: Params { canonical: "other".into(), readable }, ..base.clone() },

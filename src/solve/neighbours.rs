@@ -12,12 +12,14 @@
 //! Where frames have several values on an event pixel, every value's problem is posed in that event pixel's photocurrent: neighbours are then the values at the same place of
 //! their own event pixels.
 
-use super::choice::{BLOCK_ROWS, Settings};
-use super::map::{RowLight, RowSolver};
-use super::row::Recorded;
-use super::{Model, Params};
 use crate::co_located::CoLocated;
-use photocurrent_core::{Context, NodeError, Rows};
+use crate::host::Host;
+use crate::model::Model;
+use crate::options::SolveOptions;
+use crate::row::Recorded;
+use crate::row_solver::{RowLight, RowSolver};
+use crate::settings::{BLOCK_ROWS, Settings};
+use photocurrent_core::{NodeError, Rows};
 use photocurrent_sensor::conditional::at_each;
 use photocurrent_sensor::map::MapEvent;
 use photocurrent_sensor::mixing::Mixing;
@@ -25,7 +27,7 @@ use photocurrent_sensor::undo::{Estimate, Known, Memory};
 use rayon::prelude::*;
 
 /// What is known of the events of every value of some rows.
-pub(crate) struct KnownOfRows {
+pub struct KnownOfRows {
     first: u32,
     of_rows: Vec<Vec<Known>>,
 }
@@ -38,7 +40,7 @@ impl KnownOfRows {
 }
 
 /// Rows of frames above and below those asked for that must be at hand; none where no photocurrent is mixed.
-pub(crate) fn halo(model: &Model, lie: CoLocated) -> Option<u32> {
+pub fn halo(model: &Model, lie: CoLocated) -> Option<u32> {
     let mixing = model.undo.mixing()?;
     let in_rows = |event_rows: u32| event_rows.saturating_mul(lie.ratio);
     let rounds = in_rows(mixing.reach()).saturating_mul(model.undo_rounds);
@@ -50,7 +52,7 @@ pub(crate) fn halo(model: &Model, lie: CoLocated) -> Option<u32> {
 ///
 /// # Errors
 /// When the recording does not fit itself, or the user interrupts.
-pub(crate) fn known(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, cx: &Context) -> Result<Option<KnownOfRows>, NodeError> {
+pub fn known(params: &SolveOptions, model: &Model, recorded: &Recorded<'_>, rows: Rows, host: &dyn Host) -> Result<Option<KnownOfRows>, NodeError> {
     let Some(mixing) = model.undo.mixing() else { return Ok(None) };
     let (all, lie) = (recorded.meta.extent.rows(), recorded.colours.lie);
     let wanted = Settings::blocks_of(rows, all);
@@ -66,7 +68,7 @@ pub(crate) fn known(params: &Params, model: &Model, recorded: &Recorded<'_>, row
                 solver.give(known.of(row).to_vec());
             }
             // Rounds are no rows of the result: they only look whether the user interrupts.
-            cx.advance(0)?;
+            host.advance(0)?;
             Ok(solver.light(model, settings.of(row), recorded.meta))
         };
         let lights: Result<Vec<RowLight>, NodeError> = at_hand.iter().into_par_iter().map_init(RowSolver::default, light).collect();
@@ -74,7 +76,7 @@ pub(crate) fn known(params: &Params, model: &Model, recorded: &Recorded<'_>, row
         let of_row = |row: u32| &lights[(row - at_hand.start) as usize];
         let again = |(solver, memory): &mut (RowSolver, Memory), row: u32| -> Result<Vec<Known>, NodeError> {
             solver.take(model, settings.of(row), recorded, row)?;
-            cx.advance(0)?;
+            host.advance(0)?;
             Ok(known_of_row(model, mixing, settings.of(row).options.spacing_ns, solver, row, &of_row, memory))
         };
         let inner = rows_of(rounds_to_come);

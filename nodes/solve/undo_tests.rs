@@ -1,12 +1,15 @@
 //! What effects of the description did to a recording is undone by the solver, and applied again where captured frames are predicted.
 
+use super::map::SolveMap;
 use super::*;
 use crate::render::rows::{self, RenderRows};
 use photocurrent_core::document::Source;
 use photocurrent_core::events::{Event, Polarity};
-use photocurrent_core::{Extent, FrameTimes, testing};
-use photocurrent_sensor::effects::Site;
+use photocurrent_core::{EventsMeta, Exposure, Extent, FrameTimes, Node, testing};
+use photocurrent_sensor::effects::{Site, from_description};
 use photocurrent_sensor::forward::{Chain, FrameReadout, LinearLight, Noiseless, read_frames, simulate};
+use photocurrent_sensor::model::Model as SensorModel;
+use photocurrent_solve::{Model, SolveOptions};
 
 const EXTENT: Extent = Extent { width: 8, height: 6 };
 const END_NS: i64 = 120_000_000;
@@ -65,7 +68,7 @@ fn part(frames: &FrameSequence, is_held: bool) -> FrameSequence {
 /// Solves without the held frames. Root mean squares: of log light against the truth, and of held frames in DN.
 fn errors(recorded: &(Vec<Event>, FrameSequence), description: &Arc<Sensor>) -> (f64, f64) {
     let (events, frames) = recorded;
-    let node = SolvePixel { params: Params::default() };
+    let node = SolveMap::build(SolveOptions::default()).unwrap();
     let input = In { events: testing::stream(EXTENT, events.clone()), frames: part(frames, false), sensor: description.clone() };
     let tracks = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap().tracks;
     let band = tracks.read(EXTENT.rows()).unwrap();
@@ -125,11 +128,12 @@ fn a_description_that_states_its_effects_gives_better_light_and_better_frames() 
 #[test]
 fn what_cannot_be_undone_is_named_and_without_rounds_nothing_is() {
     let described = sensor("event_loss = { fraction = 0.1 }\nleak_events = { rate = \"1 Hz\" }\nthreshold_mismatch = { sigma = 0.02 }");
-    let note = |params: Params| {
-        let node = SolvePixel { params };
+    let note = |options: SolveOptions| {
         let meta = EventsMeta { extent: EXTENT, span: None, has_t_in: true, has_step: false, t_resolution_ns: None, count_hint: None };
-        node.not_modelled(&described, &node.model(&described, &meta).unwrap()).unwrap()
+        Model::of_map(&options, &described, &meta).unwrap().not_modelled(&described).unwrap()
     };
-    assert!(note(Params::default()).ends_with("not modelled here: effects.event_loss"));
-    assert!(note(Params { undo_rounds: Some(0), ..Params::default() }).ends_with("effects.event_loss, effects.leak_events, effects.threshold_mismatch"));
+    assert!(note(SolveOptions::default()).ends_with("not modelled here: effects.event_loss"));
+    assert!(
+        note(SolveOptions { undo_rounds: Some(0), ..SolveOptions::default() }).ends_with("effects.event_loss, effects.leak_events, effects.threshold_mismatch")
+    );
 }

@@ -1,11 +1,15 @@
 //! The loop closed where pixels are coupled: neighbours whose photocurrent is mixed, and a readout that lets events wait.
 
+use super::map::SolveMap;
 use super::*;
 use crate::simulate::sensor::{self as simulated, SimulateSensor};
 use photocurrent_core::document::Source;
+use photocurrent_core::handle::Band;
 use photocurrent_core::light::{LightBand, LightMeta};
 use photocurrent_core::quantity::{Duration, Rate};
-use photocurrent_core::{Extent, Light, Rows, testing};
+use photocurrent_core::{Colour, Extent, Grain, Light, Meta, Node, PortMetas, Rows, TimeSpan, TrackBand, testing};
+use photocurrent_sensor::effects::Site;
+use photocurrent_solve::{Model, SolveOptions};
 
 const EXTENT: Extent = Extent { width: 12, height: 9 };
 const END_NS: i64 = 120_000_000;
@@ -47,7 +51,7 @@ fn record(sensor: &Arc<Sensor>, log_light: impl Fn(u32, u32, i64) -> f64) -> sim
 }
 
 fn solve(recorded: &simulated::Out, description: &Arc<Sensor>) -> (TrackBand, Vec<String>) {
-    let node = SolvePixel { params: Params::default() };
+    let node = SolveMap::build(SolveOptions::default()).unwrap();
     let input = In { events: recorded.events.clone(), frames: recorded.frames.clone(), sensor: description.clone() };
     let (out, notes) = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx));
     (out.unwrap().tracks.read(EXTENT.rows()).unwrap(), notes)
@@ -124,16 +128,15 @@ fn events_that_waited_reset_their_pixels_later() {
 fn waits_are_given_back_to_the_microsecond() {
     let actual = sensor("readout_queue = { service = \"20 us\" }");
     let recorded = record(&actual, pulses);
-    let node = SolvePixel { params: Params::default() };
-    let mut model = node.model(&actual, &recorded.events.meta).unwrap();
+    let mut model = Model::of_map(&SolveOptions::default(), &actual, &recorded.events.meta).unwrap();
     model.inform(&recorded.events).unwrap();
     let band = recorded.events.read(EXTENT.rows()).unwrap();
     let mut requests: Vec<(i64, u32, u32, i64)> = Vec::new();
     for y in EXTENT.rows().iter() {
         let row = band.row(y);
         for k in 0..row.len() {
-            let (event, x) = (model.event(&row, k), u32::from(row.x[k]));
-            let undone = model.undo.event(&Site { x, y, width: EXTENT.width, height: EXTENT.height, seed: 0 }, &event);
+            let x = u32::from(row.x[k]);
+            let (event, undone) = model.event_undone(&Site { x, y, width: EXTENT.width, height: EXTENT.height, seed: 0 }, &row, k);
             assert_eq!(undone.t_in_ns, event.t_in_ns);
             requests.push((event.t_in_ns, y, x, undone.t_off_ns - event.t_off_ns));
         }
@@ -150,7 +153,7 @@ fn waits_are_given_back_to_the_microsecond() {
 }
 
 /// Rows of the inputs that a band is given.
-fn given(node: &SolvePixel, events: &EventStream, frames: &FrameSequence, description: &Arc<Sensor>, band: Rows) -> Rows {
+fn given(node: &SolveMap, events: &EventStream, frames: &FrameSequence, description: &Arc<Sensor>, band: Rows) -> Rows {
     let metas = [
         ("events".to_string(), vec![Meta::Events(events.meta.clone())]),
         ("frames".to_string(), vec![Meta::Frames(frames.meta.clone())]),
@@ -168,7 +171,7 @@ fn neighbours_change_no_bit_with_bands_and_threads() {
     let events = super::tests::walk(extent, 20_000_000);
     let frames = testing::captured(extent, super::tests::exposures(3), 30_000, |l, x, y| (200 + (37 * l as u32 + 11 * x + 5 * y) % 90) as f32);
     let description = sensor("misalignment = { shift_x = 0.2, shift_y = 0.9 }\ncrosstalk = { fraction = 0.1 }");
-    let node = SolvePixel { params: Params { undo_rounds: Some(2), ..Params::default() } };
+    let node = SolveMap::build(SolveOptions { undo_rounds: Some(2), ..SolveOptions::default() }).unwrap();
     let run = |rows: Rows, band: Rows| {
         let input = In { events: events.cut(rows), frames: frames.cut(rows), sensor: description.clone() };
         testing::with_context(band, &["tracks", "map"], |cx| node.run(input, cx)).0.map(|out| out.tracks.read(band).unwrap())
@@ -189,7 +192,7 @@ fn neighbours_change_no_bit_with_bands_and_threads() {
 fn a_queue_makes_the_recording_one_piece_and_says_so_when_it_is_too_late() {
     let description = sensor("readout_queue = { service = \"1 us\" }");
     let recorded = record(&description, pulses);
-    let node = SolvePixel { params: Params::default() };
+    let node = SolveMap::build(SolveOptions::default()).unwrap();
     let band = Rows { start: 0, end: 2 };
     assert_eq!(given(&node, &recorded.events, &recorded.frames, &description, band), EXTENT.rows());
     let input = In { events: recorded.events.cut(band), frames: recorded.frames.cut(band), sensor: description };

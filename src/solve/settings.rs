@@ -4,11 +4,13 @@
 //! that solves a row reads its whole block, and one row around it. Pixels are looked at all over the block, so that
 //! the choice rests on many and costs less than the solution.
 
-use super::map::{RowSetting, known, problem, with_known};
-use super::neighbours::KnownOfRows;
-use super::row::{Recorded, RowData};
-use super::{MAP_STEPS, Model, Params};
-use photocurrent_core::{Context, NodeError, Rows, TracksMeta};
+use crate::host::Host;
+use crate::model::Model;
+use crate::neighbours::KnownOfRows;
+use crate::options::{STEPS, SolveOptions};
+use crate::row::{Recorded, RowData};
+use crate::row_solver::{RowSetting, known, problem, with_known};
+use photocurrent_core::{NodeError, Rows, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::losses::{self, Plain};
 use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, estimate, frame_noise};
@@ -17,14 +19,14 @@ use rayon::prelude::*;
 use std::ops::Range;
 
 /// Rows of a block.
-pub(super) const BLOCK_ROWS: u32 = 16;
+pub const BLOCK_ROWS: u32 = 16;
 /// So many rows around a band are read: the rest of its blocks, and one more for neighbours.
-pub(crate) const HALO_ROWS: u32 = BLOCK_ROWS;
+pub const HALO_ROWS: u32 = BLOCK_ROWS;
 /// Rows around one whose events are company to its own.
-pub(super) const COMPANY_ROWS: u32 = 1;
+pub const COMPANY_ROWS: u32 = 1;
 
 /// The settings of some rows.
-pub(crate) struct Settings {
+pub struct Settings {
     first_block: u32,
     of_blocks: Vec<RowSetting>,
 }
@@ -42,52 +44,52 @@ impl Settings {
     }
 
     /// Those of `rows` that an earlier band of the same task chose, where it did for all of them.
-    pub fn chosen(rows: Rows, cx: &Context) -> Option<Settings> {
+    pub fn chosen(rows: Rows, host: &dyn Host) -> Option<Settings> {
         let blocks = Settings::numbers(rows);
-        let of_blocks: Option<Vec<RowSetting>> = blocks.clone().map(|block| cx.recall(block.into()).map(|setting| *setting)).collect();
+        let of_blocks: Option<Vec<RowSetting>> = blocks.clone().map(|block| host.recall(block)).collect();
         Some(Settings { first_block: blocks.start, of_blocks: of_blocks? })
     }
 
     /// The same as [`Settings::choose`], but what was chosen once is for all bands of the task.
     pub fn choose_once(
-        params: &Params,
+        params: &SolveOptions,
         model: &Model,
         recorded: &Recorded<'_>,
         rows: Rows,
         given: Option<&KnownOfRows>,
-        cx: &Context,
+        host: &dyn Host,
     ) -> Result<Settings, NodeError> {
-        if let Some(settings) = Settings::chosen(rows, cx) {
+        if let Some(settings) = Settings::chosen(rows, host) {
             return Ok(settings);
         }
         let settings = Settings::choose(params, model, recorded, rows, given)?;
-        settings.keep(cx);
+        settings.keep(host);
         Ok(settings)
     }
 
     /// Chooses the settings of `rows` for all bands of the task, where pixels are solved alone: `take` takes in one row after the other, so that a block need not be at hand at once.
     pub fn choose_row_by_row(
-        params: &Params,
+        params: &SolveOptions,
         model: &Model,
         meta: &TracksMeta,
         rows: Rows,
-        cx: &Context,
+        host: &dyn Host,
         mut take: impl FnMut(&mut RowData, u32) -> Result<(), NodeError>,
     ) -> Result<(), NodeError> {
         let blocks = Settings::numbers(rows);
         let of_block = |block: u32| choose(params, model, meta, rows_of(block, meta), &mut take, None);
         let settings = Settings { first_block: blocks.start, of_blocks: blocks.map(of_block).collect::<Result<_, NodeError>>()? };
-        settings.keep(cx);
+        settings.keep(host);
         Ok(())
     }
 
     /// For the bands to come.
-    fn keep(&self, cx: &Context) {
-        (self.first_block..).zip(&self.of_blocks).for_each(|(block, setting)| cx.keep(block.into(), *setting));
+    fn keep(&self, host: &dyn Host) {
+        (self.first_block..).zip(&self.of_blocks).for_each(|(block, setting)| host.keep(block, *setting));
     }
 
     /// Chooses the settings of `rows`, with what is known of their events from neighbours, if that is the case. What is at hand includes their blocks.
-    pub fn choose(params: &Params, model: &Model, recorded: &Recorded<'_>, rows: Rows, given: Option<&KnownOfRows>) -> Result<Settings, NodeError> {
+    pub fn choose(params: &SolveOptions, model: &Model, recorded: &Recorded<'_>, rows: Rows, given: Option<&KnownOfRows>) -> Result<Settings, NodeError> {
         let blocks = Settings::numbers(rows);
         let first_block = blocks.start;
         let of_block = |block: u32| {
@@ -110,14 +112,14 @@ fn rows_of(block: u32, meta: &TracksMeta) -> Rows {
 }
 
 fn choose(
-    params: &Params,
+    params: &SolveOptions,
     model: &Model,
     meta: &TracksMeta,
     rows: Rows,
     take: &mut impl FnMut(&mut RowData, u32) -> Result<(), NodeError>,
     given: Option<&KnownOfRows>,
 ) -> Result<RowSetting, NodeError> {
-    let decisions = params.decisions();
+    let decisions = params.decisions;
     let per_row = (decisions.pixels as usize).div_ceil(rows.len());
     let mut data = RowData::default();
     let mut unexplained = Unexplained::default();
@@ -151,19 +153,19 @@ fn choose(
         let choice = estimate::choose(problems, params.event_noise, &decisions.choosing(), &options, group);
         let options = MapOptions { prior: choice.prior, ..options };
         let problems: Vec<_> = problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
-        let sigma_factor = if params.sigma() { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, group)) } else { 1.0 };
+        let sigma_factor = if params.sigma { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, group)) } else { 1.0 };
         RowSetting { span, noise: choice.noise, options, frame_dn, sigma_factor }
     }))
 }
 
 /// How many events of a pixel are not alone.
-pub(crate) fn events_in_company(data: &RowData, x: usize) -> usize {
+pub fn events_in_company(data: &RowData, x: usize) -> usize {
     data.events_of(x).iter().filter(|event| !event.is_lone).count()
 }
 
 /// What frames differ by without an event.
 #[derive(Default)]
-pub(crate) struct Unexplained {
+pub struct Unexplained {
     differences: Vec<frame_noise::Difference>,
     possible: usize,
 }
@@ -183,7 +185,7 @@ impl Unexplained {
 }
 
 /// Pixels that settings are tried on, cut out of the recording.
-pub(crate) struct Sample {
+pub struct Sample {
     pixels: Vec<(Vec<MapEvent>, Vec<MapFrame>)>,
     /// Where their event pixels are, and events with stamps as recorded.
     recorded: Vec<(Site, Vec<MapEvent>)>,
@@ -195,13 +197,13 @@ pub(crate) struct Sample {
 
 impl Sample {
     /// Of no pixel yet.
-    pub fn new(params: &Params, span: (i64, i64)) -> Sample {
-        let max_iterations = usize::min(params.max_iterations as usize, MAP_STEPS);
+    pub fn new(params: &SolveOptions, span: (i64, i64)) -> Sample {
+        let max_iterations = params.max_iterations.min(STEPS) as usize;
         let options = MapOptions {
-            spacing_ns: params.knot_spacing().ns(),
+            spacing_ns: params.knot_spacing.ns(),
             max_iterations,
-            with_sigma: params.sigma(),
-            second: Some(params.decisions().second()),
+            with_sigma: params.sigma,
+            second: Some(params.decisions.second()),
             ..MapOptions::default()
         };
         Sample { pixels: Vec::new(), recorded: Vec::new(), span, options }

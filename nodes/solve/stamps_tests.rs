@@ -1,11 +1,15 @@
-//! Claims about `method = "map"` on recordings that lack something: in-pixel stamps, fine stamps, some events, a frame.
+//! Claims about `solve/map` on recordings that lack something: in-pixel stamps, fine stamps, some events, a frame.
 
+use super::map::SolveMap;
 use super::*;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::Duration;
-use photocurrent_core::{Extent, testing};
+use photocurrent_core::sensor::Reset;
+use photocurrent_core::{EventsMeta, Exposure, Extent, Node, TrackBand, testing};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
+use photocurrent_sensor::front_end::FrontEnd;
+use photocurrent_solve::SolveOptions;
 
 const EXTENT: Extent = Extent { width: 6, height: 4 };
 const END_NS: i64 = 44_000_000;
@@ -81,7 +85,7 @@ fn solve(events: Vec<Event>, frames: &FrameSequence, latency_min: Option<i64>) -
 }
 
 fn solve_stream(events: EventStream, frames: &FrameSequence, latency_min: Option<i64>) -> TrackBand {
-    let node = SolvePixel { params: Params { method: Method::Map, ..Params::default() } };
+    let node = SolveMap::build(SolveOptions::default()).unwrap();
     let input = In { events, frames: frames.clone(), sensor: sensor(latency_min) };
     let out = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx)).0.unwrap();
     out.tracks.read(EXTENT.rows()).unwrap()

@@ -1,14 +1,17 @@
 //! Claims about the node, on small streams.
 
-use super::paper::windows;
+use super::map::SolveMap;
+use super::paper::SolvePaper;
 use super::*;
 use crate::baseline::edi::{self, BaselineEdi};
 use crate::render::rows::{self, RenderRows};
 use crate::sampling::Sampling;
 use photocurrent_core::events::{Event, Polarity};
+use photocurrent_core::handle::Band;
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
-use photocurrent_core::{Extent, Rows, testing};
+use photocurrent_core::{Between, EventsMeta, Exposure, Extent, FramesMeta, Node, NodeError, Rows, testing};
+use photocurrent_solve::{FrontEndModel, Model, PLANES, PaperOptions, Precision, ReadoutModel, SolveOptions};
 
 pub(super) fn sensor() -> Arc<Sensor> {
     let mut sensor = Sensor::unknown("test");
@@ -22,20 +25,42 @@ pub(super) fn sensor() -> Arc<Sensor> {
     Arc::new(sensor)
 }
 
-fn solve(params: Params, events: EventStream, frames: FrameSequence, rows: Rows) -> (Out, Vec<String>) {
-    let node = SolvePixel { params };
-    let (out, notes) = testing::with_context(rows, &["tracks", "map"], |cx| node.run(In { events, frames, sensor: sensor() }, cx));
+/// One of the kinds.
+#[derive(Clone, Copy)]
+pub(super) enum Way {
+    Map(SolveOptions),
+    Paper(PaperOptions),
+}
+
+impl Way {
+    pub(super) fn run(self, input: In, cx: &Context) -> Result<Out, NodeError> {
+        match self {
+            Way::Map(options) => SolveMap::build(options)?.run(input, cx),
+            Way::Paper(options) => SolvePaper::build(options)?.run(input, cx),
+        }
+    }
+
+    pub(super) fn is_map(self) -> bool {
+        matches!(self, Way::Map(_))
+    }
+}
+
+fn solve(way: Way, events: EventStream, frames: FrameSequence, rows: Rows) -> (Out, Vec<String>) {
+    let (out, notes) = testing::with_context(rows, &["tracks", "map"], |cx| way.run(In { events, frames, sensor: sensor() }, cx));
     (out.unwrap(), notes)
 }
 
 /// The paper's cost, everything else as it is by default.
-pub(super) fn paper() -> Params {
-    Params { method: Method::Paper, ..Params::default() }
+pub(super) fn paper() -> Way {
+    Way::Paper(PaperOptions::default())
 }
 
-fn ideal() -> Params {
-    Params { front_end: FrontEndModel::Ideal, readout: Some(ReadoutModel::None), ..paper() }
+fn ideal() -> PaperOptions {
+    PaperOptions { front_end: FrontEndModel::Ideal, readout: ReadoutModel::None, ..PaperOptions::default() }
 }
+
+/// Where `implausible` stands among the planes.
+const IMPLAUSIBLE: usize = PLANES.len() - 1;
 
 const EXTENT: Extent = Extent { width: 5, height: 4 };
 
@@ -71,7 +96,7 @@ fn frames(count: i64) -> FrameSequence {
 fn with_an_ideal_sensor_and_one_frame_it_is_the_double_integral() {
     let (events, frames) = (walk(EXTENT, 6_000_000), frames(1));
     let sampling = Sampling { rate: Rate::new(5000.0), ..Sampling::default() };
-    let (solved, _) = solve(ideal(), events.clone(), frames.clone(), EXTENT.rows());
+    let (solved, _) = solve(Way::Paper(ideal()), events.clone(), frames.clone(), EXTENT.rows());
     let render = RenderRows::build(rows::Params { sampling: sampling.clone(), ..rows::Params::default() }).unwrap();
     let ours = testing::with_context(EXTENT.rows(), &["frames"], |cx| render.run(rows::In { tracks: solved.tracks, sensor: sensor(), at: None }, cx))
         .0
@@ -97,8 +122,8 @@ fn rows_are_solved_alike_whatever_the_band() {
     }
 }
 
-fn most_probable() -> Params {
-    Params { method: Method::Map, ..Params::default() }
+fn most_probable() -> Way {
+    Way::Map(SolveOptions::default())
 }
 
 #[test]
@@ -126,7 +151,7 @@ fn bands_of_a_task_share_what_suits_their_block_and_a_row_its_pixels() {
     });
     let whole = solve(most_probable(), events.clone(), frames.clone(), extent.rows()).0;
     let (tracks, map) = (whole.tracks.read(extent.rows()).unwrap(), whole.map.read(extent.rows()).unwrap());
-    let (node, common) = (SolvePixel { params: most_probable() }, Common::default());
+    let (node, common) = (most_probable(), Common::default());
     let (wanted, cancel, notes) = (["tracks".into(), "map".into()].into(), false.into(), Notes::default());
     let band = |rows: Rows, around: u32| {
         let at_hand = rows.with_halo(around, extent.rows());
@@ -161,7 +186,7 @@ fn the_map_estimate_reads_like_the_frames_and_moves_like_the_events() {
     let frames = testing::captured(EXTENT, exposures(2), 0, |l, _, _| if l == 0 { 600.0 } else { 1335.3 });
     let mut bright = (*sensor()).clone();
     (bright.front_end.alpha, bright.frames.saturation_dn) = (Some(Duration::new(0)), None);
-    let node = SolvePixel { params: most_probable() };
+    let node = most_probable();
     let input = In { events: testing::stream(EXTENT, events), frames: frames.clone(), sensor: Arc::new(bright) };
     let (solved, notes) = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| node.run(input, cx));
     assert!(notes.is_empty(), "{notes:?}");
@@ -186,7 +211,7 @@ fn the_map_estimate_reads_like_the_frames_and_moves_like_the_events() {
 #[test]
 fn compensated_steps_are_refused_where_the_readout_is_undone_anyway() {
     let events = EventsMeta { has_step: true, ..(*walk(EXTENT, 1_000_000).meta).clone() };
-    let error = SolvePixel { params: most_probable() }.model(&sensor(), &events).err().unwrap();
+    let error = Model::of_map(&SolveOptions::default(), &sensor(), &events).err().unwrap();
     assert!(error.message.contains("compensated steps"), "{}", error.message);
 }
 
@@ -234,8 +259,8 @@ fn residuals_of_events_and_frames_are_mapped_apart() {
     let step = |x: u16, y: u16, k: i64| Event { x, y, polarity: Polarity::from_bit((k % 2) as u8), t: k * 1_300_000 + 20_000, t_in: Some(k * 1_300_000) };
     let events: Vec<Event> = (0..4).flat_map(|y| (1..5).flat_map(move |x| (1..10).map(move |k| step(x, y, k)))).collect();
     let frames = testing::captured(EXTENT, exposures(2), 0, |_, x, _| if x == 4 { f32::NAN } else { 200.0 });
-    for params in [paper(), Params { precision: Some(Precision::Double), ..paper() }, most_probable()] {
-        let (solved, _) = solve(params, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
+    for way in [paper(), Way::Paper(PaperOptions { precision: Precision::Double, ..PaperOptions::default() }), most_probable()] {
+        let (solved, _) = solve(way, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
         let map = solved.map.read(EXTENT.rows()).unwrap();
         assert_eq!(solved.map.meta.planes[3..5], ["event_residual", "frame_residual"]);
         for y in EXTENT.rows().iter() {
@@ -250,8 +275,8 @@ fn residuals_of_events_and_frames_are_mapped_apart() {
 fn weights_four_times_as_large_double_the_residuals() {
     // Both weights together move no minimum.
     let residuals = |weight: f64| {
-        let params = Params { precision: Some(Precision::Double), cis_weight: Some(weight), evs_weight: Some(weight), ..paper() };
-        let map = solve(params, walk(EXTENT, 14_000_000), frames(3), EXTENT.rows()).0.map.read(EXTENT.rows()).unwrap();
+        let way = Way::Paper(PaperOptions { precision: Precision::Double, cis_weight: weight, evs_weight: weight, ..PaperOptions::default() });
+        let map = solve(way, walk(EXTENT, 14_000_000), frames(3), EXTENT.rows()).0.map.read(EXTENT.rows()).unwrap();
         EXTENT.rows().iter().flat_map(|y| [map.row(3, y).to_vec(), map.row(4, y).to_vec()]).flatten().collect::<Vec<f32>>()
     };
     let (once, four) = (residuals(1.0), residuals(4.0));
@@ -267,18 +292,9 @@ fn a_recording_without_events_holds_the_light_of_each_pair() {
 }
 
 #[test]
-fn windows_answer_for_every_instant_once() {
-    let meta = SolvePixel { params: paper() }.tracks_meta(&walk(EXTENT, 30_000_000).meta, &frames(4).meta).unwrap();
-    let windows = windows(Joint::Pairs, &exposures(4), &meta);
-    assert_eq!(windows.len(), 3);
-    assert!(windows.windows(2).all(|w| w[0].counts_until == w[1].start && w[0].end > w[1].start));
-    assert_eq!(windows[2].end, windows[2].counts_until);
-}
-
-#[test]
 fn no_frame_at_all_is_refused_with_the_reason() {
     let none = FramesMeta { times: photocurrent_core::FrameTimes::new(vec![], 0).unwrap(), ..(*frames(1).meta).clone() };
-    let error = SolvePixel { params: paper() }.tracks_meta(&walk(EXTENT, 1_000_000).meta, &none).unwrap_err();
+    let error = PaperOptions::default().tracks_meta(&walk(EXTENT, 1_000_000).meta, &none).unwrap_err();
     assert_eq!(error.message, "there is no frame, and events alone leave the photocurrent's level open");
 }
 
@@ -295,8 +311,14 @@ fn light_that_no_frame_comes_near_is_held_and_marked() {
     let events: Vec<Event> = burst(0, 25, 20).chain(burst(1, 12, 10)).chain(burst(2, 25, 20)).collect();
     // 100 DN in 1 ms, at 1000 DN per photocurrent and second.
     let (brightest, most) = (100.0, 100.0 * libm::exp(3.0));
-    for params in [Params { evs_weight: Some(1e6), ..ideal() }, Params { front_end: FrontEndModel::Ideal, ..most_probable() }] {
-        let (solved, notes) = solve(params.clone(), testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
+    let map = SolveOptions { front_end: FrontEndModel::Ideal, ..SolveOptions::default() };
+    let paper = PaperOptions { evs_weight: 1e6, ..ideal() };
+    let ways = [
+        (Way::Paper(paper), Way::Paper(PaperOptions { plausible_range: 6.0, ..paper })),
+        (Way::Map(map), Way::Map(SolveOptions { plausible_range: 6.0, ..map })),
+    ];
+    for (way, wider) in ways {
+        let (solved, notes) = solve(way, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
         let (tracks, map) = (solved.tracks.read(EXTENT.rows()).unwrap(), solved.map.read(EXTENT.rows()).unwrap());
         let top = |y: u32| tracks.pixel(2, y).photocurrent.iter().fold(0.0, |most, i| f64::max(most, (*i).into()));
         assert_eq!(solved.map.meta.planes[IMPLAUSIBLE], "implausible");
@@ -310,7 +332,6 @@ fn light_that_no_frame_comes_near_is_held_and_marked() {
         let note = notes.iter().find(|note| note.contains("`plausible_range` = 3")).unwrap_or_else(|| panic!("{notes:?}"));
         assert!(note.starts_with("2 pixels get brighter than their brightest frame by more than a factor of 20 "), "{note}");
         // With a wider range they are left alone.
-        let wider = Params { plausible_range: 6.0, ..params };
         let (solved, notes) = solve(wider, testing::stream(EXTENT, events.clone()), frames.clone(), EXTENT.rows());
         let top = solved.tracks.read(EXTENT.rows()).unwrap().pixel(2, 0).photocurrent.iter().fold(0.0, |most, i| f64::max(most, (*i).into()));
         assert!((libm::log(top / brightest) - 5.0).abs() < 0.1 && !notes.iter().any(|note| note.contains("plausible")), "{top} {notes:?}");

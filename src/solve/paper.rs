@@ -1,11 +1,13 @@
-//! `method = "paper"`: a row of pixels cut into windows of frames, each a problem of Eq. (13), and their solutions put together.
+//! Eq. (13): a row of pixels cut into windows of frames, each a problem of Eq. (13), and their solutions put together.
 //!
 //! All problems of a row are gathered first. In single precision those with equally many frames are then solved sixteen at a time, shortest first, so that the
 //! pixels of a group need about the same time; what the group hands back, and what has no steps at all, is solved one by one in double precision.
 
-use super::plausible::Plausible;
-use super::shares::{RowShares, Share};
-use super::{FirstKnot, Joint, Model, Params, Precision, ReadoutModel, Status, TauChoice, map_meta, planes};
+use crate::model::Model;
+use crate::options::{FirstKnot, Joint, PaperOptions, Precision, ReadoutModel, TauChoice};
+use crate::plausible::Plausible;
+use crate::shares::{RowShares, Share};
+use crate::status::{Status, map_meta, planes};
 use photocurrent_core::events::{EventRow, PixelIndex};
 use photocurrent_core::{Exposure, FrameBlock, MapBand, NodeError, Rows, TrackBand, TracksMeta};
 use photocurrent_sensor::front_end::TauRule;
@@ -17,7 +19,7 @@ use std::ops::Range;
 
 /// Solves the pixels of a row; keeps its memory from row to row.
 #[derive(Default)]
-pub(super) struct RowSolver {
+pub(crate) struct RowSolver {
     workspace: Workspace,
     group: LaneGroup,
     event_t: Vec<i64>,
@@ -46,9 +48,9 @@ struct Problem {
 }
 
 impl RowSolver {
-    pub fn row(
+    pub(crate) fn row(
         &mut self,
-        params: &Params,
+        params: &PaperOptions,
         model: &Model,
         meta: &TracksMeta,
         row: u32,
@@ -58,7 +60,7 @@ impl RowSolver {
         shares: &RowShares,
     ) -> Result<(TrackBand, MapBand), NodeError> {
         let index = events.by_pixel(meta.extent.width);
-        let windows = windows(params.frames.unwrap_or_default(), exposures, meta);
+        let windows = windows(params.frames, exposures, meta);
         self.t_s.clear();
         self.steps.clear();
         self.samples.clear();
@@ -102,13 +104,13 @@ impl RowSolver {
     }
 
     /// The pixel's events as times and steps; compensated ones when asked.
-    fn take_events(&mut self, params: &Params, model: &Model, events: &EventRow, index: &PixelIndex, x: usize) {
+    fn take_events(&mut self, params: &PaperOptions, model: &Model, events: &EventRow, index: &PixelIndex, x: usize) {
         self.event_t.clear();
         self.event_step.clear();
         let mut before: Option<usize> = None;
         for &k in index.pixel(x) {
             let (t, plain) = (model.rule.time(events, k), model.rule.step(events, k));
-            let step = match (params.readout(), before) {
+            let step = match (params.readout, before) {
                 (ReadoutModel::Slope, Some(before)) => {
                     let since = |t: i64| (t - model.rule.time(events, before)) as f64 * 1e-9;
                     compensated_step(plain, 0.0, since(events.t[before] - model.rule.shift_ns), since(t), model.refractory_s)
@@ -128,7 +130,7 @@ impl RowSolver {
     }
 
     /// Appends the problem of one window of the pixel whose events were taken.
-    fn take_window(&mut self, params: &Params, model: &Model, window: &Window, exposures: &[Exposure], share: Share, dn: impl Fn(usize) -> f32) {
+    fn take_window(&mut self, params: &PaperOptions, model: &Model, window: &Window, exposures: &[Exposure], share: Share, dn: impl Fn(usize) -> f32) {
         let seconds = |t: i64| (t - window.start) as f64 * 1e-9;
         let (first_sample, first_at) = (self.samples.len(), self.t_s.len());
         let mut status = Status::Converged;
@@ -136,7 +138,7 @@ impl RowSolver {
             start_s: seconds(exposures[l].start.0),
             end_s: seconds(exposures[l].end.0),
             dn: share.dn(dn, model.sensor.number.black_level),
-            weight: share.weight(params.weights().0),
+            weight: share.weight(params.cis_weight),
         };
         let known = || window.frames.clone().map(|l| (l, f64::from(dn(l)))).filter(|(_, dn)| dn.is_finite());
         self.samples.extend(known().filter(|(_, dn)| *dn < model.sensor.saturation_dn).map(|(l, dn)| sample(l, dn)));
@@ -148,7 +150,7 @@ impl RowSolver {
             status = Status::NoFrame;
         }
         let inside = self.event_t.partition_point(|&t| t < window.start)..self.event_t.partition_point(|&t| t < window.end);
-        let first_knot = params.first_knot.unwrap_or_default() == FirstKnot::Window || inside.is_empty();
+        let first_knot = params.first_knot == FirstKnot::Window || inside.is_empty();
         if first_knot {
             self.t_s.push(0.0);
             self.steps.push(0.0);
@@ -165,8 +167,8 @@ impl RowSolver {
     }
 
     /// Solves all problems of the row.
-    fn solve(&mut self, params: &Params, model: &Model) -> Result<(), NodeError> {
-        let tau_rule = match params.tau_rule.unwrap_or_default() {
+    fn solve(&mut self, params: &PaperOptions, model: &Model) -> Result<(), NodeError> {
+        let tau_rule = match params.tau_rule {
             TauChoice::Start => TauRule::Start,
             TauChoice::End => TauRule::End,
         };
@@ -175,7 +177,7 @@ impl RowSolver {
             t_s: &self.t_s[problem.knots.clone()],
             steps: &self.steps[problem.knots.clone()],
             frames: &self.samples[problem.samples.clone()],
-            evs_weight: params.weights().1,
+            evs_weight: params.evs_weight,
             front_end: model.sensor.pixel.front_end,
             tau_rule,
             black_level: model.sensor.number.black_level,
@@ -186,7 +188,7 @@ impl RowSolver {
         self.order.clear();
         self.order.extend((0..self.problems.len()).filter(|n| self.problems[*n].status != Status::NoFrame));
         // By frames, then by knots; what the lanes do not take comes last.
-        let takes = |problem: &Problem| params.precision.unwrap_or_default() == Precision::Single && problem.knots.len() > 1;
+        let takes = |problem: &Problem| params.precision == Precision::Single && problem.knots.len() > 1;
         self.order.sort_by_key(|n| {
             let problem = &self.problems[*n];
             (!takes(problem), problem.samples.len(), problem.knots.len())
@@ -231,7 +233,7 @@ impl RowSolver {
 
 /// One problem's share of the recording, for one row.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Window {
+pub(crate) struct Window {
     pub frames: Range<usize>,
     /// First instant whose events count, ns; the first knot.
     pub start: i64,
@@ -241,7 +243,7 @@ pub(super) struct Window {
     pub counts_until: i64,
 }
 
-pub(super) fn windows(joint: Joint, exposures: &[Exposure], meta: &TracksMeta) -> Vec<Window> {
+pub(crate) fn windows(joint: Joint, exposures: &[Exposure], meta: &TracksMeta) -> Vec<Window> {
     let frames = exposures.len();
     let span = (meta.span.start.0.min(exposures[0].start.0), meta.span.end.0.max(exposures[frames - 1].end.0));
     if joint == Joint::All || frames <= 2 {
@@ -256,4 +258,28 @@ pub(super) fn windows(joint: Joint, exposures: &[Exposure], meta: &TracksMeta) -
             counts_until: if l == last { span.1 } else { exposures[l + 1].start.0 },
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use photocurrent_core::{Between, Colour, Extent, TimeSpan};
+
+    #[test]
+    fn windows_answer_for_every_instant_once() {
+        let exposures: Vec<Exposure> = (0..4).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 6_000_000)).collect();
+        let meta = TracksMeta {
+            extent: Extent { width: 5, height: 4 },
+            colour: Colour::Mono,
+            has_sigma: false,
+            span: TimeSpan::new(0, 30_000_000),
+            nominal_exposure_ns: 6_000_000,
+            between: Between::Hold,
+            count_hint: None,
+        };
+        let windows = windows(Joint::Pairs, &exposures, &meta);
+        assert_eq!(windows.len(), 3);
+        assert!(windows.windows(2).all(|w| w[0].counts_until == w[1].start && w[0].end > w[1].start));
+        assert_eq!(windows[2].end, windows[2].counts_until);
+    }
 }

@@ -1,9 +1,10 @@
-//! `method = "map"`: a row of pixels cut out of the recording, and their MAP estimates put together.
+//! The MAP estimate: a row of pixels cut out of the recording, and their MAP estimates put together.
 
-use super::neighbours::KnownOfRows;
-use super::plausible::Plausible;
-use super::row::{Recorded, RowData};
-use super::{Model, PLANES, Status, map_meta, planes};
+use crate::model::Model;
+use crate::neighbours::KnownOfRows;
+use crate::plausible::Plausible;
+use crate::row::{Recorded, RowData};
+use crate::status::{PLANES, Status, map_meta, planes};
 use photocurrent_core::{MapBand, NodeError, Rows, TrackBand, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::estimate::Miss;
@@ -15,11 +16,11 @@ use rayon::prelude::*;
 use std::sync::{Mutex, PoisonError};
 
 /// Frame values are not assumed to better than this, DN: simulated frames can be free of noise, and a misfit would then count without limit.
-pub(super) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
+pub(crate) const LEAST_FRAME_SIGMA_DN: f64 = 1.0;
 /// So many pixels of a row are looked at to estimate the noise of its events.
 const SAMPLED_PIXELS: usize = 16;
 /// How far voltage and reference may be apart beyond a threshold without an event, natural-log units.
-const NO_EVENT_SIGMA: f64 = 0.03;
+pub(crate) const NO_EVENT_SIGMA: f64 = 0.03;
 /// A knot is left away where the line between its neighbours misses it by less than this, natural-log units.
 const THINNED_TO: f64 = 2e-4;
 /// The same of the logarithm of its standard deviation.
@@ -35,12 +36,12 @@ pub(crate) struct FrameNoise {
 }
 
 impl FrameNoise {
-    pub fn new(sensor: &photocurrent_sensor::model::Model, share: f64) -> FrameNoise {
+    pub(crate) fn new(sensor: &photocurrent_sensor::model::Model, share: f64) -> FrameNoise {
         FrameNoise { read_dn: sensor.read_noise_dn, dn_per_electron: sensor.dn_per_electron, share }
     }
 
     /// Standard deviation of a value, `signal` DN above black, when `more_dn` is not stated.
-    pub fn sigma_dn(&self, signal: f64, more_dn: f64) -> f64 {
+    pub(crate) fn sigma_dn(&self, signal: f64, more_dn: f64) -> f64 {
         let signal = f64::max(signal, 0.0);
         let share = self.share * signal;
         let read = self.read_dn * self.read_dn + LEAST_FRAME_SIGMA_DN * LEAST_FRAME_SIGMA_DN + more_dn * more_dn;
@@ -50,10 +51,12 @@ impl FrameNoise {
 
 /// How the pixels of a row are solved.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct RowSetting {
+pub struct RowSetting {
     /// First and last instant, ns.
     pub span: (i64, i64),
+    /// How noisy its events are.
     pub noise: Noise,
+    /// Prior, knots, steps.
     pub options: MapOptions,
     /// Standard deviation of frame values that the description does not explain, DN.
     pub frame_dn: f64,
@@ -63,7 +66,7 @@ pub(crate) struct RowSetting {
 
 /// Solves the pixels of a row; keeps its memory from row to row.
 #[derive(Default)]
-pub(crate) struct RowSolver {
+pub struct RowSolver {
     group: MapGroup,
     taken: Taken,
     part: Part,
@@ -124,7 +127,7 @@ impl Part {
 
 /// A row that was taken in.
 #[derive(Default)]
-pub(crate) struct Taken {
+pub struct Taken {
     data: RowData,
     /// What is known of the events of every pixel; empty = to be worked out from each alone.
     given: Vec<Known>,
@@ -139,7 +142,7 @@ impl Taken {
 
 /// Estimates of the pixels of a row.
 #[derive(Default)]
-pub(crate) struct RowLight {
+pub struct RowLight {
     t_ns: Vec<i64>,
     log: Vec<f64>,
     of: Vec<std::ops::Range<usize>>,
@@ -332,7 +335,7 @@ fn known_of(model: &Model, tasks: &[MapTask<'_>], lit: &[usize], data: &RowData,
 
 /// What effects did to the events of each problem ([`photocurrent_sensor::undo::Undo::at_light`]), at the light that solves it: found in rounds, each with what the one before found.
 /// Empty where no effect is to be undone. `recorded`: the pixels, and their events with stamps as recorded.
-pub(super) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[MapEvent])], group: &mut MapGroup) -> Vec<Known> {
+pub(crate) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[MapEvent])], group: &mut MapGroup) -> Vec<Known> {
     if !model.undo.needs_light() {
         return Vec::new();
     }
@@ -356,7 +359,7 @@ pub(super) fn known(model: &Model, tasks: &[MapTask<'_>], recorded: &[(Site, &[M
 }
 
 /// The problems with what is known of their events.
-pub(super) fn with_known<'a>(tasks: &[MapTask<'a>], known: &'a [Known]) -> Vec<MapTask<'a>> {
+pub(crate) fn with_known<'a>(tasks: &[MapTask<'a>], known: &'a [Known]) -> Vec<MapTask<'a>> {
     let of = |(n, task): (usize, &MapTask<'a>)| {
         let problem = known.get(n).map_or(task.problem, |known| {
             let no_event_sigma = match task.problem.no_event_sigma {
@@ -371,7 +374,7 @@ pub(super) fn with_known<'a>(tasks: &[MapTask<'a>], known: &'a [Known]) -> Vec<M
 }
 
 /// The problem of a pixel.
-pub(super) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], span: (i64, i64), noise: Noise) -> MapProblem<'a> {
+pub(crate) fn problem<'a>(model: &Model, events: &'a [MapEvent], frames: &'a [MapFrame], span: (i64, i64), noise: Noise) -> MapProblem<'a> {
     MapProblem {
         events,
         frames,

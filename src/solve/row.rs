@@ -1,9 +1,9 @@
 //! What the pixels of a row measured, as the MAP estimate needs it: events in order of time, frame values with their noise.
 
-use super::Model;
-use super::plausible::Plausible;
-use super::shares::{Colours, RowShares};
 use crate::co_located::{CoLocated, CoLocatedEvents};
+use crate::model::Model;
+use crate::plausible::Plausible;
+use crate::shares::{Colours, RowShares};
 use photocurrent_core::{Exposure, FrameBlock, FrameTimes, NodeError, Rows, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::{MapEvent, MapFrame};
@@ -13,20 +13,24 @@ const LONE_NS: i64 = 3_000_000;
 
 /// The rows of a recording that are at hand.
 #[derive(Clone, Copy)]
-pub(crate) struct Recorded<'a> {
+pub struct Recorded<'a> {
     /// As wide as a row has values; a pixel is a value here.
     pub meta: &'a TracksMeta,
+    /// Exposures.
     pub times: &'a FrameTimes,
+    /// How frames lie on events.
     pub colours: &'a Colours,
     /// The rows whose events are at hand.
     pub rows: Rows,
+    /// Events of these rows.
     pub events: &'a CoLocatedEvents,
+    /// Frame values of these rows and the rest of their blocks.
     pub frames: &'a FrameBlock,
 }
 
 /// The measurements of a row, pixel by pixel: frame values, and the events of the event pixels that see it. Kept from row to row for its memory.
 #[derive(Default)]
-pub(crate) struct RowData {
+pub struct RowData {
     events: Events,
     above: Events,
     below: Events,
@@ -113,7 +117,7 @@ impl RowData {
     }
 
     /// How bright value x may get.
-    pub fn plausible(&self, x: usize) -> Plausible {
+    pub(crate) fn plausible(&self, x: usize) -> Plausible {
         self.plausible[x]
     }
 

@@ -49,7 +49,7 @@ impl CoLocated {
             return Ok(());
         }
         Err(NodeError::usage(format!("{who} works on grey frames of the events' pixels, and these are {}", self.describe()))
-            .hint("solve/pixel, baseline/edi, baseline/cf and baseline/repeat take colour and more pixels"))
+            .hint("solve/map, solve/paper, baseline/edi, baseline/cf and baseline/repeat take colour and more pixels"))
     }
 
     fn describe(&self) -> String {

@@ -8,12 +8,12 @@
 //!
 //! Where colours do not stay, the ratio does not: an event's step is then right for the mixture and wrong for the value. How wrong on average is known from the
 //! frames, as the changes of `ln r` from frame to frame: spread over the pixel's events, they are the standard deviation by which a step may be off
-//! ([`RowShares::unrest`]). `method = "map"` trusts events and the no-event constraint that much less.
+//! ([`RowShares::unrest`]). The MAP estimate trusts events and the no-event constraint that much less.
 //!
 //! Limits: the ratio follows colours from problem to problem, not inside one; blur hides changes that a frame averages out. Neither `r` nor `g` changes what a pixel alone on its event pixel means: it is 1.
 
-use super::Model;
 use crate::co_located::{CoLocated, channel_gains, event_weights, gain_of};
+use crate::model::Model;
 use photocurrent_core::{FrameBlock, NodeError, Rows, Sensor};
 use photocurrent_sensor::pooling::block_weights;
 use std::ops::Range;
@@ -22,13 +22,18 @@ use std::ops::Range;
 const RATIO_LIMIT: f64 = 64.0;
 
 /// How frames lie on events, and what the sensor says of colour.
-pub(crate) struct Colours {
+pub struct Colours {
+    /// How frames lie on events.
     pub lie: CoLocated,
     gains: [f64; 3],
     seen: Option<[f64; 3]>,
 }
 
 impl Colours {
+    /// Of a recording with this description.
+    ///
+    /// # Errors
+    /// When the description's channel gains or event weights make no sense.
     pub fn new(lie: CoLocated, sensor: &Sensor) -> Result<Colours, NodeError> {
         Ok(Colours { lie, gains: channel_gains(sensor)?, seen: event_weights(sensor)? })
     }
@@ -69,7 +74,7 @@ impl Colours {
 
 /// The shares of one row.
 #[derive(Default)]
-pub(crate) struct RowShares {
+pub struct RowShares {
     /// Of each value; empty when there is one value for each event pixel, and no colour.
     gain: Vec<f64>,
     /// What a value collected in a frame, in units of gain: [frame][value]. Empty when every value has an event pixel to itself.
@@ -80,7 +85,7 @@ pub(crate) struct RowShares {
 
 /// How one value's problem is posed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Share {
+pub struct Share {
     /// Light of the value over light of the event pixel.
     pub ratio: f64,
     /// The same times the channel's gain.

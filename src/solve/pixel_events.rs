@@ -112,6 +112,25 @@ pub fn left_out(sensor: &Sensor) -> Option<String> {
     (!left.is_empty()).then(|| format!("stated in the sensor description \"{}\" but not modelled here: {}", sensor.name, left.join(", ")))
 }
 
+/// Refuses events that cannot be compensated.
+///
+/// # Errors
+/// When in-pixel times are missing or steps are there already. `who` is the asker, `without` says how to do without.
+pub fn check_events(events: &EventsMeta, who: &str, without: &str) -> Result<(), NodeError> {
+    if events.has_step {
+        return Err(
+            NodeError::usage(format!("{who} compensates the readout itself, and `events` were compensated before")).hint("connect the events as recorded")
+        );
+    }
+    // Without any event there is nothing to compensate, and no stamp to miss.
+    if !events.has_t_in && events.span.is_some() {
+        return Err(NodeError::usage(format!("{who} needs in-pixel times, and `events` has only off-pixel times"))
+            .note("each event has one stamp, the off-pixel one")
+            .hint(without));
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,19 +1,23 @@
 //! Claims about frames with colours or more pixels than the events: what must come out as of grey frames, by algebra.
 
-use super::tests::{exposures, paper, sensor, walk};
+use super::paper::SolvePaper;
+use super::tests::{Way, exposures, paper, sensor, walk};
 use super::*;
 use crate::baseline::edi::{self, BaselineEdi};
 use crate::render::rows::{self, RenderRows};
 use crate::sampling::Sampling;
+use photocurrent_core::handle::Band;
 use photocurrent_core::quantity::Rate;
 use photocurrent_core::random::Random;
-use photocurrent_core::{Extent, Rows, testing};
+use photocurrent_core::{Colour, Extent, FramesMeta, Grain, Meta, Node, PortMetas, Rows, testing};
+use photocurrent_solve::co_located::values_of;
+use photocurrent_solve::{FrontEndModel, PaperOptions, Precision, SolveOptions};
 
 const EVENTS: Extent = Extent { width: 3, height: 2 };
 
-fn solve(params: Params, events: &EventStream, frames: &FrameSequence, sensor: Arc<Sensor>) -> Out {
+fn solve(way: Way, events: &EventStream, frames: &FrameSequence, sensor: Arc<Sensor>) -> Out {
     let input = In { events: events.clone(), frames: frames.clone(), sensor };
-    testing::with_context(frames.rows(), &["tracks", "map"], |cx| SolvePixel { params }.run(input, cx)).0.unwrap()
+    testing::with_context(frames.rows(), &["tracks", "map"], |cx| way.run(input, cx)).0.unwrap()
 }
 
 /// Frames at `ratio` times the events' extent whose value `v` of row `y` is `of(frame, x, y, v)`.
@@ -31,8 +35,12 @@ fn grey(l: usize, x: u32, y: u32) -> f32 {
 
 /// Two methods; in double precision, so that rounding does not hide a mistake. These events and frames contradict each other, and with a front end that is slow in the dark a second start may then go
 /// another way after rounding: the MAP estimate is asked with an ideal one.
-fn methods() -> [Params; 2] {
-    [Params { precision: Some(Precision::Double), ..paper() }, Params { method: Method::Map, front_end: FrontEndModel::Ideal, ..Params::default() }]
+fn methods() -> [Way; 2] {
+    [Way::Paper(double()), Way::Map(SolveOptions { front_end: FrontEndModel::Ideal, ..SolveOptions::default() })]
+}
+
+fn double() -> PaperOptions {
+    PaperOptions { precision: Precision::Double, ..PaperOptions::default() }
 }
 
 /// The track of value `v` of row `y`, as (t, photocurrent).
@@ -54,11 +62,11 @@ fn assert_alike(found: &[(i64, f32)], expected: &[(i64, f32)], factor: f64, tole
 #[test]
 fn a_mosaic_of_the_events_pixels_is_solved_as_grey_frames_are() {
     let events = walk(EVENTS, 30_000_000);
-    for params in methods() {
-        let mono = solve(params.clone(), &events, &frames(1, Colour::Mono, 4, |l, x, y, _| grey(l, x, y)), sensor());
+    for way in methods() {
+        let mono = solve(way, &events, &frames(1, Colour::Mono, 4, |l, x, y, _| grey(l, x, y)), sensor());
         for name in ["bayer_rggb", "quad_bayer_gbrg"] {
             let colour = Colour::named(name).unwrap();
-            let mosaic = solve(params.clone(), &events, &frames(1, colour, 4, |l, x, y, _| grey(l, x, y)), sensor());
+            let mosaic = solve(way, &events, &frames(1, colour, 4, |l, x, y, _| grey(l, x, y)), sensor());
             assert_eq!(mosaic.tracks.meta.colour, colour);
             let band = |out: &Out| out.tracks.read(out.tracks.rows()).unwrap();
             assert_eq!(band(&mosaic), band(&mono));
@@ -72,11 +80,11 @@ const ROUNDING: f64 = 1e-4;
 #[test]
 fn grey_light_in_three_channels_or_in_many_pixels_is_the_grey_answer() {
     let events = walk(EVENTS, 30_000_000);
-    for params in methods() {
-        let mono = solve(params.clone(), &events, &frames(1, Colour::Mono, 4, |l, x, y, _| grey(l, x, y)), sensor());
+    for way in methods() {
+        let mono = solve(way, &events, &frames(1, Colour::Mono, 4, |l, x, y, _| grey(l, x, y)), sensor());
         for (ratio, name) in [(1, "rgb"), (2, "mono"), (2, "bayer_grbg"), (2, "rgb"), (4, "quad_bayer_rggb")] {
             let colour = Colour::named(name).unwrap();
-            let many = solve(params.clone(), &events, &frames(ratio, colour, 4, |l, x, y, _| grey(l, x / ratio, y / ratio)), sensor());
+            let many = solve(way, &events, &frames(ratio, colour, 4, |l, x, y, _| grey(l, x / ratio, y / ratio)), sensor());
             let copies = ratio * colour.channels();
             assert_eq!(many.tracks.meta.extent.width, EVENTS.width * ratio);
             assert_eq!(many.map.meta.extent, many.tracks.meta.extent);
@@ -93,12 +101,13 @@ fn grey_light_in_three_channels_or_in_many_pixels_is_the_grey_answer() {
 fn a_value_sees_its_share_of_the_event_pixels_light() {
     let events = walk(EVENTS, 6_000_000);
     let factors = [0.2, 1.7, 0.9, 1.2];
-    for params in [Params { front_end: FrontEndModel::LowPass, ..methods()[0].clone() }, Params { front_end: FrontEndModel::Ideal, ..methods()[0].clone() }] {
-        let mono = solve(params.clone(), &events, &frames(1, Colour::Mono, 1, |l, x, y, _| grey(l, x, y)), sensor());
+    for front_end in [FrontEndModel::LowPass, FrontEndModel::Ideal] {
+        let way = Way::Paper(PaperOptions { front_end, ..double() });
+        let mono = solve(way, &events, &frames(1, Colour::Mono, 1, |l, x, y, _| grey(l, x, y)), sensor());
         let share = |x: u32, y: u32| factors[(2 * (y % 2) + x % 2) as usize];
         // The factors' mean is 1, so the block's mean is the grey value.
         let bayer = Colour::named("bayer_rggb").unwrap();
-        let many = solve(params, &events, &frames(2, bayer, 1, |l, x, y, _| (share(x, y) * f64::from(grey(l, x / 2, y / 2))) as f32), sensor());
+        let many = solve(way, &events, &frames(2, bayer, 1, |l, x, y, _| (share(x, y) * f64::from(grey(l, x / 2, y / 2))) as f32), sensor());
         for (x, y) in [(0, 0), (1, 0), (0, 1), (1, 1), (4, 2), (5, 3)] {
             assert_alike(&track(&many, x, y), &track(&mono, x / 2, y / 2), share(x, y), ROUNDING);
         }
@@ -114,12 +123,12 @@ fn a_channels_gain_is_removed_and_rendered_again() {
     coloured.frames.saturation_dn = None;
     let coloured = Arc::new(coloured);
     let shown = |l: usize, x: u32, y: u32, v: u32| (f64::from(grey(l, x, y)) * gains[(v % 3) as usize]) as f32;
-    for params in methods() {
+    for way in methods() {
         let captured = frames(1, Colour::Rgb, 1, shown);
-        let mono = solve(params.clone(), &events, &frames(1, Colour::Mono, 1, |l, x, y, _| grey(l, x, y)), sensor());
-        let out = solve(params.clone(), &events, &captured, coloured.clone());
+        let mono = solve(way, &events, &frames(1, Colour::Mono, 1, |l, x, y, _| grey(l, x, y)), sensor());
+        let out = solve(way, &events, &captured, coloured.clone());
         // What is trusted of a frame depends on its DN, so the MAP estimate may differ a little with gain.
-        let tolerance = if params.method == Method::Map { 0.02 } else { ROUNDING };
+        let tolerance = if way.is_map() { 0.02 } else { ROUNDING };
         for v in 0..9 {
             assert_alike(&track(&out, v, 1), &track(&mono, v / 3, 1), 1.0, tolerance);
         }
@@ -129,7 +138,7 @@ fn a_channels_gain_is_removed_and_rendered_again() {
         assert_eq!(again.meta, captured.meta);
         let (again, captured) = (again.read_rows(again.rows()).unwrap().dn, captured.read_rows(captured.rows()).unwrap().dn);
         // the MAP estimate follows a frame to twice the noise that is assumed of it, 2 %.
-        let followed = if params.method == Method::Map { 0.04 } else { 0.02 };
+        let followed = if way.is_map() { 0.04 } else { 0.02 };
         assert!(again.iter().zip(&captured).all(|(again, dn)| (again / dn - 1.0).abs() < followed), "{again:?}\n{captured:?}");
     }
 }
@@ -141,7 +150,7 @@ fn rows_of_one_block_are_solved_alike_whatever_the_band() {
     let frames = frames(2, quad, 3, |l, x, y, _| grey(l, x, y));
     let whole = solve(paper(), &events, &frames, sensor()).tracks.read(frames.rows()).unwrap();
     let metas = [("events".to_string(), vec![Meta::Events(events.meta.clone())]), ("frames".to_string(), vec![Meta::Frames(frames.meta.clone())])];
-    let node = SolvePixel { params: paper() };
+    let node = SolvePaper::build(PaperOptions::default()).unwrap();
     assert_eq!(node.grain(&PortMetas::new(metas.into())), Grain::Row { halo: 1 });
     for band in frames.rows().bands(1) {
         // As the engine cuts them: events whole, frames with their halo.
@@ -181,9 +190,9 @@ fn frames_of_no_whole_multiple_are_refused() {
         let of = |name: &str, meta: Meta| (name.to_string(), vec![meta]);
         PortMetas::new([of("events", Meta::Events(events.meta)), of("frames", Meta::Frames(frames.meta)), of("sensor", sensor)].into())
     };
-    let error = SolvePixel { params: paper() }.plan(&metas(testing::frames(6, 5, 2))).unwrap_err();
+    let error = SolvePaper::build(PaperOptions::default()).unwrap().plan(&metas(testing::frames(6, 5, 2))).unwrap_err();
     assert_eq!(error.message, "events are 3 x 2, frames are 6 x 5");
     assert!(error.hint.unwrap().contains("a whole multiple"));
     let rows = Rows { start: 0, end: 4 };
-    assert_eq!(SolvePixel { params: paper() }.plan(&metas(testing::frames(6, 4, 2))).unwrap()[0].rows(), Some(rows));
+    assert_eq!(SolvePaper::build(PaperOptions::default()).unwrap().plan(&metas(testing::frames(6, 4, 2))).unwrap()[0].rows(), Some(rows));
 }

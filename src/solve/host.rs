@@ -1,0 +1,39 @@
+//! What a solution takes from whoever asks for it: whether to go on, and what other bands of the same recording chose.
+
+use crate::row_solver::RowSetting;
+use photocurrent_core::{Context, NodeError};
+
+/// Settings that bands of a recording share, and interruptions. `()` shares nothing and never interrupts.
+pub trait Host: Sync {
+    /// What another band chose for a block of rows, if one did.
+    fn recall(&self, _block: u32) -> Option<RowSetting> {
+        None
+    }
+
+    /// Keeps what was chosen for a block of rows.
+    fn keep(&self, _block: u32, _setting: RowSetting) {}
+
+    /// `rows` more of the result are done.
+    ///
+    /// # Errors
+    /// When the solution is to be given up.
+    fn advance(&self, _rows: u64) -> Result<(), NodeError> {
+        Ok(())
+    }
+}
+
+impl Host for () {}
+
+impl Host for Context<'_> {
+    fn recall(&self, block: u32) -> Option<RowSetting> {
+        Context::recall(self, block.into()).map(|setting| *setting)
+    }
+
+    fn keep(&self, block: u32, setting: RowSetting) {
+        Context::keep(self, block.into(), setting);
+    }
+
+    fn advance(&self, rows: u64) -> Result<(), NodeError> {
+        Context::advance(self, rows)
+    }
+}

@@ -1,0 +1,312 @@
+//! How a recording is solved: the parameters of `solve/map` and of `solve/paper`.
+
+use photocurrent_core::NodeError;
+use photocurrent_core::quantity::Duration;
+use photocurrent_sensor::map::SecondStart;
+use photocurrent_sensor::map::estimate::Choosing;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How the front end's delay is treated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FrontEndModel {
+    /// No delay: V_FE = V_DC, tau = 0 in Eq. (7).
+    Ideal,
+    /// A first-order low-pass with tau = tau_0 + alpha / i_pd, Eqs. (1)-(3).
+    #[default]
+    LowPass,
+}
+
+/// How readout latency and refractory period are treated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ReadoutModel {
+    /// Not at all: Eq. (8).
+    None,
+    /// By the local slope: Eqs. (9)-(12).
+    #[default]
+    Slope,
+}
+
+/// Which photocurrent sets the time constant of an interval.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum TauChoice {
+    /// The one at its start, as Eqs. (2) and (3) are printed.
+    Start,
+    /// The one at its end, which drives the voltage in Eq. (1): better at every steep edge.
+    #[default]
+    End,
+}
+
+/// How exactly Eq. (13) is minimised.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// Sixteen pixels at once in single precision: costs to four digits, more than ten times as fast. Pixels near a fold are solved in double precision.
+    #[default]
+    Single,
+    /// One pixel after the other in double precision: the reference.
+    Double,
+}
+
+/// Which frames are solved together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Joint {
+    /// Two consecutive frames at a time.
+    #[default]
+    Pairs,
+    /// All frames of the recording at once.
+    All,
+}
+
+/// Where the first unknown of a window stands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FirstKnot {
+    /// At the window's start, so that the first event's step counts too.
+    #[default]
+    Window,
+    /// At the first event, as printed: its step is not used.
+    Event,
+}
+
+/// What it takes to decide for something that is not usual.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct Decisions {
+    /// So many pixels of each block of 16 rows choose its noise and prior, at least.
+    #[schemars(range(min = 1, max = 65536))]
+    pub pixels: u32,
+    /// A noise or a prior that is not the usual one must predict frames that are held out better by this part.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub clear_gain: f64,
+    /// A third of those pixels looks at everything that is tried, the others only at what loses at most this part more than the best does there.
+    #[schemars(range(min = 0.0))]
+    pub reach: f64,
+    /// A pixel is solved from a second start where its events are missed by more than this: mean square, in their standard deviations. 1e9 = never.
+    #[schemars(range(min = 0.0))]
+    pub second_misfit: f64,
+    /// And where events and frames together are missed by less than this: beyond, they contradict each other, and no start helps.
+    #[schemars(range(min = 0.0))]
+    pub second_most_misfit: f64,
+    /// Standard deviation of an event on the way to the second start, as a part of its threshold.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub second_event_noise: f64,
+    /// Most steps on the way to it.
+    #[schemars(range(min = 1, max = 100))]
+    pub second_steps: u32,
+    /// What is found from there is taken where it makes all squared misfits together smaller by this part.
+    #[schemars(range(min = 0.0, max = 1.0))]
+    pub second_gain: f64,
+}
+
+impl Decisions {
+    /// Of noise and prior.
+    pub(crate) fn choosing(&self) -> Choosing {
+        Choosing { clear_gain: self.clear_gain, reach: self.reach }
+    }
+
+    /// Of a second start.
+    pub(crate) fn second(&self) -> SecondStart {
+        SecondStart {
+            event: self.second_event_noise,
+            steps: self.second_steps as usize,
+            least_misfit: self.second_misfit,
+            most_misfit: self.second_most_misfit,
+            gain: self.second_gain,
+        }
+    }
+}
+
+impl Default for Decisions {
+    fn default() -> Self {
+        let (choosing, second) = (Choosing::USUAL, SecondStart::USUAL);
+        Decisions {
+            pixels: CHOOSING_PIXELS,
+            clear_gain: choosing.clear_gain,
+            reach: choosing.reach,
+            second_misfit: second.least_misfit,
+            second_most_misfit: second.most_misfit,
+            second_event_noise: second.event,
+            second_steps: second.steps as u32,
+            second_gain: second.gain,
+        }
+    }
+}
+
+/// How the MAP estimate is made.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct SolveOptions {
+    /// How the front end's delay is treated.
+    pub front_end: FrontEndModel,
+    /// Standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows so that frames
+    /// that are held out are predicted best.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub event_noise: Option<f64>,
+    /// Model error of a frame value, as a part of it, in addition to the noise that the sensor description states, 1 DN, and what pixels without
+    /// events show beyond that.
+    #[schemars(range(min = 0.0))]
+    pub frame_noise: f64,
+    /// Knots near events lie at most this far apart; in quiet gaps they widen with the distance from an event, to 8 ms or a 64th of the frame period.
+    #[schemars(extend("x-min" = "10 us"))]
+    pub knot_spacing: Duration,
+    /// Every knot of the tracks carries a standard deviation: what measurements and prior leave open, widened where frames that are held out
+    /// show that to be too little.
+    pub sigma: bool,
+    /// How often the light is solved again with what the description's `[effects]` did to events at the light found before; 0 = `[effects]` are left as they are, in events
+    /// and frames; absent = 2, or 4 where effects mix the photocurrent of neighbours. Without `[effects]` it has no effect.
+    #[schemars(range(max = 20))]
+    pub undo_rounds: Option<u32>,
+    /// What it takes to choose another noise or prior, or to solve a pixel from a second start.
+    pub decisions: Decisions,
+    /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
+    /// plane `implausible` of `map` states how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub plausible_range: f64,
+    /// Most steps tried for one problem; more than 5 make it follow its own estimate.
+    #[schemars(range(min = 1, max = 5))]
+    pub max_iterations: u32,
+}
+
+impl Default for SolveOptions {
+    fn default() -> Self {
+        SolveOptions {
+            front_end: FrontEndModel::LowPass,
+            event_noise: None,
+            frame_noise: FRAME_NOISE,
+            knot_spacing: KNOT_SPACING,
+            sigma: true,
+            undo_rounds: None,
+            decisions: Decisions::default(),
+            plausible_range: PLAUSIBLE_RANGE,
+            max_iterations: STEPS,
+        }
+    }
+}
+
+/// How Eq. (13) is solved.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct PaperOptions {
+    /// How the front end's delay is treated.
+    pub front_end: FrontEndModel,
+    /// How readout latency and refractory period are treated; `slope` needs in-pixel times.
+    pub readout: ReadoutModel,
+    /// Which photocurrent sets the time constant of an interval.
+    pub tau_rule: TauChoice,
+    /// How exactly it computes.
+    pub precision: Precision,
+    /// Which frames are solved together.
+    pub frames: Joint,
+    /// Where the first unknown of a window stands.
+    pub first_knot: FirstKnot,
+    /// Weight of a squared frame residual, per DN^2; the paper has 1.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub cis_weight: f64,
+    /// Weight of a squared event residual, per natural-log unit squared; the paper has 1.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub evs_weight: f64,
+    /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
+    /// plane `implausible` of `map` states how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
+    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    pub plausible_range: f64,
+    /// Most steps tried for one problem.
+    #[schemars(range(min = 1, max = 10000))]
+    pub max_iterations: u32,
+}
+
+impl Default for PaperOptions {
+    fn default() -> Self {
+        PaperOptions {
+            front_end: FrontEndModel::LowPass,
+            readout: ReadoutModel::Slope,
+            tau_rule: TauChoice::End,
+            precision: Precision::Single,
+            frames: Joint::Pairs,
+            first_knot: FirstKnot::Window,
+            cis_weight: 1.0,
+            evs_weight: 1.0,
+            plausible_range: PLAUSIBLE_RANGE,
+            max_iterations: 100,
+        }
+    }
+}
+
+/// The usual [`SolveOptions::frame_noise`].
+pub const FRAME_NOISE: f64 = 0.02;
+/// The usual [`SolveOptions::knot_spacing`].
+pub const KNOT_SPACING: Duration = Duration::new(250_000);
+
+/// More steps than this do not improve a pixel.
+pub(crate) const STEPS: u32 = 5;
+
+/// The usual [`Decisions::pixels`].
+const CHOOSING_PIXELS: u32 = 192;
+
+/// The usual [`SolveOptions::undo_rounds`].
+const UNDO_ROUNDS: u32 = 2;
+/// The same where effects mix the photocurrent of neighbours, which converges more slowly: a blur by 0.7 pixels leaves half of its error after two rounds, a fifth after four.
+const MIXED_UNDO_ROUNDS: u32 = 4;
+
+/// The usual `plausible_range`.
+const PLAUSIBLE_RANGE: f64 = 3.0;
+
+impl SolveOptions {
+    pub(crate) fn undo_rounds(&self, is_mixed: bool) -> u32 {
+        self.undo_rounds.unwrap_or(if is_mixed { MIXED_UNDO_ROUNDS } else { UNDO_ROUNDS })
+    }
+
+    /// Refuses what a schema cannot.
+    ///
+    /// # Errors
+    /// When `plausible_range` is not above 0.
+    pub fn check(&self) -> Result<(), NodeError> {
+        check_range(self.plausible_range)
+    }
+}
+
+impl PaperOptions {
+    /// Refuses what a schema cannot.
+    ///
+    /// # Errors
+    /// When `plausible_range` is not above 0.
+    pub fn check(&self) -> Result<(), NodeError> {
+        check_range(self.plausible_range)
+    }
+}
+
+fn check_range(plausible_range: f64) -> Result<(), NodeError> {
+    if plausible_range > 0.0 {
+        return Ok(());
+    }
+    Err(NodeError::usage(format!("`plausible_range` is {plausible_range}, and must be above 0")).param("plausible_range"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn decisions_that_are_not_stated_are_those_of_the_solver() {
+        let stated = |params: serde_json::Value| serde_json::from_value::<SolveOptions>(params).unwrap().decisions;
+        for decisions in [stated(json!({})), stated(json!({ "decisions": {} }))] {
+            assert_eq!((decisions.choosing(), decisions.second()), (Choosing::USUAL, SecondStart::USUAL));
+        }
+        let stated = stated(json!({ "decisions": { "clear_gain": 0.5, "second_misfit": 7.0 } }));
+        let (choosing, second) = (Choosing { clear_gain: 0.5, ..Choosing::USUAL }, SecondStart { least_misfit: 7.0, ..SecondStart::USUAL });
+        assert_eq!((stated.choosing(), stated.second()), (choosing, second));
+    }
+
+    #[test]
+    fn a_range_that_holds_all_light_down_is_refused() {
+        for range in [0.0, -1.0, f64::NAN] {
+            assert!(SolveOptions { plausible_range: range, ..SolveOptions::default() }.check().is_err());
+            assert!(PaperOptions { plausible_range: range, ..PaperOptions::default() }.check().is_err());
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! One pixel by itself: its events and frame values to its light, without a recording around.
+
+use crate::options::SolveOptions;
+use crate::row_solver::{FrameNoise, NO_EVENT_SIGMA};
+use photocurrent_core::events::Polarity;
+use photocurrent_core::{Exposure, NodeError, Sensor};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapOptions, MapProblem, MapStatus, MapWorkspace, Noise, estimate};
+use photocurrent_sensor::model::Model;
+
+/// The light of a pixel over time, log-linear between instants.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PixelTrack {
+    /// Instants, ns, rising.
+    pub t_ns: Vec<i64>,
+    /// Photocurrent, in units in which `frames.gain` counts.
+    pub photocurrent: Vec<f64>,
+    /// Standard deviation of its natural logarithm.
+    pub log_sigma: Vec<f64>,
+    /// Did the solution converge? Otherwise it is the double-integral estimate.
+    pub has_converged: bool,
+}
+
+/// The MAP estimate of one pixel's light from its events (in-pixel time in ns, polarity; in order) and its frame values (exposure, DN), with the noise of events and
+/// the prior that are usual.
+///
+/// # Errors
+/// When the description lacks thresholds, gain, refractory period or, unless `front_end` is ideal, time constants; or there is no frame.
+pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Exposure, f64)], options: &SolveOptions) -> Result<PixelTrack, NodeError> {
+    options.check()?;
+    let who = "solve_pixel";
+    let refractory = sensor.need(sensor.readout.refractory, "readout.refractory", who)?;
+    let comparator = &sensor.comparator;
+    let fields = [
+        ("comparator.threshold_on", comparator.threshold_on.is_some()),
+        ("comparator.threshold_off", comparator.threshold_off.is_some()),
+        ("frames.gain", sensor.frames.gain.is_some()),
+    ];
+    sensor.need_all(&fields, who)?;
+    let mut model = Model::of(sensor);
+    model.pixel.front_end = crate::model::front_end(options.front_end, sensor)?;
+    model.pixel.refractory_ns = refractory.ns();
+    let noise = FrameNoise::new(&model, options.frame_noise);
+    let frame = |&(exposure, dn): &(Exposure, f64)| MapFrame {
+        start_ns: exposure.start.0,
+        end_ns: exposure.end.0,
+        dn,
+        sigma_dn: noise.sigma_dn(dn - model.number.black_level, 0.0),
+        saturated: dn >= model.saturation_dn,
+    };
+    let frames: Vec<MapFrame> = frames.iter().filter(|(_, dn)| dn.is_finite()).map(frame).collect();
+    let event = |&(t_ns, polarity): &(i64, Polarity)| MapEvent {
+        t_in_ns: t_ns,
+        t_off_ns: t_ns,
+        polarity: if polarity == Polarity::On { 1 } else { -1 },
+        is_lone: false,
+    };
+    let events: Vec<MapEvent> = events.iter().map(event).collect();
+    let instants = || frames.iter().flat_map(|frame| [frame.start_ns, frame.end_ns]).chain(events.iter().map(|event| event.t_in_ns));
+    let (Some(start_ns), Some(end_ns), false) = (instants().min(), instants().max(), frames.is_empty()) else {
+        return Err(NodeError::usage("there is no frame value, and events alone leave the photocurrent's level open").hint("give at least one frame"));
+    };
+    let problem = MapProblem {
+        events: &events,
+        frames: &frames,
+        hints: &[],
+        start_ns,
+        end_ns,
+        sensor: model.map_sensor(),
+        noise: options.event_noise.map_or_else(Noise::default, |event| Noise { event, ..Noise::default() }),
+        stamp_sigma_s: 0.0,
+        no_event_sigma: NO_EVENT_SIGMA,
+        lost_before: &[],
+        beyond: &[],
+    };
+    let map = MapOptions { spacing_ns: options.knot_spacing.ns(), with_sigma: true, second: Some(options.decisions.second()), ..MapOptions::default() };
+    let mut workspace = MapWorkspace::default();
+    let solution = photocurrent_sensor::map::solve(&problem, &map, &mut workspace);
+    Ok(PixelTrack {
+        t_ns: solution.t_ns.to_vec(),
+        photocurrent: solution.log_photocurrent.iter().map(|log| libm::exp(*log)).collect(),
+        log_sigma: solution.variance.iter().map(|variance| libm::exp(estimate::log_sigma(*variance))).collect(),
+        has_converged: solution.status != MapStatus::Failed,
+    })
+}
