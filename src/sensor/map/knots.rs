@@ -61,7 +61,9 @@ struct Spacing {
 impl Spacing {
     fn of(problem: &MapProblem<'_>, spacing_ns: i64) -> Spacing {
         let periods = problem.frames.windows(2).map(|pair| pair[1].start_ns.saturating_sub(pair[0].start_ns)).filter(|period| *period > 0);
-        let quiet = periods.min().unwrap_or(0) / A_PERIOD;
+        // Of one frame, its exposure.
+        let exposure = problem.frames.first().map_or(0, |frame| frame.end_ns.saturating_sub(frame.start_ns));
+        let quiet = periods.min().unwrap_or(exposure) / A_PERIOD;
         Spacing { finest: spacing_ns, coarsest: quiet.max(COARSEST * spacing_ns) }
     }
 }

@@ -233,6 +233,12 @@ fn knots_follow_events_and_frames_and_not_the_span() {
     // Up to half a second from frame to frame quiet gaps have a knot every 8 ms; from there on the number stays.
     let (short, long, longer) = (knots(40_000_000), knots(20_000_000_000), knots(20_000_000_000_000));
     assert!(short < 150 && long < 800 && longer < 1_100, "{short}, {long}, {longer}");
+    // One frame alone, whose exposure ends an hour after the last event.
+    let (frames, events) = ([MapFrame { start_ns: 0, end_ns: 3_600_000_000_000, dn: 250.0, sigma_dn: 2.0, saturated: false }], [event(1_000_000, 1)]);
+    let problem = MapProblem { events: &events, frames: &frames, hints: &[], start_ns: 0, end_ns: 3_600_000_000_000, ..recorded.problem(Reset::Resample) };
+    let mut knots = Knots::default();
+    knots.lay(&problem, 250_000);
+    assert!(knots.len() < 200, "{}", knots.len());
 }
 
 #[test]
