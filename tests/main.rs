@@ -12,6 +12,7 @@
 //! - `diagnosis`: `photocurrent diagnose`, from a recording to its report.
 //! - `colour`: colour frames and mosaics, from a scene to pictures by way of a recording.
 //! - `files`: what a command does with a file of another kind, with mistakes in every line, with streams on two clocks.
+//! - `examples`: the programs of `examples/`.
 //! - `figures`: the tables of README.md and docs/ are what their commands print.
 //! - `first_run`: `init` and `run` on files of every kind, `convert` there and back.
 //! - `fuzzed`: changed files of every format through `init` and `run`.
@@ -38,6 +39,7 @@ mod crash;
 mod determinism;
 mod diagnosis;
 mod disc;
+mod examples;
 mod figures;
 mod files;
 mod films;

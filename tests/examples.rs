@@ -1,0 +1,30 @@
+//! The programs of `examples/` run and print what their heads state.
+
+#![allow(clippy::unwrap_used)]
+
+use crate::support::root;
+use std::path::Path;
+use std::process::Command;
+
+/// What an example prints.
+fn output(name: &str) -> String {
+    // Examples are built next to the command.
+    let program = Path::new(env!("CARGO_BIN_EXE_photocurrent")).with_file_name("examples").join(name);
+    let done = Command::new(program).current_dir(root()).output().unwrap();
+    assert!(done.status.success(), "{name}: {}", String::from_utf8_lossy(&done.stderr));
+    String::from_utf8(done.stdout).unwrap()
+}
+
+#[test]
+fn one_pixel_brightens_with_its_events() {
+    let printed = output("one_pixel");
+    let light: Vec<f64> = printed.lines().map(|line| line.split_whitespace().last().unwrap().parse().unwrap()).collect();
+    // Frames of 4 ms: 200 DN at first, 420 DN at last.
+    assert!(light.len() > 4 && light[light.len() - 1] > 1.7 * light[0], "{printed}");
+}
+
+#[test]
+fn any_file_is_counted() {
+    let printed = output("read_any_file");
+    assert!(printed.starts_with("data/recordings/davis346_traffic.aedat4: ") && printed.contains(" events, "), "{printed}");
+}
