@@ -12,10 +12,11 @@
 use super::instants::Thinned;
 use super::source::{In, Metas, Out, Scale, TruthParams};
 use super::stored::folder::{self, Pictures};
-use super::stored::y4m::{self, Y4m};
+use super::stored::y4m::Y4m;
 use super::stored::{Crop, Film, Transfer, Window, cannot_read, short_name};
 use photocurrent_core::quantity::{Duration, Illuminance, InputPath, Rate};
 use photocurrent_core::{Context, Decl, FileRef, FrameBlock, Grain, LightBand, Meta, Node, NodeError, PortMetas, Rows, Sensor};
+use photocurrent_formats::ycbcr::Range;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -34,7 +35,7 @@ pub struct Params {
     /// How stored values become linear light. Default: `srgb` for PNG pictures, `bt709` for Y4M.
     pub transfer: Option<Transfer>,
     /// Which stored luma of a Y4M file is black and white. Default: what its header says, otherwise `limited`.
-    pub range: Option<y4m::Range>,
+    pub range: Option<Range>,
     /// The part of the pictures that is seen. Default: everything.
     pub crop: Option<Crop>,
     /// Pixels in a row of the light: the part's width over a whole number; squares of pixels are averaged in linear light. Default: as `height` says, or all.
@@ -112,8 +113,8 @@ struct Opened {
     /// The number of the first used frame.
     first: usize,
     end_ns: i64,
-    /// Something that the header leaves open.
-    note: Option<String>,
+    /// What the header leaves open.
+    notes: Vec<String>,
 }
 
 /// At most so many values are decoded at a time: 32 MB.
@@ -126,11 +127,6 @@ impl SimulateVideo {
             if std::fs::metadata(path).map_err(|error| cannot_read(path, &error))?.is_dir() {
                 return Ok(Files::Pictures(folder::pictures(path)?));
             }
-            y4m::begins_as_one(path)?.map_err(|found| {
-                NodeError::input(format!("{} is no Y4M file: it begins with `{found}`, not with `YUV4MPEG2`", short_name(path)))
-                    .hint("name a folder of PNG pictures, or convert it: such as `ffmpeg -i film.mp4 film.y4m`")
-                    .param("path")
-            })?;
             Ok(Files::Y4m(path.into()))
         });
         listed.as_ref().map_err(Clone::clone)
@@ -141,19 +137,17 @@ impl SimulateVideo {
             return Ok(opened);
         }
         let params = &self.params;
-        let (film, rate, note): (Box<dyn Film>, Option<f64>, Option<String>) = match self.listed()? {
+        let (film, rate, notes): (Box<dyn Film>, Option<f64>, Vec<String>) = match self.listed()? {
             Files::Pictures(paths) => {
                 if params.range.is_some() {
                     return Err(NodeError::usage("`range` is set, and PNG pictures always use all of theirs").hint("leave `range` out").param("range"));
                 }
-                (Box::new(Pictures::open(paths.clone(), params.transfer.unwrap_or(Transfer::Srgb))?), None, None)
+                (Box::new(Pictures::open(paths.clone(), params.transfer.unwrap_or(Transfer::Srgb))?), None, Vec::new())
             }
             Files::Y4m(path) => {
                 let film = Y4m::open(path, params.transfer.unwrap_or(Transfer::Bt709), params.range)?;
-                let silent = params.range.is_none() && film.header().range.is_none();
-                let note = silent.then(|| format!("{} does not state the range of its values; taken as limited (`range`)", short_name(path)));
-                let rate = film.header().rate;
-                (Box::new(film), rate, note)
+                let (rate, notes) = (film.rate(), film.notes().to_vec());
+                (Box::new(film), rate, notes)
             }
         };
         let rate = params.rate.map(Rate::hz).or(rate).ok_or_else(|| {
@@ -167,7 +161,7 @@ impl SimulateVideo {
         let first = times.partition_point(|t| *t <= 0) - 1;
         let last = times.partition_point(|t| *t < end_ns);
         let times = times[first..=last].to_vec();
-        Ok(self.opened.get_or_init(|| Opened { film, window, times, first, end_ns, note }))
+        Ok(self.opened.get_or_init(|| Opened { film, window, times, first, end_ns, notes }))
     }
 
     fn metas(&self, opened: &Opened) -> Result<Metas, NodeError> {
@@ -241,7 +235,7 @@ params = { path = "drop/frames", rate = "5 kHz", transfer = "linear", illuminanc
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let opened = self.open()?;
         let (metas, scale, rows) = (self.metas(opened)?, self.scale(&input.sensor)?, cx.rows());
-        opened.note.iter().for_each(|note| cx.note(note.clone()));
+        opened.notes.iter().for_each(|note| cx.note(note.clone()));
         let width = opened.window.extent().width as usize;
         let mut parts: Vec<Row> = rows.iter().map(|y| Row::new(width, metas.truth_block(Rows { start: y, end: y + 1 }, cx))).collect();
         let shown: Vec<i64> = metas.truth.times.exposures.iter().map(|exposure| exposure.start.0).collect();

@@ -10,8 +10,10 @@ pub mod still;
 pub mod y4m;
 
 use photocurrent_core::{Extent, NodeError, Rows};
+use photocurrent_formats::FormatError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::fs::File;
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -46,9 +48,6 @@ impl Transfer {
         }
     }
 }
-
-/// Luminance of linear red, green, blue: BT.709.
-pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// A transfer curve with its tables for whole numbers of 8 and 16 bits.
 pub struct Curve {
@@ -204,6 +203,14 @@ pub fn short_name(path: &Path) -> String {
 /// A file that could not be read, in the reader's terms.
 pub fn cannot_read(path: &Path, error: &std::io::Error) -> NodeError {
     NodeError::files(photocurrent_core::error::cannot_read(path, error)).hint("paths are relative to the manifest that names them").param("path")
+}
+
+/// A picture or film that was refused, by its short name. One that cannot be opened is trouble with files, anything else with what they hold.
+pub fn refused(error: FormatError) -> NodeError {
+    match File::open(&error.path) {
+        Err(trouble) => cannot_read(&error.path, &trouble),
+        Ok(_) => FormatError { path: short_name(&error.path).into(), ..error }.into(),
+    }
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 //! One PNG picture as relative light: grey or RGB, 8 or 16 bits; fewer bits and palettes are widened to 8.
 
-use super::{Curve, LUMINANCE, cannot_read, short_name};
+use super::{Curve, cannot_read, short_name};
 use photocurrent_core::{Extent, NodeError, Rows};
+use photocurrent_formats::ycbcr::LUMINANCE;
 use png::{BitDepth, ColorType, Decoder, DecodingError, Reader, Transformations};
 use std::fs::File;
 use std::io::BufReader;
