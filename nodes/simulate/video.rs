@@ -1,4 +1,4 @@
-//! `simulate/video`: light of a real film, from a folder of PNG pictures or a Y4M file, and true frames of it.
+//! `simulate/video`: light of a real film, from a folder of pictures or a Y4M file, and true frames of it.
 //!
 //! A high-speed film is light at the instants of its frames; between them it is taken as linear, which is all that light between instants can be here.
 //! An instant without which the line is the same, to the last stored bit, is dropped, so that what stands still costs one instant however long the film is.
@@ -27,12 +27,12 @@ use std::sync::OnceLock;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// The film: a folder of PNG pictures (grey or RGB, 8 or 16 bits, sorted by name, `f2` before `f10`), or a Y4M file; relative to the manifest that names it.
+    /// The film: a folder of PNG, TIFF or JPEG pictures (grey or RGB, 8 or 16 bits, sorted by name, `f2` before `f10`), or a Y4M file; relative to the manifest that names it.
     pub path: InputPath,
     /// Frames per second at which it was taken. Needed for a folder; for a Y4M file the default is what its header says.
     #[schemars(extend("x-min" = "0.001 Hz", "x-max" = "10 MHz"))]
     pub rate: Option<Rate>,
-    /// How stored values become linear light. Default: `srgb` for PNG pictures, `bt709` for Y4M.
+    /// How stored values become linear light. Default: `srgb` for pictures, `bt709` for Y4M.
     pub transfer: Option<Transfer>,
     /// Which stored luma of a Y4M file is black and white. Default: what its header says, otherwise `limited`.
     pub range: Option<Range>,
@@ -140,7 +140,7 @@ impl SimulateVideo {
         let (film, rate, notes): (Box<dyn Film>, Option<f64>, Vec<String>) = match self.listed()? {
             Files::Pictures(paths) => {
                 if params.range.is_some() {
-                    return Err(NodeError::usage("`range` is set, and PNG pictures always use all of theirs").hint("leave `range` out").param("range"));
+                    return Err(NodeError::usage("`range` is set, and pictures always use all of theirs").hint("leave `range` out").param("range"));
                 }
                 (Box::new(Pictures::open(paths.clone(), params.transfer.unwrap_or(Transfer::Srgb))?), None, Vec::new())
             }
@@ -202,7 +202,7 @@ fn frame_times(frames: usize, rate: f64, params: &Params) -> Result<Vec<i64>, No
 impl Node for SimulateVideo {
     const DECL: Decl = Decl {
         kind: "simulate/video",
-        about: "Light of a real high-speed film, from PNG pictures or a Y4M file, and true frames of it.",
+        about: "Light of a real high-speed film, from pictures or a Y4M file, and true frames of it.",
         revision: 1,
         grain: Grain::Pixel,
         draws: false,
@@ -221,7 +221,7 @@ params = { path = "drop/frames", rate = "5 kHz", transfer = "linear", illuminanc
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.path.path().as_os_str().is_empty() {
-            return Err(NodeError::usage("`path` is missing").hint("name a folder of PNG pictures or a Y4M file, such as `path = \"film.y4m\"`").param("path"));
+            return Err(NodeError::usage("`path` is missing").hint("name a folder of pictures or a Y4M file, such as `path = \"film.y4m\"`").param("path"));
         }
         Ok(SimulateVideo { params, files: OnceLock::new(), opened: OnceLock::new() })
     }

@@ -91,6 +91,25 @@ fn interlaced_pictures_and_palettes_are_read_too() {
 }
 
 #[test]
+fn tiff_pictures_are_light_too() {
+    let folder = tempfile::tempdir().unwrap();
+    // TIFF 6.0 by hand: 2 x 2 grey values of 16 bits in one strip, little-endian.
+    let mut tiff = b"II*\0\x08\0\0\0\x08\0".to_vec();
+    let entries = [(256, 2), (257, 2), (258, 16), (259, 1), (262, 1), (273, 110), (277, 1), (279, 8)];
+    for (tag, value) in entries.map(|(tag, value): (u16, u32)| (tag.to_le_bytes(), value.to_le_bytes())) {
+        tiff.extend([&tag[..], &[4, 0, 1, 0, 0, 0], &value].concat());
+    }
+    tiff.extend([0; 4]);
+    assert_eq!(tiff.len(), 110);
+    tiff.extend([0, 13_107, 26_214, 65_535_u16].into_iter().flat_map(u16::to_le_bytes));
+    let path = folder.path().join("a.tif");
+    std::fs::write(&path, tiff).unwrap();
+    let film = Pictures::open(vec![path], Transfer::Linear).unwrap();
+    assert_eq!((whole(&film, 0), rows(&film, 0, Rows { start: 1, end: 2 }).unwrap()), (vec![0.0, 0.2, 0.4, 1.0], vec![0.4, 1.0]));
+    assert!(rows(&film, 0, Rows { start: 1, end: 3 }).unwrap_err().message.starts_with("a.tif: the picture cannot be read: it ends after 2 rows"));
+}
+
+#[test]
 fn transparent_damaged_and_differing_pictures_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
@@ -98,18 +117,24 @@ fn transparent_damaged_and_differing_pictures_are_refused() {
     save(&path("clear.png"), 1, 1, (ColorType::Rgba, BitDepth::Eight), &[1, 2, 3, 4]);
     assert_eq!(refused(vec![path("clear.png")]), "clear.png has transparency, and light has none");
     std::fs::write(path("text.png"), "no picture").unwrap();
-    assert!(refused(vec![path("text.png")]).starts_with("text.png is no whole PNG picture: "));
+    assert!(refused(vec![path("text.png")]).starts_with("text.png: the picture cannot be read: "));
     save(&path("a.png"), 3, 2, (ColorType::Grayscale, BitDepth::Eight), &[0; 6]);
     save(&path("b.png"), 3, 3, (ColorType::Grayscale, BitDepth::Eight), &[0; 9]);
     assert_eq!(refused(vec![path("a.png"), path("a.png"), path("b.png")]), "b.png has 3 x 3 pixels, and a.png has 3 x 2");
     assert!(refused(vec![path("gone.png")]).ends_with("gone.png: there is no such file"));
-    // Cut off inside its pixels: the header is whole, so reading finds it.
+    // Cut off inside its pixels: that shows before anything is decoded. Changed there: only decoding finds it.
     let noise: Vec<u8> = (0..64 * 64u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     save(&path("cut.png"), 64, 64, (ColorType::Grayscale, BitDepth::Eight), &noise);
-    let bytes = std::fs::read(path("cut.png")).unwrap();
+    let mut bytes = std::fs::read(path("cut.png")).unwrap();
     std::fs::write(path("cut.png"), &bytes[..bytes.len() / 2]).unwrap();
-    let cut = Pictures::open(vec![path("cut.png")], Transfer::Srgb).unwrap();
-    assert!(rows(&cut, 0, Rows { start: 0, end: 64 }).unwrap_err().message.starts_with("cut.png is no whole PNG picture: "));
+    let cut = refused(vec![path("cut.png")]);
+    assert!(cut.starts_with("cut.png: the picture cannot be read: it is cut off: "), "{cut}");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0xff;
+    std::fs::write(path("changed.png"), &bytes).unwrap();
+    let changed = Pictures::open(vec![path("changed.png")], Transfer::Srgb).unwrap();
+    let error = rows(&changed, 0, Rows { start: 0, end: 64 }).unwrap_err();
+    assert!(error.message.starts_with("changed.png: the picture cannot be read: "), "{error}");
 }
 
 #[test]

@@ -4,11 +4,11 @@
 //! without stamps has the constant rate of its header, and a note says so. Values are given as stored: see [`crate::declared::Transfer`].
 //! Limits: the first picture of a file with several; all frames have one size and one depth.
 
-pub(crate) mod decode;
+pub mod decode;
 mod jpeg;
 #[cfg(test)]
 mod jpeg_tests;
-pub(crate) mod names;
+pub mod names;
 pub mod pairing;
 pub(crate) mod place;
 pub(crate) mod stamps;

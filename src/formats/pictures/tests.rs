@@ -234,6 +234,14 @@ fn a_picture_that_claims_to_be_huge_takes_no_memory() {
     assert!(error.found.contains("cannot hold"), "{error}");
 }
 
+#[test]
+fn names_are_sorted_as_people_count() {
+    let mut found = ["f10.png", "f2.png", "f2b.png", "F1.png", "f02.png", "f0010.png", "f.png", "f2.10.png", "f2.9.png"].map(PathBuf::from);
+    names::sort(&mut found);
+    let expected = ["F1.png", "f.png", "f2.9.png", "f2.10.png", "f02.png", "f2.png", "f2b.png", "f0010.png", "f10.png"];
+    assert_eq!(found, expected.map(PathBuf::from));
+}
+
 fn y4m(header: &str, frames: &[&[u8]]) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("video.y4m");
