@@ -10,8 +10,7 @@ pub mod target;
 
 use crate::spans::check_one_clock;
 use photocurrent_core::{DataType, Diagnosis, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
-use photocurrent_diagnosis::case::{Case, CaseFrames, PixelEvents};
-use photocurrent_diagnosis::grey::Grey;
+use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::integrity::Integrity;
 use photocurrent_diagnosis::stages::read_integrity;
 use schemars::JsonSchema;
@@ -55,25 +54,14 @@ fn check(inputs: &PortMetas) -> Result<&Arc<Sensor>, NodeError> {
 fn empty(inputs: &PortMetas) -> Result<Case, NodeError> {
     let (events, frames): (Option<&Arc<EventsMeta>>, Option<&Arc<FramesMeta>>) = (inputs.events("events").ok(), inputs.frames("frames").ok());
     let sensor = inputs.sensor("sensor")?;
-    let Some(extent) = events.map(|events| events.extent).or(frames.map(|frames| frames.extent)) else {
+    if events.is_none() && frames.is_none() {
         return Err(NodeError::usage("there is nothing to diagnose: neither `events` nor `frames` is there").hint("connect at least one of them"));
-    };
-    let grey = frames
-        .map(|frames| Grey::new(extent, frames, sensor))
-        .transpose()
+    }
+    let empty = Case::before_data(events.map(|events| &**events), frames.map(|frames| &**frames), sensor)
         .map_err(|error| NodeError::usage(error.message).hint("crop or bin the frames to the pixels of the event sensor").blames(DataType::Frames))?;
     if let (Some(events), Some(frames)) = (events, frames) {
         check_one_clock(events, frames, Some(sensor))?;
     }
-    let empty = Case {
-        extent,
-        span: Case::span_of(events.map(|events| &**events), frames.map(|frames| (&frames.times, extent.height))),
-        events: PixelEvents::default(),
-        has_t_in: events.is_some_and(|events| events.has_t_in),
-        t_resolution_ns: events.and_then(|events| events.t_resolution_ns).unwrap_or(0),
-        frames: frames.zip(grey).map(|(frames, grey)| CaseFrames::new(grey.times(&frames.times), Vec::new())),
-        sensor: (**sensor).clone(),
-    };
     empty.nominal().map_err(|error| error.blames(DataType::Sensor))?;
     Ok(empty)
 }

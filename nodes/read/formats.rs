@@ -16,7 +16,7 @@ macro_rules! readers {
                 const DECL: Decl = Decl {
                     kind: $kind,
                     about: $about,
-                    revision: 2,
+                    revision: 3,
                     grain: Grain::Pixel,
                     draws: false,
                     exports: false,

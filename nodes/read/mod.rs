@@ -8,29 +8,17 @@ pub mod formats;
 pub mod recording;
 pub mod sensor;
 
+use photocurrent_core::NodeError;
 use photocurrent_core::quantity::InputPath;
-use photocurrent_core::{EventStream, FrameSequence, NodeError};
-use photocurrent_formats::arrange::{EVENTS_BUDGET, arrange};
+use photocurrent_formats::arrange::{Arranged, arrange};
 use photocurrent_formats::{format, instead, joined};
 use std::path::Path;
 
-/// Both streams of a file of any format, for those who look at it before a graph does.
-pub struct Whole {
-    /// The events.
-    pub events: Option<EventStream>,
-    /// The frames, linear digital numbers.
-    pub frames: Option<FrameSequence>,
-    /// The sensor description that travels with the file, TOML text.
-    pub sensor_text: Option<String>,
-    /// What was done, and what was damaged.
-    pub notes: Vec<String>,
-}
-
-/// Reads both streams of a file of any format; `all` states what the file does not.
+/// What a file of any format has, for those who look at it before a graph does: events and frames without their data. `all` states what the file does not.
 ///
 /// # Errors
 /// When the file is of no known format, cannot be read, or something must be stated that is not.
-pub fn whole(all: &foreign::All) -> Result<Whole, NodeError> {
+pub fn arranged(all: &foreign::All) -> Result<Arranged, NodeError> {
     let (path, settings) = (all.path.path(), all.settings());
     let unknown = || match format::Probe::new(path).ok().and_then(|probe| instead::what_it_is(&probe)) {
         Some(instead) => NodeError::from(instead.refusal(path)),
@@ -38,11 +26,7 @@ pub fn whole(all: &foreign::All) -> Result<Whole, NodeError> {
     };
     let format = format::recognise(path)?.ok_or_else(unknown)?;
     let recording = joined::open(format, path, &settings.declared)?;
-    let arranged = arrange(path, recording.as_ref(), &settings, |_| Ok::<(), NodeError>(()))?;
-    let events = arranged.gather(recording.as_ref(), EVENTS_BUDGET, |_| Ok::<(), NodeError>(()))?.map(|(events, _)| events);
-    let losses = arranged.losses.iter().map(|loss| format!("{}{}: {}", photocurrent_core::context::LOSS, loss.at, loss.what));
-    let notes = arranged.notes.iter().cloned().chain(losses).collect();
-    Ok(Whole { events, frames: arranged.frame_sequence(), sensor_text: recording.sensor_text().map(String::from), notes })
+    arrange(path, recording.as_ref(), &settings, |_| Ok::<(), NodeError>(()))
 }
 
 /// Refuses a reader without a path.

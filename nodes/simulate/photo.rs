@@ -23,7 +23,7 @@ use std::sync::OnceLock;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// The photo: a PNG picture, grey or RGB, 8 or 16 bits; relative to the manifest that names it.
+    /// The photo: a PNG, TIFF or JPEG picture, grey or RGB, 8 or 16 bits; relative to the manifest that names it.
     pub path: InputPath,
     /// How stored values become linear light.
     pub transfer: Transfer,

@@ -1,4 +1,4 @@
-//! `simulate/video`: light of a real film, from a folder of PNG pictures or a Y4M file, and true frames of it.
+//! `simulate/video`: light of a real film, from a folder of pictures or a Y4M file, and true frames of it.
 //!
 //! A high-speed film is light at the instants of its frames; between them it is taken as linear, which is all that light between instants can be here.
 //! An instant without which the line is the same, to the last stored bit, is dropped, so that what stands still costs one instant however long the film is.
@@ -12,10 +12,11 @@
 use super::instants::Thinned;
 use super::source::{In, Metas, Out, Scale, TruthParams};
 use super::stored::folder::{self, Pictures};
-use super::stored::y4m::{self, Y4m};
+use super::stored::y4m::Y4m;
 use super::stored::{Crop, Film, Transfer, Window, cannot_read, short_name};
 use photocurrent_core::quantity::{Duration, Illuminance, InputPath, Rate};
 use photocurrent_core::{Context, Decl, FileRef, FrameBlock, Grain, LightBand, Meta, Node, NodeError, PortMetas, Rows, Sensor};
+use photocurrent_formats::ycbcr::Range;
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,15 +27,15 @@ use std::sync::OnceLock;
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Params {
-    /// The film: a folder of PNG pictures (grey or RGB, 8 or 16 bits, sorted by name, `f2` before `f10`), or a Y4M file; relative to the manifest that names it.
+    /// The film: a folder of PNG, TIFF or JPEG pictures (grey or RGB, 8 or 16 bits, sorted by name, `f2` before `f10`), or a Y4M file; relative to the manifest that names it.
     pub path: InputPath,
     /// Frames per second at which it was taken. Needed for a folder; for a Y4M file the default is what its header says.
     #[schemars(extend("x-min" = "0.001 Hz", "x-max" = "10 MHz"))]
     pub rate: Option<Rate>,
-    /// How stored values become linear light. Default: `srgb` for PNG pictures, `bt709` for Y4M.
+    /// How stored values become linear light. Default: `srgb` for pictures, `bt709` for Y4M.
     pub transfer: Option<Transfer>,
     /// Which stored luma of a Y4M file is black and white. Default: what its header says, otherwise `limited`.
-    pub range: Option<y4m::Range>,
+    pub range: Option<Range>,
     /// The part of the pictures that is seen. Default: everything.
     pub crop: Option<Crop>,
     /// Pixels in a row of the light: the part's width over a whole number; squares of pixels are averaged in linear light. Default: as `height` says, or all.
@@ -112,8 +113,8 @@ struct Opened {
     /// The number of the first used frame.
     first: usize,
     end_ns: i64,
-    /// Something that the header leaves open.
-    note: Option<String>,
+    /// What the header leaves open.
+    notes: Vec<String>,
 }
 
 /// At most so many values are decoded at a time: 32 MB.
@@ -126,11 +127,6 @@ impl SimulateVideo {
             if std::fs::metadata(path).map_err(|error| cannot_read(path, &error))?.is_dir() {
                 return Ok(Files::Pictures(folder::pictures(path)?));
             }
-            y4m::begins_as_one(path)?.map_err(|found| {
-                NodeError::input(format!("{} is no Y4M file: it begins with `{found}`, not with `YUV4MPEG2`", short_name(path)))
-                    .hint("name a folder of PNG pictures, or convert it: such as `ffmpeg -i film.mp4 film.y4m`")
-                    .param("path")
-            })?;
             Ok(Files::Y4m(path.into()))
         });
         listed.as_ref().map_err(Clone::clone)
@@ -141,19 +137,17 @@ impl SimulateVideo {
             return Ok(opened);
         }
         let params = &self.params;
-        let (film, rate, note): (Box<dyn Film>, Option<f64>, Option<String>) = match self.listed()? {
+        let (film, rate, notes): (Box<dyn Film>, Option<f64>, Vec<String>) = match self.listed()? {
             Files::Pictures(paths) => {
                 if params.range.is_some() {
-                    return Err(NodeError::usage("`range` is set, and PNG pictures always use all of theirs").hint("leave `range` out").param("range"));
+                    return Err(NodeError::usage("`range` is set, and pictures always use all of theirs").hint("leave `range` out").param("range"));
                 }
-                (Box::new(Pictures::open(paths.clone(), params.transfer.unwrap_or(Transfer::Srgb))?), None, None)
+                (Box::new(Pictures::open(paths.clone(), params.transfer.unwrap_or(Transfer::Srgb))?), None, Vec::new())
             }
             Files::Y4m(path) => {
                 let film = Y4m::open(path, params.transfer.unwrap_or(Transfer::Bt709), params.range)?;
-                let silent = params.range.is_none() && film.header().range.is_none();
-                let note = silent.then(|| format!("{} does not state the range of its values; taken as limited (`range`)", short_name(path)));
-                let rate = film.header().rate;
-                (Box::new(film), rate, note)
+                let (rate, notes) = (film.rate(), film.notes().to_vec());
+                (Box::new(film), rate, notes)
             }
         };
         let rate = params.rate.map(Rate::hz).or(rate).ok_or_else(|| {
@@ -167,7 +161,7 @@ impl SimulateVideo {
         let first = times.partition_point(|t| *t <= 0) - 1;
         let last = times.partition_point(|t| *t < end_ns);
         let times = times[first..=last].to_vec();
-        Ok(self.opened.get_or_init(|| Opened { film, window, times, first, end_ns, note }))
+        Ok(self.opened.get_or_init(|| Opened { film, window, times, first, end_ns, notes }))
     }
 
     fn metas(&self, opened: &Opened) -> Result<Metas, NodeError> {
@@ -208,7 +202,7 @@ fn frame_times(frames: usize, rate: f64, params: &Params) -> Result<Vec<i64>, No
 impl Node for SimulateVideo {
     const DECL: Decl = Decl {
         kind: "simulate/video",
-        about: "Light of a real high-speed film, from PNG pictures or a Y4M file, and true frames of it.",
+        about: "Light of a real high-speed film, from pictures or a Y4M file, and true frames of it.",
         revision: 1,
         grain: Grain::Pixel,
         draws: false,
@@ -227,7 +221,7 @@ params = { path = "drop/frames", rate = "5 kHz", transfer = "linear", illuminanc
 
     fn build(params: Params) -> Result<Self, NodeError> {
         if params.path.path().as_os_str().is_empty() {
-            return Err(NodeError::usage("`path` is missing").hint("name a folder of PNG pictures or a Y4M file, such as `path = \"film.y4m\"`").param("path"));
+            return Err(NodeError::usage("`path` is missing").hint("name a folder of pictures or a Y4M file, such as `path = \"film.y4m\"`").param("path"));
         }
         Ok(SimulateVideo { params, files: OnceLock::new(), opened: OnceLock::new() })
     }
@@ -241,7 +235,7 @@ params = { path = "drop/frames", rate = "5 kHz", transfer = "linear", illuminanc
     fn run(&self, input: In, cx: &Context) -> Result<Out, NodeError> {
         let opened = self.open()?;
         let (metas, scale, rows) = (self.metas(opened)?, self.scale(&input.sensor)?, cx.rows());
-        opened.note.iter().for_each(|note| cx.note(note.clone()));
+        opened.notes.iter().for_each(|note| cx.note(note.clone()));
         let width = opened.window.extent().width as usize;
         let mut parts: Vec<Row> = rows.iter().map(|y| Row::new(width, metas.truth_block(Rows { start: y, end: y + 1 }, cx))).collect();
         let shown: Vec<i64> = metas.truth.times.exposures.iter().map(|exposure| exposure.start.0).collect();

@@ -214,7 +214,7 @@ fn films_that_cannot_be_are_refused() {
     assert_eq!(message(Params::default()), "`path` is missing");
     assert!(message(linear(Path::new("no/such/folder"))).contains("no/such/folder: there is no such file"));
     assert_eq!(message(Params { rate: None, ..linear(folder.path()) }), "`rate` is missing, and the film does not say how fast it was taken");
-    assert_eq!(message(Params { range: Some(y4m::Range::Full), ..linear(folder.path()) }), "`range` is set, and PNG pictures always use all of theirs");
+    assert_eq!(message(Params { range: Some(Range::Full), ..linear(folder.path()) }), "`range` is set, and pictures always use all of theirs");
     let late = plan(Params { start: Duration::new(2_000_000), ..linear(folder.path()) }).unwrap_err();
     assert!(late.message.starts_with("`start` is 2 ms, and ") && late.param.as_deref() == Some("start"), "{late}");
     let long = plan(Params { duration: Some(Duration::new(2_000_001)), ..linear(folder.path()) }).unwrap_err();
@@ -225,8 +225,8 @@ fn films_that_cannot_be_are_refused() {
     let one = pictures(1, THREE, |_, _, _| 0);
     assert!(message(linear(one.path())).ends_with("has one frame, and light between frames needs two"));
     let empty = tempfile::tempdir().unwrap();
-    assert!(message(linear(empty.path())).starts_with("there is no PNG picture in "));
-    assert_eq!(message(linear(&folder.path().join("f1.png"))), "f1.png is no Y4M file: it begins with `.PNG........`, not with `YUV4MPEG2`");
+    assert!(message(linear(empty.path())).starts_with("there is no PNG, TIFF or JPEG picture in "));
+    assert_eq!(message(linear(&folder.path().join("f1.png"))), "f1.png: it is no Y4M file: it begins with `.PNG.`, expected `YUV4MPEG2 W... H...`");
 }
 
 #[test]

@@ -15,6 +15,7 @@ use crate::command;
 use photocurrent_core::quantity::Rate;
 use photocurrent_core::table::{Column, TableMeta};
 use photocurrent_core::{Context, Decl, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Sensor, Table};
+use photocurrent_formats::ycbcr::{Levels, Range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
@@ -240,34 +241,33 @@ fn slowed(frames: &FrameSequence, rate: Rate) -> Option<String> {
     (factor.is_finite() && factor > 0.0).then(|| format!("shown at {rate}, the film runs {factor:.3} times slower than the scene"))
 }
 
-/// Luma of limited range for a stored value of 8 bits.
-fn luma(code: f64) -> u8 {
-    (16.0 + 219.0 / 255.0 * code).round() as u8
+/// Y'CbCr of the film, of codes of 8 bits.
+fn levels() -> Levels {
+    Levels::new(Range::Limited, 8)
 }
 
 /// Grey: the plane of luma, and two of neutral chroma for squares of four pixels.
 fn push_420(codes: &[u8], width: u32, planes: &mut Vec<u8>) {
     let width = width as usize;
-    planes.extend(codes.iter().map(|&code| luma(code.into())));
+    planes.extend(codes.iter().map(|&code| levels().stored_luma(code.into(), 255.0) as u8));
     let height = codes.len() / width.max(1);
-    planes.extend(std::iter::repeat_n(128, 2 * width.div_ceil(2) * height.div_ceil(2)));
+    planes.extend(std::iter::repeat_n(levels().middle() as u8, 2 * width.div_ceil(2) * height.div_ceil(2)));
 }
 
-/// Colour: three planes, by the matrix of BT.709.
+/// Colour: three planes.
 fn push_444(codes: &[u8], planes: &mut Vec<u8>) {
-    let pixels = || codes.chunks_exact(3).map(|rgb| [f64::from(rgb[0]), f64::from(rgb[1]), f64::from(rgb[2])]);
-    let grey = |[r, g, b]: [f64; 3]| 0.2126 * r + 0.7152 * g + 0.0722 * b;
-    let chroma = |difference: f64, largest: f64| (128.0 + 224.0 / 255.0 * difference / largest).round() as u8;
-    planes.extend(pixels().map(|rgb| luma(grey(rgb))));
-    planes.extend(pixels().map(|rgb| chroma(rgb[2] - grey(rgb), 1.8556)));
-    planes.extend(pixels().map(|rgb| chroma(rgb[0] - grey(rgb), 1.5748)));
+    let pixels: Vec<[u16; 3]> = codes.chunks_exact(3).map(|rgb| levels().ycbcr([f64::from(rgb[0]), f64::from(rgb[1]), f64::from(rgb[2])], 255.0)).collect();
+    (0..3).for_each(|plane| planes.extend(pixels.iter().map(|pixel| pixel[plane] as u8)));
 }
 
 #[cfg(test)]
 mod tests {
     use super::super::testing::exporting;
     use super::*;
+    use crate::simulate::stored::{self as simulate, Film, y4m::Y4m};
     use photocurrent_core::{Colour, Exposure, Extent, FrameBlock, FrameScale, FrameTimes, FramesMeta, testing};
+    use photocurrent_formats::pictures::PictureFiles;
+    use photocurrent_formats::{Declared, Pictures, Transfer};
 
     fn write(frames: &FrameSequence, params: Params, look: impl FnOnce(Result<Out, NodeError>, Vec<String>, &Path)) {
         let node = WriteVideo::build(params).unwrap();
@@ -312,6 +312,42 @@ mod tests {
             assert_eq!(bytes[..text.len()], text[..]);
             // Pure red in BT.709 of limited range is 63, 102, 240; white is 235, 128, 128.
             assert_eq!(bytes[text.len()..], [63, 235, 102, 128, 240, 128]);
+        });
+    }
+
+    #[test]
+    fn a_colour_film_is_read_back_with_its_colours() {
+        // Every colour of seven steps a channel; white is 1000 DN.
+        let steps = [0.0, 8.0, 60.0, 214.041, 400.0, 700.0, 1000.0];
+        let dn: Vec<f32> = (0..343).flat_map(|k| [steps[k % 7], steps[k / 7 % 7], steps[k / 49]]).collect();
+        let times = FrameTimes::new(exposures(1), 0).unwrap();
+        let meta = FramesMeta { extent: Extent { width: 49, height: 7 }, colour: Colour::Rgb, times, scale: FrameScale::Captured };
+        let block = FrameBlock { frames: 0..1, rows: meta.extent.rows(), row_values: 147, dn: dn.clone() };
+        let params = Params { white: Some(1000.0), ..Params::default() };
+        write(&FrameSequence::in_memory(Arc::new(meta), block), params, |_, _, folder| {
+            let path = folder.join("video.y4m");
+            let pictures = PictureFiles::open(&path, &Declared::default()).unwrap();
+            let mut codes = Vec::new();
+            pictures.read(0, &mut codes).unwrap();
+            let film = Y4m::open(&path, simulate::Transfer::Srgb, None).unwrap();
+            let mut light = Vec::new();
+            film.read(0, film.extent().rows(), &mut |row| light.extend_from_slice(row)).unwrap();
+            assert_eq!((codes.len(), light.len()), (1029, 343));
+            for ((dn, codes), light) in dn.chunks(3).zip(codes.chunks(3)).zip(light) {
+                let share = |code: f32| Transfer::Srgb.linear(f64::from(code) / 255.0);
+                // sRGB by the standard; a step of luma is 1.2 codes of 8 bits, a step of chroma up to 2.1: half of both.
+                let stored =
+                    dn.iter().map(|dn| f64::from(*dn) / 1000.0).map(|dn| if dn <= 0.003_130_8 { 12.92 * dn } else { 1.055 * libm::pow(dn, 1.0 / 2.4) - 0.055 });
+                let stored: Vec<f64> = stored.map(|share| 255.0 * share).collect();
+                let off = codes.iter().zip(&stored).map(|(found, expected)| (f64::from(*found) - expected).abs());
+                assert!(off.clone().all(|off| off < 0.5 + 0.6 + 1.1), "{dn:?}: {codes:?}, {stored:?} expected");
+                // Luminance: that of the colours as they are read, and that of the scene within 2 codes of each channel.
+                let sum = |light: [f64; 3]| 0.2126 * light[0] + 0.7152 * light[1] + 0.0722 * light[2];
+                let within = |by: f64| sum([0, 1, 2].map(|channel| Transfer::Srgb.linear((stored[channel] + by).max(0.0) / 255.0)));
+                assert!((within(-2.2)..=within(2.2)).contains(&light), "{dn:?}: {light}");
+                let inside = codes.iter().all(|code| *code > 0.0 && *code < 255.0);
+                assert!(!inside || (sum([0, 1, 2].map(|channel| share(codes[channel]))) - light).abs() < 1e-6, "{dn:?}: {codes:?}, {light}");
+            }
         });
     }
 

@@ -1,4 +1,4 @@
-//! A recording and its description as a diagnosis takes them.
+//! Can a recording with its description be diagnosed? Looked at before the graph begins, so that what is wrong is said in the words of the command.
 
 use crate::common::{Failure, human_bytes};
 use crate::diagnose::Given;
@@ -8,15 +8,15 @@ use photocurrent_core::error::Trouble;
 use photocurrent_core::{EventsMeta, FramesMeta, NodeError, Sensor};
 use photocurrent_diagnosis::case::Case;
 use photocurrent_engine::machine_memory;
+use photocurrent_nodes::read::arranged;
 use photocurrent_nodes::read::foreign::All;
-use photocurrent_nodes::read::whole;
 use photocurrent_nodes::spans::check_one_clock;
 use photocurrent_store::StoreError;
 use photocurrent_store::recording::Recording;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Why a recording is no case.
+/// Why a recording cannot be diagnosed.
 pub enum Unread {
     /// Its data contradict the format or themselves: that is a verdict.
     Content(String),
@@ -30,8 +30,9 @@ impl From<Failure> for Unread {
     }
 }
 
-/// Reads a recording with the description in a file, or its own; refuses, before its data, one that takes more than `memory` bytes (none = what the machine has).
-pub fn read(given: &Given, memory: Option<u64>) -> Result<Case, Unread> {
+/// The description in a file, or the recording's own. Refuses a recording that cannot be diagnosed with it, and, before its data, one that takes more than `memory`
+/// bytes (none = what the machine has). Of data only the events of a recording in this project's form are read: what contradicts its form is a verdict.
+pub fn look(given: &Given, memory: Option<u64>) -> Result<Sensor, Unread> {
     let path = given.path();
     // The HDF5 library's word for a missing file comes without what to do about it.
     if let Err(error) = std::fs::metadata(path) {
@@ -43,19 +44,27 @@ pub fn read(given: &Given, memory: Option<u64>) -> Result<Case, Unread> {
     }
     let recording = Recording::open(path).map_err(Failure::from)?;
     let sensor = sensor(given, recording.sensor_text())?;
-    of_recording(&recording, &sensor, memory)
+    of_recording(&recording, &sensor, memory)?;
+    Ok(sensor)
 }
 
-/// From a file of another program.
-fn of_others(given: &Given, memory: Option<u64>) -> Result<Case, Unread> {
-    let path = given.path();
+/// In a file of another program.
+fn of_others(given: &Given, memory: Option<u64>) -> Result<Sensor, Unread> {
     let sensor = sensor(given, None)?;
     // What the file does not record of its rows, a description may know.
     let all = All { row_time: given.all.row_time.or(sensor.frames.row_time), ..given.all.clone() };
-    let streams = whole(&all).map_err(|error| usage(unread(&error)))?;
-    one_clock(path, streams.events.as_ref().map(|events| &*events.meta), streams.frames.as_ref().map(|frames| &*frames.meta), &sensor)?;
-    fits(path, streams.events.as_ref().map(|events| &events.meta), streams.frames.as_ref().map(|frames| &frames.meta), memory)?;
-    Case::read(streams.events.as_ref(), streams.frames.as_ref(), &sensor).map_err(|error| usage(format!("{}: {}", path.display(), error.message)).into())
+    let arranged = arranged(&all).map_err(|error| usage(unread(&error)))?;
+    let (events, frames) = (arranged.events.as_ref().ok(), arranged.frames.as_ref().ok());
+    one_clock(given.path(), events.map(|events| &**events), frames.map(|frames| &**frames), &sensor)?;
+    fits(given.path(), events, frames, memory)?;
+    can_be(given.path(), events.map(|events| &**events), frames.map(|frames| &**frames), &sensor)?;
+    Ok(sensor)
+}
+
+/// Refuses streams that the model does not fit, and a description that lacks what it needs.
+fn can_be(path: &Path, events: Option<&EventsMeta>, frames: Option<&FramesMeta>, sensor: &Sensor) -> Result<(), Failure> {
+    let nominal = Case::before_data(events, frames, sensor).map_err(|error| error.message).and_then(|case| case.nominal().map_err(|error| error.to_string()));
+    nominal.map(drop).map_err(|why| usage(format!("{}: {why}", path.display())))
 }
 
 /// Why a file is not read; with what states what it does not.
@@ -69,28 +78,24 @@ fn unread(error: &NodeError) -> String {
     }
 }
 
-/// From a recording in this project's form.
-fn of_recording(recording: &Recording, sensor: &Sensor, memory: Option<u64>) -> Result<Case, Unread> {
-    let name = recording.path().display();
+/// In a recording in this project's form.
+fn of_recording(recording: &Recording, sensor: &Sensor, memory: Option<u64>) -> Result<(), Unread> {
     let row_time_ns = recording.row_time_ns().or(sensor.frames.row_time.map(|row_time| row_time.ns()));
-    let frames_meta = recording.frames_meta(row_time_ns.unwrap_or(0));
-    one_clock(recording.path(), recording.events_meta().map(|events| &**events), frames_meta.as_ref(), sensor)?;
-    fits(recording.path(), recording.events_meta(), frames_meta.map(Arc::new).as_ref(), memory)?;
-    // Read once before, for the reader's own word on what is wrong.
+    let events = recording.events_meta();
+    let frames = recording.frames_meta(row_time_ns.unwrap_or(0)).map(Arc::new);
+    one_clock(recording.path(), events.map(|events| &**events), frames.as_deref(), sensor)?;
+    fits(recording.path(), events, frames.as_ref(), memory)?;
     match recording.read_events(recording.extent().rows()) {
         Ok(_) => {}
         Err(error @ (StoreError::Content { .. } | StoreError::Several { .. })) => return Err(Unread::Content(error.to_string())),
         Err(error) => return Err(Unread::Other(error.into())),
     }
-    let frames = match (recording.exposures().is_some_and(|exposures| !exposures.is_empty()), row_time_ns) {
-        (false, _) => None,
-        (true, Some(row_time_ns)) => recording.frames(row_time_ns),
-        (true, None) => {
-            let hint = "hint: set the attribute `row_time_ns` of /frames, or state `frames.row_time` in the sensor description; 0 is a global shutter";
-            return Err(usage(format!("{name}: the row time of the frames is stated nowhere\n  {hint}")).into());
-        }
-    };
-    Case::read(recording.events().as_ref(), frames.as_ref(), sensor).map_err(|error| usage(format!("{name}: {}", error.message)).into())
+    let frames = frames.filter(|_| recording.exposures().is_some_and(|exposures| !exposures.is_empty()));
+    if frames.is_some() && row_time_ns.is_none() {
+        let hint = "hint: set the attribute `row_time_ns` of /frames, or state `frames.row_time` in the sensor description; 0 is a global shutter";
+        return Err(usage(format!("{}: the row time of the frames is stated nowhere\n  {hint}", recording.path().display())).into());
+    }
+    Ok(can_be(recording.path(), events.map(|events| &**events), frames.as_deref(), sensor)?)
 }
 
 /// Refuses a recording that is too large to be held.

@@ -52,6 +52,25 @@ impl Case {
         events.saturating_add(frames.map_or(0, |meta| Meta::Frames(meta.clone()).estimated_bytes()))
     }
 
+    /// A recording as far as it is known before its data: with their times, and without events and frame values.
+    ///
+    /// # Errors
+    /// When neither stream is there, or frames have no whole number of pixels along the side of an event's.
+    pub fn before_data(events: Option<&EventsMeta>, frames: Option<&FramesMeta>, sensor: &Sensor) -> Result<Case, DataError> {
+        let neither = || DataError::new("the recording has neither events nor frames");
+        let extent = events.map(|events| events.extent).or(frames.map(|frames| frames.extent)).ok_or_else(neither)?;
+        let grey = frames.map(|frames| Grey::new(extent, frames, sensor)).transpose()?;
+        Ok(Case {
+            extent,
+            span: Case::span_of(events, frames.map(|frames| (&frames.times, extent.height))),
+            events: PixelEvents::default(),
+            has_t_in: events.is_some_and(|events| events.has_t_in),
+            t_resolution_ns: events.and_then(|events| events.t_resolution_ns).unwrap_or(0),
+            frames: frames.zip(grey).map(|(frames, grey)| CaseFrames::new(grey.times(&frames.times), Vec::new())),
+            sensor: sensor.clone(),
+        })
+    }
+
     /// Reads a recording into memory.
     ///
     /// # Errors

@@ -71,8 +71,7 @@ fn archives(folder: &Path) -> Result<Vec<PathBuf>, FormatError> {
             found.push(path);
         }
     }
-    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    found.sort_by(|a, b| names::natural(&name(a), &name(b)).then_with(|| a.cmp(b)));
+    names::sort(&mut found);
     Ok(found)
 }
 

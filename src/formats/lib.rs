@@ -12,7 +12,7 @@
 //! - [`rosbag`], [`rosbag2`], [`mcap`]: bags of ROS 1 and 2 and MCAP files, whose messages and chunks [`ros`] reads.
 //! - [`error`]: why a file is refused, and what was lost of a damaged one.
 //! - [`pairings`]: which of several ways to pair pictures with times agrees with the events.
-//! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`calibration`]: facts of a sensor.
+//! - [`joined`]: events of one file with frames of another place; [`transfer`]: from stored values to linear ones; [`ycbcr`]: luma and chroma; [`calibration`]: facts of a sensor.
 //! - [`placed`]: a mirrored picture, a shift by whole pixels, frames that are left out, as they are stated.
 //! - [`losses`]: what was left out, as a list that stays short.
 //! - [`convention`]: unusual ways of storing events that are no damage; [`instead`]: what a file is that is no recording.
@@ -65,6 +65,7 @@ pub mod survey;
 mod text;
 pub mod transfer;
 pub mod trim;
+pub mod ycbcr;
 
 pub use catalog::FORMATS;
 pub use chunk::{Edge, EventChunk, Trigger};

@@ -2,9 +2,9 @@
 
 use super::npy::Npy;
 use crate::reconstruct::black_level;
-use crate::simulate::stored::folder::by_number;
 use crate::simulate::stored::{Curve, Transfer, cannot_read, short_name, still};
 use photocurrent_core::{Context, Extent, FrameBlock, FramesMeta, NodeError, Sensor};
+use photocurrent_formats::pictures::names;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
@@ -100,6 +100,6 @@ pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>, NodeError> {
         (true, false) => png,
         (false, true) => npy,
     };
-    paths.sort_by(|a, b| by_number(&short_name(a), &short_name(b)));
+    names::sort(&mut paths);
     Ok(paths)
 }

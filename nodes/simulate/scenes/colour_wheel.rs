@@ -3,11 +3,12 @@
 //! The hard case for a sensor whose event pixels see a mixture of colours: at a border between two sectors every channel changes by another factor, the
 //! mixture by yet another, and between some colours hardly at all. In grey, the disk is its luminance.
 
+use super::Scene;
 use super::disk::{Disk, WALL};
 use super::shapes::blend;
-use super::{LUMINANCE, Scene};
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Rotation;
+use photocurrent_formats::ycbcr::LUMINANCE;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 

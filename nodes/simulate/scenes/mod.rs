@@ -27,9 +27,6 @@ pub const DARKEST: f64 = 0.03;
 /// See [`DARKEST`].
 pub const BRIGHTEST: f64 = 0.95;
 
-/// What red, green and blue count in luminance, ITU-R BT.709.
-pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
-
 /// Something to look at.
 pub trait Scene: Send + Sync {
     /// Mean reflectance of the pixel centred at (x, y) at an instant: [`DARKEST`] to [`BRIGHTEST`].

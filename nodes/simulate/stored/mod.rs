@@ -1,4 +1,4 @@
-//! Stored pictures as linear light: PNG pictures and Y4M films, read row by row.
+//! Stored pictures as linear light: folders of pictures and Y4M films, which [`photocurrent_formats::pictures`] reads, row by row.
 //!
 //! A stored value becomes relative light, 0 for none and 1 for full white, by a transfer curve ([`Curve`]); colour becomes grey as its luminance, summed
 //! after the curve. A [`Film`] gives rows of one frame at a time; a [`Window`] crops them and averages squares of pixels, in linear light.
@@ -10,8 +10,10 @@ pub mod still;
 pub mod y4m;
 
 use photocurrent_core::{Extent, NodeError, Rows};
+use photocurrent_formats::FormatError;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::fs::File;
 use std::path::Path;
 use std::sync::OnceLock;
 
@@ -39,16 +41,12 @@ impl Transfer {
         let stored = stored.max(0.0);
         match self {
             Transfer::Linear => stored,
-            Transfer::Srgb if stored <= 0.04045 => stored / 12.92,
-            Transfer::Srgb => libm::pow((stored + 0.055) / 1.055, 2.4),
+            Transfer::Srgb => photocurrent_formats::Transfer::Srgb.linear(stored),
             Transfer::Bt709 if stored < 0.081 => stored / 4.5,
             Transfer::Bt709 => libm::pow((stored + 0.099) / 1.099, 1.0 / 0.45),
         }
     }
 }
-
-/// Luminance of linear red, green, blue: BT.709.
-pub const LUMINANCE: [f64; 3] = [0.2126, 0.7152, 0.0722];
 
 /// A transfer curve with its tables for whole numbers of 8 and 16 bits.
 pub struct Curve {
@@ -63,14 +61,9 @@ impl Curve {
         Curve { transfer, eight: table(transfer, 255), sixteen: OnceLock::new() }
     }
 
-    /// Light of every 8-bit value.
-    fn eight(&self) -> &[f64] {
-        &self.eight
-    }
-
-    /// Light of every 16-bit value.
-    fn sixteen(&self) -> &[f64] {
-        self.sixteen.get_or_init(|| table(self.transfer, 65535))
+    /// Light of every value of so many bits: 8, or 16.
+    fn of(&self, bits: u32) -> &[f64] {
+        if bits > 8 { self.sixteen.get_or_init(|| table(self.transfer, 65535)) } else { &self.eight }
     }
 }
 
@@ -204,6 +197,14 @@ pub fn short_name(path: &Path) -> String {
 /// A file that could not be read, in the reader's terms.
 pub fn cannot_read(path: &Path, error: &std::io::Error) -> NodeError {
     NodeError::files(photocurrent_core::error::cannot_read(path, error)).hint("paths are relative to the manifest that names them").param("path")
+}
+
+/// A picture or film that was refused, by its short name. One that cannot be opened is trouble with files, anything else with what they hold.
+pub fn refused(error: FormatError) -> NodeError {
+    match File::open(&error.path) {
+        Err(trouble) => cannot_read(&error.path, &trouble),
+        Ok(_) => FormatError { path: short_name(&error.path).into(), ..error }.into(),
+    }
 }
 
 #[cfg(test)]

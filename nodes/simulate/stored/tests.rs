@@ -1,8 +1,9 @@
 //! Tests of stored pictures: transfer curves, crops and averages, PNG and Y4M bytes written by hand.
 
 use super::folder::Pictures;
-use super::y4m::{Range, Y4m};
+use super::y4m::Y4m;
 use super::*;
+use photocurrent_formats::ycbcr::Range;
 use png::{BitDepth, ColorType};
 use std::path::PathBuf;
 
@@ -90,6 +91,25 @@ fn interlaced_pictures_and_palettes_are_read_too() {
 }
 
 #[test]
+fn tiff_pictures_are_light_too() {
+    let folder = tempfile::tempdir().unwrap();
+    // TIFF 6.0 by hand: 2 x 2 grey values of 16 bits in one strip, little-endian.
+    let mut tiff = b"II*\0\x08\0\0\0\x08\0".to_vec();
+    let entries = [(256, 2), (257, 2), (258, 16), (259, 1), (262, 1), (273, 110), (277, 1), (279, 8)];
+    for (tag, value) in entries.map(|(tag, value): (u16, u32)| (tag.to_le_bytes(), value.to_le_bytes())) {
+        tiff.extend([&tag[..], &[4, 0, 1, 0, 0, 0], &value].concat());
+    }
+    tiff.extend([0; 4]);
+    assert_eq!(tiff.len(), 110);
+    tiff.extend([0, 13_107, 26_214, 65_535_u16].into_iter().flat_map(u16::to_le_bytes));
+    let path = folder.path().join("a.tif");
+    std::fs::write(&path, tiff).unwrap();
+    let film = Pictures::open(vec![path], Transfer::Linear).unwrap();
+    assert_eq!((whole(&film, 0), rows(&film, 0, Rows { start: 1, end: 2 }).unwrap()), (vec![0.0, 0.2, 0.4, 1.0], vec![0.4, 1.0]));
+    assert!(rows(&film, 0, Rows { start: 1, end: 3 }).unwrap_err().message.starts_with("a.tif: the picture cannot be read: it ends after 2 rows"));
+}
+
+#[test]
 fn transparent_damaged_and_differing_pictures_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
@@ -97,18 +117,24 @@ fn transparent_damaged_and_differing_pictures_are_refused() {
     save(&path("clear.png"), 1, 1, (ColorType::Rgba, BitDepth::Eight), &[1, 2, 3, 4]);
     assert_eq!(refused(vec![path("clear.png")]), "clear.png has transparency, and light has none");
     std::fs::write(path("text.png"), "no picture").unwrap();
-    assert!(refused(vec![path("text.png")]).starts_with("text.png is no whole PNG picture: "));
+    assert!(refused(vec![path("text.png")]).starts_with("text.png: the picture cannot be read: "));
     save(&path("a.png"), 3, 2, (ColorType::Grayscale, BitDepth::Eight), &[0; 6]);
     save(&path("b.png"), 3, 3, (ColorType::Grayscale, BitDepth::Eight), &[0; 9]);
     assert_eq!(refused(vec![path("a.png"), path("a.png"), path("b.png")]), "b.png has 3 x 3 pixels, and a.png has 3 x 2");
     assert!(refused(vec![path("gone.png")]).ends_with("gone.png: there is no such file"));
-    // Cut off inside its pixels: the header is whole, so reading finds it.
+    // Cut off inside its pixels: that shows before anything is decoded. Changed there: only decoding finds it.
     let noise: Vec<u8> = (0..64 * 64u32).map(|k| (k.wrapping_mul(2_654_435_761) >> 24) as u8).collect();
     save(&path("cut.png"), 64, 64, (ColorType::Grayscale, BitDepth::Eight), &noise);
-    let bytes = std::fs::read(path("cut.png")).unwrap();
+    let mut bytes = std::fs::read(path("cut.png")).unwrap();
     std::fs::write(path("cut.png"), &bytes[..bytes.len() / 2]).unwrap();
-    let cut = Pictures::open(vec![path("cut.png")], Transfer::Srgb).unwrap();
-    assert!(rows(&cut, 0, Rows { start: 0, end: 64 }).unwrap_err().message.starts_with("cut.png is no whole PNG picture: "));
+    let cut = refused(vec![path("cut.png")]);
+    assert!(cut.starts_with("cut.png: the picture cannot be read: it is cut off: "), "{cut}");
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0xff;
+    std::fs::write(path("changed.png"), &bytes).unwrap();
+    let changed = Pictures::open(vec![path("changed.png")], Transfer::Srgb).unwrap();
+    let error = rows(&changed, 0, Rows { start: 0, end: 64 }).unwrap_err();
+    assert!(error.message.starts_with("changed.png: the picture cannot be read: "), "{error}");
 }
 
 #[test]
@@ -161,7 +187,7 @@ fn grey_of_every_layout_is_luma_between_black_and_white() {
     // 3 x 2 pixels: black, a fifth, white in limited range; chroma planes round up.
     let luma = [16, 16 + 44, 235, 235, 16, 16];
     let light = [0.0, 44.0 / 219.0, 1.0, 1.0, 0.0, 0.0];
-    for (name, chroma) in [("mono", 0), ("420jpeg", 2 * 2), ("420", 4), ("422", 2 * 4), ("411", 4), ("444", 2 * 6)] {
+    for (name, chroma) in [("mono", 0), ("420jpeg", 2 * 2), ("420", 4), ("422", 2 * 4), ("411", 4), ("440", 2 * 3), ("444", 2 * 6)] {
         let frame: Vec<u8> = luma.into_iter().chain(vec![128; chroma]).collect();
         let film = y4m(folder.path(), &film_of(&format!("W3 H2 F25:1 Ip A1:1 C{name}"), &[&frame, &frame]), Transfer::Linear).unwrap();
         assert_eq!(film.frames(), 2, "{name}");
@@ -175,7 +201,17 @@ fn grey_of_every_layout_is_luma_between_black_and_white() {
         near(&whole(&film, 0), &light, 1e-15);
     }
     let full = y4m(folder.path(), &film_of("W2 H1 F25:1 Cmono XCOLORRANGE=FULL", &[&[51, 255]]), Transfer::Linear).unwrap();
-    assert_eq!((whole(&full, 0), full.header().range), (vec![0.2, 1.0], Some(Range::Full)));
+    assert_eq!(whole(&full, 0), [0.2, 1.0]);
+    // What is stated of a film wins over its header.
+    let path = folder.path().join("film.y4m");
+    near(&whole(&Y4m::open(&path, Transfer::Linear, Some(Range::Limited)).unwrap(), 0), &[35.0 / 219.0, 239.0 / 219.0], 1e-15);
+    assert_eq!(full.notes(), [""; 0]);
+    let silent = y4m(folder.path(), &film_of("W2 H1 F25:1 C444", &[&[128; 6]]), Transfer::Linear).unwrap();
+    let expected = [
+        "film.y4m does not state the range of its values; taken as limited (`range`)",
+        "film.y4m does not state the matrix of its colours; taken as that of BT.709",
+    ];
+    assert_eq!(silent.notes(), expected);
 }
 
 #[test]
@@ -196,8 +232,8 @@ fn frame_lines_with_parameters_and_rates_are_understood() {
     bytes.extend_from_slice(b"FRAME Ip XNOTE=a\n\xeb");
     let film = y4m(folder.path(), &bytes, Transfer::Linear).unwrap();
     assert_eq!((whole(&film, 0), whole(&film, 1)), (vec![0.0], vec![1.0]));
-    assert_eq!(film.header().rate, Some(30000.0 / 1001.0));
-    assert_eq!(y4m(folder.path(), &film_of("W1 H1 F0:0 Cmono", &[&[16]]), Transfer::Linear).unwrap().header().rate, None);
+    assert_eq!(film.rate(), Some(30000.0 / 1001.0));
+    assert_eq!(y4m(folder.path(), &film_of("W1 H1 F0:0 Cmono", &[&[16]]), Transfer::Linear).unwrap().rate(), None);
 }
 
 #[test]
@@ -207,14 +243,19 @@ fn what_cannot_be_read_as_y4m_is_named_with_its_place() {
     let good = film_of("W4 H2 F25:1 Cmono", &[&[16; 8], &[16; 8]]);
     // The header has 28 bytes, a frame 6 + 8: the second begins at 42 and ends at 56.
     assert_eq!(good.len(), 56);
-    let cut = "film.y4m is cut off: frame 1 begins at byte 42 and needs the bytes up to 56; whole frames before it: 1";
-    assert_eq!(refused(&good[..55]), cut);
-    assert_eq!(refused(&good[..48]), cut);
-    assert_eq!(refused(&good[..45]), "film.y4m is cut off: it ends at the head of frame 1, which begins at byte 42; whole frames before it: 1");
-    assert_eq!(refused(b"YUV4MPEG2 W4 H2"), "film.y4m is cut off: its header has no end within 15 bytes");
+    let cut = |bytes: u32| {
+        format!("film.y4m: it is cut off: frame 1 begins at byte 42 and needs the bytes up to 56, and the file has {bytes}; whole frames before it: 1")
+    };
+    assert_eq!(refused(&good[..55]), cut(55));
+    assert_eq!(refused(&good[..48]), cut(48));
+    let head = "film.y4m: it is cut off: it ends at the head of frame 1, which begins at byte 42 of 45; whole frames before it: 1";
+    assert_eq!(refused(&good[..45]), head);
+    assert_eq!(refused(b"YUV4MPEG2 W4 H2"), "film.y4m: it is cut off: its header has no end within 15 bytes");
     assert_eq!(refused(&film_of("W4 H2 F25:1 It Cmono", &[])), "the header of film.y4m says that its frames are interlaced (`It`)");
-    assert_eq!(refused(&film_of("W4 H2 F25:1 C444alpha", &[])), "the header of film.y4m names the colour space `444alpha`");
-    assert_eq!(refused(&film_of("W4 F25:1", &[])), "the header of film.y4m states no size that can be: `YUV4MPEG2 W4 F25:1`");
+    assert_eq!(refused(&film_of("W4 H2 F25:1 C444alpha", &[])), "film.y4m has transparency, and light has none");
+    assert_eq!(refused(&film_of("W4 H2 F25:1 C410", &[])), "film.y4m: the header: it names the colour space `410`");
+    assert_eq!(refused(&film_of("W4 F25:1", &[])), "film.y4m: the header: it states no size that can be: `YUV4MPEG2 W4 F25:1`");
     let shifted = film_of("W4 H2 F25:1 Cmono", &[&[16; 9], &[16; 9]]);
-    assert_eq!(refused(&shifted), "film.y4m has no frame where one should begin: at byte 42; whole frames before it: 1");
+    let other = "film.y4m: it has no frame where one should begin: at byte 42; a frame of 4 x 2 pixels has 8 bytes by the header; whole frames before it: 1";
+    assert_eq!(refused(&shifted), other);
 }

@@ -6,8 +6,7 @@ use crate::case::usage;
 use crate::common::{Failure, failed_nodes};
 use crate::progress::Watcher;
 use crate::run::stop_on_signal;
-use photocurrent_core::{Digest, Node};
-use photocurrent_diagnosis::case::Case;
+use photocurrent_core::{Digest, Node, Sensor};
 use photocurrent_engine::{End, Options, Outcome, Plan, Selection};
 use photocurrent_nodes::diagnose::target::{DiagnoseTarget, Params as TargetParams};
 use photocurrent_store::Cache;
@@ -35,8 +34,8 @@ pub struct Answered {
 }
 
 /// Runs the stages in `folder`, which is empty and goes away afterwards; the exit code when they did not come to an end, which was reported.
-pub fn run(options: &DiagnoseOptions, given: &Given, case: &Case, folder: &Path) -> Result<Result<Answered, u8>, Failure> {
-    let plan = plan(options, given, case, folder)?;
+pub fn run(options: &DiagnoseOptions, given: &Given, sensor: &Sensor, folder: &Path) -> Result<Result<Answered, u8>, Failure> {
+    let plan = plan(options, given, sensor, folder)?;
     let cancel = Arc::new(AtomicBool::new(false));
     stop_on_signal(&cancel, Some(folder))?;
     // An answer does not hang on what is kept of it.
@@ -67,13 +66,13 @@ fn notes(outcome: &Outcome) -> Vec<(String, String)> {
 }
 
 /// The wiring, and what is laid over it, as files in `folder`; planned.
-fn plan(options: &DiagnoseOptions, given: &Given, case: &Case, folder: &Path) -> Result<Plan, Failure> {
+fn plan(options: &DiagnoseOptions, given: &Given, sensor: &Sensor, folder: &Path) -> Result<Plan, Failure> {
     let write = |name: &str, text: &str| {
         let path = folder.join(name);
         std::fs::write(&path, text).map_err(|error| Failure::other(format!("{}: cannot write: {error}", path.display()))).map(|()| path)
     };
     write("wiring.toml", WIRING)?;
-    let manifest = write("diagnosis.toml", &manifest(options, given, case)?)?;
+    let manifest = write("diagnosis.toml", &manifest(options, given, sensor)?)?;
     let selection = Selection { to: vec![ANSWER.into()], memory: options.memory, ..Selection::default() };
     let (_, mut plan) = Plan::load(&manifest, &[], &photocurrent_nodes::catalogue(), &selection)?;
     // The folder is another one each time, and the cache's history goes by what is diagnosed.
@@ -82,7 +81,7 @@ fn plan(options: &DiagnoseOptions, given: &Given, case: &Case, folder: &Path) ->
 }
 
 /// What is laid over the wiring.
-fn manifest(options: &DiagnoseOptions, given: &Given, case: &Case) -> Result<String, Failure> {
+fn manifest(options: &DiagnoseOptions, given: &Given, sensor: &Sensor) -> Result<String, Failure> {
     let mut all = toml::Table::new();
     let mut put = |path: &str, value: toml::Value| lay(&mut all, path, value);
     put("format", 1.into());
@@ -103,7 +102,7 @@ fn manifest(options: &DiagnoseOptions, given: &Given, case: &Case) -> Result<Str
         put("nodes.answer.params.description", file_name(sensor).into());
     }
     // A description knows the row time of frames that do not state it.
-    if let Some(row_time) = case.sensor.frames.row_time.filter(|_| given.all.row_time.is_none()) {
+    if let Some(row_time) = sensor.frames.row_time.filter(|_| given.all.row_time.is_none()) {
         put("nodes.recording.params.row_time", row_time.to_string().into());
     }
     if let Some(sensor) = &given.sensor {

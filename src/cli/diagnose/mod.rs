@@ -36,8 +36,8 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
         given.notes.iter().for_each(|note| say!("note: {note}"));
     }
     // What is wrong with the input is reported in the words of this command, before the graph begins.
-    let case = match case::read(&given, options.memory) {
-        Ok(case) => case,
+    let sensor = match case::look(&given, options.memory) {
+        Ok(sensor) => sensor,
         Err(Unread::Content(why)) => {
             let report = broken(&why, options.seed);
             let scratch = scratch(&folder)?;
@@ -52,9 +52,8 @@ pub fn diagnose(options: &DiagnoseOptions) -> Done {
         }
         Err(Unread::Other(failure)) => return Err(failure),
     };
-    case.nominal().map_err(|error| usage(format!("{}: {error}", given.path().display())))?;
     let scratch = scratch(&folder)?;
-    let answered = match graph::run(options, &given, &case, scratch.path())? {
+    let answered = match graph::run(options, &given, &sensor, scratch.path())? {
         Ok(answered) => answered,
         Err(code) => return Ok(code),
     };

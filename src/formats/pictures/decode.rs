@@ -6,7 +6,7 @@
 
 use super::jpeg;
 use crate::error::FormatError;
-use photocurrent_core::{Colour, Extent};
+use photocurrent_core::{Colour, Extent, Rows};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor, Read, Seek};
 use std::path::Path;
@@ -16,14 +16,19 @@ use tiff::tags::Tag;
 
 /// What a header says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Head {
-    pub(crate) extent: Extent,
-    pub(crate) colour: Colour,
-    pub(crate) bits: u32,
+pub struct Head {
+    /// Size.
+    pub extent: Extent,
+    /// Grey, or three channels.
+    pub colour: Colour,
+    /// Bits of a value; 32 are floats.
+    pub bits: u32,
+    /// Are there values of alpha, which are left out?
+    pub has_alpha: bool,
     /// Does the picture say that its values are encoded as sRGB?
-    pub(crate) says_srgb: bool,
+    pub says_srgb: bool,
     /// More pictures in the same file, which are not read.
-    pub(crate) has_more: bool,
+    pub has_more: bool,
 }
 
 /// Most that is packed into a byte.
@@ -72,7 +77,10 @@ impl Coding {
 const JPEG_HEAD: u64 = 1 << 20;
 
 /// Reads the header of a picture, and follows its parts to the end without decoding them: a picture that is cut off is no whole one.
-pub(crate) fn head(path: &Path) -> Result<Head, FormatError> {
+///
+/// # Errors
+/// When the file cannot be read, is cut off, or is no picture of a form that is read.
+pub fn head(path: &Path) -> Result<Head, FormatError> {
     match Coding::of_file(path)? {
         Coding::Tiff => {
             let (mut decoder, head) = open_tiff(path)?;
@@ -156,6 +164,37 @@ pub(crate) fn read(path: &Path, values: &mut Vec<f32>) -> Result<Head, FormatErr
     }
 }
 
+/// Calls `each` with the stored values of some rows, from top to bottom; channels stand next to each other. Rows of a PNG picture below them are not decoded,
+/// unless it is interlaced.
+///
+/// # Errors
+/// As [`head`], and when the picture is damaged or has fewer rows.
+pub fn rows(path: &Path, rows: Rows, each: &mut dyn FnMut(&Head, &[f32])) -> Result<(), FormatError> {
+    let mut values = Vec::new();
+    if Coding::of_file(path)? == Coding::Png {
+        let (mut reader, head) = open_png(path)?;
+        let channels = reader.output_color_type().0.samples();
+        if !reader.info().interlaced {
+            for y in 0..rows.end {
+                let row = reader.next_row().map_err(|error| damaged(path, error))?.ok_or_else(|| damaged(path, format!("it ends after {y} rows")))?;
+                if y >= rows.start {
+                    values.clear();
+                    push_png(row.data(), channels, &head, &mut values);
+                    each(&head, &values);
+                }
+            }
+            return Ok(());
+        }
+    }
+    let head = read(path, &mut values)?;
+    if rows.end > head.extent.height {
+        return Err(damaged(path, format!("it ends after {} rows", head.extent.height)));
+    }
+    let length = head.extent.width as usize * head.colour.channels() as usize;
+    values.chunks_exact(length).skip(rows.start as usize).take(rows.len()).for_each(|row| each(&head, row));
+    Ok(())
+}
+
 /// The head of a picture that stands in a message: PNG or JPEG. `start` may be the beginning of its `length` bytes.
 pub(crate) fn head_of(coding: Coding, start: &[u8], length: u64) -> Result<Head, String> {
     match coding {
@@ -210,6 +249,7 @@ fn png_head<R: BufRead + Seek>(source: R, bytes: u64) -> Result<(png::Reader<R>,
         extent,
         colour: if matches!(colour, png::ColorType::Rgb | png::ColorType::Rgba) { Colour::Rgb } else { Colour::Mono },
         bits: if depth == png::BitDepth::Sixteen { 16 } else { 8 },
+        has_alpha: matches!(colour, png::ColorType::GrayscaleAlpha | png::ColorType::Rgba),
         says_srgb: info.srgb.is_some(),
         has_more: info.animation_control.is_some(),
     };
@@ -221,9 +261,14 @@ fn png_values<R: BufRead + Seek>(mut reader: png::Reader<R>, head: &Head, values
     let (colour, _) = reader.output_color_type();
     let mut stored = vec![0; bytes];
     reader.next_frame(&mut stored).map_err(|error| error.to_string())?;
-    let channels = colour.samples();
-    let kept = if head.colour == Colour::Rgb { 3 } else { 1 };
-    values.reserve(head.extent.pixels() * kept);
+    values.reserve(head.extent.pixels() * head.colour.channels() as usize);
+    push_png(&stored, colour.samples(), head, values);
+    Ok(())
+}
+
+/// Appends the values of decoded pixels of so many channels, without alpha.
+fn push_png(stored: &[u8], channels: usize, head: &Head, values: &mut Vec<f32>) {
+    let kept = head.colour.channels() as usize;
     if head.bits == 16 {
         for pixel in stored.chunks_exact(2 * channels) {
             values.extend(pixel.chunks_exact(2).take(kept).map(|sample| f32::from(u16::from_be_bytes([sample[0], sample[1]]))));
@@ -233,7 +278,6 @@ fn png_values<R: BufRead + Seek>(mut reader: png::Reader<R>, head: &Head, values
             values.extend(pixel[..kept].iter().map(|&sample| f32::from(sample)));
         }
     }
-    Ok(())
 }
 
 fn open_tiff(path: &Path) -> Result<(Tiff<BufReader<File>>, Head), FormatError> {
@@ -246,7 +290,8 @@ fn open_tiff(path: &Path) -> Result<(Tiff<BufReader<File>>, Head), FormatError> 
     limits.intermediate_buffer_size = usize::try_from(bytes).unwrap_or(usize::MAX);
     let mut decoder = Tiff::new(BufReader::new(file)).map_err(|error| damaged(path, error))?.with_limits(limits);
     let (width, height) = decoder.dimensions().map_err(|error| damaged(path, error))?;
-    let (colour, bits) = match decoder.colortype().map_err(|error| damaged(path, error))? {
+    let stored = decoder.colortype().map_err(|error| damaged(path, error))?;
+    let (colour, bits) = match stored {
         ColorType::Gray(bits @ (8 | 16 | 32)) => (Colour::Mono, bits),
         ColorType::RGB(bits @ (8 | 16 | 32)) | ColorType::RGBA(bits @ (8 | 16 | 32)) => (Colour::Rgb, bits),
         other => return Err(damaged(path, format!("{other:?} is not read; grey or RGB of 8, 16 or 32 bits is"))),
@@ -254,8 +299,8 @@ fn open_tiff(path: &Path) -> Result<(Tiff<BufReader<File>>, Head), FormatError> 
     let extent = Extent { width, height };
     let channels = if colour == Colour::Rgb { 3 } else { 1 };
     check_size(bytes, extent, channels * u64::from(bits)).map_err(|error| damaged(path, error))?;
-    let has_more = decoder.more_images();
-    Ok((decoder, Head { extent, colour, bits: u32::from(bits), says_srgb: false, has_more }))
+    let (has_alpha, has_more) = (matches!(stored, ColorType::RGBA(_)), decoder.more_images());
+    Ok((decoder, Head { extent, colour, bits: u32::from(bits), has_alpha, says_srgb: false, has_more }))
 }
 
 fn read_tiff(path: &Path, values: &mut Vec<f32>) -> Result<Head, FormatError> {

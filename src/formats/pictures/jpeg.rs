@@ -45,7 +45,7 @@ fn open(bytes: &[u8], length: u64) -> Result<(Decoder<'_>, Head), String> {
     }
     let space = if colour == Colour::Mono { ColorSpace::Luma } else { ColorSpace::RGB };
     decoder.set_options(options.jpeg_set_out_colorspace(space));
-    Ok((decoder, Head { extent, colour, bits: 8, says_srgb: true, has_more: false }))
+    Ok((decoder, Head { extent, colour, bits: 8, has_alpha: false, says_srgb: true, has_more: false }))
 }
 
 /// Replaces `values` by those of a picture.

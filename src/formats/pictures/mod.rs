@@ -4,18 +4,18 @@
 //! without stamps has the constant rate of its header, and a note says so. Values are given as stored: see [`crate::declared::Transfer`].
 //! Limits: the first picture of a file with several; all frames have one size and one depth.
 
-pub(crate) mod decode;
+pub mod decode;
 mod jpeg;
 #[cfg(test)]
 mod jpeg_tests;
-pub(crate) mod names;
+pub mod names;
 pub mod pairing;
 pub(crate) mod place;
 pub(crate) mod stamps;
 #[cfg(test)]
 pub(crate) mod tests;
 pub mod triggers;
-pub(crate) mod y4m;
+pub mod y4m;
 
 use crate::chunk::Trigger;
 use crate::declared::{Declared, StampRole, Strobe, TimeUnit, Transfer};
@@ -46,7 +46,7 @@ pub(crate) const STAMPS: [&str; 6] = ["frames.csv", "timestamps.txt", "timestamp
 fn recognises(probe: &Probe) -> bool {
     match &probe.names {
         Some(names) => names.iter().any(|name| names::is_picture(name)),
-        None => probe.head.starts_with(b"YUV4MPEG2 "),
+        None => probe.head.starts_with(y4m::MAGIC),
     }
 }
 
@@ -155,7 +155,7 @@ impl PictureFiles {
 /// Size of the first picture of a folder or a Y4M file that can be read; `None` where there is none.
 pub(crate) fn size_of(path: &Path) -> Option<Extent> {
     if !path.is_dir() {
-        return Y4m::open(path).ok().map(|video| video.extent);
+        return Y4m::open(path).ok().map(|video| video.extent());
     }
     let folders = [path.to_path_buf(), path.join("images"), path.join("frames")];
     let files = folders.iter().filter(|folder| folder.is_dir()).find_map(|folder| names::pictures(folder).ok().filter(|files| !files.is_empty()))?;
@@ -247,17 +247,17 @@ fn file_name(path: &Path) -> String {
 
 fn of_video(path: &Path, video: Y4m) -> Found {
     let about = FramesAbout {
-        extent: video.extent,
-        colour: video.colour,
-        bits: video.bits,
+        extent: video.extent(),
+        colour: video.colour(),
+        bits: video.bits(),
         stamps: Vec::new(),
         stamp_role: None,
         row_time_ns: None,
         transfer: None,
-        notes: video.notes.clone(),
+        notes: video.notes(),
     };
-    let names = vec![String::new(); video.frames.len()];
-    Found { about, whole: vec![true; names.len()], names, losses: video.losses.clone(), files: vec![path.into()], source: Source::Video(Box::new(video)) }
+    let names = vec![String::new(); video.frames()];
+    Found { about, whole: vec![true; names.len()], names, losses: video.losses(), files: vec![path.into()], source: Source::Video(Box::new(video)) }
 }
 
 impl Found {
@@ -271,11 +271,11 @@ impl Found {
             )
             .undeclared("stamps"));
         };
-        let at: Option<Vec<i64>> = (0..video.frames.len()).map(|frame| video.at(frame)).collect();
+        let at: Option<Vec<i64>> = (0..video.frames()).map(|frame| video.at(frame)).collect();
         let Some(at) = at else {
             return Err(FormatError::new(path, "the header states no frame rate", "name a file with the stamps of the frames: `stamps`").undeclared("stamps"));
         };
-        let (frames, seconds) = video.rate.unwrap_or((1, 1));
+        let (frames, seconds) = video.rate().unwrap_or((1, 1));
         let note =
             format!("stamps follow from the header's constant rate, {frames}/{seconds} per second, from 0: frames that came at other times are not seen in it");
         let rows = at.into_iter().map(|at| Row::at(at, None, true)).collect();
@@ -300,7 +300,7 @@ impl Found {
 
 /// What a header's constant rate and the stamps disagree about.
 fn rate_note(video: &Y4m, rows: &[Row]) -> Option<String> {
-    let (frames, seconds) = video.rate?;
+    let (frames, seconds) = video.rate()?;
     let period = 1e9 * seconds as f64 / frames as f64;
     let mut steps: Vec<i64> = rows.windows(2).map(|pair| pair[1].at.saturating_sub(pair[0].at)).collect();
     steps.sort_unstable();

@@ -7,7 +7,10 @@ use std::cmp::Ordering;
 use std::path::{Path, PathBuf};
 
 /// The pictures of a folder, in natural order of their names.
-pub(crate) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, FormatError> {
+///
+/// # Errors
+/// When the folder cannot be listed.
+pub fn pictures(folder: &Path) -> Result<Vec<PathBuf>, FormatError> {
     let io = |error: std::io::Error| FormatError::io(folder, &error);
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(io)? {
@@ -16,9 +19,14 @@ pub(crate) fn pictures(folder: &Path) -> Result<Vec<PathBuf>, FormatError> {
             found.push(path);
         }
     }
-    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    found.sort_by(|a, b| natural(&name(a), &name(b)).then_with(|| a.cmp(b)));
+    sort(&mut found);
     Ok(found)
+}
+
+/// Puts files in natural order of their names.
+pub fn sort(files: &mut [PathBuf]) {
+    let name = |path: &PathBuf| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    files.sort_by(|a, b| natural(&name(a), &name(b)).then_with(|| a.cmp(b)));
 }
 
 /// Does a name look like that of a frame?

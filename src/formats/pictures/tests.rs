@@ -234,6 +234,14 @@ fn a_picture_that_claims_to_be_huge_takes_no_memory() {
     assert!(error.found.contains("cannot hold"), "{error}");
 }
 
+#[test]
+fn names_are_sorted_as_people_count() {
+    let mut found = ["f10.png", "f2.png", "f2b.png", "F1.png", "f02.png", "f0010.png", "f.png", "f2.10.png", "f2.9.png"].map(PathBuf::from);
+    names::sort(&mut found);
+    let expected = ["F1.png", "f.png", "f2.9.png", "f2.10.png", "f02.png", "f2.png", "f2b.png", "f0010.png", "f10.png"];
+    assert_eq!(found, expected.map(PathBuf::from));
+}
+
 fn y4m(header: &str, frames: &[&[u8]]) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("video.y4m");
@@ -261,7 +269,21 @@ fn a_grey_video_has_its_luma_and_the_rate_of_its_header() {
 }
 
 #[test]
-fn colour_is_converted_by_bt_601_in_both_ranges() {
+fn what_a_header_leaves_open_is_noted() {
+    let notes = |header: &str| {
+        let (_folder, path) = y4m(header, &[&[16; 3]]);
+        super::y4m::Y4m::open(&path).unwrap().notes()
+    };
+    let notes = |header: &str, what: &str| notes(header).iter().filter(|note| note.contains(what)).count();
+    assert_eq!(notes("W1 H1 F1:1 C444", "limited was taken: 16 to 235"), 1);
+    assert_eq!(notes("W1 H1 F1:1 C444", "BT.709: the header states no matrix"), 1);
+    assert_eq!(notes("W1 H1 F1:1 C444 XCOLORSPACE=BT601", "no matrix (`XCOLORSPACE=BT601` is not known)"), 1);
+    assert_eq!(notes("W1 H1 F1:1 C444 It", "interlaced (`It`)"), 1);
+    assert_eq!(notes("W3 H1 F1:1 Ip Cmono", "BT.709") + notes("W3 H1 F1:1 Ip Cmono", "interlaced"), 0);
+}
+
+#[test]
+fn colour_is_converted_by_bt_709_in_both_ranges() {
     let read = |header: &str, frame: &[u8]| {
         let (_folder, path) = y4m(header, &[frame]);
         let pictures = PictureFiles::open(&path, &Declared::default()).unwrap();
@@ -269,12 +291,14 @@ fn colour_is_converted_by_bt_601_in_both_ranges() {
         pictures.read(0, &mut values).unwrap();
         values.iter().map(|value| value.round()).collect::<Vec<_>>()
     };
-    // Limited range: white is 235, black 16; red is Y 81, Cb 90, Cr 240 (ITU-R BT.601, rounded).
-    assert_eq!(read("W2 H2 F25:1 C444 XCOLORRANGE=LIMITED", &[235, 16, 81, 126, 128, 128, 90, 128, 128, 128, 240, 128]), {
-        [255, 255, 255, 0, 0, 0, 254, 0, 0, 128, 128, 128].map(|value| value as f32).to_vec()
+    // Limited range: white is 235, black 16; red is Y 63, Cb 102, Cr 240 (ITU-R BT.709, rounded).
+    assert_eq!(read("W2 H2 F25:1 C444 XCOLORRANGE=LIMITED", &[235, 16, 63, 126, 128, 128, 102, 128, 128, 128, 240, 128]), {
+        [255, 255, 255, 0, 0, 0, 255, 1, 0, 128, 128, 128].map(|value| value as f32).to_vec()
     });
-    // Full range (JFIF): red is Y 76, Cb 85, Cr 255.
-    let red = read("W2 H2 F25:1 C420jpeg XCOLORRANGE=FULL", &[76, 76, 76, 76, 85, 255]);
+    // The same red of 10 bits: Y 250, Cb 409, Cr 960, low byte first.
+    assert_eq!(read("W1 H1 F25:1 C444p10", &[250, 0, 0x99, 0x01, 0xc0, 0x03]), [1023.0, 0.0, 0.0]);
+    // Full range: red is Y 54, Cb 99, Cr 255.
+    let red = read("W2 H2 F25:1 C420jpeg XCOLORRANGE=FULL", &[54, 54, 54, 54, 99, 255]);
     assert!(red.chunks(3).all(|pixel| pixel[0] >= 253.0 && pixel[1] <= 1.0 && pixel[2] <= 1.0), "{red:?}");
     assert_eq!(read("W1 H1 F1:1 Cmono10", &[0xff, 0x03]), [1023.0]);
 }
