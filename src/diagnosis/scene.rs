@@ -6,6 +6,9 @@ use crate::sample::Sample;
 use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, Noise, Prior};
 use rayon::prelude::*;
 
+/// Most steps of an estimate: the local variance of the prior has not settled by then, and light errs less between events than after more steps.
+const STEPS: usize = 5;
+
 /// How the light is estimated.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneSetting {
@@ -24,7 +27,8 @@ pub struct SceneSetting {
 impl Default for SceneSetting {
     fn default() -> SceneSetting {
         let noise = Noise { event: 0.03, ..Noise::default() };
-        SceneSetting { noise, frame_share: 0.005, frame_dn: 0.5, no_event_sigma: 0.03, options: MapOptions::default() }
+        let options = MapOptions { max_iterations: STEPS, ..MapOptions::default() };
+        SceneSetting { noise, frame_share: 0.005, frame_dn: 0.5, no_event_sigma: 0.03, options }
     }
 }
 
