@@ -181,8 +181,7 @@ pub fn pixel_data(case: &Case, nominal: &Nominal, setting: &SceneSetting, pixel:
         let dn = case.dn(l, pixel);
         let exposure = case.frames.as_ref()?.times.exposure(l, y);
         let signal = f64::max(dn - nominal.number.black_level, 0.0);
-        let (stated, share) = (nominal.stated_frame_sigma_dn(dn), setting.frame_share * signal);
-        let sigma_dn = libm::sqrt(stated * stated + share * share + setting.frame_dn * setting.frame_dn);
+        let sigma_dn = nominal.frame_sigma_with_dn(dn, [setting.frame_share * signal, setting.frame_dn]);
         dn.is_finite().then_some(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated: dn >= nominal.saturation_dn })
     };
     (events, (0..case.frame_count()).filter_map(frame).collect())
