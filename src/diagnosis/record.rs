@@ -71,8 +71,7 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, mo
             let exposures: Vec<_> = (0..frames.times.len()).map(|l| frames.times.exposure(l, site.y)).collect();
             let dn = read_frames(&number, effects, &site, &LinearLight::new(&own.0, &own.1), &exposures);
             let noisy = |dn: f64| {
-                let (stated, share) = (nominal.stated_frame_sigma_dn(dn), conditions.frame_share * (dn - nominal.number.black_level));
-                let sigma = libm::sqrt(stated * stated + share * share + conditions.frame_dn * conditions.frame_dn);
+                let sigma = nominal.frame_sigma_with_dn(dn, [conditions.frame_share * (dn - nominal.number.black_level), conditions.frame_dn]);
                 (dn + sigma * random.normal()).min(nominal.saturation_dn) as f32
             };
             dn.into_iter().map(noisy).collect()

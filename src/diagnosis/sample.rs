@@ -24,15 +24,6 @@ impl Sample {
     /// In each of `zones.0` x `zones.1` zones, the block of `side` x `side` pixels with the most events, of blocks whose mean number of events a pixel lies
     /// within `events`; a zone without one gives nothing. Inner pixels are those with `margin` pixels of the block around them.
     pub fn blocks(case: &Case, zones: (u32, u32), side: u32, margin: u32, events: (f64, f64)) -> Sample {
-        Sample::blocks_where(case, zones, side, margin, events, |_| true)
-    }
-
-    /// The same of blocks that have no pixel in common with another sample.
-    pub fn blocks_apart(case: &Case, zones: (u32, u32), side: u32, margin: u32, events: (f64, f64), from: &Sample) -> Sample {
-        Sample::blocks_where(case, zones, side, margin, events, |pixel| from.place(pixel as usize).is_none())
-    }
-
-    fn blocks_where(case: &Case, zones: (u32, u32), side: u32, margin: u32, events: (f64, f64), is_free: impl Fn(u32) -> bool) -> Sample {
         let (width, height) = (case.extent.width, case.extent.height);
         let mut chosen: Vec<(u32, u32, u32)> = Vec::new();
         for zone in 0..zones.0 * zones.1 {
@@ -44,8 +35,7 @@ impl Sample {
                 for x in columns.clone().filter(|x| x + side <= columns.end) {
                     let count: usize = (y..y + side).map(|y| case.events.count((y * width + x) as usize..(y * width + x + side) as usize)).sum();
                     let mean = count as f64 / f64::from(side * side);
-                    let is_better = mean >= events.0 && mean <= events.1 && best.is_none_or(|best| count > best.0);
-                    if is_better && (0..side * side).all(|k| is_free((y + k / side) * width + x + k % side)) {
+                    if mean >= events.0 && mean <= events.1 && best.is_none_or(|best| count > best.0) {
                         best = Some((count, x, y));
                     }
                 }

@@ -6,6 +6,9 @@ use crate::sample::Sample;
 use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, Noise, Prior};
 use rayon::prelude::*;
 
+/// Most steps of an estimate: the local variance of the prior has not settled by then, and light errs less between events than after more steps.
+const STEPS: usize = 5;
+
 /// How the light is estimated.
 #[derive(Clone, Copy, Debug)]
 pub struct SceneSetting {
@@ -24,7 +27,8 @@ pub struct SceneSetting {
 impl Default for SceneSetting {
     fn default() -> SceneSetting {
         let noise = Noise { event: 0.03, ..Noise::default() };
-        SceneSetting { noise, frame_share: 0.005, frame_dn: 0.5, no_event_sigma: 0.03, options: MapOptions::default() }
+        let options = MapOptions { max_iterations: STEPS, ..MapOptions::default() };
+        SceneSetting { noise, frame_share: 0.005, frame_dn: 0.5, no_event_sigma: 0.03, options }
     }
 }
 
@@ -177,8 +181,7 @@ pub fn pixel_data(case: &Case, nominal: &Nominal, setting: &SceneSetting, pixel:
         let dn = case.dn(l, pixel);
         let exposure = case.frames.as_ref()?.times.exposure(l, y);
         let signal = f64::max(dn - nominal.number.black_level, 0.0);
-        let (stated, share) = (nominal.stated_frame_sigma_dn(dn), setting.frame_share * signal);
-        let sigma_dn = libm::sqrt(stated * stated + share * share + setting.frame_dn * setting.frame_dn);
+        let sigma_dn = nominal.frame_sigma_with_dn(dn, [setting.frame_share * signal, setting.frame_dn]);
         dn.is_finite().then_some(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated: dn >= nominal.saturation_dn })
     };
     (events, (0..case.frame_count()).filter_map(frame).collect())

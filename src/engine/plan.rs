@@ -224,12 +224,6 @@ impl Plan {
         if problems.is_empty() { Ok(()) } else { Err(problems) }
     }
 
-    /// The task of a node in a variant.
-    pub fn task_of(&self, variant: &str, node: &str) -> Option<TaskId> {
-        let variant = self.variants.iter().find(|v| v.name == variant)?;
-        variant.nodes.iter().find(|(id, _)| id == node).map(|(_, task)| *task)
-    }
-
     /// The tasks of a node in all variants, each once; of one that runs in blocks of time those of all blocks, unless `node` names one (`solve[2]`).
     pub fn tasks_of(&self, node: &str) -> BTreeSet<TaskId> {
         self.variants.iter().flat_map(|v| &v.nodes).filter(|(id, _)| is_of(id, node)).map(|(_, task)| *task).collect()

@@ -186,17 +186,6 @@ pub fn log_linear_mean(first: f64, last: f64) -> f64 {
     elementary::exp(first) * ratio
 }
 
-/// The derivative of [`log_linear_mean`] by `last`.
-pub fn log_linear_mean_by_end(first: f64, last: f64) -> f64 {
-    let rise = last - first;
-    let ratio = if rise.abs() < 0.02 {
-        0.5 + rise * (1.0 / 3.0 + rise * (1.0 / 8.0 + rise * (1.0 / 30.0 + rise * (1.0 / 144.0 + rise / 840.0))))
-    } else {
-        (elementary::exp(rise) - elementary::exp_m1(rise) / rise) / rise
-    };
-    elementary::exp(first) * ratio
-}
-
 /// Integrates many exposures of one track, remembering where the last one started.
 ///
 /// For exposures in time order (overlapping, abutting or apart) the search is one pass over the track.

@@ -22,7 +22,6 @@
 //! - [`residuals`]: measured minus predicted for a candidate photocurrent, with its Jacobian.
 //! - [`inverse`]: events and frames in, photocurrent out: the least-squares problem of Eq. (13).
 //! - [`map`]: the same with knots that are fine, the exact reset and a prior: the MAP estimate.
-//! - [`likelihood`]: how probable events are given light: residuals with an exact distribution.
 //! - [`mixing`]: whose photocurrent an event pixel sees; [`undo`]: what effects did to measurements, undone.
 //! - [`estimate`]: what a file does not say and its own events and frames do: offset, exposure, row time, thresholds.
 //! - [`effects`]: non-idealities beyond the model above, one file each.
@@ -40,7 +39,6 @@ pub mod forward;
 pub mod front_end;
 pub mod inverse;
 pub mod lanes;
-pub mod likelihood;
 pub mod map;
 pub mod mixing;
 pub mod model;

@@ -81,7 +81,7 @@ mod tests {
     use crate::effects::crosstalk::Crosstalk;
     use crate::effects::lateral_inhibition::LateralInhibition;
     use crate::effects::misalignment::Misalignment;
-    use crate::forward::neighbours::event_plane;
+    use crate::forward::tests::plane::event_plane;
 
     fn mixing(effects: Vec<Box<dyn Effect>>) -> Mixing {
         Mixing::new(&effects).unwrap().unwrap()

@@ -75,16 +75,23 @@ impl Model {
         }
     }
 
-    /// Standard deviation of a frame value by the description, DN.
+    /// Standard deviation of a frame value `dn` by the description, DN: `sqrt(read_noise_dn^2 + dn_per_electron x signal)`, where the signal is the value less the black level.
+    ///
+    /// Source: the photon transfer relation (Janesick, Photon Transfer, 2007): the number of electrons has a Poisson distribution, and read noise adds in squares.
     pub fn stated_frame_sigma_dn(&self, dn: f64) -> f64 {
         let signal = f64::max(dn - self.number.black_level, 0.0);
         libm::sqrt(self.read_noise_dn * self.read_noise_dn + self.dn_per_electron * signal)
     }
 
-    /// The same of a value `signal` DN above black, with `dn` and a `share` of the signal that nobody stated.
+    /// The same with independent errors that no description states, of standard deviations `unstated_dn`, DN: squares are added in the order given.
+    pub fn frame_sigma_with_dn<const N: usize>(&self, dn: f64, unstated_dn: [f64; N]) -> f64 {
+        let stated = self.stated_frame_sigma_dn(dn);
+        libm::sqrt(unstated_dn.iter().fold(stated * stated, |variance, sigma| variance + sigma * sigma))
+    }
+
+    /// The same of a value `signal` DN above black, where `dn` and a `share` of the signal are not stated.
     pub fn frame_sigma_dn(&self, signal: f64, (dn, share): (f64, f64)) -> f64 {
-        let stated = self.stated_frame_sigma_dn(self.number.black_level + signal);
-        libm::sqrt(stated * stated + dn * dn + (share * signal) * (share * signal))
+        self.frame_sigma_with_dn(self.number.black_level + signal, [dn, share * signal])
     }
 }
 
@@ -104,5 +111,15 @@ mod tests {
         assert!((model.stated_frame_sigma_dn(210.0) - libm::sqrt(9.0 + 100.0)).abs() < 1e-12);
         let signal = 210.0 - model.number.black_level;
         assert!((model.frame_sigma_dn(signal, (4.0, 0.1)) - libm::sqrt(9.0 + 100.0 + 16.0 + 0.01 * signal * signal)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn errors_that_are_not_stated_add_in_squares() {
+        let text = "format = \"photocurrent-sensor/1\"\n[frames]\nblack_level_dn = 10\nread_noise_dn = 3\n";
+        let model = Model::of(&Sensor::parse(&Source::new("s.toml", "", text)).unwrap());
+        // 3^2 + 4^2 = 5^2 and 5^2 + 12^2 = 13^2, whatever the value where photon noise is not stated.
+        assert_eq!([5.0, 10.0, 900.0].map(|dn| model.frame_sigma_with_dn(dn, [4.0, 12.0])), [13.0; 3]);
+        assert_eq!([model.frame_sigma_with_dn(900.0, []), model.frame_sigma_with_dn(900.0, [-4.0])], [3.0, 5.0]);
+        assert_eq!(model.frame_sigma_dn(120.0, (4.0, 0.1)), 13.0);
     }
 }

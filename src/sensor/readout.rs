@@ -48,26 +48,6 @@ pub fn compensated_step<S: Scalar>(step: S, t_in_s: S, t_off_s: S, next_t_in_s: 
     step * (S::from_f64(1.0) + (blind / armed).min(S::from_f64(RATIO_LIMIT)))
 }
 
-/// [`compensated_step`] for all events of one pixel, in time order.
-///
-/// All slices have one length. `t_in_s`, `t_off_s`: seconds on one clock. `steps`: plain signed log steps.
-/// `out` receives the compensated ones. The first event has no predecessor in the recording, so its
-/// blind time is unknown and it keeps its plain step.
-///
-/// # Panics
-///
-/// When the slices differ in length: they are columns of one event list.
-pub fn compensated_steps(t_in_s: &[f64], t_off_s: &[f64], steps: &[f64], refractory_s: f64, out: &mut [f64]) {
-    let count = steps.len();
-    assert!(t_in_s.len() == count && t_off_s.len() == count && out.len() == count, "columns of one event list have one length");
-    if let (Some(first), Some(&step)) = (out.first_mut(), steps.first()) {
-        *first = step;
-    }
-    for k in 1..count {
-        out[k] = compensated_step(steps[k], t_in_s[k - 1], t_off_s[k - 1], t_in_s[k], refractory_s);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -96,19 +76,6 @@ mod tests {
     #[test]
     fn the_ratio_is_limited() {
         assert!((compensated_step(-0.1, 0.0, 1.0, 1.0 + 1e-4, 0.0) + 0.1 * 21.0_f64).abs() < 1e-12);
-    }
-
-    #[test]
-    fn the_first_event_keeps_its_plain_step() {
-        let mut out = [0.0; 2];
-        compensated_steps(&[0.0, 3e-4], &[4e-5, 3.5e-4], &[0.2, -0.2], 6e-5, &mut out);
-        assert_eq!(out[0], 0.2);
-        assert_eq!(out[1], compensated_step(-0.2, 0.0, 4e-5, 3e-4, 6e-5));
-    }
-
-    #[test]
-    fn no_events_is_no_work() {
-        compensated_steps(&[], &[], &[], 6e-5, &mut []);
     }
 
     #[test]

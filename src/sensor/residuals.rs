@@ -8,7 +8,7 @@
 
 use crate::front_end::{FrontEnd, settle, settled_photocurrent, settling, time_constant};
 use crate::inverse::PixelProblem;
-use crate::scalar::{Dual, Scalar};
+use crate::scalar::Scalar;
 
 /// How far one pixel's measurements are from what its solution predicts: sums of squares of whitened residuals, apart for events and frames.
 ///
@@ -137,22 +137,6 @@ pub fn jacobian(problem: &PixelProblem<'_>, log_photocurrent: &[f64]) -> Vec<f64
     rows
 }
 
-/// The same Jacobian by dual numbers, one pass per column: what [`jacobian`] is checked against.
-pub fn jacobian_by_duals(problem: &PixelProblem<'_>, log_photocurrent: &[f64]) -> Vec<f64> {
-    let knots = log_photocurrent.len();
-    let front_end = problem.front_end.lift::<Dual<f64>>();
-    let mut jacobian = vec![0.0; row_count(problem) * knots];
-    let mut rows = Vec::new();
-    for column in 0..knots {
-        let lifted: Vec<_> = log_photocurrent.iter().enumerate().map(|(k, &u)| if k == column { Dual::variable(u) } else { Dual::constant(u) }).collect();
-        residuals(problem, &front_end, &lifted, &mut rows);
-        for (row, residual) in rows.iter().enumerate() {
-            jacobian[row * knots + column] = residual.tangent;
-        }
-    }
-    jacobian
-}
-
 /// Seconds that knot `k` holds inside an exposure: the first one from for ever, the last one for ever.
 fn held_s(t_s: &[f64], k: usize, start_s: f64, end_s: f64) -> f64 {
     let from = if k == 0 { start_s } else { Scalar::max(t_s[k], start_s) };
@@ -165,6 +149,7 @@ mod tests {
     use super::*;
     use crate::front_end::TauRule;
     use crate::inverse::FrameSample;
+    use crate::scalar::Dual;
 
     const FRAMES: [FrameSample; 2] =
         [FrameSample { start_s: -1e-3, end_s: 3e-3, dn: 300.0, weight: 0.04 }, FrameSample { start_s: 3.5e-3, end_s: 7e-3, dn: 210.0, weight: 0.04 }];
@@ -185,6 +170,22 @@ mod tests {
     }
 
     const INDOOR: FrontEnd = FrontEnd { tau_0_s: 30e-6, alpha_s: 1e-4 };
+
+    /// The same Jacobian by dual numbers, one pass per column: what the one by hand is compared with.
+    fn jacobian_by_duals(problem: &PixelProblem<'_>, log_photocurrent: &[f64]) -> Vec<f64> {
+        let knots = log_photocurrent.len();
+        let front_end = problem.front_end.lift::<Dual<f64>>();
+        let mut jacobian = vec![0.0; row_count(problem) * knots];
+        let mut rows = Vec::new();
+        for column in 0..knots {
+            let lifted: Vec<_> = log_photocurrent.iter().enumerate().map(|(k, &u)| if k == column { Dual::variable(u) } else { Dual::constant(u) }).collect();
+            residuals(problem, &front_end, &lifted, &mut rows);
+            for (row, residual) in rows.iter().enumerate() {
+                jacobian[row * knots + column] = residual.tangent;
+            }
+        }
+        jacobian
+    }
 
     #[test]
     fn the_jacobian_by_hand_equals_the_one_by_dual_numbers() {

@@ -27,13 +27,18 @@ const READ_NOISE_DN: f64 = 0.3;
 const DN_PER_ELECTRON: f64 = 1023.0 / 10_000.0;
 const KINDS: [&str; 3] = ["edges", "texture", "sparse"];
 
+/// As many steps as `solve/pixel` takes at most.
+fn five_steps() -> MapOptions {
+    MapOptions { max_iterations: 5, ..MapOptions::default() }
+}
+
 fn main() {
     for kind in KINDS {
         let pixels = pixels(kind);
         let (mut knots, mut steps, mut events) = (0, 0, 0);
         let mut workspace = MapWorkspace::default();
         for pixel in &pixels {
-            let solution = solve(&pixel.problem(), &MapOptions::default(), &mut workspace);
+            let solution = solve(&pixel.problem(), &five_steps(), &mut workspace);
             assert!(solution.status != MapStatus::Failed, "a bench of double-integral estimates would flatter");
             knots += solution.t_ns.len();
             steps += solution.iterations * solution.t_ns.len();
@@ -160,20 +165,20 @@ fn events(pixels: &[Recorded]) -> ItemsCount {
 fn events_solved(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
-    let (mut workspace, options) = (MapWorkspace::default(), MapOptions::default());
+    let (mut workspace, options) = (MapWorkspace::default(), five_steps());
     bencher.counter(events(&pixels)).bench_local(|| problems.iter().map(|problem| solve(problem, &options, &mut workspace).log_evidence).sum::<f64>());
 }
 
 /// The same, eight pixels at a time.
 #[divan::bench(args = KINDS)]
 fn events_solved_in_groups(bencher: Bencher<'_, '_>, kind: &str) {
-    solve_in_groups(bencher, kind, MapOptions::default());
+    solve_in_groups(bencher, kind, five_steps());
 }
 
 /// The same with the standard deviation of the light at every knot, as `solve/map` asks for it unless it is switched off.
 #[divan::bench(args = KINDS)]
 fn events_solved_in_groups_with_sigma(bencher: Bencher<'_, '_>, kind: &str) {
-    solve_in_groups(bencher, kind, MapOptions { with_sigma: true, ..MapOptions::default() });
+    solve_in_groups(bencher, kind, MapOptions { with_sigma: true, ..five_steps() });
 }
 
 fn solve_in_groups(bencher: Bencher<'_, '_>, kind: &str, options: MapOptions) {
@@ -191,7 +196,7 @@ fn solve_in_groups(bencher: Bencher<'_, '_>, kind: &str, options: MapOptions) {
 fn knots_solved(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
-    let (mut workspace, options) = (MapWorkspace::default(), MapOptions::default());
+    let (mut workspace, options) = (MapWorkspace::default(), five_steps());
     let knots: usize = problems.iter().map(|problem| solve(problem, &options, &mut workspace).t_ns.len()).sum();
     bencher.counter(ItemsCount::new(knots)).bench_local(|| problems.iter().map(|problem| solve(problem, &options, &mut workspace).log_evidence).sum::<f64>());
 }
@@ -201,6 +206,6 @@ fn knots_solved(bencher: Bencher<'_, '_>, kind: &str) {
 fn events_chosen(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
-    let (mut group, options) = (MapGroup::default(), MapOptions::default());
+    let (mut group, options) = (MapGroup::default(), five_steps());
     bencher.counter(events(&pixels)).bench_local(|| estimate::choose(&problems, None, &Choosing::USUAL, &options, &mut group));
 }

@@ -95,7 +95,7 @@ fn between(at: f64) -> [(i32, f64); 2] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::forward::neighbours::event_plane;
+    use crate::forward::tests::plane::event_plane;
 
     fn seen(shift_x: f64, shift_y: f64, light: impl Fn(f64, f64) -> f64) -> f64 {
         let kernel = Misalignment { shift_x, shift_y }.kernel().unwrap();

@@ -93,4 +93,4 @@ pub fn simulate_events(pixel: &Pixel, light: &LinearLight<'_>, start_ns: i64, en
 }
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

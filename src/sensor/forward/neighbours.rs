@@ -12,17 +12,6 @@ pub fn halo(effects: &[Box<dyn Effect>]) -> u32 {
     effects.iter().filter_map(|effect| effect.kernel()).map(reach).sum()
 }
 
-/// The light of the event path from the light on the array, both row by row; nothing when no effect has a kernel.
-///
-/// # Panics
-///
-/// When the plane is not `width` by `height`.
-pub fn event_plane(effects: &[Box<dyn Effect>], width: usize, height: usize, plane: &[f64]) -> Option<Vec<f64>> {
-    let kernels: Vec<Kernel> = effects.iter().filter_map(|effect| effect.kernel()).collect();
-    let (first, others) = kernels.split_first()?;
-    Some(others.iter().fold(weighted(first, width, height, plane), |plane, kernel| weighted(kernel, width, height, &plane)))
-}
-
 /// Effects whose kernels act before and behind the logarithm cannot be joined into one sum.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("effects that mix neighbours before and behind the logarithm cannot be combined")]
@@ -81,15 +70,4 @@ pub fn mixed_log(kernel: &Kernel, count: usize, mut log_light: impl FnMut(&Tap, 
         sum.iter_mut().for_each(|sum| *sum = ln(f64::max(*sum, f64::MIN_POSITIVE)));
     }
     sum
-}
-
-/// The weighted sum at every pixel.
-///
-/// # Panics
-///
-/// When the plane is not `width` by `height`.
-pub fn weighted(kernel: &Kernel, width: usize, height: usize, plane: &[f64]) -> Vec<f64> {
-    assert_eq!(plane.len(), width * height, "a plane has one value per pixel");
-    let sum_at = |x: usize, y: usize| mixed(kernel, |tap| plane[stand_in(y, tap.dy, height) * width + stand_in(x, tap.dx, width)]);
-    (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| sum_at(x, y)).collect()
 }

@@ -38,7 +38,7 @@ pub struct PixelProblem<'a> {
     /// Knot times, seconds, strictly increasing. Empty means no event: one knot is then understood.
     pub t_s: &'a [f64],
     /// Signed log step measured from knot `k - 1` to knot `k` (plain, or compensated by
-    /// [`crate::readout::compensated_steps`]); as long as `t_s`. The first one is never read.
+    /// [`crate::readout::compensated_step`]); as long as `t_s`. The first one is never read.
     pub steps: &'a [f64],
     /// The frame samples, at least one, in any order.
     pub frames: &'a [FrameSample],

@@ -3,7 +3,7 @@
 use super::*;
 use crate::forward::{LOG_STEP, LinearLight, Noiseless, Pixel, PixelNoise, simulate_events};
 use crate::front_end::{FrontEnd, TauRule};
-use crate::readout::compensated_steps;
+use crate::readout::compensated_step;
 use photocurrent_core::Exposure;
 
 const GAIN: f64 = 1.5e5;
@@ -90,7 +90,9 @@ fn converged_dim_pixels(pixels: usize, tau_rule: TauRule) -> usize {
         let t_off_s: Vec<f64> = events.iter().map(|event| (event.t_off_ns / 1000) as f64 / 1e6).collect();
         let plain: Vec<f64> = events.iter().map(|event| 0.2 * f64::from(event.polarity)).collect();
         let mut steps = plain.clone();
-        compensated_steps(&t_in_s, &t_off_s, &plain, 60e-6, &mut steps);
+        for k in 1..plain.len() {
+            steps[k] = compensated_step(plain[k], t_in_s[k - 1], t_off_s[k - 1], t_in_s[k], 60e-6);
+        }
         let frames = [0, 1, 2, 3].map(|l| {
             let start_ns = 500_000 + 8_333_333 * l;
             let exposure = Exposure::new(start_ns, start_ns + 6_500_000);

@@ -213,7 +213,8 @@ pub struct MapOptions {
     pub prior: Prior,
     /// Knots lie at most this far apart, ns.
     pub spacing_ns: i64,
-    /// Most Gauss-Newton steps.
+    /// Most Gauss-Newton steps. The default suffices for ramps of five events, which take 17 to 62: every step estimates the local variance of the prior anew, and
+    /// light and variance settle together. After five steps such light has the status [`MapStatus::Unfinished`], and mostly errs less, by up to 0.06 natural-log units rms.
     pub max_iterations: usize,
     /// The iteration ends when no log light moves further than this.
     pub tolerance: f64,
@@ -268,7 +269,7 @@ impl SecondStart {
 
 impl Default for MapOptions {
     fn default() -> MapOptions {
-        MapOptions { prior: Prior::default(), spacing_ns: 250_000, max_iterations: 5, tolerance: 2e-3, with_sigma: false, second: Some(SecondStart::USUAL) }
+        MapOptions { prior: Prior::default(), spacing_ns: 250_000, max_iterations: 100, tolerance: 2e-3, with_sigma: false, second: Some(SecondStart::USUAL) }
     }
 }
 

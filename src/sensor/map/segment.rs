@@ -187,7 +187,8 @@ pub(super) fn collected_between(t_ns: &[i64], u: &[f64], start_ns: i64, end_ns: 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exposure::{log_linear_mean, log_linear_mean_by_end};
+    use crate::elementary;
+    use crate::exposure::log_linear_mean;
     use crate::scalar::Dual;
 
     const FRONT_ENDS: [FrontEnd; 4] = [
@@ -196,6 +197,17 @@ mod tests {
         FrontEnd { tau_0_s: 2e-4, alpha_s: 0.0 },
         FrontEnd { tau_0_s: 0.0, alpha_s: 0.0 },
     ];
+
+    /// The derivative of [`log_linear_mean`] by `last`.
+    fn log_linear_mean_by_end(first: f64, last: f64) -> f64 {
+        let rise = last - first;
+        let ratio = if rise.abs() < 0.02 {
+            0.5 + rise * (1.0 / 3.0 + rise * (1.0 / 8.0 + rise * (1.0 / 30.0 + rise * (1.0 / 144.0 + rise / 840.0))))
+        } else {
+            (elementary::exp(rise) - elementary::exp_m1(rise) / rise) / rise
+        };
+        elementary::exp(first) * ratio
+    }
 
     #[test]
     fn derivatives_by_hand_equal_those_of_dual_numbers() {

@@ -133,6 +133,11 @@ pub(super) struct Recorded {
 
 const END_NS: i64 = 40_000_000;
 
+/// As many steps as are taken where many pixels are solved: noise and prior are chosen for these.
+fn few_steps() -> MapOptions {
+    MapOptions { max_iterations: 5, ..MapOptions::default() }
+}
+
 /// Log light between 3.4 and 4.8, with steep sides, once every 14 ms.
 pub(super) fn recorded(reset: Reset) -> Recorded {
     recorded_of(reset, |t_ns| 4.1 + 0.7 * libm::tanh(4.0 * libm::sin(t_ns as f64 * 4.5e-7)))
@@ -196,6 +201,25 @@ impl Recorded {
             error * error
         });
         (squares.sum::<f64>() / (self.light.0.len() - from) as f64).sqrt()
+    }
+}
+
+#[test]
+fn a_ramp_of_five_events_converges_with_the_default_options() {
+    let levels = [Reset::Resample, Reset::Advance].into_iter().flat_map(|reset| [1.0, 4.0, 7.0].map(|darkest| (reset, darkest)));
+    for ((reset, darkest), rise_ns) in levels.flat_map(|level| [5_000_000, 20_000_000, 36_000_000].map(|rise_ns| (level, rise_ns))) {
+        // 1.15 natural-log units are five thresholds of 0.2 and what is missed during four readouts.
+        let recorded = recorded_of(reset, |t_ns| darkest + 1.15 * ((t_ns - 2_000_000) as f64 / rise_ns as f64).clamp(0.0, 1.0));
+        assert_eq!(recorded.events.iter().map(|event| event.polarity).collect::<Vec<_>>(), [1; 5]);
+        let frames = [recorded.frames[0], recorded.frames[4]];
+        let problem = MapProblem { frames: &frames, noise: Noise::default(), ..recorded.problem(reset) };
+        let mut workspace = MapWorkspace::default();
+        let solution = solve(&problem, &MapOptions::default(), &mut workspace);
+        let (status, iterations) = (solution.status, solution.iterations);
+        assert_eq!(status, MapStatus::Converged, "{reset:?}, from {darkest} in {rise_ns} ns: {iterations} steps");
+        // Between two events the light is known to a threshold; the estimate misses by less than half of one.
+        let error = recorded.error(solution.t_ns, solution.log_photocurrent);
+        assert!(error < 0.1, "{reset:?}, from {darkest} in {rise_ns} ns: {error}");
     }
 }
 
@@ -273,7 +297,7 @@ fn light_that_falls_at_once_into_the_dark_is_found_from_a_second_start() {
 #[test]
 fn choices_that_a_third_of_many_pixels_leaves_away_would_not_be_chosen() {
     let mut group = MapGroup::default();
-    let options = MapOptions::default();
+    let options = few_steps();
     let recorded = recorded(Reset::Resample);
     let right = recorded.problem(Reset::Resample);
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
@@ -288,7 +312,7 @@ fn choices_that_a_third_of_many_pixels_leaves_away_would_not_be_chosen() {
 fn more_noise_is_found_where_thresholds_jump() {
     let recorded = recorded(Reset::Resample);
     let mut group = MapGroup::default();
-    let options = MapOptions::default();
+    let options = few_steps();
     // With three frames none is held out: the evidence decides.
     let few = |recorded: &Recorded, group: &mut MapGroup| {
         let problem = MapProblem { frames: &recorded.frames[..3], ..recorded.problem(Reset::Resample) };
@@ -313,7 +337,7 @@ fn events_are_trusted_less_where_they_mislead_about_frames() {
     let mut group = MapGroup::default();
     let right = recorded.problem(Reset::Resample);
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
-    let found = |problem, group: &mut MapGroup| estimate::choose(&[problem; 2], None, &Choosing::USUAL, &MapOptions::default(), group).noise.event;
+    let found = |problem, group: &mut MapGroup| estimate::choose(&[problem; 2], None, &Choosing::USUAL, &few_steps(), group).noise.event;
     let (right, wrong) = (found(right, &mut group), found(wrong, &mut group));
     assert!(wrong > right, "{right} and {wrong}");
 }
@@ -325,7 +349,7 @@ fn nothing_unusual_is_chosen_where_no_gain_is_enough() {
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, ..right.sensor }, ..right };
     let found = |clear_gain: f64| {
         let choosing = Choosing { clear_gain, ..Choosing::USUAL };
-        estimate::choose(&[wrong; 2], None, &choosing, &MapOptions::default(), &mut MapGroup::default())
+        estimate::choose(&[wrong; 2], None, &choosing, &few_steps(), &mut MapGroup::default())
     };
     let usual = estimate::Choice { noise: wrong.noise, prior: Prior::default() };
     assert_eq!(found(1.0), usual);
@@ -338,7 +362,7 @@ fn standard_deviations_are_widened_where_frames_are_missed_by_more() {
     let right = recorded.problem(Reset::Resample);
     // Thresholds stated 50 % too large, of which the noise knows nothing.
     let wrong = MapProblem { sensor: MapSensor { threshold_on: 0.3, threshold_off: 0.315, ..right.sensor }, ..right };
-    let factor = |problem, count| estimate::too_narrow_by(&mut estimate::misses(&vec![problem; count], &MapOptions::default(), &mut MapGroup::default()));
+    let factor = |problem, count| estimate::too_narrow_by(&mut estimate::misses(&vec![problem; count], &few_steps(), &mut MapGroup::default()));
     let (reported_right, reported_wrong) = (factor(right, 60), factor(wrong, 60));
     assert!(reported_right < 2.0 && reported_wrong > 1.5 * reported_right, "{reported_right} and {reported_wrong}");
     // One frame of each is held out: too few to decide.
@@ -412,7 +436,7 @@ fn smooth_slow_light_gets_a_prior_of_its_own() {
     };
     let copies = vec![problem; estimate::FEWEST_EVENTS / events.len() + 1];
     let mut group = MapGroup::default();
-    let choice = estimate::choose(&copies, None, &Choosing::USUAL, &MapOptions::default(), &mut group);
+    let choice = estimate::choose(&copies, None, &Choosing::USUAL, &few_steps(), &mut group);
     let restless = match choice.prior {
         Prior::Local(local) => local.floor_per_s > Local::USUAL.floor_per_s,
         Prior::IntegratedWalk { .. } => true,
@@ -591,7 +615,7 @@ fn lone_events_are_doubted_where_they_mislead_about_frames() {
         lost_before: &[],
         beyond: &[],
     };
-    let choice = estimate::choose(&[problem; 14], None, &Choosing::USUAL, &MapOptions::default(), &mut MapGroup::default());
+    let choice = estimate::choose(&[problem; 14], None, &Choosing::USUAL, &few_steps(), &mut MapGroup::default());
     assert_eq!(choice.noise.lone, LoneEvents::Doubted);
 }
 
@@ -603,10 +627,10 @@ fn thresholds_of_their_own_are_found_where_pixels_differ() {
     let stated = |factor: f64| MapProblem { sensor: MapSensor { threshold_on: 0.2 * factor, threshold_off: 0.21 * factor, ..right.sensor }, ..right };
     let mut workspace = MapWorkspace::default();
     let problems = [stated(0.85), stated(1.15)];
-    let chosen = estimate::choose(&problems, None, &Choosing::USUAL, &MapOptions::default(), &mut MapGroup::default()).noise;
+    let chosen = estimate::choose(&problems, None, &Choosing::USUAL, &few_steps(), &mut MapGroup::default()).noise;
     let mut error = |noise: Noise| {
         let of = |problem: &MapProblem<'_>| {
-            let solution = solve(&MapProblem { noise, ..*problem }, &MapOptions::default(), &mut workspace);
+            let solution = solve(&MapProblem { noise, ..*problem }, &few_steps(), &mut workspace);
             recorded.error(solution.t_ns, solution.log_photocurrent)
         };
         problems.iter().map(of).sum::<f64>()

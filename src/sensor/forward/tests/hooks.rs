@@ -1,7 +1,8 @@
 //! That every place where an effect may enter does what the trait promises, with effects made for the purpose.
 
-use super::super::neighbours::{event_plane, halo, joined};
+use super::super::neighbours::{halo, joined};
 use super::super::*;
+use super::plane::event_plane;
 use crate::effects::simulated::{MS, SITE, Samples, ideal_pixel, recorded};
 use crate::effects::{Domain, Effect, Impulse, ImpulseTarget, Kernel, Latency, Reading, RowSite, Spontaneous, Tap, Thresholds};
 use crate::exposure::DigitalNumber;

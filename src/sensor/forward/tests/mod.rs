@@ -5,4 +5,5 @@ mod convergence;
 mod euler;
 mod hooks;
 mod openeb;
+pub(crate) mod plane;
 mod resets;
