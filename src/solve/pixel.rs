@@ -1,6 +1,6 @@
 //! One pixel by itself: its events and frame values to its light, without a recording around.
 
-use crate::options::SolveOptions;
+use crate::options::{STEPS, SolveOptions};
 use crate::row_solver::{FrameNoise, NO_EVENT_SIGMA};
 use photocurrent_core::events::Polarity;
 use photocurrent_core::{Exposure, NodeError, Sensor};
@@ -72,7 +72,13 @@ pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Expos
         lost_before: &[],
         beyond: &[],
     };
-    let map = MapOptions { spacing_ns: options.knot_spacing.ns(), with_sigma: true, second: Some(options.decisions.second()), ..MapOptions::default() };
+    let map = MapOptions {
+        spacing_ns: options.knot_spacing.ns(),
+        max_iterations: options.max_iterations.min(STEPS) as usize,
+        with_sigma: true,
+        second: Some(options.decisions.second()),
+        ..MapOptions::default()
+    };
     let mut workspace = MapWorkspace::default();
     let solution = photocurrent_sensor::map::solve(&problem, &map, &mut workspace);
     Ok(PixelTrack {

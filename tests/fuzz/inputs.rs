@@ -15,7 +15,7 @@ pub fn all() -> Vec<Seed> {
 /// Input `k` of the series `first`.
 pub fn input(all: &[Seed], first: u64, k: u64) -> Seed {
     let mut random = Random::new(first.wrapping_mul(1_000_003).wrapping_add(k));
-    if k % 2 == 0 { mutate(&all[(k / 2) as usize % all.len()], &mut random) } else { changed_in_meaning(&mut random) }
+    if k.is_multiple_of(2) { mutate(&all[(k / 2) as usize % all.len()], &mut random) } else { changed_in_meaning(&mut random) }
 }
 
 /// Arguments of `init` for an input that is written at `path`, in a folder `in`.
