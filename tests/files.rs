@@ -218,7 +218,7 @@ fn a_run_without_a_terminal_speaks_in_plain_lines() {
     let bench = Bench::new();
     bench.write("small.toml", &small_pipeline());
     let done = bench.run(&["run", "small.toml"]);
-    says(&done, 0, &["started solve (solve/map)", "done solve (solve/map), ", "nodes executed"]);
+    says(&done, 0, &["started solve (solve/paper)", "done solve (solve/paper), ", "nodes executed"]);
     assert!(!done.stderr.contains('{'), "{}", done.stderr);
     let nodes = small_pipeline().matches("[nodes.").count();
     assert!(done.stderr.lines().count() <= 2 * nodes + 12, "{}", done.stderr);

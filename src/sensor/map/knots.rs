@@ -191,3 +191,52 @@ impl Knots {
         self.t_ns.len()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::front_end::FrontEnd;
+    use crate::map::{MapEvent, MapFrame, MapSensor, Noise};
+
+    fn event(t_in_ns: i64, polarity: i8) -> MapEvent {
+        MapEvent { t_in_ns, t_off_ns: t_in_ns, polarity, is_lone: false }
+    }
+
+    /// Of nothing yet.
+    fn problem() -> MapProblem<'static> {
+        let sensor = MapSensor {
+            front_end: FrontEnd::IDEAL,
+            threshold_on: 0.2,
+            threshold_off: 0.2,
+            reset: Reset::Resample,
+            refractory_ns: 50_000,
+            gain: 850.0,
+            black_level_dn: 0.0,
+            saturation_dn: f64::INFINITY,
+        };
+        let (noise, stamp_sigma_s, no_event_sigma) = (Noise::default(), 0.0, 0.0);
+        MapProblem { events: &[], frames: &[], hints: &[], start_ns: 0, end_ns: 0, sensor, noise, stamp_sigma_s, no_event_sigma, lost_before: &[], beyond: &[] }
+    }
+
+    #[test]
+    fn knots_follow_events_and_frames_and_not_the_span() {
+        let knots = |period_ns: i64| {
+            let frame = |l: i64| MapFrame { start_ns: l * period_ns, end_ns: l * period_ns + period_ns / 2, dn: 250.0, sigma_dn: 2.0, saturated: false };
+            let (frames, events) = ([0, 1, 2, 3, 4, 5].map(frame), [event(period_ns, 1), event(3 * period_ns, -1)]);
+            let problem = MapProblem { events: &events, frames: &frames, hints: &[], start_ns: 0, end_ns: 6 * period_ns, ..problem() };
+            let mut knots = Knots::default();
+            knots.lay(&problem, 250_000);
+            assert!(knots.t_ns.windows(2).all(|pair| pair[1] - pair[0] <= i64::max(8_000_000, period_ns / 64)));
+            knots.len()
+        };
+        // Up to half a second from frame to frame quiet gaps have a knot every 8 ms; from there on the number stays.
+        let (short, long, longer) = (knots(40_000_000), knots(20_000_000_000), knots(20_000_000_000_000));
+        assert!(short < 150 && long < 800 && longer < 1_100, "{short}, {long}, {longer}");
+        // One frame alone, whose exposure ends an hour after the last event.
+        let (frames, events) = ([MapFrame { start_ns: 0, end_ns: 3_600_000_000_000, dn: 250.0, sigma_dn: 2.0, saturated: false }], [event(1_000_000, 1)]);
+        let problem = MapProblem { events: &events, frames: &frames, hints: &[], start_ns: 0, end_ns: 3_600_000_000_000, ..problem() };
+        let mut knots = Knots::default();
+        knots.lay(&problem, 250_000);
+        assert!(knots.len() < 200, "{}", knots.len());
+    }
+}

@@ -243,29 +243,6 @@ fn steep_light_comes_back_for_both_reset_rules() {
 }
 
 #[test]
-fn knots_follow_events_and_frames_and_not_the_span() {
-    let recorded = recorded(Reset::Resample);
-    let knots = |period_ns: i64| {
-        let frame = |l: i64| MapFrame { start_ns: l * period_ns, end_ns: l * period_ns + period_ns / 2, dn: 250.0, sigma_dn: 2.0, saturated: false };
-        let (frames, events) = ([0, 1, 2, 3, 4, 5].map(frame), [event(period_ns, 1), event(3 * period_ns, -1)]);
-        let problem = MapProblem { events: &events, frames: &frames, hints: &[], start_ns: 0, end_ns: 6 * period_ns, ..recorded.problem(Reset::Resample) };
-        let mut knots = Knots::default();
-        knots.lay(&problem, 250_000);
-        assert!(knots.t_ns.windows(2).all(|pair| pair[1] - pair[0] <= i64::max(8_000_000, period_ns / 64)));
-        knots.len()
-    };
-    // Up to half a second from frame to frame quiet gaps have a knot every 8 ms; from there on the number stays.
-    let (short, long, longer) = (knots(40_000_000), knots(20_000_000_000), knots(20_000_000_000_000));
-    assert!(short < 150 && long < 800 && longer < 1_100, "{short}, {long}, {longer}");
-    // One frame alone, whose exposure ends an hour after the last event.
-    let (frames, events) = ([MapFrame { start_ns: 0, end_ns: 3_600_000_000_000, dn: 250.0, sigma_dn: 2.0, saturated: false }], [event(1_000_000, 1)]);
-    let problem = MapProblem { events: &events, frames: &frames, hints: &[], start_ns: 0, end_ns: 3_600_000_000_000, ..recorded.problem(Reset::Resample) };
-    let mut knots = Knots::default();
-    knots.lay(&problem, 250_000);
-    assert!(knots.len() < 200, "{}", knots.len());
-}
-
-#[test]
 fn light_that_falls_at_once_into_the_dark_is_found_from_a_second_start() {
     // 298 DN an exposure and 17, as a spoke of a star passes: at 17 DN the front end takes 4 ms.
     let spokes = |t_ns: i64| {
