@@ -1,4 +1,6 @@
 //! The light of one pixel from its events and two frame values.
+#![allow(clippy::print_stdout)]
+
 use photocurrent_core::{Exposure, Sensor, document::Source, events::Polarity};
 use photocurrent_solve::{SolveOptions, solve_pixel};
 

@@ -1,4 +1,6 @@
 //! Counts the events and frames of a recording of any format: `cargo run --example read_any_file -- FILE`.
+#![allow(clippy::print_stdout)]
+
 use photocurrent_formats::{Declared, EventChunk, joined, recognise};
 use std::path::PathBuf;
 

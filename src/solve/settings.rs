@@ -221,6 +221,11 @@ impl Sample {
         self.pixels.len()
     }
 
+    /// Is there no pixel?
+    pub fn is_empty(&self) -> bool {
+        self.pixels.is_empty()
+    }
+
     /// How many events they have together.
     pub fn events(&self) -> usize {
         self.pixels.iter().map(|(events, _)| events.len()).sum()
