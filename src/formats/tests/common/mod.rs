@@ -1,5 +1,5 @@
 //! What the quick test of changed files and the long one share: small whole files of every format, ways to change them, and a reader that asks for everything.
-#![allow(dead_code, missing_docs, clippy::unwrap_used)]
+#![allow(dead_code, missing_docs, clippy::unwrap_used, clippy::should_implement_trait)]
 
 pub mod seeds;
 
