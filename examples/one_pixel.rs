@@ -1,8 +1,7 @@
 //! The light of one pixel from its events and two frame values.
 #![allow(clippy::print_stdout)]
 
-use photocurrent_core::{Exposure, Sensor, document::Source, events::Polarity};
-use photocurrent_solve::{SolveOptions, solve_pixel};
+use photocurrent_solve::{Exposure, Polarity, Sensor, SolveOptions, Source, solve_pixel};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let text = std::fs::read_to_string("data/sensors/hybrid.toml")?;

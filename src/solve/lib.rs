@@ -21,10 +21,7 @@
 //! pixel comes near is held, counted and shown there too.
 //!
 //! ```
-//! use photocurrent_core::document::Source;
-//! use photocurrent_core::events::Polarity::On;
-//! use photocurrent_core::{Exposure, Sensor};
-//! use photocurrent_solve::{SolveOptions, solve_pixel};
+//! use photocurrent_solve::{Exposure, Polarity::On, Sensor, SolveOptions, Source, solve_pixel};
 //! let text = "format = \"photocurrent-sensor/1\"
 //! [front_end]\ntau_0 = \"20 us\"\nalpha = \"1 ms\"
 //! [comparator]\nthreshold_on = 0.2\nthreshold_off = 0.2
@@ -56,6 +53,9 @@ pub mod row_solver;
 pub mod settings;
 pub mod shares;
 mod status;
+
+/// What [`solve_pixel`] takes, for programs that depend on this crate alone.
+pub use photocurrent_core::{Exposure, Sensor, document::Source, events::Polarity};
 
 pub use host::Host;
 pub use model::Model;
