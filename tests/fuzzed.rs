@@ -12,18 +12,13 @@ mod inputs;
 
 use crate::support::Bench;
 use common::Seed;
+use inputs::{BYTES, SECONDS, WAITED};
 use std::fs;
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::Path;
 use std::process::Stdio;
 use std::sync::Mutex;
 
-/// Address space of a command.
-const BYTES: u64 = 2 << 30;
-/// Processor time of a command, s.
-const SECONDS: u64 = 20;
-/// And time on the clock: a machine with other work is slow, one that waits for nothing is stuck.
-const WAITED: i64 = 120;
 /// Inputs, and their series.
 const INPUTS: u64 = 48;
 const SERIES: u64 = 1;
@@ -45,14 +40,7 @@ fn broken(bench: &Bench, arguments: &[&str]) -> Option<String> {
         });
     }
     let done = command.output().unwrap();
-    let stderr = String::from_utf8_lossy(&done.stderr);
-    let last = || stderr.lines().filter(|line| line.contains("panicked") || line.contains("allocation")).collect::<Vec<_>>().join(" | ");
-    match (done.status.signal(), done.status.code()) {
-        (Some(signal), _) => Some(format!("{}: signal {signal} {}", arguments[0], last())),
-        (_, Some(101)) => Some(format!("{}: {}", arguments[0], last())),
-        _ if stderr.contains("panicked at") => Some(format!("{}: {}", arguments[0], last())),
-        _ => None,
-    }
+    inputs::broken(arguments[0], done.status.signal(), done.status.code(), &String::from_utf8_lossy(&done.stderr))
 }
 
 /// `init` and `run` on one input; `None` where both end as they may.

@@ -66,7 +66,7 @@ pub struct Params {
     /// As in `solve/map`: model error of a frame value, as a part of it.
     #[schemars(range(min = 0.0))]
     pub frame_noise: f64,
-    /// As in `solve/map`: knots lie at most this far apart; the picture is asked at every second one.
+    /// As in `solve/map`: knots lie at most this far apart; the picture is evaluated at every second one.
     #[schemars(extend("x-min" = "10 us"))]
     pub knot_spacing: Duration,
     /// As in `solve/map`.

@@ -1,4 +1,4 @@
-//! Can a recording with its description be diagnosed? Looked at before the graph begins, so that what is wrong is said in the words of the command.
+//! Can a recording with its description be diagnosed? Checked before the graph begins, so that messages name the command's own options.
 
 use crate::common::{Failure, human_bytes};
 use crate::diagnose::Given;

@@ -1,7 +1,7 @@
 //! Luma and chroma of BT.709: the one place where Y'CbCr becomes R'G'B', and R'G'B' becomes Y'CbCr.
 //!
 //! BT.709 for every file: HD films use it, and `write/video` writes it. A Y4M header has no agreed word for the matrix; films of standard definition may mean
-//! BT.601, whose pure red has 9 percent of green when it is read as BT.709. Readers say in a note which matrix they took.
+//! BT.601, whose pure red has 9 percent of green when it is read as BT.709. Readers name the matrix in a note.
 //!
 //! Source: ITU-R BT.709-6, items 3.2 to 3.5 (the matrix, limited range); full range stretches luma and chroma over all numbers, as JFIF does.
 

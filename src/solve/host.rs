@@ -1,4 +1,4 @@
-//! What a solution takes from whoever asks for it: whether to go on, and what other bands of the same recording chose.
+//! What a solution takes from its caller: whether to go on, and what other bands of the same recording chose.
 
 use crate::row_solver::RowSetting;
 use photocurrent_core::{Context, NodeError};

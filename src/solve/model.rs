@@ -22,7 +22,7 @@ pub struct Model {
     clock_offset_ns: i64,
     /// The description's `[effects]`, to be undone; none for Eq. (13).
     pub(crate) undo: Undo,
-    /// How often light is solved again with what they say.
+    /// How often light is solved again with the effects at the light found before.
     pub(crate) undo_rounds: u32,
     /// Standard deviation of an event's stamp, from the width of its interval.
     pub(crate) stamp_sigma_s: f64,

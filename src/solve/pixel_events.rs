@@ -115,7 +115,7 @@ pub fn left_out(sensor: &Sensor) -> Option<String> {
 /// Refuses events that cannot be compensated.
 ///
 /// # Errors
-/// When in-pixel times are missing or steps are there already. `who` is the asker, `without` says how to do without.
+/// When in-pixel times are missing or steps are there already. `who` names the caller in the message, `without` is its hint.
 pub fn check_events(events: &EventsMeta, who: &str, without: &str) -> Result<(), NodeError> {
     if events.has_step {
         return Err(

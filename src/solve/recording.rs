@@ -83,7 +83,7 @@ impl Reader<'_> {
     }
 }
 
-/// Rows that are held at a time where a block is looked at in parts.
+/// Rows in memory at a time where a block is read in parts.
 const HELD_ROWS: u32 = 4;
 
 /// Rows of frames above and below those of the result that the MAP estimate reads: those of a block share their settings. `None` where all rows must be solved together, since effects couple
@@ -99,7 +99,7 @@ pub fn halo(options: &SolveOptions, sensor: &Sensor, events: &EventsMeta, frames
     Ok(Some(neighbours::halo(&model, lie).unwrap_or(HALO_ROWS).saturating_add(lie.ratio - 1)))
 }
 
-/// The MAP estimate of some rows of a recording: the same bits whichever rows are asked for together.
+/// The MAP estimate of some rows of a recording: the same bits for any division into rows.
 ///
 /// # Errors
 /// As [`solve`]; when `host` gives up; when what reaches over rows is not at hand.

@@ -8,7 +8,7 @@
 //!
 //! Where colours do not stay, the ratio does not: an event's step is then right for the mixture and wrong for the value. How wrong on average is known from the
 //! frames, as the changes of `ln r` from frame to frame: spread over the pixel's events, they are the standard deviation by which a step may be off
-//! ([`RowShares::unrest`]). The MAP estimate trusts events and the no-event constraint that much less.
+//! ([`RowShares::unrest`]). The MAP estimate adds this variance to that of events and of the no-event constraint.
 //!
 //! Limits: the ratio follows colours from problem to problem, not inside one; blur hides changes that a frame averages out. Neither `r` nor `g` changes what a pixel alone on its event pixel means: it is 1.
 

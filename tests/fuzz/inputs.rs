@@ -4,6 +4,24 @@
 use super::common::{Random, Seed, mutate, seeds};
 use crate::disc::{self, Disc};
 
+/// Address space of a command.
+pub const BYTES: u64 = 2 << 30;
+/// Processor time of a command, s.
+pub const SECONDS: u64 = 20;
+/// And time on the clock, s: a machine with other work is slow, a command that waits for nothing is stuck.
+pub const WAITED: i64 = 120;
+
+/// Why an end is none that may be, by signal, exit code and messages; `None` for every ordinary one.
+pub fn broken(command: &str, signal: Option<i32>, code: Option<i32>, stderr: &str) -> Option<String> {
+    let lines = || stderr.lines().filter(|line| line.contains("panicked") || line.contains("allocation")).collect::<Vec<_>>().join(" | ");
+    match (signal, code) {
+        (Some(signal), _) => Some(format!("{command}: signal {signal} {}", lines())),
+        (_, Some(101)) => Some(format!("{command}: {}", lines())),
+        _ if stderr.contains("panicked at") => Some(format!("{command}: {}", lines())),
+        _ => None,
+    }
+}
+
 /// Formats whose files hold no frames: a folder of pictures is given with them.
 const WITHOUT_FRAMES: [&str; 9] = ["evt2", "evt21", "evt3", "dat", "aedat2", "event_stream", "prophesee_hdf5", "csv", "npz"];
 

@@ -13,6 +13,7 @@ mod disc;
 mod inputs;
 
 use common::Seed;
+use inputs::{BYTES, SECONDS, WAITED};
 use std::ffi::OsString;
 use std::fs;
 use std::io::Write;
@@ -21,12 +22,6 @@ use std::panic::AssertUnwindSafe;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-/// Address space of a command.
-const BYTES: u64 = 2 << 30;
-/// Processor time of a command, s.
-const SECONDS: u64 = 20;
-/// And time on the clock.
-const WAITED: i64 = 120;
 /// Processor time of a command after which an input is kept as slow, s.
 const SLOW: f64 = 5.0;
 
@@ -71,17 +66,13 @@ fn command(folder: &Path, arguments: &[&str]) -> (Ended, f64) {
     (ended, seconds(used.ru_utime) + seconds(used.ru_stime))
 }
 
-/// Why an end is none that may be; `None` for every ordinary one.
 fn broken(folder: &Path, arguments: &[&str], ended: &Ended) -> Option<String> {
     let stderr = fs::read(folder.join("stderr.txt")).unwrap_or_default();
-    let stderr = String::from_utf8_lossy(&stderr);
-    let lines = || stderr.lines().filter(|line| line.contains("panicked") || line.contains("allocation")).collect::<Vec<_>>().join(" | ");
-    match ended {
-        Ended::Signal(signal) => Some(format!("{}: signal {signal} {}", arguments[0], lines())),
-        Ended::Code(101) => Some(format!("{}: {}", arguments[0], lines())),
-        _ if stderr.contains("panicked at") => Some(format!("{}: {}", arguments[0], lines())),
-        Ended::Code(_) => None,
-    }
+    let (signal, code) = match ended {
+        Ended::Signal(signal) => (Some(*signal), None),
+        Ended::Code(code) => (None, Some(*code)),
+    };
+    inputs::broken(arguments[0], signal, code, &String::from_utf8_lossy(&stderr))
 }
 
 /// What became of some inputs.
