@@ -4,7 +4,7 @@
 # Where cargo builds, unless it CARGO_TARGET_DIR says otherwise.
 BIN := $(or $(CARGO_TARGET_DIR),target)/release/photocurrent
 
-.PHONY: demo test browser axe readers lint figures refine-weights test-training setup clean
+.PHONY: demo test browser axe readers lint figures calibrate refine-weights test-training setup clean
 
 demo: setup
 	@echo "The demo builds the program (some minutes the first time), then takes a few seconds: it simulates an 80 ms recording of fast pellets with known truth,"
@@ -31,6 +31,12 @@ lint: setup
 # Holds the tables of README.md and docs/ to their commands, those that take minutes too, and runs the commands of the pages.
 figures: setup
 	cargo test --release --locked --test photocurrent -- figures commands --include-ignored
+
+# The numbers of the diagnosis' decision from nothing: data/diagnosis/README.md. Two and a half hours on two cores.
+calibrate: setup
+	cargo run --release --locked -p photocurrent-calibrate -- --scene picture --recordings 641 -o out/picture
+	cargo run --release --locked -p photocurrent-calibrate -- --scene parts --recordings 250 -o out/parts
+	cargo run --release --locked -p photocurrent-calibrate -- --scene given --recordings 110 -o out/given
 
 # The refinement network from nothing, with its two ablations, and the learned interpolator: nodes/refine/training/README.md. For a GPU, and 3 GB of packages; the README says what two cores can train.
 TRAINING := nodes/refine/training

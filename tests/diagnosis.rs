@@ -291,26 +291,6 @@ fn direct_tests_alone_are_reported_as_such() {
     assert_eq!(report["provenance"]["stages"], serde_json::json!(["integrity"]));
 }
 
-#[test]
-fn a_decision_is_calibrated_from_nothing_and_a_stopped_run_goes_on_where_it_was() {
-    let bench = Bench::new();
-    let calibrate = |count: &str| bench.run(&["calibrate", "--recordings", count, "--size", "24x18", "--folds", "2", "-o", "made"]);
-    let done = calibrate("2");
-    assert_eq!(done.code, 0, "{}", done.stderr);
-    let first = bench.path("made/made-picture-24x18-7/00000.json");
-    let before = std::fs::metadata(&first).and_then(|of| of.modified()).expect("the first recording");
-    let done = calibrate("4");
-    says(&done, 0, &["4 recordings", "decision.json", "examples.jsonl"]);
-    assert_eq!(std::fs::metadata(&first).and_then(|of| of.modified()).expect("the first recording"), before);
-    let found: Value = serde_json::from_str(&read(&bench, "made/decision.json")).expect("JSON");
-    // Each recording is of the model of its kind of scene, or without one.
-    let models: Vec<&Value> = found["models"].as_object().expect("models").values().collect();
-    let judged: u64 = models.iter().filter_map(|of_kind| of_kind["validation"]["recordings"].as_u64()).sum();
-    assert_eq!(judged + found["without"].as_u64().expect("a count"), 4);
-    assert!(models.iter().all(|of_kind| of_kind["model"]["something"].as_array().map(Vec::len) == Some(3)), "{found}");
-    assert_eq!(read(&bench, "made/examples.jsonl").lines().count(), 4);
-}
-
 /// A star on a bench, recorded by a sensor that is slower than its description.
 const STAR: &str = r#"
 format = 1

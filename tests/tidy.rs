@@ -14,7 +14,7 @@ use std::process::Command;
 const MOST_LINES: usize = 700;
 
 /// The names of our crates' folders, and which of ours each may depend on, directly or for its tests.
-const DIRECTION: [(&str, &str, &[&str]); 9] = [
+const DIRECTION: [(&str, &str, &[&str]); 10] = [
     ("src/core", "photocurrent-core", &[]),
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
     ("src/solve", "photocurrent-solve", &["photocurrent-core", "photocurrent-sensor"]),
@@ -23,6 +23,7 @@ const DIRECTION: [(&str, &str, &[&str]); 9] = [
     ("src/store", "photocurrent-store", &["photocurrent-core"]),
     ("src/formats", "photocurrent-formats", &["photocurrent-core", "photocurrent-sensor", "photocurrent-store"]),
     ("src/engine", "photocurrent-engine", &["photocurrent-core", "photocurrent-store"]),
+    ("src/calibrate", "photocurrent-calibrate", &["photocurrent-core", "photocurrent-diagnosis"]),
     (
         "nodes",
         "photocurrent-nodes",

@@ -56,10 +56,6 @@ pub enum Command {
     ///
     /// Names the physics that the description lacks, with its evidence, or says why it cannot.
     Diagnose(DiagnoseOptions),
-    /// Remake the decision thresholds of the diagnosis
-    ///
-    /// From simulated recordings, with cross-validation.
-    Calibrate(CalibrateOptions),
     /// List node kinds, or print the manual of one
     Nodes(NodesOptions),
     /// List sensor effects, or print the page of one
@@ -455,42 +451,6 @@ pub struct DiagnoseOptions {
     pub quiet: bool,
     #[command(flatten)]
     pub declared: crate::declared::DeclaredOptions,
-}
-
-#[derive(ClapArgs)]
-pub struct CalibrateOptions {
-    /// Made-up recordings: with nothing, one effect, two, or what is in no catalogue; some six seconds each on two cores at 64x48
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..))]
-    pub recordings: u64,
-    /// Kind of scene whose numbers are made: a moving picture that is fitted, a scene in parts, or given light (a known target)
-    #[arg(long, value_enum, default_value = "picture")]
-    pub scene: CalibratedScene,
-    /// Size of the made-up arrays, pixels [default: 64x48; 40x30 of given light]
-    #[arg(long, value_name = "WIDTHxHEIGHT")]
-    pub size: Option<String>,
-    /// Parts of the cross-validation
-    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(2..))]
-    pub folds: u64,
-    /// Folder for decision.json; recordings that are in it already are not made again
-    #[arg(short, long, value_name = "FOLDER", default_value = "out/decision")]
-    pub out: PathBuf,
-    /// Seed of everything random
-    #[arg(long, value_name = "N", default_value_t = 7)]
-    pub seed: u64,
-    /// Say only what went wrong
-    #[arg(short, long)]
-    pub quiet: bool,
-}
-
-/// Kinds of scenes that `calibrate` makes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum CalibratedScene {
-    /// A moving picture, fitted to the frames
-    Picture,
-    /// Scenes that do not move as one, in parts
-    Parts,
-    /// Light that is known but for a few numbers
-    Given,
 }
 
 #[derive(ClapArgs)]

@@ -15,7 +15,7 @@ const GROUPS: [(&str, &[&str]); 5] = [
     ("Run pipelines", &["init", "run", "plan", "explain", "check", "merge", "cache"]),
     ("See results", &["report", "table", "graph"]),
     ("Recordings", &["inspect", "convert"]),
-    ("Diagnose", &["diagnose", "calibrate"]),
+    ("Diagnose", &["diagnose"]),
     ("Reference", &["nodes", "effects", "schema", "man", "completions"]),
 ];
 

@@ -7,7 +7,6 @@
 
 mod args;
 mod cache;
-mod calibrate;
 mod case;
 mod check;
 mod common;
@@ -54,7 +53,6 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
         Command::Graph(options) => graph::graph(options),
         Command::Inspect(options) => inspect::inspect(options),
         Command::Diagnose(options) => diagnose::diagnose(options),
-        Command::Calibrate(options) => calibrate::calibrate(options),
         Command::Nodes(options) => nodes::nodes(options),
         Command::Effects(options) => effects::effects(options),
         Command::Schema => nodes::schema(),

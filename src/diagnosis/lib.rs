@@ -37,7 +37,6 @@ pub mod grey;
 pub mod heldout;
 pub mod integrity;
 pub mod judge;
-pub mod made;
 pub mod nominal;
 pub mod page;
 pub mod picture;
@@ -48,8 +47,10 @@ pub mod residual;
 pub mod rhythm;
 pub mod sample;
 pub mod scene;
+#[cfg(any(test, feature = "simulated"))]
 pub mod scenes;
 pub mod stages;
+#[cfg(any(test, feature = "simulated"))]
 pub mod targets;
 pub mod unstated;
 pub mod verdict;

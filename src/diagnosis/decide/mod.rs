@@ -3,7 +3,8 @@
 //! An effect cannot hide in a scene that frames alone state: what is not seen there is not there, to the size that its own noise allows ([`limits`]).
 //!
 //! - `model`: probabilities.
-//! - `calibrate`: where its numbers come from.
+//!
+//! The crate `photocurrent-calibrate` fits its numbers.
 
 use crate::candidates::{CANDIDATES, Signs};
 use crate::nominal::Nominal;
@@ -14,7 +15,6 @@ use crate::verdict::{Decided, Proposal, Unexplained};
 use model::{Facts, KINDS, Models, Posterior, hypotheses};
 use serde::{Deserialize, Serialize};
 
-pub mod calibrate;
 pub mod model;
 
 /// From when on something is said.

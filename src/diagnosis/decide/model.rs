@@ -4,7 +4,7 @@
 //! - Which it is: gains relative to the best one, softly; random effects and what is in no catalogue with an offset of their own.
 //! - That there is a second one in addition to the first: a logistic function of its gain, alone and over the first one's.
 //!
-//! Its numbers are calibrated on made-up recordings ([`super::calibrate`]).
+//! Its numbers are calibrated on simulated recordings (the crate `photocurrent-calibrate`).
 
 use crate::candidates::CANDIDATES;
 use crate::residual::evidence::{Evidence, Ranked};
@@ -36,7 +36,7 @@ pub const SOMETHING: usize = 3;
 pub const SECOND: usize = 3;
 
 impl Default for Model {
-    /// `photocurrent calibrate`, docs/diagnosis.md.
+    /// `photocurrent-calibrate`, docs/diagnosis.md.
     fn default() -> Model {
         Model {
             something: [3.625, 0.770, 0.536],
@@ -75,14 +75,14 @@ impl Models {
 }
 
 impl Default for Models {
-    /// `photocurrent calibrate`, docs/diagnosis.md.
+    /// `photocurrent-calibrate`, docs/diagnosis.md.
     fn default() -> Models {
         Models { picture: Model::default(), patches: Model::of_patches(), given: Model::of_given_light() }
     }
 }
 
 impl Model {
-    /// The built-in numbers for scenes in parts: `photocurrent calibrate --scene parts`.
+    /// The built-in numbers for scenes in parts: `photocurrent-calibrate --scene parts`.
     pub fn of_patches() -> Model {
         Model {
             something: [2.235, 0.581, 0.048],
@@ -94,7 +94,7 @@ impl Model {
         }
     }
 
-    /// The built-in numbers for known light: `photocurrent calibrate --scene given`.
+    /// The built-in numbers for known light: `photocurrent-calibrate --scene given`.
     pub fn of_given_light() -> Model {
         Model {
             something: [3.967, 1.088, 0.0],
@@ -195,7 +195,7 @@ impl Facts {
     }
 
     /// To four digits behind the point.
-    pub(super) fn rounded(&self) -> Facts {
+    pub fn rounded(&self) -> Facts {
         let round = |x: f64| (x * 1e4).round() / 1e4;
         let gains = |of: Gains| Gains { sized: round(of.sized), random: round(of.random), swing: round(of.swing) };
         let list = |of: &[(String, f64, bool)]| of.iter().map(|(id, share, is_random)| (id.clone(), round(*share), *is_random)).collect();

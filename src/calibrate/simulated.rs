@@ -1,18 +1,18 @@
-//! Recordings that a decision is calibrated on: made-up scenes and sensors ([`crate::scenes`]) with nothing, one effect, two, or what is in no catalogue, each of random size down to
+//! Recordings that a decision is calibrated on: made-up scenes and sensors ([`photocurrent_diagnosis::scenes`]) with nothing, one effect, two, or what is in no catalogue, each of random size down to
 //! what hardly shows; frames with and without noise that nobody stated.
 //!
 //! Everything follows from a seed and a number. What is in no catalogue is made without any effect's code: pixels of two sensors side by side, or stamps moved by what their events
 //! depend on.
 
-use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
-use crate::case::{Case, PixelEvents, Recorded};
-use crate::covariates::Covariate;
-use crate::nominal::Nominal;
-use crate::residual::target::Form;
-use crate::scenes::MadeUp;
-use crate::targets::Shows;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
+use photocurrent_diagnosis::candidates::{CANDIDATES, Scales, Signs, Trial};
+use photocurrent_diagnosis::case::{Case, PixelEvents, Recorded};
+use photocurrent_diagnosis::covariates::Covariate;
+use photocurrent_diagnosis::nominal::Nominal;
+use photocurrent_diagnosis::residual::target::Form;
+use photocurrent_diagnosis::scenes::MadeUp;
+use photocurrent_diagnosis::targets::Shows;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

@@ -1,79 +1,15 @@
 //! Numbers of the decision's model from recordings whose truth is known, with cross-validation.
 //!
-//! The two logistic functions by Newton's method with a weak prior, at the best of some discounts of gains; softness, offset and odds of what is in no catalogue by searching each in turn. Both maximise the likelihood of
-//! the truth. Every recording is judged by a model that did not see it.
+//! The two logistic functions by Newton's method with a weak prior, at the best of some discounts of gains; softness,
+//! offset and odds of what is in no catalogue by searching each in turn. Both maximise the likelihood of the truth.
+//! Every recording is judged by a model that was fitted without it.
 
-use super::Decision;
-use super::model::{Facts, Model, SECOND, SOMETHING, logistic};
-use crate::candidates::{Candidate, Scales};
-use crate::made::{Fault, Made, MadeSetting, made};
-use crate::picture::PictureSetting;
-use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
-use crate::residual::mosaic::{MosaicSetting, scene};
-use crate::residual::source::Source;
-use crate::residual::target::{Target, TargetSetting};
-use crate::verdict::{IN_SET_SHARE as IN_SET, is_material};
+use crate::example::Example;
 use nalgebra::{SMatrix, SVector};
+use photocurrent_diagnosis::decide::Decision;
+use photocurrent_diagnosis::decide::model::{Facts, Model, SECOND, SOMETHING, logistic};
+use photocurrent_diagnosis::verdict::IN_SET_SHARE as IN_SET;
 use serde::{Deserialize, Serialize};
-
-/// A recording with its truth, as the model sees it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Example {
-    /// What is wrong with it; sizes that nobody would care about are left out.
-    pub truth: Fault,
-    /// What was found, so that facts can be made anew without looking at the recording again; none where the method abstained, or where only facts were kept.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub found: Option<Evidence>,
-    /// What the model looks at; none where the method abstained.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub facts: Option<Facts>,
-}
-
-impl Example {
-    /// With facts from what was found.
-    pub fn new(truth: Fault, found: Option<Evidence>) -> Example {
-        let facts = found.as_ref().map(Facts::of);
-        Example { truth, found, facts }
-    }
-
-    /// Facts alone, to four digits behind the point: what a training set keeps.
-    #[must_use]
-    pub fn facts_alone(&self) -> Example {
-        Example { truth: self.truth.clone(), found: None, facts: self.facts.as_ref().map(Facts::rounded) }
-    }
-
-    fn is_something(&self) -> bool {
-        !self.truth.effects.is_empty() || self.truth.other.is_some()
-    }
-
-    fn has(&self, id: &str) -> bool {
-        self.truth.effects.iter().any(|(other, ..)| other == id)
-    }
-}
-
-/// Targets of made-up recordings are fitted to fewer values than a user's: their arrays are small.
-const FEWER: TargetSetting = TargetSetting { values: 4_000, tries: 1, seed: 1 };
-
-/// Makes recording number `index` of a seed and looks at it.
-///
-/// # Errors
-/// When the effects that were drawn cannot be combined.
-pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, String> {
-    let Made { case, mut truth, target } = made(seed, index, setting)?;
-    let nominal = case.nominal().map_err(|why| why.to_string())?;
-    let scales = Scales::of(&case, &nominal);
-    truth.effects.retain(|(id, parameter, effect_size)| {
-        Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*effect_size, &scales, &nominal)))
-    });
-    let picture = PictureSetting::default();
-    let look = |source: &dyn Source| evidence(&case, &nominal, source, &EvidenceSetting::default());
-    let found = match target {
-        None => scene(&case, &nominal, &picture, &MosaicSetting::default()).and_then(|source| look(source.as_ref())).ok(),
-        // The search finds the same place; only the fit is of interest.
-        Some((form, shares)) => Target::near(&case, &nominal, form, FEWER, &picture, &shares).and_then(|source| look(&source).ok()),
-    };
-    Ok(Example::new(truth, found))
-}
 
 /// Softness beforehand.
 const USUAL_SOFTNESS: [f64; 2] = [-2.0, -0.5];
@@ -271,8 +207,9 @@ fn judge(model: &Model, one: &Example, decision: &Decision, sums: &mut Validatio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::decide::model::{Gains, KINDS, Models};
+    use crate::simulated::Fault;
     use photocurrent_core::random::Random;
+    use photocurrent_diagnosis::decide::model::{Gains, KINDS, Models};
 
     fn facts(gain: f64, share_of_other: f64) -> Facts {
         Facts {
@@ -302,9 +239,9 @@ mod tests {
     /// The recordings that the built-in numbers are calibrated on.
     fn training() -> Vec<Example> {
         let sets = [
-            include_str!("../../../data/diagnosis/examples.jsonl"),
-            include_str!("../../../data/diagnosis/examples-parts.jsonl"),
-            include_str!("../../../data/diagnosis/examples-given.jsonl"),
+            include_str!("../../data/diagnosis/examples.jsonl"),
+            include_str!("../../data/diagnosis/examples-parts.jsonl"),
+            include_str!("../../data/diagnosis/examples-given.jsonl"),
         ];
         sets.iter().flat_map(|text| text.lines()).map(|line| serde_json::from_str(line).unwrap()).collect()
     }
