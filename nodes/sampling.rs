@@ -52,21 +52,9 @@ impl Sampling {
     /// # Errors
     /// When the window holds no instant, or a rolling shutter is asked of a sensor whose row time is unknown.
     pub fn times(&self, span: TimeSpan, sensor: Option<&Sensor>) -> Result<FrameTimes, NodeError> {
-        let start = self.start.map_or(span.start.0, Duration::ns);
-        let end = self.end.map_or(span.end.0, Duration::ns);
+        let (start, end) = self.window(span)?;
         let shown = |ns: i64| Duration::new(ns);
-        let covered = format!("the recording covers {} to {}", shown(span.start.0), shown(span.end.0));
-        let blamed = match (self.start, self.end) {
-            _ if end > start => None,
-            (Some(_), Some(_)) if end == start => Some((format!("the window ends at {}, where it begins", shown(end)), "end")),
-            (Some(_), Some(_)) => Some((format!("the window ends at {}, before it begins at {}", shown(end), shown(start)), "end")),
-            (Some(_), None) => Some((format!("the window begins at {}, when the recording is over", shown(start)), "start")),
-            (None, Some(_)) => Some((format!("the window ends at {}, before the recording begins", shown(end)), "end")),
-            (None, None) => None,
-        };
-        if let Some((message, param)) = blamed {
-            return Err(NodeError::usage(message).note(covered).hint("`start` comes first, and both lie in the recording").param(param));
-        }
+        let covered = covered(span);
         let period = 1e9 / self.rate.hz();
         let count = (end as f64 - start as f64) / period;
         if count > MOST_STEPS as f64 {
@@ -101,6 +89,28 @@ impl Sampling {
         };
         FrameTimes::new(exposures, row_time_ns).map_err(NodeError::from)
     }
+
+    /// First and last instant, ns, of what is rendered of `span`; refuses a window that is empty.
+    fn window(&self, span: TimeSpan) -> Result<(i64, i64), NodeError> {
+        let start = self.start.map_or(span.start.0, Duration::ns);
+        let end = self.end.map_or(span.end.0, Duration::ns);
+        let shown = |ns: i64| Duration::new(ns);
+        let (message, param) = match (self.start, self.end) {
+            _ if end > start => return Ok((start, end)),
+            (None, None) => return Ok((start, end)),
+            (Some(_), Some(_)) if end == start => (format!("the window ends at {}, where it begins", shown(end)), "end"),
+            (Some(_), Some(_)) => (format!("the window ends at {}, before it begins at {}", shown(end), shown(start)), "end"),
+            (Some(_), None) => (format!("the window begins at {}, when the recording is over", shown(start)), "start"),
+            (None, Some(_)) => (format!("the window ends at {}, before the recording begins", shown(end)), "end"),
+        };
+        let hint = "`start` comes first, and both lie in the recording";
+        Err(NodeError::usage(message).note(covered(span)).hint(hint).param(param))
+    }
+}
+
+/// What a recording covers, as a sentence.
+fn covered(span: TimeSpan) -> String {
+    format!("the recording covers {} to {}", Duration::new(span.start.0), Duration::new(span.end.0))
 }
 
 /// What virtual frames of a size and colours will look like: like `at` when it is connected, else steadily sampled and scaled to the recording's ordinary exposure.

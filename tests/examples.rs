@@ -28,3 +28,18 @@ fn any_file_is_counted() {
     let printed = output("read_any_file");
     assert!(printed.starts_with("data/recordings/davis346_traffic.aedat4: ") && printed.contains(" events, "), "{printed}");
 }
+
+#[test]
+fn a_simulated_pixel_is_estimated_closely() {
+    let printed = output("simulate_and_solve");
+    let rms: f64 = printed.split(": log light to ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    // A tenth of a threshold.
+    assert!(rms < 0.02, "{printed}");
+}
+
+#[test]
+fn a_node_of_ones_own_runs_in_a_pipeline() {
+    let printed = output("own_node");
+    let levels: Vec<f64> = printed.lines().map(|line| line.split_whitespace().nth(2).unwrap().parse().unwrap()).collect();
+    assert!(levels.len() > 2 && levels.iter().all(|dn| (1.0..255.0).contains(dn)), "{printed}");
+}

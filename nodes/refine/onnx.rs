@@ -363,18 +363,7 @@ impl Work<'_> {
             Some(most) if most >= 0.0 => most,
             _ => f64::INFINITY,
         };
-        let captured = match self.shown {
-            Some(captured) => {
-                let nearest = nearest_frame(&captured.meta, meta.extent.height / 2, instant);
-                // As if exposed like the frames.
-                let longer = |y: u32| {
-                    let seconds = scale_seconds(meta.scale, meta.times.exposure(frame, y));
-                    seconds / scale_seconds(captured.meta.scale, captured.meta.times.exposure(nearest, y))
-                };
-                self.planes(&read(captured, nearest)?.dn, |dn, y| (f64::from(dn) - self.black) / self.white * longer(y))
-            }
-            None => flat(0.0, channels),
-        };
+        let captured = self.captured(frame, instant)?.unwrap_or_else(|| flat(0.0, channels));
         let events = match &self.timeline {
             Some(timeline) => Planes { channels: 2, width, values: timeline.near(instant, self.reach_ns, (width, height)) },
             None => flat(1.0, 2),
@@ -386,12 +375,10 @@ impl Work<'_> {
                 for channel in 0..channels {
                     let tensors = [picture.tile((channel, 1), x, y), sigma.tile((channel, 1), x, y), captured.tile((channel, 1), x, y)];
                     let [shown, spread, before] = &tensors;
-                    let refined = self.network.run(&[("frame", shown), ("sigma", spread), ("events", &counts), ("captured", before)], OUTPUT)?;
+                    let inputs = [("frame", shown), ("sigma", spread), ("events", &counts), ("captured", before)];
+                    let refined = self.network.run(&inputs, OUTPUT)?;
                     if refined.values.len() != shown.values.len() {
-                        return Err(NodeError::input(format!("the output `{OUTPUT}` of the network has the shape {:?}", refined.shape))
-                            .note(format!("expected {:?}", shown.shape))
-                            .hint("name a network whose picture has the size of its input")
-                            .param("weights"));
+                        return Err(other_shape(&refined.shape, &shown.shape));
                     }
                     for row in y.kept..y.end {
                         for column in x.kept..x.end {
@@ -407,4 +394,25 @@ impl Work<'_> {
         }
         self.cx.advance(1)
     }
+
+    /// The captured frame nearest to an instant, ns, as if exposed like frame `frame`; none where no frames are shown.
+    fn captured(&self, frame: usize, instant: i64) -> Result<Option<Planes>, NodeError> {
+        let Some(captured) = self.shown else { return Ok(None) };
+        let meta = self.meta();
+        let nearest = nearest_frame(&captured.meta, meta.extent.height / 2, instant);
+        let longer = |y: u32| {
+            let seconds = scale_seconds(meta.scale, meta.times.exposure(frame, y));
+            seconds / scale_seconds(captured.meta.scale, captured.meta.times.exposure(nearest, y))
+        };
+        let dn = captured.read(nearest..nearest + 1, captured.rows())?.dn;
+        Ok(Some(self.planes(&dn, |dn, y| (f64::from(dn) - self.black) / self.white * longer(y))))
+    }
+}
+
+/// A network whose output has another size than its input.
+fn other_shape(found: &[usize], expected: &[usize]) -> NodeError {
+    NodeError::input(format!("the output `{OUTPUT}` of the network has the shape {found:?}"))
+        .note(format!("expected {expected:?}"))
+        .hint("name a network whose picture has the size of its input")
+        .param("weights")
 }

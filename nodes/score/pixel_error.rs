@@ -131,41 +131,31 @@ params = { pixels = [{ x = 64, y = 48 }] }
         let black = sensor.frames.black_level_dn.unwrap_or(0.0);
         // Eq. (5) the other way round: the mean photocurrent over the exposure that the DN stands for.
         let v_dc = |dn: f64, seconds: f64| if dn > black { settled_voltage((dn - black) / (gain * seconds)) } else { f64::NAN };
+        let follow = |&(l, j): &(usize, usize), &Pixel { x, y }: &Pixel| -> Result<Follow, NodeError> {
+            let value = |frames: &FrameSequence, l: usize| -> Result<f64, NodeError> {
+                let row = Rows { start: y, end: y + 1 };
+                Ok(f64::from(frames.read(l..l + 1, row)?.dn[x as usize]))
+            };
+            let exposure = frames.meta.times.exposure(l, y);
+            let (dn, dn_true) = (value(frames, l)?, value(truth, j)?);
+            let there = truth.meta.times.exposure(j, y);
+            let seconds = [scale_seconds(frames.meta.scale, exposure), scale_seconds(truth.meta.scale, there)];
+            let v_dc = [v_dc(dn, seconds[0]), v_dc(dn_true, seconds[1])];
+            Ok(Follow { pixel: Pixel { x, y }, frame: l as i64, t_ns: exposure.mid().0, dn: [dn, dn_true], v_dc })
+        };
         cx.begin(pairs.len() as u64, "frames");
         let mut rows: Vec<Follow> = Vec::new();
-        for &(l, j) in &pairs {
-            for &Pixel { x, y } in &self.params.pixels {
-                let value = |frames: &FrameSequence, l: usize| -> Result<f64, NodeError> {
-                    let row = Rows { start: y, end: y + 1 };
-                    Ok(f64::from(frames.read(l..l + 1, row)?.dn[x as usize]))
-                };
-                let exposure = frames.meta.times.exposure(l, y);
-                let (dn, dn_true) = (value(frames, l)?, value(truth, j)?);
-                let there = truth.meta.times.exposure(j, y);
-                rows.push(Follow {
-                    pixel: Pixel { x, y },
-                    frame: l as i64,
-                    t_ns: exposure.mid().0,
-                    dn: [dn, dn_true],
-                    v_dc: [v_dc(dn, scale_seconds(frames.meta.scale, exposure)), v_dc(dn_true, scale_seconds(truth.meta.scale, there))],
-                });
+        for pair in &pairs {
+            for pixel in &self.params.pixels {
+                rows.push(follow(pair, pixel)?);
             }
             cx.advance(1)?;
         }
         cx.count(rows.iter().filter(|row| row.dn[0].is_nan()).count() as u64, "values were not known (NaN) and left out");
         cx.count(rows.iter().filter(|row| row.dn[0] <= black || row.dn[1] <= black).count() as u64, "values are at or below black and have no V_DC");
-        let card = Card {
-            definition: "pixel_error.v1",
-            channel: "linear DN, and V_DC = ln i with i = (DN - black) / (gain x exposure)".into(),
-            range: format!("DN as they are, black level {black} DN, gain {gain}"),
-            border: "none".into(),
-            frames: format!("{} of {} matched by middle of exposure within {}", pairs.len(), frames.len(), self.params.tolerance),
-            region: self.params.pixels.iter().map(|pixel| format!("pixel ({}, {})", pixel.x, pixel.y)).collect::<Vec<_>>().join(" and "),
-            weights: None,
-            backend: OWN.into(),
-            pooled: MEAN.into(),
-            more: vec![("error", "absolute, mean over the pixels".into())],
-        };
+        let within = self.params.tolerance;
+        let matched = format!("{} of {} matched by middle of exposure within {within}", pairs.len(), frames.len());
+        let card = self.card(matched, format!("DN as they are, black level {black} DN, gain {gain}"));
         let times: Vec<(i64, i64)> = pairs.iter().map(|(l, _)| (*l as i64, frames.meta.times.exposures[*l].mid().0)).collect();
         let mut scores = Vec::new();
         type Reading = fn(&Follow) -> [f64; 2];
@@ -191,6 +181,22 @@ struct Follow {
 }
 
 impl ScorePixelError {
+    fn card(&self, frames: String, range: String) -> Card {
+        let name = |pixel: &Pixel| format!("pixel ({}, {})", pixel.x, pixel.y);
+        Card {
+            definition: "pixel_error.v1",
+            channel: "linear DN, and V_DC = ln i with i = (DN - black) / (gain x exposure)".into(),
+            range,
+            border: "none".into(),
+            frames,
+            region: self.params.pixels.iter().map(name).collect::<Vec<_>>().join(" and "),
+            weights: None,
+            backend: OWN.into(),
+            pooled: MEAN.into(),
+            more: vec![("error", "absolute, mean over the pixels".into())],
+        }
+    }
+
     fn followed(&self, rows: &[Follow], sensor: &Sensor) -> Table {
         let table = followed(rows);
         if sensor.front_end.tau_0.is_none() || sensor.front_end.alpha.is_none() {

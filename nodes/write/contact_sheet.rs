@@ -314,19 +314,7 @@ params = { labels = ["kept", "held out"], columns = 4, window = "5 ms" }
 
         cx.begin((drawn_rows * instants.len()) as u64, "pictures");
         let black = input.sensor.as_deref().map(|sensor| black_level(Some(sensor)));
-        let mut rows = Vec::new();
-        for (_, frames) in &sequences {
-            let mut row = Vec::new();
-            for &t in &instants {
-                let mut shown = read_cropped(frames, nearest(&frames.meta.times, t), crop)?;
-                if let (Some(black), Some(to_ns)) = (black, nominal_exposure_ns(metas[0])) {
-                    shown.exposed(exposure_of_dn(&frames.meta, shown.frame), to_ns, black);
-                }
-                row.push(shown);
-                cx.advance(1)?;
-            }
-            rows.push(row);
-        }
+        let rows = shown_rows(&sequences, &instants, black, crop, cx)?;
         let windows = self.windows(&instants, &metas);
         let shift_ns = input.sensor.as_deref().map(clock_offset).transpose()?.map_or(0, |offset| offset.offset_ns);
         let ratio = |events: &EventStream| metas[0].extent.multiple_of(events.meta.extent).unwrap_or(1);
@@ -363,25 +351,49 @@ params = { labels = ["kept", "held out"], columns = 4, window = "5 ms" }
         let unknown = rows.iter().flatten().flat_map(|shown| &shown.dn).filter(|dn| dn.is_nan()).count();
         cx.count(unknown as u64, "values are not known (NaN) and were drawn black");
         cx.note(format!("contact_sheet.png is for looking only: {:.2} to {:.2} DN, display gamma 2.2", range.0, range.1));
-        let exposures: Vec<Option<i64>> = metas.iter().map(|meta| nominal_exposure_ns(meta)).collect();
-        if let Some(other) = exposures.iter().position(|exposure| black.is_none() && *exposure != exposures[0]) {
-            let ns = |row: usize| exposures[row].unwrap_or(0);
-            let ((first, _), (label, _)) = (sequences[0], sequences[other]);
-            cx.note(format!(
-                "brightness differs by exposure: \"{first}\" has DN of {} ns, \"{label}\" of {} ns; connect `sensor` to show them alike",
-                ns(0),
-                ns(other)
-            ));
+        if let Some(note) = black.is_none().then(|| differing_exposures(&sequences)).flatten() {
+            cx.note(note);
         }
-        let cells = || rows.iter().enumerate().flat_map(|(r, row)| row.iter().enumerate().map(move |(column, shown)| (r, column, shown)));
-        let listing = Table::default()
-            .with("label", Column::Texts(cells().map(|(r, ..)| sequences[r].0.to_string()).collect()))
-            .with("column", Column::Integers(cells().map(|(_, column, _)| column as i64).collect()))
-            .with("frame", Column::Integers(cells().map(|(.., shown)| shown.frame as i64).collect()))
-            .with("t_ns", Column::Integers(cells().map(|(.., shown)| shown.t_ns).collect()))
-            .with("asked_ns", Column::Integers(cells().map(|(_, column, _)| instants[column]).collect()));
-        Ok(Out { listing: Arc::new(listing) })
+        Ok(Out { listing: Arc::new(listing(&sequences, &rows, &instants)) })
     }
+}
+
+/// The pictures nearest to every instant, a row for each sequence, exposed like the first where the black level is
+/// known.
+fn shown_rows(sequences: &[(&str, &FrameSequence)], instants: &[i64], black: Option<f64>, crop: Crop, cx: &Context) -> Result<Vec<Vec<Shown>>, NodeError> {
+    let to_ns = nominal_exposure_ns(&sequences[0].1.meta);
+    let picture = |frames: &FrameSequence, t: i64| {
+        let mut shown = read_cropped(frames, nearest(&frames.meta.times, t), crop)?;
+        if let (Some(black), Some(to_ns)) = (black, to_ns) {
+            shown.exposed(exposure_of_dn(&frames.meta, shown.frame), to_ns, black);
+        }
+        cx.advance(1)?;
+        Ok(shown)
+    };
+    sequences.iter().map(|(_, frames)| instants.iter().map(|&t| picture(frames, t)).collect()).collect()
+}
+
+/// Which sequence has digital numbers of another exposure than the first; none where all are alike.
+fn differing_exposures(sequences: &[(&str, &FrameSequence)]) -> Option<String> {
+    let exposure = |(_, frames): &(&str, &FrameSequence)| nominal_exposure_ns(&frames.meta);
+    let other = sequences.iter().find(|one| exposure(one) != exposure(&sequences[0]))?;
+    let (first, label) = (sequences[0].0, other.0);
+    Some(format!(
+        "brightness differs by exposure: \"{first}\" has DN of {} ns, \"{label}\" of {} ns; connect `sensor` to show them alike",
+        exposure(&sequences[0]).unwrap_or(0),
+        exposure(other).unwrap_or(0)
+    ))
+}
+
+/// What is drawn where: a line for each picture.
+fn listing(sequences: &[(&str, &FrameSequence)], rows: &[Vec<Shown>], instants: &[i64]) -> Table {
+    let cells = || rows.iter().enumerate().flat_map(|(r, row)| row.iter().enumerate().map(move |(column, shown)| (r, column, shown)));
+    Table::default()
+        .with("label", Column::Texts(cells().map(|(r, ..)| sequences[r].0.to_string()).collect()))
+        .with("column", Column::Integers(cells().map(|(_, column, _)| column as i64).collect()))
+        .with("frame", Column::Integers(cells().map(|(.., shown)| shown.frame as i64).collect()))
+        .with("t_ns", Column::Integers(cells().map(|(.., shown)| shown.t_ns).collect()))
+        .with("asked_ns", Column::Integers(cells().map(|(_, column, _)| instants[column]).collect()))
 }
 
 fn read_cropped(frames: &FrameSequence, frame: usize, crop: Crop) -> Result<Shown, NodeError> {

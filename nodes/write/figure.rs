@@ -176,18 +176,24 @@ impl Panel {
                 }
             }
         }
-        if let Some(legend) = legend {
-            for (n, (series, stroke)) in self.series.iter().zip(&strokes).enumerate() {
-                let y = (LINE * (n as u32 + 2)) as i32 * unit;
-                let x = [SAMPLE.1, SAMPLE.1 + SAMPLE.0].map(|x| x as i32 * unit);
-                let line = vec![(x[0], y), (x[1], y)];
-                match stroke.dashes(unit) {
-                    None => legend.draw(&PathElement::new(line, stroke.style(unit)))?,
-                    Some((long, gap)) => legend.draw(&plotters::element::DashedPathElement::new(line, long, gap, stroke.style(unit)))?,
+        legend.map_or(Ok(()), |legend| self.draw_legend(&legend, &strokes, unit))
+    }
+
+    /// A sample of every stroke with its label.
+    fn draw_legend<B: DrawingBackend>(&self, area: &DrawingArea<B, Shift>, strokes: &[Stroke], unit: i32) -> Result<(), DrawingAreaErrorKind<B::ErrorType>> {
+        for (n, (series, stroke)) in self.series.iter().zip(strokes).enumerate() {
+            let y = (LINE * (n as u32 + 2)) as i32 * unit;
+            let x = [SAMPLE.1, SAMPLE.1 + SAMPLE.0].map(|x| x as i32 * unit);
+            let line = vec![(x[0], y), (x[1], y)];
+            match stroke.dashes(unit) {
+                None => area.draw(&PathElement::new(line, stroke.style(unit)))?,
+                Some((long, gap)) => {
+                    area.draw(&plotters::element::DashedPathElement::new(line, long, gap, stroke.style(unit)))?;
                 }
-                let anchored = text(12).into_text_style(&legend).pos(Pos::new(HPos::Left, VPos::Center));
-                legend.draw(&Text::new(series.label.clone(), (x[1] + SAMPLE.1 as i32 * unit, y), anchored))?;
             }
+            let font = ("sans-serif", 12 * unit).into_font();
+            let anchored = font.into_text_style(area).pos(Pos::new(HPos::Left, VPos::Center));
+            area.draw(&Text::new(series.label.clone(), (x[1] + SAMPLE.1 as i32 * unit, y), anchored))?;
         }
         Ok(())
     }
