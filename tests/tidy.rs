@@ -19,7 +19,7 @@ const DIRECTION: [(&str, &str, &[&str]); 9] = [
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
     ("src/solve", "photocurrent-solve", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/page", "photocurrent-page", &[]),
-    ("src/diagnosis", "photocurrent-diagnosis", &["photocurrent-core", "photocurrent-sensor", "photocurrent-page"]),
+    ("src/diagnosis", "photocurrent-diagnosis", &["photocurrent-core", "photocurrent-sensor", "photocurrent-solve", "photocurrent-page"]),
     ("src/store", "photocurrent-store", &["photocurrent-core"]),
     ("src/formats", "photocurrent-formats", &["photocurrent-core", "photocurrent-sensor", "photocurrent-store"]),
     ("src/engine", "photocurrent-engine", &["photocurrent-core", "photocurrent-store"]),

@@ -11,22 +11,19 @@ use crate::heldout::predict;
 use crate::integrity::again::add_intervals;
 use crate::integrity::{Finding, Integrity, joined, means};
 use crate::nominal::Nominal;
-use crate::scene::SceneSetting;
 use photocurrent_core::NodeError;
-use photocurrent_sensor::map::Noise;
+use photocurrent_solve::SolveOptions;
 
 /// How proposals are judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judging {
     /// They must predict held-out frames better by this, dB.
     pub least_better_db: f64,
-    /// Events are trusted to this share of a threshold meanwhile.
-    pub event_noise: f64,
 }
 
 impl Default for Judging {
     fn default() -> Judging {
-        Judging { least_better_db: 1.0, event_noise: 0.1 }
+        Judging { least_better_db: 1.0 }
     }
 }
 
@@ -34,7 +31,7 @@ impl Default for Judging {
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn judged(case: &Case, nominal: &Nominal, judging: &Judging, integrity: &mut Integrity) -> Result<(), NodeError> {
+pub fn judged(case: &Case, nominal: &Nominal, judging: &Judging, options: &SolveOptions, integrity: &mut Integrity) -> Result<(), NodeError> {
     if !can_compare(case, integrity) {
         return Ok(());
     }
@@ -48,11 +45,10 @@ pub fn judged(case: &Case, nominal: &Nominal, judging: &Judging, integrity: &mut
         return Ok(());
     }
     let (scales, sample) = (Scales::of(case, nominal), looked_at(case));
-    let setting = SceneSetting { noise: Noise { event: judging.event_noise, ..Noise::default() }, ..SceneSetting::default() };
     let psnr_db = |findings: &[Finding]| -> Result<Option<f64>, NodeError> {
         let with = Integrity { findings: [integrity.findings.as_slice(), findings].concat(), ..integrity.clone() };
         let amended = amended(case, nominal, &scales, &with);
-        Ok(predict(&amended, &amended.sensor, &sample, &setting)?.map(|prediction| prediction.psnr_db()))
+        Ok(predict(&amended, &amended.sensor, &sample, options)?.map(|prediction| prediction.psnr_db()))
     };
     let mut accepted: Vec<Finding> = Vec::new();
     let Some(mut best) = psnr_db(&accepted)? else { return Ok(()) };

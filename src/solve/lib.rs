@@ -11,6 +11,7 @@
 //!   piece.
 //! - [`solve_paper_rows`]: Eq. (13) of Jiang et al., CVPR 2024 ([`photocurrent_sensor::inverse`]), with the approximations that the paper makes: frames two by two, the pair (l, l+1)
 //!   with all events from the start of exposure l to the end of exposure l+1, whose answer counts until exposure l+1 starts.
+//! - [`solve_pixels`]: some pixels of a recording, as [`solve`] has them.
 //! - [`solve_pixel`]: one pixel by itself.
 //!
 //! Frames may have colours, a mosaic of filters, or several pixels on each event pixel: every value of a frame is then a problem of its own with the events of
@@ -53,6 +54,7 @@ pub mod row_solver;
 pub mod settings;
 pub mod shares;
 mod status;
+mod subset;
 
 /// What [`solve_pixel`] takes, for programs that depend on this crate alone.
 pub use photocurrent_core::{Exposure, Sensor, document::Source, events::Polarity};
@@ -63,3 +65,4 @@ pub use options::{Decisions, FRAME_NOISE, FirstKnot, FrontEndModel, Joint, KNOT_
 pub use pixel::{PixelTrack, solve_pixel};
 pub use recording::{Recording, Solution, halo, solve, solve_paper_rows, solve_rows};
 pub use status::{PLANES, Report, map_meta};
+pub use subset::solve_pixels;

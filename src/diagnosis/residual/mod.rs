@@ -28,15 +28,15 @@ mod table;
 pub mod target;
 
 use crate::candidates::Trial;
-use crate::case::Case;
-use crate::scene::{SceneSetting, pixel_data};
+use crate::case::{Case, Recorded};
+use crate::nominal::Nominal;
 use light::Light;
 use photocurrent_core::{Exposure, Timestamp};
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional, frame_values};
 use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
 use photocurrent_sensor::forward::neighbours::stand_in;
-use photocurrent_sensor::map::MapEvent;
+use photocurrent_sensor::map::{MapEvent, MapFrame};
 use prepared::Prepared;
 use rayon::prelude::*;
 
@@ -172,7 +172,7 @@ impl View<'_> {
                 return (values, left);
             }
             let track = Track::new(&instants, &log, self.light.step_ns);
-            let (_, frames) = pixel_data(self.case, &prepared[0].nominal, &SceneSetting::default(), pixel as usize);
+            let frames = frames_of(self.case, &prepared[0].nominal, pixel as usize);
             let look = Look { site: self.case.site(pixel as usize, 0), track: &track, seen: None, events: &[], frames: &frames };
             let counts: Vec<usize> = (0..frames.len()).filter(|&l| !frames[l].saturated).collect();
             values.pixel = vec![pixel; counts.len()];
@@ -201,7 +201,6 @@ impl View<'_> {
     fn part(&self, pixels: &[u32], prepared: &[Prepared], chosen: &Chosen<'_, impl Fn(usize, i64) -> bool + Sync>) -> (Residuals, Vec<OfTrial>) {
         let (mut all, mut of_trials) = (Residuals::default(), vec![OfTrial::default(); prepared.len()]);
         let mut out = Conditional::default();
-        let setting = SceneSetting::default();
         let instants: Vec<i64> = (0..self.light.count).map(|k| self.light.instant(k)).collect();
         for &pixel in pixels {
             let pixel = pixel as usize;
@@ -210,7 +209,7 @@ impl View<'_> {
                 continue;
             }
             let site = self.case.site(pixel, 0);
-            let (events, _) = pixel_data(self.case, &prepared[0].nominal, &setting, pixel);
+            let events = events_of(self.case, pixel);
             let mut kept: Vec<usize> = Vec::new();
             if let Chosen::Before(events) = chosen {
                 let from = events.pixel.partition_point(|of| (*of as usize) < pixel);
@@ -301,6 +300,23 @@ impl View<'_> {
         }
         sum
     }
+}
+
+/// The events of a pixel, with stamps as recorded.
+fn events_of(case: &Case, pixel: usize) -> Vec<MapEvent> {
+    let event = |event: &Recorded| MapEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns.max(event.t_in_ns), polarity: event.polarity, is_lone: false };
+    case.events.of(pixel).iter().map(event).collect()
+}
+
+/// The known frame values of a pixel; their noise does not enter a residual.
+fn frames_of(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<MapFrame> {
+    let (_, y) = case.place(pixel);
+    let frame = |l: usize| -> Option<MapFrame> {
+        let (dn, exposure) = (case.dn(l, pixel), case.frames.as_ref()?.times.exposure(l, y));
+        let (start_ns, end_ns) = (exposure.start.0, exposure.end.0);
+        dn.is_finite().then_some(MapFrame { start_ns, end_ns, dn, sigma_dn: 1.0, saturated: dn >= nominal.saturation_dn })
+    };
+    (0..case.frame_count()).filter_map(frame).collect()
 }
 
 /// Light of a pixel's neighbours, kept from trial to trial.
