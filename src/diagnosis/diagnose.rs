@@ -1,13 +1,11 @@
 //! A whole diagnosis: direct tests, what is decided on a scene, verdict, fitted description, proof, report; and its last two stages one by one ([`check`], [`confirm`]).
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
-use crate::case::Case;
 use crate::fitted::{add_numbers, fitted};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
 use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
 use crate::judge::{Judging, judged};
-use crate::nominal::Nominal;
 use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
 use crate::residual::located::{Located, answered, of_claim, of_unnamed};
 use crate::sample::Sample;
@@ -15,6 +13,8 @@ use crate::unstated;
 use crate::verdict::{Answer, Claim, DIRECT, Decided, Proposal, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
 use photocurrent_solve::SolveOptions;
 use serde::{Deserialize, Serialize};

@@ -5,11 +5,11 @@
 //!
 //! Limit: where effects mix the light of neighbours, or couple all pixels, the rows around the sample are solved as well, which takes as long as a solution of the whole recording.
 
-use crate::case::Case;
+use crate::curves::Curves;
 use crate::sample::Sample;
-use crate::scene::Scene;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{NodeError, Sensor};
+use photocurrent_scene::case::Case;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, frame_values};
 use photocurrent_sensor::effects::from_description;
 use photocurrent_sensor::map::MapFrame;
@@ -33,7 +33,7 @@ pub struct Prediction {
     /// Root mean square error by held-out frame: its number, DN.
     pub by_frame: Vec<(usize, f64)>,
     /// The light it was predicted from.
-    pub scene: Scene,
+    pub light: Curves,
 }
 
 impl Prediction {
@@ -53,14 +53,14 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOpt
     let undo = Undo::new(from_description(&sensor.effects).map_err(NodeError::usage)?);
     let Some(frames) = &case.frames else { return Ok(None) };
     let Some((rest, kept)) = hold_out(case) else { return Ok(None) };
-    let scene = estimate(&rest, sensor, sample, options)?;
+    let light = estimate(&rest, sensor, sample, options)?;
     let mut by_pixel = vec![f64::NAN; sample.len()];
     let mut by_frame = vec![(0.0, 0.0); kept.len()];
     let (mut sum, mut count, mut largest) = (0.0, 0.0, 0.0_f64);
     let mut read = Conditional::default();
-    for (n, &pixel) in sample.pixels.iter().enumerate().filter(|(n, _)| scene.is_known[*n]) {
+    for (n, &pixel) in sample.pixels.iter().enumerate().filter(|(n, _)| light.is_known[*n]) {
         let (_, y) = case.place(pixel as usize);
-        let (t_ns, log_light) = scene.pixel(n);
+        let (t_ns, log_light) = light.pixel(n);
         let track = Track::new(t_ns, log_light, STEP_NS);
         let stated = |l: usize| {
             let exposure = frames.times.exposure(l, y);
@@ -94,18 +94,18 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOpt
     }
     let peak_dn = if nominal.saturation_dn.is_finite() { nominal.saturation_dn } else { largest };
     let by_frame = kept.iter().zip(by_frame).filter(|(_, (_, count))| *count > 0.0).map(|(frame, (sum, count))| (*frame, libm::sqrt(sum / count))).collect();
-    Ok(Some(Prediction { square_error: sum / count, peak_dn, by_pixel, by_frame, scene }))
+    Ok(Some(Prediction { square_error: sum / count, peak_dn, by_pixel, by_frame, light }))
 }
 
 /// The light of the pixels as `solve/map` estimates it, effects undone.
-fn estimate(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOptions) -> Result<Scene, NodeError> {
-    let (events, Some(frames)) = case.streams() else { return Ok(Scene::default()) };
+fn estimate(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOptions) -> Result<Curves, NodeError> {
+    let (events, Some(frames)) = case.streams() else { return Ok(Curves::default()) };
     let sensor = with_defaults(sensor);
     let recording = Recording { events: &events, frames: &frames, sensor: &sensor };
     // Standard deviations do not enter a prediction.
     let options = SolveOptions { sigma: false, ..*options };
     let tracks = solve_pixels(&recording, &options, &sample.pixels, &())?;
-    Ok(Scene::from_pixels(tracks.into_iter().map(|track| {
+    Ok(Curves::from_pixels(tracks.into_iter().map(|track| {
         if track.t_ns.is_empty() {
             return (vec![case.span.0], vec![0.0], false);
         }

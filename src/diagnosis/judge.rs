@@ -5,13 +5,13 @@
 //! four would be given a wrong name (thresholds for a blur, twice, and for a reset with memory; a dark current for compressed frames), and none of the 38 without a fault.
 
 use crate::candidates::Scales;
-use crate::case::Case;
 use crate::diagnose::{amended, can_compare, looked_at};
 use crate::heldout::predict;
 use crate::integrity::again::add_intervals;
 use crate::integrity::{Finding, Integrity, joined, means};
-use crate::nominal::Nominal;
 use photocurrent_core::NodeError;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_solve::SolveOptions;
 
 /// How proposals are judged.

@@ -5,14 +5,14 @@
 //! depend on.
 
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
-use crate::case::{Case, PixelEvents, Recorded};
 use crate::covariates::Covariate;
-use crate::nominal::Nominal;
-use crate::residual::target::Form;
 use crate::scenes::MadeUp;
 use crate::targets::Shows;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
+use photocurrent_scene::case::{Case, PixelEvents, Recorded};
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::target::Form;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

@@ -1,14 +1,13 @@
 //! The scene of all frames, part after part of a long recording, and where it may be asked.
 
 use crate::refine::trust::Said;
-use photocurrent_diagnosis::case::{Case, PixelEvents};
-use photocurrent_diagnosis::nominal::Nominal;
-use photocurrent_diagnosis::picture::PictureSetting;
-use photocurrent_diagnosis::residual::evidence::EvidenceSetting;
-use photocurrent_diagnosis::residual::gate::Gate;
-use photocurrent_diagnosis::residual::light::between;
-use photocurrent_diagnosis::residual::mosaic::{MosaicSetting, scene_where};
-use photocurrent_diagnosis::residual::source::Source;
+use photocurrent_scene::Scene;
+use photocurrent_scene::case::{Case, PixelEvents};
+use photocurrent_scene::gate::{Gate, LEAST_DN, SPREAD};
+use photocurrent_scene::light::between;
+use photocurrent_scene::mosaic::{MosaicSetting, scene_where};
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::picture::PictureSetting;
 
 /// Neighbouring parts share so many frames.
 const SHARED: usize = 2;
@@ -21,7 +20,7 @@ const MOST_ASKED: f64 = 0.6;
 struct Part {
     /// Without its events and its frames' values.
     case: Case,
-    source: Box<dyn Source>,
+    source: Box<dyn Scene>,
     gate: Gate,
 }
 
@@ -76,13 +75,12 @@ impl Pictures {
             return Err(format!("{count} frames of {at_most} pixels, of which {most} are fitted at a time; a picture needs {FEWEST_FRAMES}"));
         }
         let nominal = Nominal { row_time_ns: case.frames.as_ref().map_or(0, |frames| frames.times.row_time_ns), ..sensor.clone() };
-        let EvidenceSetting { least_dn, spread, .. } = EvidenceSetting::default();
         let fit = |from: usize, to: usize| -> Result<Part, String> {
             let mut part = case.part(from..to);
             let parts = MosaicSetting::default();
             let parts = MosaicSetting { picture: PictureSetting { pitch: setting.pitch, ..parts.picture }, ..parts };
             let source = scene_where(&part, &nominal, setting, &parts, asked(part.span)?.as_deref())?;
-            let gate = source.gate(&part, least_dn, spread);
+            let gate = source.gate(&part, LEAST_DN, SPREAD);
             part.events = PixelEvents::default();
             part.frames = part.frames.map(|frames| frames.without_values());
             Ok(Part { case: part, source, gate })
@@ -103,8 +101,8 @@ impl Pictures {
         let mut at = vec![None; width];
         columns.iter().enumerate().for_each(|(n, x)| at[*x] = Some(n));
         let of = |Part { case, source, .. }: &Part| OfPart {
-            log: source.log_of(case, self.step_ns, &pixels),
-            exposures: source.exposures_of(case, self.step_ns, &pixels),
+            log: source.log_light(case, self.step_ns, &pixels),
+            exposures: source.exposures_seen(case, self.step_ns, &pixels),
         };
         OfRow { parts: self.parts.iter().map(of).collect(), at }
     }

@@ -7,13 +7,13 @@ use super::Decision;
 use super::model::{Facts, Model, SECOND, SOMETHING, logistic};
 use crate::candidates::{Candidate, Scales};
 use crate::made::{Fault, Made, MadeSetting, made};
-use crate::picture::PictureSetting;
 use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
-use crate::residual::mosaic::{MosaicSetting, scene};
-use crate::residual::source::Source;
-use crate::residual::target::{Target, TargetSetting};
 use crate::verdict::{IN_SET_SHARE as IN_SET, is_material};
 use nalgebra::{SMatrix, SVector};
+use photocurrent_scene::Scene;
+use photocurrent_scene::mosaic::{MosaicSetting, scene};
+use photocurrent_scene::picture::PictureSetting;
+use photocurrent_scene::target::{Target, TargetSetting};
 use serde::{Deserialize, Serialize};
 
 /// A recording with its truth, as the model sees it.
@@ -66,7 +66,7 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
         Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*effect_size, &scales, &nominal)))
     });
     let picture = PictureSetting::default();
-    let look = |source: &dyn Source| evidence(&case, &nominal, source, &EvidenceSetting::default());
+    let look = |source: &dyn Scene| evidence(&case, &nominal, source, &EvidenceSetting::default());
     let found = match target {
         None => scene(&case, &nominal, &picture, &MosaicSetting::default()).and_then(|source| look(source.as_ref())).ok(),
         // The search finds the same place; only the fit is of interest.

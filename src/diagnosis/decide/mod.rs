@@ -6,12 +6,12 @@
 //! - `calibrate`: where its numbers come from.
 
 use crate::candidates::{CANDIDATES, Signs};
-use crate::nominal::Nominal;
 use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::located::{Located, Locations};
 use crate::verdict::{Decided, Proposal, Unexplained};
 use model::{Facts, KINDS, Models, Posterior, hypotheses};
+use photocurrent_scene::nominal::Nominal;
 use serde::{Deserialize, Serialize};
 
 pub mod calibrate;

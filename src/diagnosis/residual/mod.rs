@@ -4,8 +4,7 @@
 //! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that
 //! frames imply: [`through_frames`] takes it off.
 //!
-//! - [`source`], [`mosaic`], [`light`]: the scene; [`target`]: one in closed form with free parameters.
-//! - [`gate`]: which events count: those whose frames the scene predicts.
+//! - [`photocurrent_scene`]: the scene, and which events count: those whose frames it predicts.
 //! - [`fit`]: size and gain of each effect.
 //! - [`components`]: random effects.
 //! - [`open`]: what no effect of the catalogue has.
@@ -17,21 +16,16 @@ pub mod components;
 pub mod control;
 pub mod evidence;
 pub mod fit;
-pub mod gate;
-pub mod light;
 pub mod located;
-pub mod mosaic;
 pub mod open;
 mod prepared;
-pub mod source;
 mod table;
-pub mod target;
 
 use crate::candidates::Trial;
-use crate::case::{Case, Recorded};
-use crate::nominal::Nominal;
-use light::Light;
 use photocurrent_core::{Exposure, Timestamp};
+use photocurrent_scene::case::{Case, Recorded};
+use photocurrent_scene::light::Light;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional, frame_values};
 use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
@@ -427,3 +421,8 @@ fn tabulated(values: &[f64], of: impl Fn(f64) -> f64) -> Vec<f64> {
     };
     values.iter().map(|u| at(*u)).collect()
 }
+
+#[cfg(test)]
+mod scene_tests;
+#[cfg(test)]
+mod target_tests;

@@ -2,6 +2,11 @@
 
 use crate::case::Case;
 
+/// A place is predicted where frames miss by less than this, DN.
+pub const LEAST_DN: f64 = 1.0;
+/// Or by so many median absolute deviations.
+pub const SPREAD: f64 = 4.5;
+
 /// Which places of which frames the scene predicts.
 pub struct Gate {
     /// Empty: all of them.
@@ -78,13 +83,13 @@ fn middle(values: impl Iterator<Item = f32>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenes::MadeUp;
+    use crate::testing;
     use photocurrent_core::Extent;
     use photocurrent_core::random::Random;
 
     #[test]
     fn noise_is_predicted_and_what_neighbours_share_is_not() {
-        let case = MadeUp::new(3, 0, Extent { width: 24, height: 18 }, 0.05).recording().unwrap();
+        let case = testing::texture(Extent { width: 24, height: 18 }, 6);
         let mut random = Random::new(5, &[]);
         let mut residual: Vec<f32> = (0..case.frame_count() * 432).map(|_| (5.0 * random.normal()) as f32).collect();
         let share = |gate: &Gate, at: &dyn Fn(usize) -> bool| {

@@ -62,12 +62,12 @@ mod tests {
     use super::*;
     use crate::picture::PictureSetting;
     use crate::picture::motion::apply;
-    use crate::scenes::MadeUp;
+    use crate::testing;
     use photocurrent_core::Extent;
 
     #[test]
     fn exposures_are_those_during_which_a_place_lay_on_the_array() {
-        let case = MadeUp::new(21, 0, Extent { width: 24, height: 18 }, 0.08).recording().unwrap();
+        let case = testing::texture(Extent { width: 24, height: 18 }, 9);
         let picture = Picture::fit(&case, &case.nominal().unwrap(), &PictureSetting::default()).unwrap();
         let fitted = picture.residual.iter().filter(|residual| residual.is_finite()).count() as f64;
         let all = picture.seen.iter().map(|seen| f64::from(*seen)).sum::<f64>() * picture.grid.pitch * picture.grid.pitch;

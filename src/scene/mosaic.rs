@@ -2,18 +2,17 @@
 //!
 //! Whether a tile is better off with a picture of its own is asked of frame values alone: those that change and that either predicts within the noise.
 
-use super::control::Behind;
-use super::gate::Gate;
-use super::light::Light;
-use super::source::{Cell, MovingPicture, Source, usual_step_dn};
 use crate::case::Case;
-use crate::integrity::median;
+use crate::light::Light;
+use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
 use crate::picture::begin::images;
 use crate::picture::motion::{Map, apply, compose};
 use crate::picture::patches::{Part, Patch, PatchSetting, follow, foreground, ground};
 use crate::picture::register::register;
 use crate::picture::{Begin, Picture, PictureSetting};
+use crate::scene::{Scene, Tolerance, usual_step_dn};
+use crate::statistics::median;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -40,7 +39,7 @@ pub struct MosaicSetting {
     pub least_predicted: f64,
     /// And so much more than the moving picture.
     pub better: f64,
-    /// A value is predicted that misses by less than [`super::source::STEP`] of a threshold, or by so many usual residuals.
+    /// A value is predicted that misses by less than [`crate::scene::STEP`] of a threshold, or by so many usual residuals.
     pub spread: f64,
 }
 
@@ -84,7 +83,7 @@ pub struct Mosaic {
 ///
 /// # Errors
 /// When neither predicts anything, with the reason of [`Picture::fit`].
-pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting) -> Result<Box<dyn Source>, String> {
+pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting) -> Result<Box<dyn Scene>, String> {
     scene_where(case, nominal, whole, setting, None)
 }
 
@@ -92,11 +91,11 @@ pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &M
 ///
 /// # Errors
 /// As [`scene`].
-pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting, asked: Option<&[bool]>) -> Result<Box<dyn Source>, String> {
+pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting, asked: Option<&[bool]>) -> Result<Box<dyn Scene>, String> {
     let of_whole = whole;
     let mut whole = MovingPicture::fit_where(case, nominal, of_whole, asked);
     if case.frame_count() < 3 || case.extent.width.min(case.extent.height) < 8 {
-        return whole.map(|whole| Box::new(whole) as Box<dyn Source>);
+        return whole.map(|whole| Box::new(whole) as Box<dyn Scene>);
     }
     let tiles = setting.patches.tiles(case.extent);
     let noise = (setting.picture.frame_dn, setting.picture.frame_share);
@@ -144,7 +143,7 @@ pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setti
     let better = |fitted: &[(usize, Patch)]| found.better(case, nominal, &changes, fitted);
     let helped = better(&fitted).iter().filter(|is| **is).count();
     if helped == 0 || (helped as f64) < setting.helped * probes as f64 {
-        return whole.map(|whole| Box::new(MovingPicture { is_one: helped == 0, ..whole }) as Box<dyn Source>);
+        return whole.map(|whole| Box::new(MovingPicture { is_one: helped == 0, ..whole }) as Box<dyn Scene>);
     }
     fitted.extend(fit(&needed[probes..]));
     let is_better = better(&fitted);
@@ -280,7 +279,7 @@ impl Mosaic {
         }
         self.residual = residual;
         let mut misfits: Vec<f64> = self.patches.iter().filter_map(|patch| patch.picture.report.misfit.last().copied()).collect();
-        self.misfit = if misfits.is_empty() { self.whole.as_ref().map_or(1.0, Source::misfit) } else { median(&mut misfits) };
+        self.misfit = if misfits.is_empty() { self.whole.as_ref().map_or(1.0, Scene::misfit) } else { median(&mut misfits) };
     }
 
     /// The picture that says most of a pixel at an instant: number of its patch, and of none the moving picture.
@@ -354,18 +353,18 @@ fn usual(case: &Case, nominal: &Nominal, changes: &[bool], tile: &(Range<u32>, R
     if sizes.is_empty() { 0.0 } else { median(&mut sizes) / 0.6745 }
 }
 
-impl Source for Mosaic {
+impl Scene for Mosaic {
     fn name(&self) -> &'static str {
         "patches"
     }
 
-    fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
-        let of_whole = self.whole.as_ref().map(|whole| whole.log_of(case, step_ns, pixels));
+    fn log_light(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let of_whole = self.whole.as_ref().map(|whole| whole.log_light(case, step_ns, pixels));
         self.joined((case, step_ns, pixels), of_whole, Picture::log_light)
     }
 
-    fn exposures_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
-        let of_whole = self.whole.as_ref().map(|whole| whole.exposures_of(case, step_ns, pixels));
+    fn exposures_seen(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let of_whole = self.whole.as_ref().map(|whole| whole.exposures_seen(case, step_ns, pixels));
         self.joined((case, step_ns, pixels), of_whole, |picture, x, y, maps| Some(picture.exposures_of(x, y, maps)))
     }
 
@@ -373,17 +372,17 @@ impl Source for Mosaic {
         &self.residual
     }
 
-    fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
-        Gate::new(case, &self.residual, (f64::max(least_dn, self.least_dn), self.least_dn), spread)
+    fn tolerance(&self) -> Option<Tolerance> {
+        Some(Tolerance { any_dn: self.least_dn, alike_dn: self.least_dn })
     }
 
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
         self.misfit * nominal.frame_sigma_dn(signal, (self.setting.picture.frame_dn, self.setting.picture.frame_share))
     }
 
-    fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> Cell {
+    fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
         let Some(n) = self.patch_at(case, pixel, t_ns) else {
-            return self.whole.as_ref().map_or((0, pixel as i64, 0), |whole| whole.cell(case, pixel, t_ns, side));
+            return self.whole.as_ref().map_or((0, pixel as f64, 0.0), |whole| whole.place(case, pixel, t_ns));
         };
         let patch = &self.patches[n];
         let (x, y) = case.place(pixel);
@@ -391,21 +390,21 @@ impl Source for Mosaic {
         let centre = (0.5 * (f64::from(extent.width) - 1.0), 0.5 * (f64::from(extent.height) - 1.0));
         let place = (f64::from(x - patch.part.columns.start) - centre.0, f64::from(y - patch.part.rows.start) - centre.1);
         let (x, y) = apply(&patch.picture.motion.at(t_ns), place.0, place.1);
-        (n as u32 + 1, (x / side).floor() as i64, (y / side).floor() as i64)
+        (n as u32 + 1, x, y)
     }
 
-    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String> {
+    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
         let whole = self.whole.as_ref().map(|whole| whole.with(whole.picture.refit(case, nominal, &whole.setting, None)));
         let patches = self.patches.par_iter().map(|patch| patch.refit(case, nominal, &self.setting.picture)).collect();
         Ok(Box::new(self.with(case, whole, patches)))
     }
 
-    fn rough(&self, case: &Case, nominal: &Nominal, step_ns: i64, seed: u64) -> Result<Option<Behind>, String> {
+    fn posterior_sample(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Scene>>, String> {
         let draw = |whole: &MovingPicture| whole.picture.drawn(case, nominal, &whole.setting, None, seed).sharpened(whole.setting.sharpest);
         let whole = self.whole.as_ref().map(|whole| whole.with(draw(whole)));
-        let one = |(n, patch): (usize, &Patch)| patch.rough(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64));
+        let one = |(n, patch): (usize, &Patch)| patch.posterior_sample(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64));
         let patches = self.patches.par_iter().enumerate().map(one).collect();
-        Ok(Some(Behind::of(case, nominal, self.with(case, whole, patches).light(case, step_ns))))
+        Ok(Some(Box::new(self.with(case, whole, patches))))
     }
 
     fn misfit(&self) -> f64 {
@@ -497,45 +496,4 @@ fn filled(known: &[Option<f32>]) -> Vec<f32> {
             last
         })
         .collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scenes::MadeUp;
-    use photocurrent_core::Extent;
-    use photocurrent_sensor::conditional::at;
-
-    /// Mean distance of a scene's log light from the truth, in places whose light changes, between the middles of the first and the last frame.
-    fn error(source: &dyn Source, case: &Case, truth: &[(Vec<i64>, Vec<f64>)]) -> f64 {
-        let light = source.light(case, 200_000);
-        let (from, to) = (middle_ns(case, 0, 0), middle_ns(case, case.frame_count() - 1, 0));
-        let mut errors: Vec<f64> = Vec::new();
-        for (pixel, (t, photocurrent)) in truth.iter().enumerate() {
-            let (low, high) = photocurrent.iter().fold((f64::INFINITY, 0.0), |(low, high), i| (f64::min(low, *i), f64::max(high, *i)));
-            if high < 1.3 * low || light.log[pixel].is_empty() {
-                continue;
-            }
-            let within = (0..light.count).filter(|k| (from..to).contains(&light.instant(*k)));
-            errors.extend(within.map(|k| (f64::from(light.log[pixel][k]) - libm::log(at(t, photocurrent, light.instant(k)))).abs()));
-        }
-        errors.iter().sum::<f64>() / errors.len() as f64
-    }
-
-    #[test]
-    fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
-        let extent = Extent { width: 48, height: 36 };
-        let fan = (0..).map(|index| MadeUp::in_parts(5, index, extent, 0.08)).find(|scene| scene.name() == "fan").unwrap();
-        let case = fan.recording().unwrap();
-        let nominal = case.nominal().unwrap();
-        let found = scene(&case, &nominal, &PictureSetting::default(), &MosaicSetting::default()).unwrap();
-        assert_eq!(found.name(), "patches");
-        let one = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
-        let (parts, one) = (error(found.as_ref(), &case, &fan.light()), error(&one, &case, &fan.light()));
-        assert!(parts < 0.5 * one, "{parts} of natural-log units, one picture {one}");
-
-        let texture = MadeUp::new(21, 0, extent, 0.06);
-        let case = texture.recording().unwrap();
-        assert_eq!(scene(&case, &case.nominal().unwrap(), &PictureSetting::default(), &MosaicSetting::default()).unwrap().name(), "picture");
-    }
 }

@@ -1,11 +1,11 @@
 //! The light of sampled pixels: log light at knots, linear between.
 
 /// Knots, log light, and whether it is known.
-pub type Found = (Vec<i64>, Vec<f64>, bool);
+pub type Curve = (Vec<i64>, Vec<f64>, bool);
 
 /// Log light of the pixels of a sample.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Scene {
+pub struct Curves {
     first: Vec<usize>,
     /// Knots, ns, pixel after pixel.
     pub t_ns: Vec<i64>,
@@ -15,17 +15,17 @@ pub struct Scene {
     pub is_known: Vec<bool>,
 }
 
-impl Scene {
+impl Curves {
     /// From knots, log light, and whether it is known, of each pixel in turn.
-    pub fn from_pixels(pixels: impl IntoIterator<Item = Found>) -> Scene {
-        let mut scene = Scene { first: vec![0], ..Scene::default() };
+    pub fn from_pixels(pixels: impl IntoIterator<Item = Curve>) -> Curves {
+        let mut curves = Curves { first: vec![0], ..Curves::default() };
         for (t_ns, log_light, is_known) in pixels {
-            scene.t_ns.extend(t_ns);
-            scene.log_light.extend(log_light);
-            scene.first.push(scene.t_ns.len());
-            scene.is_known.push(is_known);
+            curves.t_ns.extend(t_ns);
+            curves.log_light.extend(log_light);
+            curves.first.push(curves.t_ns.len());
+            curves.is_known.push(is_known);
         }
-        scene
+        curves
     }
 
     /// Number of pixels.
