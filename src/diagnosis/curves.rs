@@ -11,7 +11,8 @@ pub struct Curves {
     pub t_ns: Vec<i64>,
     /// Log light at each.
     pub log_light: Vec<f64>,
-    /// Which pixels of the sample have an estimate; the others have no usable frame, and carry one constant knot.
+    /// Which pixels of the sample have an estimate; the others have no usable frame, and carry one constant
+    /// knot.
     pub is_known: Vec<bool>,
 }
 

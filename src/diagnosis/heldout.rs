@@ -1,9 +1,12 @@
-//! Frames that are held out, predicted from the events and the other frames, with the nominal description and with the fitted one.
+//! Frames that are held out, predicted from the events and the other frames, with the nominal description and
+//! with the fitted one.
 //!
-//! Every third frame is held out, the light is estimated from what is left by the solver and with the options of `solve/map` ([`photocurrent_solve::solve_pixels`]), effects undone,
+//! Every third frame is held out, the light is estimated from what is left by the solver and with the options
+//! of `solve/map` ([`photocurrent_solve::solve_pixels`]), effects undone,
 //! and the held-out frames are what the camera would read of it.
 //!
-//! Limit: where effects mix the light of neighbours, or couple all pixels, the rows around the sample are solved as well, which takes as long as a solution of the whole recording.
+//! Limit: where effects mix the light of neighbours, or couple all pixels, the rows around the sample are
+//! solved as well, which takes as long as a solution of the whole recording.
 
 use crate::curves::Curves;
 use crate::sample::Sample;
@@ -28,7 +31,8 @@ pub struct Prediction {
     pub square_error: f64,
     /// Peak for a signal-to-noise ratio, DN: saturation, or the largest value.
     pub peak_dn: f64,
-    /// Root mean square error by pixel of the sample, as a share of the pixel's mean; NaN where nothing was predicted.
+    /// Root mean square error by pixel of the sample, as a share of the pixel's mean; NaN where nothing was
+    /// predicted.
     pub by_pixel: Vec<f64>,
     /// Root mean square error by held-out frame: its number, DN.
     pub by_frame: Vec<(usize, f64)>,
@@ -43,7 +47,8 @@ impl Prediction {
     }
 }
 
-/// Predicts every third frame with a description, its `[effects]` undone where the light is estimated ([`photocurrent_sensor::undo`]) and applied again where frames are read; none with
+/// Predicts every third frame with a description, its `[effects]` undone where the light is estimated
+/// ([`photocurrent_sensor::undo`]) and applied again where frames are read; none with
 /// fewer than five frames, or when nothing can be predicted.
 ///
 /// # Errors
@@ -114,7 +119,8 @@ fn estimate(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOption
     })))
 }
 
-/// The description with what a diagnosis takes for 0 where it is not stated: time constants and refractory period.
+/// The description with what a diagnosis takes for 0 where it is not stated: time constants and refractory
+/// period.
 fn with_defaults(sensor: &Sensor) -> Sensor {
     let zero = Duration::new(0);
     let mut sensor = sensor.clone();
@@ -123,7 +129,8 @@ fn with_defaults(sensor: &Sensor) -> Sensor {
     sensor
 }
 
-/// A recording without every third frame, and which of them are predicted: not the last one, which has no frame after it. None with fewer than five frames.
+/// A recording without every third frame, and which of them are predicted: not the last one, which has no
+/// frame after it. None with fewer than five frames.
 pub fn hold_out(case: &Case) -> Option<(Case, Vec<usize>)> {
     let count = case.frame_count();
     if count < 5 {

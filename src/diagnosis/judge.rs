@@ -1,8 +1,11 @@
 //! What pairs of frames propose ([`crate::integrity::means`]), judged by frames that were held out.
 //!
-//! A delay, thresholds and a dark current that make events and frames agree on average may still be the wrong physics: events that a fast edge loses make thresholds look larger. A right one lets the
-//! solver predict frames better that it was not given; so that decides, and only where no scene is evidence: on a scene there is more to go by. Of 106 simulated recordings of other people's simulators
-//! four would be given a wrong name (thresholds for a blur, twice, and for a reset with memory; a dark current for compressed frames), and none of the 38 without a fault.
+//! A delay, thresholds and a dark current that make events and frames agree on average may still be the wrong
+//! physics: events that a fast edge loses make thresholds look larger. A right one lets the
+//! solver predict frames better that it was not given; so that decides, and only where no scene is evidence:
+//! on a scene there is more to go by. Of 106 simulated recordings of other people's simulators
+//! four would be given a wrong name (thresholds for a blur, twice, and for a reset with memory; a dark
+//! current for compressed frames), and none of the 38 without a fault.
 
 use crate::candidates::Scales;
 use crate::diagnose::{amended, can_compare, looked_at};
@@ -27,7 +30,8 @@ impl Default for Judging {
     }
 }
 
-/// Adds to the findings what is proposed and stands: first an offset of the clock, then the best of what contrast says. Nothing that the description states.
+/// Adds to the findings what is proposed and stands: first an offset of the clock, then the best of what
+/// contrast says. Nothing that the description states.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.

@@ -1,11 +1,13 @@
-//! Activity mask: where and when pixels fire with events of their neighbours; motion is estimated nowhere else.
+//! Activity mask: where and when pixels fire with events of their neighbours; motion is estimated nowhere
+//! else.
 
 use photocurrent_core::Extent;
 use photocurrent_sensor::map::MapEvent;
 
 /// Side of the blocks of the mask, pixels.
 const SIDE: usize = 8;
-/// A block is active if a block within so many blocks had events: three blocks cover the largest window of the flow.
+/// A block is active if a block within so many blocks had events: three blocks cover the largest window of
+/// the flow.
 const AROUND: usize = 3;
 /// Length of the intervals of the mask, ns.
 const STEP_NS: i64 = 16_000_000;
@@ -23,7 +25,8 @@ pub struct Activity {
 }
 
 impl Activity {
-    /// From the events of all pixels, with column and row; isolated events, without another of their polarity near, are left out.
+    /// From the events of all pixels, with column and row; isolated events, without another of their polarity
+    /// near, are left out.
     pub fn new<'a>(extent: Extent, span: (i64, i64), events: impl Iterator<Item = (usize, usize, &'a [MapEvent])>) -> Activity {
         let (columns, lines) = ((extent.width as usize).div_ceil(SIDE), (extent.height as usize).div_ceil(SIDE));
         let times = ((span.1 - span.0) / STEP_NS + 1) as usize;
@@ -69,7 +72,8 @@ impl Activity {
         (0..extent.height as usize).flat_map(of_row).map(|block| blocks[block]).collect()
     }
 
-    /// Numbers of those of these pixels, by column and row, that are active at some time between two instants.
+    /// Numbers of those of these pixels, by column and row, that are active at some time between two
+    /// instants.
     pub fn places(&self, between: (i64, i64), pixels: impl Iterator<Item = (usize, usize)>) -> Vec<usize> {
         let blocks = self.at_some(&self.is_active, between);
         pixels.enumerate().filter(|(_, (x, y))| blocks[y / SIDE * self.columns + x / SIDE]).map(|(n, _)| n).collect()

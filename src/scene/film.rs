@@ -1,4 +1,5 @@
-//! Tracks as functions of time, and as pictures of log light at steady instants, in which motion is estimated.
+//! Tracks as functions of time, and as pictures of log light at steady instants, in which motion is
+//! estimated.
 
 use crate::image::Image;
 use photocurrent_core::{Extent, TrackBand};

@@ -1,15 +1,22 @@
 //! Where things move: a field of velocities over the sensor and time, from a film of log light.
 //!
-//! Pictures that stand symmetrically around an instant are moved towards each other until they agree (Lucas and Kanade 1981, by Gauss-Newton
-//! steps): first one affine motion of all pixels, robust against those that move otherwise, then a motion of every neighbourhood, in windows that
-//! shrink. A neighbourhood without contrast keeps the motion it has. Time distances grow as windows shrink, so that the field ends up
-//! precise to a small part of a pixel. At last every place may take the affine motion, or that of a place farther away, where it explains its smallest neighbourhood clearly better:
-//! around something small that passes, windows hold two motions. Where another motion explains a place nearly as well, that is known too ([`Flow::rival_at`]).
+//! Pictures that stand symmetrically around an instant are moved towards each other until they agree (Lucas
+//! and Kanade 1981, by Gauss-Newton
+//! steps): first one affine motion of all pixels, robust against those that move otherwise, then a motion of
+//! every neighbourhood, in windows that
+//! shrink. A neighbourhood without contrast keeps the motion it has. Time distances grow as windows shrink,
+//! so that the field ends up
+//! precise to a small part of a pixel. At last every place may take the affine motion, or that of a place
+//! farther away, where it explains its smallest neighbourhood clearly better:
+//! around something small that passes, windows hold two motions. Where another motion explains a place nearly
+//! as well, that is known too ([`Flow::rival_at`]).
 //!
-//! A long recording is evaluated part after part, and only in active blocks ([`Activity`]); elsewhere the velocity is zero. Of a large sensor every
+//! A long recording is evaluated part after part, and only in active blocks ([`Activity`]); elsewhere the
+//! velocity is zero. Of a large sensor every
 //! second pixel of every second row is evaluated; the field is much smoother than that.
 //!
-//! Limits: motion that cannot be seen (along an edge, in a flat place) is the affine one or none; speeds over `fastest` are cut.
+//! Limits: motion that cannot be seen (along an edge, in a flat place) is the affine one or none; speeds over
+//! `fastest` are cut.
 
 mod params;
 
@@ -39,7 +46,8 @@ pub struct Flow {
     step_ns: i64,
     /// One field per instant, as [line * columns + column].
     fields: Vec<Vec<[f32; 2]>>,
-    /// Motions that explain a place nearly as well, laid out likewise, the same where there is none; empty where none are requested.
+    /// Motions that explain a place nearly as well, laid out likewise, the same where there is none; empty
+    /// where none are requested.
     rivals: Vec<Vec<[f32; 2]>>,
 }
 
@@ -71,7 +79,8 @@ impl Lattice {
     }
 }
 
-/// An affine field of velocities, pixels per picture: `v_x = p0 + p1 a + p2 b`, `v_y = p3 + p4 a + p5 b`, with (a, b) the place relative to
+/// An affine field of velocities, pixels per picture: `v_x = p0 + p1 a + p2 b`, `v_y = p3 + p4 a + p5 b`,
+/// with (a, b) the place relative to
 /// the sensor's middle in half widths.
 type Affine = [f64; 6];
 
@@ -118,7 +127,8 @@ impl Flow {
         Flow { lattice, start_ns, step_ns: STEP_NS * STRIDE as i64, fields, rivals }
     }
 
-    /// The same velocity everywhere and always, pixels per millisecond, and another that explains everything as well.
+    /// The same velocity everywhere and always, pixels per millisecond, and another that explains everything
+    /// as well.
     pub fn uniform((width, height): (usize, usize), velocity: [f32; 2], rival: [f32; 2]) -> Flow {
         let lattice = Lattice::new(width, height);
         let field = |velocity: [f32; 2]| vec![vec![velocity; lattice.len()]];
@@ -237,8 +247,10 @@ impl Estimator<'_> {
         (field, rivals)
     }
 
-    /// Takes another motion where that explains a small neighbourhood clearly better: that of all pixels, or one from farther away. Where something passes before something else,
-    /// windows hold both, and what they find is neither. Gives of those that explain it not clearly worse the one that differs most.
+    /// Takes another motion where that explains a small neighbourhood clearly better: that of all pixels, or
+    /// one from farther away. Where something passes before something else,
+    /// windows hold both, and what they find is neither. Gives of those that explain it not clearly worse the
+    /// one that differs most.
     fn choose(&self, pairs: &Pairs<'_>, field: &mut [[f64; 2]], affine: &Affine) -> Vec<[f64; 2]> {
         let Lattice { pitch, columns, lines, .. } = self.lattice;
         let MotionParams { clear_gain, farther, neighbourhood, .. } = self.params;

@@ -22,8 +22,10 @@ impl Gate {
         Gate { good: Vec::new(), middle_ns: Vec::new(), width: 1, pixels: 1 }
     }
 
-    /// From residuals of frames as [frame][y][x], DN (NaN = took no part): a place is predicted where none of its 3 x 3 neighbourhood misses by more than `least_dn` and
-    /// `spread` median absolute deviations. Noise has no structure: where residuals of neighbours are alike, deviations are those of their differences, or what `structure_dn` allows, and
+    /// From residuals of frames as [frame][y][x], DN (NaN = took no part): a place is predicted where none of
+    /// its 3 x 3 neighbourhood misses by more than `least_dn` and
+    /// `spread` median absolute deviations. Noise has no structure: where residuals of neighbours are alike,
+    /// deviations are those of their differences, or what `structure_dn` allows, and
     /// the mean of the neighbourhood misses by no more than a third of them.
     pub fn new(case: &Case, residual: &[f32], (least_dn, structure_dn): (f64, f64), spread: f64) -> Gate {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
@@ -96,10 +98,12 @@ mod tests {
             let of: Vec<bool> = gate.good.iter().enumerate().filter(|(k, _)| at(*k)).map(|(_, good)| *good).collect();
             of.iter().filter(|good| **good).count() as f64 / of.len() as f64
         };
-        // Nine normal values all within 4.5 median absolute deviations: 0.9976 to the ninth power, and their mean.
+        // Nine normal values all within 4.5 median absolute deviations: 0.9976 to the ninth power, and their
+        // mean.
         let everywhere = |_: usize| true;
         assert!(share(&Gate::new(&case, &residual, (1.0, 0.0), 4.5), &everywhere) > 0.94);
-        // Half of the array misses by twice the noise: the median of all is then larger, but differences of neighbours show it.
+        // Half of the array misses by twice the noise: the median of all is then larger, but differences of
+        // neighbours show it.
         let left = |k: usize| k % 24 < 11;
         residual.iter_mut().enumerate().filter(|(k, _)| k % 24 < 12).for_each(|(_, r)| *r += 10.0);
         let gate = Gate::new(&case, &residual, (1.0, 0.0), 4.5);

@@ -10,7 +10,8 @@ use photocurrent_sensor::conditional::at;
 use photocurrent_sensor::elementary::ln;
 use std::sync::Arc;
 
-/// Light that is known from elsewhere: a target whose motion the user states, a simulated scene, given tracks.
+/// Light that is known from elsewhere: a target whose motion the user states, a simulated scene, given
+/// tracks.
 pub struct KnownLight {
     light: Arc<[Knots]>,
     residual: Vec<f32>,

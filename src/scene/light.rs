@@ -45,7 +45,8 @@ impl Light {
         between(self.log.get(pixel)?, (self.start_ns, self.step_ns), t_ns)
     }
 
-    /// The frames that it gives, without noise and without saturation, DN as [frame][y][x]; NaN where it is not known.
+    /// The frames that it gives, without noise and without saturation, DN as [frame][y][x]; NaN where it is
+    /// not known.
     pub fn frames(&self, case: &Case, nominal: &Nominal) -> Vec<f32> {
         let (pixels, count) = (case.extent.pixels(), case.frame_count());
         let instants: Vec<i64> = (0..self.count).map(|k| self.instant(k)).collect();

@@ -1,6 +1,8 @@
-//! A scene in parts: the moving picture where it predicts frames, and pictures of tiles of the array for a few frames each where it does not.
+//! A scene in parts: the moving picture where it predicts frames, and pictures of tiles of the array for a
+//! few frames each where it does not.
 //!
-//! Whether a tile is better off with a picture of its own is asked of frame values alone: those that change and that either predicts within the noise.
+//! Whether a tile is better off with a picture of its own is asked of frame values alone: those that change
+//! and that either predicts within the noise.
 
 use crate::case::Case;
 use crate::light::Light;
@@ -23,7 +25,8 @@ pub struct MosaicSetting {
     pub patches: PatchSetting,
     /// How the pictures of parts are fitted.
     pub picture: PictureSetting,
-    /// The moving picture needs no help where the median of its residuals is below this, standard deviations as first assumed.
+    /// The moving picture needs no help where the median of its residuals is below this, standard deviations
+    /// as first assumed.
     pub well: f64,
     /// So many parts are tried first, those with the most events.
     pub probes: usize,
@@ -39,7 +42,8 @@ pub struct MosaicSetting {
     pub least_predicted: f64,
     /// And so much more than the moving picture.
     pub better: f64,
-    /// A value is predicted that misses by less than [`crate::scene::STEP`] of a threshold, or by so many usual residuals.
+    /// A value is predicted that misses by less than [`crate::scene::STEP`] of a threshold, or by so many
+    /// usual residuals.
     pub spread: f64,
 }
 
@@ -79,7 +83,8 @@ pub struct Mosaic {
     least_dn: f64,
 }
 
-/// Fits a scene to the frames of a recording: one picture, and pictures of parts where it does not predict them and they do.
+/// Fits a scene to the frames of a recording: one picture, and pictures of parts where it does not predict
+/// them and they do.
 ///
 /// # Errors
 /// When neither predicts anything, with the reason of [`Picture::fit`].
@@ -161,7 +166,8 @@ fn light_of_ground(case: &Case, nominal: &Nominal, ground: &[f64]) -> Vec<f32> {
     ground.iter().map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * seconds)) as f32).collect()
 }
 
-/// One picture that moves before a still ground, turning and shifting as neighbouring frames do, or shifting steadily.
+/// One picture that moves before a still ground, turning and shifting as neighbouring frames do, or shifting
+/// steadily.
 fn before_ground(
     case: &Case,
     nominal: &Nominal,
@@ -182,7 +188,8 @@ fn before_ground(
 }
 
 impl Mosaic {
-    /// Tiles and windows with events whose moving values the moving picture does not predict, those with the most events first.
+    /// Tiles and windows with events whose moving values the moving picture does not predict, those with the
+    /// most events first.
     fn needed(&self, case: &Case, nominal: &Nominal, changes: &[bool]) -> Vec<(usize, Range<usize>)> {
         let windows = self.setting.patches.windows(case.frame_count());
         let mut needed: Vec<(usize, usize, Range<usize>)> = Vec::new();
@@ -282,7 +289,8 @@ impl Mosaic {
         self.misfit = if misfits.is_empty() { self.whole.as_ref().map_or(1.0, Scene::misfit) } else { median(&mut misfits) };
     }
 
-    /// The picture that says most of a pixel at an instant: number of its patch, and of none the moving picture.
+    /// The picture that says most of a pixel at an instant: number of its patch, and of none the moving
+    /// picture.
     fn patch_at(&self, case: &Case, pixel: usize, t_ns: i64) -> Option<usize> {
         let (x, y) = case.place(pixel);
         let tile = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y))?;
@@ -342,7 +350,8 @@ fn for_moving(case: &Case, changes: &[bool], tile: &(Range<u32>, Range<u32>), fr
     }
 }
 
-/// Median residual of the moving values of a tile and window, standard deviations over 0.6745; infinite where most of them took no part.
+/// Median residual of the moving values of a tile and window, standard deviations over 0.6745; infinite where
+/// most of them took no part.
 fn usual(case: &Case, nominal: &Nominal, changes: &[bool], tile: &(Range<u32>, Range<u32>), frames: &Range<usize>, of: impl Fn(usize, u32, u32) -> f32) -> f64 {
     let mut sizes: Vec<f64> = Vec::new();
     for_moving(case, changes, tile, frames, |l, pixel, x, y| {
@@ -413,7 +422,8 @@ impl Scene for Mosaic {
 }
 
 impl Mosaic {
-    /// What pictures say of pixels at steady instants: `of_patch` those of parts, and where there are none `of_whole` the moving one.
+    /// What pictures say of pixels at steady instants: `of_patch` those of parts, and where there are none
+    /// `of_whole` the moving one.
     fn joined(
         &self,
         (case, step_ns, pixels): (&Case, i64, &[usize]),
@@ -457,7 +467,8 @@ impl Mosaic {
     }
 }
 
-/// What patches, with where they lie at every instant, say of a pixel; `of_whole` is what the moving picture says, where they predict nothing.
+/// What patches, with where they lie at every instant, say of a pixel; `of_whole` is what the moving picture
+/// says, where they predict nothing.
 fn of_patches(
     case: &Case,
     pixel: usize,

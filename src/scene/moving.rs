@@ -12,7 +12,8 @@ pub struct MovingPicture {
     pub picture: Picture,
     /// How it was fitted.
     pub setting: PictureSetting,
-    /// What is wrong in the same way with neighbouring values is allowed to be so much, DN; and with any value where the picture moves before a still ground.
+    /// What is wrong in the same way with neighbouring values is allowed to be so much, DN; and with any
+    /// value where the picture moves before a still ground.
     pub structure_dn: f64,
     /// Does the scene move as one? Not where pictures of some parts of it predict them better.
     pub is_one: bool,

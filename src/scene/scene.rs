@@ -25,10 +25,12 @@ pub trait Scene: Sync {
     /// In a word, for reports.
     fn name(&self) -> &'static str;
 
-    /// Natural logarithm of the photocurrent of some pixels (`y * width + x`) at the instants of [`Light::blank`], steps in ns; empty where it is not known.
+    /// Natural logarithm of the photocurrent of some pixels (`y * width + x`) at the instants of
+    /// [`Light::blank`], steps in ns; empty where it is not known.
     fn log_light(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>>;
 
-    /// How many exposures recorded the place of the scene that lies on each of some pixels, at the same instants; empty where the scene stands without frames.
+    /// How many exposures recorded the place of the scene that lies on each of some pixels, at the same
+    /// instants; empty where the scene stands without frames.
     fn exposures_seen(&self, _case: &Case, _step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
         vec![Vec::new(); pixels.len()]
     }
@@ -36,13 +38,16 @@ pub trait Scene: Sync {
     /// Residual of every frame value, DN as [frame][y][x]; NaN where it took no part.
     fn residual(&self) -> &[f32];
 
-    /// Standard deviation of a frame value of `signal` DN above black, DN: as assumed, times [`Scene::misfit`].
+    /// Standard deviation of a frame value of `signal` DN above black, DN: as assumed, times
+    /// [`Scene::misfit`].
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64;
 
-    /// Median absolute residual of frames, standard deviations as they were first assumed; 1 when the noise explains it.
+    /// Median absolute residual of frames, standard deviations as they were first assumed; 1 when the noise
+    /// explains it.
     fn misfit(&self) -> f64;
 
-    /// How far frame values may miss it; none where it stands without the recording's frames, so that effects of frames show in their values and not in the
+    /// How far frame values may miss it; none where it stands without the recording's frames, so that effects
+    /// of frames show in their values and not in the
     /// light that frames imply.
     fn tolerance(&self) -> Option<Tolerance>;
 
@@ -55,7 +60,8 @@ pub trait Scene: Sync {
     /// When that recording's frames cannot be fitted.
     fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String>;
 
-    /// A posterior sample of the scene, sharpened to the resolution limit of the fit; none where the scene is known exactly.
+    /// A posterior sample of the scene, sharpened to the resolution limit of the fit; none where the scene is
+    /// known exactly.
     ///
     /// # Errors
     /// When the recording's frames cannot be fitted.
@@ -89,20 +95,23 @@ impl dyn Scene + '_ {
         self.residual().iter().enumerate().map(of).collect()
     }
 
-    /// Which events count: those whose frames it predicts to `least_dn`, or to so many median absolute deviations.
+    /// Which events count: those whose frames it predicts to `least_dn`, or to so many median absolute
+    /// deviations.
     pub fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
         self.tolerance()
             .map_or_else(Gate::open, |Tolerance { any_dn, alike_dn }| Gate::new(case, self.residual(), (f64::max(least_dn, any_dn), alike_dn), spread))
     }
 
-    /// The cell of `side` pixels that lies on a pixel at an instant, ns: what is wrong with the scene is alike in all pixels on one cell.
+    /// The cell of `side` pixels that lies on a pixel at an instant, ns: what is wrong with the scene is
+    /// alike in all pixels on one cell.
     pub fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> Cell {
         let (part, x, y) = self.place(case, pixel, t_ns);
         (part, (x / side).floor() as i64, (y / side).floor() as i64)
     }
 }
 
-/// Where something moves before something else, most frame values are those of what stands still and do not constrain how well the rest is predicted: errors below this share of a threshold
+/// Where something moves before something else, most frame values are those of what stands still and do not
+/// constrain how well the rest is predicted: errors below this share of a threshold
 /// are small enough for its events.
 pub const STEP: f64 = 0.15;
 

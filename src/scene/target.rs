@@ -1,7 +1,10 @@
-//! A known target: a scene in closed form whose free parameters are fitted to the frames, and which says what the frames leave open of them.
+//! A known target: a scene in closed form whose free parameters are fitted to the frames, and which says what
+//! the frames leave open of them.
 //!
-//! The fit is damped Gauss-Newton with robust weights (Student's t) on a sample of the frame values, each the mean of the scene over its row's exposure, from the best places of a search
-//! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the sensor put into the fit, is fitted with every effect: the
+//! The fit is damped Gauss-Newton with robust weights (Student's t) on a sample of the frame values, each the
+//! mean of the scene over its row's exposure, from the best places of a search
+//! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the
+//! sensor put into the fit, is fitted with every effect: the
 //! derivative of every residual by each free parameter ([`Target::free`], [`Target::moved`]).
 
 use crate::case::Case;
@@ -27,7 +30,8 @@ pub trait Closed: Send + Sync {
 
     /// Its light between two instants, linear between knots.
     fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> Knots {
-        /// A pixel's light hardly bends while the scene moves so far, pixels; and not more often than this, ns.
+        /// A pixel's light hardly bends while the scene moves so far, pixels; and not more often than this,
+        /// ns.
         const STEP: (f64, i64) = (0.1, 25_000);
         let step_ns = ((STEP.0 / f64::max(self.speed(x, y), 1e-9)) as i64).clamp(STEP.1, 200_000);
         let t: Vec<i64> = (0..=(span.1 - span.0) / step_ns + 1).map(|k| span.0 + k * step_ns).collect();
@@ -84,7 +88,8 @@ const BEST: usize = 8;
 const ROUNDS: usize = 40;
 /// Step of the derivatives, as a share of a range.
 const STEP: f64 = 1e-4;
-/// The scene moves by so many pixels at most between two instants of an exposure that are looked at, of at least and at most so many.
+/// The scene moves by so many pixels at most between two instants of an exposure that are looked at, of at
+/// least and at most so many.
 const INSTANT_PX: f64 = 0.4;
 /// See there.
 const INSTANTS: (usize, usize) = (4, 96);
@@ -254,7 +259,8 @@ impl Target {
         Target::from(&fit, case, nominal, &form, setting, picture, &from)
     }
 
-    /// Fits one from a place, shares of ranges, to which nothing is searched; none where its parameters make no scene.
+    /// Fits one from a place, shares of ranges, to which nothing is searched; none where its parameters make
+    /// no scene.
     pub fn near(case: &Case, nominal: &Nominal, form: Arc<dyn Form>, setting: TargetSetting, picture: &PictureSetting, from: &[f64]) -> Option<Target> {
         let fit = Fit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
         Target::from(&fit, case, nominal, &form, setting, picture, from)
@@ -302,14 +308,16 @@ fn all_knots(scene: &dyn Closed, case: &Case) -> Vec<Knots> {
 }
 
 impl Target {
-    /// For each free parameter where it stands in its range, 0 to 1, and the step of its derivatives, a share of the range, away from the nearer end.
+    /// For each free parameter where it stands in its range, 0 to 1, and the step of its derivatives, a share
+    /// of the range, away from the nearer end.
     pub fn free(&self) -> Vec<(f64, f64)> {
         // Wide enough to reach across the bends of an edge.
         let step = |(share, error): (&f64, f64)| (*share, error.clamp(STEP, 0.02) * if *share > 0.5 { -1.0 } else { 1.0 });
         self.shares.iter().zip(self.errors()).map(step).collect()
     }
 
-    /// The light of some pixels (of all where there is no list) with free parameters moved by shares of their ranges; none where they make no scene.
+    /// The light of some pixels (of all where there is no list) with free parameters moved by shares of their
+    /// ranges; none where they make no scene.
     pub fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light> {
         let shares: Vec<f64> = self.shares.iter().zip(by).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
         let scene = self.form.at(&shares)?;

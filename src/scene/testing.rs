@@ -30,7 +30,8 @@ pub fn log_light(x: f64, y: f64, t_ns: i64) -> f64 {
     4.0 + 0.2 * waves.iter().map(|(a, b, c)| libm::sin(a * x + b * y + c)).sum::<f64>()
 }
 
-/// A recording of the texture with so many frames, without noise: events where the log light has moved by 0.2, frames that collect it behind a rolling shutter.
+/// A recording of the texture with so many frames, without noise: events where the log light has moved by
+/// 0.2, frames that collect it behind a rolling shutter.
 pub fn texture(extent: Extent, frames: usize) -> Case {
     let end_ns = PERIOD_NS * frames as i64;
     let exposures: Vec<Exposure> = (0..frames as i64).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + PERIOD_NS / 2)).collect();

@@ -1,6 +1,7 @@
 //! Estimates of some pixels of a recording: what the solution of the whole has there.
 //!
-//! Pixels are solved alone, with the settings of their block of rows, so only blocks that have such pixels are read, each by itself. Where effects mix the
+//! Pixels are solved alone, with the settings of their block of rows, so only blocks that have such pixels
+//! are read, each by itself. Where effects mix the
 //! photocurrent of neighbours or couple all pixels, every row within reach is solved on the way.
 
 use crate::host::Host;
@@ -14,7 +15,8 @@ use crate::settings::{BLOCK_ROWS, COMPANY_ROWS, Settings};
 use photocurrent_core::{NodeError, Rows};
 use rayon::prelude::*;
 
-/// The MAP estimates of some values of the frames: `pixels` are numbers `y * width + x`, rising, with as many values a row as a frame has. One track for each
+/// The MAP estimates of some values of the frames: `pixels` are numbers `y * width + x`, rising, with as many
+/// values a row as a frame has. One track for each
 /// in their order, the same bits as [`crate::solve`] gives; empty for a pixel without any frame value.
 ///
 /// # Errors
@@ -73,7 +75,8 @@ mod tests {
         4.0 + 0.6 * libm::sin(at) + 0.2 * libm::sin(2.3 * at + 1.0)
     }
 
-    /// A recording of 24 x 34 pixels and 40 ms: events where the log light has moved by 0.2, frames that collect it; one pixel has no frame.
+    /// A recording of 24 x 34 pixels and 40 ms: events where the log light has moved by 0.2, frames that
+    /// collect it; one pixel has no frame.
     fn recorded(sensor: &str) -> (EventStream, FrameSequence, Sensor) {
         let (extent, step_ns, end_ns) = (Extent { width: 24, height: 34 }, 100_000, 40_000_000);
         let mut events = Vec::new();

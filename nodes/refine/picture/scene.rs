@@ -46,7 +46,8 @@ struct OfPart {
 }
 
 impl Pictures {
-    /// Fits scenes to the frames, to those of pixels that `asked` says are asked for between two instants; light is worked out every `step_ns`, and of places that `least_exposures`
+    /// Fits scenes to the frames, to those of pixels that `asked` says are asked for between two instants;
+    /// light is worked out every `step_ns`, and of places that `least_exposures`
     /// saw or more.
     ///
     /// # Errors
@@ -95,7 +96,8 @@ impl Pictures {
         if parts.is_empty() { Err(why.unwrap_or_default()) } else { Ok(Pictures { parts, step_ns, least_exposures }) }
     }
 
-    /// The light of these columns of a row: kept for a row at a time, as that of all pixels would be more than everything else together.
+    /// The light of these columns of a row: kept for a row at a time, as that of all pixels would be more
+    /// than everything else together.
     pub fn of_row(&self, row: usize, width: usize, columns: &[usize]) -> OfRow {
         let pixels: Vec<usize> = columns.iter().map(|x| row * width + x).collect();
         let mut at = vec![None; width];

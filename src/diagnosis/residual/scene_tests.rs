@@ -1,4 +1,5 @@
-//! Scenes estimated from frames against the light of simulated recordings: one picture, a picture before a still ground, parts; and effects on known light.
+//! Scenes estimated from frames against the light of simulated recordings: one picture, a picture before a
+//! still ground, parts; and effects on known light.
 
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
@@ -47,7 +48,8 @@ fn middle_ns(case: &Case, l: usize) -> i64 {
     i64::midpoint(exposure.start.0, exposure.end.0)
 }
 
-/// Mean distance of a scene's log light from the truth, in places whose light changes, between the middles of the first and the last frame.
+/// Mean distance of a scene's log light from the truth, in places whose light changes, between the middles of
+/// the first and the last frame.
 fn error(source: &dyn Scene, case: &Case, truth: &[(Vec<i64>, Vec<f64>)]) -> f64 {
     let light = source.light(case, 200_000);
     let (from, to) = (middle_ns(case, 0), middle_ns(case, case.frame_count() - 1));
@@ -80,7 +82,8 @@ fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
     assert_eq!(scene(&case, &case.nominal().unwrap(), &PictureSetting::default(), &MosaicSetting::default()).unwrap().name(), "picture");
 }
 
-/// A ball that falls and a fan that turns, both before a still texture, by less than five pixels from frame to frame.
+/// A ball that falls and a fan that turns, both before a still texture, by less than five pixels from frame
+/// to frame.
 #[test]
 fn what_moves_before_a_still_ground_is_seen_with_its_light() {
     for (name, most) in [("fan", 0.04), ("ball", 0.06)] {
