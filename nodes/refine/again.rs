@@ -153,7 +153,7 @@ impl Again {
         Arc::new(Fired::new(self.rows.iter().flat_map(|row| (0..width).map(move |x| times(row, x)))))
     }
 
-    /// Where and when pixels fired in company.
+    /// Where and when pixels fired with events of their neighbours.
     pub fn activity(&self) -> Activity {
         let width = self.meta.extent.width as usize;
         let events = self.rows.iter().flat_map(|row| (0..width).map(move |x| (x, row.row as usize, row.events_of(x))));

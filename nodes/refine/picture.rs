@@ -1,7 +1,7 @@
 //! `refine/picture`: tracks solved again with a moving picture that explains all frames.
 //!
 //! Idea: where something rigid moves, all its frames are views of one picture. Between events and between exposures a pixel by itself knows
-//! nothing of a smooth texture; the picture does, because other exposures saw the same place, from elsewhere. So the scene of a diagnosis
+//! nothing of a smooth texture; the picture does, because other exposures saw the same place, from elsewhere. So a scene
 //! ([`photocurrent_scene::mosaic`]) is fitted to the frames alone: one moving picture, or one before a still ground, or pictures of tiles. What it predicts for a pixel is a
 //! further measurement in addition to the pixel's own events and frames (and what its neighbours say, as in `refine/motion`), with which the pixel is solved again.
 //!
