@@ -167,4 +167,17 @@ mod tests {
             assert!(after.psnr_db() > before.psnr_db() + gain_db, "{id}: {} {}", before.psnr_db(), after.psnr_db());
         }
     }
+
+    #[test]
+    fn a_description_without_a_front_end_and_a_blind_time_predicts_as_one_that_states_0() {
+        let case = testing::case();
+        let sample = Sample::all(&case, 4);
+        let predicted = |of: Option<Duration>| {
+            let mut sensor = case.sensor.clone();
+            (sensor.front_end.tau_0, sensor.front_end.alpha, sensor.readout.refractory) = (of, of, of);
+            predict(&case, &sensor, &sample, &SolveOptions::default()).unwrap().unwrap()
+        };
+        let (absent, zero) = (predicted(None), predicted(Some(Duration::new(0))));
+        assert_eq!((absent.square_error, absent.light), (zero.square_error, zero.light));
+    }
 }
