@@ -1,7 +1,7 @@
 //! A scene in parts: the moving picture where it predicts frames, and pictures of tiles of the array for a
 //! few frames each where it does not.
 //!
-//! Whether a tile is better off with a picture of its own is asked of frame values alone: those that change
+//! Whether a tile is better off with a picture of its own is selected of frame values alone: those that change
 //! and that either predicts within the noise.
 
 use crate::case::Case;
@@ -92,13 +92,19 @@ pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &M
     scene_where(case, nominal, whole, setting, None)
 }
 
-/// The same, to the values of pixels that are asked for ([`Begin::asked`]); of the others it knows nothing.
+/// The same, to the values of selected pixels ([`Begin::selected`]); it predicts no others.
 ///
 /// # Errors
 /// As [`scene`].
-pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting, asked: Option<&[bool]>) -> Result<Box<dyn Scene>, String> {
+pub fn scene_where(
+    case: &Case,
+    nominal: &Nominal,
+    whole: &PictureSetting,
+    setting: &MosaicSetting,
+    selected: Option<&[bool]>,
+) -> Result<Box<dyn Scene>, String> {
     let of_whole = whole;
-    let mut whole = MovingPicture::fit_where(case, nominal, of_whole, asked);
+    let mut whole = MovingPicture::fit_where(case, nominal, of_whole, selected);
     if case.frame_count() < 3 || case.extent.width.min(case.extent.height) < 8 {
         return whole.map(|whole| Box::new(whole) as Box<dyn Scene>);
     }
@@ -110,15 +116,15 @@ pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setti
         still.fill(f64::NAN);
     }
     let mut moves = foreground(case, nominal, &still, noise, setting.patches.moves);
-    if let Some(asked) = asked {
-        moves.iter_mut().enumerate().for_each(|(n, moves)| *moves &= asked[n % asked.len()]);
+    if let Some(selected) = selected {
+        moves.iter_mut().enumerate().for_each(|(n, moves)| *moves &= selected[n % selected.len()]);
     }
     let ground = is_there.then(|| light_of_ground(case, nominal, &still));
     let everywhere = (0..case.extent.width, 0..case.extent.height);
     let misses = |picture: &Picture| usual(case, nominal, &moves, &everywhere, &(0..case.frame_count()), |l, x, y| of_picture(case, picture, l, x, y));
     let of_one = whole.as_ref().map_or(f64::INFINITY, |whole| misses(&whole.picture));
     if let Some(ground) = ground.as_ref().filter(|_| of_one > setting.well) {
-        let before = before_ground(case, nominal, of_whole, &moves, (ground, asked), setting);
+        let before = before_ground(case, nominal, of_whole, &moves, (ground, selected), setting);
         if misses(&before) < of_one {
             whole = Ok(MovingPicture::new(before, of_whole, case, nominal));
         }
@@ -156,7 +162,7 @@ pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setti
         found.tile.push(tile);
         found.patches.push(patch);
     }
-    found.look(case);
+    found.compare(case);
     Ok(Box::new(found))
 }
 
@@ -173,7 +179,7 @@ fn before_ground(
     nominal: &Nominal,
     of_picture: &PictureSetting,
     moves: &[bool],
-    (ground, asked): (&[f32], Option<&[bool]>),
+    (ground, selected): (&[f32], Option<&[bool]>),
     setting: &MosaicSetting,
 ) -> Picture {
     let count = case.frame_count();
@@ -184,7 +190,7 @@ fn before_ground(
         chained.push(compose(chained.last().expect("one is there"), pair));
     }
     let steady = follow(case, nominal, moves, &setting.patches);
-    Picture::fit_from(case, nominal, of_picture, &[&chained, &steady], Begin { counts: None, ground: Some(ground), asked })
+    Picture::fit_from(case, nominal, of_picture, &[&chained, &steady], Begin { counts: None, ground: Some(ground), selected })
 }
 
 impl Mosaic {
@@ -224,7 +230,7 @@ impl Mosaic {
             .filter(|misses| misses.is_finite())
             .collect();
         misses.sort_by(f64::total_cmp);
-        // The quarter that does best knows the noise.
+        // The quarter that does best has the noise alone.
         let noise = misses.get(misses.len() / 4).copied().unwrap_or(1.0);
         let noise_dn = (self.setting.picture.frame_dn, self.setting.picture.frame_share);
         let predicted = |tile: usize, frames: &Range<usize>, of: &dyn Fn(usize, u32, u32) -> f32| -> f64 {
@@ -254,7 +260,7 @@ impl Mosaic {
     }
 
     /// Works out residuals: of the picture that a place is predicted by, the worse one where two join.
-    fn look(&mut self, case: &Case) {
+    fn compare(&mut self, case: &Case) {
         let pixels = case.extent.pixels();
         let count = case.frame_count();
         let mut residual = match &self.whole {
@@ -289,7 +295,7 @@ impl Mosaic {
         self.misfit = if misfits.is_empty() { self.whole.as_ref().map_or(1.0, Scene::misfit) } else { median(&mut misfits) };
     }
 
-    /// The picture that says most of a pixel at an instant: number of its patch, and of none the moving
+    /// The picture of most weight on a pixel at an instant: number of its patch, and of none the moving
     /// picture.
     fn patch_at(&self, case: &Case, pixel: usize, t_ns: i64) -> Option<usize> {
         let (x, y) = case.place(pixel);
@@ -318,7 +324,7 @@ fn middle_ns(case: &Case, l: usize, y: u32) -> i64 {
     })
 }
 
-/// How much a patch says of an instant: nothing outside of its window, and most in its middle.
+/// Weight of a patch at an instant: nothing outside of its window, and most in its middle.
 fn weight(case: &Case, patch: &Patch, y: u32, t_ns: i64) -> f64 {
     let frames = &patch.part.frames;
     let (from, to) = (middle_ns(case, frames.start, y), middle_ns(case, frames.end - 1, y));
@@ -374,7 +380,7 @@ impl Scene for Mosaic {
 
     fn exposures_seen(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
         let of_whole = self.whole.as_ref().map(|whole| whole.exposures_seen(case, step_ns, pixels));
-        self.joined((case, step_ns, pixels), of_whole, |picture, x, y, maps| Some(picture.exposures_of(x, y, maps)))
+        self.joined((case, step_ns, pixels), of_whole, |picture, x, y, maps| Some(picture.exposures_seen(x, y, maps)))
     }
 
     fn residual(&self) -> &[f32] {
@@ -435,7 +441,7 @@ impl Mosaic {
         // Patches of a tile with where they lie at every instant; neighbouring pixels mostly share them.
         let mut tile = usize::MAX;
         let mut patches: Vec<(&Patch, Vec<Map>)> = Vec::new();
-        for (pixel, said) in pixels.iter().zip(&mut of_whole) {
+        for (pixel, predicted) in pixels.iter().zip(&mut of_whole) {
             let (x, y) = case.place(*pixel);
             let Some(here) = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y)) else { continue };
             if here != tile {
@@ -443,7 +449,7 @@ impl Mosaic {
                 patches = self.of_tile(tile).into_iter().map(|(_, patch)| (patch, instants.iter().map(|t| patch.picture.motion.at(*t)).collect())).collect();
             }
             if !patches.is_empty() {
-                *said = of_patches(case, *pixel, &patches, &instants, said, &of_patch);
+                *predicted = of_patches(case, *pixel, &patches, &instants, predicted, &of_patch);
             }
         }
         of_whole
@@ -462,13 +468,13 @@ impl Mosaic {
             misfit: 1.0,
             least_dn: self.least_dn,
         };
-        other.look(case);
+        other.compare(case);
         other
     }
 }
 
-/// What patches, with where they lie at every instant, say of a pixel; `of_whole` is what the moving picture
-/// says, where they predict nothing.
+/// What patches, with where they lie at every instant, predict for a pixel; where they predict nothing, the
+/// moving picture's prediction `of_whole`.
 fn of_patches(
     case: &Case,
     pixel: usize,
@@ -485,9 +491,9 @@ fn of_patches(
         let Some(first) = share.iter().position(|share| *share > 0.0) else { continue };
         let last = share.iter().rposition(|share| *share > 0.0).unwrap_or(first);
         let place = ((x - patch.part.columns.start) as usize, (y - patch.part.rows.start) as usize);
-        let Some(said) = of_patch(&patch.picture, place.0, place.1, &maps[first..=last]) else { continue };
-        for (k, said) in (first..=last).zip(said) {
-            sum[k] += share[k] * said;
+        let Some(predicted) = of_patch(&patch.picture, place.0, place.1, &maps[first..=last]) else { continue };
+        for (k, predicted) in (first..=last).zip(predicted) {
+            sum[k] += share[k] * predicted;
             weights[k] += share[k];
         }
     }

@@ -28,9 +28,9 @@ impl MovingPicture {
         MovingPicture::fit_where(case, nominal, setting, None)
     }
 
-    /// The same, to the values of pixels that are asked for.
-    pub(crate) fn fit_where(case: &Case, nominal: &Nominal, setting: &PictureSetting, asked: Option<&[bool]>) -> Result<MovingPicture, String> {
-        Ok(MovingPicture::new(Picture::fit_where(case, nominal, setting, asked)?, setting, case, nominal))
+    /// The same, to the values of selected pixels.
+    pub(crate) fn fit_where(case: &Case, nominal: &Nominal, setting: &PictureSetting, selected: Option<&[bool]>) -> Result<MovingPicture, String> {
+        Ok(MovingPicture::new(Picture::fit_where(case, nominal, setting, selected)?, setting, case, nominal))
     }
 
     /// Of a picture that was fitted.
@@ -62,7 +62,7 @@ impl Scene for MovingPicture {
         let maps: Vec<_> = Light::instants(case, step_ns).map(|t_ns| self.picture.motion.at(t_ns)).collect();
         let of = |&pixel: &usize| {
             let (x, y) = case.place(pixel);
-            self.picture.exposures_of(x as usize, y as usize, &maps).into_iter().map(|seen| seen as f32).collect()
+            self.picture.exposures_seen(x as usize, y as usize, &maps).into_iter().map(|seen| seen as f32).collect()
         };
         pixels.iter().map(of).collect()
     }

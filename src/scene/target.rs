@@ -1,4 +1,4 @@
-//! A known target: a scene in closed form whose free parameters are fitted to the frames, and which says what
+//! A known target: a scene in closed form whose free parameters are fitted to the frames, with what
 //! the frames leave open of them.
 //!
 //! The fit is damped Gauss-Newton with robust weights (Student's t) on a sample of the frame values, each the
@@ -88,7 +88,7 @@ const BEST: usize = 8;
 const ROUNDS: usize = 40;
 /// Step of the derivatives, as a share of a range.
 const STEP: f64 = 1e-4;
-/// The scene moves by so many pixels at most between two instants of an exposure that are looked at, of at
+/// The scene moves by so many pixels at most between two instants of an exposure that are evaluated, of at
 /// least and at most so many.
 const INSTANT_PX: f64 = 0.4;
 /// See there.

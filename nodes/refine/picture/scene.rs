@@ -1,4 +1,4 @@
-//! The scene of all frames, part after part of a long recording, and where it may be asked.
+//! The scene of all frames, part after part of a long recording, and where it predicts.
 
 use crate::refine::trust::Said;
 use photocurrent_scene::Scene;
@@ -13,8 +13,8 @@ use photocurrent_scene::picture::PictureSetting;
 const SHARED: usize = 2;
 /// With fewer frames no motion is seen.
 const FEWEST_FRAMES: usize = 3;
-/// Where more than this share of the pixels is asked for, all of them are fitted.
-const MOST_ASKED: f64 = 0.6;
+/// Where more than this share of the pixels is selected, all of them are fitted.
+const MOST_SELECTED: f64 = 0.6;
 
 /// A part of the recording.
 struct Part {
@@ -24,7 +24,7 @@ struct Part {
     gate: Gate,
 }
 
-/// What frames alone say of the light of all pixels.
+/// The light of all pixels, predicted from frames alone.
 #[derive(Default)]
 pub(super) struct Pictures {
     parts: Vec<Part>,
@@ -32,7 +32,7 @@ pub(super) struct Pictures {
     least_exposures: f64,
 }
 
-/// What is said of some pixels of a row, part after part, at the steady instants of the part.
+/// The prediction for some pixels of a row, part after part, at the steady instants of the part.
 pub(super) struct OfRow {
     parts: Vec<OfPart>,
     /// Where the light of each column stands.
@@ -46,7 +46,7 @@ struct OfPart {
 }
 
 impl Pictures {
-    /// Fits scenes to the frames, to those of pixels that `asked` says are asked for between two instants;
+    /// Fits scenes to the frames, to those of pixels that `selected` has between two instants;
     /// light is worked out every `step_ns`, and of places that `least_exposures`
     /// saw or more.
     ///
@@ -57,20 +57,20 @@ impl Pictures {
         sensor: &Nominal,
         setting: &PictureSetting,
         (step_ns, least_exposures): (i64, f64),
-        asked: impl Fn((i64, i64)) -> Vec<bool>,
+        selected: impl Fn((i64, i64)) -> Vec<bool>,
     ) -> Result<Pictures, String> {
         let pixels = usize::max(case.extent.pixels(), 1);
         // Nothing where all are fitted.
-        let asked = |span: (i64, i64)| -> Result<Option<Vec<bool>>, String> {
-            let asked = asked(span);
-            let count = asked.iter().filter(|is| **is).count();
+        let selected = |span: (i64, i64)| -> Result<Option<Vec<bool>>, String> {
+            let selected = selected(span);
+            let count = selected.iter().filter(|is| **is).count();
             if count == 0 {
                 return Err("no pixels near each other fire, so nothing is seen to move".into());
             }
-            Ok((count as f64 <= MOST_ASKED * pixels as f64).then_some(asked))
+            Ok((count as f64 <= MOST_SELECTED * pixels as f64).then_some(selected))
         };
-        // A part of the recording may ask for less, never for more.
-        let at_most = asked(case.span)?.map_or(pixels, |asked| asked.iter().filter(|is| **is).count());
+        // A part of the recording may select fewer pixels, never more.
+        let at_most = selected(case.span)?.map_or(pixels, |selected| selected.iter().filter(|is| **is).count());
         let (count, most) = (case.frame_count(), setting.most_values / at_most);
         if count < FEWEST_FRAMES || most < FEWEST_FRAMES {
             return Err(format!("{count} frames of {at_most} pixels, of which {most} are fitted at a time; a picture needs {FEWEST_FRAMES}"));
@@ -80,7 +80,7 @@ impl Pictures {
             let mut part = case.part(from..to);
             let parts = MosaicSetting::default();
             let parts = MosaicSetting { picture: PictureSetting { pitch: setting.pitch, ..parts.picture }, ..parts };
-            let source = scene_where(&part, &nominal, setting, &parts, asked(part.span)?.as_deref())?;
+            let source = scene_where(&part, &nominal, setting, &parts, selected(part.span)?.as_deref())?;
             let gate = source.gate(&part, LEAST_DN, SPREAD);
             part.events = PixelEvents::default();
             part.frames = part.frames.map(|frames| frames.without_values());
@@ -109,7 +109,7 @@ impl Pictures {
         OfRow { parts: self.parts.iter().map(of).collect(), at }
     }
 
-    /// What the part in whose middle an instant is nearest says of pixel `x` of a row.
+    /// The prediction for pixel `x` of a row by the part whose middle is nearest to an instant.
     pub fn predict(&self, light: &OfRow, (x, row): (usize, usize), t_ns: i64) -> Option<Said> {
         let inside = self.parts.iter().zip(&light.parts).filter(|(part, _)| (part.case.span.0..=part.case.span.1).contains(&t_ns));
         let (part, said) = inside.min_by_key(|(part, _)| (i64::midpoint(part.case.span.0, part.case.span.1) - t_ns).abs())?;
@@ -117,7 +117,7 @@ impl Pictures {
             return None;
         }
         let (n, at) = (light.at[x]?, (part.case.span.0, self.step_ns));
-        // What no exposure saw nobody can say.
+        // Extrapolated where no exposure covers the place.
         if between(&said.exposures[n], at, t_ns).is_some_and(|exposures| exposures < self.least_exposures) {
             return None;
         }

@@ -98,7 +98,7 @@ fn what_moves_before_a_still_ground_is_seen_with_its_light() {
         let exposure_s = case.frames.as_ref().unwrap().times.nominal_exposure_ns().unwrap() as f64 * 1e-9;
         let ground: Vec<f32> = still.iter().map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * exposure_s)) as f32).collect();
         let poses = follow(&case, &nominal, &counts, &PatchSetting::default());
-        let picture = Picture::fit_from(&case, &nominal, &PictureSetting::default(), &[&poses], Begin { counts: None, ground: Some(&ground), asked: None });
+        let picture = Picture::fit_from(&case, &nominal, &PictureSetting::default(), &[&poses], Begin { counts: None, ground: Some(&ground), selected: None });
         // Between frames, at instants that no exposure covers, where something moves.
         let (mut of_picture, mut of_ground) = (Vec::new(), Vec::new());
         for l in 2..case.frame_count() - 2 {

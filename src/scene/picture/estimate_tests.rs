@@ -21,7 +21,7 @@ fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
     let nominal = case.nominal().unwrap();
     let setting = PictureSetting::default();
     let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
-    let mut fit = Fit::new(case, &nominal, &setting, begin_motion(case, &poses, &setting), Begin { counts: None, ground, asked: None });
+    let mut fit = Fit::new(case, &nominal, &setting, begin_motion(case, &poses, &setting), Begin { counts: None, ground, selected: None });
     let mut random = Random::new(3, &[]);
     let typical = fit.typical as f32;
     fit.picture.surface.iter_mut().for_each(|c| *c += 0.2 * typical * random.normal() as f32);

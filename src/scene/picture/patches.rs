@@ -212,7 +212,7 @@ impl Patch {
             // What stands still is explained as well.
             counts.fill(true);
         }
-        let picture = Picture::fit_from(&own, nominal, of_picture, &[&poses], Begin { counts: Some(&counts), ground: ground.as_deref(), asked: None });
+        let picture = Picture::fit_from(&own, nominal, of_picture, &[&poses], Begin { counts: Some(&counts), ground: ground.as_deref(), selected: None });
         Some(Patch { part, counts, picture })
     }
 

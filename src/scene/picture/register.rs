@@ -287,7 +287,7 @@ mod tests {
 
     #[test]
     fn a_turned_and_shifted_image_is_found() {
-        // The last one is halved twice, and looked at at every second pixel.
+        // The last one is halved twice, and compared at every second pixel.
         let (small, large) = ((60, 44), (346, 260));
         for (angle, dx, dy, size) in [(0.0, 2.3, -1.2, small), (0.3, 1.0, 0.5, small), (-0.75, 0.0, 3.0, small), (0.3, 21.3, -8.4, large)] {
             let (c, s) = (libm::cos(angle), libm::sin(angle));
