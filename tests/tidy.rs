@@ -14,20 +14,29 @@ use std::process::Command;
 const MOST_LINES: usize = 700;
 
 /// The names of our crates' folders, and which of ours each may depend on, directly or for its tests.
-const DIRECTION: [(&str, &str, &[&str]); 10] = [
+const DIRECTION: [(&str, &str, &[&str]); 11] = [
     ("src/core", "photocurrent-core", &[]),
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
     ("src/solve", "photocurrent-solve", &["photocurrent-core", "photocurrent-sensor"]),
+    ("src/scene", "photocurrent-scene", &["photocurrent-core", "photocurrent-sensor"]),
     ("src/page", "photocurrent-page", &[]),
-    ("src/diagnosis", "photocurrent-diagnosis", &["photocurrent-core", "photocurrent-sensor", "photocurrent-page"]),
+    ("src/diagnosis", "photocurrent-diagnosis", &["photocurrent-core", "photocurrent-sensor", "photocurrent-solve", "photocurrent-scene", "photocurrent-page"]),
     ("src/store", "photocurrent-store", &["photocurrent-core"]),
     ("src/formats", "photocurrent-formats", &["photocurrent-core", "photocurrent-sensor", "photocurrent-store"]),
     ("src/engine", "photocurrent-engine", &["photocurrent-core", "photocurrent-store"]),
-    ("src/calibrate", "photocurrent-calibrate", &["photocurrent-core", "photocurrent-diagnosis"]),
+    ("src/calibrate", "photocurrent-calibrate", &["photocurrent-core", "photocurrent-scene", "photocurrent-diagnosis"]),
     (
         "nodes",
         "photocurrent-nodes",
-        &["photocurrent-core", "photocurrent-sensor", "photocurrent-solve", "photocurrent-diagnosis", "photocurrent-store", "photocurrent-formats"],
+        &[
+            "photocurrent-core",
+            "photocurrent-sensor",
+            "photocurrent-solve",
+            "photocurrent-scene",
+            "photocurrent-diagnosis",
+            "photocurrent-store",
+            "photocurrent-formats",
+        ],
     ),
 ];
 
@@ -337,7 +346,7 @@ fn results_depend_on_no_clock_environment_or_thread() {
     let words = ["SystemTime", "Instant", "std::env", "env::var", "thread_rng", "thread_local!", "available_parallelism", "current_num_threads"];
     refuse(
         &words,
-        &["src/core", "src/sensor", "src/diagnosis", "nodes"],
+        &["src/core", "src/sensor", "src/solve", "src/scene", "src/diagnosis", "nodes"],
         |_| false,
         "a result is a function of inputs, parameters, declared files and seed: take what you need as a parameter, or draw from photocurrent_core::random",
     );
@@ -349,9 +358,10 @@ fn numbers_come_from_libm() {
     let generic = ["src/sensor/scalar.rs", "src/sensor/front_end.rs", "src/sensor/inverse/lanes.rs"];
     let exact = [".mul_add(", ".powf(", ".powi(", ".sin(", ".cos(", ".tan(", ".atan2(", ".tanh(", ".hypot(", ".cbrt(", ".log2(", ".log10(", ".ln_1p("];
     let what_to_do = "the platform's functions round differently from machine to machine: use libm's (libm::exp, libm::log, libm::pow)";
-    refuse(&exact, &["src/core", "src/sensor", "src/diagnosis", "src/engine", "src/store", "nodes"], |_| false, what_to_do);
+    let folders = ["src/core", "src/sensor", "src/solve", "src/scene", "src/diagnosis", "src/engine", "src/store", "nodes"];
+    refuse(&exact, &folders, |_| false, what_to_do);
     let allowed = |name: &str| generic.contains(&name);
-    refuse(&[".exp()", ".ln()", ".exp_m1()"], &["src/core", "src/sensor", "src/diagnosis", "src/engine", "src/store", "nodes"], allowed, what_to_do);
+    refuse(&[".exp()", ".ln()", ".exp_m1()"], &folders, allowed, what_to_do);
 }
 
 #[test]

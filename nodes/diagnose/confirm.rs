@@ -72,7 +72,7 @@ impl Node for DiagnoseConfirm {
     const DECL: Decl = Decl {
         kind: "diagnose/confirm",
         about: "Joins what direct tests found and what was decided on a scene: verdict, fitted description, proof on held-out frames, report.",
-        revision: 21,
+        revision: 22,
         grain: Grain::Whole,
         draws: true,
         exports: false,
@@ -121,7 +121,7 @@ in   = { events = "recording.events", frames = "recording.frames", sensor = "rec
         let case = super::case(input.events.as_ref(), input.frames.as_ref(), &input.sensor)?;
         let proposed = input.proposals.map(|document| read_proposals(&document)).transpose()?.unwrap_or_default();
         let Params { proof, most_worse_db, least_better_db } = self.params;
-        let judging = Judging { least_better_db, ..Judging::default() };
+        let judging = Judging { least_better_db };
         let setting = Setting { seed: cx.seed(), without_proof: !proof, most_worse_db, judging, ..Setting::default() };
         let integrity = read_integrity(&input.integrity)?;
         let before = integrity.findings.len();

@@ -9,8 +9,8 @@ use photocurrent_core::{Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, 
 use photocurrent_diagnosis::decide::model::{Model, Models, SECOND, SOMETHING};
 use photocurrent_diagnosis::decide::{Decision, decide};
 use photocurrent_diagnosis::diagnose::Proposed;
-use photocurrent_diagnosis::nominal::Nominal;
 use photocurrent_diagnosis::stages::{Seen, read_evidence, write_proposals};
+use photocurrent_scene::nominal::Nominal;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

@@ -17,16 +17,17 @@ use photocurrent_core::{
     Between, Colour, Context, DataType, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, FrameSequence, Grain, Light, Meta, Node, NodeError,
     PortMetas, Sensor, TrackSet,
 };
-use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::diagnose::{amend, can_compare};
-use photocurrent_diagnosis::grey::Grey;
-use photocurrent_diagnosis::picture::PictureSetting;
-use photocurrent_diagnosis::picture::patches::PatchSetting;
 use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting, evidence};
-use photocurrent_diagnosis::residual::mosaic::{MosaicSetting, scene};
-use photocurrent_diagnosis::residual::source::{Given, Knots, MovingPicture, Source};
 use photocurrent_diagnosis::stages::{Seen, write_evidence};
 use photocurrent_diagnosis::unstated::without_scene;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::grey::Grey;
+use photocurrent_scene::known::{Knots, KnownLight};
+use photocurrent_scene::mosaic::{MosaicSetting, scene};
+use photocurrent_scene::moving::MovingPicture;
+use photocurrent_scene::picture::PictureSetting;
+use photocurrent_scene::picture::patches::PatchSetting;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -252,7 +253,7 @@ impl DiagnoseEvidence {
             (None, None) => None,
         };
         if let Some(given) = given {
-            let source = Given::new(&case, &nominal, given.into(), &picture);
+            let source = KnownLight::new(&case, &nominal, given.into(), &picture);
             return Ok(evidence(&case, &nominal, &source, &of).map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(found))));
         }
         if let Some(flicker) = known.scene.iter().find(|one| one.depth > self.params.most_flicker) {
@@ -262,7 +263,7 @@ impl DiagnoseEvidence {
         let (case, span_ns) = part.as_ref().map_or((&case, None), |part| (part, Some(part.span)));
         let source = match self.params.scene {
             Scene::Parts => scene(case, &nominal, &picture, &parts),
-            _ => MovingPicture::fit(case, &nominal, &picture).map(|source| Box::new(source) as Box<dyn Source>),
+            _ => MovingPicture::fit(case, &nominal, &picture).map(|source| Box::new(source) as Box<dyn photocurrent_scene::Scene>),
         };
         let found = source.and_then(|source| evidence(case, &nominal, source.as_ref(), &of));
         Ok(found.map_or_else(Seen::Nothing, |found| Seen::Evidence(Box::new(Evidence { span_ns, ..found }))))

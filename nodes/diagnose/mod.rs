@@ -10,9 +10,9 @@ pub mod target;
 
 use crate::spans::check_one_clock;
 use photocurrent_core::{DataType, Diagnosis, EventStream, EventsMeta, FrameSequence, FramesMeta, Meta, NodeError, PortMetas, Sensor};
-use photocurrent_diagnosis::case::Case;
 use photocurrent_diagnosis::integrity::Integrity;
 use photocurrent_diagnosis::stages::read_integrity;
+use photocurrent_scene::case::Case;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;

@@ -17,11 +17,11 @@ use photocurrent_core::{
     Colour, Context, Decl, Diagnosis, DiagnosisKind, DiagnosisMeta, EventStream, Extent, FrameSequence, Grain, Light, LightMeta, Meta, Node, NodeError,
     PortMetas, Sensor, Table, TimeSpan,
 };
-use photocurrent_diagnosis::case::Case;
-use photocurrent_diagnosis::nominal::Nominal;
-use photocurrent_diagnosis::picture::PictureSetting;
-use photocurrent_diagnosis::residual::source::Knots;
-use photocurrent_diagnosis::residual::target::{Closed, Form, Target, TargetSetting};
+use photocurrent_scene::case::Case;
+use photocurrent_scene::known::Knots;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::picture::PictureSetting;
+use photocurrent_scene::target::{Closed, Form, Target, TargetSetting};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -1,15 +1,15 @@
 //! A recording that is solved again: what every node of this folder takes in, and how it gives hints to the solver.
 
 use super::caution::{CAUTIONS, Caution, Lost, take_care};
-use super::film::Fired;
-use super::film::STEP_NS;
-use super::lively::Lively;
 use super::trust::{Measured, Posed, TrustParams};
 use crate::solve::map::check_length;
 use crate::spans::{check_covered, check_one_clock, check_steps};
 use photocurrent_core::{
     Between, Context, EventStream, EventsMeta, Extent, FrameSequence, FramesMeta, NodeError, PortMetas, Sensor, TrackBand, TrackSet, TracksMeta, handle::Band,
 };
+use photocurrent_scene::activity::Activity;
+use photocurrent_scene::film::Fired;
+use photocurrent_scene::film::STEP_NS;
 use photocurrent_sensor::map::estimate;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
 use photocurrent_solve::co_located::CoLocated;
@@ -153,11 +153,11 @@ impl Again {
         Arc::new(Fired::new(self.rows.iter().flat_map(|row| (0..width).map(move |x| times(row, x)))))
     }
 
-    /// Where and when pixels fired in company.
-    pub fn lively(&self) -> Lively {
+    /// Where and when pixels fired with events of their neighbours.
+    pub fn activity(&self) -> Activity {
         let width = self.meta.extent.width as usize;
         let events = self.rows.iter().flat_map(|row| (0..width).map(move |x| (x, row.row as usize, row.events_of(x))));
-        Lively::new(self.meta.extent, (self.meta.span.start.0, self.meta.span.end.0), events)
+        Activity::new(self.meta.extent, (self.meta.span.start.0, self.meta.span.end.0), events)
     }
 
     /// The sensor as the solver sees it.

@@ -1,12 +1,12 @@
 //! Small recordings whose light is known, for the tests of this folder.
 
-use super::film::{Fired, LogTracks};
 use crate::solve;
 use crate::solve::map::SolveMap;
 use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::random::Random;
 use photocurrent_core::{EventStream, Exposure, Extent, FrameSequence, Node, Sensor, TrackSet, testing};
+use photocurrent_scene::film::{Fired, LogTracks};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Noiseless, Pixel, simulate};
 use photocurrent_sensor::front_end::FrontEnd;

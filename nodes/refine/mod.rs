@@ -2,11 +2,8 @@
 
 mod again;
 mod caution;
-mod film;
 #[cfg(test)]
 mod fixtures;
-mod flow;
-mod lively;
 pub mod motion;
 pub mod onnx;
 pub mod picture;

@@ -18,11 +18,11 @@ mod tests;
 
 use super::again::{Again, In, Out, Row, Solver};
 use super::caution::{Caution, take_care};
-use super::film::LogTracks;
-use super::flow::{Flow, MotionParams};
 use super::trust::{Posed, Trust, TrustParams};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
+use photocurrent_scene::film::LogTracks;
+use photocurrent_scene::flow::{Flow, MotionParams};
 use photocurrent_sensor::map::estimate::kept;
 use photocurrent_sensor::map::{Hint, MapFrame};
 use photocurrent_solve::{Decisions, FRAME_NOISE, FrontEndModel, KNOT_SPACING, SolveOptions};
@@ -160,14 +160,14 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         cx.begin(cx.rows().len() as u64 * (1 + u64::from(self.params.rounds)), "rows");
         let mut tracks = input.tracks.read(cx.rows())?;
         let mut again = self.solver.take_in(meta, &input.events, &input.frames, &input.sensor, cx)?;
-        let (fired, lively) = (again.fired(), again.lively());
+        let (fired, activity) = (again.fired(), again.activity());
         let (extent, sensor) = (again.meta.extent, again.sensor());
         let span = (again.meta.span.start.0, again.meta.span.end.0);
         let step_ns = 2 * self.params.knot_spacing.ns();
         let Params { motion, trust, .. } = &self.params;
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &lively, (motion, self.params.doubt > 0.0));
+            let flow = Flow::of_tracks(&log, span, &activity, (motion, self.params.doubt > 0.0));
             let neighbours = Neighbours { log: &log, flow: &flow, motion, doubt: self.params.doubt, sensor: &sensor, step_ns, trust };
             let caution = neighbours.caution(&mut again);
             tracks = again.solve(

@@ -1,8 +1,8 @@
 //! `refine/picture`: tracks solved again with a moving picture that explains all frames.
 //!
 //! Idea: where something rigid moves, all its frames are views of one picture. Between events and between exposures a pixel by itself knows
-//! nothing of a smooth texture; the picture does, because other exposures saw the same place, from elsewhere. So the scene of a diagnosis
-//! ([`photocurrent_diagnosis::residual::mosaic`]) is fitted to the frames alone: one moving picture, or one before a still ground, or pictures of tiles. What it predicts for a pixel is a
+//! nothing of a smooth texture; the picture does, because other exposures saw the same place, from elsewhere. So a scene
+//! ([`photocurrent_scene::mosaic`]) is fitted to the frames alone: one moving picture, or one before a still ground, or pictures of tiles. What it predicts for a pixel is a
 //! further measurement in addition to the pixel's own events and frames (and what its neighbours say, as in `refine/motion`), with which the pixel is solved again.
 //!
 //! Is it right? Nothing is assumed. It counts only where it predicts the frames around ([`Gate`]), and for places of the scene that exposures saw: what lies between is its neighbourhood carried on. The pixel's own events, of which it knows nothing, judge it between frames ([`Trust`]). And
@@ -20,14 +20,14 @@ mod tests;
 
 use super::again::{In, Out, Row, Solver};
 use super::caution::take_care;
-use super::film::LogTracks;
-use super::flow::{Flow, MotionParams};
 use super::motion::Neighbours;
 use super::trust::{Trust, TrustParams};
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
-use photocurrent_diagnosis::case::Case;
-use photocurrent_diagnosis::picture::PictureSetting;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::film::LogTracks;
+use photocurrent_scene::flow::{Flow, MotionParams};
+use photocurrent_scene::picture::PictureSetting;
 use photocurrent_sensor::map::Hint;
 use photocurrent_sensor::map::estimate::kept;
 use photocurrent_solve::{Decisions, FRAME_NOISE, FrontEndModel, KNOT_SPACING, SolveOptions};
@@ -142,14 +142,14 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let meta = self.solver.meta(Self::DECL.kind, &input.tracks.meta, &input.events.meta, &input.frames.meta)?;
         cx.begin(cx.rows().len() as u64 * (1 + u64::from(self.params.rounds)), "rows");
         let mut again = self.solver.take_in(meta, &input.events, &input.frames, &input.sensor, cx)?;
-        let (fired, lively) = (again.fired(), again.lively());
+        let (fired, activity) = (again.fired(), again.activity());
         let (extent, sensor) = (again.meta.extent, again.sensor());
         let span = again.rows.first().map_or((0, 0), |row| row.span());
         let step_ns = 2 * self.params.knot_spacing.ns();
         let case = Case::read(Some(&input.events), Some(&input.frames), &input.sensor)?;
         let setting = PictureSetting { pitch: self.params.pitch, most_values: self.params.most_values as usize, ..PictureSetting::default() };
         let width = extent.width as usize;
-        let asked = |span: (i64, i64)| lively.pixels(span, extent);
+        let asked = |span: (i64, i64)| activity.pixels(span, extent);
         let pictures = Pictures::fit(&case, &sensor.model, &setting, (self.params.knot_spacing.ns(), self.params.least_exposures), asked);
         drop(case);
         if let Err(why) = &pictures {
@@ -165,7 +165,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let Params { motion, trust, .. } = &self.params;
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &lively, (motion, false));
+            let flow = Flow::of_tracks(&log, span, &activity, (motion, false));
             let neighbours = Neighbours { log: &log, flow: &flow, motion, doubt: 0.0, sensor: &sensor, step_ns, trust };
             let of_neighbours = self.params.neighbours.then(|| neighbours.caution(&mut again));
             let of_picture = |hold_out: bool, light: &OfRow, row: &Row, x: usize, threshold: f64, hints: &mut Vec<Hint>| {

@@ -8,9 +8,9 @@ mod params;
 
 pub use params::TrustParams;
 
-use super::film::LogTracks;
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::Duration;
+use photocurrent_scene::film::LogTracks;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::{Hint, MapEvent, MapFrame};
@@ -248,8 +248,8 @@ impl Pool<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::refine::film::Fired;
     use photocurrent_core::{Exposure, Sensor, TrackBand};
+    use photocurrent_scene::film::Fired;
     use photocurrent_sensor::forward::LinearLight;
     use std::sync::Arc;
 

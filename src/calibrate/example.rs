@@ -3,12 +3,12 @@
 use crate::simulated::{Fault, Made, MadeSetting, made};
 use photocurrent_diagnosis::candidates::{Candidate, Scales};
 use photocurrent_diagnosis::decide::model::Facts;
-use photocurrent_diagnosis::picture::PictureSetting;
 use photocurrent_diagnosis::residual::evidence::{Evidence, EvidenceSetting, evidence};
-use photocurrent_diagnosis::residual::mosaic::{MosaicSetting, scene};
-use photocurrent_diagnosis::residual::source::Source;
-use photocurrent_diagnosis::residual::target::{Target, TargetSetting};
 use photocurrent_diagnosis::verdict::is_material;
+use photocurrent_scene::Scene;
+use photocurrent_scene::mosaic::{MosaicSetting, scene};
+use photocurrent_scene::picture::PictureSetting;
+use photocurrent_scene::target::{Target, TargetSetting};
 use serde::{Deserialize, Serialize};
 
 /// A simulated recording's truth, with what the diagnosis found in it.
@@ -63,7 +63,7 @@ pub fn example(seed: u64, index: u64, setting: &MadeSetting) -> Result<Example, 
         Candidate::find(id, parameter).is_some_and(|one| is_material(&case, &nominal, one, one.value(*effect_size, &scales, &nominal)))
     });
     let picture = PictureSetting::default();
-    let evidence_on = |source: &dyn Source| evidence(&case, &nominal, source, &EvidenceSetting::default());
+    let evidence_on = |source: &dyn Scene| evidence(&case, &nominal, source, &EvidenceSetting::default());
     let found = match target {
         None => scene(&case, &nominal, &picture, &MosaicSetting::default()).and_then(|source| evidence_on(source.as_ref())).ok(),
         // The search finds the same place; only the fit is of interest.

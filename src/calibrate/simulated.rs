@@ -7,12 +7,12 @@
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
 use photocurrent_diagnosis::candidates::{CANDIDATES, Scales, Signs, Trial};
-use photocurrent_diagnosis::case::{Case, PixelEvents, Recorded};
 use photocurrent_diagnosis::covariates::Covariate;
-use photocurrent_diagnosis::nominal::Nominal;
-use photocurrent_diagnosis::residual::target::Form;
 use photocurrent_diagnosis::scenes::MadeUp;
 use photocurrent_diagnosis::targets::Shows;
+use photocurrent_scene::case::{Case, PixelEvents, Recorded};
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::target::Form;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

@@ -1,11 +1,11 @@
 //! What to record next, so that what looks alike comes apart.
 
-use crate::case::Case;
 use crate::integrity::Integrity;
 use crate::integrity::data::is_enough;
 use crate::report::Verdict;
 use crate::unstated::{self, without_scene};
 use crate::verdict::Answer;
+use photocurrent_scene::case::Case;
 use photocurrent_sensor::effects::catalogue;
 
 /// Advice for a diagnosis; nothing when there is nothing to separate.

@@ -3,10 +3,10 @@
 //! An effect with several independent parameters gives several candidates of the same id ("time_constant" by `tau_0` or by `alpha`). An *effect size* of 1 is an effect that
 //! an engineer would care for, 0 none; what parameter value that is depends on the recording's light and speed ([`Scales`]).
 
-use crate::case::Case;
-use crate::nominal::Nominal;
 use crate::record::Described;
 use photocurrent_core::sensor::Reset;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 pub use photocurrent_sensor::effects::sought::Signs;
 use photocurrent_sensor::effects::sought::{Applied, Field, Grows, Measure, Size, Sought};
 use photocurrent_sensor::effects::{EffectDecl, ParameterDecl, Unit, catalogue};

@@ -3,10 +3,10 @@
 //! Names are those of reports (`location.covariate`). All are computed from the recording and the estimated scene alone, for any event at any time: recorded ones,
 //! and ones that a simulation has and the recording has not.
 
-use crate::case::Case;
+use crate::curves::Curves;
 use crate::sample::Sample;
-use crate::scene::Scene;
 use photocurrent_core::Extent;
+use photocurrent_scene::case::Case;
 use serde::{Deserialize, Serialize};
 
 /// Something that a mismatch may depend on.
@@ -140,7 +140,7 @@ pub struct Surroundings<'a> {
 
 impl<'a> Surroundings<'a> {
     /// Of a recording and its scene; `tau` is (tau_0, alpha) in seconds.
-    pub fn new(case: &'a Case, sample: &'a Sample, scene: &'a Scene, tau: (f64, f64)) -> Surroundings<'a> {
+    pub fn new(case: &'a Case, sample: &'a Sample, scene: &'a Curves, tau: (f64, f64)) -> Surroundings<'a> {
         let light = |pixel: usize, t_ns: i64| sample.place(pixel).filter(|&n| scene.is_known[n]).map(|n| scene.at(n, t_ns));
         Surroundings::of(case, Box::new(light), sample.len(), tau)
     }

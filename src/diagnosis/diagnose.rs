@@ -1,22 +1,22 @@
 //! A whole diagnosis: direct tests, what is decided on a scene, verdict, fitted description, proof, report; and its last two stages one by one ([`check`], [`confirm`]).
 
 use crate::candidates::{CANDIDATES, Candidate, Scales};
-use crate::case::Case;
 use crate::fitted::{add_numbers, fitted};
 use crate::heldout::{Prediction, predict};
 use crate::integrity::data::{FEWEST_EVENTS, FEWEST_FRAMES, is_enough};
 use crate::integrity::{Finding, Integrity, TESTED, hot, integrity, stamps};
 use crate::judge::{Judging, judged};
-use crate::nominal::Nominal;
 use crate::report::{BeforeAfter, EffectReport, Evidence, Fit, Location, MASK_LIMIT, NotTestable, Parameter, Provenance, Report, SCHEMA, Verdict};
 use crate::residual::located::{Located, answered, of_claim, of_unnamed};
 use crate::sample::Sample;
-use crate::scene::SceneSetting;
 use crate::unstated;
 use crate::verdict::{Answer, Claim, DIRECT, Decided, Proposal, verdict};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::{NodeError, Sensor};
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::{EffectDecl, Stage, catalogue};
+use photocurrent_solve::SolveOptions;
 use serde::{Deserialize, Serialize};
 
 /// How a diagnosis is confirmed.
@@ -24,8 +24,8 @@ use serde::{Deserialize, Serialize};
 pub struct Setting {
     /// Seed of everything random.
     pub seed: u64,
-    /// How the light of held-out frames is estimated.
-    pub scene: SceneSetting,
+    /// How the light of held-out frames is estimated: as `solve/map` does.
+    pub solve: SolveOptions,
     /// Are held-out frames not predicted?
     pub without_proof: bool,
     /// What predicts held-out frames worse than the nominal description, by more than this, dB, is withdrawn.
@@ -36,7 +36,7 @@ pub struct Setting {
 
 impl Default for Setting {
     fn default() -> Setting {
-        Setting { seed: 0, scene: SceneSetting::default(), without_proof: false, most_worse_db: 0.05, judging: Judging::default() }
+        Setting { seed: 0, solve: SolveOptions::default(), without_proof: false, most_worse_db: 0.05, judging: Judging::default() }
     }
 }
 
@@ -119,7 +119,7 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     let can_compare = can_compare(case, &integrity);
     let sample = (can_compare && !setting.without_proof).then(|| looked_at(case)).filter(|sample| !sample.is_empty());
     if proposed.decided().is_none() {
-        judged(case, &nominal, &setting.judging, &mut integrity)?;
+        judged(case, &nominal, &setting.judging, &setting.solve, &mut integrity)?;
     }
     let mut answer = verdict(case, &nominal, &integrity, proposed.decided());
     // A test that could not be made decides nothing.
@@ -134,7 +134,7 @@ pub fn confirm(case: &Case, setting: &Setting, mut integrity: Integrity, propose
     }
     let of_claims = |claims: &[Claim]| description(case, &nominal, &scales, claims);
     let mut changed = of_claims(&answer.claims);
-    let predicted = |sensor: &Sensor| sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.scene));
+    let predicted = |sensor: &Sensor| sample.as_ref().map_or(Ok(None), |sample| predict(case, sensor, sample, &setting.solve));
     let before = predicted(&case.sensor)?;
     let mut after = changed.as_ref().map(&predicted).transpose()?.flatten();
     let is_worse = |after: &Option<Prediction>| {

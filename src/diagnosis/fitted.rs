@@ -4,11 +4,11 @@
 //! others stand under `[effects]`.
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
-use crate::nominal::Nominal;
 use crate::record::Described;
 use crate::report::six_digits;
 use photocurrent_core::Sensor;
 use photocurrent_core::quantity::Duration;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::catalogue;
 use photocurrent_sensor::effects::sought::Field;
 

@@ -1,40 +1,43 @@
-//! Frames that are held out, predicted from the events and the other frames, with the nominal description and with the fitted one.
+//! Frames that are held out, predicted from the events and the other frames, with the nominal description and
+//! with the fitted one.
 //!
-//! Every third frame is held out, the light is estimated from what is left as `solve/map` does with the description, effects undone, and the held-out frames are what the camera would
-//! read of it.
+//! Every third frame is held out, the light is estimated from what is left by the solver and with the options
+//! of `solve/map` ([`photocurrent_solve::solve_pixels`]), effects undone,
+//! and the held-out frames are what the camera would read of it.
 //!
-//! Limit: the light of the sample's pixels alone is estimated, so effects that mix that of neighbours are not undone here.
+//! Limit: where effects mix the light of neighbours, or couple all pixels, the rows around the sample are
+//! solved as well, which takes as long as a solution of the whole recording.
 
-use crate::case::Case;
-use crate::nominal::Nominal;
+use crate::curves::Curves;
 use crate::sample::Sample;
-use crate::scene::{Given, Scene, SceneSetting, pixel_data, task};
+use photocurrent_core::quantity::Duration;
 use photocurrent_core::{NodeError, Sensor};
+use photocurrent_scene::case::Case;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, frame_values};
 use photocurrent_sensor::effects::from_description;
 use photocurrent_sensor::map::MapFrame;
-use photocurrent_sensor::undo::{Estimate, Known, Memory, Undo};
+use photocurrent_sensor::undo::Undo;
+use photocurrent_solve::{Recording, SolveOptions, solve_pixels};
 
 /// Of each three frames this one is held out.
 const KEPT: usize = 1;
-/// Light is estimated again so often with what effects did to events.
-const ROUNDS: usize = 2;
 /// The longest step of light in a prediction, ns.
 const STEP_NS: i64 = 500_000;
 
-/// How well kept frames are predicted.
+/// How well held-out frames are predicted.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Prediction {
     /// Mean square error, DN squared.
     pub square_error: f64,
     /// Peak for a signal-to-noise ratio, DN: saturation, or the largest value.
     pub peak_dn: f64,
-    /// Root mean square error by pixel of the sample, as a share of the pixel's mean; NaN where nothing was predicted.
+    /// Root mean square error by pixel of the sample, as a share of the pixel's mean; NaN where nothing was
+    /// predicted.
     pub by_pixel: Vec<f64>,
-    /// Root mean square error by kept frame: its number, DN.
+    /// Root mean square error by held-out frame: its number, DN.
     pub by_frame: Vec<(usize, f64)>,
     /// The light it was predicted from.
-    pub scene: Scene,
+    pub light: Curves,
 }
 
 impl Prediction {
@@ -44,28 +47,25 @@ impl Prediction {
     }
 }
 
-/// Predicts every third frame with a description, its `[effects]` undone where the light is estimated ([`photocurrent_sensor::undo`]) and applied again where frames are read; none with
+/// Predicts every third frame with a description, its `[effects]` undone where the light is estimated
+/// ([`photocurrent_sensor::undo`]) and applied again where frames are read; none with
 /// fewer than five frames, or when nothing can be predicted.
 ///
 /// # Errors
 /// When the description does not state what the model needs, or its effects are not understood.
-pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSetting) -> Result<Option<Prediction>, NodeError> {
+pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOptions) -> Result<Option<Prediction>, NodeError> {
     let nominal = case.described(sensor)?;
-    let mut undo = Undo::new(from_description(&sensor.effects).map_err(NodeError::usage)?);
-    if undo.couples().is_some() {
-        let of_pixel = |pixel: usize| pixel_data(case, &nominal, setting, pixel).0.into_iter().map(move |event| (case.site(pixel, 0), event));
-        undo.inform((0..case.events.pixels()).flat_map(of_pixel));
-    }
+    let undo = Undo::new(from_description(&sensor.effects).map_err(NodeError::usage)?);
     let Some(frames) = &case.frames else { return Ok(None) };
     let Some((rest, kept)) = hold_out(case) else { return Ok(None) };
-    let scene = estimate(&rest, &nominal, &undo, sample, setting);
+    let light = estimate(&rest, sensor, sample, options)?;
     let mut by_pixel = vec![f64::NAN; sample.len()];
     let mut by_frame = vec![(0.0, 0.0); kept.len()];
     let (mut sum, mut count, mut largest) = (0.0, 0.0, 0.0_f64);
     let mut read = Conditional::default();
-    for (n, &pixel) in sample.pixels.iter().enumerate().filter(|(n, _)| scene.is_known[*n]) {
+    for (n, &pixel) in sample.pixels.iter().enumerate().filter(|(n, _)| light.is_known[*n]) {
         let (_, y) = case.place(pixel as usize);
-        let (t_ns, log_light) = scene.pixel(n);
+        let (t_ns, log_light) = light.pixel(n);
         let track = Track::new(t_ns, log_light, STEP_NS);
         let stated = |l: usize| {
             let exposure = frames.times.exposure(l, y);
@@ -99,44 +99,38 @@ pub fn predict(case: &Case, sensor: &Sensor, sample: &Sample, setting: &SceneSet
     }
     let peak_dn = if nominal.saturation_dn.is_finite() { nominal.saturation_dn } else { largest };
     let by_frame = kept.iter().zip(by_frame).filter(|(_, (_, count))| *count > 0.0).map(|(frame, (sum, count))| (*frame, libm::sqrt(sum / count))).collect();
-    Ok(Some(Prediction { square_error: sum / count, peak_dn, by_pixel, by_frame, scene }))
+    Ok(Some(Prediction { square_error: sum / count, peak_dn, by_pixel, by_frame, light }))
 }
 
-/// The light of the pixels, effects undone.
-fn estimate(case: &Case, nominal: &Nominal, undo: &Undo, sample: &Sample, setting: &SceneSetting) -> Scene {
-    let priors = vec![setting.options.prior; sample.len()];
-    let recorded = |n: usize| pixel_data(case, nominal, setting, sample.pixels[n] as usize);
-    let first = |n: usize| {
-        let site = case.site(sample.pixels[n] as usize, 0);
-        let (mut events, mut frames) = recorded(n);
-        events.iter_mut().for_each(|event| *event = undo.event(&site, event));
-        undo.frames(nominal, &site, &mut frames);
-        frames.iter_mut().for_each(|frame| undo.raise(nominal, frame));
-        Given { data: (events, frames), sensor: nominal.map_sensor(), beyond: Vec::new() }
-    };
-    let solve = |given: &(dyn Fn(usize) -> Given + Sync)| {
-        Scene::estimate_from(sample, &priors, given, |given| task(case, setting, &given.data, given.sensor, &given.beyond), case.span.0)
-    };
-    let mut scene = solve(&first);
-    for _ in 0..if undo.needs_light() { ROUNDS } else { 0 } {
-        let again = |n: usize| {
-            let mut given = first(n);
-            if scene.is_known[n] {
-                let (mut known, site) = (Known::default(), case.site(sample.pixels[n] as usize, 0));
-                let (t_ns, own) = scene.pixel(n);
-                let light = Estimate { t_ns, own, seen: None };
-                undo.at_light(nominal, &site, light, &recorded(n).0, &given.data.0, &mut known, &mut Memory::default());
-                (given.data.0, given.beyond) = (known.events, known.beyond);
-            }
-            given
-        };
-        scene = solve(&again);
-    }
-    scene.log_light.iter_mut().for_each(|log| *log = undo.own(*log));
-    scene
+/// The light of the pixels as `solve/map` estimates it, effects undone.
+fn estimate(case: &Case, sensor: &Sensor, sample: &Sample, options: &SolveOptions) -> Result<Curves, NodeError> {
+    let (events, Some(frames)) = case.streams() else { return Ok(Curves::default()) };
+    let sensor = with_defaults(sensor);
+    let recording = Recording { events: &events, frames: &frames, sensor: &sensor };
+    // Standard deviations do not enter a prediction.
+    let options = SolveOptions { sigma: false, ..*options };
+    let tracks = solve_pixels(&recording, &options, &sample.pixels, &())?;
+    Ok(Curves::from_pixels(tracks.into_iter().map(|track| {
+        if track.t_ns.is_empty() {
+            return (vec![case.span.0], vec![0.0], false);
+        }
+        let log_light = track.photocurrent.iter().map(|i| libm::log(f64::max(*i, f64::MIN_POSITIVE))).collect();
+        (track.t_ns, log_light, true)
+    })))
 }
 
-/// A recording without every third frame, and which of them are predicted: not the last one, which has no frame after it. None with fewer than five frames.
+/// The description with what a diagnosis takes for 0 where it is not stated: time constants and refractory
+/// period.
+fn with_defaults(sensor: &Sensor) -> Sensor {
+    let zero = Duration::new(0);
+    let mut sensor = sensor.clone();
+    let fields = [&mut sensor.front_end.tau_0, &mut sensor.front_end.alpha, &mut sensor.readout.refractory];
+    fields.into_iter().for_each(|field| *field = field.or(Some(zero)));
+    sensor
+}
+
+/// A recording without every third frame, and which of them are predicted: not the last one, which has no
+/// frame after it. None with fewer than five frames.
 pub fn hold_out(case: &Case) -> Option<(Case, Vec<usize>)> {
     let count = case.frame_count();
     if count < 5 {
@@ -154,23 +148,36 @@ mod tests {
     use crate::testing;
 
     #[test]
-    fn a_description_that_states_its_effects_predicts_kept_frames_better() {
+    fn a_description_that_states_its_effects_predicts_held_out_frames_better() {
         for (id, parameters, gain_db) in [
-            ("clock_offset", serde_json::json!({"offset": "-700 us"}), 10.0),
-            ("second_pole", serde_json::json!({"tau": "2 ms"}), 10.0),
-            ("leak_events", serde_json::json!({"rate": "40 Hz"}), 2.0),
-            ("threshold_scale", serde_json::json!({"fraction": 0.3}), 5.0),
-            ("exposure_time", serde_json::json!({"difference": "1 ms"}), 8.0),
-            ("image_lag", serde_json::json!({"fraction": 0.2}), 5.0),
+            ("clock_offset", serde_json::json!({"offset": "-700 us"}), 8.0),
+            ("second_pole", serde_json::json!({"tau": "2 ms"}), 5.0),
+            ("leak_events", serde_json::json!({"rate": "40 Hz"}), 0.5),
+            ("threshold_scale", serde_json::json!({"fraction": 0.3}), 1.0),
+            ("exposure_time", serde_json::json!({"difference": "1 ms"}), 6.0),
+            ("image_lag", serde_json::json!({"fraction": 0.2}), 3.0),
         ] {
             let effects: Described = [(id.to_owned(), parameters.as_object().unwrap().clone())].into_iter().collect();
-            let case = testing::case_with(&effects);
+            let case = testing::case_of(16, &effects);
             let sample = Sample::all(&case, 4);
-            let setting = SceneSetting::default();
-            let before = predict(&case, &case.sensor, &sample, &setting).unwrap().unwrap();
+            let options = SolveOptions::default();
+            let before = predict(&case, &case.sensor, &sample, &options).unwrap().unwrap();
             let right = Sensor { effects, ..case.sensor.clone() };
-            let after = predict(&case, &right, &sample, &setting).unwrap().unwrap();
+            let after = predict(&case, &right, &sample, &options).unwrap().unwrap();
             assert!(after.psnr_db() > before.psnr_db() + gain_db, "{id}: {} {}", before.psnr_db(), after.psnr_db());
         }
+    }
+
+    #[test]
+    fn a_description_without_a_front_end_and_a_blind_time_predicts_as_one_that_states_0() {
+        let case = testing::case();
+        let sample = Sample::all(&case, 4);
+        let predicted = |of: Option<Duration>| {
+            let mut sensor = case.sensor.clone();
+            (sensor.front_end.tau_0, sensor.front_end.alpha, sensor.readout.refractory) = (of, of, of);
+            predict(&case, &sensor, &sample, &SolveOptions::default()).unwrap().unwrap()
+        };
+        let (absent, zero) = (predicted(None), predicted(Some(Duration::new(0))));
+        assert_eq!((absent.square_error, absent.light), (zero.square_error, zero.light));
     }
 }

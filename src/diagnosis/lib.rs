@@ -5,17 +5,16 @@
 //!
 //! In reading order:
 //!
-//! - [`case`]: what is diagnosed: events by pixel, frames ([`grey`]: one value for each event pixel), the description.
-//! - [`nominal`]: the sensor as the description states it, ready to simulate and to solve; [`unstated`]: what it leaves out, and what is left out for it.
+//! - [`photocurrent_scene`]: what is diagnosed, a recording in memory ([`photocurrent_scene::case`]), and the scene that its frames state.
+//! - [`unstated`]: what a description leaves out, and which tests that excludes.
 //! - [`integrity`]: what shows without a scene: broken data, stamps, hot rows and pixels, lost events, flicker.
-//! - [`picture`]: a scene that frames alone state.
 //! - [`candidates`]: every effect of the catalogue, how large it usually is, and how it is applied.
 //! - [`residual`]: by how much events miss their thresholds on a scene, and what each effect explains of that.
 //! - [`covariates`], [`dependence`], [`rhythm`]: what may depend on what, where no effect has a name for it.
 //! - [`decide`]: probabilities from that, and where their numbers come from ([`made`], [`scenes`], [`targets`]: made-up recordings).
 //! - [`verdict`]: one answer from direct tests and from what was decided.
 //! - [`fitted`]: the description with what was found put in.
-//! - [`heldout`]: held-out frames, before and after; [`sample`] (pixels that are looked at), [`scene`] (their light, estimated).
+//! - [`heldout`]: held-out frames, before and after; [`sample`] (the pixels that are evaluated), [`curves`] (their light).
 //! - [`record`]: what a sensor with effects would have recorded of a light.
 //! - [`advice`]: what to record next.
 //! - [`diagnose`]: the stages, in order.
@@ -27,26 +26,21 @@
 
 pub mod advice;
 pub mod candidates;
-pub mod case;
 pub mod covariates;
+pub mod curves;
 pub mod decide;
 pub mod dependence;
 pub mod diagnose;
 pub mod fitted;
-pub mod grey;
 pub mod heldout;
 pub mod integrity;
 pub mod judge;
-pub mod nominal;
 pub mod page;
-pub mod picture;
 pub mod record;
-pub mod recorded;
 pub mod report;
 pub mod residual;
 pub mod rhythm;
 pub mod sample;
-pub mod scene;
 #[cfg(any(test, feature = "simulated"))]
 pub mod scenes;
 pub mod stages;

@@ -4,11 +4,11 @@
 //! the nearest pixel of the same row or column stands in where an effect mixes neighbours' light. The load of a readout queue is that of the recording.
 //! Stamps are rounded to the recording's grid, frames get the noise that the description states and that the caller estimated.
 
-use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
-use crate::nominal::Nominal;
+use crate::curves::Curves;
 use crate::sample::Sample;
-use crate::scene::Scene;
 use photocurrent_core::random::Random;
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::{ArrayEvent, Effect, Kernel, PixelEvent, Tap, from_description};
 use photocurrent_sensor::forward::neighbours::{joined, mixed, stand_in};
 use photocurrent_sensor::forward::{Chain, FrameReadout, LinearLight, PixelNoise, read_frames, simulate};
@@ -50,7 +50,7 @@ pub type Described = BTreeMap<String, Map<String, Value>>;
 ///
 /// # Errors
 /// When an effect or its parameters are not understood, or effects cannot be combined.
-pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Scene, more: &Described, conditions: &Conditions) -> Result<Case, String> {
+pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Curves, more: &Described, conditions: &Conditions) -> Result<Case, String> {
     let effects = effects_of(case, more)?;
     let kernel = joined(&effects).map_err(|why| why.to_string())?.filter(|_| !conditions.is_mixed);
     let effects: &[Box<dyn Effect>] = &effects;
@@ -144,7 +144,7 @@ fn photocurrent(log_light: f64) -> f64 {
 }
 
 /// Instants and photocurrent of a pixel of the scene, fine enough to be taken as linear.
-fn linear(scene: &Scene, n: usize) -> (Vec<i64>, Vec<f64>) {
+fn linear(scene: &Curves, n: usize) -> (Vec<i64>, Vec<f64>) {
     let (t, u) = scene.pixel(n);
     let (mut instants, mut light) = (vec![t[0]], vec![photocurrent(u[0])]);
     for k in 1..t.len() {
@@ -159,7 +159,7 @@ fn linear(scene: &Scene, n: usize) -> (Vec<i64>, Vec<f64>) {
 }
 
 /// The mixture of neighbours that the event path sees.
-fn mix(case: &Case, sample: &Sample, scene: &Scene, kernel: &Kernel, n: usize) -> (Vec<i64>, Vec<f64>) {
+fn mix(case: &Case, sample: &Sample, scene: &Curves, kernel: &Kernel, n: usize) -> (Vec<i64>, Vec<f64>) {
     let (x, y) = case.place(sample.pixels[n] as usize);
     let (width, height) = (case.extent.width as usize, case.extent.height as usize);
     let neighbour = |tap: &Tap| {
@@ -229,7 +229,7 @@ mod tests {
         let case = testing::case();
         let sample = Sample::all(&case, 4);
         let run_away = |n: usize| [f64::NEG_INFINITY, 1e6, f64::NAN, 800.0][n % 4];
-        let scene = Scene::from_pixels((0..sample.len()).map(|n| (vec![0, 30_000_000], vec![4.0, run_away(n)], true)));
+        let scene = Curves::from_pixels((0..sample.len()).map(|n| (vec![0, 30_000_000], vec![4.0, run_away(n)], true)));
         let recorded = record(&case, &case.nominal().unwrap(), &sample, &scene, &Described::new(), &Conditions::default()).unwrap();
         assert_eq!(recorded.events.pixels(), case.events.pixels());
     }

@@ -4,7 +4,7 @@
 //! depends on the clock, the machine or the number of threads.
 
 use crate::candidates::Candidate;
-use crate::nominal::Nominal;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::EffectDecl;
 use serde::{Deserialize, Serialize};
 use serde_json::{Number, Value};

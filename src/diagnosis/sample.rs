@@ -1,6 +1,6 @@
 //! Which pixels are looked at: blocks spread over the array, in each zone the one with the most events.
 
-use crate::case::Case;
+use photocurrent_scene::case::Case;
 
 /// Some pixels of an array.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -5,14 +5,14 @@
 //! Limits: grey, no flicker, no noise of the light; objects are opaque and bright or dark.
 
 use crate::candidates::Trial;
-use crate::case::{Case, CaseFrames, PixelEvents};
+use crate::curves::Curves;
 use crate::record::{Conditions, record};
 use crate::sample::Sample;
-use crate::scene::Scene;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::random::Random;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{Exposure, Extent, FrameTimes, Sensor};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvents};
 use rayon::prelude::*;
 
 /// What moves.
@@ -436,7 +436,7 @@ impl MadeUp {
             &blank,
             &trial.nominal,
             &Sample::all(&blank, 6),
-            &Scene::from_pixels(pixels),
+            &Curves::from_pixels(pixels),
             &trial.effects,
             &Conditions { seed: self.seed, ..Conditions::default() },
         )?;

@@ -2,9 +2,9 @@
 //!
 //! The scene, the sensor and its frames are those of [`crate::scenes`]; thresholds and frames have noise, which most descriptions state and some do not.
 
-use crate::residual::target::{Closed, Form};
 use crate::scenes::MadeUp;
 use photocurrent_core::random::Random;
+use photocurrent_scene::target::{Closed, Form};
 
 /// Free parameters: speed (a factor), dark and bright light (factors), time since the start (s), shifts (pixels).
 const FREE: usize = 6;

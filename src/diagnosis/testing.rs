@@ -1,11 +1,11 @@
 //! A small recording for tests: a sine of light that moves across an array, as the stated sensor records it.
 
-use crate::case::{Case, CaseFrames, PixelEvents};
+use crate::curves::Curves;
 use crate::record::{Conditions, Described, record};
 use crate::sample::Sample;
-use crate::scene::Scene;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Exposure, Extent, FrameTimes, Sensor};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvents};
 
 /// The sensor of [`case`].
 pub fn sensor() -> Sensor {
@@ -22,9 +22,9 @@ pub fn sensor() -> Sensor {
 }
 
 /// The scene of [`case`]: log light of every pixel at knots a quarter of a millisecond apart.
-pub fn scene(case: &Case) -> Scene {
+pub fn scene(case: &Case) -> Curves {
     let instants: Vec<i64> = (0..=i64::midpoint(0, case.span.1 / 125_000)).map(|k| k * 250_000).collect();
-    Scene::from_pixels((0..case.extent.pixels()).map(|pixel| {
+    Curves::from_pixels((0..case.extent.pixels()).map(|pixel| {
         let (x, y) = case.place(pixel);
         let log_light = |t: &i64| {
             let at = 0.5 * f64::from(x) + 0.2 * f64::from(y) - *t as f64 * 4e-7;
@@ -41,15 +41,20 @@ pub fn case() -> Case {
 
 /// The same with effects that the description does not state.
 pub fn case_with(effects: &Described) -> Case {
+    case_of(7, effects)
+}
+
+/// The same with so many frames, 8 ms apart, and 4 ms after the end of the last period.
+pub fn case_of(frames: usize, effects: &Described) -> Case {
     let extent = Extent { width: 12, height: 10 };
-    let exposures: Vec<Exposure> = (0..7).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 4_000_000)).collect();
+    let exposures: Vec<Exposure> = (0..frames as i64).map(|l| Exposure::new(l * 8_000_000, l * 8_000_000 + 4_000_000)).collect();
     let blank = Case {
         extent,
-        span: (0, 60_000_000),
+        span: (0, 8_000_000 * frames as i64 + 4_000_000),
         events: PixelEvents::new(vec![Vec::new(); extent.pixels()]),
         has_t_in: true,
         t_resolution_ns: 1,
-        frames: Some(CaseFrames::new(FrameTimes::new(exposures, 20_000).unwrap(), vec![f32::NAN; 7 * extent.pixels()])),
+        frames: Some(CaseFrames::new(FrameTimes::new(exposures, 20_000).unwrap(), vec![f32::NAN; frames * extent.pixels()])),
         sensor: sensor(),
     };
     let sample = Sample::all(&blank, 4);

@@ -1,6 +1,6 @@
 //! What a description does not state, what a diagnosis leaves out for it, and how a user gets it.
 //!
-//! Only thresholds and the frames' gain are needed by every test ([`crate::nominal`]). A refractory period or a latency that is absent counts as 0. Without the
+//! Only thresholds and the frames' gain are needed by every test ([`photocurrent_scene::nominal`]). A refractory period or a latency that is absent counts as 0. Without the
 //! front end ([`front_end`]) direct tests take the ideal one, and nothing is compared on a scene: the residual of an event is the front end's voltage there less reference
 //! and threshold, so that a lag, a bandwidth or its dependence on light would be given the name of another effect. What is left out stands in the report, with the reason.
 

@@ -6,14 +6,14 @@
 //! An effect is named only when it matters ([`is_material`]), not only when it is certain: in a million events a microsecond is a hundred standard deviations.
 
 use crate::candidates::{CANDIDATES, Candidate, Scales, Signs};
-use crate::case::Case;
 use crate::dependence::Dependence;
 use crate::integrity::regular;
 use crate::integrity::{Finding, Integrity};
-use crate::nominal::Nominal;
 use crate::report::{Detectable, Verdict};
 use crate::residual::located::Locations;
 use crate::unstated::alike;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::catalogue;
 use photocurrent_sensor::effects::sought::Measure;
 use serde::{Deserialize, Serialize};
@@ -305,7 +305,7 @@ pub fn is_material(case: &Case, nominal: &Nominal, candidate: &Candidate, value:
 fn typical_dn(case: &Case, nominal: &Nominal) -> f64 {
     let Some(frames) = &case.frames else { return 0.0 };
     let mut signals: Vec<f64> = frames.every(101).filter(|dn| dn.is_finite()).map(|dn| f64::from(dn) - nominal.number.black_level).collect();
-    crate::integrity::median(&mut signals).max(0.0)
+    photocurrent_scene::statistics::median(&mut signals).max(0.0)
 }
 
 fn typical_light(case: &Case, nominal: &Nominal) -> f64 {

@@ -1,23 +1,35 @@
 //! The photocurrent of every pixel that explains its events and its frame values.
 //!
-//! Idea: a pixel's frames measure how much light it collected, its events when the light changed, both through the sensor's own
-//! delays. Inverting the sensor pixel by pixel undoes blur, rolling shutter and event latency at once. Each pixel is one small least-squares
+//! Idea: a pixel's frames measure how much light it collected, its events when the light changed, both
+//! through the sensor's own
+//! delays. Inverting the sensor pixel by pixel undoes blur, rolling shutter and event latency at once. Each
+//! pixel is one small least-squares
 //! problem; this crate cuts a recording into such problems and puts the answers together.
 //!
-//! - [`solve`] and [`solve_rows`]: the MAP estimate ([`photocurrent_sensor::map`]): all frames and events of the pixel at once, with knots that are finer
-//!   than the events, the exact reset and a prior. Gaps in which events were evidently lost are not used as constraints ([`photocurrent_sensor::map::losses`]). Its tracks are log-linear
-//!   between knots. What the description's `[effects]` did to events and frames is undone by the effects' own equations ([`photocurrent_sensor::undo`]); those that mix the photocurrent
-//!   of neighbours take rounds over whole rows ([`neighbours`]), and those that depend on the load of the array the events of all its pixels, so that the recording is then solved in one
+//! - [`solve`] and [`solve_rows`]: the MAP estimate ([`photocurrent_sensor::map`]): all frames and events of
+//!   the pixel at once, with knots that are finer
+//!   than the events, the exact reset and a prior. Gaps in which events were evidently lost are not used as
+//!   constraints ([`photocurrent_sensor::map::losses`]). Its tracks are log-linear
+//!   between knots. What the description's `[effects]` did to events and frames is undone by the effects' own
+//!   equations ([`photocurrent_sensor::undo`]); those that mix the photocurrent
+//!   of neighbours take rounds over whole rows ([`neighbours`]), and those that depend on the load of the
+//!   array the events of all its pixels, so that the recording is then solved in one
 //!   piece.
-//! - [`solve_paper_rows`]: Eq. (13) of Jiang et al., CVPR 2024 ([`photocurrent_sensor::inverse`]), with the approximations that the paper makes: frames two by two, the pair (l, l+1)
-//!   with all events from the start of exposure l to the end of exposure l+1, whose answer counts until exposure l+1 starts.
+//! - [`solve_paper_rows`]: Eq. (13) of Jiang et al., CVPR 2024 ([`photocurrent_sensor::inverse`]), with the
+//!   approximations that the paper makes: frames two by two, the pair (l, l+1)
+//!   with all events from the start of exposure l to the end of exposure l+1, whose answer counts until
+//!   exposure l+1 starts.
+//! - [`solve_pixels`]: some pixels of a recording, as [`solve`] has them.
 //! - [`solve_pixel`]: one pixel by itself.
 //!
-//! Frames may have colours, a mosaic of filters, or several pixels on each event pixel: every value of a frame is then a problem of its own with the events of
+//! Frames may have colours, a mosaic of filters, or several pixels on each event pixel: every value of a
+//! frame is then a problem of its own with the events of
 //! the event pixel that it lies on, posed in that pixel's light ([`shares`]).
 //!
-//! Limits: colours that change are followed from problem to problem ([`photocurrent_sensor::pooling`] states where that fails). A saturated value counts as the light of saturation, which
-//! is a lower bound. A pixel whose problem does not converge falls back to the double-integral estimate and is counted; the map of a solution shows where. Light that no frame of its
+//! Limits: colours that change are followed from problem to problem ([`photocurrent_sensor::pooling`] states
+//! where that fails). A saturated value counts as the light of saturation, which
+//! is a lower bound. A pixel whose problem does not converge falls back to the double-integral estimate and
+//! is counted; the map of a solution shows where. Light that no frame of its
 //! pixel comes near is held, counted and shown there too.
 //!
 //! ```
@@ -33,7 +45,8 @@
 //! let events: Vec<_> = (1..5).map(|k| (k * 2 * ms, On)).collect();
 //! let frames = [(Exposure::new(0, 4 * ms), 49.2), (Exposure::new(6 * ms, 10 * ms), 89.6)];
 //! let track = solve_pixel(&sensor, &events, &frames, &SolveOptions::default()).unwrap();
-//! assert!(track.has_converged && track.photocurrent.windows(2).filter(|pair| pair[1] > pair[0]).count() > track.t_ns.len() / 2);
+//! assert!(track.has_converged && track.photocurrent.windows(2).filter(|pair| pair[1] > pair[0]).count() >
+//! track.t_ns.len() / 2);
 //! ```
 
 #![warn(unreachable_pub)]
@@ -53,6 +66,7 @@ pub mod row_solver;
 pub mod settings;
 pub mod shares;
 mod status;
+mod subset;
 
 /// What [`solve_pixel`] takes, for programs that depend on this crate alone.
 pub use photocurrent_core::{Exposure, Sensor, document::Source, events::Polarity};
@@ -63,3 +77,4 @@ pub use options::{Decisions, FRAME_NOISE, FirstKnot, FrontEndModel, Joint, KNOT_
 pub use pixel::{PixelTrack, solve_pixel};
 pub use recording::{Recording, Solution, halo, solve, solve_paper_rows, solve_rows};
 pub use status::{PLANES, Report, map_meta};
+pub use subset::solve_pixels;

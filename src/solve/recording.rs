@@ -49,7 +49,7 @@ pub fn solve(recording: &Recording<'_>, options: &SolveOptions) -> Result<Soluti
 }
 
 /// Rows of a recording, as they are read.
-struct Part {
+pub(crate) struct Part {
     /// Rows whose events are at hand.
     rows: Rows,
     events: CoLocatedEvents,
@@ -57,27 +57,27 @@ struct Part {
 }
 
 /// Reads rows.
-struct Reader<'a> {
+pub(crate) struct Reader<'a> {
     recording: &'a Recording<'a>,
-    colours: Colours,
-    all: Rows,
+    pub(crate) colours: Colours,
+    pub(crate) all: Rows,
     /// To the solvers, every value of a row is a pixel.
-    wide: TracksMeta,
+    pub(crate) wide: TracksMeta,
 }
 
 impl Reader<'_> {
-    fn new<'a>(recording: &'a Recording<'a>, meta: &TracksMeta) -> Result<Reader<'a>, NodeError> {
+    pub(crate) fn new<'a>(recording: &'a Recording<'a>, meta: &TracksMeta) -> Result<Reader<'a>, NodeError> {
         let colours = Colours::new(CoLocated::new(&recording.events.meta, &recording.frames.meta)?, recording.sensor)?;
         let wide = TracksMeta { extent: values_of(meta.extent, meta.colour), colour: Colour::Mono, ..meta.clone() };
         Ok(Reader { recording, colours, all: meta.extent.rows(), wide })
     }
 
-    fn read(&self, rows: Rows) -> Result<Part, NodeError> {
+    pub(crate) fn read(&self, rows: Rows) -> Result<Part, NodeError> {
         let events = self.colours.lie.read(self.recording.events, rows)?;
         Ok(Part { rows, events, frames: self.recording.frames.read_rows(rows.with_halo(self.colours.halo(), self.all))? })
     }
 
-    fn recorded<'b>(&'b self, part: &'b Part) -> Recorded<'b> {
+    pub(crate) fn recorded<'b>(&'b self, part: &'b Part) -> Recorded<'b> {
         let times = &self.recording.frames.meta.times;
         Recorded { meta: &self.wide, times, colours: &self.colours, rows: part.rows, events: &part.events, frames: &part.frames }
     }

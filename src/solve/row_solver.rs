@@ -2,6 +2,7 @@
 
 use crate::model::Model;
 use crate::neighbours::KnownOfRows;
+use crate::pixel::PixelTrack;
 use crate::plausible::Plausible;
 use crate::row::{Recorded, RowData};
 use crate::status::{PLANES, Status, map_meta, planes};
@@ -190,6 +191,41 @@ impl RowSolver {
         };
         let parts: Vec<Part> = lit.par_chunks(SHARED_OUT).map(solve).collect();
         Ok(together(setting, recorded.meta, row, lit.chunks(SHARED_OUT).zip(&parts)))
+    }
+
+    /// Takes in a row and solves the pixels of some columns, with what is known of its events from neighbours, if that is the case. Empty for a pixel without a frame.
+    ///
+    /// # Errors
+    /// As [`RowSolver::take`].
+    pub(crate) fn some(
+        &mut self,
+        model: &Model,
+        setting: &RowSetting,
+        recorded: &Recorded<'_>,
+        row: u32,
+        columns: &[usize],
+        given: Option<&KnownOfRows>,
+    ) -> Result<Vec<PixelTrack>, NodeError> {
+        self.take(model, setting, recorded, row)?;
+        if let Some(given) = given {
+            self.give(given.of(row).to_vec());
+        }
+        let lit: Vec<usize> = columns.iter().copied().filter(|&x| !self.taken.data.frames_of(x).is_empty()).collect();
+        self.part.solve(&mut self.group, model, setting, &self.taken, &lit, None);
+        let mut solved = lit.iter().zip(self.part.knots_of.iter().zip(&self.part.planes)).peekable();
+        let of_column = |x: &usize| match solved.next_if(|(lit, _)| *lit == x) {
+            Some((_, (range, planes))) => {
+                let knots = &self.part.knots[range.clone()];
+                PixelTrack {
+                    t_ns: knots.iter().map(|(t, ..)| *t).collect(),
+                    photocurrent: knots.iter().map(|(_, i, _)| f64::from(*i)).collect(),
+                    log_sigma: knots.iter().map(|(.., sigma)| f64::from(*sigma)).collect(),
+                    has_converged: planes[0] != Status::FellBack as u8 as f32,
+                }
+            }
+            None => PixelTrack::default(),
+        };
+        Ok(columns.iter().map(of_column).collect())
     }
 
     /// The pixels that have a frame.

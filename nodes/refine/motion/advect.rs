@@ -5,9 +5,9 @@
 //! `longest` away. How far that may be trusted is for [`Trust`](crate::refine::trust::Trust) to say: past and future must not contradict each other.
 //! Where another motion explains the place nearly as well, what that predicts is asked as well: as far as the two differ the prediction is in doubt.
 
-use crate::refine::film::LogTracks;
-use crate::refine::flow::{Flow, MotionParams};
 use crate::refine::trust::Said;
+use photocurrent_scene::film::LogTracks;
+use photocurrent_scene::flow::{Flow, MotionParams};
 
 /// Pixel lines that are looked at on either side.
 const LINES: usize = 3;

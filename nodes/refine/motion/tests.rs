@@ -1,13 +1,12 @@
 //! Claims about the node, on small recordings whose light is known.
 
 use super::*;
-use crate::refine::film::{Film, Fired};
 use crate::refine::fixtures::{EXTENT, GAIN, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
-use crate::refine::lively::Lively;
 use crate::refine::trust::{Measured, Posed};
 use crate::solve::map::SolveMap;
 use crate::solve::paper::SolvePaper;
 use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
+use photocurrent_scene::film::Fired;
 use photocurrent_sensor::map::{Hint, MapFrame};
 use photocurrent_solve::{PaperOptions, ReadoutModel, SolveOptions};
 
@@ -53,49 +52,6 @@ fn decisions_reach_the_solver() {
     assert!(any != none && any_together != none_together);
 }
 
-#[test]
-fn the_motion_of_a_sliding_texture_is_found() {
-    // From the light itself, so that only the eye is judged.
-    let picture = |n: usize| (0..384).map(|p| texture(p % 24, p / 24, 0.5 * n as f64) as f32).collect();
-    let film = |numbers: std::ops::Range<usize>| Film { width: 24, height: 16, first: numbers.start, pictures: numbers.map(picture).collect() };
-    let event = photocurrent_sensor::map::MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
-    let lively = Lively::new(EXTENT, (0, 20_000_000), std::iter::once((12, 8, &[event][..])));
-    let flow = Flow::new((24, 16), (0, 41), &lively, (&MotionParams::default(), true), film);
-    for (x, y, t_ns) in [(12.0, 8.0, 10_000_000), (5.0, 4.0, 5_000_000), (18.5, 11.5, 15_300_000)] {
-        let [vx, vy] = flow.at(x, y, t_ns);
-        // A twentieth of a pixel over the three lines that are looked at.
-        assert!((vx - 0.7).abs() < 0.015 && (vy - 0.2).abs() < 0.015, "({vx}, {vy}) at ({x}, {y})");
-    }
-}
-
-#[test]
-fn what_passes_before_a_ground_leaves_its_motion_alone() {
-    // A disc of radius 3 that crosses a sliding texture at 1.6 pixels a millisecond.
-    let (width, height) = (60, 44);
-    let disc = |ms: f64| (30.0 - 1.6 * (ms - 10.0), 22.0);
-    let log = |x: usize, y: usize, ms: f64| {
-        let (cx, cy) = disc(ms);
-        let inside = (3.5 - libm::hypot(x as f64 - cx, y as f64 - cy)).clamp(0.0, 1.0);
-        texture(x, y, ms) + 1.5 * inside
-    };
-    let picture = |n: usize| (0..width * height).map(|p| log(p % width, p / width, 0.5 * n as f64) as f32).collect();
-    let film = |numbers: std::ops::Range<usize>| Film { width, height, first: numbers.start, pictures: numbers.map(picture).collect() };
-    let event = photocurrent_sensor::map::MapEvent { t_in_ns: 10_000_000, t_off_ns: 10_001_000, polarity: 1, is_lone: false };
-    let extent = photocurrent_core::Extent { width: width as u32, height: height as u32 };
-    let lively = Lively::new(extent, (0, 20_000_000), std::iter::once((30, 22, &[event][..])));
-    let flow = Flow::new((width, height), (0, 41), &lively, (&MotionParams::default(), true), film);
-    // In a ring around it, as far as windows reach.
-    let ring: Vec<(usize, usize)> =
-        (0..width * height).map(|p| (p % width, p / width)).filter(|(x, y)| (7.0..12.0).contains(&libm::hypot(*x as f64 - 30.0, *y as f64 - 22.0))).collect();
-    let off = |(x, y): &(usize, usize)| {
-        let [vx, vy] = flow.at(*x as f64, *y as f64, 10_000_000);
-        libm::hypot(vx - 0.7, vy - 0.2)
-    };
-    // Without another motion to choose all 292 are off; with it, 19.
-    let wrong = ring.iter().filter(|at| off(at) > 0.1).count();
-    assert!(wrong * 10 < ring.len(), "{wrong} of {}", ring.len());
-}
-
 /// A texture whose tracks are its light, when the track of pixel (12, 8) is moved by `own`, natural-log units.
 fn tracks_of_light(own: f64) -> LogTracks {
     let mut band = TrackBand::begin(0, EXTENT.width);
@@ -116,7 +72,7 @@ fn hints(own: f64, brighter: f64, velocity: [f32; 2]) -> Vec<Hint> {
     let light: f64 = (0..400).map(|n| libm::exp(texture(12, 8, 18.0 + 0.01 * (n as f64 + 0.5)))).sum::<f64>() / 400.0;
     let dn = GAIN * 4e-3 * light * libm::exp(brighter);
     let frame = MapFrame { start_ns: 18_000_000, end_ns: 22_000_000, dn, sigma_dn: 0.01, saturated: false };
-    let (span, flow) = ((0, 39_900_000), Flow::steady(24, 16, velocity));
+    let (span, flow) = ((0, 39_900_000), Flow::uniform((24, 16), velocity, velocity));
     let model = Posed { model: photocurrent_sensor::model::Model::of(&sensor()), added: 0.0 };
     let measured = Measured { sensor: &model, extent: EXTENT, place: (12, 8), events: &[event], frames: &[frame], threshold: 0.25 };
     let mut hints = Vec::new();
@@ -153,11 +109,11 @@ fn motions_that_explain_a_place_as_well_leave_a_doubt() {
     let (tracks, span, t_ns) = (tracks_of_light(0.3), (0, 39_900_000), 20_250_000);
     let params = MotionParams::default();
     let ask = |rival: [f32; 2], doubt: f64| {
-        let flow = Flow::steady_with_rival(24, 16, [0.7, 0.2], rival);
+        let flow = Flow::uniform((24, 16), [0.7, 0.2], rival);
         advect::neighbours(&tracks, (&flow, &params, doubt), (12, 8), span, t_ns).unwrap()
     };
     let (own, other) = (ask([0.7, 0.2], 0.5), [-0.5, 0.3]);
-    let alone = advect::neighbours(&tracks, (&Flow::steady(24, 16, other), &params, 0.5), (12, 8), span, t_ns).unwrap();
+    let alone = advect::neighbours(&tracks, (&Flow::uniform((24, 16), other, other), &params, 0.5), (12, 8), span, t_ns).unwrap();
     let doubt = |log: f64| 0.5 * (log - own.log) * (log - own.log);
     assert_eq!(own.doubt, 0.0);
     // It is what the other says, as a difference, and nothing else changes.

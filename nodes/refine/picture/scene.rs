@@ -1,31 +1,30 @@
-//! The scene of all frames, part after part of a long recording, and where it may be asked.
+//! The scene of all frames, part after part of a long recording, and where it predicts.
 
 use crate::refine::trust::Said;
-use photocurrent_diagnosis::case::{Case, PixelEvents};
-use photocurrent_diagnosis::nominal::Nominal;
-use photocurrent_diagnosis::picture::PictureSetting;
-use photocurrent_diagnosis::residual::evidence::EvidenceSetting;
-use photocurrent_diagnosis::residual::gate::Gate;
-use photocurrent_diagnosis::residual::light::between;
-use photocurrent_diagnosis::residual::mosaic::{MosaicSetting, scene_where};
-use photocurrent_diagnosis::residual::source::Source;
+use photocurrent_scene::Scene;
+use photocurrent_scene::case::{Case, PixelEvents};
+use photocurrent_scene::gate::{Gate, LEAST_DN, SPREAD};
+use photocurrent_scene::light::between;
+use photocurrent_scene::mosaic::{MosaicSetting, scene_where};
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::picture::PictureSetting;
 
 /// Neighbouring parts share so many frames.
 const SHARED: usize = 2;
 /// With fewer frames no motion is seen.
 const FEWEST_FRAMES: usize = 3;
-/// Where more than this share of the pixels is asked for, all of them are fitted.
-const MOST_ASKED: f64 = 0.6;
+/// Where more than this share of the pixels is selected, all of them are fitted.
+const MOST_SELECTED: f64 = 0.6;
 
 /// A part of the recording.
 struct Part {
     /// Without its events and its frames' values.
     case: Case,
-    source: Box<dyn Source>,
+    source: Box<dyn Scene>,
     gate: Gate,
 }
 
-/// What frames alone say of the light of all pixels.
+/// The light of all pixels, predicted from frames alone.
 #[derive(Default)]
 pub(super) struct Pictures {
     parts: Vec<Part>,
@@ -33,7 +32,7 @@ pub(super) struct Pictures {
     least_exposures: f64,
 }
 
-/// What is said of some pixels of a row, part after part, at the steady instants of the part.
+/// The prediction for some pixels of a row, part after part, at the steady instants of the part.
 pub(super) struct OfRow {
     parts: Vec<OfPart>,
     /// Where the light of each column stands.
@@ -47,7 +46,8 @@ struct OfPart {
 }
 
 impl Pictures {
-    /// Fits scenes to the frames, to those of pixels that `asked` says are asked for between two instants; light is worked out every `step_ns`, and of places that `least_exposures`
+    /// Fits scenes to the frames, to those of pixels that `selected` has between two instants;
+    /// light is worked out every `step_ns`, and of places that `least_exposures`
     /// saw or more.
     ///
     /// # Errors
@@ -57,32 +57,31 @@ impl Pictures {
         sensor: &Nominal,
         setting: &PictureSetting,
         (step_ns, least_exposures): (i64, f64),
-        asked: impl Fn((i64, i64)) -> Vec<bool>,
+        selected: impl Fn((i64, i64)) -> Vec<bool>,
     ) -> Result<Pictures, String> {
         let pixels = usize::max(case.extent.pixels(), 1);
         // Nothing where all are fitted.
-        let asked = |span: (i64, i64)| -> Result<Option<Vec<bool>>, String> {
-            let asked = asked(span);
-            let count = asked.iter().filter(|is| **is).count();
+        let selected = |span: (i64, i64)| -> Result<Option<Vec<bool>>, String> {
+            let selected = selected(span);
+            let count = selected.iter().filter(|is| **is).count();
             if count == 0 {
                 return Err("no pixels near each other fire, so nothing is seen to move".into());
             }
-            Ok((count as f64 <= MOST_ASKED * pixels as f64).then_some(asked))
+            Ok((count as f64 <= MOST_SELECTED * pixels as f64).then_some(selected))
         };
-        // A part of the recording may ask for less, never for more.
-        let at_most = asked(case.span)?.map_or(pixels, |asked| asked.iter().filter(|is| **is).count());
+        // A part of the recording may select fewer pixels, never more.
+        let at_most = selected(case.span)?.map_or(pixels, |selected| selected.iter().filter(|is| **is).count());
         let (count, most) = (case.frame_count(), setting.most_values / at_most);
         if count < FEWEST_FRAMES || most < FEWEST_FRAMES {
             return Err(format!("{count} frames of {at_most} pixels, of which {most} are fitted at a time; a picture needs {FEWEST_FRAMES}"));
         }
         let nominal = Nominal { row_time_ns: case.frames.as_ref().map_or(0, |frames| frames.times.row_time_ns), ..sensor.clone() };
-        let EvidenceSetting { least_dn, spread, .. } = EvidenceSetting::default();
         let fit = |from: usize, to: usize| -> Result<Part, String> {
             let mut part = case.part(from..to);
             let parts = MosaicSetting::default();
             let parts = MosaicSetting { picture: PictureSetting { pitch: setting.pitch, ..parts.picture }, ..parts };
-            let source = scene_where(&part, &nominal, setting, &parts, asked(part.span)?.as_deref())?;
-            let gate = source.gate(&part, least_dn, spread);
+            let source = scene_where(&part, &nominal, setting, &parts, selected(part.span)?.as_deref())?;
+            let gate = source.gate(&part, LEAST_DN, SPREAD);
             part.events = PixelEvents::default();
             part.frames = part.frames.map(|frames| frames.without_values());
             Ok(Part { case: part, source, gate })
@@ -97,19 +96,20 @@ impl Pictures {
         if parts.is_empty() { Err(why.unwrap_or_default()) } else { Ok(Pictures { parts, step_ns, least_exposures }) }
     }
 
-    /// The light of these columns of a row: kept for a row at a time, as that of all pixels would be more than everything else together.
+    /// The light of these columns of a row: kept for a row at a time, as that of all pixels would be more
+    /// than everything else together.
     pub fn of_row(&self, row: usize, width: usize, columns: &[usize]) -> OfRow {
         let pixels: Vec<usize> = columns.iter().map(|x| row * width + x).collect();
         let mut at = vec![None; width];
         columns.iter().enumerate().for_each(|(n, x)| at[*x] = Some(n));
         let of = |Part { case, source, .. }: &Part| OfPart {
-            log: source.log_of(case, self.step_ns, &pixels),
-            exposures: source.exposures_of(case, self.step_ns, &pixels),
+            log: source.log_light(case, self.step_ns, &pixels),
+            exposures: source.exposures_seen(case, self.step_ns, &pixels),
         };
         OfRow { parts: self.parts.iter().map(of).collect(), at }
     }
 
-    /// What the part in whose middle an instant is nearest says of pixel `x` of a row.
+    /// The prediction for pixel `x` of a row by the part whose middle is nearest to an instant.
     pub fn predict(&self, light: &OfRow, (x, row): (usize, usize), t_ns: i64) -> Option<Said> {
         let inside = self.parts.iter().zip(&light.parts).filter(|(part, _)| (part.case.span.0..=part.case.span.1).contains(&t_ns));
         let (part, said) = inside.min_by_key(|(part, _)| (i64::midpoint(part.case.span.0, part.case.span.1) - t_ns).abs())?;
@@ -117,7 +117,7 @@ impl Pictures {
             return None;
         }
         let (n, at) = (light.at[x]?, (part.case.span.0, self.step_ns));
-        // What no exposure saw nobody can say.
+        // Extrapolated where no exposure covers the place.
         if between(&said.exposures[n], at, t_ns).is_some_and(|exposures| exposures < self.least_exposures) {
             return None;
         }

@@ -43,7 +43,7 @@ fn threads_do_not_change_a_bit() {
 fn pictures_of_parts_of_a_long_recording_predict_the_light_where_frames_say_so() {
     let (events, frames) = record(texture);
     let case = Case::read(Some(&events), Some(&frames), &sensor()).unwrap();
-    let nominal = photocurrent_diagnosis::nominal::Nominal::of(&sensor());
+    let nominal = photocurrent_scene::nominal::Nominal::of(&sensor());
     let pixels = EXTENT.pixels();
     let fit = |most_values: usize| {
         Pictures::fit(&case, &nominal, &PictureSetting { most_values, ..PictureSetting::default() }, (250_000, 0.25), |_| vec![true; pixels])

@@ -4,12 +4,12 @@
 
 use divan::Bencher;
 use photocurrent_core::Extent;
-use photocurrent_diagnosis::case::Case;
-use photocurrent_diagnosis::nominal::Nominal;
-use photocurrent_diagnosis::picture::{Picture, PictureSetting};
 use photocurrent_diagnosis::residual::evidence::{EvidenceSetting, evidence};
-use photocurrent_diagnosis::residual::source::MovingPicture;
 use photocurrent_diagnosis::scenes::MadeUp;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::moving::MovingPicture;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::picture::{Picture, PictureSetting};
 
 const WIDTHS: [u32; 2] = [24, 48];
 

@@ -7,12 +7,12 @@
 //! The crate `photocurrent-calibrate` fits its numbers.
 
 use crate::candidates::{CANDIDATES, Signs};
-use crate::nominal::Nominal;
 use crate::report::Detectable;
 use crate::residual::evidence::{Evidence, Ranked};
 use crate::residual::located::{Located, Locations};
 use crate::verdict::{Decided, Proposal, Unexplained};
 use model::{Facts, KINDS, Models, Posterior, hypotheses};
+use photocurrent_scene::nominal::Nominal;
 use serde::{Deserialize, Serialize};
 
 pub mod model;

@@ -8,7 +8,7 @@
 //! test finds nothing in more than three of the ten, it is near its threshold and has no interval; neither have arrays of too few blocks.
 
 use super::{BLOCK, Finding, TestsAgain};
-use crate::case::Case;
+use photocurrent_scene::case::Case;
 use rayon::prelude::*;
 
 /// Parts of the array.

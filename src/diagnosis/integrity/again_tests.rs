@@ -4,9 +4,9 @@ use super::changes_tests::seeded;
 use super::still_tests::leaking;
 use super::tests::{add, bursts_on, wide_wave_on, with};
 use super::{Integrity, integrity};
-use crate::case::Case;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
+use photocurrent_scene::case::Case;
 
 /// Of `seeds` recordings in which a parameter has an interval: how many, how many of these hold the truth, and the mean estimate over the truth.
 fn held(seeds: u64, of: impl Fn(u64) -> Case, id: &str, parameter: &str, truth: f64) -> (usize, usize, f64) {

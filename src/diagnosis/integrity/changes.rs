@@ -11,8 +11,8 @@
 
 use super::still::noise_dn;
 use super::{Finding, NATS, half, lowest, quantile};
-use crate::case::{Case, Recorded};
-use crate::nominal::Nominal;
+use photocurrent_scene::case::{Case, Recorded};
+use photocurrent_scene::nominal::Nominal;
 
 /// Exposures longer than this share of the period say too little.
 pub(super) const LONGEST_EXPOSURE: f64 = 0.25;

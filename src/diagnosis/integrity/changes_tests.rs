@@ -2,9 +2,9 @@
 
 use super::Finding;
 use super::changes::findings;
-use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
 
 const PERIOD_NS: i64 = 40_000_000;
 const FRAMES: i64 = 26;

@@ -8,7 +8,7 @@
 //! seen, and need not be: as many come against it.
 
 use super::Finding;
-use crate::case::Case;
+use photocurrent_scene::case::Case;
 
 /// The eight around must have fired so often between the two.
 const NEIGHBOURS: usize = 8;

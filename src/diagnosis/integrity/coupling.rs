@@ -8,8 +8,8 @@
 //! of `step` fires in `step / threshold` of the pixels on their way. Limits: a front end that is slow, or an impulse that lasts, fires later events as well; they are not counted.
 
 use super::{Finding, Heldout, half, quantile};
-use crate::case::Case;
-use crate::nominal::Nominal;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 
 /// Parts of a frame period.
 const BINS: usize = 50;

@@ -1,6 +1,6 @@
 //! Recordings that contradict themselves, and those that hold too little.
 
-use crate::case::Case;
+use photocurrent_scene::case::Case;
 
 /// With fewer events nothing is said of the event path.
 pub const FEWEST_EVENTS: usize = 300;

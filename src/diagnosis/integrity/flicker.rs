@@ -4,9 +4,9 @@
 //! stays. Both paths see it: it is a property of the scene, and no fault of the sensor.
 
 use super::Stream;
-use crate::case::Case;
-use crate::nominal::Nominal;
 use crate::report::SceneProperty;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 
 /// Zones across and down.
 const ZONES: usize = 4;

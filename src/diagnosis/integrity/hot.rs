@@ -4,8 +4,8 @@
 //! spread of that comparison over the array: where thresholds differ from pixel to pixel, unlike counts are no sign of anything.
 
 use super::{Finding, median};
-use crate::case::Case;
-use crate::nominal::Nominal;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 
 /// The effects that are found here; their pixels are excluded.
 pub const IDS: [&str; 2] = ["hot_rows", "hot_pixels"];

@@ -1,7 +1,7 @@
 //! Counts of the whole array in windows of time: one and the same count again and again (something removes what is beyond it), and bursts in step with the frames.
 
 use super::{Finding, Stream};
-use crate::case::Case;
+use photocurrent_scene::case::Case;
 
 /// Lengths of windows that are tried, ns: those that programs use, and the resolutions of buffers.
 const WINDOWS_NS: [i64; 8] = [50_000, 100_000, 200_000, 500_000, 1_000_000, 2_000_000, 5_000_000, 10_000_000];

@@ -11,9 +11,9 @@
 use super::changes::{DELAY_NS, FEWEST, FULL, LONGEST_EXPOSURE, Predicted, SHORTEST, SIGNAL, Shifts, Sums, centred, intervals};
 use super::still::noise_dn;
 use super::{Finding, NATS, half, lowest, quantile};
-use crate::case::{Case, Recorded};
-use crate::nominal::Nominal;
 use photocurrent_core::sensor::Reset;
+use photocurrent_scene::case::{Case, Recorded};
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::front_end::time_constant;
 
 /// More pixels than make about so many pairs are not looked at.

@@ -2,8 +2,8 @@
 
 use super::Finding;
 use super::means::{Proposed, proposed};
-use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
 use photocurrent_core::{Exposure, Extent, FrameTimes};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
 
 const PERIOD_NS: i64 = 25_000_000;
 const EXPOSURE_NS: i64 = 16_000_000;

@@ -36,12 +36,13 @@ pub mod stamps;
 pub mod steps;
 pub mod still;
 
-use crate::case::Case;
 use crate::covariates::Covariate;
 use crate::dependence::Dependence;
-use crate::nominal::Nominal;
 use crate::report::SceneProperty;
 use again::{add_intervals, lacks_interval};
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
+pub(crate) use photocurrent_scene::statistics::{median, quantile};
 use serde::{Deserialize, Serialize};
 
 /// A departure from the description that a direct test saw.
@@ -286,12 +287,6 @@ impl Stream {
     }
 }
 
-/// The value below which a share of sorted values lies; 0 of none.
-pub(crate) fn quantile<T: Copy + Default>(sorted: &[T], share: f64) -> T {
-    let at = ((sorted.len() as f64 * share) as usize).min(sorted.len().saturating_sub(1));
-    sorted.get(at).copied().unwrap_or_default()
-}
-
 /// Where a curve is lowest, by a parabola through the lowest point and its neighbours; none at a rim.
 fn lowest(curve: &[f64]) -> Option<f64> {
     let k = (0..curve.len()).min_by(|&a, &b| curve[a].total_cmp(&curve[b]))?;
@@ -299,12 +294,6 @@ fn lowest(curve: &[f64]) -> Option<f64> {
     let bend = before - 2.0 * here + after;
     let between = if bend > 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 };
     Some(k as f64 + between)
-}
-
-/// The median; sorts.
-pub(crate) fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    quantile(values, 0.5)
 }
 
 #[cfg(test)]

@@ -11,9 +11,9 @@
 //! `frame_coupling` of the catalogue makes events of one sign at one phase, and keeps those of the other away: it is the business of its own tests, which come first. Here both signs have to
 //! differ alike.
 
-use crate::case::Case;
 use crate::covariates::Covariate;
 use crate::dependence::{Dependence, Moved};
+use photocurrent_scene::case::Case;
 
 /// Width of a bin of phase, ns.
 const BIN_NS: f64 = 250_000.0;

@@ -1,10 +1,10 @@
 //! Rates that a scene cannot have, thinned by hand out of a scene's.
 
 use super::regular::dependences;
-use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
 use crate::covariates::Covariate;
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
 
 const PERIOD_NS: i64 = 8_000_000;
 const ROW_NS: i64 = 40_000;

@@ -1,7 +1,7 @@
 //! Time stamps: a coarser grid than stated, no grid where one is stated, gaps of one length that a queue leaves.
 
 use super::{Finding, Stream, quantile};
-use crate::case::Case;
+use photocurrent_scene::case::Case;
 
 /// A grid that is coarser than stated: the recording is then looked at with stamps of its width.
 pub const GRID: &str = "timestamp_quantization";

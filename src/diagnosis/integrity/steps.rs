@@ -8,8 +8,8 @@
 
 use super::changes::LONGEST_EXPOSURE;
 use super::{Finding, NATS};
-use crate::case::Case;
-use crate::nominal::Nominal;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::estimate::{Centring, NOWHERE, Panel, Steps, Stretch, offset, step_gains, thresholds};
 
 /// Thresholds that differ by less than this are within the estimate's own error.
@@ -113,9 +113,9 @@ fn panel(case: &Case, nominal: &Nominal, masked: &[u32]) -> Option<Panel> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::case::{CaseFrames, PixelEvents, Recorded};
     use crate::testing;
     use photocurrent_core::{Exposure, Timestamp};
+    use photocurrent_scene::case::{CaseFrames, PixelEvents, Recorded};
 
     /// Waves over the array, seen by an ideal pixel with these thresholds, and frames of 1 ms every 20 ms; the description is that of the test's recording.
     fn waves(on: f64, off: f64) -> Case {

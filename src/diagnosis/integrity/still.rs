@@ -8,9 +8,9 @@
 //! that is counted where light rises.
 
 use super::{Finding, Heldout, half, median};
-use crate::case::{Case, CaseFrames, Recorded};
-use crate::nominal::Nominal;
 use crate::page::readable;
+use photocurrent_scene::case::{Case, CaseFrames, Recorded};
+use photocurrent_scene::nominal::Nominal;
 
 /// Fewer frames say too little of what stands still.
 const FEWEST_FRAMES: usize = 5;

@@ -2,9 +2,9 @@
 
 use super::coupling::coupling;
 use super::still::{leak, still};
-use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
 use photocurrent_core::random::Random;
 use photocurrent_core::{Exposure, Extent, FrameTimes};
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
 
 const WIDTH: usize = 48;
 const HEIGHT: usize = 40;

@@ -1,9 +1,9 @@
 //! The direct tests on recordings whose fault was put in by hand, not by the effects of the catalogue.
 
 use super::*;
-use crate::case::{PixelEvents, Recorded};
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
+use photocurrent_scene::case::{PixelEvents, Recorded};
 
 /// 24 x 20 pixels that see a wave at 30 Hz: bursts of five events of a sign, some milliseconds apart, at times of their own in each pixel.
 fn bursts(step_ns: i64) -> Case {
@@ -151,7 +151,7 @@ fn with_its_frames(mut case: Case) -> Case {
     let step = |polarity: i8| if polarity > 0 { nominal.pixel.threshold_on } else { -nominal.pixel.threshold_off };
     let sum = |pixel: usize, t_ns: i64| case.events.of(pixel).iter().filter(|event| event.t_in_ns < t_ns).map(|event| step(event.polarity)).sum::<f64>();
     let dn = times.iter().flat_map(|t| (0..case.extent.pixels()).map(|pixel| (200.0 * libm::exp(sum(pixel, *t))) as f32)).collect();
-    case.frames = Some(crate::case::CaseFrames::new(photocurrent_core::FrameTimes::new(exposures, 0).unwrap(), dn));
+    case.frames = Some(photocurrent_scene::case::CaseFrames::new(photocurrent_core::FrameTimes::new(exposures, 0).unwrap(), dn));
     case
 }
 
@@ -255,7 +255,7 @@ fn events_against_the_light_are_noise_with_its_rate() {
 #[test]
 fn a_strong_impulse_at_the_readout_shows_where_all_moves() {
     let exposures = (0..15).map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000)).collect();
-    let frames = crate::case::CaseFrames::new(
+    let frames = photocurrent_scene::case::CaseFrames::new(
         photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
         // No pixel stands still.
         (0..15 * 480).map(|k| 100.0 + 40.0 * ((k / 480) % 2) as f32 + (k % 7) as f32).collect(),
@@ -389,7 +389,7 @@ fn frames_that_no_light_makes_are_broken() {
 fn bursts_in_step_with_the_frames_are_coupling() {
     let extent_pixels = 480;
     let exposures = (0..15).map(|l| photocurrent_core::Exposure::new(l * 20_000_000, l * 20_000_000 + 4_000_000)).collect();
-    let frames = crate::case::CaseFrames::new(
+    let frames = photocurrent_scene::case::CaseFrames::new(
         photocurrent_core::FrameTimes::new(exposures, 0).unwrap(),
         (0..15 * extent_pixels).map(|k| 100.0 + (k % 7) as f32).collect(),
     );

@@ -3,9 +3,9 @@
 use super::plot::{Plot, Scale};
 use super::svg::{COLOURS, open};
 use super::{escaped, number};
-use crate::case::Case;
 use crate::integrity::quantile;
 use crate::residual::located::{Curve, Located, Mean, Part};
+use photocurrent_scene::case::Case;
 use std::fmt::Write;
 
 /// Cells of the frame across and down, at most.

@@ -13,13 +13,13 @@ mod svg;
 mod units;
 
 use crate::candidates::CANDIDATES;
-use crate::case::Case;
 use crate::dependence::Dependence;
 use crate::diagnose::{Diagnosis, Proposed};
 use crate::heldout::Prediction;
 use crate::report::{BeforeAfter, EffectReport, Parameter, Report, Verdict, short as number};
 use crate::verdict::Proposal;
 use photocurrent_page::{Page, Section, escaped};
+use photocurrent_scene::case::Case;
 use plot::{Plot, Scale};
 use std::fmt::Write;
 use svg::{Bar, COLOURS, Map, bars, maps};

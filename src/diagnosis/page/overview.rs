@@ -2,10 +2,10 @@
 
 use super::located::grey;
 use super::svg::open;
-use crate::case::Case;
 use crate::diagnose::Diagnosis;
 use crate::report::Report;
 use photocurrent_page::escaped;
+use photocurrent_scene::case::Case;
 use std::fmt::Write;
 
 /// More marks of single pixels hide the picture.

@@ -2,11 +2,11 @@
 
 use super::plot::{Plot, Scale};
 use super::svg::COLOURS;
-use crate::case::Case;
 use crate::diagnose::Diagnosis;
 use crate::heldout::Prediction;
-use crate::nominal::Nominal;
 use crate::sample::Sample;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 use std::fmt::Write;
 
 /// Fewest events of an example.
@@ -42,7 +42,7 @@ fn one(case: &Case, nominal: &Nominal, sample: &Sample, (before, after): (&Predi
     let described: Vec<(&Prediction, &str, &str)> =
         std::iter::once((before, "nominal", COLOURS[0])).chain(after.map(|after| (after, "fitted", COLOURS[1]))).collect();
     let curve = |of: &Prediction| -> Vec<(f64, f64)> {
-        let (t, u) = of.scene.pixel(n);
+        let (t, u) = of.light.pixel(n);
         t.iter().zip(u).map(|(t, u)| (*t as f64 * 1e-6, *u)).collect()
     };
     let frames: Vec<(f64, f64, f64)> = (0..case.frame_count()).filter_map(|l| level(case, nominal, l, pixel)).collect();

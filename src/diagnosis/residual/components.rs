@@ -9,10 +9,10 @@
 
 use super::Residuals;
 use super::fit::{EventNoise, NU, Rows, fit};
-use super::source::Cell;
 use crate::candidates::CANDIDATES;
-use crate::integrity::median;
-use crate::nominal::Nominal;
+use photocurrent_scene::Cell;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::median;
 
 /// One part of the distribution: its candidate, gain in nats an event, and size.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,13 +1,13 @@
 //! What the method finds where nothing is: the nominal sensor on the fitted scene, its frames with the noise that was found.
 
-use super::light::Light;
-use super::source::Source;
-use crate::case::{Case, CaseFrames, PixelEvents};
-use crate::nominal::Nominal;
+use crate::curves::Curves;
 use crate::record::{Conditions, Described, record};
 use crate::sample::Sample;
-use crate::scene::Scene;
 use photocurrent_core::random::Random;
+use photocurrent_scene::Scene;
+use photocurrent_scene::case::{Case, CaseFrames, PixelEvents};
+use photocurrent_scene::light::Light;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::elementary;
 use rayon::prelude::*;
 
@@ -35,13 +35,15 @@ impl Behind {
     ///
     /// # Errors
     /// When frames cannot be fitted.
-    pub fn looking_like(case: &Case, nominal: &Nominal, source: &dyn Source, light: &Light, seed: u64) -> Result<Behind, String> {
-        let Some(rough) = source.rough(case, nominal, light.step_ns, seed)? else {
+    pub fn looking_like(case: &Case, nominal: &Nominal, source: &dyn Scene, light: &Light, seed: u64) -> Result<Behind, String> {
+        let Some(sample) = source.posterior_sample(case, nominal, seed)? else {
             return Ok(Behind { light: light.clone(), frames: source.frames(case) });
         };
+        let of_sample = sample.light(case, light.step_ns);
         if source.is_known() {
-            return Ok(rough);
+            return Ok(Behind { light: of_sample, frames: sample.frames(case) });
         }
+        let rough = Behind::of(case, nominal, of_sample);
         let frames = with_noise(case, nominal, source, &rough.frames, seed.wrapping_add(1));
         let events = PixelEvents::new(std::iter::repeat_n(Vec::new(), case.extent.pixels()));
         let again = Case { frames, events, sensor: case.sensor.clone(), ..*case };
@@ -72,7 +74,7 @@ fn share_of(pattern: impl Iterator<Item = f64>, values: impl Iterator<Item = f64
 }
 
 /// Frames of a scene with the noise that was found.
-fn with_noise(case: &Case, nominal: &Nominal, source: &dyn Source, frames: &[f32], seed: u64) -> Option<CaseFrames> {
+fn with_noise(case: &Case, nominal: &Nominal, source: &dyn Scene, frames: &[f32], seed: u64) -> Option<CaseFrames> {
     let mut random = Random::new(seed, &[0xc0]);
     let noisy = |dn: &f32| {
         let sigma = source.sigma(nominal, f64::from(*dn) - nominal.number.black_level);
@@ -86,10 +88,10 @@ fn with_noise(case: &Case, nominal: &Nominal, source: &dyn Source, frames: &[f32
 ///
 /// # Errors
 /// When the description's effects cannot be combined.
-pub fn control(case: &Case, nominal: &Nominal, source: &dyn Source, behind: &Behind, pixels: &[u32], block: usize, seed: u64) -> Result<Case, String> {
+pub fn control(case: &Case, nominal: &Nominal, source: &dyn Scene, behind: &Behind, pixels: &[u32], block: usize, seed: u64) -> Result<Case, String> {
     let sample = Sample::of_pixels(case, pixels.to_vec(), block as u32);
     let light = &behind.light;
-    let scene = Scene::from_pixels(sample.pixels.iter().map(|&pixel| {
+    let scene = Curves::from_pixels(sample.pixels.iter().map(|&pixel| {
         let log = &light.log[pixel as usize];
         let known = !log.is_empty();
         let t: Vec<i64> = if known { (0..log.len()).map(|k| light.instant(k)).collect() } else { vec![case.span.0] };
@@ -104,11 +106,11 @@ pub fn control(case: &Case, nominal: &Nominal, source: &dyn Source, behind: &Beh
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::picture::PictureSetting;
     use crate::residual::evidence::{EvidenceSetting, evidence};
-    use crate::residual::mosaic::{MosaicSetting, scene};
     use crate::scenes::MadeUp;
     use photocurrent_core::Extent;
+    use photocurrent_scene::mosaic::{MosaicSetting, scene};
+    use photocurrent_scene::picture::PictureSetting;
 
     #[test]
     fn a_pattern_is_found_in_noise_with_its_share() {

@@ -1,6 +1,6 @@
 //! Which effects explain the events, on a scene that frames alone (or the user) state.
 //!
-//! 1. Events count where the scene predicts the frames around them ([`super::gate`]).
+//! 1. Events count where the scene predicts the frames around them ([`photocurrent_scene::gate`]).
 //! 2. Every effect of the catalogue that has a size gets a column: what a small effect size of it changes of every residual. It is fitted with its own noise and judged on
 //!    the half of the blocks that it was not fitted to ([`super::table`]).
 //! 3. The best are evaluated exactly, at their size, until it moves no more.
@@ -13,13 +13,13 @@ use super::control::{Behind, control};
 use super::fit::EventNoise;
 use super::located::{Located, LocatedSetting};
 use super::open::{self, Laid, Open, OpenSetting};
-use super::source::Source;
 use super::table::{OF_PIXELS, Places, Seen, Table, by_gain, median_share, on_top};
 use crate::candidates::{CANDIDATES, Candidate, Scales, Trial};
-use crate::case::Case;
-use crate::nominal::Nominal;
 use crate::rhythm::strongest_period_ns;
 use crate::verdict::is_material;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::{Scene, gate};
 use serde::{Deserialize, Serialize};
 
 /// How the method works.
@@ -90,8 +90,8 @@ impl Default for EvidenceSetting {
             pixels: 500,
             least_events: 500,
             least_share: 0.05,
-            least_dn: 1.0,
-            spread: 4.5,
+            least_dn: gate::LEAST_DN,
+            spread: gate::SPREAD,
             block: 8,
             least_noise: 1e-3,
             probe: 0.05,
@@ -190,7 +190,7 @@ fn of_noise(random: &[Ranked], is_known: bool) -> f64 {
 /// What the method found.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// The scene ([`Source::name`]).
+    /// The scene ([`Scene::name`]).
     #[serde(default)]
     pub scene: String,
     /// First and last instant that was looked at, ns; none where it is the whole recording.
@@ -244,7 +244,7 @@ pub struct Evidence {
 ///
 /// # Errors
 /// When the scene predicts too few of the events' frames, or stated effects cannot be combined.
-pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &EvidenceSetting) -> Result<Evidence, String> {
+pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Scene, setting: &EvidenceSetting) -> Result<Evidence, String> {
     let scales = Scales::of(case, nominal);
     let least = setting.least_noise * scales.threshold;
     let gate = source.gate(case, setting.least_dn, setting.spread);
@@ -264,7 +264,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
     let more = spread(case, &counted, 5 * setting.events, 3 * setting.pixels);
     let step_ns = if source.is_known() { setting.step_ns.min(setting.known_step_ns) } else { setting.step_ns };
     let light = source.light(case, step_ns);
-    let by = vec![0.0; source.free().len()];
+    let by = vec![0.0; source.target().map_or(0, |target| target.free().len())];
     let mut seen =
         Seen { case, light, gate, pixels, more, setting, scales: &scales, least, is_known: source.is_known(), source, by, near: Vec::new(), own: Vec::new() };
     seen.near = seen.steps(&seen.by);
@@ -354,7 +354,7 @@ pub fn evidence(case: &Case, nominal: &Nominal, source: &dyn Source, setting: &E
             // Each pixel with its own size, each event with its mean delay from here on.
             seen.own = table.sharp().iter().zip(left).map(|(base, left)| (base - left) as f32).collect();
         }
-        if !is_random && let Some(light) = source.moved(case, step_ns, None, &first.by) {
+        if !is_random && let Some(light) = source.target().and_then(|target| target.moved(case, step_ns, None, &first.by)) {
             (seen.by, seen.light) = (first.by.clone(), light);
             seen.near = seen.steps(&seen.by);
         }

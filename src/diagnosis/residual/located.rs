@@ -9,11 +9,11 @@
 
 use super::open::Laid;
 use crate::candidates::CANDIDATES;
-use crate::case::Case;
 use crate::covariates::Covariate;
 use crate::dependence::Dependence;
 use crate::report::Location;
 use crate::verdict::{Answer, Claim, Decided, Unexplained};
+use photocurrent_scene::case::Case;
 use serde::{Deserialize, Serialize};
 
 /// When a part stands out, and how finely it is looked at.

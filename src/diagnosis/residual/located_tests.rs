@@ -2,15 +2,16 @@
 
 use super::*;
 use crate::candidates::{Candidate, Scales, Trial};
-use crate::case::{PixelEvents, Recorded};
-use crate::nominal::Nominal;
-use crate::picture::PictureSetting;
 use crate::residual::evidence::{Evidence, EvidenceSetting, Ranked, evidence};
-use crate::residual::source::{Given, MovingPicture};
 use crate::scenes::MadeUp;
 use crate::testing;
 use photocurrent_core::Extent;
 use photocurrent_core::random::Random;
+use photocurrent_scene::case::{PixelEvents, Recorded};
+use photocurrent_scene::known::KnownLight;
+use photocurrent_scene::moving::MovingPicture;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::picture::PictureSetting;
 
 /// A texture before a sensor that is described as it is.
 fn texture() -> (MadeUp, Case, Nominal) {
@@ -38,7 +39,7 @@ fn mixed(plain: &Case, other: &Case, is_other: impl Fn(usize, i64) -> bool) -> C
 
 /// What events say on the light as it was.
 fn found(scene: &MadeUp, case: &Case, nominal: &Nominal) -> Evidence {
-    let source = Given::new(case, nominal, scene.light().into(), &PictureSetting::default());
+    let source = KnownLight::new(case, nominal, scene.light().into(), &PictureSetting::default());
     evidence(case, nominal, &source, &EvidenceSetting::default()).unwrap()
 }
 

@@ -4,8 +4,7 @@
 //! where they were recorded, so nothing needs to be matched; every effect is evaluated by its own hooks ([`photocurrent_sensor::conditional`]). An effect of frames changes the light that
 //! frames imply: [`through_frames`] takes it off.
 //!
-//! - [`source`], [`mosaic`], [`light`]: the scene; [`target`]: one in closed form with free parameters.
-//! - [`gate`]: which events count: those whose frames the scene predicts.
+//! - [`photocurrent_scene`]: the scene, and which events count: those whose frames it predicts.
 //! - [`fit`]: size and gain of each effect.
 //! - [`components`]: random effects.
 //! - [`open`]: what no effect of the catalogue has.
@@ -17,26 +16,21 @@ pub mod components;
 pub mod control;
 pub mod evidence;
 pub mod fit;
-pub mod gate;
-pub mod light;
 pub mod located;
-pub mod mosaic;
 pub mod open;
 mod prepared;
-pub mod source;
 mod table;
-pub mod target;
 
 use crate::candidates::Trial;
-use crate::case::Case;
-use crate::scene::{SceneSetting, pixel_data};
-use light::Light;
 use photocurrent_core::{Exposure, Timestamp};
+use photocurrent_scene::case::{Case, Recorded};
+use photocurrent_scene::light::Light;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::conditional::{Conditional, Look, Track, conditional, frame_values};
 use photocurrent_sensor::effects::{Domain, Effect, Kernel, Reading, RowSite, Site};
 use photocurrent_sensor::elementary::{exp, ln};
 use photocurrent_sensor::forward::neighbours::stand_in;
-use photocurrent_sensor::map::MapEvent;
+use photocurrent_sensor::map::{MapEvent, MapFrame};
 use prepared::Prepared;
 use rayon::prelude::*;
 
@@ -172,7 +166,7 @@ impl View<'_> {
                 return (values, left);
             }
             let track = Track::new(&instants, &log, self.light.step_ns);
-            let (_, frames) = pixel_data(self.case, &prepared[0].nominal, &SceneSetting::default(), pixel as usize);
+            let frames = frames_of(self.case, &prepared[0].nominal, pixel as usize);
             let look = Look { site: self.case.site(pixel as usize, 0), track: &track, seen: None, events: &[], frames: &frames };
             let counts: Vec<usize> = (0..frames.len()).filter(|&l| !frames[l].saturated).collect();
             values.pixel = vec![pixel; counts.len()];
@@ -201,7 +195,6 @@ impl View<'_> {
     fn part(&self, pixels: &[u32], prepared: &[Prepared], chosen: &Chosen<'_, impl Fn(usize, i64) -> bool + Sync>) -> (Residuals, Vec<OfTrial>) {
         let (mut all, mut of_trials) = (Residuals::default(), vec![OfTrial::default(); prepared.len()]);
         let mut out = Conditional::default();
-        let setting = SceneSetting::default();
         let instants: Vec<i64> = (0..self.light.count).map(|k| self.light.instant(k)).collect();
         for &pixel in pixels {
             let pixel = pixel as usize;
@@ -210,7 +203,7 @@ impl View<'_> {
                 continue;
             }
             let site = self.case.site(pixel, 0);
-            let (events, _) = pixel_data(self.case, &prepared[0].nominal, &setting, pixel);
+            let events = events_of(self.case, pixel);
             let mut kept: Vec<usize> = Vec::new();
             if let Chosen::Before(events) = chosen {
                 let from = events.pixel.partition_point(|of| (*of as usize) < pixel);
@@ -301,6 +294,23 @@ impl View<'_> {
         }
         sum
     }
+}
+
+/// The events of a pixel, with stamps as recorded.
+fn events_of(case: &Case, pixel: usize) -> Vec<MapEvent> {
+    let event = |event: &Recorded| MapEvent { t_in_ns: event.t_in_ns, t_off_ns: event.t_off_ns.max(event.t_in_ns), polarity: event.polarity, is_lone: false };
+    case.events.of(pixel).iter().map(event).collect()
+}
+
+/// The known frame values of a pixel; their noise does not enter a residual.
+fn frames_of(case: &Case, nominal: &Nominal, pixel: usize) -> Vec<MapFrame> {
+    let (_, y) = case.place(pixel);
+    let frame = |l: usize| -> Option<MapFrame> {
+        let (dn, exposure) = (case.dn(l, pixel), case.frames.as_ref()?.times.exposure(l, y));
+        let (start_ns, end_ns) = (exposure.start.0, exposure.end.0);
+        dn.is_finite().then_some(MapFrame { start_ns, end_ns, dn, sigma_dn: 1.0, saturated: dn >= nominal.saturation_dn })
+    };
+    (0..case.frame_count()).filter_map(frame).collect()
 }
 
 /// Light of a pixel's neighbours, kept from trial to trial.
@@ -411,3 +421,8 @@ fn tabulated(values: &[f64], of: impl Fn(f64) -> f64) -> Vec<f64> {
     };
     values.iter().map(|u| at(*u)).collect()
 }
+
+#[cfg(test)]
+mod scene_tests;
+#[cfg(test)]
+mod target_tests;

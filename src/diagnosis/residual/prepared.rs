@@ -1,9 +1,9 @@
 //! A trial ready to be evaluated: its effects built and given the load of the recording, and the mixture of neighbours that they make.
 
 use crate::candidates::Trial;
-use crate::case::Case;
-use crate::nominal::Nominal;
 use crate::record::effects_of;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
 use photocurrent_sensor::effects::{Effect, Kernel};
 use photocurrent_sensor::forward::neighbours::joined;
 

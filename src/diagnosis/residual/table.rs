@@ -3,18 +3,18 @@
 use super::components::{SPREADS, white_share};
 use super::evidence::{EvidenceSetting, Ranked};
 use super::fit::{self, Column, EventNoise, Fitted, Plain, Rows, Soft, gain_of, gains, heldout, without_softness};
-use super::gate::Gate;
-use super::light::Light;
 use super::located::{Ground, Located};
 use super::open::{self, Laid, Open, lay};
 use super::prepared::Prepared;
-use super::source::{Cell, Source};
 use super::{FrameValues, Residuals, View};
 use crate::candidates::{CANDIDATES, Scales, Signs, Trial};
-use crate::case::Case;
 use crate::covariates::{Covariate, Surroundings};
-use crate::integrity::median;
-use crate::nominal::Nominal;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::gate::Gate;
+use photocurrent_scene::light::Light;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::statistics::median;
+use photocurrent_scene::{Cell, Scene};
 use photocurrent_sensor::effects::Stage;
 use photocurrent_sensor::effects::sought::Grows;
 use photocurrent_sensor::elementary::ln;
@@ -36,7 +36,7 @@ pub(super) struct Seen<'a> {
     /// Does the scene stand without the frames? Then their values are looked at as well.
     pub is_known: bool,
     /// The scene, for what is free of it.
-    pub source: &'a dyn Source,
+    pub source: &'a dyn Scene,
     /// How far the free parameters stand from where the source has them, shares of their ranges; `light` is that of the source moved so.
     pub by: Vec<f64>,
     /// And the light with each of them moved from there by a step ([`Seen::steps`]).
@@ -212,12 +212,13 @@ const FARTHEST: f64 = 0.2;
 impl Seen<'_> {
     /// The light of the pixels with each free parameter of the scene moved by a step from shares `by`.
     pub fn steps(&self, by: &[f64]) -> Vec<(f64, Light)> {
+        let Some(target) = self.source.target() else { return Vec::new() };
         let one = |(k, (_, step)): (usize, (f64, f64))| {
             let mut moved = by.to_vec();
             moved[k] += step;
-            Some((step, self.source.moved(self.case, self.light.step_ns, Some(&self.pixels), &moved)?))
+            Some((step, target.moved(self.case, self.light.step_ns, Some(&self.pixels), &moved)?))
         };
-        self.source.free().into_iter().enumerate().filter_map(one).collect()
+        target.free().into_iter().enumerate().filter_map(one).collect()
     }
 
     /// What the free parameters of the scene change of each row seen through a trial, each per its standard deviation before the recording; `near`: [`Seen::steps`].
@@ -233,7 +234,8 @@ impl Seen<'_> {
 
     /// Where sizes of what is free of the scene move it from shares `by`; none where that is nearly zero.
     fn further(&self, by: &[f64], sizes: &[f64], trial: &Trial) -> Option<(Vec<f64>, Light)> {
-        let free = self.source.free();
+        let target = self.source.target()?;
+        let free = target.free();
         let far = |(size, (_, step)): (&f64, &(f64, f64))| (OPEN * size).abs() > NEAR * step.abs();
         if sizes.len() != by.len() || !sizes.iter().zip(&free).any(far) {
             return None;
@@ -246,7 +248,7 @@ impl Seen<'_> {
         }
         // Neighbours are seen where the event path mixes them.
         let is_mixed = Prepared::new(self.case, trial).map_or(true, |prepared| prepared.kernel().is_some());
-        let light = self.source.moved(self.case, self.light.step_ns, (!is_mixed).then_some(&self.pixels[..]), &moved)?;
+        let light = target.moved(self.case, self.light.step_ns, (!is_mixed).then_some(&self.pixels[..]), &moved)?;
         Some((moved, light))
     }
 
@@ -286,7 +288,7 @@ impl Seen<'_> {
     }
 
     /// The share of the squares of residuals that is noise of pixels ([`white_share`]), on more events than are fitted.
-    pub fn white(&self, trial: &Trial, source: &dyn Source) -> Result<f64, String> {
+    pub fn white(&self, trial: &Trial, source: &dyn Scene) -> Result<f64, String> {
         if self.is_known {
             return Ok(1.0);
         }

@@ -1,12 +1,16 @@
 //! A known target is found where it is, effects of frames that move the fit are reported all the same, and derivatives by its free parameters are those of the residuals.
 
-use super::*;
 use crate::candidates::{CANDIDATES, Scales, Trial};
 use crate::residual::View;
 use crate::residual::evidence::{Evidence, EvidenceSetting, evidence};
 use crate::scenes::MadeUp;
 use crate::targets::Shows;
 use photocurrent_core::Extent;
+use photocurrent_scene::case::Case;
+use photocurrent_scene::nominal::Nominal;
+use photocurrent_scene::picture::PictureSetting;
+use photocurrent_scene::target::{Target, TargetSetting};
+use std::sync::Arc;
 
 const EXTENT: Extent = Extent { width: 24, height: 18 };
 

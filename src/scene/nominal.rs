@@ -8,7 +8,7 @@ pub use photocurrent_sensor::model::Model as Nominal;
 
 impl Case {
     /// The stated sensor of the recording; the random part of its latency is as long as the recording's, the row time that of its frames. Without a front end it is the ideal
-    /// one, without a refractory period pixels are not blind ([`crate::unstated`]).
+    /// one, without a refractory period pixels are not blind.
     ///
     /// # Errors
     /// When the description does not state what the model needs, or its effects are not understood.

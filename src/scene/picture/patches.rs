@@ -212,7 +212,7 @@ impl Patch {
             // What stands still is explained as well.
             counts.fill(true);
         }
-        let picture = Picture::fit_from(&own, nominal, of_picture, &[&poses], Begin { counts: Some(&counts), ground: ground.as_deref(), asked: None });
+        let picture = Picture::fit_from(&own, nominal, of_picture, &[&poses], Begin { counts: Some(&counts), ground: ground.as_deref(), selected: None });
         Some(Patch { part, counts, picture })
     }
 
@@ -224,7 +224,7 @@ impl Patch {
 
     /// The same with what its frames leave open drawn at random, and as sharp as it may be.
     #[must_use]
-    pub fn rough(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting, seed: u64) -> Patch {
+    pub fn posterior_sample(&self, case: &Case, nominal: &Nominal, of_picture: &PictureSetting, seed: u64) -> Patch {
         let drawn = self.picture.drawn(&self.part.of(case), nominal, of_picture, Some(&self.counts), seed);
         Patch { picture: drawn.sharpened(of_picture.sharpest), ..self.clone() }
     }

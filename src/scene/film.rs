@@ -1,12 +1,15 @@
-//! Tracks as functions of time, and as a film of log light for the eye that looks for motion.
+//! Tracks as functions of time, and as pictures of log light at steady instants, in which motion is
+//! estimated.
 
+use crate::image::Image;
 use photocurrent_core::{Extent, TrackBand};
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
 
 /// Log light of every pixel at any instant.
-pub(super) struct LogTracks {
+pub struct LogTracks {
+    /// Size of the array.
     pub extent: Extent,
     /// When its pixels had events.
     pub fired: Arc<Fired>,
@@ -64,7 +67,7 @@ fn between(t: &[i64], log: &[f32], after: usize, t_ns: i64) -> Option<f64> {
 }
 
 /// When the pixels had events.
-pub(super) struct Fired {
+pub struct Fired {
     offsets: Vec<usize>,
     t_ns: Vec<i64>,
 }
@@ -90,17 +93,15 @@ impl Fired {
     }
 }
 
-/// Pictures in which motion is looked for lie so far apart, ns.
-pub(super) const STEP_NS: i64 = 500_000;
+/// Pictures in which motion is estimated lie so far apart, ns.
+pub const STEP_NS: i64 = 500_000;
 
 /// Log light of all pixels at some of the steady instants of a recording.
-pub(super) struct Film {
-    pub width: usize,
-    pub height: usize,
+pub struct Film {
     /// The first picture's number, of all instants of the recording.
     pub first: usize,
-    /// Pictures as [y * width + x].
-    pub pictures: Vec<Vec<f32>>,
+    /// The pictures.
+    pub pictures: Vec<Image>,
 }
 
 impl Film {
@@ -123,47 +124,19 @@ impl Film {
             lines
         };
         let rows: Vec<Vec<f32>> = (0..height).into_par_iter().map(row).collect();
-        let picture = |n: usize| -> Vec<f32> {
+        let picture = |n: usize| -> Image {
             let mut picture: Vec<f32> = rows.iter().flat_map(|lines| &lines[n * width..(n + 1) * width]).copied().collect();
             let sum = picture.iter().filter(|u| !u.is_nan()).fold((0.0, 0.0), |(sum, n), u| (sum + f64::from(*u), n + 1.0));
             let grey = if sum.1 > 0.0 { (sum.0 / sum.1) as f32 } else { 0.0 };
             picture.iter_mut().filter(|u| u.is_nan()).for_each(|u| *u = grey);
-            picture
+            Image { width, height, values: picture }
         };
-        Film { width, height, first: numbers.start, pictures: (0..numbers.len()).into_par_iter().map(picture).collect() }
+        Film { first: numbers.start, pictures: (0..numbers.len()).into_par_iter().map(picture).collect() }
     }
 
     /// The film with every picture smoothed by a Gaussian of `sigma` pixels.
     pub fn smoothed(&self, sigma: f64) -> Film {
-        let pictures = self.pictures.par_iter().map(|picture| smooth(picture, self.width, self.height, sigma)).collect();
-        Film { pictures, ..*self }
+        let pictures = self.pictures.par_iter().map(|picture| picture.smoothed_by(sigma)).collect();
+        Film { first: self.first, pictures }
     }
-}
-
-/// A picture smoothed by a Gaussian; beyond the border it goes on as at the border.
-pub(super) fn smooth(picture: &[f32], width: usize, height: usize, sigma: f64) -> Vec<f32> {
-    let reach = (2.5 * sigma).ceil() as usize;
-    let half: Vec<f64> = (0..=reach).map(|k| libm::exp(-0.5 * (k as f64 / sigma) * (k as f64 / sigma))).collect();
-    let total = half[0] + 2.0 * half[1..].iter().sum::<f64>();
-    let kernel: Vec<f32> = half.iter().map(|w| (w / total) as f32).collect();
-    let mut across = vec![0.0; picture.len()];
-    for (line, out) in picture.chunks_exact(width).zip(across.chunks_exact_mut(width)) {
-        for (x, value) in out.iter_mut().enumerate() {
-            *value = kernel[0] * line[x];
-            for (k, w) in kernel.iter().enumerate().skip(1) {
-                *value += w * (line[x.saturating_sub(k)] + line[usize::min(x + k, width - 1)]);
-            }
-        }
-    }
-    let mut down = vec![0.0; picture.len()];
-    for y in 0..height {
-        let out = &mut down[y * width..(y + 1) * width];
-        for (k, w) in kernel.iter().enumerate() {
-            let (above, below) = (y.saturating_sub(k) * width, usize::min(y + k, height - 1) * width);
-            for (x, value) in out.iter_mut().enumerate() {
-                *value += if k == 0 { w * across[above + x] } else { w * (across[above + x] + across[below + x]) };
-            }
-        }
-    }
-    down
 }

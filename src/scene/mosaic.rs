@@ -1,19 +1,20 @@
-//! A scene in parts: the moving picture where it predicts frames, and pictures of tiles of the array for a few frames each where it does not.
+//! A scene in parts: the moving picture where it predicts frames, and pictures of tiles of the array for a
+//! few frames each where it does not.
 //!
-//! Whether a tile is better off with a picture of its own is asked of frame values alone: those that change and that either predicts within the noise.
+//! Whether a tile is better off with a picture of its own is selected of frame values alone: those that change
+//! and that either predicts within the noise.
 
-use super::control::Behind;
-use super::gate::Gate;
-use super::light::Light;
-use super::source::{Cell, MovingPicture, Source, usual_step_dn};
 use crate::case::Case;
-use crate::integrity::median;
+use crate::light::Light;
+use crate::moving::MovingPicture;
 use crate::nominal::Nominal;
 use crate::picture::begin::images;
 use crate::picture::motion::{Map, apply, compose};
 use crate::picture::patches::{Part, Patch, PatchSetting, follow, foreground, ground};
 use crate::picture::register::register;
 use crate::picture::{Begin, Picture, PictureSetting};
+use crate::scene::{Scene, Tolerance, usual_step_dn};
+use crate::statistics::median;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -24,7 +25,8 @@ pub struct MosaicSetting {
     pub patches: PatchSetting,
     /// How the pictures of parts are fitted.
     pub picture: PictureSetting,
-    /// The moving picture needs no help where the median of its residuals is below this, standard deviations as first assumed.
+    /// The moving picture needs no help where the median of its residuals is below this, standard deviations
+    /// as first assumed.
     pub well: f64,
     /// So many parts are tried first, those with the most events.
     pub probes: usize,
@@ -40,7 +42,8 @@ pub struct MosaicSetting {
     pub least_predicted: f64,
     /// And so much more than the moving picture.
     pub better: f64,
-    /// A value is predicted that misses by less than [`super::source::STEP`] of a threshold, or by so many usual residuals.
+    /// A value is predicted that misses by less than [`crate::scene::STEP`] of a threshold, or by so many
+    /// usual residuals.
     pub spread: f64,
 }
 
@@ -80,23 +83,30 @@ pub struct Mosaic {
     least_dn: f64,
 }
 
-/// Fits a scene to the frames of a recording: one picture, and pictures of parts where it does not predict them and they do.
+/// Fits a scene to the frames of a recording: one picture, and pictures of parts where it does not predict
+/// them and they do.
 ///
 /// # Errors
 /// When neither predicts anything, with the reason of [`Picture::fit`].
-pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting) -> Result<Box<dyn Source>, String> {
+pub fn scene(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting) -> Result<Box<dyn Scene>, String> {
     scene_where(case, nominal, whole, setting, None)
 }
 
-/// The same, to the values of pixels that are asked for ([`Begin::asked`]); of the others it knows nothing.
+/// The same, to the values of selected pixels ([`Begin::selected`]); it predicts no others.
 ///
 /// # Errors
 /// As [`scene`].
-pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setting: &MosaicSetting, asked: Option<&[bool]>) -> Result<Box<dyn Source>, String> {
+pub fn scene_where(
+    case: &Case,
+    nominal: &Nominal,
+    whole: &PictureSetting,
+    setting: &MosaicSetting,
+    selected: Option<&[bool]>,
+) -> Result<Box<dyn Scene>, String> {
     let of_whole = whole;
-    let mut whole = MovingPicture::fit_where(case, nominal, of_whole, asked);
+    let mut whole = MovingPicture::fit_where(case, nominal, of_whole, selected);
     if case.frame_count() < 3 || case.extent.width.min(case.extent.height) < 8 {
-        return whole.map(|whole| Box::new(whole) as Box<dyn Source>);
+        return whole.map(|whole| Box::new(whole) as Box<dyn Scene>);
     }
     let tiles = setting.patches.tiles(case.extent);
     let noise = (setting.picture.frame_dn, setting.picture.frame_share);
@@ -106,15 +116,15 @@ pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setti
         still.fill(f64::NAN);
     }
     let mut moves = foreground(case, nominal, &still, noise, setting.patches.moves);
-    if let Some(asked) = asked {
-        moves.iter_mut().enumerate().for_each(|(n, moves)| *moves &= asked[n % asked.len()]);
+    if let Some(selected) = selected {
+        moves.iter_mut().enumerate().for_each(|(n, moves)| *moves &= selected[n % selected.len()]);
     }
     let ground = is_there.then(|| light_of_ground(case, nominal, &still));
     let everywhere = (0..case.extent.width, 0..case.extent.height);
     let misses = |picture: &Picture| usual(case, nominal, &moves, &everywhere, &(0..case.frame_count()), |l, x, y| of_picture(case, picture, l, x, y));
     let of_one = whole.as_ref().map_or(f64::INFINITY, |whole| misses(&whole.picture));
     if let Some(ground) = ground.as_ref().filter(|_| of_one > setting.well) {
-        let before = before_ground(case, nominal, of_whole, &moves, (ground, asked), setting);
+        let before = before_ground(case, nominal, of_whole, &moves, (ground, selected), setting);
         if misses(&before) < of_one {
             whole = Ok(MovingPicture::new(before, of_whole, case, nominal));
         }
@@ -144,7 +154,7 @@ pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setti
     let better = |fitted: &[(usize, Patch)]| found.better(case, nominal, &changes, fitted);
     let helped = better(&fitted).iter().filter(|is| **is).count();
     if helped == 0 || (helped as f64) < setting.helped * probes as f64 {
-        return whole.map(|whole| Box::new(MovingPicture { is_one: helped == 0, ..whole }) as Box<dyn Source>);
+        return whole.map(|whole| Box::new(MovingPicture { is_one: helped == 0, ..whole }) as Box<dyn Scene>);
     }
     fitted.extend(fit(&needed[probes..]));
     let is_better = better(&fitted);
@@ -152,7 +162,7 @@ pub fn scene_where(case: &Case, nominal: &Nominal, whole: &PictureSetting, setti
         found.tile.push(tile);
         found.patches.push(patch);
     }
-    found.look(case);
+    found.compare(case);
     Ok(Box::new(found))
 }
 
@@ -162,13 +172,14 @@ fn light_of_ground(case: &Case, nominal: &Nominal, ground: &[f64]) -> Vec<f32> {
     ground.iter().map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * seconds)) as f32).collect()
 }
 
-/// One picture that moves before a still ground, turning and shifting as neighbouring frames do, or shifting steadily.
+/// One picture that moves before a still ground, turning and shifting as neighbouring frames do, or shifting
+/// steadily.
 fn before_ground(
     case: &Case,
     nominal: &Nominal,
     of_picture: &PictureSetting,
     moves: &[bool],
-    (ground, asked): (&[f32], Option<&[bool]>),
+    (ground, selected): (&[f32], Option<&[bool]>),
     setting: &MosaicSetting,
 ) -> Picture {
     let count = case.frame_count();
@@ -179,11 +190,12 @@ fn before_ground(
         chained.push(compose(chained.last().expect("one is there"), pair));
     }
     let steady = follow(case, nominal, moves, &setting.patches);
-    Picture::fit_from(case, nominal, of_picture, &[&chained, &steady], Begin { counts: None, ground: Some(ground), asked })
+    Picture::fit_from(case, nominal, of_picture, &[&chained, &steady], Begin { counts: None, ground: Some(ground), selected })
 }
 
 impl Mosaic {
-    /// Tiles and windows with events whose moving values the moving picture does not predict, those with the most events first.
+    /// Tiles and windows with events whose moving values the moving picture does not predict, those with the
+    /// most events first.
     fn needed(&self, case: &Case, nominal: &Nominal, changes: &[bool]) -> Vec<(usize, Range<usize>)> {
         let windows = self.setting.patches.windows(case.frame_count());
         let mut needed: Vec<(usize, usize, Range<usize>)> = Vec::new();
@@ -218,7 +230,7 @@ impl Mosaic {
             .filter(|misses| misses.is_finite())
             .collect();
         misses.sort_by(f64::total_cmp);
-        // The quarter that does best knows the noise.
+        // The quarter that does best has the noise alone.
         let noise = misses.get(misses.len() / 4).copied().unwrap_or(1.0);
         let noise_dn = (self.setting.picture.frame_dn, self.setting.picture.frame_share);
         let predicted = |tile: usize, frames: &Range<usize>, of: &dyn Fn(usize, u32, u32) -> f32| -> f64 {
@@ -248,7 +260,7 @@ impl Mosaic {
     }
 
     /// Works out residuals: of the picture that a place is predicted by, the worse one where two join.
-    fn look(&mut self, case: &Case) {
+    fn compare(&mut self, case: &Case) {
         let pixels = case.extent.pixels();
         let count = case.frame_count();
         let mut residual = match &self.whole {
@@ -280,10 +292,11 @@ impl Mosaic {
         }
         self.residual = residual;
         let mut misfits: Vec<f64> = self.patches.iter().filter_map(|patch| patch.picture.report.misfit.last().copied()).collect();
-        self.misfit = if misfits.is_empty() { self.whole.as_ref().map_or(1.0, Source::misfit) } else { median(&mut misfits) };
+        self.misfit = if misfits.is_empty() { self.whole.as_ref().map_or(1.0, Scene::misfit) } else { median(&mut misfits) };
     }
 
-    /// The picture that says most of a pixel at an instant: number of its patch, and of none the moving picture.
+    /// The picture of most weight on a pixel at an instant: number of its patch, and of none the moving
+    /// picture.
     fn patch_at(&self, case: &Case, pixel: usize, t_ns: i64) -> Option<usize> {
         let (x, y) = case.place(pixel);
         let tile = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y))?;
@@ -311,7 +324,7 @@ fn middle_ns(case: &Case, l: usize, y: u32) -> i64 {
     })
 }
 
-/// How much a patch says of an instant: nothing outside of its window, and most in its middle.
+/// Weight of a patch at an instant: nothing outside of its window, and most in its middle.
 fn weight(case: &Case, patch: &Patch, y: u32, t_ns: i64) -> f64 {
     let frames = &patch.part.frames;
     let (from, to) = (middle_ns(case, frames.start, y), middle_ns(case, frames.end - 1, y));
@@ -343,7 +356,8 @@ fn for_moving(case: &Case, changes: &[bool], tile: &(Range<u32>, Range<u32>), fr
     }
 }
 
-/// Median residual of the moving values of a tile and window, standard deviations over 0.6745; infinite where most of them took no part.
+/// Median residual of the moving values of a tile and window, standard deviations over 0.6745; infinite where
+/// most of them took no part.
 fn usual(case: &Case, nominal: &Nominal, changes: &[bool], tile: &(Range<u32>, Range<u32>), frames: &Range<usize>, of: impl Fn(usize, u32, u32) -> f32) -> f64 {
     let mut sizes: Vec<f64> = Vec::new();
     for_moving(case, changes, tile, frames, |l, pixel, x, y| {
@@ -354,36 +368,36 @@ fn usual(case: &Case, nominal: &Nominal, changes: &[bool], tile: &(Range<u32>, R
     if sizes.is_empty() { 0.0 } else { median(&mut sizes) / 0.6745 }
 }
 
-impl Source for Mosaic {
+impl Scene for Mosaic {
     fn name(&self) -> &'static str {
         "patches"
     }
 
-    fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
-        let of_whole = self.whole.as_ref().map(|whole| whole.log_of(case, step_ns, pixels));
+    fn log_light(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let of_whole = self.whole.as_ref().map(|whole| whole.log_light(case, step_ns, pixels));
         self.joined((case, step_ns, pixels), of_whole, Picture::log_light)
     }
 
-    fn exposures_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
-        let of_whole = self.whole.as_ref().map(|whole| whole.exposures_of(case, step_ns, pixels));
-        self.joined((case, step_ns, pixels), of_whole, |picture, x, y, maps| Some(picture.exposures_of(x, y, maps)))
+    fn exposures_seen(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let of_whole = self.whole.as_ref().map(|whole| whole.exposures_seen(case, step_ns, pixels));
+        self.joined((case, step_ns, pixels), of_whole, |picture, x, y, maps| Some(picture.exposures_seen(x, y, maps)))
     }
 
     fn residual(&self) -> &[f32] {
         &self.residual
     }
 
-    fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
-        Gate::new(case, &self.residual, (f64::max(least_dn, self.least_dn), self.least_dn), spread)
+    fn tolerance(&self) -> Option<Tolerance> {
+        Some(Tolerance { any_dn: self.least_dn, alike_dn: self.least_dn })
     }
 
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
         self.misfit * nominal.frame_sigma_dn(signal, (self.setting.picture.frame_dn, self.setting.picture.frame_share))
     }
 
-    fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> Cell {
+    fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
         let Some(n) = self.patch_at(case, pixel, t_ns) else {
-            return self.whole.as_ref().map_or((0, pixel as i64, 0), |whole| whole.cell(case, pixel, t_ns, side));
+            return self.whole.as_ref().map_or((0, pixel as f64, 0.0), |whole| whole.place(case, pixel, t_ns));
         };
         let patch = &self.patches[n];
         let (x, y) = case.place(pixel);
@@ -391,21 +405,21 @@ impl Source for Mosaic {
         let centre = (0.5 * (f64::from(extent.width) - 1.0), 0.5 * (f64::from(extent.height) - 1.0));
         let place = (f64::from(x - patch.part.columns.start) - centre.0, f64::from(y - patch.part.rows.start) - centre.1);
         let (x, y) = apply(&patch.picture.motion.at(t_ns), place.0, place.1);
-        (n as u32 + 1, (x / side).floor() as i64, (y / side).floor() as i64)
+        (n as u32 + 1, x, y)
     }
 
-    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String> {
+    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
         let whole = self.whole.as_ref().map(|whole| whole.with(whole.picture.refit(case, nominal, &whole.setting, None)));
         let patches = self.patches.par_iter().map(|patch| patch.refit(case, nominal, &self.setting.picture)).collect();
         Ok(Box::new(self.with(case, whole, patches)))
     }
 
-    fn rough(&self, case: &Case, nominal: &Nominal, step_ns: i64, seed: u64) -> Result<Option<Behind>, String> {
+    fn posterior_sample(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Scene>>, String> {
         let draw = |whole: &MovingPicture| whole.picture.drawn(case, nominal, &whole.setting, None, seed).sharpened(whole.setting.sharpest);
         let whole = self.whole.as_ref().map(|whole| whole.with(draw(whole)));
-        let one = |(n, patch): (usize, &Patch)| patch.rough(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64));
+        let one = |(n, patch): (usize, &Patch)| patch.posterior_sample(case, nominal, &self.setting.picture, seed.wrapping_add(1 + n as u64));
         let patches = self.patches.par_iter().enumerate().map(one).collect();
-        Ok(Some(Behind::of(case, nominal, self.with(case, whole, patches).light(case, step_ns))))
+        Ok(Some(Box::new(self.with(case, whole, patches))))
     }
 
     fn misfit(&self) -> f64 {
@@ -414,7 +428,8 @@ impl Source for Mosaic {
 }
 
 impl Mosaic {
-    /// What pictures say of pixels at steady instants: `of_patch` those of parts, and where there are none `of_whole` the moving one.
+    /// What pictures say of pixels at steady instants: `of_patch` those of parts, and where there are none
+    /// `of_whole` the moving one.
     fn joined(
         &self,
         (case, step_ns, pixels): (&Case, i64, &[usize]),
@@ -426,7 +441,7 @@ impl Mosaic {
         // Patches of a tile with where they lie at every instant; neighbouring pixels mostly share them.
         let mut tile = usize::MAX;
         let mut patches: Vec<(&Patch, Vec<Map>)> = Vec::new();
-        for (pixel, said) in pixels.iter().zip(&mut of_whole) {
+        for (pixel, predicted) in pixels.iter().zip(&mut of_whole) {
             let (x, y) = case.place(*pixel);
             let Some(here) = self.tiles.iter().position(|(columns, rows)| columns.contains(&x) && rows.contains(&y)) else { continue };
             if here != tile {
@@ -434,7 +449,7 @@ impl Mosaic {
                 patches = self.of_tile(tile).into_iter().map(|(_, patch)| (patch, instants.iter().map(|t| patch.picture.motion.at(*t)).collect())).collect();
             }
             if !patches.is_empty() {
-                *said = of_patches(case, *pixel, &patches, &instants, said, &of_patch);
+                *predicted = of_patches(case, *pixel, &patches, &instants, predicted, &of_patch);
             }
         }
         of_whole
@@ -453,12 +468,13 @@ impl Mosaic {
             misfit: 1.0,
             least_dn: self.least_dn,
         };
-        other.look(case);
+        other.compare(case);
         other
     }
 }
 
-/// What patches, with where they lie at every instant, say of a pixel; `of_whole` is what the moving picture says, where they predict nothing.
+/// What patches, with where they lie at every instant, predict for a pixel; where they predict nothing, the
+/// moving picture's prediction `of_whole`.
 fn of_patches(
     case: &Case,
     pixel: usize,
@@ -475,9 +491,9 @@ fn of_patches(
         let Some(first) = share.iter().position(|share| *share > 0.0) else { continue };
         let last = share.iter().rposition(|share| *share > 0.0).unwrap_or(first);
         let place = ((x - patch.part.columns.start) as usize, (y - patch.part.rows.start) as usize);
-        let Some(said) = of_patch(&patch.picture, place.0, place.1, &maps[first..=last]) else { continue };
-        for (k, said) in (first..=last).zip(said) {
-            sum[k] += share[k] * said;
+        let Some(predicted) = of_patch(&patch.picture, place.0, place.1, &maps[first..=last]) else { continue };
+        for (k, predicted) in (first..=last).zip(predicted) {
+            sum[k] += share[k] * predicted;
             weights[k] += share[k];
         }
     }
@@ -497,45 +513,4 @@ fn filled(known: &[Option<f32>]) -> Vec<f32> {
             last
         })
         .collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::scenes::MadeUp;
-    use photocurrent_core::Extent;
-    use photocurrent_sensor::conditional::at;
-
-    /// Mean distance of a scene's log light from the truth, in places whose light changes, between the middles of the first and the last frame.
-    fn error(source: &dyn Source, case: &Case, truth: &[(Vec<i64>, Vec<f64>)]) -> f64 {
-        let light = source.light(case, 200_000);
-        let (from, to) = (middle_ns(case, 0, 0), middle_ns(case, case.frame_count() - 1, 0));
-        let mut errors: Vec<f64> = Vec::new();
-        for (pixel, (t, photocurrent)) in truth.iter().enumerate() {
-            let (low, high) = photocurrent.iter().fold((f64::INFINITY, 0.0), |(low, high), i| (f64::min(low, *i), f64::max(high, *i)));
-            if high < 1.3 * low || light.log[pixel].is_empty() {
-                continue;
-            }
-            let within = (0..light.count).filter(|k| (from..to).contains(&light.instant(*k)));
-            errors.extend(within.map(|k| (f64::from(light.log[pixel][k]) - libm::log(at(t, photocurrent, light.instant(k)))).abs()));
-        }
-        errors.iter().sum::<f64>() / errors.len() as f64
-    }
-
-    #[test]
-    fn what_moves_before_a_still_wall_is_followed_and_one_picture_is_left_alone() {
-        let extent = Extent { width: 48, height: 36 };
-        let fan = (0..).map(|index| MadeUp::in_parts(5, index, extent, 0.08)).find(|scene| scene.name() == "fan").unwrap();
-        let case = fan.recording().unwrap();
-        let nominal = case.nominal().unwrap();
-        let found = scene(&case, &nominal, &PictureSetting::default(), &MosaicSetting::default()).unwrap();
-        assert_eq!(found.name(), "patches");
-        let one = MovingPicture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
-        let (parts, one) = (error(found.as_ref(), &case, &fan.light()), error(&one, &case, &fan.light()));
-        assert!(parts < 0.5 * one, "{parts} of natural-log units, one picture {one}");
-
-        let texture = MadeUp::new(21, 0, extent, 0.06);
-        let case = texture.recording().unwrap();
-        assert_eq!(scene(&case, &case.nominal().unwrap(), &PictureSetting::default(), &MosaicSetting::default()).unwrap().name(), "picture");
-    }
 }

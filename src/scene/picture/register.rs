@@ -3,6 +3,7 @@
 //! Source: Evangelidis and Psarakis, Parametric Image Alignment Using Enhanced Correlation Coefficient Maximization, PAMI 2008; Lucas and Kanade, IJCAI 1981.
 
 use super::motion::{DEGREES, Map as Affine, RIGID, apply, derivatives, map_of, pose_of};
+use crate::image::Image;
 use multiversion::multiversion;
 use nalgebra::{SMatrix, SVector};
 
@@ -37,72 +38,6 @@ impl Default for Search {
 const COARSE: usize = 96;
 /// Of an image of more pixels every second one of every second row takes part in steps of Gauss-Newton.
 const LARGE: usize = 20_000;
-
-/// A picture on a plane of pixels, row-major; values are finite.
-#[derive(Clone, Debug)]
-pub struct Image {
-    /// Columns.
-    pub width: usize,
-    /// Rows.
-    pub height: usize,
-    /// Values.
-    pub values: Vec<f32>,
-}
-
-impl Image {
-    fn centre(&self) -> (f64, f64) {
-        (0.5 * (self.width as f64 - 1.0), 0.5 * (self.height as f64 - 1.0))
-    }
-
-    /// Smoothed with the binomial weights 1 2 1 along both axes, `times` over.
-    pub fn smoothed(&self, times: usize) -> Image {
-        let (w, h) = (self.width, self.height);
-        let mut values = self.values.clone();
-        for _ in 0..times {
-            let old = values.clone();
-            for y in 0..h {
-                for x in 0..w {
-                    let (l, r) = (old[y * w + x.saturating_sub(1)], old[y * w + (x + 1).min(w - 1)]);
-                    values[y * w + x] = 0.25 * l + 0.5 * old[y * w + x] + 0.25 * r;
-                }
-            }
-            let old = values.clone();
-            for y in 0..h {
-                for x in 0..w {
-                    let (l, r) = (old[y.saturating_sub(1) * w + x], old[(y + 1).min(h - 1) * w + x]);
-                    values[y * w + x] = 0.25 * l + 0.5 * old[y * w + x] + 0.25 * r;
-                }
-            }
-        }
-        Image { values, ..*self }
-    }
-
-    fn halved(&self) -> Image {
-        let (w, h) = (self.width / 2, self.height / 2);
-        let at = |x: usize, y: usize| self.values[y * self.width + x];
-        let values = (0..w * h)
-            .map(|k| {
-                let (x, y) = (2 * (k % w), 2 * (k / w));
-                0.25 * (at(x, y) + at(x + 1, y) + at(x, y + 1) + at(x + 1, y + 1))
-            })
-            .collect();
-        Image { width: w, height: h, values }
-    }
-
-    /// Value and gradient at a place in pixels from the first one, bilinear; `None` outside.
-    #[inline]
-    fn look(&self, x: f64, y: f64) -> Option<(f64, f64, f64)> {
-        if !(x >= 0.0 && y >= 0.0 && x <= (self.width - 1) as f64 && y <= (self.height - 1) as f64) {
-            return None;
-        }
-        let (i, j) = ((x as usize).min(self.width - 2), (y as usize).min(self.height - 2));
-        let (f, g) = (x - i as f64, y - j as f64);
-        let at = |i: usize, j: usize| f64::from(self.values[j * self.width + i]);
-        let (a, b, c, d) = (at(i, j), at(i + 1, j), at(i, j + 1), at(i + 1, j + 1));
-        let value = (1.0 - g) * ((1.0 - f) * a + f * b) + g * ((1.0 - f) * c + f * d);
-        Some((value, (1.0 - g) * (b - a) + g * (d - c), (1.0 - f) * (c - a) + f * (d - b)))
-    }
-}
 
 /// Where the places of `moved` lie on `still`, and the correlation of both there (-1 to 1).
 ///
@@ -200,7 +135,7 @@ impl Masked {
         let (mut values, mut mask) = (vec![0.0; width * height], vec![0.0; width * height]);
         for k in 0..width * height {
             let (x, y) = ((k % width) as f64 - cx, (k / width) as f64 - cy);
-            if let Some((value, ..)) = image.look(c * x + s * y + cx, c * y - s * x + cy) {
+            if let Some((value, ..)) = image.sample(c * x + s * y + cx, c * y - s * x + cy) {
                 (values[k], mask[k]) = (value as f32 - mean, 1.0);
             }
         }
@@ -259,7 +194,7 @@ fn correlation(a: &Image, b: &Image, map: &Affine) -> f64 {
         for i in 0..b.width {
             let (x, y) = (i as f64 - cx, j as f64 - cy);
             let place = (map[0] + map[1] * x + map[2] * y + cx, map[3] + map[4] * x + map[5] * y + cy);
-            if let Some((va, ..)) = a.look(place.0, place.1) {
+            if let Some((va, ..)) = a.sample(place.0, place.1) {
                 let vb = f64::from(b.values[j * b.width + i]);
                 n += 1.0;
                 sa += va;
@@ -293,7 +228,7 @@ fn refine(a: &Image, b: &Image, start: Affine, search: &Search, rounds: usize) -
             for i in (0..b.width).step_by(stride) {
                 let (x, y) = (i as f64 - cx, j as f64 - cy);
                 let place = apply(&map, x, y);
-                let Some((value, gx, gy)) = a.look(place.0 + cx, place.1 + cy) else { continue };
+                let Some((value, gx, gy)) = a.sample(place.0 + cx, place.1 + cy) else { continue };
                 let vb = f64::from(b.values[j * b.width + i]);
                 let residual = gain * vb + offset - value;
                 sizes.push(residual.abs());
@@ -352,7 +287,7 @@ mod tests {
 
     #[test]
     fn a_turned_and_shifted_image_is_found() {
-        // The last one is halved twice, and looked at at every second pixel.
+        // The last one is halved twice, and compared at every second pixel.
         let (small, large) = ((60, 44), (346, 260));
         for (angle, dx, dy, size) in [(0.0, 2.3, -1.2, small), (0.3, 1.0, 0.5, small), (-0.75, 0.0, 3.0, small), (0.3, 21.3, -8.4, large)] {
             let (c, s) = (libm::cos(angle), libm::sin(angle));

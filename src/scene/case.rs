@@ -4,9 +4,11 @@ use crate::grey::Grey;
 use crate::recorded::Gathered;
 pub use crate::recorded::{CaseFrames, PixelEvents, Recorded};
 use photocurrent_core::events::{Event, EventRow};
+use photocurrent_core::frames::FrameSource;
+use photocurrent_core::handle::BandSource;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{
-    Colour, DataError, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Meta, Polarity, Sensor,
+    Colour, DataError, EventBand, EventStream, EventsMeta, Extent, FrameBlock, FrameScale, FrameSequence, FrameTimes, FramesMeta, Meta, Polarity, Rows, Sensor,
     TimeSpan,
 };
 use std::ops::Range;
@@ -110,34 +112,15 @@ impl Case {
         })
     }
 
-    /// The events and the frames as data that others take; frames are grey, as captured.
-    ///
-    /// # Errors
-    /// When an event lies outside of the array.
-    pub fn streams(&self) -> Result<(EventStream, Option<FrameSequence>), DataError> {
-        let mut events = Vec::with_capacity(self.events.len());
-        for pixel in 0..self.events.pixels() {
-            let (x, y) = self.place(pixel);
-            events.extend(self.events.of(pixel).iter().map(|event| Event {
-                x: x as u16,
-                y: y as u16,
-                polarity: if event.polarity > 0 { Polarity::On } else { Polarity::Off },
-                t: event.t_off_ns,
-                t_in: self.has_t_in.then_some(event.t_in_ns),
-            }));
-        }
-        let mut band = EventBand::from_events(self.extent.rows(), events)?;
-        if !self.has_t_in {
-            band.t_in = None;
-        }
-        let events = EventStream::in_memory(Arc::new(self.events_meta()), band);
+    /// The events and the frames as data that others take, cut out of this recording as they are read; frames are grey, as captured.
+    pub fn streams(&self) -> (EventStream, Option<FrameSequence>) {
+        let (rows, shared) = (self.extent.rows(), Arc::new(Shared(self.clone())));
+        let events = EventStream::new(Arc::new(self.events_meta()), rows, shared.clone());
         let frames = self.frames.as_ref().map(|frames| {
-            let mut block = FrameBlock::zeros(0..frames.times.len(), self.extent.rows(), self.extent.width as usize);
-            block.dn.iter_mut().zip(frames.values()).for_each(|(to, dn)| *to = dn);
             let meta = FramesMeta { extent: self.extent, colour: Colour::Mono, times: frames.times.clone(), scale: FrameScale::Captured };
-            FrameSequence::in_memory(Arc::new(meta), block)
+            FrameSequence::new(Arc::new(meta), rows, shared)
         });
-        Ok((events, frames))
+        (events, frames)
     }
 
     /// What is known of the stream of [`Case::streams`] without its events.
@@ -223,6 +206,47 @@ impl Case {
     }
 }
 
+/// A recording in memory as a source of rows.
+struct Shared(Case);
+
+impl BandSource<EventBand> for Shared {
+    fn read(&self, rows: Rows) -> Result<EventBand, DataError> {
+        let Shared(case) = self;
+        let width = case.extent.width as usize;
+        let pixels = rows.start as usize * width..rows.end as usize * width;
+        let mut events = Vec::with_capacity(case.events.count(pixels.clone()));
+        for pixel in pixels {
+            let (x, y) = case.place(pixel);
+            events.extend(case.events.of(pixel).iter().map(|event| Event {
+                x: x as u16,
+                y: y as u16,
+                polarity: if event.polarity > 0 { Polarity::On } else { Polarity::Off },
+                t: event.t_off_ns,
+                t_in: case.has_t_in.then_some(event.t_in_ns),
+            }));
+        }
+        let mut band = EventBand::from_events(rows, events)?;
+        if !case.has_t_in {
+            band.t_in = None;
+        }
+        Ok(band)
+    }
+}
+
+impl FrameSource for Shared {
+    fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
+        let width = self.0.extent.width as usize;
+        let mut block = FrameBlock::zeros(frames.clone(), rows, width);
+        for frame in frames {
+            for row in rows.iter() {
+                let first = row as usize * width;
+                block.row_mut(frame, row).iter_mut().enumerate().for_each(|(x, to)| *to = self.0.dn(frame, first + x) as f32);
+            }
+        }
+        Ok(block)
+    }
+}
+
 /// The events of a row, pixel by pixel.
 fn gather(row: &EventRow<'_>, width: u32, latency_ns: i64, gathered: &mut Gathered) {
     let mut of = vec![Vec::new(); width as usize];
@@ -238,8 +262,6 @@ fn gather(row: &EventRow<'_>, width: u32, latency_ns: i64, gathered: &mut Gather
 mod tests {
     use super::*;
     use crate::testing;
-    use photocurrent_core::Rows;
-    use photocurrent_core::handle::BandSource;
     use std::sync::Mutex;
 
     #[test]
@@ -247,8 +269,8 @@ mod tests {
         for has_t_in in [true, false] {
             let case = Case { has_t_in, t_resolution_ns: 20, ..testing::case() };
             // Without in-pixel times they follow from the off-pixel ones.
-            let case = if has_t_in { case } else { Case::read(Some(&case.streams().unwrap().0), None, &case.sensor).unwrap() };
-            let (events, frames) = case.streams().unwrap();
+            let case = if has_t_in { case } else { Case::read(Some(&case.streams().0), None, &case.sensor).unwrap() };
+            let (events, frames) = case.streams();
             let again = Case::read(Some(&events), frames.as_ref(), &case.sensor).unwrap();
             assert_eq!((again.events, again.frames, again.span), (case.events.clone(), case.frames.clone(), case.span));
             assert_eq!((again.has_t_in, again.t_resolution_ns), (has_t_in, 20));
@@ -268,7 +290,7 @@ mod tests {
     #[test]
     fn many_events_are_read_in_a_few_bands() {
         let case = testing::case();
-        let (events, frames) = case.streams().unwrap();
+        let (events, frames) = case.streams();
         let rows = case.extent.rows();
         for (count, bands) in [(Some(1000), vec![10]), (Some(3 * BAND_EVENTS), vec![4, 4, 2]), (None, vec![10])] {
             let watched = Arc::new(Watched(events.clone(), Mutex::default()));

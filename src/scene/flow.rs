@@ -1,22 +1,30 @@
 //! Where things move: a field of velocities over the sensor and time, from a film of log light.
 //!
-//! Pictures that stand symmetrically around an instant are moved towards each other until they agree (Lucas and Kanade 1981, by Gauss-Newton
-//! steps): first one affine motion of all pixels, robust against those that move otherwise, then a motion of every neighbourhood, in windows that
-//! shrink. A neighbourhood without contrast keeps the motion it has. Time distances grow as windows shrink, so that the field ends up
-//! precise to a small part of a pixel. At last every place may take the affine motion, or that of a place farther away, where it explains its smallest neighbourhood clearly better:
-//! around something small that passes, windows hold two motions. Where another motion explains a place nearly as well, that is known too ([`Flow::rival_at`]).
+//! Pictures that stand symmetrically around an instant are moved towards each other until they agree (Lucas
+//! and Kanade 1981, by Gauss-Newton
+//! steps): first one affine motion of all pixels, robust against those that move otherwise, then a motion of
+//! every neighbourhood, in windows that
+//! shrink. A neighbourhood without contrast keeps the motion it has. Time distances grow as windows shrink,
+//! so that the field ends up
+//! precise to a small part of a pixel. At last every place may take the affine motion, or that of a place
+//! farther away, where it explains its smallest neighbourhood clearly better:
+//! around something small that passes, windows hold two motions. Where another motion explains a place nearly
+//! as well, that is known too ([`Flow::rival_at`]).
 //!
-//! A long recording is looked at part after part, and only where pixels fire in company ([`Lively`]): elsewhere nothing is seen to move. Of a large sensor every second pixel of every second row
-//! is asked; the field is much smoother than that.
+//! A long recording is evaluated part after part, and only in active blocks ([`Activity`]); elsewhere the
+//! velocity is zero. Of a large sensor every
+//! second pixel of every second row is evaluated; the field is much smoother than that.
 //!
-//! Limits: motion that cannot be seen (along an edge, in a flat place) is the affine one or none; speeds over `fastest` are cut.
+//! Limits: motion that cannot be seen (along an edge, in a flat place) is the affine one or none; speeds over
+//! `fastest` are cut.
 
 mod params;
 
 pub use params::MotionParams;
 
-use super::film::{Film, LogTracks, STEP_NS, smooth};
-use super::lively::Lively;
+use crate::activity::Activity;
+use crate::film::{Film, LogTracks, STEP_NS};
+use crate::image::{Image, smooth};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -24,21 +32,22 @@ use std::ops::Range;
 const STRIDE: usize = 4;
 /// Instants of the field that are worked out together.
 const TOGETHER: usize = 32;
-/// Farthest picture from its instant that is looked at.
+/// Farthest picture from its instant that is compared.
 const REACH: usize = 6;
-/// A sensor of more pixels is asked at every second pixel of every second row.
+/// Of a sensor of more pixels every second pixel of every second row is evaluated.
 const LARGE: usize = 20_000;
 /// A step that is smaller changes nothing, pixels per picture.
 const NO_STEP: f64 = 1e-4;
 
 /// Velocities in pixels per millisecond.
-pub(super) struct Flow {
+pub struct Flow {
     lattice: Lattice,
     start_ns: i64,
     step_ns: i64,
     /// One field per instant, as [line * columns + column].
     fields: Vec<Vec<[f32; 2]>>,
-    /// Motions that explain a place nearly as well, laid out likewise, the same where there is none; empty where nobody asks for them.
+    /// Motions that explain a place nearly as well, laid out likewise, the same where there is none; empty
+    /// where none are requested.
     rivals: Vec<Vec<[f32; 2]>>,
 }
 
@@ -70,22 +79,23 @@ impl Lattice {
     }
 }
 
-/// An affine field of velocities, pixels per picture: `v_x = p0 + p1 a + p2 b`, `v_y = p3 + p4 a + p5 b`, with (a, b) the place relative to
+/// An affine field of velocities, pixels per picture: `v_x = p0 + p1 a + p2 b`, `v_y = p3 + p4 a + p5 b`,
+/// with (a, b) the place relative to
 /// the sensor's middle in half widths.
 type Affine = [f64; 6];
 
 impl Flow {
-    /// Of tracks between two instants; with rivals where somebody asks for them.
-    pub fn of_tracks(tracks: &LogTracks, span: (i64, i64), lively: &Lively, how: (&MotionParams, bool)) -> Flow {
+    /// Of tracks between two instants; with rivals on request.
+    pub fn of_tracks(tracks: &LogTracks, span: (i64, i64), activity: &Activity, how: (&MotionParams, bool)) -> Flow {
         let size = (tracks.extent.width as usize, tracks.extent.height as usize);
-        Flow::new(size, (span.0, Film::count(span)), lively, how, |numbers| Film::new(tracks, span.0, numbers))
+        Flow::new(size, (span.0, Film::count(span)), activity, how, |numbers| Film::new(tracks, span.0, numbers))
     }
 
     /// From a film of so many pictures from an instant on, of which `film` gives those of any numbers.
     pub fn new(
         (width, height): (usize, usize),
         (start_ns, count): (i64, usize),
-        lively: &Lively,
+        activity: &Activity,
         (params, with_rivals): (&MotionParams, bool),
         film: impl Fn(Range<usize>) -> Film,
     ) -> Flow {
@@ -96,18 +106,18 @@ impl Flow {
             let bins = first..usize::min(first + TOGETHER, bins);
             let numbers = (bins.start * STRIDE).saturating_sub(REACH)..usize::min((bins.end - 1) * STRIDE + REACH + 1, count);
             let at_ns = |n: usize| start_ns + n as i64 * STEP_NS;
-            let places = lively.places((at_ns(numbers.start), at_ns(numbers.end)), (0..lattice.len()).map(|at| lattice.pixel(at)));
+            let places = activity.places((at_ns(numbers.start), at_ns(numbers.end)), (0..lattice.len()).map(|at| lattice.pixel(at)));
             if places.is_empty() {
                 fields.extend(bins.clone().map(|_| vec![[0.0; 2]; lattice.len()]));
                 rivals.extend(bins.filter(|_| with_rivals).map(|_| vec![[0.0; 2]; lattice.len()]));
                 continue;
             }
             let film = film(numbers);
-            let look = Look { lattice, coarse: &film.smoothed(2.0), fine: &film.smoothed(0.7), count, places: &places, params, with_rivals };
+            let estimator = Estimator { lattice, coarse: &film.smoothed(2.0), fine: &film.smoothed(0.7), count, places: &places, params, with_rivals };
             let per_ms = 1e6 / STEP_NS as f64;
             let of = |bin: usize| {
                 let per_ms = |field: Vec<[f64; 2]>| -> Vec<[f32; 2]> { field.iter().map(|v| v.map(|v| (v * per_ms) as f32)).collect() };
-                let (field, rival) = look.estimate(bin * STRIDE);
+                let (field, rival) = estimator.estimate(bin * STRIDE);
                 (per_ms(field), per_ms(rival))
             };
             let (some, their): (Vec<_>, Vec<_>) = bins.into_par_iter().map(of).unzip();
@@ -117,17 +127,12 @@ impl Flow {
         Flow { lattice, start_ns, step_ns: STEP_NS * STRIDE as i64, fields, rivals }
     }
 
-    /// The same velocity everywhere and always, pixels per millisecond.
-    #[cfg(test)]
-    pub fn steady(width: usize, height: usize, velocity: [f32; 2]) -> Flow {
-        Flow::steady_with_rival(width, height, velocity, velocity)
-    }
-
-    /// The same with another that explains everything as well.
-    #[cfg(test)]
-    pub fn steady_with_rival(width: usize, height: usize, velocity: [f32; 2], rival: [f32; 2]) -> Flow {
-        let field = |velocity: [f32; 2]| vec![vec![velocity; width * height]];
-        Flow { lattice: Lattice::new(width, height), start_ns: 0, step_ns: 1, fields: field(velocity), rivals: field(rival) }
+    /// The same velocity everywhere and always, pixels per millisecond, and another that explains everything
+    /// as well.
+    pub fn uniform((width, height): (usize, usize), velocity: [f32; 2], rival: [f32; 2]) -> Flow {
+        let lattice = Lattice::new(width, height);
+        let field = |velocity: [f32; 2]| vec![vec![velocity; lattice.len()]];
+        Flow { lattice, start_ns: 0, step_ns: 1, fields: field(velocity), rivals: field(rival) }
     }
 
     /// The fields before and after an instant, and the share of the later one.
@@ -171,19 +176,6 @@ fn whole_and_rest(at: f64, count: usize) -> (usize, f64) {
     (at as usize, at - (at as usize) as f64)
 }
 
-/// Value and gradient of a picture between its pixels; `None` outside.
-fn look(picture: &[f32], width: usize, height: usize, x: f64, y: f64) -> Option<(f64, f64, f64)> {
-    if !(x >= 0.0 && y >= 0.0 && x <= (width - 1) as f64 && y <= (height - 1) as f64) {
-        return None;
-    }
-    let (i, j) = (usize::min(x as usize, width.saturating_sub(2)), usize::min(y as usize, height.saturating_sub(2)));
-    let (dx, dy) = (x - i as f64, y - j as f64);
-    let v = |i: usize, j: usize| f64::from(picture[usize::min(j, height - 1) * width + usize::min(i, width - 1)]);
-    let (a, b, c, d) = (v(i, j), v(i + 1, j), v(i, j + 1), v(i + 1, j + 1));
-    let value = (1.0 - dy) * ((1.0 - dx) * a + dx * b) + dy * ((1.0 - dx) * c + dx * d);
-    Some((value, (1.0 - dy) * (b - a) + dy * (d - c), (1.0 - dx) * (c - a) + dx * (d - b)))
-}
-
 /// Pairs of pictures that are compared, as (middle, distance of each from it).
 struct Pairs<'a> {
     film: &'a Film,
@@ -199,13 +191,13 @@ struct Pairs<'a> {
 
 impl Pairs<'_> {
     /// Calls with (earlier picture, later picture, time from the middle to each).
-    fn each(&self, mut with: impl FnMut(&[f32], &[f32], f64, f64)) {
+    fn each(&self, mut with: impl FnMut(&Image, &Image, f64, f64)) {
         for &shift in self.shifts {
             for &distance in self.distances {
                 let (early, late) = (self.middle as i64 + shift - distance as i64, self.middle as i64 + shift + distance as i64);
                 if early >= 0 && (late as usize) < self.count {
                     let at = |n: i64| (n - self.middle as i64) as f64;
-                    let picture = |n: i64| &self.film.pictures[n as usize - self.film.first][..];
+                    let picture = |n: i64| &self.film.pictures[n as usize - self.film.first];
                     with(picture(early), picture(late), at(early), at(late));
                 }
             }
@@ -213,17 +205,16 @@ impl Pairs<'_> {
     }
 
     /// Disagreement and its gradient by the velocity at a pixel, for a pair.
-    fn disagreement(&self, pair: (&[f32], &[f32], f64, f64), x: f64, y: f64, v: [f64; 2]) -> Option<(f64, f64, f64)> {
+    fn disagreement(&self, pair: (&Image, &Image, f64, f64), x: f64, y: f64, v: [f64; 2]) -> Option<(f64, f64, f64)> {
         let (early, late, t0, t1) = pair;
-        let (width, height) = (self.film.width, self.film.height);
-        let first = look(early, width, height, x + v[0] * t0, y + v[1] * t0)?;
-        let second = look(late, width, height, x + v[0] * t1, y + v[1] * t1)?;
+        let first = early.sample(x + v[0] * t0, y + v[1] * t0)?;
+        let second = late.sample(x + v[0] * t1, y + v[1] * t1)?;
         Some((second.0 - first.0, t1 * second.1 - t0 * first.1, t1 * second.2 - t0 * first.2))
     }
 }
 
-/// Pictures in which motion is looked for, and where.
-struct Look<'a> {
+/// Pictures in which motion is estimated, and where.
+struct Estimator<'a> {
     lattice: Lattice,
     coarse: &'a Film,
     fine: &'a Film,
@@ -235,10 +226,10 @@ struct Look<'a> {
     with_rivals: bool,
 }
 
-impl Look<'_> {
+impl Estimator<'_> {
     /// The field at picture `middle` and that of the rivals, pixels per picture.
     fn estimate(&self, middle: usize) -> (Vec<[f64; 2]>, Vec<[f64; 2]>) {
-        let Look { lattice, coarse, fine, count, places, params, .. } = *self;
+        let Estimator { lattice, coarse, fine, count, places, params, .. } = *self;
         let middle = middle.clamp(1, usize::max(count.saturating_sub(2), 1));
         let pairs = |film, distances| Pairs { film, count, robust: params.robust * params.robust, middle, shifts: &[-2, 0, 2], distances };
         let affine = self.affine(&pairs(coarse, &[1]), [0.0; 6], 6);
@@ -256,8 +247,10 @@ impl Look<'_> {
         (field, rivals)
     }
 
-    /// Takes another motion where that explains a small neighbourhood clearly better: that of all pixels, or one from farther away. Where something passes before something else,
-    /// windows hold both, and what they find is neither. Gives of those that explain it not clearly worse the one that differs most.
+    /// Takes another motion where that explains a small neighbourhood clearly better: that of all pixels, or
+    /// one from farther away. Where something passes before something else,
+    /// windows hold both, and what they find is neither. Gives of those that explain it not clearly worse the
+    /// one that differs most.
     fn choose(&self, pairs: &Pairs<'_>, field: &mut [[f64; 2]], affine: &Affine) -> Vec<[f64; 2]> {
         let Lattice { pitch, columns, lines, .. } = self.lattice;
         let MotionParams { clear_gain, farther, neighbourhood, .. } = self.params;
@@ -425,3 +418,7 @@ fn solve(mut a: [[f64; 6]; 6], mut b: [f64; 6]) -> Option<[f64; 6]> {
     }
     Some(b)
 }
+
+#[cfg(test)]
+#[path = "flow_tests.rs"]
+mod tests;

@@ -21,6 +21,6 @@ impl Picture {
         };
         let layers: Vec<&[f32]> = self.surface.chunks_exact(self.grid.coefficients()).collect();
         let surface = layers.iter().flat_map(|surface| (0..grid.coefficients()).map(|n| sharp(surface, n))).collect();
-        Picture { grid, surface, seen: Vec::new(), ..self.clone() }
+        Picture { grid, surface, coverage: Vec::new(), ..self.clone() }
     }
 }

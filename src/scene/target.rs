@@ -1,16 +1,18 @@
-//! A known target: a scene in closed form whose free parameters are fitted to the frames, and which says what the frames leave open of them.
+//! A known target: a scene in closed form whose free parameters are fitted to the frames, with what
+//! the frames leave open of them.
 //!
-//! The fit is damped Gauss-Newton with robust weights (Student's t) on a sample of the frame values, each the mean of the scene over its row's exposure, from the best places of a search
-//! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the sensor put into the fit, is fitted with every effect: the
-//! derivative of every residual by each free parameter ([`Source::free`], [`Source::moved`]).
+//! The fit is damped Gauss-Newton with robust weights (Student's t) on a sample of the frame values, each the
+//! mean of the scene over its row's exposure, from the best places of a search
+//! of the parameters' ranges or from where it stands. What the frames leave open, and what an effect of the
+//! sensor put into the fit, is fitted with every effect: the
+//! derivative of every residual by each free parameter ([`Target::free`], [`Target::moved`]).
 
-use super::control::Behind;
-use super::gate::Gate;
-use super::light::Light;
-use super::source::{Cell, Given, Knots, Source};
 use crate::case::Case;
+use crate::known::{Knots, KnownLight};
+use crate::light::Light;
 use crate::nominal::Nominal;
 use crate::picture::PictureSetting;
+use crate::scene::{Scene, Tolerance};
 use nalgebra::{DMatrix, DVector};
 use photocurrent_core::random::Random;
 use photocurrent_sensor::conditional::at_each;
@@ -28,7 +30,8 @@ pub trait Closed: Send + Sync {
 
     /// Its light between two instants, linear between knots.
     fn knots(&self, x: f64, y: f64, span: (i64, i64)) -> Knots {
-        /// A pixel's light hardly bends while the scene moves so far, pixels; and not more often than this, ns.
+        /// A pixel's light hardly bends while the scene moves so far, pixels; and not more often than this,
+        /// ns.
         const STEP: (f64, i64) = (0.1, 25_000);
         let step_ns = ((STEP.0 / f64::max(self.speed(x, y), 1e-9)) as i64).clamp(STEP.1, 200_000);
         let t: Vec<i64> = (0..=(span.1 - span.0) / step_ns + 1).map(|k| span.0 + k * step_ns).collect();
@@ -85,7 +88,8 @@ const BEST: usize = 8;
 const ROUNDS: usize = 40;
 /// Step of the derivatives, as a share of a range.
 const STEP: f64 = 1e-4;
-/// The scene moves by so many pixels at most between two instants of an exposure that are looked at, of at least and at most so many.
+/// The scene moves by so many pixels at most between two instants of an exposure that are evaluated, of at
+/// least and at most so many.
 const INSTANT_PX: f64 = 0.4;
 /// See there.
 const INSTANTS: (usize, usize) = (4, 96);
@@ -102,7 +106,7 @@ pub struct Target {
     root: DMatrix<f64>,
     /// Median residual of the fitted frame values, standard deviations.
     left: f64,
-    given: Given,
+    light: KnownLight,
 }
 
 /// What a target is fitted to.
@@ -255,7 +259,8 @@ impl Target {
         Target::from(&fit, case, nominal, &form, setting, picture, &from)
     }
 
-    /// Fits one from a place, shares of ranges, to which nothing is searched; none where its parameters make no scene.
+    /// Fits one from a place, shares of ranges, to which nothing is searched; none where its parameters make
+    /// no scene.
     pub fn near(case: &Case, nominal: &Nominal, form: Arc<dyn Form>, setting: TargetSetting, picture: &PictureSetting, from: &[f64]) -> Option<Target> {
         let fit = Fit { form: &*form, nominal, measured: measured(case, nominal, setting.values) };
         Target::from(&fit, case, nominal, &form, setting, picture, from)
@@ -273,8 +278,8 @@ impl Target {
         let shares = if from.is_empty() { Vec::new() } else { fit.descend(from, &fit.measured).1 };
         let (root, left) = fit.open(&shares);
         let light = all_knots(&*form.at(&shares)?, case);
-        let given = Given::new(case, nominal, light.into(), picture);
-        Some(Target { form: form.clone(), setting, picture: *picture, shares, root, left, given })
+        let light = KnownLight::new(case, nominal, light.into(), picture);
+        Some(Target { form: form.clone(), setting, picture: *picture, shares, root, left, light })
     }
 
     /// The free parameters as shares of their ranges.
@@ -302,26 +307,18 @@ fn all_knots(scene: &dyn Closed, case: &Case) -> Vec<Knots> {
     (0..case.extent.pixels()).into_par_iter().map(of).collect()
 }
 
-impl Source for Target {
-    fn name(&self) -> &'static str {
-        self.given.name()
-    }
-
-    fn log_of(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
-        self.given.log_of(case, step_ns, pixels)
-    }
-
-    fn is_known(&self) -> bool {
-        true
-    }
-
-    fn free(&self) -> Vec<(f64, f64)> {
-        // Wide enough to look across the bends of an edge.
+impl Target {
+    /// For each free parameter where it stands in its range, 0 to 1, and the step of its derivatives, a share
+    /// of the range, away from the nearer end.
+    pub fn free(&self) -> Vec<(f64, f64)> {
+        // Wide enough to reach across the bends of an edge.
         let step = |(share, error): (&f64, f64)| (*share, error.clamp(STEP, 0.02) * if *share > 0.5 { -1.0 } else { 1.0 });
         self.shares.iter().zip(self.errors()).map(step).collect()
     }
 
-    fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light> {
+    /// The light of some pixels (of all where there is no list) with free parameters moved by shares of their
+    /// ranges; none where they make no scene.
+    pub fn moved(&self, case: &Case, step_ns: i64, pixels: Option<&[u32]>, by: &[f64]) -> Option<Light> {
         let shares: Vec<f64> = self.shares.iter().zip(by).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
         let scene = self.form.at(&shares)?;
         let mut light = Light::blank(case, step_ns);
@@ -347,44 +344,53 @@ impl Source for Target {
         }
         Some(light)
     }
+}
 
-    fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
-        self.given.gate(case, least_dn, spread)
+impl Scene for Target {
+    fn name(&self) -> &'static str {
+        self.light.name()
+    }
+
+    fn log_light(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        self.light.log_light(case, step_ns, pixels)
+    }
+
+    fn tolerance(&self) -> Option<Tolerance> {
+        self.light.tolerance()
     }
 
     fn residual(&self) -> &[f32] {
-        self.given.residual()
+        self.light.residual()
     }
 
     fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
-        self.given.sigma(nominal, signal)
+        self.light.sigma(nominal, signal)
     }
 
-    fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> Cell {
-        self.given.cell(case, pixel, t_ns, side)
+    fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
+        self.light.place(case, pixel, t_ns)
     }
 
-    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Source>, String> {
+    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
         let fitted = Target::near(case, nominal, self.form.clone(), self.setting, &self.picture, &self.shares);
         Ok(Box::new(fitted.ok_or("the target's parameters make no scene")?))
     }
 
-    fn rough(&self, case: &Case, nominal: &Nominal, step_ns: i64, seed: u64) -> Result<Option<Behind>, String> {
+    fn posterior_sample(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Scene>>, String> {
         let n = self.shares.len();
         let mut random = Random::new(seed, &[0x7b]);
         let draw = &self.root * DVector::from_fn(n, |_, _| random.normal());
         let shares: Vec<f64> = self.shares.iter().zip(draw.iter()).map(|(share, by)| (share + by).clamp(0.0, 1.0)).collect();
         let scene = self.form.at(&shares).ok_or("the target's parameters make no scene")?;
         let light = all_knots(&*scene, case);
-        let given = Given::new(case, nominal, light.into(), &self.picture);
-        Ok(Some(Behind { light: given.light(case, step_ns), frames: given.frames(case) }))
+        Ok(Some(Box::new(KnownLight::new(case, nominal, light.into(), &self.picture))))
     }
 
     fn misfit(&self) -> f64 {
-        self.given.misfit()
+        self.light.misfit()
+    }
+
+    fn target(&self) -> Option<&Target> {
+        Some(self)
     }
 }
-
-#[cfg(test)]
-#[path = "target_tests.rs"]
-mod tests;

@@ -1,10 +1,10 @@
-//! The parameters of how motion is found and neighbours are asked along it.
+//! The parameters of how motion is estimated, and of the neighbours that predict along it.
 
 use photocurrent_core::quantity::Duration;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How motion is found, and which tracks along it are asked.
+/// How motion is estimated, and which tracks along it predict.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MotionParams {
@@ -25,7 +25,7 @@ pub struct MotionParams {
     /// Standard deviation of the neighbourhood in which they are compared, pixels.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub neighbourhood: f64,
-    /// No neighbour is asked that sees the light so long before or after the pixel.
+    /// A neighbour predicts only what passes it at most so long before or after the pixel.
     pub longest: Duration,
     /// A track counts half so long after or before an event of its pixel.
     #[schemars(extend("x-min" = "1 us"))]

@@ -2,6 +2,11 @@
 
 use crate::case::Case;
 
+/// A place is predicted where frames miss by less than this, DN.
+pub const LEAST_DN: f64 = 1.0;
+/// Or by so many median absolute deviations.
+pub const SPREAD: f64 = 4.5;
+
 /// Which places of which frames the scene predicts.
 pub struct Gate {
     /// Empty: all of them.
@@ -17,8 +22,10 @@ impl Gate {
         Gate { good: Vec::new(), middle_ns: Vec::new(), width: 1, pixels: 1 }
     }
 
-    /// From residuals of frames as [frame][y][x], DN (NaN = took no part): a place is predicted where none of its 3 x 3 neighbourhood misses by more than `least_dn` and
-    /// `spread` median absolute deviations. Noise has no structure: where residuals of neighbours are alike, deviations are those of their differences, or what `structure_dn` allows, and
+    /// From residuals of frames as [frame][y][x], DN (NaN = took no part): a place is predicted where none of
+    /// its 3 x 3 neighbourhood misses by more than `least_dn` and
+    /// `spread` median absolute deviations. Noise has no structure: where residuals of neighbours are alike,
+    /// deviations are those of their differences, or what `structure_dn` allows, and
     /// the mean of the neighbourhood misses by no more than a third of them.
     pub fn new(case: &Case, residual: &[f32], (least_dn, structure_dn): (f64, f64), spread: f64) -> Gate {
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
@@ -78,23 +85,25 @@ fn middle(values: impl Iterator<Item = f32>) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenes::MadeUp;
+    use crate::testing;
     use photocurrent_core::Extent;
     use photocurrent_core::random::Random;
 
     #[test]
     fn noise_is_predicted_and_what_neighbours_share_is_not() {
-        let case = MadeUp::new(3, 0, Extent { width: 24, height: 18 }, 0.05).recording().unwrap();
+        let case = testing::texture(Extent { width: 24, height: 18 }, 6);
         let mut random = Random::new(5, &[]);
         let mut residual: Vec<f32> = (0..case.frame_count() * 432).map(|_| (5.0 * random.normal()) as f32).collect();
         let share = |gate: &Gate, at: &dyn Fn(usize) -> bool| {
             let of: Vec<bool> = gate.good.iter().enumerate().filter(|(k, _)| at(*k)).map(|(_, good)| *good).collect();
             of.iter().filter(|good| **good).count() as f64 / of.len() as f64
         };
-        // Nine normal values all within 4.5 median absolute deviations: 0.9976 to the ninth power, and their mean.
+        // Nine normal values all within 4.5 median absolute deviations: 0.9976 to the ninth power, and their
+        // mean.
         let everywhere = |_: usize| true;
         assert!(share(&Gate::new(&case, &residual, (1.0, 0.0), 4.5), &everywhere) > 0.94);
-        // Half of the array misses by twice the noise: the median of all is then larger, but differences of neighbours show it.
+        // Half of the array misses by twice the noise: the median of all is then larger, but differences of
+        // neighbours show it.
         let left = |k: usize| k % 24 < 11;
         residual.iter_mut().enumerate().filter(|(k, _)| k % 24 < 12).for_each(|(_, r)| *r += 10.0);
         let gate = Gate::new(&case, &residual, (1.0, 0.0), 4.5);

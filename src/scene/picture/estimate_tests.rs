@@ -1,12 +1,11 @@
-//! Derivatives of the fit against finite steps; the same picture with any number of threads; a picture before a still ground.
+//! Derivatives of the fit against finite steps; the same picture with any number of threads; sharper edges.
 
 use super::*;
-use crate::scenes::MadeUp;
+use crate::testing;
 use photocurrent_core::Extent;
 
 fn recording() -> Case {
-    // A texture that moves: the first made-up scene that is one.
-    MadeUp::new(21, 0, Extent { width: 24, height: 18 }, 0.05).recording().unwrap()
+    testing::texture(Extent { width: 24, height: 18 }, 6)
 }
 
 #[test]
@@ -22,7 +21,7 @@ fn derivatives_of(case: &Case, ground: Option<&[f32]>) {
     let nominal = case.nominal().unwrap();
     let setting = PictureSetting::default();
     let poses = vec![[0.3, 1.01, 0.02, -0.4, -0.02, 0.99]; case.frame_count()];
-    let mut fit = Fit::new(case, &nominal, &setting, begin_motion(case, &poses, &setting), Begin { counts: None, ground, asked: None });
+    let mut fit = Fit::new(case, &nominal, &setting, begin_motion(case, &poses, &setting), Begin { counts: None, ground, selected: None });
     let mut random = Random::new(3, &[]);
     let typical = fit.typical as f32;
     fit.picture.surface.iter_mut().for_each(|c| *c += 0.2 * typical * random.normal() as f32);
@@ -68,54 +67,6 @@ fn the_same_recording_gives_the_same_picture_with_any_number_of_threads() {
         pool.install(|| Picture::fit(&case, &nominal, &PictureSetting::default()).unwrap().surface)
     };
     assert_eq!(of(1), of(2));
-}
-
-/// A ball that falls and a fan that turns, both before a still texture, by less than five pixels from frame to frame.
-#[test]
-fn what_moves_before_a_still_ground_is_seen_with_its_light() {
-    for (name, most) in [("fan", 0.04), ("ball", 0.06)] {
-        let extent = Extent { width: 48, height: 36 };
-        let scene =
-            (0..2_000).map(|index| MadeUp::in_parts(21, index, extent, 0.12)).find(|scene| scene.name() == name && scene.px_per_s(0.0, 0.0) < 500.0).unwrap();
-        let case = scene.recording().unwrap();
-        let nominal = case.nominal().unwrap();
-        let noise = (1.0, 0.005);
-        let still = crate::picture::patches::ground(&case, &nominal, noise, 4.0, 0.35);
-        let counts = crate::picture::patches::foreground(&case, &nominal, &still, noise, 4.0);
-        let exposure_s = exposure_s(&case, 0, 0);
-        let ground: Vec<f32> = still.iter().map(|dn| ((dn - nominal.number.black_level) / (nominal.number.gain * exposure_s)) as f32).collect();
-        let poses = crate::picture::patches::follow(&case, &nominal, &counts, &crate::picture::patches::PatchSetting::default());
-        let picture = Picture::fit_from(&case, &nominal, &PictureSetting::default(), &[&poses], Begin { counts: None, ground: Some(&ground), asked: None });
-        // Between frames, at instants that no exposure covers, where something moves.
-        let (mut of_picture, mut of_ground) = (Vec::new(), Vec::new());
-        for l in 2..case.frame_count() - 2 {
-            let frames = case.frames.as_ref().unwrap();
-            let t_ns = (frames.times.exposure(l, 18).end.0 + frames.times.exposure(l + 1, 18).start.0) / 2;
-            let map = picture.motion.at(t_ns);
-            for pixel in (0..extent.pixels()).filter(|pixel| counts[l * extent.pixels() + pixel] && ground[*pixel].is_finite()) {
-                let (x, y) = case.place(pixel);
-                let truth = scene.log_light(f64::from(x), f64::from(y), t_ns as f64 * 1e-9);
-                let found = picture.log_light(x as usize, y as usize, &[map]).unwrap()[0];
-                of_picture.push((found - truth).abs());
-                of_ground.push((libm::log(f64::from(ground[pixel])) - truth).abs());
-            }
-        }
-        let (found, without) = (crate::integrity::median(&mut of_picture), crate::integrity::median(&mut of_ground));
-        assert!(found < most && found < 0.3 * without, "{name}: {found}, of the ground alone {without}, in {} places", of_picture.len());
-    }
-}
-
-#[test]
-fn photographs_that_shake_zoom_and_turn_are_predicted() {
-    for index in 0..3 {
-        let case = MadeUp::photograph(22, index, Extent { width: 40, height: 30 }, 0.1).recording().unwrap();
-        let nominal = case.nominal().unwrap();
-        let picture = Picture::fit(&case, &nominal, &PictureSetting::default()).unwrap();
-        let mut sizes: Vec<f64> = picture.residual.iter().filter(|residual| residual.is_finite()).map(|residual| f64::from(residual.abs())).collect();
-        let signal = 0.5 * (0..case.extent.pixels()).map(|pixel| case.dn(1, pixel)).sum::<f64>() / case.extent.pixels() as f64;
-        let missed = crate::integrity::median(&mut sizes);
-        assert!(missed < 0.005 * signal, "{index}: {missed} DN of {signal}");
-    }
 }
 
 #[test]

@@ -11,7 +11,7 @@
 //! - [`products`]: what solving it spends its time in.
 //! - [`begin`]: how motion begins.
 //! - [`estimate`]: the rounds.
-//! - `seen`: what it says of a pixel, and which of its places frames saw.
+//! - `coverage`: its light on a pixel, and how many exposures cover each of its places.
 //! - [`sharpen`]: a picture as sharp as it may be.
 //! - [`patches`]: parts of the array with a picture each.
 //!
@@ -20,12 +20,12 @@
 //! Limits: one affine motion for each picture; what moves before something that moves as well has parts only; a surface that is sharper than its pitch is softened.
 
 pub mod begin;
+mod coverage;
 pub mod estimate;
 pub mod motion;
 pub mod patches;
 mod products;
 pub mod register;
-mod seen;
 pub mod shading;
 pub mod sharpen;
 pub mod spline;

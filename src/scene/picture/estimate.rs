@@ -1,9 +1,9 @@
 //! The rounds of the fit: registration, then picture, motion and shading together, with noise and smoothness estimated on the way.
 
 use super::begin::{begin_motion, exposure_s, images, unchanged};
+use super::coverage::coverage;
 use super::motion::{DEGREES, Map, Motion, Pose, RIGID, apply, compose, derivatives, map_of};
 use super::register::{Search, register};
-use super::seen::seen;
 use super::shading::{self, TERMS};
 use super::spline::{Grid, ORDER, weights};
 use super::system::{LANES, POSES, REST, Rows, Smoothness, TOUCHED, Unknowns, add, again, draw, roughness, solve, stamp};
@@ -139,7 +139,7 @@ pub struct Picture {
     /// Residual of every frame value, DN, as [frame][y][x]; NaN where it took no part.
     pub residual: Vec<f32>,
     /// How many exposures saw the place of each coefficient; empty where it is not as it was fitted.
-    pub(super) seen: Vec<f32>,
+    pub(super) coverage: Vec<f32>,
     pub(super) centre: (f64, f64),
 }
 
@@ -152,18 +152,18 @@ impl Picture {
         Picture::fit_where(case, nominal, setting, None)
     }
 
-    /// The same, to the values of pixels that are asked for ([`Begin::asked`]).
+    /// The same, to the values of selected pixels ([`Begin::selected`]).
     ///
     /// # Errors
     /// As [`Picture::fit`].
-    pub fn fit_where(case: &Case, nominal: &Nominal, setting: &PictureSetting, asked: Option<&[bool]>) -> Result<Picture, String> {
+    pub fn fit_where(case: &Case, nominal: &Nominal, setting: &PictureSetting, selected: Option<&[bool]>) -> Result<Picture, String> {
         let frames = case.frames.as_ref().filter(|frames| frames.times.len() >= 3).ok_or("a moving picture needs at least three frames")?;
         let (width, height) = (case.extent.width as usize, case.extent.height as usize);
         if width.min(height) < 8 {
             return Err(format!("a moving picture needs at least 8 x 8 pixels, the array has {}", case.extent));
         }
         let count = frames.times.len();
-        let values = count * asked.map_or(width * height, |asked| asked.iter().filter(|is| **is).count());
+        let values = count * selected.map_or(width * height, |selected| selected.iter().filter(|is| **is).count());
         if values > setting.most_values {
             return Err(format!("a moving picture is fitted to at most {} frame values, the recording has {values}", setting.most_values));
         }
@@ -178,7 +178,7 @@ impl Picture {
         let still = vec![poses[0]; count];
         let motions = [&poses[..], &still[..]];
         let tried = if unchanged(case, nominal, setting) > setting.still { &motions[..] } else { &motions[..1] };
-        let mut picture = Picture::fit_from(case, nominal, setting, tried, Begin { asked, ..Begin::default() });
+        let mut picture = Picture::fit_from(case, nominal, setting, tried, Begin { selected, ..Begin::default() });
         picture.report.correlation = pairs.iter().map(|pair| pair.1).collect();
         Ok(picture)
     }
@@ -220,7 +220,7 @@ impl Picture {
     }
 
     fn begin<'a>(&'a self, counts: Option<&'a [bool]>) -> Begin<'a> {
-        Begin { counts, ground: (!self.ground.is_empty()).then_some(&self.ground[..]), asked: None }
+        Begin { counts, ground: (!self.ground.is_empty()).then_some(&self.ground[..]), selected: None }
     }
 
     /// Standard deviation that a frame value of `signal` DN above black was assumed to have.
@@ -243,7 +243,7 @@ pub struct Begin<'a> {
     /// The still ground behind the picture, photocurrent, for each pixel; not finite where it is not known.
     pub ground: Option<&'a [f32]>,
     /// Which pixels anybody asks for; the others have no part in anything, as if they had no frame values. All of them without it.
-    pub asked: Option<&'a [bool]>,
+    pub selected: Option<&'a [bool]>,
 }
 
 /// One instant of a row's exposure.
@@ -261,7 +261,7 @@ struct Fit<'a> {
     nominal: &'a Nominal,
     setting: &'a PictureSetting,
     counts: Option<&'a [bool]>,
-    asked: Option<&'a [bool]>,
+    selected: Option<&'a [bool]>,
     picture: Picture,
     /// What frame values of the fitted picture would be, over the signal's factor; kept for the weights.
     typical: f64,
@@ -290,10 +290,10 @@ impl<'a> Fit<'a> {
             least: 1e-3 * typical,
             report: Report { noise: (setting.frame_dn, setting.frame_share), ..Report::default() },
             residual: Vec::new(),
-            seen: Vec::new(),
+            coverage: Vec::new(),
             centre,
         };
-        Fit { case, nominal, setting, counts: begin.counts, asked: begin.asked, picture, typical, scale: 1.0 }
+        Fit { case, nominal, setting, counts: begin.counts, selected: begin.selected, picture, typical, scale: 1.0 }
     }
 
     /// Fitted on the coarse grid, from poses of the frames on.
@@ -516,7 +516,7 @@ impl<'a> Fit<'a> {
             residual[*at as usize] = *value;
         }
         self.picture.residual = residual;
-        self.picture.seen = seen(rows, &self.picture.grid);
+        self.picture.coverage = coverage(rows, &self.picture.grid);
     }
 
     /// Puts every frame value on the grid at the present motion.
@@ -569,7 +569,7 @@ impl<'a> Fit<'a> {
             let pixel = y * self.case.extent.width as usize + x;
             let dn = self.case.dn(l, pixel);
             let behind = ground.get(pixel).map(|ground| f64::from(*ground));
-            if !dn.is_finite() || self.asked.is_some_and(|asked| !asked[pixel]) || behind.is_some_and(|ground| !ground.is_finite()) {
+            if !dn.is_finite() || self.selected.is_some_and(|selected| !selected[pixel]) || behind.is_some_and(|ground| !ground.is_finite()) {
                 continue;
             }
             let place = (x as f64 - centre.0, y as f64 - centre.1);

@@ -1,4 +1,5 @@
-//! What a picture says of a pixel, and how often frames saw the place that it looks at: what none of them saw is its neighbourhood carried on, however smooth and sure it looks.
+//! The light of a picture on a pixel, and how many exposures cover the place that lies there: where none does,
+//! the picture is its neighbourhood extrapolated.
 
 use super::Picture;
 use super::motion::Map;
@@ -7,20 +8,21 @@ use super::shading;
 use super::spline::Grid;
 use super::system::Rows;
 
-/// How many exposures saw the place of each coefficient, of the frame values that were fitted: one that lasted there throughout counts 1, one that passed by less.
-pub(super) fn seen(rows: &Rows, grid: &Grid) -> Vec<f32> {
-    let mut seen = vec![0.0; grid.coefficients()];
+/// How many exposures cover the place of each coefficient, of the frame values that were fitted: one that lay
+/// there throughout counts 1, one that passed by less.
+pub(super) fn coverage(rows: &Rows, grid: &Grid) -> Vec<f32> {
+    let mut coverage = vec![0.0; grid.coefficients()];
     // A frame spreads one value over each square pixel of the picture.
     let per_coefficient = (1.0 / (grid.pitch * grid.pitch)) as f32;
     for r in (0..rows.count()).filter(|r| rows.weight[*r] > 0.0) {
         let (corner, columns, stencil) = rows.line(r);
         let all: f32 = stencil.iter().map(|a| f32::from(*a)).sum();
         for (j, line) in stencil.chunks_exact(columns).enumerate() {
-            let there = &mut seen[corner + j * grid.width..][..columns];
-            there.iter_mut().zip(line).for_each(|(seen, a)| *seen += f32::from(*a) / all * per_coefficient);
+            let there = &mut coverage[corner + j * grid.width..][..columns];
+            there.iter_mut().zip(line).for_each(|(sum, a)| *sum += f32::from(*a) / all * per_coefficient);
         }
     }
-    seen
+    coverage
 }
 
 impl Picture {
@@ -46,14 +48,14 @@ impl Picture {
     }
 
     /// How many exposures saw what a pixel looks at, at steady instants; 0 outside of the picture, and of a picture that is not as it was fitted.
-    pub fn exposures_of(&self, x: usize, y: usize, maps: &[Map]) -> Vec<f64> {
-        if self.seen.is_empty() {
+    pub fn exposures_seen(&self, x: usize, y: usize, maps: &[Map]) -> Vec<f64> {
+        if self.coverage.is_empty() {
             return vec![0.0; maps.len()];
         }
         let place = (x as f64 - self.centre.0, y as f64 - self.centre.1);
-        let mut seen = products::values(&self.grid, &self.seen, maps, place);
-        seen.iter_mut().filter(|seen| seen.is_nan()).for_each(|seen| *seen = 0.0);
-        seen
+        let mut exposures = products::values(&self.grid, &self.coverage, maps, place);
+        exposures.iter_mut().filter(|sum| sum.is_nan()).for_each(|sum| *sum = 0.0);
+        exposures
     }
 }
 
@@ -62,15 +64,15 @@ mod tests {
     use super::*;
     use crate::picture::PictureSetting;
     use crate::picture::motion::apply;
-    use crate::scenes::MadeUp;
+    use crate::testing;
     use photocurrent_core::Extent;
 
     #[test]
     fn exposures_are_those_during_which_a_place_lay_on_the_array() {
-        let case = MadeUp::new(21, 0, Extent { width: 24, height: 18 }, 0.08).recording().unwrap();
+        let case = testing::texture(Extent { width: 24, height: 18 }, 9);
         let picture = Picture::fit(&case, &case.nominal().unwrap(), &PictureSetting::default()).unwrap();
         let fitted = picture.residual.iter().filter(|residual| residual.is_finite()).count() as f64;
-        let all = picture.seen.iter().map(|seen| f64::from(*seen)).sum::<f64>() * picture.grid.pitch * picture.grid.pitch;
+        let all = picture.coverage.iter().map(|sum| f64::from(*sum)).sum::<f64>() * picture.grid.pitch * picture.grid.pitch;
         assert!((all / fitted - 1.0).abs() < 1e-3, "{all} of {fitted}");
         // Does a place lie on the array at an instant? By the inverse of the map.
         let times = &case.frames.as_ref().unwrap().times;
@@ -81,12 +83,12 @@ mod tests {
             let (x, y) = ((map[5] * dx - map[2] * dy) / determinant, (map[1] * dy - map[4] * dx) / determinant);
             x.abs() <= picture.centre.0 + 0.5 && y.abs() <= picture.centre.1 + 0.5
         };
-        let mut looked = (0, 0);
+        let mut compared = (0, 0);
         let instants = (0..40).map(|k| case.span.0 + (case.span.1 - case.span.0) * k / 40);
         for t_ns in instants {
             let map = picture.motion.at(t_ns);
             for (x, y) in [(0, 0), (23, 0), (0, 17), (23, 17), (12, 9), (1, 9)] {
-                let found = picture.exposures_of(x, y, &[map])[0];
+                let found = picture.exposures_seen(x, y, &[map])[0];
                 let place = apply(&map, x as f64 - picture.centre.0, y as f64 - picture.centre.1);
                 let of_frame = |l: usize| {
                     let exposure = times.exposure(l, case.extent.height / 2);
@@ -95,10 +97,10 @@ mod tests {
                 };
                 let expected: f64 = (0..times.len()).map(of_frame).sum();
                 // Splines blur the array's border over two pixels.
-                looked.0 += 1;
-                looked.1 += usize::from((found - expected).abs() < 0.5 + 0.1 * expected);
+                compared.0 += 1;
+                compared.1 += usize::from((found - expected).abs() < 0.5 + 0.1 * expected);
             }
         }
-        assert!(10 * looked.1 > 9 * looked.0, "{looked:?}");
+        assert!(10 * compared.1 > 9 * compared.0, "{compared:?}");
     }
 }

@@ -1,4 +1,4 @@
-//! The scene as every source of it states it: log photocurrent of pixels at steady instants.
+//! The light of a scene: log photocurrent of pixels at steady instants.
 
 use crate::case::Case;
 use crate::nominal::Nominal;
@@ -45,7 +45,8 @@ impl Light {
         between(self.log.get(pixel)?, (self.start_ns, self.step_ns), t_ns)
     }
 
-    /// The frames that it gives, without noise and without saturation, DN as [frame][y][x]; NaN where it is not known.
+    /// The frames that it gives, without noise and without saturation, DN as [frame][y][x]; NaN where it is
+    /// not known.
     pub fn frames(&self, case: &Case, nominal: &Nominal) -> Vec<f32> {
         let (pixels, count) = (case.extent.pixels(), case.frame_count());
         let instants: Vec<i64> = (0..self.count).map(|k| self.instant(k)).collect();
@@ -73,12 +74,12 @@ pub fn between(log: &[f32], (start_ns, step_ns): (i64, i64), t_ns: i64) -> Optio
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scenes::MadeUp;
+    use crate::testing;
     use photocurrent_core::Extent;
 
     #[test]
     fn frames_are_integrals_of_the_light() {
-        let case = MadeUp::new(3, 0, Extent { width: 8, height: 8 }, 0.05).recording().unwrap();
+        let case = testing::texture(Extent { width: 8, height: 8 }, 6);
         let nominal = case.nominal().unwrap();
         let mut light = Light::blank(&case, 100_000);
         // ln i = 4 + 9 (t - start), t in seconds, in every pixel but the first.

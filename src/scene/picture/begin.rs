@@ -3,8 +3,8 @@
 use super::estimate::PictureSetting;
 use super::motion::{DEGREES, Map, Motion, Pose, pose_of};
 use super::patches::moving;
-use super::register::Image;
 use crate::case::Case;
+use crate::image::Image;
 use crate::nominal::Nominal;
 use nalgebra::DMatrix;
 

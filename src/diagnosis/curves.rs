@@ -1,0 +1,58 @@
+//! The light of sampled pixels: log light at knots, linear between.
+
+/// Knots, log light, and whether it is known.
+pub type Curve = (Vec<i64>, Vec<f64>, bool);
+
+/// Log light of the pixels of a sample.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Curves {
+    first: Vec<usize>,
+    /// Knots, ns, pixel after pixel.
+    pub t_ns: Vec<i64>,
+    /// Log light at each.
+    pub log_light: Vec<f64>,
+    /// Which pixels of the sample have an estimate; the others have no usable frame, and carry one constant
+    /// knot.
+    pub is_known: Vec<bool>,
+}
+
+impl Curves {
+    /// From knots, log light, and whether it is known, of each pixel in turn.
+    pub fn from_pixels(pixels: impl IntoIterator<Item = Curve>) -> Curves {
+        let mut curves = Curves { first: vec![0], ..Curves::default() };
+        for (t_ns, log_light, is_known) in pixels {
+            curves.t_ns.extend(t_ns);
+            curves.log_light.extend(log_light);
+            curves.first.push(curves.t_ns.len());
+            curves.is_known.push(is_known);
+        }
+        curves
+    }
+
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        self.is_known.len()
+    }
+
+    /// No pixel at all?
+    pub fn is_empty(&self) -> bool {
+        self.is_known.is_empty()
+    }
+
+    /// Knots and log light of pixel `n` of the sample.
+    pub fn pixel(&self, n: usize) -> (&[i64], &[f64]) {
+        let range = self.first[n]..self.first[n + 1];
+        (&self.t_ns[range.clone()], &self.log_light[range])
+    }
+
+    /// Log light of pixel `n` of the sample at an instant: linear between knots, constant beyond them.
+    pub fn at(&self, n: usize, t_ns: i64) -> f64 {
+        let (t, u) = self.pixel(n);
+        let after = t.partition_point(|&knot| knot <= t_ns);
+        match (after.checked_sub(1), t.get(after)) {
+            (None, _) => u[0],
+            (Some(last), None) => u[last],
+            (Some(before), Some(&next)) => u[before] + (u[after] - u[before]) * (t_ns - t[before]) as f64 / (next - t[before]) as f64,
+        }
+    }
+}

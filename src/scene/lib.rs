@@ -1,0 +1,39 @@
+//! The scene of a recording, estimated from frames alone (or stated by the user), and the motion in it.
+//!
+//! Every estimate is a [`Scene`]: log photocurrent of any pixel at any instant, with what frames miss it by.
+//! Light that is predicted so is independent of the events that it is compared with.
+//!
+//! - [`case`]: a recording in memory: events by pixel, frames ([`grey`]: one value for each event pixel), the
+//!   description; [`nominal`]: the sensor that it states.
+//! - [`scene`]: what a scene is. [`moving`]: one moving [`picture`]. [`mosaic`]: that picture, or pictures of
+//!   parts where they predict frames better.
+//!   [`known`]: light that is known. [`target`]: a scene in closed form with free parameters.
+//! - [`light`]: log photocurrent of an array at steady instants; [`gate`]: which events lie where a scene
+//!   predicts the frames.
+//! - [`flow`]: velocities over the array, from a [`film`] of solved tracks; [`activity`]: where they are
+//!   estimated. [`image`]: a picture and its values between pixels.
+//!
+//! The crate knows no files and no graphs. It never sees true light.
+
+pub mod activity;
+pub mod case;
+pub mod film;
+pub mod flow;
+pub mod gate;
+pub mod grey;
+pub mod image;
+pub mod known;
+pub mod light;
+pub mod mosaic;
+pub mod moving;
+pub mod nominal;
+pub mod picture;
+pub mod recorded;
+pub mod scene;
+pub mod statistics;
+pub mod target;
+
+#[cfg(test)]
+mod testing;
+
+pub use scene::{Cell, Scene, Tolerance};

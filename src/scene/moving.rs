@@ -1,0 +1,100 @@
+//! One moving picture of the whole array, as a scene.
+
+use crate::case::Case;
+use crate::light::Light;
+use crate::nominal::Nominal;
+use crate::picture::{Picture, PictureSetting};
+use crate::scene::{Scene, Tolerance, usual_step_dn};
+
+/// One moving picture, with how it was fitted.
+pub struct MovingPicture {
+    /// The picture.
+    pub picture: Picture,
+    /// How it was fitted.
+    pub setting: PictureSetting,
+    /// What is wrong in the same way with neighbouring values is allowed to be so much, DN; and with any
+    /// value where the picture moves before a still ground.
+    pub structure_dn: f64,
+    /// Does the scene move as one? Not where pictures of some parts of it predict them better.
+    pub is_one: bool,
+}
+
+impl MovingPicture {
+    /// Fits one to a recording's frames.
+    ///
+    /// # Errors
+    /// As [`Picture::fit`].
+    pub fn fit(case: &Case, nominal: &Nominal, setting: &PictureSetting) -> Result<MovingPicture, String> {
+        MovingPicture::fit_where(case, nominal, setting, None)
+    }
+
+    /// The same, to the values of selected pixels.
+    pub(crate) fn fit_where(case: &Case, nominal: &Nominal, setting: &PictureSetting, selected: Option<&[bool]>) -> Result<MovingPicture, String> {
+        Ok(MovingPicture::new(Picture::fit_where(case, nominal, setting, selected)?, setting, case, nominal))
+    }
+
+    /// Of a picture that was fitted.
+    pub fn new(picture: Picture, setting: &PictureSetting, case: &Case, nominal: &Nominal) -> MovingPicture {
+        MovingPicture { picture, setting: *setting, structure_dn: usual_step_dn(case, nominal), is_one: true }
+    }
+
+    /// The same with another picture.
+    pub(crate) fn with(&self, picture: Picture) -> MovingPicture {
+        MovingPicture { picture, setting: self.setting, structure_dn: self.structure_dn, is_one: self.is_one }
+    }
+}
+
+impl Scene for MovingPicture {
+    fn name(&self) -> &'static str {
+        if self.picture.ground.is_empty() && self.is_one { "picture" } else { "patches" }
+    }
+
+    fn log_light(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let maps: Vec<_> = Light::instants(case, step_ns).map(|t_ns| self.picture.motion.at(t_ns)).collect();
+        let of = |&pixel: &usize| {
+            let (x, y) = case.place(pixel);
+            self.picture.log_light(x as usize, y as usize, &maps).map_or_else(Vec::new, |log| log.iter().map(|u| *u as f32).collect())
+        };
+        pixels.iter().map(of).collect()
+    }
+
+    fn exposures_seen(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        let maps: Vec<_> = Light::instants(case, step_ns).map(|t_ns| self.picture.motion.at(t_ns)).collect();
+        let of = |&pixel: &usize| {
+            let (x, y) = case.place(pixel);
+            self.picture.exposures_seen(x as usize, y as usize, &maps).into_iter().map(|seen| seen as f32).collect()
+        };
+        pixels.iter().map(of).collect()
+    }
+
+    fn tolerance(&self) -> Option<Tolerance> {
+        let any_dn = if self.picture.ground.is_empty() { 0.0 } else { self.structure_dn };
+        Some(Tolerance { any_dn, alike_dn: self.structure_dn })
+    }
+
+    fn residual(&self) -> &[f32] {
+        &self.picture.residual
+    }
+
+    fn sigma(&self, nominal: &Nominal, signal: f64) -> f64 {
+        self.misfit() * self.picture.sigma(nominal, signal)
+    }
+
+    fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64) {
+        let (x, y) = self.picture.place(case, pixel, t_ns);
+        (0, x, y)
+    }
+
+    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String> {
+        Ok(Box::new(self.with(self.picture.refit(case, nominal, &self.setting, None))))
+    }
+
+    fn posterior_sample(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Scene>>, String> {
+        let drawn = self.picture.drawn(case, nominal, &self.setting, None, seed);
+        Ok(Some(Box::new(self.with(drawn.sharpened(self.setting.sharpest)))))
+    }
+
+    fn misfit(&self) -> f64 {
+        self.picture.report.misfit.last().copied().unwrap_or(f64::NAN)
+    }
+}

@@ -1,0 +1,124 @@
+//! The scene of a recording, whoever states it: a moving picture, patches of it, a known target, known light.
+
+use crate::case::Case;
+use crate::gate::Gate;
+use crate::light::Light;
+use crate::nominal::Nominal;
+use crate::statistics::median;
+use crate::target::Target;
+use rayon::prelude::*;
+
+/// A part of the scene and a cell of it.
+pub type Cell = (u32, i64, i64);
+
+/// How far frame values may miss a scene for reasons of the scene itself, DN.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tolerance {
+    /// Any value.
+    pub any_dn: f64,
+    /// What neighbouring values miss in the same way.
+    pub alike_dn: f64,
+}
+
+/// A scene that frames (or the user) state without the events that are to be explained.
+pub trait Scene: Sync {
+    /// In a word, for reports.
+    fn name(&self) -> &'static str;
+
+    /// Natural logarithm of the photocurrent of some pixels (`y * width + x`) at the instants of
+    /// [`Light::blank`], steps in ns; empty where it is not known.
+    fn log_light(&self, case: &Case, step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>>;
+
+    /// How many exposures recorded the place of the scene that lies on each of some pixels, at the same
+    /// instants; empty where the scene stands without frames.
+    fn exposures_seen(&self, _case: &Case, _step_ns: i64, pixels: &[usize]) -> Vec<Vec<f32>> {
+        vec![Vec::new(); pixels.len()]
+    }
+
+    /// Residual of every frame value, DN as [frame][y][x]; NaN where it took no part.
+    fn residual(&self) -> &[f32];
+
+    /// Standard deviation of a frame value of `signal` DN above black, DN: as assumed, times
+    /// [`Scene::misfit`].
+    fn sigma(&self, nominal: &Nominal, signal: f64) -> f64;
+
+    /// Median absolute residual of frames, standard deviations as they were first assumed; 1 when the noise
+    /// explains it.
+    fn misfit(&self) -> f64;
+
+    /// How far frame values may miss it; none where it stands without the recording's frames, so that effects
+    /// of frames show in their values and not in the
+    /// light that frames imply.
+    fn tolerance(&self) -> Option<Tolerance>;
+
+    /// The part of the scene that lies on a pixel at an instant, ns, and the place in it, pixels.
+    fn place(&self, case: &Case, pixel: usize, t_ns: i64) -> (u32, f64, f64);
+
+    /// The same scene fitted anew to another recording of it.
+    ///
+    /// # Errors
+    /// When that recording's frames cannot be fitted.
+    fn refit(&self, case: &Case, nominal: &Nominal) -> Result<Box<dyn Scene>, String>;
+
+    /// A posterior sample of the scene, sharpened to the resolution limit of the fit; none where the scene is
+    /// known exactly.
+    ///
+    /// # Errors
+    /// When the recording's frames cannot be fitted.
+    fn posterior_sample(&self, case: &Case, nominal: &Nominal, seed: u64) -> Result<Option<Box<dyn Scene>>, String>;
+
+    /// The target with free parameters that it is, if it is one.
+    fn target(&self) -> Option<&Target> {
+        None
+    }
+}
+
+impl dyn Scene + '_ {
+    /// Does it stand without the recording's frames?
+    pub fn is_known(&self) -> bool {
+        self.tolerance().is_none()
+    }
+
+    /// Log photocurrent of every pixel at steady instants; empty where it is not known.
+    pub fn light(&self, case: &Case, step_ns: i64) -> Light {
+        let mut light = Light::blank(case, step_ns);
+        let width = case.extent.width.max(1) as usize;
+        let rows: Vec<Vec<usize>> = (0..case.extent.pixels()).collect::<Vec<_>>().chunks(width).map(<[usize]>::to_vec).collect();
+        light.log = rows.par_iter().flat_map(|pixels| self.log_light(case, step_ns, pixels)).collect();
+        light
+    }
+
+    /// The frames that this scene gives, DN as [frame][y][x]; NaN where it does not reach.
+    pub fn frames(&self, case: &Case) -> Vec<f32> {
+        let pixels = case.extent.pixels();
+        let of = |(n, residual): (usize, &f32)| (case.dn(n / pixels, n % pixels) - f64::from(*residual)) as f32;
+        self.residual().iter().enumerate().map(of).collect()
+    }
+
+    /// Which events count: those whose frames it predicts to `least_dn`, or to so many median absolute
+    /// deviations.
+    pub fn gate(&self, case: &Case, least_dn: f64, spread: f64) -> Gate {
+        self.tolerance()
+            .map_or_else(Gate::open, |Tolerance { any_dn, alike_dn }| Gate::new(case, self.residual(), (f64::max(least_dn, any_dn), alike_dn), spread))
+    }
+
+    /// The cell of `side` pixels that lies on a pixel at an instant, ns: what is wrong with the scene is
+    /// alike in all pixels on one cell.
+    pub fn cell(&self, case: &Case, pixel: usize, t_ns: i64, side: f64) -> Cell {
+        let (part, x, y) = self.place(case, pixel, t_ns);
+        (part, (x / side).floor() as i64, (y / side).floor() as i64)
+    }
+}
+
+/// Where something moves before something else, most frame values are those of what stands still and do not
+/// constrain how well the rest is predicted: errors below this share of a threshold
+/// are small enough for its events.
+pub const STEP: f64 = 0.15;
+
+/// What [`STEP`] of a threshold is of a usual frame value, DN.
+pub(crate) fn usual_step_dn(case: &Case, nominal: &Nominal) -> f64 {
+    let mut signals: Vec<f64> = case.frames.iter().flat_map(|frames| frames.every(7)).map(|dn| f64::from(dn) - nominal.number.black_level).collect();
+    signals.retain(|signal| *signal > 0.0);
+    let threshold = 0.5 * (nominal.pixel.threshold_on + nominal.pixel.threshold_off);
+    if signals.is_empty() { 0.0 } else { STEP * threshold * median(&mut signals) }
+}

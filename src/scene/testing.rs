@@ -1,0 +1,72 @@
+//! Small recordings for tests: a texture of waves that drifts across an array, written out in closed form.
+
+use crate::case::{Case, CaseFrames, PixelEvents, Recorded};
+use photocurrent_core::quantity::Duration;
+use photocurrent_core::{Exposure, Extent, FrameTimes, Sensor};
+
+/// Time between frames, ns; half of it is exposed.
+const PERIOD_NS: i64 = 8_000_000;
+/// Delay from row to row, ns.
+const ROW_NS: i64 = 20_000;
+/// Light is summed and compared this often, ns.
+const STEP_NS: i64 = 100_000;
+
+/// A sensor with thresholds of 0.2 and a gain of 1000 DN.
+pub fn sensor() -> Sensor {
+    let mut sensor = Sensor::unknown("test");
+    sensor.front_end.tau_0 = Some(Duration::new(30_000));
+    sensor.front_end.alpha = Some(Duration::new(5_000_000));
+    sensor.comparator.threshold_on = Some(0.2);
+    sensor.comparator.threshold_off = Some(0.2);
+    sensor.readout.latency_min = Some(Duration::new(1_000));
+    sensor.frames.gain = Some(1000.0);
+    sensor
+}
+
+/// Log photocurrent of the texture on a pixel: four waves that drift by 60 and -35 pixels a second.
+pub fn log_light(x: f64, y: f64, t_ns: i64) -> f64 {
+    let (x, y) = (x + 60e-9 * t_ns as f64, y - 35e-9 * t_ns as f64);
+    let waves = [(0.61, 0.25, 0.3), (-0.29, 0.57, 1.1), (0.43, -0.49, 2.0), (1.01, -0.32, 0.7)];
+    4.0 + 0.2 * waves.iter().map(|(a, b, c)| libm::sin(a * x + b * y + c)).sum::<f64>()
+}
+
+/// A recording of the texture with so many frames, without noise: events where the log light has moved by
+/// 0.2, frames that collect it behind a rolling shutter.
+pub fn texture(extent: Extent, frames: usize) -> Case {
+    let end_ns = PERIOD_NS * frames as i64;
+    let exposures: Vec<Exposure> = (0..frames as i64).map(|l| Exposure::new(l * PERIOD_NS, l * PERIOD_NS + PERIOD_NS / 2)).collect();
+    let times = FrameTimes::new(exposures, ROW_NS).expect("exposures are in order");
+    let pixels = || (0..extent.height).flat_map(|y| (0..extent.width).map(move |x| (x, y)));
+    let at = |(x, y): (u32, u32), t_ns: i64| log_light(x.into(), y.into(), t_ns);
+    let events = pixels().map(|pixel| {
+        let (mut events, mut reference) = (Vec::new(), at(pixel, 0));
+        for t_in_ns in (0..end_ns).step_by(STEP_NS as usize) {
+            let moved = at(pixel, t_in_ns) - reference;
+            if moved.abs() >= 0.2 {
+                events.push(Recorded { t_in_ns, t_off_ns: t_in_ns + 1_000, polarity: if moved > 0.0 { 1 } else { -1 } });
+                reference = at(pixel, t_in_ns);
+            }
+        }
+        events
+    });
+    let collected = |(l, (x, y)): (usize, (u32, u32))| {
+        let Exposure { start, end } = times.exposure(l, y);
+        let middles = (start.0..end.0).step_by(STEP_NS as usize).map(|t| t + STEP_NS / 2);
+        (1000.0 * middles.map(|t| libm::exp(at((x, y), t))).sum::<f64>() * (STEP_NS as f64 * 1e-9)) as f32
+    };
+    let dn: Vec<f32> = (0..frames).flat_map(|l| pixels().map(move |pixel| (l, pixel))).map(collected).collect();
+    Case {
+        extent,
+        span: (0, end_ns),
+        events: PixelEvents::new(events),
+        has_t_in: true,
+        t_resolution_ns: 1,
+        frames: Some(CaseFrames::new(times.clone(), dn)),
+        sensor: sensor(),
+    }
+}
+
+/// A recording of 12 x 10 pixels, 7 frames.
+pub fn case() -> Case {
+    Case { span: (0, 60_000_000), ..texture(Extent { width: 12, height: 10 }, 7) }
+}
