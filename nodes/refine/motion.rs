@@ -19,13 +19,12 @@ mod tests;
 use super::again::{Again, In, Out, Row, Solver};
 use super::caution::{Caution, take_care};
 use super::trust::{Posed, Trust, TrustParams};
-use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_scene::film::LogTracks;
 use photocurrent_scene::flow::{Flow, MotionParams};
 use photocurrent_sensor::map::estimate::kept;
 use photocurrent_sensor::map::{Hint, MapFrame};
-use photocurrent_solve::{Decisions, FRAME_NOISE, FrontEndModel, KNOT_SPACING, SolveOptions};
+use photocurrent_solve::SolveOptions;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -35,7 +34,7 @@ pub(super) struct Neighbours<'a> {
     pub log: &'a LogTracks,
     pub flow: &'a Flow,
     pub motion: &'a MotionParams,
-    /// As in [`Params::doubt`].
+    /// As [`DOUBT`].
     pub doubt: f64,
     pub sensor: &'a Posed,
     /// Neighbours are asked at every so many ns.
@@ -66,49 +65,26 @@ impl Neighbours<'_> {
     }
 }
 
-/// Parameters of `refine/motion`.
+/// Where another motion explains a place not clearly worse than the one that is taken, the predictions have this part of
+/// the square by which the two differ as a further variance.
+const DOUBT: f64 = 0.5;
+
+/// Parameters of `refine/motion`: its own, and those of `solve/map`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
+#[schemars(extend("additionalProperties" = false))]
 pub struct Params {
     /// How often motion is found and tracks are solved.
     #[schemars(range(min = 1, max = 10))]
     pub rounds: u32,
-    /// How motion is found, and which neighbours along it are asked.
-    pub motion: MotionParams,
-    /// Where another motion explains a place not clearly worse than the one that is taken, what neighbours say is in doubt by this part of the square by which the two predictions differ;
-    /// 0 = no other is asked.
-    #[schemars(range(min = 0.0))]
-    pub doubt: f64,
-    /// How far what neighbours say is trusted.
-    pub trust: TrustParams,
-    /// As in `solve/map`.
-    pub front_end: FrontEndModel,
-    /// As in `solve/map`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub event_noise: Option<f64>,
-    /// As in `solve/map`: model error of a frame value, as a part of it.
-    #[schemars(range(min = 0.0))]
-    pub frame_noise: f64,
-    /// As in `solve/map`: knots lie at most this far apart; neighbours are evaluated at every second one.
-    #[schemars(extend("x-min" = "10 us"))]
-    pub knot_spacing: Duration,
-    /// As in `solve/map`.
-    pub decisions: Decisions,
+    /// How tracks are solved.
+    #[serde(flatten)]
+    pub solver: SolveOptions,
 }
 
 impl Default for Params {
     fn default() -> Params {
-        Params {
-            rounds: 3,
-            motion: MotionParams::default(),
-            doubt: 0.5,
-            trust: TrustParams::default(),
-            front_end: FrontEndModel::default(),
-            event_noise: None,
-            frame_noise: FRAME_NOISE,
-            knot_spacing: KNOT_SPACING,
-            decisions: Decisions::default(),
-        }
+        Params { rounds: 3, solver: SolveOptions::default() }
     }
 }
 
@@ -146,9 +122,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { front_end, event_noise, frame_noise, knot_spacing, decisions, .. } = params;
-        let solver = Solver::build(SolveOptions { front_end, event_noise, frame_noise, knot_spacing, decisions, ..SolveOptions::default() })?;
-        Ok(RefineMotion { solver, params })
+        Ok(RefineMotion { solver: Solver::build(params.solver)?, params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -163,12 +137,12 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let (fired, activity) = (again.fired(), again.activity());
         let (extent, sensor) = (again.meta.extent, again.sensor());
         let span = (again.meta.span.start.0, again.meta.span.end.0);
-        let step_ns = 2 * self.params.knot_spacing.ns();
-        let Params { motion, trust, .. } = &self.params;
+        let step_ns = 2 * self.params.solver.knot_spacing.ns();
+        let (motion, trust) = (&MotionParams::default(), &TrustParams::default());
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
-            let flow = Flow::of_tracks(&log, span, &activity, (motion, self.params.doubt > 0.0));
-            let neighbours = Neighbours { log: &log, flow: &flow, motion, doubt: self.params.doubt, sensor: &sensor, step_ns, trust };
+            let flow = Flow::of_tracks(&log, span, &activity, (motion, DOUBT > 0.0));
+            let neighbours = Neighbours { log: &log, flow: &flow, motion, doubt: DOUBT, sensor: &sensor, step_ns, trust };
             let caution = neighbours.caution(&mut again);
             tracks = again.solve(
                 cx,

@@ -22,7 +22,6 @@ use super::again::{In, Out, Row, Solver};
 use super::caution::take_care;
 use super::motion::Neighbours;
 use super::trust::{Trust, TrustParams};
-use photocurrent_core::quantity::Duration;
 use photocurrent_core::{Context, Decl, Grain, Meta, Node, NodeError, PortMetas, TrackSet};
 use photocurrent_scene::case::Case;
 use photocurrent_scene::film::LogTracks;
@@ -30,15 +29,16 @@ use photocurrent_scene::flow::{Flow, MotionParams};
 use photocurrent_scene::picture::PictureSetting;
 use photocurrent_sensor::map::Hint;
 use photocurrent_sensor::map::estimate::kept;
-use photocurrent_solve::{Decisions, FRAME_NOISE, FrontEndModel, KNOT_SPACING, SolveOptions};
+use photocurrent_solve::SolveOptions;
 use scene::{OfRow, Pictures};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// Parameters of `refine/picture`.
+/// Parameters of `refine/picture`: its own, and those of `solve/map`.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[serde(default)]
+#[schemars(extend("additionalProperties" = false))]
 pub struct Params {
     /// How often neighbours are asked, the picture is judged and tracks are solved.
     #[schemars(range(min = 1, max = 10))]
@@ -52,25 +52,11 @@ pub struct Params {
     /// The picture gives no hints for places that fewer exposures saw; one that saw a place for a part of its time counts as that part.
     #[schemars(range(min = 0.0))]
     pub least_exposures: f64,
-    /// How motion is found, and which neighbours along it are asked.
-    pub motion: MotionParams,
-    /// How far what the picture and what neighbours say is trusted.
-    pub trust: TrustParams,
-    /// Neighbouring pixels along the motion are asked as well, as `refine/motion` does.
+    /// Neighbouring pixels along the motion are used as well, as `refine/motion` does.
     pub neighbours: bool,
-    /// As in `solve/map`.
-    pub front_end: FrontEndModel,
-    /// As in `solve/map`: standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub event_noise: Option<f64>,
-    /// As in `solve/map`: model error of a frame value, as a part of it.
-    #[schemars(range(min = 0.0))]
-    pub frame_noise: f64,
-    /// As in `solve/map`: knots lie at most this far apart; the picture is evaluated at every second one.
-    #[schemars(extend("x-min" = "10 us"))]
-    pub knot_spacing: Duration,
-    /// As in `solve/map`.
-    pub decisions: Decisions,
+    /// How tracks are solved.
+    #[serde(flatten)]
+    pub solver: SolveOptions,
 }
 
 impl Default for Params {
@@ -81,14 +67,8 @@ impl Default for Params {
             pitch,
             most_values: most_values as u64,
             least_exposures: 0.25,
-            motion: MotionParams::default(),
-            trust: TrustParams::default(),
             neighbours: true,
-            front_end: FrontEndModel::default(),
-            event_noise: None,
-            frame_noise: FRAME_NOISE,
-            knot_spacing: KNOT_SPACING,
-            decisions: Decisions::default(),
+            solver: SolveOptions::default(),
         }
     }
 }
@@ -129,9 +109,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
     type Out = Out;
 
     fn build(params: Params) -> Result<Self, NodeError> {
-        let Params { front_end, event_noise, frame_noise, knot_spacing, decisions, .. } = params;
-        let solver = Solver::build(SolveOptions { front_end, event_noise, frame_noise, knot_spacing, decisions, ..SolveOptions::default() })?;
-        Ok(RefinePicture { solver, params })
+        Ok(RefinePicture { solver: Solver::build(params.solver)?, params })
     }
 
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
@@ -145,12 +123,12 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
         let (fired, activity) = (again.fired(), again.activity());
         let (extent, sensor) = (again.meta.extent, again.sensor());
         let span = again.rows.first().map_or((0, 0), |row| row.span());
-        let step_ns = 2 * self.params.knot_spacing.ns();
+        let step_ns = 2 * self.params.solver.knot_spacing.ns();
         let case = Case::read(Some(&input.events), Some(&input.frames), &input.sensor)?;
         let setting = PictureSetting { pitch: self.params.pitch, most_values: self.params.most_values as usize, ..PictureSetting::default() };
         let width = extent.width as usize;
         let asked = |span: (i64, i64)| activity.pixels(span, extent);
-        let pictures = Pictures::fit(&case, &sensor.model, &setting, (self.params.knot_spacing.ns(), self.params.least_exposures), asked);
+        let pictures = Pictures::fit(&case, &sensor.model, &setting, (self.params.solver.knot_spacing.ns(), self.params.least_exposures), asked);
         drop(case);
         if let Err(why) = &pictures {
             cx.note(format!("no picture is used: {why}"));
@@ -162,7 +140,7 @@ in   = { tracks = "solve.tracks", events = "recording.events", frames = "recordi
             pictures.of_row(row.row as usize, width, &columns)
         };
         let mut tracks = input.tracks.read(cx.rows())?;
-        let Params { motion, trust, .. } = &self.params;
+        let (motion, trust) = (&MotionParams::default(), &TrustParams::default());
         for round in 1..=self.params.rounds {
             let log = LogTracks::new(extent, tracks, &fired);
             let flow = Flow::of_tracks(&log, span, &activity, (motion, false));

@@ -158,7 +158,7 @@ impl Model {
             }
         };
         let nothing = (Undo::new(Vec::new()), 0);
-        Model::of("solve/paper", sensor, events, front_end, refractory_s, nothing, crate::FRAME_NOISE, options.plausible_range)
+        Model::of("solve/paper", sensor, events, front_end, refractory_s, nothing, crate::options::FRAME_NOISE, options.plausible_range)
     }
 
     fn of(

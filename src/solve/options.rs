@@ -2,8 +2,6 @@
 
 use photocurrent_core::NodeError;
 use photocurrent_core::quantity::Duration;
-use photocurrent_sensor::map::SecondStart;
-use photocurrent_sensor::map::estimate::Choosing;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -73,70 +71,6 @@ pub enum FirstKnot {
     Event,
 }
 
-/// What it takes to decide for something that is not usual.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct Decisions {
-    /// So many pixels of each block of 16 rows choose its noise and prior, at least.
-    #[schemars(range(min = 1, max = 65536))]
-    pub pixels: u32,
-    /// A noise or a prior that is not the usual one must predict frames that are held out better by this part.
-    #[schemars(range(min = 0.0, max = 1.0))]
-    pub clear_gain: f64,
-    /// A third of those pixels looks at everything that is tried, the others only at what loses at most this part more than the best does there.
-    #[schemars(range(min = 0.0))]
-    pub reach: f64,
-    /// A pixel is solved from a second start where its events are missed by more than this: mean square, in their standard deviations. 1e9 = never.
-    #[schemars(range(min = 0.0))]
-    pub second_misfit: f64,
-    /// And where events and frames together are missed by less than this: beyond, they contradict each other, and no start helps.
-    #[schemars(range(min = 0.0))]
-    pub second_most_misfit: f64,
-    /// Standard deviation of an event on the way to the second start, as a part of its threshold.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
-    pub second_event_noise: f64,
-    /// Most steps on the way to it.
-    #[schemars(range(min = 1, max = 100))]
-    pub second_steps: u32,
-    /// What is found from there is taken where it makes all squared misfits together smaller by this part.
-    #[schemars(range(min = 0.0, max = 1.0))]
-    pub second_gain: f64,
-}
-
-impl Decisions {
-    /// Of noise and prior.
-    pub(crate) fn choosing(&self) -> Choosing {
-        Choosing { clear_gain: self.clear_gain, reach: self.reach }
-    }
-
-    /// Of a second start.
-    pub(crate) fn second(&self) -> SecondStart {
-        SecondStart {
-            event: self.second_event_noise,
-            steps: self.second_steps as usize,
-            least_misfit: self.second_misfit,
-            most_misfit: self.second_most_misfit,
-            gain: self.second_gain,
-        }
-    }
-}
-
-impl Default for Decisions {
-    fn default() -> Self {
-        let (choosing, second) = (Choosing::USUAL, SecondStart::USUAL);
-        Decisions {
-            pixels: CHOOSING_PIXELS,
-            clear_gain: choosing.clear_gain,
-            reach: choosing.reach,
-            second_misfit: second.least_misfit,
-            second_most_misfit: second.most_misfit,
-            second_event_noise: second.event,
-            second_steps: second.steps as u32,
-            second_gain: second.gain,
-        }
-    }
-}
-
 /// How the MAP estimate is made.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -161,8 +95,6 @@ pub struct SolveOptions {
     /// and frames; absent = 2, or 4 where effects mix the photocurrent of neighbours. Without `[effects]` it has no effect.
     #[schemars(range(max = 20))]
     pub undo_rounds: Option<u32>,
-    /// What it takes to choose another noise or prior, or to solve a pixel from a second start.
-    pub decisions: Decisions,
     /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
     /// plane `implausible` of `map` states how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
     #[schemars(extend("exclusiveMinimum" = 0.0))]
@@ -181,7 +113,6 @@ impl Default for SolveOptions {
             knot_spacing: KNOT_SPACING,
             sigma: true,
             undo_rounds: None,
-            decisions: Decisions::default(),
             plausible_range: PLAUSIBLE_RANGE,
             max_iterations: STEPS,
         }
@@ -237,15 +168,12 @@ impl Default for PaperOptions {
 }
 
 /// The usual [`SolveOptions::frame_noise`].
-pub const FRAME_NOISE: f64 = 0.02;
+pub(crate) const FRAME_NOISE: f64 = 0.02;
 /// The usual [`SolveOptions::knot_spacing`].
-pub const KNOT_SPACING: Duration = Duration::new(250_000);
+const KNOT_SPACING: Duration = Duration::new(250_000);
 
 /// More steps than this do not improve a pixel.
 pub(crate) const STEPS: u32 = 5;
-
-/// The usual [`Decisions::pixels`].
-const CHOOSING_PIXELS: u32 = 192;
 
 /// The usual [`SolveOptions::undo_rounds`].
 const UNDO_ROUNDS: u32 = 2;
@@ -289,18 +217,6 @@ fn check_range(plausible_range: f64) -> Result<(), NodeError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use serde_json::json;
-
-    #[test]
-    fn decisions_that_are_not_stated_are_those_of_the_solver() {
-        let stated = |params: serde_json::Value| serde_json::from_value::<SolveOptions>(params).unwrap().decisions;
-        for decisions in [stated(json!({})), stated(json!({ "decisions": {} }))] {
-            assert_eq!((decisions.choosing(), decisions.second()), (Choosing::USUAL, SecondStart::USUAL));
-        }
-        let stated = stated(json!({ "decisions": { "clear_gain": 0.5, "second_misfit": 7.0 } }));
-        let (choosing, second) = (Choosing { clear_gain: 0.5, ..Choosing::USUAL }, SecondStart { least_misfit: 7.0, ..SecondStart::USUAL });
-        assert_eq!((stated.choosing(), stated.second()), (choosing, second));
-    }
 
     #[test]
     fn a_range_that_holds_all_light_down_is_refused() {

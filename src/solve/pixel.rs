@@ -4,7 +4,7 @@ use crate::options::{STEPS, SolveOptions};
 use crate::row_solver::{FrameNoise, NO_EVENT_SIGMA};
 use photocurrent_core::events::Polarity;
 use photocurrent_core::{Exposure, NodeError, Sensor};
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapOptions, MapProblem, MapStatus, MapWorkspace, Noise, estimate};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapOptions, MapProblem, MapStatus, MapWorkspace, Noise, SecondStart, estimate};
 use photocurrent_sensor::model::Model;
 
 /// The light of a pixel over time, log-linear between instants.
@@ -76,7 +76,7 @@ pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Expos
         spacing_ns: options.knot_spacing.ns(),
         max_iterations: options.max_iterations.min(STEPS) as usize,
         with_sigma: true,
-        second: Some(options.decisions.second()),
+        second: Some(SecondStart::USUAL),
         ..MapOptions::default()
     };
     let mut workspace = MapWorkspace::default();

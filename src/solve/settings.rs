@@ -13,7 +13,10 @@ use crate::row_solver::{RowSetting, known, problem, with_known};
 use photocurrent_core::{NodeError, Rows, TracksMeta};
 use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::map::losses::{self, Plain};
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, estimate, frame_noise};
+use photocurrent_sensor::map::estimate::Choosing;
+use photocurrent_sensor::map::{
+    MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapTask, Noise, SecondStart, estimate, frame_noise,
+};
 use photocurrent_sensor::undo::Known;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -24,6 +27,9 @@ pub const BLOCK_ROWS: u32 = 16;
 pub const HALO_ROWS: u32 = BLOCK_ROWS;
 /// Rows around one whose events are company to its own.
 pub const COMPANY_ROWS: u32 = 1;
+
+/// So many pixels of each block choose its noise and prior, at least: 64 lose up to 0.1 dB (docs/decisions/0013).
+const CHOOSING_PIXELS: usize = 192;
 
 /// The settings of some rows.
 pub struct Settings {
@@ -119,8 +125,7 @@ fn choose(
     take: &mut impl FnMut(&mut RowData, u32) -> Result<(), NodeError>,
     given: Option<&KnownOfRows>,
 ) -> Result<RowSetting, NodeError> {
-    let decisions = params.decisions;
-    let per_row = (decisions.pixels as usize).div_ceil(rows.len());
+    let per_row = CHOOSING_PIXELS.div_ceil(rows.len());
     let mut data = RowData::default();
     let mut unexplained = Unexplained::default();
     let span = (meta.span.start.0, meta.span.end.0);
@@ -150,7 +155,7 @@ fn choose(
     let mut group = MapGroup::default();
     let options = sample.options;
     Ok(sample.with_problems(model, 0..sample.len(), given.map(|_| given_of), &mut group, |problems, group| {
-        let choice = estimate::choose(problems, params.event_noise, &decisions.choosing(), &options, group);
+        let choice = estimate::choose(problems, params.event_noise, &Choosing::USUAL, &options, group);
         let options = MapOptions { prior: choice.prior, ..options };
         let problems: Vec<_> = problems.iter().map(|problem| MapProblem { noise: choice.noise, ..*problem }).collect();
         let sigma_factor = if params.sigma { estimate::too_narrow_by(&mut estimate::misses(&problems, &options, group)) } else { 1.0 };
@@ -203,7 +208,7 @@ impl Sample {
             spacing_ns: params.knot_spacing.ns(),
             max_iterations,
             with_sigma: params.sigma,
-            second: Some(params.decisions.second()),
+            second: Some(SecondStart::USUAL),
             ..MapOptions::default()
         };
         Sample { pixels: Vec::new(), recorded: Vec::new(), span, options }

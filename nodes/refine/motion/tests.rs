@@ -3,12 +3,11 @@
 use super::*;
 use crate::refine::fixtures::{EXTENT, GAIN, decibels, error, every_pixel_for_itself, record, sensor, solve, texture};
 use crate::refine::trust::{Measured, Posed};
-use crate::solve::map::SolveMap;
 use crate::solve::paper::SolvePaper;
 use photocurrent_core::{EventStream, FrameSequence, TrackBand, testing};
 use photocurrent_scene::film::Fired;
 use photocurrent_sensor::map::{Hint, MapFrame};
-use photocurrent_solve::{PaperOptions, ReadoutModel, SolveOptions};
+use photocurrent_solve::{PaperOptions, ReadoutModel};
 
 fn refine(tracks: &TrackSet, events: &EventStream, frames: &FrameSequence, rounds: u32) -> TrackSet {
     let node = RefineMotion::build(Params { rounds, ..Params::default() }).unwrap();
@@ -35,21 +34,23 @@ fn pixels_that_have_nothing_to_do_with_each_other_stay_as_they_are() {
 }
 
 #[test]
-fn decisions_reach_the_solver() {
+fn options_of_the_solver_stand_next_to_those_of_the_node() {
+    let stated = serde_json::json!({ "rounds": 2, "knot_spacing": "500 us", "front_end": "ideal" });
+    let params: Params = serde_json::from_value(stated).unwrap();
+    assert_eq!((params.rounds, params.solver.knot_spacing.ns()), (2, 500_000));
+    let again = serde_json::to_value(&params).unwrap();
+    assert_eq!((&again["front_end"], &again["sigma"]), (&"ideal".into(), &true.into()));
+    // With another spacing, tracks have other knots.
     let (events, frames) = record(texture);
-    let with = |clear_gain: f64| {
-        let decisions = Decisions { clear_gain, ..Decisions::default() };
-        let alone = SolveMap::build(SolveOptions { decisions, ..SolveOptions::default() }).unwrap();
-        let input = crate::solve::In { events: events.clone(), frames: frames.clone(), sensor: sensor() };
-        let alone = testing::with_context(EXTENT.rows(), &["tracks", "map"], |cx| alone.run(input, cx)).0.unwrap().tracks;
-        let node = RefineMotion::build(Params { rounds: 1, decisions, ..Params::default() }).unwrap();
-        let input = In { tracks: solve(&events, &frames), events: events.clone(), frames: frames.clone(), sensor: sensor() };
-        let together = testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(input, cx)).0.unwrap().tracks;
-        [alone, together].map(|tracks| tracks.read(EXTENT.rows()).unwrap())
+    let first = solve(&events, &frames);
+    let with = |spacing: &str| {
+        let params = serde_json::from_value(serde_json::json!({ "rounds": 1, "knot_spacing": spacing })).unwrap();
+        let input = In { tracks: first.clone(), events: events.clone(), frames: frames.clone(), sensor: sensor() };
+        let node = RefineMotion::build(params).unwrap();
+        let tracks = testing::with_context(EXTENT.rows(), &["tracks"], |cx| node.run(input, cx)).0.unwrap().tracks;
+        tracks.read(EXTENT.rows()).unwrap().t.len()
     };
-    // Any gain, and none that could be had.
-    let ([any, any_together], [none, none_together]) = (with(0.0), with(1.0));
-    assert!(any != none && any_together != none_together);
+    assert!(with("500 us") < with("250 us"));
 }
 
 /// A texture whose tracks are its light, when the track of pixel (12, 8) is moved by `own`, natural-log units.

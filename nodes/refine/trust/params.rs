@@ -1,47 +1,34 @@
 //! The parameters of what a node makes of predicted light.
 
 use photocurrent_core::quantity::Duration;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// How far light that others predict is trusted.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrustParams {
     /// No prediction is taken for better than this, natural-log units.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub floor: f64,
     /// What is predicted may come early or late by so much: steep edges err in their place, not in their height.
     pub late: Duration,
     /// Predictions for instants next to each other err together: each counts as if its variance were so many times as large.
-    #[schemars(range(min = 1.0))]
     pub together: f64,
     /// Predictions within this time have one error in common: all of them narrow the posterior variance no more than one of them does. A picture is wrong at a place,
     /// and a pixel sees that place for long.
     pub one_error: Duration,
     /// What a pixel's events and frames, and what two sources, contradict a prediction by is pooled over this time.
-    #[schemars(extend("x-min" = "10 us"))]
     pub pooled: Duration,
     /// And over this, to see whether there is anything in the predictions at all.
-    #[schemars(extend("x-min" = "10 us"))]
     pub wide: Duration,
     /// What a frame weighs against an event when a pixel judges what is predicted.
-    #[schemars(range(min = 0.0))]
     pub frame_weight: f64,
     /// One source alone can contradict nobody: its variance counts so many times.
-    #[schemars(range(min = 1.0))]
     pub one_sided: f64,
     /// Nothing is predicted any more where contradictions, as a part of a squared threshold, reach this: by itself a pixel knows its light to a part of a threshold.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub most_contradiction: f64,
     /// Predictions must make the error of frames that were held out smaller by this part to be used in a region at all.
-    #[schemars(range(min = 0.0, max = 1.0))]
     pub clear_gain: f64,
     /// Pixels that were asked for frames that were held out count half so far away, pixels.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub near: f64,
     /// What the mean of all pixels that were asked weighs against those near, in pixels.
-    #[schemars(range(min = 0.0))]
     pub everywhere: f64,
 }
 

@@ -1,37 +1,27 @@
 //! The parameters of how motion is estimated, and of the neighbours that predict along it.
 
 use photocurrent_core::quantity::Duration;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 /// How motion is estimated, and which tracks along it predict.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct MotionParams {
     /// Speeds are cut to this, pixels per ms.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub fastest: f64,
     /// Differences of log light of this size count half.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub robust: f64,
     /// What a motion must explain, as squared log light, to be used.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub least_contrast: f64,
     /// A place takes the motion of all pixels, or that of another place, where that leaves less by this part than its own does.
-    #[schemars(range(min = 0.0, max = 1.0))]
     pub clear_gain: f64,
     /// Other places whose motion is tried lie so far away by column or by row, pixels.
     pub farther: Vec<u32>,
     /// Standard deviation of the neighbourhood in which they are compared, pixels.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
     pub neighbourhood: f64,
     /// A neighbour predicts only what passes it at most so long before or after the pixel.
     pub longest: Duration,
     /// A track counts half so long after or before an event of its pixel.
-    #[schemars(extend("x-min" = "1 us"))]
     pub fresh: Duration,
     /// And never less than one part in so many and one.
-    #[schemars(range(min = 0.0))]
     pub stalest: f64,
 }
 
