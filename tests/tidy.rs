@@ -208,6 +208,24 @@ fn the_direction_of_every_crate_is_stated_here() {
     }
 }
 
+#[test]
+fn the_physics_builds_without_the_engine_and_its_texts() {
+    let tree = |package: &str| {
+        let options = ["tree", "--offline", "--no-default-features", "-e", "normal", "--prefix", "none", "--no-dedupe", "-f", "{p}", "-p", package];
+        let output = Command::new(std::env::var("CARGO").unwrap_or("cargo".into())).args(options).current_dir(root()).output().expect("cargo runs");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        text.lines().filter_map(|line| line.split(' ').next()).map(String::from).collect::<BTreeSet<String>>()
+    };
+    for (package, most) in [("photocurrent-sensor", 40), ("photocurrent-solve", 52)] {
+        let crates = tree(package);
+        assert!(crates.len() <= most, "{package} builds {} crates, at most {most} are meant: {crates:?}", crates.len());
+        for heavy in ["toml", "schemars", "hdf5-metno", "photocurrent-engine", "photocurrent-store"] {
+            assert!(!crates.contains(heavy), "{package} builds {heavy}: put what needs it behind a feature of photocurrent-core");
+        }
+    }
+}
+
 /// The modules that a table of the code map names: what stands between backticks in the first cell of each row.
 fn modules_of(table: &str) -> Vec<String> {
     let cells = table.lines().filter_map(|line| line.strip_prefix("| ")?.split(" | ").next());

@@ -7,9 +7,9 @@
 //! Limits: planning walks over all events once, to know their span. Events beyond 512 MiB go through a temporary file.
 
 use crate::spans::check_window;
+use photocurrent_core::DataType;
 use photocurrent_core::document::Source;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_core::value::DataType;
 use photocurrent_core::{Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
 use photocurrent_formats::trim::Crop;

@@ -10,9 +10,9 @@
 //! Frames may have a whole number of pixels along the side of each event pixel, three channels, or a mosaic of filters, which is passed on as stored: one value a
 //! pixel. Those of more pixels than the events are not cut into row bands.
 
+use photocurrent_core::DataType;
 use photocurrent_core::document::Source;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_core::value::DataType;
 use photocurrent_core::{Context, Decl, EventStream, EventsMeta, FileRef, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, Truth};
 use photocurrent_formats::arrange::EVENTS_BUDGET;
 use photocurrent_formats::declared::Declared;

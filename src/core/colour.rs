@@ -3,8 +3,10 @@
 //! The channels are 0 red, 1 green, 2 blue. A Bayer mosaic repeats a cell of 2 x 2 pixels; in a quad-Bayer mosaic each filter covers 2 x 2 pixels, so the
 //! cell has 4 x 4. A mosaic's name ends with the colours of its cell, row by row: `rggb` begins with red, `gbrg` with green above red.
 
+#[cfg(feature = "graph")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
+#[cfg(feature = "graph")]
 use std::borrow::Cow;
 use std::fmt;
 
@@ -119,6 +121,7 @@ impl Colour {
     }
 }
 
+#[cfg(feature = "graph")]
 impl JsonSchema for Colour {
     fn schema_name() -> Cow<'static, str> {
         "Colour".into()

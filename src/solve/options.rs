@@ -4,11 +4,11 @@ use photocurrent_core::NodeError;
 use photocurrent_core::quantity::Duration;
 use photocurrent_sensor::map::SecondStart;
 use photocurrent_sensor::map::estimate::Choosing;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How the front end's delay is treated.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum FrontEndModel {
     /// No delay: V_FE = V_DC, tau = 0 in Eq. (7).
@@ -19,7 +19,8 @@ pub enum FrontEndModel {
 }
 
 /// How readout latency and refractory period are treated.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ReadoutModel {
     /// Not at all: Eq. (8).
@@ -30,7 +31,8 @@ pub enum ReadoutModel {
 }
 
 /// Which photocurrent sets the time constant of an interval.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum TauChoice {
     /// The one at its start, as Eqs. (2) and (3) are printed.
@@ -41,7 +43,8 @@ pub enum TauChoice {
 }
 
 /// How exactly Eq. (13) is minimised.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// Sixteen pixels at once in single precision: costs to four digits, more than ten times as fast. Pixels near a fold are solved in double precision.
@@ -52,7 +55,8 @@ pub enum Precision {
 }
 
 /// Which frames are solved together.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Joint {
     /// Two consecutive frames at a time.
@@ -63,7 +67,8 @@ pub enum Joint {
 }
 
 /// Where the first unknown of a window stands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum FirstKnot {
     /// At the window's start, so that the first event's step counts too.
@@ -74,32 +79,33 @@ pub enum FirstKnot {
 }
 
 /// What it takes to decide for something that is not usual.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Decisions {
     /// So many pixels of each block of 16 rows choose its noise and prior, at least.
-    #[schemars(range(min = 1, max = 65536))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 65536)))]
     pub pixels: u32,
     /// A noise or a prior that is not the usual one must predict frames that are held out better by this part.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub clear_gain: f64,
     /// A third of those pixels looks at everything that is tried, the others only at what loses at most this part more than the best does there.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub reach: f64,
     /// A pixel is solved from a second start where its events are missed by more than this: mean square, in their standard deviations. 1e9 = never.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub second_misfit: f64,
     /// And where events and frames together are missed by less than this: beyond, they contradict each other, and no start helps.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub second_most_misfit: f64,
     /// Standard deviation of an event on the way to the second start, as a part of its threshold.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub second_event_noise: f64,
     /// Most steps on the way to it.
-    #[schemars(range(min = 1, max = 100))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 100)))]
     pub second_steps: u32,
     /// What is found from there is taken where it makes all squared misfits together smaller by this part.
-    #[schemars(range(min = 0.0, max = 1.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub second_gain: f64,
 }
 
@@ -138,37 +144,38 @@ impl Default for Decisions {
 }
 
 /// How the MAP estimate is made.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct SolveOptions {
     /// How the front end's delay is treated.
     pub front_end: FrontEndModel,
     /// Standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows so that frames
     /// that are held out are predicted best.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub event_noise: Option<f64>,
     /// Model error of a frame value, as a part of it, in addition to the noise that the sensor description states, 1 DN, and what pixels without
     /// events show beyond that.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub frame_noise: f64,
     /// Knots near events lie at most this far apart; in quiet gaps they widen with the distance from an event, to 8 ms or a 64th of the frame period.
-    #[schemars(extend("x-min" = "10 us"))]
+    #[cfg_attr(feature = "schema", schemars(extend("x-min" = "10 us")))]
     pub knot_spacing: Duration,
     /// Every knot of the tracks carries a standard deviation: what measurements and prior leave open, widened where frames that are held out
     /// show that to be too little.
     pub sigma: bool,
     /// How often the light is solved again with what the description's `[effects]` did to events at the light found before; 0 = `[effects]` are left as they are, in events
     /// and frames; absent = 2, or 4 where effects mix the photocurrent of neighbours. Without `[effects]` it has no effect.
-    #[schemars(range(max = 20))]
+    #[cfg_attr(feature = "schema", schemars(range(max = 20)))]
     pub undo_rounds: Option<u32>,
     /// What it takes to choose another noise or prior, or to solve a pixel from a second start.
     pub decisions: Decisions,
     /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
     /// plane `implausible` of `map` states how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub plausible_range: f64,
     /// Most steps tried for one problem; more than 5 make it follow its own estimate.
-    #[schemars(range(min = 1, max = 5))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5)))]
     pub max_iterations: u32,
 }
 
@@ -189,7 +196,8 @@ impl Default for SolveOptions {
 }
 
 /// How Eq. (13) is solved.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct PaperOptions {
     /// How the front end's delay is treated.
@@ -205,17 +213,17 @@ pub struct PaperOptions {
     /// Where the first unknown of a window stands.
     pub first_knot: FirstKnot,
     /// Weight of a squared frame residual, per DN^2; the paper has 1.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub cis_weight: f64,
     /// Weight of a squared event residual, per natural-log unit squared; the paper has 1.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub evs_weight: f64,
     /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
     /// plane `implausible` of `map` states how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub plausible_range: f64,
     /// Most steps tried for one problem.
-    #[schemars(range(min = 1, max = 10000))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 10000)))]
     pub max_iterations: u32,
 }
 
