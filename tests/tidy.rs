@@ -14,7 +14,7 @@ use std::process::Command;
 const MOST_LINES: usize = 700;
 
 /// The names of our crates' folders, and which of ours each may depend on, directly or for its tests.
-const DIRECTION: [(&str, &str, &[&str]); 9] = [
+pub const DIRECTION: [(&str, &str, &[&str]); 9] = [
     ("src/core", "photocurrent-core", &[]),
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
     ("src/solve", "photocurrent-solve", &["photocurrent-core", "photocurrent-sensor"]),
@@ -34,7 +34,7 @@ const DIRECTION: [(&str, &str, &[&str]); 9] = [
 const OUTSIDE: &str = "data/concealed/generator";
 
 /// The files of the project, relative to its root: what git has or would take; without git, what lies there.
-fn files() -> BTreeSet<String> {
+pub fn files() -> BTreeSet<String> {
     let git = Command::new("git").args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"]).current_dir(root()).output();
     let mut found: BTreeSet<String> = match git {
         Ok(output) if output.status.success() => {
@@ -64,7 +64,7 @@ fn walk(folder: &Path, prefix: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-fn read(name: &str) -> String {
+pub fn read(name: &str) -> String {
     fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
@@ -77,7 +77,7 @@ fn is_under(name: &str, folders: &[&str]) -> bool {
 }
 
 /// Is a file there for tests only?
-fn is_test_file(name: &str) -> bool {
+pub fn is_test_file(name: &str) -> bool {
     name.starts_with("tests/") || name.contains("/tests/") || name.contains("/benches/") || name.ends_with("tests.rs") || name.ends_with("/testing.rs")
 }
 
@@ -121,7 +121,7 @@ fn code(text: &str) -> String {
 }
 
 /// The code without the unit tests that stand at a file's end.
-fn working_code(name: &str) -> String {
+pub fn working_code(name: &str) -> String {
     let code = code(&read(name));
     let tests = code.match_indices("#[cfg(test)]\nmod ").find(|(at, _)| code[at + 13..].lines().next().is_some_and(|line| line.trim_end().ends_with('{')));
     tests.map_or(code.clone(), |(at, _)| code[..at].to_string())

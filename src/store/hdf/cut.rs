@@ -129,7 +129,7 @@ fn refusal(path: &Path, superblock: Superblock, bytes: u64, why: &str) -> StoreE
 #[cfg(unix)]
 mod mapped {
     use super::*;
-    use crate::hdf::{locked, short};
+    use crate::hdf::library::{locked, short};
     use hdf5_sys::h5::herr_t;
     use hdf5_sys::h5fd::{H5FD_file_image_callbacks_t, H5FD_file_image_op_t};
     use hdf5_sys::{h5f, h5p};

@@ -12,12 +12,15 @@ pub(crate) mod codec;
 mod cut;
 pub(crate) mod grid;
 mod guard;
+mod library;
 pub(crate) mod number;
 pub(crate) mod pack;
 pub(crate) mod pipeline;
 pub(crate) mod text;
 mod trial;
 pub(crate) mod write;
+
+pub(crate) use library::{locked, short};
 
 use crate::error::StoreError;
 use cut::Superblock;
@@ -26,7 +29,6 @@ use hdf5::{Dataset, File, Group};
 use pipeline::Pipeline;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
 
 /// A number that can stand in a dataset.
 pub(crate) trait Item: hdf5::H5Type + bytemuck::Pod + Default + Send + Sync {}
@@ -41,22 +43,6 @@ const LARGEST_CHUNK: u64 = 1 << 30;
 
 /// Groups in groups are followed so far: no layout that is read has half as many.
 const DEEPEST: usize = 10;
-
-/// Runs library calls under the library's lock, with its printing off and the doors to other files shut.
-pub(crate) fn locked<T>(calls: impl FnOnce() -> T) -> T {
-    static SHUT: LazyLock<()> = LazyLock::new(|| {
-        hdf5::sync::sync(|| {
-            let mut no_plugins = 0;
-            // SAFETY: both are plain calls into an initialised library, under its lock; the pointer is valid for the call.
-            unsafe {
-                hdf5_sys::h5l::H5Lunregister(hdf5_sys::h5l::H5L_type_t::H5L_TYPE_EXTERNAL);
-                hdf5_sys::h5pl::H5PLset_loading_state(&mut no_plugins);
-            }
-        });
-    });
-    LazyLock::force(&SHUT);
-    hdf5::sync::sync(calls)
-}
 
 /// An open file and its name, for messages.
 #[derive(Clone)]
@@ -201,11 +187,6 @@ fn hint_for(detail: &str) -> &'static str {
     } else {
         "the file is probably cut short or damaged: copy or record it again"
     }
-}
-
-/// The library's message in one line: the deepest frame says most, and the rest repeats it.
-pub(crate) fn short(error: &hdf5::Error) -> String {
-    error.to_string().lines().next().unwrap_or("no reason given").to_string()
 }
 
 /// How an HDF5 file begins.

@@ -1,6 +1,6 @@
 //! Events of a recording: by time in the file, by row band in memory, checked on the way.
 
-use super::{check_column, column, group_integer, has_group, required};
+use super::checked::{check_column, column, group_integer, has_group, required};
 use crate::error::{Mistakes, StoreError};
 use crate::hdf::Opened;
 use crate::hdf::grid::Grid;

@@ -1,6 +1,6 @@
 //! Frames and true frames of a recording: the header checked at once, the numbers read lazily.
 
-use super::{check_column, group_integer, has_group, required};
+use super::checked::{check_column, group_integer, has_group, required};
 use crate::error::{Mistakes, StoreError};
 use crate::hdf::Opened;
 use crate::hdf::grid::{Grid, number_type};
