@@ -1,8 +1,7 @@
 //! `photocurrent calibrate`: the numbers of the diagnosis' decision, made anew from made-up recordings.
 
 use crate::args::{CalibrateOptions, CalibratedScene};
-use crate::case::usage;
-use crate::common::{Done, Failure};
+use crate::failure::{Done, Failure, usage};
 use crate::terminal::say;
 use indicatif::{ProgressBar, ProgressStyle};
 use photocurrent_core::Extent;

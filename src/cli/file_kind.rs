@@ -3,7 +3,7 @@
 //! A recording is recognised by the formats' own signatures ([`photocurrent_formats::recognise`]), everything else by its first bytes. Nothing but the start of a file is
 //! read. Limits: a text that looks like TOML and does not constrain itself counts as a manifest, whose mistakes are then reported.
 
-use crate::common::Failure;
+use crate::failure::Failure;
 use photocurrent_formats::instead::{Instead, what_it_is};
 use photocurrent_formats::{Format, Probe};
 use photocurrent_store::format_attribute;

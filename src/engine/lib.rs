@@ -14,6 +14,7 @@
 
 pub mod ablation;
 pub mod blocks;
+mod budget;
 pub mod explain;
 pub mod export;
 pub mod graph;
@@ -22,6 +23,7 @@ mod lacking;
 pub mod manifest;
 pub mod observer;
 pub mod outcome;
+mod overlay;
 pub mod parts;
 pub mod pipeline;
 pub mod plan;
@@ -30,6 +32,7 @@ pub mod resolve;
 pub mod schedule;
 pub mod schema;
 pub mod status;
+mod task;
 mod typed;
 
 #[cfg(test)]
@@ -37,14 +40,16 @@ mod tests;
 
 pub use ablation::{Ablation, BASE};
 pub use blocks::{Blocks, Extract, Source, node_of};
+pub use budget::machine_memory;
 pub use explain::{Explanation, explain};
 pub use graph::{Drawing, GraphFormat, graph};
 pub use observer::{End, Observer, Unobserved};
 pub use outcome::{Outcome, TaskOutcome};
 pub use parts::{PartEnd, join, run_part};
 pub use pipeline::Pipeline;
-pub use plan::{LeftOut, Plan, PlannedVariant, Selection, Task, TaskId};
+pub use plan::{Plan, Selection};
 pub use resolve::Project;
-pub use schedule::{Keep, Options, machine_memory, run};
+pub use schedule::{Keep, Options, run};
 pub use schema::manifest_schema;
 pub use status::{State, TaskStatus, status};
+pub use task::{LeftOut, PlannedVariant, Task, TaskId, TaskInput};

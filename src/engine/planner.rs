@@ -1,9 +1,10 @@
 //! How a plan is made: node by node in running order, each asked what its outputs will look like; in blocks of time where the pipeline has them.
 
 use crate::blocks::{Blocks, Cuts, Extract, Source, extracted, name_of, node_of};
+use crate::budget::{LESS, size};
 use crate::lacking::Lacking;
 use crate::pipeline::Pipeline;
-use crate::plan::{LESS, LeftOut, PlannedVariant, Task, TaskId, TaskInput, TaskOutput, size};
+use crate::task::{LeftOut, PlannedVariant, Task, TaskId, TaskInput, TaskOutput};
 use crate::typed::{self, Link, TypedNode};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::document::Problem;

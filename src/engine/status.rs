@@ -6,7 +6,8 @@
 //! the new result equals the old one.
 
 use crate::key::{self, Reuse};
-use crate::plan::{Plan, Task, TaskId};
+use crate::plan::Plan;
+use crate::task::{Task, TaskId};
 use photocurrent_core::Digest;
 use photocurrent_store::{Cache, Ingredients, Lookup, Record};
 use std::path::Path;

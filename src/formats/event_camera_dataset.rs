@@ -3,12 +3,12 @@
 //! Source: Mueggler et al., The Event-Camera Dataset and Simulator, IJRR 2017. What an image's stamp means, the exposure and the encoding of its values are
 //! not recorded. E2VID's folders are the same with a first line `width height`.
 
-use crate::convention::Convention;
 use crate::csv::Csv;
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::pictures::{Defined, PictureFiles, names};
+use crate::recording::Convention;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

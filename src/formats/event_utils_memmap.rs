@@ -4,7 +4,7 @@
 //! Stamps are seconds in floats; whole numbers need a declared unit. What the image stamps mean, and the exposure, are not recorded.
 //! `image_event_indices.npy` follows from the stamps and is not read. EVIMO2's `dataset_events_*.npy` is the same layout.
 
-use crate::convention::{Convention, Lazy, Rules};
+use crate::convention::{Lazy, Rules};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
@@ -12,7 +12,7 @@ use crate::npy::pictures::NpyPictures;
 use crate::npy::place::Place;
 use crate::npy::table::{Reading, Table, TableCursor};
 use crate::npz;
-use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
+use crate::recording::{Convention, EventCursor, EventsAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -7,7 +7,7 @@
 //! Limits: the events' array is taken to be as large as the pictures, on which they were aligned; what lies outside is left out.
 
 use crate::chunk::EventChunk;
-use crate::convention::{Convention, Lazy, Rules, Tally};
+use crate::convention::{Lazy, Rules, Tally};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::evidence::{self, Of};
@@ -17,7 +17,7 @@ use crate::npy::header::Kind;
 use crate::npy::table::{Reading, Table, TableCursor};
 use crate::npz;
 use crate::pictures::{Defined, PictureFiles, names};
-use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
+use crate::recording::{Convention, EventCursor, EventsAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

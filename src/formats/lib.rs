@@ -1,7 +1,7 @@
 //! Files of event cameras and of their frames: recognised by content, read in pieces, never trusted.
 //!
 //! - [`catalog`]: the one explicit list of all formats, in the order in which a file is held against them.
-//! - [`format`]: what a format is, and how a file is recognised ([`format::recognise`]).
+//! - [`format`]: what a format is, and how a file is recognised ([`catalog::recognise`]).
 //! - [`recording`]: what an opened file gives: a cursor over its events, pictures by index, triggers, facts, losses.
 //! - [`declared`]: what a user states because the file cannot: a unit, columns, an exposure.
 //! - [`chunk`]: events as columns, a piece at a time.
@@ -67,9 +67,9 @@ pub mod transfer;
 pub mod trim;
 pub mod ycbcr;
 
-pub use catalog::FORMATS;
+pub use catalog::{FORMATS, recognise};
 pub use chunk::{Edge, EventChunk, Trigger};
 pub use declared::{Column, Counter, Declared, Mirror, Pairing, Polarity, Shift, StampRole, Strobe, TimeUnit, Transfer};
 pub use error::{FormatError, Loss};
-pub use format::{Format, Probe, recognise};
-pub use recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};
+pub use format::{Format, Probe};
+pub use recording::{Convention, EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};

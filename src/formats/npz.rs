@@ -2,7 +2,7 @@
 //!
 //! The unit of the stamps is in none of these, and the user states it; of an array of N x 4 the order of the columns too.
 
-use crate::convention::{Convention, Lazy, Rules};
+use crate::convention::{Lazy, Rules};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::evidence::{self, Of, unit_name};
@@ -10,7 +10,7 @@ use crate::format::{Format, Probe};
 use crate::npy::header::{Element, Kind};
 use crate::npy::place::{self, Place};
 use crate::npy::table::{Reading, Table, TableCursor, column_named};
-use crate::recording::{EventCursor, EventsAbout, Recording};
+use crate::recording::{Convention, EventCursor, EventsAbout, Recording};
 use crate::text::sniff::{column_names, proposal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -3,7 +3,8 @@
 //! A node whose output rows reach only a known number of input rows may be run band by band; the height is the largest with which inputs and
 //! outputs of one band fit into the task's share. Results do not depend on the height: that is a promise of the nodes, tested with every one.
 
-use crate::plan::{Plan, Task};
+use crate::plan::Plan;
+use crate::task::Task;
 use photocurrent_core::ports::PortValues;
 use photocurrent_core::{EventsMeta, Grain, LightMeta, Meta, Rows, TracksMeta, Value};
 
@@ -185,17 +186,6 @@ pub(crate) fn inputs_of(inputs: &PortValues, bands: &Bands, band: Rows) -> PortV
     let reach = band.with_halo(halo, bands.rows);
     let cut = |value: &Value| if is_cut(value, bands.rows) { value.cut(reach) } else { value.clone() };
     inputs.iter().map(|(port, values)| (*port, values.iter().map(cut).collect())).collect()
-}
-
-/// About how many bytes the outputs of a task's smallest piece take: a row where the node may be cut, else everything.
-pub(crate) fn least_bytes(task: &Task) -> u64 {
-    let all: u64 = task.stored().map(|output| output.meta.estimated_bytes()).fold(0, u64::saturating_add);
-    let rows = task.stored().next().and_then(|output| output.meta.rows());
-    let same_rows = task.stored().all(|output| output.meta.rows() == rows);
-    match (task.grain, rows) {
-        (Grain::Pixel | Grain::Row { .. }, Some(rows)) if same_rows && task.export.is_none() && !rows.is_empty() => all / rows.len() as u64,
-        _ => all,
-    }
 }
 
 /// The largest height that fits, and 1 when none does. More rows never need less, so halving finds it.

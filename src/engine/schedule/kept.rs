@@ -2,7 +2,8 @@
 
 use super::writer::Said;
 use crate::key;
-use crate::plan::{Plan, Task, TaskId};
+use crate::plan::Plan;
+use crate::task::{Task, TaskId};
 use photocurrent_core::{Digest, Meta, Rows, Value};
 use photocurrent_store::{BandStore, Cache, KeptBand};
 use std::path::PathBuf;

@@ -5,7 +5,8 @@
 
 use super::bands::Bands;
 use crate::observer::End;
-use crate::plan::{Plan, TaskId};
+use crate::plan::Plan;
+use crate::task::TaskId;
 use photocurrent_core::{Digest, NodeError, Value};
 use photocurrent_store::{Ingredients, StoredOutput};
 use std::collections::BTreeMap;

@@ -3,9 +3,9 @@
 //! A packet (`FRME`) is one frame: a plain stamp, start and end of the frame and of its exposure (all in microseconds), the type of its values after OpenCV
 //! (8 or 16 bits; grey, BGR or BGRA), size, position on the sensor, and the values row by row. Opening reads the beginnings of the packets only.
 
-use super::Inner;
 use super::chain::{Chain, Packet};
 use super::flat::Table;
+use super::shared::Inner;
 use crate::declared::StampRole;
 use crate::error::{FormatError, Loss};
 use crate::losses::Losses;

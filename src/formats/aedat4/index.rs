@@ -162,6 +162,14 @@ fn walk(path: &Path, header: &Arc<Header>, end: u64, wanted: Wanted, losses: &mu
     Ok(index)
 }
 
+/// Bytes of an event.
+pub(super) const EVENT: usize = 16;
+
+/// The bytes of a packet's events; `None` when the packet is damaged.
+pub fn elements(content: &[u8]) -> Option<&[u8]> {
+    Table::root(content, b"EVTS")?.vector(0, EVENT)
+}
+
 /// Marks with times for a file without a data table: every packet of events is read once.
 ///
 /// # Errors
@@ -172,7 +180,7 @@ pub fn marks_by_reading(path: &Path, header: &Arc<Header>, end: u64, stream: u32
         if packet.stream != stream || !chain.load(&packet, usize::MAX, &mut losses)? {
             continue;
         }
-        if let Some(events) = super::events::elements(chain.content()) {
+        if let Some(events) = elements(chain.content()) {
             let stamps = events.chunks_exact(16).filter_map(|event| event.first_chunk::<8>()).map(|bytes| i64::from_le_bytes(*bytes));
             let latest_us = stamps.max().unwrap_or(i64::MIN);
             chain.proven();

@@ -3,9 +3,9 @@
 //! A packet (`TRIG`) is one vector of tables: stamp in microseconds (i64), kind (i8). Kinds 1 and 2 are edges on the input of the camera, 4 and
 //! 5 edges of its own signal generator; 6 to 9 are begin and end of frames and exposures: signals of the camera about itself, no edges of a line.
 
-use super::Inner;
 use super::chain::{Chain, Packet};
 use super::flat::Table;
+use super::shared::Inner;
 use crate::chunk::{Edge, Trigger};
 use crate::error::FormatError;
 use crate::losses::Losses;

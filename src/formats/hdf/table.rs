@@ -3,7 +3,7 @@
 //! A piece is read and unpacked at a time, a few chunks in parallel. Numbers of any type are accepted; what the reader made of them is said in notes.
 //! Seeking halves the time column, a row at a time, and goes back a little further so that small disorder leaves nothing out.
 
-use super::refused;
+use super::refusal::refused;
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
 use crate::convention::{NONE, Rules, Tally};
 use crate::error::{Cause, FormatError, Loss};

@@ -6,10 +6,10 @@
 //!
 //! Limits: encrypted bags and version 1 are refused by name.
 
+use super::contents::{Contents, Piece, Survey};
 use super::messages::Serial;
-use super::records::{Container, Source, Topic};
+use super::piece::{Container, Source, Topic};
 use super::wire::label;
-use super::{Contents, Piece, scan};
 use crate::error::FormatError;
 use crate::losses::Losses;
 use std::collections::BTreeMap;
@@ -128,7 +128,7 @@ pub fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<R
 ///
 /// # Errors
 /// When the file cannot be read, or is no bag of this version.
-pub fn open(path: &Path) -> Result<Contents, FormatError> {
+pub fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let mut file = File::open(path).map_err(io)?;
     let size = file.metadata().map_err(io)?.len();
@@ -160,7 +160,7 @@ pub fn open(path: &Path) -> Result<Contents, FormatError> {
             format!("the bag has no index at its end: its recorder was stopped, or it is cut off; its {} chunks were read one by one", contents.pieces.len());
         losses.add("indexes that are missing", || format!("byte {size}"), || what);
         contents.losses = losses;
-        contents = scan::survey(contents)?;
+        contents = survey(contents)?;
     } else {
         contents.losses = losses;
     }

@@ -4,7 +4,7 @@
 //! So `header.stamp` minus the first event's sensor time is the offset of the clocks plus a delay of zero or more, and the smallest of many such
 //! differences is nearest to the offset. It is taken over the first packets and then held: stamps jitter by milliseconds, the sensor's clock does not.
 
-use super::Contents;
+use super::contents::Contents;
 use super::messages::EventPacket;
 use super::packets::{Encoding, PacketDecoder};
 use super::topics::Group;

@@ -1,9 +1,9 @@
 //! Walks over the events of one topic.
 
-use super::Contents;
+use super::contents::Contents;
 use super::messages::{Event, EventArray, EventPacket, Kind};
 use super::packets::{Encoding, PacketDecoder};
-use super::records::Envelope;
+use super::piece::Envelope;
 use super::topics::Group;
 use super::walk::Walker;
 use super::wire::{Layout, Wire, label};

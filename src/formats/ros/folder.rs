@@ -3,8 +3,10 @@
 //! The order is that of `metadata.yaml`; where that is missing or damaged, that of the names, numbers by value. Connections of several files are kept apart
 //! and belong together by the names of their topics.
 
+use super::contents::{Contents, Part, Piece};
+use super::piece::Topic;
 use super::wire::label;
-use super::{Contents, mcap, sqlite};
+use super::{mcap, scan, sqlite};
 use crate::error::FormatError;
 use crate::losses::Losses;
 use crate::pictures::names::natural;
@@ -73,7 +75,7 @@ pub fn open_file(path: &Path) -> Result<Contents, FormatError> {
     if let Some(what) = packed_kind(&head) {
         return Err(packed(path, what));
     }
-    if head.starts_with(mcap::MAGIC) { mcap::open(path) } else { sqlite::open(path) }
+    if head.starts_with(mcap::MAGIC) { mcap::open(path, scan::survey) } else { sqlite::open(path) }
 }
 
 /// Opens the files of a folder.
@@ -177,13 +179,13 @@ fn join(mut all: Contents, next: Contents, name: &str) -> Contents {
     // Below 2^16 files of 2^16 connections each.
     let first_id = file as u32 * IDS;
     for part in next.parts {
-        all.parts.push(super::Part { first_id, before: all.size, ..part });
+        all.parts.push(Part { first_id, before: all.size, ..part });
     }
     all.size = all.size.saturating_add(next.size);
-    all.topics.extend(next.topics.into_iter().map(|topic| super::records::Topic { id: topic.id + first_id, ..topic }));
+    all.topics.extend(next.topics.into_iter().map(|topic| Topic { id: topic.id + first_id, ..topic }));
     all.pieces.extend(next.pieces.into_iter().map(|piece| {
         let counts = piece.counts.map(|counts| counts.into_iter().map(|(id, count)| (id + first_id, count)).collect());
-        super::Piece { file, counts, ..piece }
+        Piece { file, counts, ..piece }
     }));
     all.files.extend(next.files);
     if file == 0 {

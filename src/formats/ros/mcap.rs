@@ -6,10 +6,10 @@
 //!
 //! Limits: checksums are not compared; attachments and metadata are not read.
 
+use super::contents::{Contents, Piece, Survey};
 use super::messages::Serial;
-use super::records::{Container, Record, Source, Topic};
+use super::piece::{Container, Record, Source, Topic};
 use super::wire::label;
-use super::{Contents, Piece, scan};
 use crate::error::{Cause, FormatError};
 use crate::losses::Losses;
 use std::collections::BTreeMap;
@@ -157,7 +157,7 @@ pub fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<R
 ///
 /// # Errors
 /// When the file cannot be read, or is no MCAP.
-pub fn open(path: &Path) -> Result<Contents, FormatError> {
+pub fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let mut file = File::open(path).map_err(io)?;
     let size = file.metadata().map_err(io)?.len();
@@ -189,7 +189,7 @@ pub fn open(path: &Path) -> Result<Contents, FormatError> {
             losses.add("summaries that are missing or damaged", || format!("byte {size}"), || what);
         }
         contents.losses = losses;
-        contents = scan::survey(contents)?;
+        contents = survey(contents)?;
     }
     Ok(contents)
 }

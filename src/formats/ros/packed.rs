@@ -2,7 +2,7 @@
 //!
 //! No message of ROS 2 begins as such a frame does: its first byte is 0.
 
-use super::records::{Envelope, MOST_MESSAGE};
+use super::piece::{Envelope, MOST_MESSAGE};
 use std::io::Read;
 
 const MAGIC: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];

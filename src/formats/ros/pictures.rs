@@ -4,9 +4,9 @@
 //! A picture's place is kept as (piece, byte), 16 bytes; its values are read when they are wanted. Stored values are given as they are. Compressed pictures
 //! (`sensor_msgs/CompressedImage`) are PNG or JPEG, by their first bytes; their `format` names the mosaic when it was compressed as one channel.
 
-use super::Contents;
+use super::contents::Contents;
 use super::messages::{CompressedHead, ImageHead, Kind, Serial};
-use super::records::Envelope;
+use super::piece::Envelope;
 use super::topics::Group;
 use super::walk::Walker;
 use super::wire::{Stamp, label};

@@ -1,7 +1,7 @@
 //! A bag, MCAP file or database as a recording: its event topic, its image topic, what else it has.
 
-use super::Contents;
 use super::clock::{self, Shift};
+use super::contents::Contents;
 use super::events::{Cursor, Stream};
 use super::messages::Kind;
 use super::packets::Encoding;

@@ -1,8 +1,8 @@
 //! Reads a file through once where it has no index: which topics it has, how many messages, in which pieces.
 
-use super::mcap;
-use super::records::{Record, Topic};
-use super::{Contents, walk};
+use super::contents::Contents;
+use super::piece::{Record, Topic};
+use super::{mcap, walk};
 use crate::error::FormatError;
 use std::collections::BTreeMap;
 

@@ -9,10 +9,10 @@
 //!
 //! Limits: messages that a recorder left in a write-ahead log (`.db3-wal`) are not read, with a loss that says how to bring them in.
 
+use super::contents::{Contents, Database, Piece};
 use super::messages::Serial;
-use super::records::{Container, Envelope, MOST_MESSAGE, Record, Topic};
+use super::piece::{Container, Envelope, MOST_MESSAGE, Record, Topic};
 use super::wire::label;
-use super::{Contents, Piece};
 use crate::error::FormatError;
 use crate::losses::Losses;
 use rusqlite::config::DbConfig;
@@ -39,15 +39,6 @@ const BATCH: usize = 256;
 const MOST_TOPICS: usize = 1 << 16;
 /// After so many damaged places the rest of a file is given up.
 const MOST_GAPS: usize = 1 << 12;
-
-/// What is known of a database, for those who read its rows.
-#[derive(Clone, Debug, Default)]
-pub struct Database {
-    /// Is the file shorter than its header says?
-    cut: bool,
-    /// Numbers in `topics`, and what messages call them here.
-    ids: BTreeMap<i64, u32>,
-}
 
 /// Opens a database for reading.
 fn connect(path: &Path, cut: bool) -> Result<Connection, String> {

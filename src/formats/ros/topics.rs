@@ -1,6 +1,6 @@
 //! Which topic the events come from, and which the pictures: the only one, or the one that the user names.
 
-use super::Contents;
+use super::contents::Contents;
 use super::messages::{EventArray, EventPacket, Kind, Serial, kind_of};
 use super::packets::{self, Encoding};
 use super::walk::Walker;

@@ -1,8 +1,10 @@
 //! Walks over the messages of some topics, through all pieces of a file, and goes to a message by its place.
 
-use super::records::{Container, Envelope, Record, Records};
+use super::contents::Contents;
+use super::piece::{Container, Envelope, Record};
+use super::records::Records;
 use super::sqlite::Rows;
-use super::{Contents, bag, mcap, packed};
+use super::{bag, mcap, packed};
 use crate::error::FormatError;
 use crate::losses::Losses;
 use std::fs::File;

@@ -3,7 +3,7 @@
 //! [`photocurrent_sensor::estimate::displacement`] holds the two against each other. Limits: of [`PAIRS`] pairs the [`A_PAIR`] patches that change most; frames must
 //! have the events' pixels or a whole multiple.
 
-use super::lag::Interval;
+use super::interval::Interval;
 use crate::recording::FramesAbout;
 use photocurrent_core::Extent;
 use photocurrent_sensor::estimate::{FRAME_SIDE, Patch, REACH, SIDE, displacement};

@@ -9,6 +9,7 @@
 //! Limits: places are several pixels wide, so that fine motion shows less; what a scene without motion hides stays hidden.
 
 use super::grid::{Grid, GridSurvey};
+use super::interval::Interval;
 use super::pictures::middle;
 use super::places::MOST_PIXELS;
 use crate::declared::Transfer;
@@ -28,15 +29,6 @@ const MOST_COUNTERS: usize = 1 << 24;
 const DELAY_SHARE: f64 = 0.5;
 /// A step of the grey scale: added before the logarithm, as parts of the largest value, so that darkness is finite.
 const DARK: f32 = 1.0 / 255.0;
-
-/// A value with its interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Interval {
-    /// The value.
-    pub value: f64,
-    /// Its 95 % interval.
-    pub ci95: (f64, f64),
-}
 
 impl From<Estimate> for Interval {
     fn from(estimate: Estimate) -> Interval {
