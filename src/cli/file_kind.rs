@@ -127,7 +127,7 @@ fn of_folder(path: &Path) -> FileKind {
     if path.join("diagnosis.json").is_file() {
         return FileKind::Diagnosis;
     }
-    let is_stamped = |folder: &Path| photocurrent_engine::export::read_stamp(folder).is_some();
+    let is_stamped = |folder: &Path| photocurrent_engine::read_stamp(folder).is_some();
     let scores = [crate::run_record::FILE, "metrics.jsonl", "metrics.pooled.jsonl", "pooled.jsonl"];
     let children = || std::fs::read_dir(path).into_iter().flatten().flatten().take(4096);
     if scores.iter().any(|name| path.join(name).is_file()) || is_stamped(path) || children().any(|child| is_stamped(&child.path())) {

@@ -10,9 +10,6 @@ use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
 use std::fmt;
 
-/// The names of the channels, in their order.
-pub const CHANNELS: [&str; 3] = ["red", "green", "blue"];
-
 /// Where the colours of a mosaic stand in its cell, row by row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Order {

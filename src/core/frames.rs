@@ -134,7 +134,7 @@ impl FramesMeta {
     }
 
     /// Writes every attribute that is part of the content.
-    pub fn write_digest(&self, digest: &mut DigestBuilder) {
+    pub(crate) fn write_digest(&self, digest: &mut DigestBuilder) {
         digest.text("frames/1").integer(self.extent.width.into()).integer(self.extent.height.into()).integer(self.channels().into());
         // Grey frames and three channels are the content they were before mosaics had a name.
         if self.colour.is_mosaic() {

@@ -10,9 +10,9 @@
 //!
 //! With the feature `data`, recordings and results in memory:
 //!
-//! - [`events`], [`frames`], [`tracks`], [`light`], [`map`], [`table`], [`diagnosis`]: the data, each with one
+//! - [`events`], [`frames`], [`tracks`], [`light`], [`map`], [`table`], `diagnosis`: the data, each with one
 //!   canonical order. [`handle`]: data read by row band. [`digest`]: the name of a content.
-//! - [`apart`]: events and frames whose clocks were never put together. [`coverage`]: which parts of a
+//! - `apart`: events and frames whose clocks were never put together. `coverage`: which parts of a
 //!   recording's time have frames near.
 //! - [`context`]: what a node may use while it runs.
 //!
@@ -32,16 +32,18 @@
 //! assert!(error.starts_with("`2.5` has no unit"));
 //! ```
 
+#![cfg_attr(not(test), warn(unreachable_pub))]
+
 #[cfg(feature = "data")]
-pub mod apart;
+mod apart;
 pub mod colour;
 #[cfg(feature = "data")]
 pub mod context;
 #[cfg(feature = "data")]
-pub mod coverage;
+mod coverage;
 mod data_type;
 #[cfg(feature = "data")]
-pub mod diagnosis;
+mod diagnosis;
 #[cfg(feature = "data")]
 pub mod digest;
 pub mod document;

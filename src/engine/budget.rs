@@ -4,7 +4,7 @@ use crate::task::Task;
 use photocurrent_core::Grain;
 
 /// Half of what the machine has free, and 4 GiB where it does not say.
-pub fn default_memory() -> u64 {
+pub(crate) fn default_memory() -> u64 {
     let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
     let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
     let kilobytes = line.and_then(|line| line.trim().trim_end_matches("kB").trim().parse::<u64>().ok());

@@ -14,7 +14,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 /// The manifest format that this version reads and writes.
-pub const FORMAT: i64 = 1;
+pub(crate) const FORMAT: i64 = 1;
 
 /// One manifest, as written, with everything it extends merged below it.
 #[derive(Default)]
@@ -265,6 +265,6 @@ fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
 }
 
 /// Small letters, digits and `_`, a letter first: safe in paths, references and overlays.
-pub fn is_node_id(name: &str) -> bool {
+pub(crate) fn is_node_id(name: &str) -> bool {
     name.starts_with(|c: char| c.is_ascii_lowercase()) && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
 }

@@ -49,7 +49,7 @@ type Made = Vec<TaskId>;
 
 impl Planner {
     /// Of nothing yet, with so many bytes for the plan itself.
-    pub fn new(is_ablation: bool, memory: u64) -> Planner {
+    pub(crate) fn new(is_ablation: bool, memory: u64) -> Planner {
         Planner {
             is_ablation,
             tasks: Vec::new(),
@@ -64,7 +64,7 @@ impl Planner {
     }
 
     /// Plans a variant, as far as `to` needs it.
-    pub fn add(&mut self, pipeline: &Pipeline, catalogue: &Catalogue, to: &[String]) -> PlannedVariant {
+    pub(crate) fn add(&mut self, pipeline: &Pipeline, catalogue: &Catalogue, to: &[String]) -> PlannedVariant {
         let typed = typed::check(pipeline, catalogue, &mut self.problems);
         let chosen = self.choose(pipeline, &typed, to);
         let mut made: Vec<Made> = vec![Vec::new(); pipeline.nodes.len()];

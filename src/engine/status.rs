@@ -129,7 +129,7 @@ impl History<'_> {
     }
 
     /// Why there is no record of these ingredients, and what a comparable run took.
-    pub fn reasons(&mut self, task: &Task, wanted: &Ingredients, damage: Option<String>) -> (Vec<String>, Option<f64>) {
+    pub(crate) fn reasons(&mut self, task: &Task, wanted: &Ingredients, damage: Option<String>) -> (Vec<String>, Option<f64>) {
         if let Some(why) = damage {
             return (vec![format!("record damaged: {why}")], None);
         }

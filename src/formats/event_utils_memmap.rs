@@ -18,7 +18,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// event_utils memmap folders.
-pub static FORMAT: Format =
+pub(crate) static FORMAT: Format =
     Format { id: "memmap", name: "event_utils memmap folder (EVREAL)", recognises, open: |path, declared| Ok(Box::new(Memmap::open(path, declared)?)) };
 
 const STAMPS: [&str; 4] = ["events_ts.npy", "t.npy", "events_t.npy", "dataset_events_t.npy"];
@@ -38,7 +38,7 @@ fn without(path: &Path, names: &[&str]) -> FormatError {
 }
 
 /// An opened folder.
-pub struct Memmap {
+pub(crate) struct Memmap {
     about: Lazy,
     table: Arc<Table>,
     reading: Reading,
@@ -52,7 +52,7 @@ impl Memmap {
     ///
     /// # Errors
     /// When an array is missing or has another shape, or the unit of whole stamps is not declared.
-    pub fn open(path: &Path, declared: &Declared) -> Result<Memmap, FormatError> {
+    pub(crate) fn open(path: &Path, declared: &Declared) -> Result<Memmap, FormatError> {
         for names in [&STAMPS[..], &PIXELS, &POLARITIES] {
             if !names.iter().any(|name| path.join(name).is_file()) {
                 return Err(without(path, names));

@@ -8,7 +8,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Opens a file of a format.
-pub type Open = fn(&Path, &Declared) -> Result<Box<dyn Recording>, FormatError>;
+pub(crate) type Open = fn(&Path, &Declared) -> Result<Box<dyn Recording>, FormatError>;
 
 /// A format.
 pub struct Format {

@@ -10,7 +10,7 @@ use crate::ros::{folder, mcap, recording, scan};
 use std::path::Path;
 
 /// MCAP.
-pub static FORMAT: Format = Format { id: "mcap", name: "MCAP", recognises, open };
+pub(crate) static FORMAT: Format = Format { id: "mcap", name: "MCAP", recognises, open };
 
 fn recognises(probe: &Probe) -> bool {
     let names = probe.names.as_deref().unwrap_or_default();

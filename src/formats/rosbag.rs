@@ -4,7 +4,7 @@ use crate::format::Format;
 use crate::ros::{bag, recording, scan};
 
 /// ROS 1 bag.
-pub static FORMAT: Format = Format {
+pub(crate) static FORMAT: Format = Format {
     id: "rosbag",
     name: "ROS 1 bag",
     recognises: |probe| probe.head.starts_with(b"#ROSBAG V") || probe.head.starts_with(b"#ROSRECORD V"),

@@ -16,7 +16,7 @@ use std::sync::Arc;
 const MOST_US: i64 = i64::MAX / 1000;
 
 /// A walk through the events.
-pub struct Cursor {
+pub(super) struct Cursor {
     file: Arc<Inner>,
     chain: Chain,
     stream: u32,
@@ -33,7 +33,7 @@ impl Cursor {
     ///
     /// # Errors
     /// When the file has gone.
-    pub fn new(file: &Arc<Inner>, stream: u32, extent: Extent) -> Result<Cursor, FormatError> {
+    pub(super) fn new(file: &Arc<Inner>, stream: u32, extent: Extent) -> Result<Cursor, FormatError> {
         let chain = Chain::new(&file.path, &file.header, file.index.end, 1 << 16)?;
         Ok(Cursor { file: file.clone(), chain, stream, extent, rest: 0..0, packet: None, losses: Losses::default() })
     }

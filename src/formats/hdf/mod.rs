@@ -12,16 +12,16 @@
 //! | [`v2e`] | `events` N x 4: t, x, y, p | u32 us | `frame`, `frame_ts` |
 //! | [`event_utils`] | `events/{xs,ys,ts,ps}` | f64 s | `images/image000000000` with attributes |
 
-pub mod dsec;
-pub mod event_utils;
-pub mod m3ed;
-pub mod mvsec;
-pub mod prophesee;
-pub mod recording;
+pub(crate) mod dsec;
+pub(crate) mod event_utils;
+pub(crate) mod m3ed;
+pub(crate) mod mvsec;
+pub(crate) mod prophesee;
+pub(crate) mod recording;
 mod refusal;
 mod stack;
 mod table;
-pub mod v2e;
+pub(crate) mod v2e;
 pub mod write;
 
 #[cfg(test)]

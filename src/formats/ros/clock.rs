@@ -22,7 +22,7 @@ const START_BYTES: usize = 4096;
 
 /// How sensor times become ROS times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shift {
+pub(crate) struct Shift {
     /// Is added to sensor times, ns.
     pub ns: i64,
     /// By how much the differences spread over the packets that were looked at, ns.
@@ -35,7 +35,7 @@ pub struct Shift {
 ///
 /// # Errors
 /// When the file has gone.
-pub fn shift(contents: &Arc<Contents>, group: &Group, encoding: Encoding) -> Result<Option<Shift>, FormatError> {
+pub(crate) fn shift(contents: &Arc<Contents>, group: &Group, encoding: Encoding) -> Result<Option<Shift>, FormatError> {
     let mut walker = Walker::new(contents, &group.ids());
     let mut decoder = PacketDecoder::new(encoding, None);
     let (mut chunk, mut triggers) = (EventChunk::default(), Vec::new());

@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Reads a file through that has no index ([`super::scan::survey`]).
-pub type Survey = fn(Contents) -> Result<Contents, FormatError>;
+pub(crate) type Survey = fn(Contents) -> Result<Contents, FormatError>;
 
 /// What a recording holds, as far as its index says.
-pub struct Contents {
+pub(crate) struct Contents {
     /// The file, or the folder of several.
     pub path: PathBuf,
     /// Bytes of all files.
@@ -38,7 +38,7 @@ impl Contents {
     }
 
     /// Where a piece stands, for messages.
-    pub fn place(&self, piece: usize) -> String {
+    pub(crate) fn place(&self, piece: usize) -> String {
         let Some(piece) = self.pieces.get(piece) else { return "the end".into() };
         let file = match self.parts.as_slice() {
             [_] => String::new(),
@@ -53,7 +53,7 @@ impl Contents {
 
 /// One file of a recording.
 #[derive(Clone, Debug)]
-pub struct Part {
+pub(crate) struct Part {
     /// The file.
     pub path: PathBuf,
     /// What it is.
@@ -68,7 +68,7 @@ pub struct Part {
 
 /// A chunk of messages; or a run of records outside of chunks; or a range of rows.
 #[derive(Clone, Debug)]
-pub struct Piece {
+pub(crate) struct Piece {
     /// Which file of the recording it is in.
     pub file: usize,
     /// Where its record begins; of rows, about where they stand.
@@ -85,7 +85,7 @@ pub struct Piece {
 
 /// What is known of a database, for those who read its rows.
 #[derive(Clone, Debug, Default)]
-pub struct Database {
+pub(crate) struct Database {
     /// Is the file shorter than its header says?
     pub(super) cut: bool,
     /// Numbers in `topics`, and what messages call them here.

@@ -15,7 +15,7 @@ use std::io::Read;
 use std::path::Path;
 
 /// The file that describes the others.
-pub const METADATA: &str = "metadata.yaml";
+pub(crate) const METADATA: &str = "metadata.yaml";
 /// No description of a bag is larger.
 const MOST_METADATA: u64 = 4 << 20;
 /// Files of a bag.
@@ -38,13 +38,13 @@ struct Information {
 }
 
 /// Does a name look like that of a file of messages, compressed or not?
-pub fn is_storage(name: &str) -> bool {
+pub(crate) fn is_storage(name: &str) -> bool {
     let name = name.strip_suffix(".zstd").unwrap_or(name);
     !name.starts_with('.') && (name.ends_with(".db3") || name.ends_with(".mcap"))
 }
 
 /// What a file is when a whole file was compressed: "a bag in SQLite"; `None` for any other.
-pub fn packed_kind(head: &[u8]) -> Option<&'static str> {
+pub(crate) fn packed_kind(head: &[u8]) -> Option<&'static str> {
     if !head.starts_with(ZSTD) {
         return None;
     }
@@ -57,7 +57,7 @@ pub fn packed_kind(head: &[u8]) -> Option<&'static str> {
 }
 
 /// The refusal of a file that was compressed as a whole.
-pub fn packed(path: &Path, what: &str) -> FormatError {
+pub(crate) fn packed(path: &Path, what: &str) -> FormatError {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let hint = format!("decompress it with `zstd -d {name}` and name the result, or the folder of the bag");
     FormatError::new(path, format!("a file of a bag of ROS 2 ({what}) that is compressed as a whole by Zstandard"), hint)
@@ -68,7 +68,7 @@ pub fn packed(path: &Path, what: &str) -> FormatError {
 ///
 /// # Errors
 /// When it is none.
-pub fn open_file(path: &Path) -> Result<Contents, FormatError> {
+pub(crate) fn open_file(path: &Path) -> Result<Contents, FormatError> {
     let mut head = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(4096).read_to_end(&mut head));
     read.map_err(|error| FormatError::io(path, &error))?;
@@ -82,7 +82,7 @@ pub fn open_file(path: &Path) -> Result<Contents, FormatError> {
 ///
 /// # Errors
 /// When no file of messages is there, or none can be read.
-pub fn open(path: &Path, names: &[String]) -> Result<Contents, FormatError> {
+pub(crate) fn open(path: &Path, names: &[String]) -> Result<Contents, FormatError> {
     let mut losses = Losses::default();
     let information = information(path, &mut losses);
     let mut there: Vec<&String> = names.iter().filter(|name| is_storage(name)).collect();

@@ -16,26 +16,26 @@
 //! Why not the crates `rosbag` and `mcap`: the first maps the whole file, which ends the program when the file shrinks meanwhile, needs an index, and allocates
 //! what a chunk claims; the second stops at the first damaged record and would be a second way through the same messages.
 
-pub mod bag;
-pub mod clock;
-pub mod contents;
-pub mod events;
-pub mod folder;
-pub mod mcap;
-pub mod messages;
+pub(crate) mod bag;
+pub(crate) mod clock;
+pub(crate) mod contents;
+pub(crate) mod events;
+pub(crate) mod folder;
+pub(crate) mod mcap;
+pub(crate) mod messages;
 mod packed;
-pub mod packets;
-pub mod pictures;
-pub mod piece;
-pub mod recording;
-pub mod records;
-pub mod scan;
-pub mod sqlite;
+pub(crate) mod packets;
+pub(crate) mod pictures;
+pub(crate) mod piece;
+pub(crate) mod recording;
+pub(crate) mod records;
+pub(crate) mod scan;
+pub(crate) mod sqlite;
 #[doc(hidden)]
 pub mod testing;
-pub mod topics;
-pub mod walk;
-pub mod wire;
+pub(crate) mod topics;
+pub(crate) mod walk;
+pub(crate) mod wire;
 
 #[cfg(test)]
 mod rosbag2_tests;

@@ -11,7 +11,7 @@ const MAGIC: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
 ///
 /// # Errors
 /// When the message cannot be decompressed, or is too long.
-pub fn unpack(envelope: Envelope, most: u64, body: &mut Vec<u8>) -> Result<Envelope, String> {
+pub(super) fn unpack(envelope: Envelope, most: u64, body: &mut Vec<u8>) -> Result<Envelope, String> {
     if !body.starts_with(MAGIC) {
         return Ok(envelope);
     }

@@ -7,7 +7,7 @@ use std::io::{BufReader, Read};
 
 /// Which container a file is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Container {
+pub(crate) enum Container {
     /// ROS 1 bag, version 2.0.
     Bag,
     /// MCAP.
@@ -17,14 +17,14 @@ pub enum Container {
 }
 
 /// One message longer than this is left out: no camera sends it, and it is held whole.
-pub const MOST_MESSAGE: u64 = 256 << 20;
+pub(crate) const MOST_MESSAGE: u64 = 256 << 20;
 /// A compressed chunk that claims more than this is left out: it would be a day's work for a few bytes.
-pub const MOST_CHUNK: u64 = 1 << 30;
+pub(crate) const MOST_CHUNK: u64 = 1 << 30;
 /// What is read from a file at a time.
 const FILE_BUFFER: usize = 1 << 16;
 
 /// The bytes of a piece, decompressed.
-pub enum Source {
+pub(crate) enum Source {
     /// They stand in the file so; these many are left.
     Plain(BufReader<File>, u64),
     /// They come out of a decompressor; it gives these many at most.
@@ -33,7 +33,7 @@ pub enum Source {
 
 impl Source {
     /// Bytes of a file from where it stands, as they are.
-    pub fn plain(file: File, length: u64) -> Source {
+    pub(crate) fn plain(file: File, length: u64) -> Source {
         Source::Plain(BufReader::with_capacity(FILE_BUFFER, file), length)
     }
 
@@ -41,7 +41,7 @@ impl Source {
     ///
     /// # Errors
     /// When the compression is unknown, or claims too much.
-    pub fn packed(file: File, length: u64, compression: &[u8], claimed: u64) -> Result<Source, String> {
+    pub(crate) fn packed(file: File, length: u64, compression: &[u8], claimed: u64) -> Result<Source, String> {
         if matches!(compression, b"" | b"none") {
             return Ok(Source::plain(file, length));
         }
@@ -149,7 +149,7 @@ impl Source {
 
 /// One record of a piece.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Record {
+pub(crate) enum Record {
     /// A message.
     Message(Envelope),
     /// What a connection is.
@@ -162,7 +162,7 @@ pub enum Record {
 
 /// What a container says about a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Envelope {
+pub(crate) struct Envelope {
     /// Which connection (channel).
     pub id: u32,
     /// When it was received, ns.
@@ -175,7 +175,7 @@ pub struct Envelope {
 
 /// A connection (in MCAP, a channel): who sends what under which name.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Topic {
+pub(crate) struct Topic {
     /// Its number.
     pub id: u32,
     /// Name of the topic: `/dvs/events`. Several connections can have the same.

@@ -13,7 +13,7 @@ const MOST_HEADER: u32 = 1 << 16;
 /// Definitions of topics are text; those of other types can be long.
 const MOST_DEFINITION: u64 = 16 << 20;
 /// Walks over the records of one piece.
-pub struct Records {
+pub(crate) struct Records {
     /// Added to the numbers of connections.
     first_id: u32,
     inner: Inner,
@@ -35,17 +35,17 @@ struct Stream {
 
 impl Records {
     /// From the first record of a piece of a file, whose connections are numbered from `first_id`.
-    pub fn new(container: Container, source: Source, first_id: u32) -> Records {
+    pub(crate) fn new(container: Container, source: Source, first_id: u32) -> Records {
         Records { first_id, inner: Inner::Stream(Stream { source, container, at: 0, header: Vec::new() }) }
     }
 
     /// From the first row of a piece.
-    pub fn of_rows(rows: Rows, first_id: u32) -> Records {
+    pub(crate) fn of_rows(rows: Rows, first_id: u32) -> Records {
         Records { first_id, inner: Inner::Rows(Box::new(rows)) }
     }
 
     /// Bytes (of a database: rows) of the piece before the next record.
-    pub fn at(&self) -> u64 {
+    pub(crate) fn at(&self) -> u64 {
         match &self.inner {
             Inner::Stream(stream) => stream.at,
             Inner::Rows(rows) => rows.at(),
@@ -53,7 +53,7 @@ impl Records {
     }
 
     /// Goes over bytes or rows up to a record that stands at `offset`.
-    pub fn forward(&mut self, offset: u64) -> Result<(), String> {
+    pub(crate) fn forward(&mut self, offset: u64) -> Result<(), String> {
         let step = offset.checked_sub(self.at()).ok_or("the record has been passed")?;
         match &mut self.inner {
             Inner::Stream(stream) => {
@@ -67,7 +67,7 @@ impl Records {
 
     /// The next record; `None` at the end of the piece. `body` is replaced by the first `most` bytes of a message whose connection is `wanted`, and
     /// emptied for any other record.
-    pub fn next(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
+    pub(crate) fn next(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
         body.clear();
         let first = self.first_id;
         let wanted = |id: u32| wanted(id.wrapping_add(first));

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 ///
 /// # Errors
 /// When the file cannot be opened any more.
-pub fn survey(mut contents: Contents) -> Result<Contents, FormatError> {
+pub(crate) fn survey(mut contents: Contents) -> Result<Contents, FormatError> {
     let mut topics: BTreeMap<u32, Topic> = BTreeMap::new();
     let mut schemas: BTreeMap<u16, String> = BTreeMap::new();
     let mut counts: BTreeMap<u32, u64> = BTreeMap::new();

@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The first bytes.
-pub const MAGIC: &[u8] = b"SQLite format 3\0";
+pub(crate) const MAGIC: &[u8] = b"SQLite format 3\0";
 /// Bytes of the header of a database.
 const HEAD: usize = 100;
 /// Rows of a piece, and bytes of its messages, at most (one message may be longer).
@@ -116,7 +116,7 @@ fn lines(connection: &Connection, after: i64, last: i64, found: &mut VecDeque<Li
 ///
 /// # Errors
 /// When the file cannot be read, or is no database of rosbag2.
-pub fn open(path: &Path) -> Result<Contents, FormatError> {
+pub(crate) fn open(path: &Path) -> Result<Contents, FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let mut file = File::open(path).map_err(io)?;
     let size = file.metadata().map_err(io)?.len();
@@ -312,7 +312,7 @@ impl Builder {
 }
 
 /// Walks over the messages of one piece.
-pub struct Rows {
+pub(crate) struct Rows {
     connection: Connection,
     database: Arc<Database>,
     first: i64,
@@ -327,7 +327,7 @@ impl Rows {
     ///
     /// # Errors
     /// When the file can no longer be opened as a database.
-    pub fn open(path: &Path, database: &Arc<Database>, (first, last): (i64, i64)) -> Result<Rows, String> {
+    pub(crate) fn open(path: &Path, database: &Arc<Database>, (first, last): (i64, i64)) -> Result<Rows, String> {
         let connection = connect(path, database.cut)?;
         Ok(Rows { connection, database: database.clone(), first, last, passed: None, ahead: VecDeque::new() })
     }
@@ -337,12 +337,12 @@ impl Rows {
     }
 
     /// The next row as an offset from the first.
-    pub fn at(&self) -> u64 {
+    pub(crate) fn at(&self) -> u64 {
         self.passed.map_or(0, |row| self.offset(row).saturating_add(1))
     }
 
     /// Goes on at an offset that a message had.
-    pub fn forward(&mut self, offset: u64) {
+    pub(crate) fn forward(&mut self, offset: u64) {
         let row = self.first.wrapping_add(offset.cast_signed());
         self.ahead.retain(|line| line.row >= row);
         self.passed = row.checked_sub(1).filter(|passed| *passed >= self.first);
@@ -352,7 +352,7 @@ impl Rows {
     ///
     /// # Errors
     /// When the rows cannot be read further.
-    pub fn next(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
+    pub(crate) fn next(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
         if self.ahead.is_empty() {
             let after = self.passed.unwrap_or(self.first.saturating_sub(1));
             let end = lines(&self.connection, after, self.last, &mut self.ahead);

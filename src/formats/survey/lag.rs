@@ -113,7 +113,7 @@ pub(super) struct Panel {
 
 impl Panel {
     /// For frames that will be read, in order; none when there are too few, or sizes are unknown.
-    pub fn new(about: &FramesAbout, events: Option<Extent>, chosen: &[usize], stated: &Stated) -> Option<Panel> {
+    pub(super) fn new(about: &FramesAbout, events: Option<Extent>, chosen: &[usize], stated: &Stated) -> Option<Panel> {
         let extent = events.unwrap_or(about.extent);
         if extent.pixels() == 0 || extent.pixels() > MOST_PIXELS || about.extent.pixels() == 0 || chosen.len() < 2 {
             return None;
@@ -171,7 +171,7 @@ impl Panel {
     }
 
     /// Takes the values of a frame.
-    pub fn picture(&mut self, frame: usize, values: &[f32]) {
+    pub(super) fn picture(&mut self, frame: usize, values: &[f32]) {
         let Ok(found) = self.at.binary_search_by_key(&frame, |at| at.0) else { return };
         let row_values = self.frame.width as usize * self.channels;
         if values.len() < row_values * self.frame.height as usize {
@@ -212,7 +212,7 @@ impl Panel {
 
     /// Takes an event.
     #[inline]
-    pub fn event(&mut self, t: i64, x: u16, y: u16, on: u8) {
+    pub(super) fn event(&mut self, t: i64, x: u16, y: u16, on: u8) {
         if u32::from(x) >= self.width || u32::from(y) >= self.height {
             return;
         }
@@ -247,7 +247,7 @@ impl Panel {
         }
     }
 
-    pub fn survey(mut self) -> Option<LagSurvey> {
+    pub(super) fn survey(mut self) -> Option<LagSurvey> {
         let rest: Vec<_> = self.centring.rest().collect();
         rest.into_iter().for_each(|(pixel, t, is_on)| self.put(pixel, t, is_on));
         let pairs = self.panel.pairs();

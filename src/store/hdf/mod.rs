@@ -57,14 +57,14 @@ pub(crate) struct Opened {
 
 impl Opened {
     /// Opens a file from outside for reading: tried in a process of its own first, and as far as it goes when it is cut.
-    pub fn read(path: &Path) -> Result<Opened, StoreError> {
+    pub(crate) fn read(path: &Path) -> Result<Opened, StoreError> {
         refuse_what_is_not_hdf5(path)?;
         trial::pass(path)?;
         Opened::open(path)
     }
 
     /// Opens a file that we wrote for reading: whole or not at all.
-    pub fn read_ours(path: &Path) -> Result<Opened, StoreError> {
+    pub(crate) fn read_ours(path: &Path) -> Result<Opened, StoreError> {
         let Start { bytes, .. } = refuse_what_is_not_hdf5(path)?;
         Opened::whole(path, bytes)
     }
@@ -91,12 +91,12 @@ impl Opened {
     }
 
     /// "the file is cut at byte 1000 of 2000", of one that ends before its stated end.
-    pub fn cut(&self) -> Option<String> {
+    pub(crate) fn cut(&self) -> Option<String> {
         self.stated_bytes.map(|stated| format!("the file is cut at byte {} of {stated}", self.bytes))
     }
 
     /// Creates, replacing what is there.
-    pub fn create(path: &Path) -> Result<Opened, StoreError> {
+    pub(crate) fn create(path: &Path) -> Result<Opened, StoreError> {
         let file = locked(|| File::create(path)).map_err(|error| StoreError::Library {
             path: path.into(),
             at: "/".into(),
@@ -107,17 +107,17 @@ impl Opened {
     }
 
     /// Turns a library error into ours.
-    pub fn wrap<T>(&self, at: &str, doing: &'static str, result: hdf5::Result<T>) -> Result<T, StoreError> {
+    pub(crate) fn wrap<T>(&self, at: &str, doing: &'static str, result: hdf5::Result<T>) -> Result<T, StoreError> {
         result.map_err(|error| StoreError::Library { path: self.path.clone(), at: at.into(), doing, detail: short(&error) })
     }
 
     /// An error about something inside.
-    pub fn content(&self, at: &str, found: impl Into<String>, expected: impl Into<String>, hint: impl Into<String>) -> StoreError {
+    pub(crate) fn content(&self, at: &str, found: impl Into<String>, expected: impl Into<String>, hint: impl Into<String>) -> StoreError {
         StoreError::content(&self.path, at, found, expected, hint)
     }
 
     /// A group of the root; `None` when there is none.
-    pub fn group(&self, name: &str) -> Result<Option<Group>, StoreError> {
+    pub(crate) fn group(&self, name: &str) -> Result<Option<Group>, StoreError> {
         if !locked(|| self.file.link_exists(name)) {
             return Ok(None);
         }
@@ -125,13 +125,13 @@ impl Opened {
     }
 
     /// Is there a link of this name, `group/group/name`, and to each of its groups?
-    pub fn exists(&self, name: &str) -> bool {
+    pub(crate) fn exists(&self, name: &str) -> bool {
         let ends = name.match_indices('/').map(|(at, _)| at).chain([name.len()]);
         name.split('/').count() <= DEEPEST && locked(|| ends.into_iter().all(|end| self.file.link_exists(&name[..end])))
     }
 
     /// A dataset, `group/name` or `name`, after the checks of this module; `None` when there is none.
-    pub fn dataset(&self, name: &str) -> Result<Option<Dataset>, StoreError> {
+    pub(crate) fn dataset(&self, name: &str) -> Result<Option<Dataset>, StoreError> {
         if !self.exists(name) {
             return Ok(None);
         }
