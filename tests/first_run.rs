@@ -8,7 +8,7 @@
 use crate::disc::zip;
 use crate::support::{Bench, root};
 use photocurrent_formats::ros::testing::{BagWriter, Packing, Wire, compressed_image, db3, event_array, image};
-use photocurrent_formats::{EventChunk, aedat3::made as made3, aedat4::made, format, joined};
+use photocurrent_formats::{EventChunk, aedat3::made as made3, aedat4::made, catalog, joined};
 use photocurrent_store::recording::Recording;
 use std::fmt::Write as _;
 use std::fs;
@@ -75,7 +75,7 @@ fn read(path: &Path) -> Scene {
     let true_block = truth.read_rows(truth.rows()).unwrap();
     let mut chunk = EventChunk::default();
     let mut events = Vec::new();
-    let opened = joined::open(format::named("recording").unwrap(), path, &Default::default()).unwrap();
+    let opened = joined::open(catalog::named("recording").unwrap(), path, &Default::default()).unwrap();
     let mut cursor = opened.events().unwrap();
     while cursor.next(&mut chunk).unwrap() {
         events.extend((0..chunk.len()).map(|i| (chunk.t[i] / 1000 + 1_000_000, chunk.x[i], chunk.y[i], chunk.on[i] != 0)));

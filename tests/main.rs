@@ -1,6 +1,7 @@
 //! The integration tests, as one binary. What belongs where:
 //!
 //! - `browser`: the pages in a real browser: the report of a run, the page of a diagnosis.
+//! - `circles`: modules that import each other.
 //! - `commands`: the commands in README.md and docs/ run.
 //! - `conformance`: every node kind keeps the promises that all of them make.
 //! - `pages`: the pages of README.md and docs/, their code blocks and links.
@@ -32,6 +33,7 @@
 
 mod browser;
 mod cache;
+mod circles;
 mod colour;
 mod commands;
 mod conformance;

@@ -14,7 +14,7 @@ use std::process::Command;
 const MOST_LINES: usize = 700;
 
 /// The names of our crates' folders, and which of ours each may depend on, directly or for its tests.
-const DIRECTION: [(&str, &str, &[&str]); 11] = [
+pub const DIRECTION: [(&str, &str, &[&str]); 11] = [
     ("src/core", "photocurrent-core", &[]),
     ("src/sensor", "photocurrent-sensor", &["photocurrent-core"]),
     ("src/solve", "photocurrent-solve", &["photocurrent-core", "photocurrent-sensor"]),
@@ -44,7 +44,7 @@ const DIRECTION: [(&str, &str, &[&str]); 11] = [
 const OUTSIDE: &str = "data/concealed/generator";
 
 /// The files of the project, relative to its root: what git has or would take; without git, what lies there.
-fn files() -> BTreeSet<String> {
+pub fn files() -> BTreeSet<String> {
     let git = Command::new("git").args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"]).current_dir(root()).output();
     let mut found: BTreeSet<String> = match git {
         Ok(output) if output.status.success() => {
@@ -74,7 +74,7 @@ fn walk(folder: &Path, prefix: &str, found: &mut BTreeSet<String>) {
     }
 }
 
-fn read(name: &str) -> String {
+pub fn read(name: &str) -> String {
     fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
 }
 
@@ -87,7 +87,7 @@ fn is_under(name: &str, folders: &[&str]) -> bool {
 }
 
 /// Is a file there for tests only?
-fn is_test_file(name: &str) -> bool {
+pub fn is_test_file(name: &str) -> bool {
     name.starts_with("tests/") || name.contains("/tests/") || name.contains("/benches/") || name.ends_with("tests.rs") || name.ends_with("/testing.rs")
 }
 
@@ -131,7 +131,7 @@ fn code(text: &str) -> String {
 }
 
 /// The code without the unit tests that stand at a file's end.
-fn working_code(name: &str) -> String {
+pub fn working_code(name: &str) -> String {
     let code = code(&read(name));
     let tests = code.match_indices("#[cfg(test)]\nmod ").find(|(at, _)| code[at + 13..].lines().next().is_some_and(|line| line.trim_end().ends_with('{')));
     tests.map_or(code.clone(), |(at, _)| code[..at].to_string())
@@ -215,6 +215,24 @@ fn the_direction_of_every_crate_is_stated_here() {
     for folder in packages().keys().filter(|folder| !folder.is_empty()) {
         let name = manifest(folder)["package"]["name"].as_str().expect("a name").to_string();
         assert_eq!(stated.get(folder.as_str()), Some(&name.as_str()), "{folder} is a new package: state in DIRECTION of tests/tidy.rs what it may depend on");
+    }
+}
+
+#[test]
+fn the_physics_builds_without_the_engine_and_its_texts() {
+    let tree = |package: &str| {
+        let options = ["tree", "--offline", "--no-default-features", "-e", "normal", "--prefix", "none", "--no-dedupe", "-f", "{p}", "-p", package];
+        let output = Command::new(std::env::var("CARGO").unwrap_or("cargo".into())).args(options).current_dir(root()).output().expect("cargo runs");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        text.lines().filter_map(|line| line.split(' ').next()).map(String::from).collect::<BTreeSet<String>>()
+    };
+    for (package, most) in [("photocurrent-sensor", 40), ("photocurrent-solve", 52)] {
+        let crates = tree(package);
+        assert!(crates.len() <= most, "{package} builds {} crates, at most {most} are meant: {crates:?}", crates.len());
+        for heavy in ["toml", "schemars", "hdf5-metno", "photocurrent-engine", "photocurrent-store"] {
+            assert!(!crates.contains(heavy), "{package} builds {heavy}: put what needs it behind a feature of photocurrent-core");
+        }
     }
 }
 

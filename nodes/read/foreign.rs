@@ -7,14 +7,14 @@
 //! Limits: planning walks over all events once, to know their span. Events beyond 512 MiB go through a temporary file.
 
 use crate::spans::check_window;
+use photocurrent_core::DataType;
 use photocurrent_core::document::Source;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_core::value::DataType;
 use photocurrent_core::{Context, Decl, EventStream, Extent, FileRef, FrameSequence, Meta, Node, NodeError, PortMetas, Sensor};
 use photocurrent_formats::arrange::{Arranged, EVENTS_BUDGET, Settings, arrange};
 use photocurrent_formats::trim::Crop;
 use photocurrent_formats::{
-    Column, Counter, Declared, EventCursor, Mirror, Pairing, Polarity, Recording, Shift, StampRole, Strobe, TimeUnit, Transfer, format, instead,
+    Column, Counter, Declared, EventCursor, Mirror, Pairing, Polarity, Probe, Recording, Shift, StampRole, Strobe, TimeUnit, Transfer, catalog, instead,
 };
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -189,8 +189,6 @@ impl All {
     }
 }
 
-pub use super::formats::takes;
-
 /// The parameters of one format: those of [`All`] that it accepts.
 pub struct Params<R> {
     all: All,
@@ -278,11 +276,11 @@ pub struct Read<R> {
 impl<R: Reader> Read<R> {
     fn opened(&self) -> Result<Box<dyn Recording>, NodeError> {
         let path = self.all.path.path();
-        let format = format::named(R::FORMAT).ok_or_else(|| NodeError::failed(format!("there is no format `{}`", R::FORMAT)))?;
-        let probe = format::Probe::new(path)?;
+        let format = catalog::named(R::FORMAT).ok_or_else(|| NodeError::failed(format!("there is no format `{}`", R::FORMAT)))?;
+        let probe = Probe::new(path)?;
         if !(format.recognises)(&probe) {
             let (path, name) = (path.display(), format.name);
-            let error = match format::recognise(self.all.path.path())? {
+            let error = match catalog::recognise(self.all.path.path())? {
                 Some(other) => NodeError::input(format!("{path} is {}, and not {name}", other.name)).hint(format!("read it with read/{}", other.id)),
                 None => match instead::what_it_is(&probe) {
                     Some(instead) => NodeError::input(format!("{path} is not {name}: it is {}", instead.what)).hint(instead.todo),

@@ -11,7 +11,7 @@ pub mod sensor;
 use photocurrent_core::NodeError;
 use photocurrent_core::quantity::InputPath;
 use photocurrent_formats::arrange::{Arranged, arrange};
-use photocurrent_formats::{format, instead, joined};
+use photocurrent_formats::{Probe, catalog, instead, joined};
 use std::path::Path;
 
 /// What a file of any format has, for those who look at it before a graph does: events and frames without their data. `all` states what the file does not.
@@ -20,11 +20,11 @@ use std::path::Path;
 /// When the file is of no known format, cannot be read, or something must be stated that is not.
 pub fn arranged(all: &foreign::All) -> Result<Arranged, NodeError> {
     let (path, settings) = (all.path.path(), all.settings());
-    let unknown = || match format::Probe::new(path).ok().and_then(|probe| instead::what_it_is(&probe)) {
+    let unknown = || match Probe::new(path).ok().and_then(|probe| instead::what_it_is(&probe)) {
         Some(instead) => NodeError::from(instead.refusal(path)),
         None => NodeError::input(format!("{} is a recording of no known format", path.display())).param("path"),
     };
-    let format = format::recognise(path)?.ok_or_else(unknown)?;
+    let format = catalog::recognise(path)?.ok_or_else(unknown)?;
     let recording = joined::open(format, path, &settings.declared)?;
     arrange(path, recording.as_ref(), &settings, |_| Ok::<(), NodeError>(()))
 }

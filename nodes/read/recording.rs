@@ -10,14 +10,14 @@
 //! Frames may have a whole number of pixels along the side of each event pixel, three channels, or a mosaic of filters, which is passed on as stored: one value a
 //! pixel. Those of more pixels than the events are not cut into row bands.
 
+use photocurrent_core::DataType;
 use photocurrent_core::document::Source;
 use photocurrent_core::quantity::{Duration, InputPath};
-use photocurrent_core::value::DataType;
 use photocurrent_core::{Context, Decl, EventStream, EventsMeta, FileRef, FrameSequence, Grain, Meta, Node, NodeError, PortMetas, Rows, Sensor, Truth};
+use photocurrent_formats::Declared;
 use photocurrent_formats::arrange::EVENTS_BUDGET;
-use photocurrent_formats::declared::Declared;
 use photocurrent_formats::gather::{Wanted, gather};
-use photocurrent_formats::{format, joined};
+use photocurrent_formats::{catalog, joined};
 use photocurrent_store::Recording;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -71,7 +71,7 @@ fn gathered(recording: &Recording, meta: &Arc<EventsMeta>, budget: usize) -> Res
     // Events that contradict the format are reported as they are everywhere.
     recording.read_events(Rows { start: 0, end: 0 })?;
     let path = recording.path();
-    let format = format::recognise(path)?.ok_or_else(|| NodeError::input(format!("{} is no recording any more", path.display())).param("path"))?;
+    let format = catalog::recognise(path)?.ok_or_else(|| NodeError::input(format!("{} is no recording any more", path.display())).param("path"))?;
     let opened = joined::open(format, path, &Declared::default())?;
     let (extent, t_in) = (meta.extent, meta.has_t_in);
     let wanted = Wanted { extent, crop: None, zero_ns: 0, start_ns: i64::MIN, end_ns: i64::MAX, ordered: true, t_in, budget, drop_duplicates: false };

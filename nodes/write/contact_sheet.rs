@@ -14,9 +14,12 @@
 
 mod events;
 mod sheet;
+mod shown;
 
 use self::events::{colour, counted};
 use self::sheet::{GAP, Layout, Sheet, displayed, grey_range};
+pub use self::shown::Crop;
+use self::shown::Shown;
 use super::font;
 use super::frames::nominal_exposure_ns;
 use super::picture::Picture;
@@ -68,22 +71,6 @@ impl Default for Params {
     }
 }
 
-/// A part of a frame, in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Crop {
-    /// Leftmost column, counted from 0.
-    pub x: u32,
-    /// Topmost row, counted from 0.
-    pub y: u32,
-    /// Number of columns, 1 or more.
-    #[schemars(range(min = 1))]
-    pub width: u32,
-    /// Number of rows, 1 or more.
-    #[schemars(range(min = 1))]
-    pub height: u32,
-}
-
 photocurrent_core::ports! {
     /// What is drawn.
     pub struct In {
@@ -117,29 +104,11 @@ const FOR_LOOKING: &str = "For looking only: one grey range for all rows (0.5 to
 /// The window of events where neither the parameter nor a captured frame states one.
 const WINDOW_NS: i64 = 5_000_000;
 
-/// A frame that is shown.
-struct Shown {
-    frame: usize,
-    t_ns: i64,
-    /// Values as [row][x][channel].
-    dn: Vec<f32>,
-}
-
 /// The exposure that a frame's DN stand for, ns.
 fn exposure_of_dn(meta: &FramesMeta, frame: usize) -> i64 {
     match meta.scale {
         FrameScale::Captured => meta.times.exposures[frame].length_ns(),
         FrameScale::Nominal { exposure_ns } => exposure_ns,
-    }
-}
-
-impl Shown {
-    /// The same light as a frame of another exposure would read it.
-    fn exposed(&mut self, from_ns: i64, to_ns: i64, black: f64) {
-        if from_ns != to_ns {
-            let ratio = to_ns as f64 / from_ns as f64;
-            self.dn.iter_mut().for_each(|dn| *dn = (black + (f64::from(*dn) - black) * ratio) as f32);
-        }
     }
 }
 

@@ -1,7 +1,8 @@
 //! `photocurrent cache`: what is kept, how much room it takes, what may go, whether it is whole.
 
 use crate::args::{CacheCommand, CacheOptions};
-use crate::common::{Done, Failure, human_bytes, human_seconds};
+use crate::failure::{Done, Failure};
+use crate::numbers::{human_bytes, human_seconds};
 use crate::tables::draw;
 use crate::terminal::{print, print_json};
 use photocurrent_store::{Cache, GcOptions};

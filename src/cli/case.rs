@@ -1,8 +1,9 @@
 //! Can a recording with its description be diagnosed? Checked before the graph begins, so that messages name the command's own options.
 
-use crate::common::{Failure, human_bytes};
-use crate::diagnose::Given;
+use crate::diagnose::given::Given;
+use crate::failure::{Failure, usage};
 use crate::file_kind::{FileKind, Reader};
+use crate::numbers::human_bytes;
 use photocurrent_core::document::Source;
 use photocurrent_core::error::Trouble;
 use photocurrent_core::{EventsMeta, FramesMeta, NodeError, Sensor};
@@ -132,9 +133,4 @@ fn sensor(given: &Given, own: Option<&str>) -> Result<Sensor, Failure> {
         return Err(usage(format!("{name}: there is no sensor description in the recording (/sensor)\n  {hint}")));
     };
     parse(Source::new(format!("{name}:/sensor"), given.path().parent().unwrap_or(Path::new(".")), text))
-}
-
-/// A failure of what was asked for.
-pub fn usage(message: String) -> Failure {
-    Failure::Other { message, code: 2 }
 }

@@ -3,11 +3,11 @@
 //! Exit code 0: none found; 2: a manifest or description has mistakes; 3: data have. Every independent mistake is reported at once.
 
 use crate::args::CheckOptions;
-use crate::case::usage;
-use crate::common::{Done, Failure, print_count};
 use crate::declared::refused;
+use crate::failure::{Done, Failure, usage};
 use crate::file_kind::{FileKind, Reader};
 use crate::inspect::{Seen, look};
+use crate::numbers::print_count;
 use crate::parts::Parts;
 use crate::problems;
 use crate::terminal::{print_json, say};

@@ -3,13 +3,13 @@
 //! Events pass through in pieces; the file appears whole or not at all. What was damaged in the input is left out, reported, and makes the exit code 3.
 
 use crate::args::{ConvertOptions, Written};
-use crate::common::{Done, Failure};
+use crate::failure::{Done, Failure, usage};
 use crate::terminal::say;
 use photocurrent_core::EventsMeta;
 use photocurrent_formats::arrange::{Arranged, Settings, arrange};
 use photocurrent_formats::csv::CsvWriter;
 use photocurrent_formats::hdf::write;
-use photocurrent_formats::{EventChunk, EventCursor, FormatError, Recording, evt, format, joined};
+use photocurrent_formats::{EventChunk, EventCursor, FormatError, Recording, catalog, evt, joined};
 use photocurrent_nodes::spans::check_window;
 use photocurrent_store::recording::DnType;
 use photocurrent_store::stream::{StreamedFrames, StreamedRecording};
@@ -34,7 +34,7 @@ pub fn convert(options: &ConvertOptions) -> Done {
     }
     let settings = Settings { start: options.start, end: options.end, crop: options.crop, ..options.declared.parameters(input).settings() };
     check_window(settings.start, settings.end).map_err(|error| usage(error.message))?;
-    let found = format::recognise(input).map_err(refused)?;
+    let found = catalog::recognise(input).map_err(refused)?;
     let found = found.ok_or_else(|| crate::inspect::unknown(input))?;
     let recording = joined::open(found, input, &settings.declared).map_err(refused)?;
     match to {
@@ -52,10 +52,6 @@ fn by_ending(path: &Path) -> Result<Written, Failure> {
         "raw" => Ok(Written::Evt3),
         _ => Err(usage(format!("{}: the ending does not say what to write\n  hint: end the name in .h5, .csv or .raw, or state --to", path.display()))),
     }
-}
-
-fn usage(message: String) -> Failure {
-    Failure::Other { message, code: 2 }
 }
 
 fn refused(error: FormatError) -> Failure {

@@ -1,6 +1,6 @@
 //! Arguments that state what a recording's file does not: the same for every command that reads one.
 
-use crate::common::Failure;
+use crate::failure::Failure;
 use clap::Args as ClapArgs;
 use photocurrent_core::Extent;
 use photocurrent_core::quantity::{Duration, InputPath};

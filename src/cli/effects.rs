@@ -1,7 +1,7 @@
 //! `photocurrent effects`: the catalogue of what a sensor may do beyond the paper's model.
 
 use crate::args::EffectsOptions;
-use crate::common::{Done, Failure};
+use crate::failure::{Done, Failure};
 use crate::tables::draw;
 use crate::terminal::{print, print_json, say};
 use photocurrent_core::document::Problem;

@@ -3,7 +3,7 @@
 //! A recording is recognised by the formats' own signatures ([`photocurrent_formats::recognise`]), everything else by its first bytes. Nothing but the start of a file is
 //! read. Limits: a text that looks like TOML and does not constrain itself counts as a manifest, whose mistakes are then reported.
 
-use crate::common::Failure;
+use crate::failure::Failure;
 use photocurrent_formats::instead::{Instead, what_it_is};
 use photocurrent_formats::{Format, Probe};
 use photocurrent_store::format_attribute;
@@ -127,7 +127,7 @@ fn of_folder(path: &Path) -> FileKind {
     if path.join("diagnosis.json").is_file() {
         return FileKind::Diagnosis;
     }
-    let is_stamped = |folder: &Path| photocurrent_engine::export::read_stamp(folder).is_some();
+    let is_stamped = |folder: &Path| photocurrent_engine::read_stamp(folder).is_some();
     let scores = [crate::run_record::FILE, "metrics.jsonl", "metrics.pooled.jsonl", "pooled.jsonl"];
     let children = || std::fs::read_dir(path).into_iter().flatten().flatten().take(4096);
     if scores.iter().any(|name| path.join(name).is_file()) || is_stamped(path) || children().any(|child| is_stamped(&child.path())) {

@@ -1,7 +1,7 @@
 //! `photocurrent graph`.
 
 use crate::args::{GraphOptions, GraphStyle};
-use crate::common::{Done, Failure};
+use crate::failure::{Done, Failure};
 use crate::file_kind::need_manifest;
 use crate::terminal::print;
 use photocurrent_core::document::Problem;

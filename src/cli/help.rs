@@ -3,7 +3,7 @@
 //! clap lists commands in one column without groups; the page here groups them by what a person wants and fits a screen of 80 by 24.
 
 use crate::args::{Args, CompletionOptions, ManOptions};
-use crate::common::{Done, Failure, write_whole};
+use crate::failure::{Done, Failure, write_whole};
 use crate::terminal::{print, say};
 use clap::CommandFactory;
 use photocurrent_core::document::Problem;

@@ -14,12 +14,14 @@ mod convert;
 mod declared;
 mod diagnose;
 mod effects;
+mod failure;
 mod file_kind;
 mod graph;
 mod help;
 mod init;
 mod inspect;
 mod nodes;
+mod numbers;
 mod parts;
 mod plan;
 mod problems;
@@ -34,7 +36,7 @@ mod terminal;
 use crate::terminal::say;
 use args::{Args, Command};
 use clap::FromArgMatches;
-use common::Failure;
+use failure::Failure;
 use std::ffi::OsString;
 
 /// Runs one command to its end and returns the exit code. `arguments` begin with the name of the program; wrong ones, `--help` and `--version` end the process.

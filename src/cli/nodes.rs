@@ -1,7 +1,7 @@
 //! `photocurrent nodes`, `schema`: what there is to wire, for people and editors.
 
 use crate::args::NodesOptions;
-use crate::common::{Done, Failure};
+use crate::failure::{Done, Failure};
 use crate::tables::draw;
 use crate::terminal::{print, print_json, say};
 use photocurrent_core::document::Problem;

@@ -1,9 +1,8 @@
 //! Which of several files is what: the recording, its frames, their stamps, and what is known of the camera.
 
-use crate::case::usage;
-use crate::common::Failure;
+use crate::failure::{Failure, usage};
 use photocurrent_formats::instead::{may_be_stamps, what_it_is};
-use photocurrent_formats::{Declared, Format, FormatError, Probe, bias, calibration, format};
+use photocurrent_formats::{Declared, Format, FormatError, Probe, bias, calibration, catalog};
 use std::path::{Path, PathBuf};
 
 /// Which file is what.
@@ -29,7 +28,7 @@ impl Parts {
                 line_delay_s = delay.or(line_delay_s);
                 continue;
             }
-            let found = format::recognise(path).map_err(|error| usage(error.to_string()))?;
+            let found = catalog::recognise(path).map_err(|error| usage(error.to_string()))?;
             let (slot, what) = match found {
                 Some(format) if format.id == "pictures" => {
                     if let Some(other) = frames.replace(path.clone()) {
@@ -57,7 +56,7 @@ impl Parts {
             }
         }
         let (recording, format) =
-            recording.ok_or_else(|| usage("no file with events among those named\n  hint: name the event recording first, then its frames".into()))?;
+            recording.ok_or_else(|| usage("no file with events among those named\n  hint: name the event recording first, then its frames"))?;
         Ok(Parts { recording, format, frames, stamps, camera, line_delay_s })
     }
 

@@ -1,7 +1,8 @@
 //! `photocurrent plan`, `explain`: what would happen and why. Neither writes anything.
 
 use crate::args::{ExplainOptions, PlanOptions, Target};
-use crate::common::{Done, Failure, human_bytes, human_seconds};
+use crate::failure::{Done, Failure};
+use crate::numbers::{human_bytes, human_seconds};
 use crate::tables::draw;
 use crate::terminal::{print, print_json, say};
 use photocurrent_engine::{Plan, State, TaskStatus, status};

@@ -2,7 +2,7 @@
 //!
 //! A file that is something else than it was taken for can hold a mistake in every line: of one kind, twenty are shown and the rest is counted.
 
-use crate::common::{grouped, print_count};
+use crate::numbers::{grouped, print_count};
 use crate::terminal::say;
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use photocurrent_core::document::Problem;

@@ -1,7 +1,7 @@
 //! How far a run is: bars with rate and time left on a terminal, a plain line when a node begins and ends elsewhere, one JSON object a line when asked for.
 
 use crate::args::ProgressStyle as Style;
-use crate::common::{human_bytes, human_seconds};
+use crate::numbers::{human_bytes, human_seconds};
 use crate::terminal::say;
 use indicatif::{MultiProgress, ProgressBar, ProgressState, ProgressStyle};
 use photocurrent_engine::{End, Observer, Plan, TaskId};

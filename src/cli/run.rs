@@ -1,7 +1,9 @@
 //! `photocurrent run`.
 
 use crate::args::{MergeOptions, RunOptions};
-use crate::common::{Done, Failure, failed_nodes, human_bytes, human_seconds};
+use crate::common::failed_nodes;
+use crate::failure::{Done, Failure};
+use crate::numbers::{human_bytes, human_seconds};
 use crate::progress::Watcher;
 use crate::run_record::RunRecord;
 use crate::tables::draw;
@@ -275,5 +277,5 @@ fn talk(options: &RunOptions, outcome: &Outcome, out_dir: &Path, seconds: f64) {
 /// Writes JSON Lines whole or not at all.
 fn write_lines(path: &Path, lines: &[serde_json::Value]) -> Result<(), Failure> {
     let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
-    crate::common::write_whole(path, text.as_bytes())
+    crate::failure::write_whole(path, text.as_bytes())
 }

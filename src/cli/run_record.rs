@@ -3,9 +3,9 @@
 //! It names the nodes that ran, how they are wired, how each ended and how long it took, and by digest what the cache holds of them. Nothing here enters a key,
 //! and no node reads it. The form is described in docs/formats.md.
 
-use crate::common::{Failure, write_whole};
+use crate::failure::{Failure, write_whole};
 use photocurrent_core::Digest;
-use photocurrent_engine::plan::TaskInput;
+use photocurrent_engine::TaskInput;
 use photocurrent_engine::{End, Extract, Outcome, Plan, Project};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

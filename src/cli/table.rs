@@ -11,7 +11,7 @@ pub mod plot;
 pub mod records;
 
 use crate::args::{Among, TableFormat, TableOptions};
-use crate::common::{Done, Failure};
+use crate::failure::{Done, Failure, usage};
 use crate::terminal::print;
 use formats::Style;
 use grid::{Grid, Request};
@@ -54,11 +54,6 @@ pub fn table(options: &TableOptions) -> Done {
 fn card_axes(options: &TableOptions) -> Vec<String> {
     let asked = options.rows.iter().chain(&options.columns).map(String::as_str).chain(options.only.iter().filter_map(|text| Some(text.split_once('=')?.0)));
     asked.filter_map(|axis| axis.strip_prefix("card.")).map(str::to_owned).collect()
-}
-
-/// A mistake in the arguments: exit code 2.
-fn usage(message: impl Into<String>) -> Failure {
-    Failure::Other { message: message.into(), code: 2 }
 }
 
 /// `scene=fan,texture`.

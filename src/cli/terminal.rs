@@ -3,7 +3,7 @@
 //! A reader that goes away (`photocurrent nodes | head`) stops neither the work nor changes its exit code: what it does not read any more is let go. Any
 //! other trouble with stdout, such as a full disk, is an error; trouble with stderr has nobody left to hear of it.
 
-use crate::common::Failure;
+use crate::failure::Failure;
 use std::io::{ErrorKind, Write};
 
 /// Writes a line of talk to stderr, as `eprintln!` does, and goes on when nobody reads it.

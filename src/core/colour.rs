@@ -3,13 +3,12 @@
 //! The channels are 0 red, 1 green, 2 blue. A Bayer mosaic repeats a cell of 2 x 2 pixels; in a quad-Bayer mosaic each filter covers 2 x 2 pixels, so the
 //! cell has 4 x 4. A mosaic's name ends with the colours of its cell, row by row: `rggb` begins with red, `gbrg` with green above red.
 
+#[cfg(feature = "graph")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
+#[cfg(feature = "graph")]
 use std::borrow::Cow;
 use std::fmt;
-
-/// The names of the channels, in their order.
-pub const CHANNELS: [&str; 3] = ["red", "green", "blue"];
 
 /// Where the colours of a mosaic stand in its cell, row by row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -119,6 +118,7 @@ impl Colour {
     }
 }
 
+#[cfg(feature = "graph")]
 impl JsonSchema for Colour {
     fn schema_name() -> Cow<'static, str> {
         "Colour".into()

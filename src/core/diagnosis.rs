@@ -3,9 +3,9 @@
 //! The stages are far apart in what they say and alike in how they are kept, so that there is one data type for all: a kind, which is known before any data and
 //! checked while planning, and a text. The text is the content, byte for byte: what is written out for the user is what was digested.
 
+use crate::data_type::DataType;
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::{DataError, NodeError};
-use crate::value::DataType;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::fmt;

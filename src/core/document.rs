@@ -238,6 +238,7 @@ impl Tree {
 ///
 /// # Errors
 /// Every syntax mistake found, not only the first.
+#[cfg(feature = "graph")]
 pub fn parse(source: &Arc<Source>) -> Result<Table, Vec<Problem>> {
     let (root, errors) = toml::de::DeTable::parse_recoverable(&source.text);
     let mut problems: Vec<Problem> = errors
@@ -256,6 +257,7 @@ pub fn parse(source: &Arc<Source>) -> Result<Table, Vec<Problem>> {
     if problems.is_empty() { Ok(table) } else { Err(problems) }
 }
 
+#[cfg(feature = "graph")]
 fn convert_table(source: &Arc<Source>, table: &toml::de::DeTable<'_>, problems: &mut Vec<Problem>) -> Table {
     let mut entries: Vec<(Key, Tree)> = table
         .iter()
@@ -268,6 +270,7 @@ fn convert_table(source: &Arc<Source>, table: &toml::de::DeTable<'_>, problems: 
     Table { entries }
 }
 
+#[cfg(feature = "graph")]
 fn convert(source: &Arc<Source>, value: &serde_spanned::Spanned<toml::de::DeValue<'_>>, problems: &mut Vec<Problem>) -> Tree {
     use toml::de::DeValue;
     let origin = Origin { source: source.clone(), span: value.span() };
@@ -289,7 +292,7 @@ fn convert(source: &Arc<Source>, value: &serde_spanned::Spanned<toml::de::DeValu
     Tree { item, origin }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "graph"))]
 mod tests {
     use super::*;
 

@@ -1,7 +1,7 @@
 //! What can go wrong while data is read or a node works.
 
+use crate::data_type::DataType;
 use crate::document::Problem;
-use crate::value::DataType;
 use std::fmt;
 use std::path::Path;
 

@@ -6,8 +6,8 @@
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
 use crate::extent::{Extent, Rows};
-use crate::handle::{Band, BandMeta, Handle};
-use crate::in_time::{InTime, gather, interleaved, interleaved_offsets, offsets_of, range_within};
+use crate::handle::{Band, BandMeta, Handle, InTime};
+use crate::offsets::{gather, interleaved, interleaved_offsets, offsets_of, range_within};
 use crate::time::TimeSpan;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;

@@ -134,7 +134,7 @@ impl FramesMeta {
     }
 
     /// Writes every attribute that is part of the content.
-    pub fn write_digest(&self, digest: &mut DigestBuilder) {
+    pub(crate) fn write_digest(&self, digest: &mut DigestBuilder) {
         digest.text("frames/1").integer(self.extent.width.into()).integer(self.extent.height.into()).integer(self.channels().into());
         // Grey frames and three channels are the content they were before mosaics had a name.
         if self.colour.is_mosaic() {
@@ -293,12 +293,6 @@ impl FrameSequence {
         FrameSequence { meta: Arc::new(meta), rows: self.rows, source: Arc::new(Selected { frames, of: self.clone() }) }
     }
 
-    /// Frames of the first part, then those of the next, without copying; `meta` says what is known of all.
-    pub(crate) fn follow(meta: Arc<FramesMeta>, parts: Vec<FrameSequence>) -> FrameSequence {
-        let rows = parts.iter().map(|part| part.rows).reduce(|all, rows| all.intersect(rows)).unwrap_or(Rows { start: 0, end: 0 });
-        FrameSequence { source: Arc::new(Following { row_values: meta.row_values(), parts }), meta, rows }
-    }
-
     /// Parts that follow each other without gap, as one sequence.
     ///
     /// # Panics
@@ -325,26 +319,6 @@ impl FrameSource for Selected {
             dn.extend(read(run)?.dn);
         }
         Ok(FrameBlock { frames, rows, row_values, dn })
-    }
-}
-
-struct Following {
-    row_values: usize,
-    parts: Vec<FrameSequence>,
-}
-
-impl FrameSource for Following {
-    fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
-        let mut dn = Vec::with_capacity(frames.len() * rows.len() * self.row_values);
-        let mut first = 0;
-        for part in &self.parts {
-            let (from, to) = (frames.start.max(first), frames.end.min(first + part.len()));
-            if from < to {
-                dn.extend(part.read(from - first..to - first, rows)?.dn);
-            }
-            first += part.len();
-        }
-        Ok(FrameBlock { frames, rows, row_values: self.row_values, dn })
     }
 }
 

@@ -7,7 +7,6 @@
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
 use crate::extent::{Extent, Rows};
-use crate::in_time::InTime;
 use crate::time::TimeSpan;
 use std::sync::Arc;
 
@@ -45,6 +44,18 @@ pub trait Band: Send + Sync + Sized + 'static {
 
     /// Bands that follow each other without gap, as one.
     fn concat(parts: Vec<Self>) -> Self;
+}
+
+/// A band whose data have stamps.
+pub trait InTime: Band {
+    /// Only what is stamped within the window.
+    fn within(&self, window: TimeSpan) -> Self;
+
+    /// Parts of the same rows, in order of time, as one.
+    ///
+    /// # Panics
+    /// When there is no part: a broken invariant of the engine.
+    fn follow(parts: Vec<Self>) -> Self;
 }
 
 /// Where bands come from.

@@ -3,6 +3,7 @@
 //! A node declares its sockets as a struct with the [`ports!`](crate::ports!) macro; a field's Rust type says the data type and how many
 //! values may be plugged in: `EventStream` exactly one, `Option<FrameSequence>` none or one, `Vec<Arc<Table>>` one or more.
 
+use crate::data_type::DataType;
 use crate::diagnosis::{Diagnosis, DiagnosisMeta};
 use crate::error::NodeError;
 use crate::events::{EventStream, EventsMeta};
@@ -12,7 +13,7 @@ use crate::map::MapSet;
 use crate::sensor::Sensor;
 use crate::table::Table;
 use crate::tracks::{TrackSet, TracksMeta};
-use crate::value::{DataType, Meta, Value};
+use crate::value::{Meta, Value};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

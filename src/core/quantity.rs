@@ -3,8 +3,10 @@
 //! A bare number where a unit is needed is an error that lists the units accepted. Times are exact: `"0.1 us"` is 100 ns, and
 //! a time between two nanoseconds becomes the nearer one, and one that would become zero is refused.
 
+#[cfg(feature = "graph")]
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
+#[cfg(feature = "graph")]
 use std::borrow::Cow;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -168,6 +170,7 @@ macro_rules! quantity {
             }
         }
 
+        #[cfg(feature = "graph")]
         impl JsonSchema for $name {
             fn schema_name() -> Cow<'static, str> {
                 stringify!($name).into()
@@ -253,6 +256,7 @@ impl InputPath {
     }
 }
 
+#[cfg(feature = "graph")]
 impl JsonSchema for InputPath {
     fn schema_name() -> Cow<'static, str> {
         "InputPath".into()

@@ -3,14 +3,16 @@
 //! A field that is absent is unknown, not zero, where zero would be a claim. So most fields are optional, and who needs one asks
 //! with [`Sensor::need`], which says what to add to the description.
 
+use crate::data_type::DataType;
+#[cfg(feature = "graph")]
 use crate::document::{Item, Origin, Problem, Source, Tree, parse};
 use crate::error::NodeError;
 use crate::quantity::Duration;
+#[cfg(feature = "graph")]
 use crate::schema;
-use crate::value::DataType;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+#[cfg(feature = "graph")]
 use std::sync::Arc;
 
 /// The ids that `[effects]` may name: what a sensor may do beyond the paper's model. The list grows, ids never change meaning.
@@ -64,7 +66,8 @@ pub const EFFECT_IDS: [&str; 41] = [
 ];
 
 /// The version of the form.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "graph", derive(schemars::JsonSchema))]
 pub enum SensorFormat {
     /// The only one so far.
     #[serde(rename = "photocurrent-sensor/1")]
@@ -72,7 +75,8 @@ pub enum SensorFormat {
 }
 
 /// A sensor description.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "graph", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct Sensor {
     /// `photocurrent-sensor/1`.
@@ -101,33 +105,35 @@ pub struct Sensor {
 }
 
 /// Photodiode to front-end voltage: `tau = tau_0 + alpha / i_pd`, Eq. (3).
-#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "graph", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct FrontEnd {
     /// Time constant in bright light.
-    #[schemars(extend("x-min" = "0 ns"))]
+    #[cfg_attr(feature = "graph", schemars(extend("x-min" = "0 ns")))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tau_0: Option<Duration>,
     /// Time times photocurrent unit.
-    #[schemars(extend("x-min" = "0 ns"))]
+    #[cfg_attr(feature = "graph", schemars(extend("x-min" = "0 ns")))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub alpha: Option<Duration>,
 }
 
 /// Front-end voltage to event, Eq. (4).
-#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "graph", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Comparator {
     /// ON threshold, natural-log units, positive.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "graph", schemars(extend("exclusiveMinimum" = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub threshold_on: Option<f64>,
     /// OFF threshold, natural-log units, positive.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "graph", schemars(extend("exclusiveMinimum" = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub threshold_off: Option<f64>,
     /// Sigma of the threshold drawn at each reset, natural-log units; absent = unknown.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "graph", schemars(range(min = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub threshold_noise: Option<f64>,
     /// What the reference does after an event.
@@ -135,7 +141,8 @@ pub struct Comparator {
 }
 
 /// What the reference voltage does after an event.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "graph", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Reset {
     /// `V_ref := V_FE` at `t_off + refractory`: the paper's rule.
@@ -148,25 +155,27 @@ pub enum Reset {
 }
 
 /// Event to stamp.
-#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "graph", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Readout {
     /// Refractory period `t_rp`, from `t_off` on.
-    #[schemars(extend("x-min" = "0 ns"))]
+    #[cfg_attr(feature = "graph", schemars(extend("x-min" = "0 ns")))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub refractory: Option<Duration>,
     /// Smallest `t_off - t_in`.
-    #[schemars(extend("x-min" = "0 ns"))]
+    #[cfg_attr(feature = "graph", schemars(extend("x-min" = "0 ns")))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub latency_min: Option<Duration>,
 }
 
 /// Photodiode to digital number: `DN = black_level + gain x integral of i_pd dt`, Eq. (5).
-#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "graph", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Frames {
     /// DN per second and photocurrent unit.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "graph", schemars(extend("exclusiveMinimum" = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain: Option<f64>,
     /// Gain of red, green and blue over `gain`; absent = 1 each: a channel's photocurrent is then counted in what its frames read.
@@ -176,29 +185,30 @@ pub struct Frames {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub black_level_dn: Option<f64>,
     /// DN from which a pixel counts as saturated.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "graph", schemars(extend("exclusiveMinimum" = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub saturation_dn: Option<f64>,
     /// Delay from one row's exposure to the next.
-    #[schemars(extend("x-min" = "0 ns"))]
+    #[cfg_attr(feature = "graph", schemars(extend("x-min" = "0 ns")))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub row_time: Option<Duration>,
     /// Sigma of read noise, DN.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "graph", schemars(range(min = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub read_noise_dn: Option<f64>,
     /// Electrons at `saturation_dn` above black level; 0 = photon shot noise unknown.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "graph", schemars(range(min = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub full_well_e: Option<f64>,
 }
 
 /// Light to photocurrent.
-#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "graph", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Optics {
     /// Photocurrent units per lux on the scene.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "graph", schemars(extend("exclusiveMinimum" = 0.0)))]
     #[serde(skip_serializing_if = "Option::is_none")]
     pub photocurrent_per_lux: Option<f64>,
     /// How strongly an event pixel sees the light of the red, green and blue frame pixels that it lies on, relative to each other; absent = every photodiode alike.
@@ -225,6 +235,7 @@ impl Sensor {
     ///
     /// # Errors
     /// Every mistake, at its place.
+    #[cfg(feature = "graph")]
     pub fn parse(source: &Arc<Source>) -> Result<Sensor, Vec<Problem>> {
         let table = parse(source)?;
         let tree = Tree { item: Item::Table(table), origin: Origin { source: source.clone(), span: 0..0 } };
@@ -259,6 +270,7 @@ impl Sensor {
     }
 
     /// As the TOML text that [`Sensor::parse`] reads.
+    #[cfg(feature = "graph")]
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("a sensor description is plain data")
     }
@@ -312,7 +324,7 @@ fn lay_over(below: &mut serde_json::Value, above: &serde_json::Value) {
     }
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "graph"))]
 mod tests {
     use super::*;
 

@@ -24,13 +24,6 @@ pub fn in_seconds(ns: i64) -> String {
 #[serde(transparent)]
 pub struct Timestamp(pub i64);
 
-impl Timestamp {
-    /// Seconds since `origin`; exact below 2^53 ns (104 days).
-    pub fn seconds_since(self, origin: Timestamp) -> f64 {
-        (self.0 - origin.0) as f64 / NS_PER_S
-    }
-}
-
 impl Add<i64> for Timestamp {
     type Output = Timestamp;
     fn add(self, ns: i64) -> Timestamp {

@@ -1,5 +1,6 @@
 //! The closed set of things that flow between nodes, and what is known of them before they exist.
 
+use crate::data_type::DataType;
 use crate::diagnosis::{Diagnosis, DiagnosisMeta};
 use crate::digest::{Digest, DigestBuilder};
 use crate::error::DataError;
@@ -16,58 +17,6 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::sync::Arc;
-
-/// The kinds of value.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum DataType {
-    /// An event stream.
-    Events,
-    /// Captured or rendered frames.
-    Frames,
-    /// True frames of simulated data; only scorers take them.
-    Truth,
-    /// Photocurrent tracks.
-    Tracks,
-    /// Light on the pixels, as a scene gives it.
-    Light,
-    /// A sensor description.
-    Sensor,
-    /// Named planes of one number per pixel.
-    Map,
-    /// Named columns.
-    Table,
-    /// What a stage of a diagnosis found.
-    Diagnosis,
-}
-
-impl DataType {
-    /// The name in manifests, records and graphs.
-    pub fn name(self) -> &'static str {
-        match self {
-            DataType::Events => "events",
-            DataType::Frames => "frames",
-            DataType::Truth => "truth",
-            DataType::Tracks => "tracks",
-            DataType::Light => "light",
-            DataType::Sensor => "sensor",
-            DataType::Map => "map",
-            DataType::Table => "table",
-            DataType::Diagnosis => "diagnosis",
-        }
-    }
-
-    /// Version of the layout, as it enters a key: a change makes every consumer's key new.
-    pub fn layout_version(self) -> u32 {
-        1
-    }
-}
-
-impl fmt::Display for DataType {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
-    }
-}
 
 /// What is known about a value before its data exist.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -132,13 +81,13 @@ impl Meta {
     /// About how many bytes the meta itself holds, from planning on: the exposures of its frames.
     pub fn held_bytes(&self) -> u64 {
         match self {
-            Meta::Frames(meta) | Meta::Truth(meta) => (meta.times.len() * size_of::<crate::Exposure>()) as u64,
+            Meta::Frames(meta) | Meta::Truth(meta) => (meta.times.len() * size_of::<crate::time::Exposure>()) as u64,
             _ => 0,
         }
     }
 
     /// About how many bytes some rows of the value take in memory, when all rows are alike.
-    pub fn estimated_bytes_of(&self, rows: Rows) -> u64 {
+    pub(crate) fn estimated_bytes_of(&self, rows: Rows) -> u64 {
         let Some(all) = self.rows().filter(|all| !all.is_empty()) else { return self.estimated_bytes() };
         (self.estimated_bytes() as f64 * all.intersect(rows).len() as f64 / all.len() as f64) as u64
     }
@@ -156,7 +105,7 @@ impl Meta {
     /// About how many bytes the whole value takes in memory.
     pub fn estimated_bytes(&self) -> u64 {
         // Where a count is not known, eight events a pixel: a lively quarter of a second.
-        let per_pixel = |extent: crate::Extent, hint: Option<u64>| hint.unwrap_or(8 * extent.pixels() as u64);
+        let per_pixel = |extent: crate::extent::Extent, hint: Option<u64>| hint.unwrap_or(8 * extent.pixels() as u64);
         match self {
             Meta::Events(meta) => per_pixel(meta.extent, meta.count_hint) * (11 + 8 * meta.has_t_in as u64 + 4 * meta.has_step as u64),
             Meta::Frames(meta) | Meta::Truth(meta) => {

@@ -3,8 +3,8 @@
 //! One axis with named levels is a list of cases; several axes multiply; `sweep` is an axis whose levels are values of one parameter; `skip`
 //! takes combinations out again. Two axes may not touch one path, so the order of the axes changes names and order, never a result.
 
-use crate::manifest::Manifest;
-use crate::resolve::{check_targets, merge, nested, read_path};
+use crate::manifest::{Manifest, check_targets};
+use crate::overlay::{merge, nested, node_names, read_path};
 use photocurrent_core::document::{Item, Key, Origin, Problem, Source, Table, Tree};
 
 /// Beyond this many variants an ablation is a slip of the hand.
@@ -320,7 +320,7 @@ fn find_baseline(table: &Table, axes: &[Axis], all: &[Variant], problems: &mut V
 
 fn metrics(table: &Table, manifest: &mut Manifest) -> Vec<(String, String)> {
     let Some(Tree { item: Item::Array(items), .. }) = table.get("metrics") else { return Vec::new() };
-    let nodes = crate::resolve::node_names(&manifest.table);
+    let nodes = node_names(&manifest.table);
     let mut metrics = Vec::new();
     for (text, origin) in items.iter().filter_map(|item| Some((item.as_str()?, &item.origin))) {
         match text.split_once('.') {

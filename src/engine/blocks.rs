@@ -82,24 +82,24 @@ pub(crate) struct Cuts {
 
 impl Cuts {
     /// Number of blocks.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.borders.len() + 1
     }
 
     /// The time of which a block's results are taken: from the border before it to the one after; the first and the last one have no end.
-    pub fn share(&self, block: usize) -> TimeSpan {
+    pub(crate) fn share(&self, block: usize) -> TimeSpan {
         let start = block.checked_sub(1).map_or(i64::MIN, |before| self.borders[before]);
         TimeSpan::new(start, self.borders.get(block).copied().unwrap_or(i64::MAX))
     }
 
     /// What a block sees: its share and the overlap on either side.
-    pub fn window(&self, block: usize) -> TimeSpan {
+    pub(crate) fn window(&self, block: usize) -> TimeSpan {
         let share = self.share(block);
         TimeSpan::new(share.start.0.saturating_sub(self.overlap_ns), share.end.0.saturating_add(self.overlap_ns))
     }
 
     /// A block in words: `block 2 of 5, from 2 s to 4 s`.
-    pub fn said(&self, block: usize) -> String {
+    pub(crate) fn said(&self, block: usize) -> String {
         let share = self.share(block);
         let (start, end) = (Duration::new(share.start.0), Duration::new(share.end.0));
         let place = match (block, block + 1 == self.len()) {

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The stamp's file name.
-pub const STAMP: &str = ".photocurrent.toml";
+pub(crate) const STAMP: &str = ".photocurrent.toml";
 
 /// What the stamp says about one file.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -119,7 +119,7 @@ pub(crate) struct Staging {
 
 impl Staging {
     /// An empty folder next to `destination`.
-    pub fn create(destination: &Path) -> Result<Staging, NodeError> {
+    pub(crate) fn create(destination: &Path) -> Result<Staging, NodeError> {
         static COUNT: AtomicU64 = AtomicU64::new(0);
         check_free(destination)?;
         let parent = destination.parent().unwrap_or(Path::new(""));
@@ -146,12 +146,12 @@ impl Staging {
     }
 
     /// Where the node writes.
-    pub fn path(&self) -> &Path {
+    pub(crate) fn path(&self) -> &Path {
         &self.folder
     }
 
     /// Stamps the files and puts the folder in its place.
-    pub fn publish(self, key: Digest) -> Result<Vec<StampedFile>, NodeError> {
+    pub(crate) fn publish(self, key: Digest) -> Result<Vec<StampedFile>, NodeError> {
         let stamp = Stamp { key, files: self.stamped()? };
         let text = toml::to_string(&stamp).map_err(|error| NodeError::failed(format!("cannot write the stamp: {error}")))?;
         let path = self.folder.join(STAMP);

@@ -6,7 +6,8 @@
 
 use crate::blocks::Extract;
 use crate::export;
-use crate::plan::{Plan, Task, TaskId};
+use crate::plan::Plan;
+use crate::task::{Task, TaskId};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::schema::strip_paths;
 use photocurrent_core::{DataType, Digest, NodeError, TimeSpan};

@@ -18,7 +18,7 @@ pub(crate) struct Lacking {
 
 impl Lacking {
     /// Notes that `node` needs `fields`.
-    pub fn add(&mut self, fields: &[String], node: &str) {
+    pub(crate) fn add(&mut self, fields: &[String], node: &str) {
         self.refusals += 1;
         for field in fields {
             match self.fields.iter_mut().find(|(known, _)| known == field) {
@@ -30,7 +30,7 @@ impl Lacking {
     }
 
     /// All of it as one mistake; `None` when a single refusal said all there is to say.
-    pub fn problem(&self) -> Option<Problem> {
+    pub(crate) fn problem(&self) -> Option<Problem> {
         if self.refusals < 2 || self.fields.is_empty() {
             return None;
         }

@@ -2,34 +2,53 @@
 //!
 //! Stages as types, in reading order:
 //!
-//! - [`manifest`]: the text as written, every key with its line.
-//! - [`resolve`], [`ablation`], [`pipeline`]: overlays laid over each other; [`Project`] holds one [`Pipeline`] per variant.
-//! - `typed`, `planner`, [`plan`]: kinds, sockets and metas checked; a [`Plan`] holds every task once, whatever number of variants share it.
-//! - [`blocks`]: a long recording cut in time, and what its blocks give joined.
+//! - `manifest`: the text as written, every key with its line.
+//! - `resolve`, `ablation`, `pipeline`: overlays laid over each other; [`Project`] holds one [`Pipeline`] per variant.
+//! - `typed`, `planner`, `plan`: kinds, sockets and metas checked; a [`Plan`] holds every task once, whatever number of variants share it.
+//! - `blocks`: a long recording cut in time, and what its blocks give joined.
 //! - `lacking`: what sensor descriptions do not state, reported in one piece.
-//! - `key`, [`mod@status`], [`mod@explain`]: what a result depends on, whether the cache has it, and why not.
-//! - [`schedule`], [`export`], [`observer`], [`outcome`]: [`run`] it, watch it, see what came of it.
-//! - [`parts`]: some rows by themselves, and their union.
-//! - [`mod@graph`], [`schema`]: pictures of a pipeline, and the manifest's JSON Schema for editors.
+//! - `key`, `mod@status`, `mod@explain`: what a result depends on, whether the cache has it, and why not.
+//! - `schedule`, `export`, `observer`, `outcome`: [`run`] it, watch it, see what came of it.
+//! - `parts`: some rows by themselves, and their union.
+//! - [`mod@graph`], `schema`: pictures of a pipeline, and the manifest's JSON Schema for editors.
+//!
+//! Every mistake of a manifest is reported at its place, all at once, before anything runs:
+//!
+//! ```
+//! use photocurrent_core::Catalogue;
+//! use photocurrent_engine::{Plan, Selection};
+//! let folder = tempfile::tempdir().unwrap();
+//! let path = folder.path().join("m.toml");
+//! let text = "format = \"photocurrent-pipeline/1\"\n[nodes.a]\nkind = \"read/nothing\"\n[nodes.b]\nkind = 7\n";
+//! std::fs::write(&path, text).unwrap();
+//! let problems = Plan::load(&path, &[], &Catalogue::new(Vec::new()), &Selection::default()).err().unwrap();
+//! let lines: Vec<usize> = problems.iter().map(|problem| problem.at.as_ref().unwrap().line_column().0).collect();
+//! assert_eq!(lines, [5, 3], "{problems:?}");
+//! ```
 
-pub mod ablation;
-pub mod blocks;
-pub mod explain;
-pub mod export;
+#![cfg_attr(not(test), warn(unreachable_pub))]
+
+mod ablation;
+mod blocks;
+mod budget;
+mod explain;
+mod export;
 pub mod graph;
 mod key;
 mod lacking;
-pub mod manifest;
-pub mod observer;
-pub mod outcome;
-pub mod parts;
-pub mod pipeline;
-pub mod plan;
+mod manifest;
+mod observer;
+mod outcome;
+mod overlay;
+mod parts;
+mod pipeline;
+mod plan;
 mod planner;
-pub mod resolve;
-pub mod schedule;
-pub mod schema;
-pub mod status;
+mod resolve;
+mod schedule;
+mod schema;
+mod status;
+mod task;
 mod typed;
 
 #[cfg(test)]
@@ -37,14 +56,17 @@ mod tests;
 
 pub use ablation::{Ablation, BASE};
 pub use blocks::{Blocks, Extract, Source, node_of};
+pub use budget::machine_memory;
 pub use explain::{Explanation, explain};
+pub use export::read_stamp;
 pub use graph::{Drawing, GraphFormat, graph};
 pub use observer::{End, Observer, Unobserved};
 pub use outcome::{Outcome, TaskOutcome};
 pub use parts::{PartEnd, join, run_part};
 pub use pipeline::Pipeline;
-pub use plan::{LeftOut, Plan, PlannedVariant, Selection, Task, TaskId};
+pub use plan::{Plan, Selection};
 pub use resolve::Project;
-pub use schedule::{Keep, Options, machine_memory, run};
+pub use schedule::{Keep, Options, run};
 pub use schema::manifest_schema;
 pub use status::{State, TaskStatus, status};
+pub use task::{LeftOut, PlannedVariant, Task, TaskId, TaskInput};

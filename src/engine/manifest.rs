@@ -5,6 +5,7 @@
 //! it is noted, the node it stands in is left out of later checks, and the rest goes on, so that one run shows every mistake.
 
 use crate::blocks::Blocks;
+use crate::overlay::{node_names, overlay};
 use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
 use photocurrent_core::{Catalogue, error, schema};
 use serde_json::{Value as Json, json};
@@ -13,7 +14,7 @@ use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 /// The manifest format that this version reads and writes.
-pub const FORMAT: i64 = 1;
+pub(crate) const FORMAT: i64 = 1;
 
 /// One manifest, as written, with everything it extends merged below it.
 #[derive(Default)]
@@ -75,7 +76,7 @@ fn read_chain(path: &Path, asked_by: Option<&Origin>, chain: &mut Vec<PathBuf>, 
         manifest.extends = true;
         read_chain(&folder.join(base), Some(&tree.origin), chain, manifest);
     }
-    crate::resolve::overlay(&mut manifest.table, &table);
+    overlay(&mut manifest.table, &table);
 }
 
 /// The place of the first byte that is no UTF-8.
@@ -175,6 +176,32 @@ fn check_outline(table: &mut Table, source: &Arc<Source>, manifest: &mut Manifes
     check_overlay(table, manifest);
 }
 
+/// Checks that an overlay names nodes that exist, and nothing but nodes and the pipeline; notes what does not.
+pub(crate) fn check_targets(over: &mut Table, manifest: &mut Manifest) {
+    let known: Vec<String> = node_names(&manifest.table);
+    for (key, tree) in &over.entries {
+        let allowed = ["nodes", "pipeline"];
+        if !allowed.contains(&key.name.as_str()) {
+            let problem = Problem::at(&key.origin, format!("`{}` cannot be laid over a manifest", key.name)).label("unknown key");
+            manifest.problems.push(match known.contains(&key.name) {
+                true => problem.help(format!("write `nodes.{}`: it is a node", key.name)),
+                false => problem.did_you_mean(&key.name, allowed),
+            });
+        } else if tree.as_table().is_none() {
+            manifest.problems.push(Problem::at(&tree.origin, format!("`{}` is a table, found {}", key.name, tree.describe())));
+        }
+    }
+    over.entries.retain(|(key, tree)| matches!(key.name.as_str(), "nodes" | "pipeline") && tree.as_table().is_some());
+    if let Some(Tree { item: Item::Table(nodes), .. }) = over.get_mut("nodes") {
+        for (key, _) in nodes.entries.iter().filter(|(key, _)| !known.contains(&key.name)) {
+            let problem = Problem::at(&key.origin, format!("there is no node `{}` to change", key.name)).label("unknown node");
+            manifest.problems.push(problem.did_you_mean(&key.name, known.iter().map(String::as_str)));
+        }
+        nodes.entries.retain(|(key, _)| known.contains(&key.name));
+    }
+    check_overlay(over, manifest);
+}
+
 /// Checks what a file, a level and `--set` have in common: the tables `pipeline` and `nodes`.
 pub(crate) fn check_overlay(table: &mut Table, manifest: &mut Manifest) {
     let seed = such_as(json!({ "type": "integer", "minimum": 0 }), "`seed = 7`");
@@ -238,6 +265,6 @@ fn check_node(key: &Key, node: &Tree, manifest: &mut Manifest) -> bool {
 }
 
 /// Small letters, digits and `_`, a letter first: safe in paths, references and overlays.
-pub fn is_node_id(name: &str) -> bool {
+pub(crate) fn is_node_id(name: &str) -> bool {
     name.starts_with(|c: char| c.is_ascii_lowercase()) && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_')
 }

@@ -2,7 +2,7 @@
 //!
 //! The calls come from several threads at once, each for its own task; a task's calls are in order.
 
-use crate::plan::TaskId;
+use crate::task::TaskId;
 use serde::{Deserialize, Serialize};
 
 /// How a task ended.

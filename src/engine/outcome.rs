@@ -1,7 +1,7 @@
 //! What came of a run.
 
 use crate::observer::End;
-use crate::plan::{PlannedVariant, TaskId};
+use crate::task::{PlannedVariant, TaskId};
 use photocurrent_core::error::Trouble;
 use photocurrent_core::table::Tails;
 use photocurrent_core::{Digest, NodeError, Value};

@@ -1,9 +1,10 @@
 //! How a plan is made: node by node in running order, each asked what its outputs will look like; in blocks of time where the pipeline has them.
 
 use crate::blocks::{Blocks, Cuts, Extract, Source, extracted, name_of, node_of};
+use crate::budget::{LESS, size};
 use crate::lacking::Lacking;
 use crate::pipeline::Pipeline;
-use crate::plan::{LESS, LeftOut, PlannedVariant, Task, TaskId, TaskInput, TaskOutput, size};
+use crate::task::{LeftOut, PlannedVariant, Task, TaskId, TaskInput, TaskOutput};
 use crate::typed::{self, Link, TypedNode};
 use photocurrent_core::digest::DigestBuilder;
 use photocurrent_core::document::Problem;
@@ -48,7 +49,7 @@ type Made = Vec<TaskId>;
 
 impl Planner {
     /// Of nothing yet, with so many bytes for the plan itself.
-    pub fn new(is_ablation: bool, memory: u64) -> Planner {
+    pub(crate) fn new(is_ablation: bool, memory: u64) -> Planner {
         Planner {
             is_ablation,
             tasks: Vec::new(),
@@ -63,7 +64,7 @@ impl Planner {
     }
 
     /// Plans a variant, as far as `to` needs it.
-    pub fn add(&mut self, pipeline: &Pipeline, catalogue: &Catalogue, to: &[String]) -> PlannedVariant {
+    pub(crate) fn add(&mut self, pipeline: &Pipeline, catalogue: &Catalogue, to: &[String]) -> PlannedVariant {
         let typed = typed::check(pipeline, catalogue, &mut self.problems);
         let chosen = self.choose(pipeline, &typed, to);
         let mut made: Vec<Made> = vec![Vec::new(); pipeline.nodes.len()];

@@ -5,7 +5,8 @@
 //! There are no conditions, loops or interpolation: what a manifest means can be seen by reading it.
 
 use crate::ablation::{self, Ablation};
-use crate::manifest::{self, Manifest};
+use crate::manifest::{self, Manifest, check_targets};
+use crate::overlay::{nested, overlay, read_path};
 use crate::pipeline::Pipeline;
 use photocurrent_core::document::{self, Item, Key, Origin, Problem, Source, Table, Tree};
 use photocurrent_core::{Catalogue, Digest};
@@ -101,63 +102,6 @@ fn mark(problem: &Problem) -> Mark {
     (problem.message.clone(), at)
 }
 
-/// Lays one document over another, with the rule for a changed `kind`.
-pub(crate) fn overlay(base: &mut Table, over: &Table) {
-    let kind = |node: &Tree| node.as_table().and_then(|node| node.get("kind")).and_then(Tree::as_str).map(str::to_string);
-    for (key, node) in over.get("nodes").and_then(Tree::as_table).iter().flat_map(|nodes| &nodes.entries) {
-        let Some(Tree { item: Item::Table(nodes), .. }) = base.get_mut("nodes") else { continue };
-        let Some(old) = nodes.get_mut(&key.name) else { continue };
-        if kind(node).is_some_and(|new| kind(old).is_some_and(|old| old != new))
-            && let Item::Table(old) = &mut old.item
-        {
-            old.remove("params");
-        }
-    }
-    merge(base, over);
-}
-
-/// Tables merge key by key; everything else replaces.
-pub(crate) fn merge(base: &mut Table, over: &Table) {
-    for (key, tree) in &over.entries {
-        match (base.get_mut(&key.name), &tree.item) {
-            (Some(Tree { item: Item::Table(old), .. }), Item::Table(new)) => merge(old, new),
-            _ => base.set(key.clone(), tree.clone()),
-        }
-    }
-}
-
-/// Checks that an overlay names nodes that exist, and nothing but nodes and the pipeline; notes what does not.
-pub(crate) fn check_targets(over: &mut Table, manifest: &mut Manifest) {
-    let known: Vec<String> = node_names(&manifest.table);
-    for (key, tree) in &over.entries {
-        let allowed = ["nodes", "pipeline"];
-        if !allowed.contains(&key.name.as_str()) {
-            let problem = Problem::at(&key.origin, format!("`{}` cannot be laid over a manifest", key.name)).label("unknown key");
-            manifest.problems.push(match known.contains(&key.name) {
-                true => problem.help(format!("write `nodes.{}`: it is a node", key.name)),
-                false => problem.did_you_mean(&key.name, allowed),
-            });
-        } else if tree.as_table().is_none() {
-            manifest.problems.push(Problem::at(&tree.origin, format!("`{}` is a table, found {}", key.name, tree.describe())));
-        }
-    }
-    over.entries.retain(|(key, tree)| matches!(key.name.as_str(), "nodes" | "pipeline") && tree.as_table().is_some());
-    if let Some(Tree { item: Item::Table(nodes), .. }) = over.get_mut("nodes") {
-        for (key, _) in nodes.entries.iter().filter(|(key, _)| !known.contains(&key.name)) {
-            let problem = Problem::at(&key.origin, format!("there is no node `{}` to change", key.name)).label("unknown node");
-            manifest.problems.push(problem.did_you_mean(&key.name, known.iter().map(String::as_str)));
-        }
-        nodes.entries.retain(|(key, _)| known.contains(&key.name));
-    }
-    manifest::check_overlay(over, manifest);
-}
-
-/// The names of the nodes in a document.
-pub(crate) fn node_names(table: &Table) -> Vec<String> {
-    let nodes = table.get("nodes").and_then(Tree::as_table);
-    nodes.iter().flat_map(|nodes| &nodes.entries).map(|(key, _)| key.name.clone()).collect()
-}
-
 fn read_sets(sets: &[String], manifest: &mut Manifest) -> Vec<Table> {
     let mut tables = Vec::new();
     for text in sets {
@@ -190,32 +134,4 @@ fn read_set(text: &str) -> Result<Table, Vec<Problem>> {
     // The keys were read from the part before the `=`: the same bytes, so their places hold in the whole text.
     let keys = path.into_iter().map(|key| Key { origin: Origin { source: source.clone(), span: key.origin.span }, ..key }).collect();
     Ok(nested(keys, Tree { item, origin: value }))
-}
-
-/// Reads a dotted path of keys; the places are those inside `source`.
-pub(crate) fn read_path(source: &std::sync::Arc<Source>) -> Result<Vec<Key>, Vec<Problem>> {
-    let probe = Source::new(source.name.clone(), source.folder.clone(), format!("{}=0", source.text));
-    let mut table = document::parse(&probe)?;
-    let mut path = Vec::new();
-    while let Some((key, tree)) = table.entries.pop() {
-        path.push(key);
-        match tree.item {
-            Item::Table(inner) => table = inner,
-            _ => break,
-        }
-    }
-    Ok(path)
-}
-
-/// A value inside one table per key.
-pub(crate) fn nested(path: Vec<Key>, value: Tree) -> Table {
-    let mut tree = value;
-    for key in path.into_iter().rev() {
-        let origin = key.origin.clone();
-        tree = Tree { item: Item::Table(Table { entries: vec![(key, tree)] }), origin };
-    }
-    match tree.item {
-        Item::Table(table) => table,
-        _ => Table::default(),
-    }
 }

@@ -6,7 +6,8 @@
 //! the new result equals the old one.
 
 use crate::key::{self, Reuse};
-use crate::plan::{Plan, Task, TaskId};
+use crate::plan::Plan;
+use crate::task::{Task, TaskId};
 use photocurrent_core::Digest;
 use photocurrent_store::{Cache, Ingredients, Lookup, Record};
 use std::path::Path;
@@ -128,7 +129,7 @@ impl History<'_> {
     }
 
     /// Why there is no record of these ingredients, and what a comparable run took.
-    pub fn reasons(&mut self, task: &Task, wanted: &Ingredients, damage: Option<String>) -> (Vec<String>, Option<f64>) {
+    pub(crate) fn reasons(&mut self, task: &Task, wanted: &Ingredients, damage: Option<String>) -> (Vec<String>, Option<f64>) {
         if let Some(why) = damage {
             return (vec![format!("record damaged: {why}")], None);
         }

@@ -28,7 +28,7 @@ use std::io::{BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// AEDAT 2.0 and 1.0.
-pub static FORMAT: Format = Format { id: "aedat2", name: "AEDAT 2.0 (jAER)", recognises, open };
+pub(crate) static FORMAT: Format = Format { id: "aedat2", name: "AEDAT 2.0 (jAER)", recognises, open };
 
 /// Comment lines beyond this belong to no header.
 const MOST_HEADER: u64 = 1 << 20;

@@ -23,9 +23,8 @@
 use crate::chunk::EventChunk;
 use crate::declared::{Counter, Declared, Polarity};
 use crate::error::{FormatError, Loss};
-use crate::recording::{EventCursor, EventsAbout};
+use crate::recording::{Convention, EventCursor, EventsAbout};
 use photocurrent_core::Extent;
-use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -53,19 +52,6 @@ const BETWEEN: i64 = 16_384;
 
 /// Formats whose events are read by these rules, and which take `polarity`, `origin` and `counter`.
 pub(crate) const FORMATS: [&str; 10] = ["csv", "npz", "memmap", "hs_ergb", "ecd", "dsec", "m3ed", "mvsec", "event_utils_hdf5", "v2e_hdf5"];
-
-/// An unusual way of storing that was recognised.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Convention {
-    /// Short and stable: `polarity_counts`.
-    pub id: &'static str,
-    /// What is stored, and how it was read.
-    pub what: String,
-    /// The numbers behind it.
-    pub evidence: String,
-    /// How to state it otherwise.
-    pub otherwise: String,
-}
 
 /// What is stated, and what stored numbers are held against.
 #[derive(Clone, Debug, Default)]

@@ -3,15 +3,16 @@
 //! The order of the columns and the unit of the stamps come from a header line, from comments, or from the user; nothing is guessed. What this module
 //! writes says both, and reads back without a declaration. Limits: one event a line, one stamp unit a file, a decimal point.
 
-use crate::convention::{Convention, Lazy, Rules, Tally};
+use crate::convention::{Lazy, Rules, Tally};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::FormatError;
 use crate::evidence::{self, Of, unit_name};
 use crate::format::{Format, Probe};
-use crate::recording::{EventCursor, EventsAbout, Recording};
+use crate::recording::{Convention, EventCursor, EventsAbout, Recording};
 use crate::text::cursor::TextCursor;
+use crate::text::fields::Separator;
+use crate::text::layout::Layout;
 use crate::text::sniff::{self, Sniffed};
-use crate::text::{Layout, Separator};
 use crate::{EventChunk, decimal::Decimal};
 use photocurrent_core::Extent;
 use std::io::Write;

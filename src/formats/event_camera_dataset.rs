@@ -3,18 +3,18 @@
 //! Source: Mueggler et al., The Event-Camera Dataset and Simulator, IJRR 2017. What an image's stamp means, the exposure and the encoding of its values are
 //! not recorded. E2VID's folders are the same with a first line `width height`.
 
-use crate::convention::Convention;
 use crate::csv::Csv;
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
 use crate::pictures::{Defined, PictureFiles, names};
+use crate::recording::Convention;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Event Camera Dataset folders.
-pub static FORMAT: Format = Format {
+pub(crate) static FORMAT: Format = Format {
     id: "ecd",
     name: "Event Camera Dataset folder (events.txt, images.txt)",
     recognises,
@@ -46,7 +46,7 @@ fn without_events(path: &Path) -> FormatError {
 }
 
 /// An opened folder.
-pub struct EventCameraDataset {
+pub(crate) struct EventCameraDataset {
     events: Csv,
     frames: Option<Arc<PictureFiles>>,
     calibration: Option<(PathBuf, String)>,
@@ -58,7 +58,7 @@ impl EventCameraDataset {
     ///
     /// # Errors
     /// When `events.txt` is missing or has no events, or `images.txt` names no pictures.
-    pub fn open(path: &Path, declared: &Declared) -> Result<EventCameraDataset, FormatError> {
+    pub(crate) fn open(path: &Path, declared: &Declared) -> Result<EventCameraDataset, FormatError> {
         if !path.join("events.txt").exists() {
             return Err(without_events(path));
         }

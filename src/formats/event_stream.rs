@@ -26,7 +26,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Event Stream 2.
-pub static FORMAT: Format = Format { id: "event_stream", name: "Event Stream (.es)", recognises, open };
+pub(crate) static FORMAT: Format = Format { id: "event_stream", name: "Event Stream (.es)", recognises, open };
 
 const MAGIC: &[u8; 12] = b"Event Stream";
 

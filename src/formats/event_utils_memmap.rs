@@ -4,7 +4,7 @@
 //! Stamps are seconds in floats; whole numbers need a declared unit. What the image stamps mean, and the exposure, are not recorded.
 //! `image_event_indices.npy` follows from the stamps and is not read. EVIMO2's `dataset_events_*.npy` is the same layout.
 
-use crate::convention::{Convention, Lazy, Rules};
+use crate::convention::{Lazy, Rules};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::format::{Format, Probe};
@@ -12,13 +12,13 @@ use crate::npy::pictures::NpyPictures;
 use crate::npy::place::Place;
 use crate::npy::table::{Reading, Table, TableCursor};
 use crate::npz;
-use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
+use crate::recording::{Convention, EventCursor, EventsAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// event_utils memmap folders.
-pub static FORMAT: Format =
+pub(crate) static FORMAT: Format =
     Format { id: "memmap", name: "event_utils memmap folder (EVREAL)", recognises, open: |path, declared| Ok(Box::new(Memmap::open(path, declared)?)) };
 
 const STAMPS: [&str; 4] = ["events_ts.npy", "t.npy", "events_t.npy", "dataset_events_t.npy"];
@@ -38,7 +38,7 @@ fn without(path: &Path, names: &[&str]) -> FormatError {
 }
 
 /// An opened folder.
-pub struct Memmap {
+pub(crate) struct Memmap {
     about: Lazy,
     table: Arc<Table>,
     reading: Reading,
@@ -52,7 +52,7 @@ impl Memmap {
     ///
     /// # Errors
     /// When an array is missing or has another shape, or the unit of whole stamps is not declared.
-    pub fn open(path: &Path, declared: &Declared) -> Result<Memmap, FormatError> {
+    pub(crate) fn open(path: &Path, declared: &Declared) -> Result<Memmap, FormatError> {
         for names in [&STAMPS[..], &PIXELS, &POLARITIES] {
             if !names.iter().any(|name| path.join(name).is_file()) {
                 return Err(without(path, names));

@@ -1,6 +1,5 @@
-//! What a format is, and which one a file has: decided by content, never by its name alone.
+//! What a format is, and what of a file decides whether it has it: its content, never its name alone.
 
-use crate::catalog::FORMATS;
 use crate::declared::Declared;
 use crate::error::FormatError;
 use crate::recording::Recording;
@@ -9,7 +8,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Opens a file of a format.
-pub type Open = fn(&Path, &Declared) -> Result<Box<dyn Recording>, FormatError>;
+pub(crate) type Open = fn(&Path, &Declared) -> Result<Box<dyn Recording>, FormatError>;
 
 /// A format.
 pub struct Format {
@@ -74,22 +73,4 @@ impl Probe {
     pub fn extension(&self) -> String {
         self.path.extension().map(|extension| extension.to_string_lossy().to_lowercase()).unwrap_or_default()
     }
-}
-
-/// Which format a file or folder has; `None` when it is none of ours.
-///
-/// # Errors
-/// When it is not there or may not be read, and when it is an HDF5 file that cannot be opened: no layout can be recognised in that.
-pub fn recognise(path: &Path) -> Result<Option<&'static Format>, FormatError> {
-    let probe = Probe::new(path)?;
-    let found = FORMATS.iter().copied().find(|format| (format.recognises)(&probe));
-    if found.is_none() && probe.is_hdf5() {
-        crate::hdf::readable(path)?;
-    }
-    Ok(found)
-}
-
-/// A format by its id.
-pub fn named(id: &str) -> Option<&'static Format> {
-    FORMATS.iter().copied().find(|format| format.id == id)
 }

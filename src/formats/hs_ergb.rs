@@ -7,7 +7,7 @@
 //! Limits: the events' array is taken to be as large as the pictures, on which they were aligned; what lies outside is left out.
 
 use crate::chunk::EventChunk;
-use crate::convention::{Convention, Lazy, Rules, Tally};
+use crate::convention::{Lazy, Rules, Tally};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::evidence::{self, Of};
@@ -17,13 +17,13 @@ use crate::npy::header::Kind;
 use crate::npy::table::{Reading, Table, TableCursor};
 use crate::npz;
 use crate::pictures::{Defined, PictureFiles, names};
-use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
+use crate::recording::{Convention, EventCursor, EventsAbout, Pictures, Recording};
 use photocurrent_core::Extent;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// HS-ERGB and BS-ERGB sequences.
-pub static FORMAT: Format =
+pub(crate) static FORMAT: Format =
     Format { id: "hs_ergb", name: "HS-ERGB or BS-ERGB sequence folder", recognises, open: |path, declared| Ok(Box::new(HsErgb::open(path, declared)?)) };
 
 const EVENTS: [&str; 3] = ["events_aligned", "events_corrected", "events"];
@@ -76,7 +76,7 @@ fn archives(folder: &Path) -> Result<Vec<PathBuf>, FormatError> {
 }
 
 /// An opened sequence.
-pub struct HsErgb {
+pub(crate) struct HsErgb {
     about: Lazy,
     reading: Reading,
     archives: Arc<Vec<PathBuf>>,
@@ -90,7 +90,7 @@ impl HsErgb {
     ///
     /// # Errors
     /// When it has no events, or the values contradict microseconds or leave open how coordinates are stored.
-    pub fn open(path: &Path, declared: &Declared) -> Result<HsErgb, FormatError> {
+    pub(crate) fn open(path: &Path, declared: &Declared) -> Result<HsErgb, FormatError> {
         let folder = events_folder(path, |name| path.join(name).is_dir()).ok_or_else(|| without_events(path))?;
         let archives = archives(&folder)?;
         if archives.is_empty() {

@@ -1,8 +1,8 @@
 //! Folders of datasets of which one file is missing: each names it, and where it comes from. Whole ones are read by the tests of their formats.
 
+use crate::catalog::recognise;
 use crate::declared::Declared;
 use crate::error::FormatError;
-use crate::format::recognise;
 use std::path::Path;
 
 /// Writes files (one that ends in `/` is a folder) and opens their folder.

@@ -17,9 +17,10 @@ mod matlab;
 #[cfg(test)]
 mod tests;
 
+use crate::catalog::recognise;
 use crate::declared::Declared;
 use crate::error::FormatError;
-use crate::format::{Probe, recognise};
+use crate::format::Probe;
 use std::path::Path;
 
 /// What a file is instead of a recording.

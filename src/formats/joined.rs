@@ -3,7 +3,6 @@
 //! Both must stand on one clock. The frames' times are the stamps of a text file, or the pulses of a trigger line that the event file recorded.
 
 use crate::chunk::{Edge, Trigger};
-use crate::convention::Convention;
 use crate::declared::Declared;
 use crate::error::{FormatError, Loss};
 use crate::format::Format;
@@ -11,6 +10,7 @@ use crate::instead::explained;
 use crate::known::with_known_camera;
 use crate::pictures::PictureFiles;
 use crate::placed::placed;
+use crate::recording::Convention;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use crate::restamped::restamped;
 use std::path::{Path, PathBuf};

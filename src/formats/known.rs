@@ -39,7 +39,7 @@ fn known(format: &Format, recording: &dyn Recording) -> Option<Known> {
 }
 
 /// Adds what is known of the format's cameras to a recording's frames.
-pub fn with_known_camera(format: &Format, recording: Box<dyn Recording>) -> Box<dyn Recording> {
+pub(crate) fn with_known_camera(format: &Format, recording: Box<dyn Recording>) -> Box<dyn Recording> {
     let Some(known) = known(format, recording.as_ref()) else { return recording };
     let Some(inner) = recording.pictures() else { return recording };
     let mut about = inner.about().clone();

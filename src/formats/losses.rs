@@ -10,7 +10,7 @@ const LISTED: u64 = 20;
 /// A file of a million damaged lines must not become a million messages, nor take the time to write them: place and sentence are made only of
 /// those that are listed.
 #[derive(Clone, Debug, Default)]
-pub struct Losses {
+pub(crate) struct Losses {
     /// Listed losses with the index of their kind, in the order in which they were found.
     listed: Vec<(usize, Loss)>,
     kinds: Vec<Kind>,
@@ -30,17 +30,17 @@ struct Kind {
 
 impl Losses {
     /// Adds one loss. `kind` is a phrase in the plural that says what was lost: "lines without a number were left out".
-    pub fn add(&mut self, kind: &'static str, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
+    pub(crate) fn add(&mut self, kind: &'static str, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
         self.add_items(kind, 1, at, what);
     }
 
     /// Adds `items` losses of one place, such as events of one packet; none for 0. A listed one that is met again is not added again.
-    pub fn add_items(&mut self, kind: &'static str, items: u64, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
+    pub(crate) fn add_items(&mut self, kind: &'static str, items: u64, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
         self.add_by(Cause::Damage, kind, items, at, what);
     }
 
     /// As [`Losses::add_items`], of a cause other than damage.
-    pub fn add_by(&mut self, cause: Cause, kind: &'static str, items: u64, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
+    pub(crate) fn add_by(&mut self, cause: Cause, kind: &'static str, items: u64, at: impl FnOnce() -> String, what: impl FnOnce() -> String) {
         if items == 0 {
             return;
         }
@@ -58,7 +58,7 @@ impl Losses {
     }
 
     /// Adds the losses of a part of the recording; `place` makes a place in the recording of a place in the part.
-    pub fn append(&mut self, part: Losses, place: impl Fn(String) -> String) {
+    pub(crate) fn append(&mut self, part: Losses, place: impl Fn(String) -> String) {
         let Losses { listed, kinds } = part;
         for (kind, loss) in listed {
             self.add_by(kinds[kind].cause, kinds[kind].name, 1, || place(loss.at), || loss.what);
@@ -79,7 +79,7 @@ impl Losses {
     }
 
     /// All of them; behind the last listed one of a kind, how many more there are.
-    pub fn list(&self) -> Vec<Loss> {
+    pub(crate) fn list(&self) -> Vec<Loss> {
         let mut left: Vec<u64> = self.kinds.iter().map(|kind| kind.listed).collect();
         let mut list = Vec::with_capacity(self.listed.len() + self.kinds.len());
         for (k, loss) in &self.listed {

@@ -6,11 +6,11 @@ use crate::declared::Declared;
 use crate::error::FormatError;
 use crate::format::{Format, Probe};
 use crate::recording::Recording;
-use crate::ros::{folder, mcap, recording};
+use crate::ros::{folder, mcap, recording, scan};
 use std::path::Path;
 
 /// MCAP.
-pub static FORMAT: Format = Format { id: "mcap", name: "MCAP", recognises, open };
+pub(crate) static FORMAT: Format = Format { id: "mcap", name: "MCAP", recognises, open };
 
 fn recognises(probe: &Probe) -> bool {
     let names = probe.names.as_deref().unwrap_or_default();
@@ -20,7 +20,7 @@ fn recognises(probe: &Probe) -> bool {
 fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let contents = match &Probe::new(path)?.names {
         Some(names) => folder::open(path, names)?,
-        None => mcap::open(path)?,
+        None => mcap::open(path, scan::survey)?,
     };
     recording::open(contents, declared)
 }

@@ -2,7 +2,7 @@
 //!
 //! The unit of the stamps is in none of these, and the user states it; of an array of N x 4 the order of the columns too.
 
-use crate::convention::{Convention, Lazy, Rules};
+use crate::convention::{Lazy, Rules};
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::{FormatError, Loss};
 use crate::evidence::{self, Of, unit_name};
@@ -10,13 +10,13 @@ use crate::format::{Format, Probe};
 use crate::npy::header::{Element, Kind};
 use crate::npy::place::{self, Place};
 use crate::npy::table::{Reading, Table, TableCursor, column_named};
-use crate::recording::{EventCursor, EventsAbout, Recording};
+use crate::recording::{Convention, EventCursor, EventsAbout, Recording};
 use crate::text::sniff::{column_names, proposal};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Events in npz and npy files.
-pub static FORMAT: Format =
+pub(crate) static FORMAT: Format =
     Format { id: "npz", name: "numpy arrays of events (npz, npy)", recognises, open: |path, declared| Ok(Box::new(Npz::open(path, declared)?)) };
 
 /// Begins as an npy file does, or as a zip archive whose first member is one.
@@ -29,7 +29,7 @@ fn recognises(probe: &Probe) -> bool {
 }
 
 /// An opened npz or npy file.
-pub struct Npz {
+pub(crate) struct Npz {
     path: PathBuf,
     about: Lazy,
     table: Arc<Table>,
@@ -43,7 +43,7 @@ impl Npz {
     ///
     /// # Errors
     /// When it holds no events, or its unit or its columns are not declared.
-    pub fn open(path: &Path, declared: &Declared) -> Result<Npz, FormatError> {
+    pub(crate) fn open(path: &Path, declared: &Declared) -> Result<Npz, FormatError> {
         let (mut table, names) = table(path, declared)?;
         let losses = table.compare()?;
         let (unit, mut notes) = unit(path, &table, declared, None)?;

@@ -12,7 +12,7 @@ use crate::declared::{Declared, Pairing, Strobe};
 use crate::error::FormatError;
 use crate::format::Format;
 use crate::pictures::pairing::{Candidate, Sides};
-use crate::pictures::place::{Times, remainder};
+use crate::pictures::partners::{Times, remainder};
 use crate::pictures::stamps::{self, Row};
 use crate::pictures::triggers::pulses;
 use crate::pictures::{Found, find, rows_of, stamps_file};

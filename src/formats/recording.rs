@@ -1,10 +1,10 @@
 //! What an opened file gives.
 
 use crate::chunk::{EventChunk, Trigger};
-use crate::convention::Convention;
 use crate::declared::{StampRole, Transfer};
 use crate::error::{FormatError, Loss};
 use photocurrent_core::{Colour, Extent};
+use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -67,7 +67,7 @@ macro_rules! forward {
             self.$field.facts()
         }
 
-        fn conventions(&self) -> Vec<$crate::convention::Convention> {
+        fn conventions(&self) -> Vec<$crate::recording::Convention> {
             self.$field.conventions()
         }
 
@@ -81,6 +81,19 @@ macro_rules! forward {
     };
 }
 pub(crate) use forward;
+
+/// An unusual way of storing that was recognised.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Convention {
+    /// Short and stable: `polarity_counts`.
+    pub id: &'static str,
+    /// What is stored, and how it was read.
+    pub what: String,
+    /// The numbers behind it.
+    pub evidence: String,
+    /// How to state it otherwise.
+    pub otherwise: String,
+}
 
 /// What is known of an event stream before it is read.
 #[derive(Clone, Debug, PartialEq)]

@@ -59,7 +59,7 @@ impl Ratio {
 }
 
 /// Applies stated units; a recording of which none is stated stays as it is.
-pub fn restamped(format: &str, recording: Box<dyn Recording>, declared: &Declared) -> Box<dyn Recording> {
+pub(crate) fn restamped(format: &str, recording: Box<dyn Recording>, declared: &Declared) -> Box<dyn Recording> {
     let events = declared.time_unit.zip(of_events(format)).and_then(|(stated, read)| Ratio::of(stated, read));
     let is_inside = declared.frames.is_none();
     let frames = declared.stamps_unit.filter(|_| is_inside).zip(of_frames(format, declared)).and_then(|(stated, read)| Ratio::of(stated, read));

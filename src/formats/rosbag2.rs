@@ -12,7 +12,7 @@ use crate::ros::{folder, recording, sqlite};
 use std::path::Path;
 
 /// ROS 2 bag.
-pub static FORMAT: Format = Format { id: "rosbag2", name: "ROS 2 bag (folder, or SQLite)", recognises, open };
+pub(crate) static FORMAT: Format = Format { id: "rosbag2", name: "ROS 2 bag (folder, or SQLite)", recognises, open };
 
 fn recognises(probe: &Probe) -> bool {
     let names = probe.names.as_deref().unwrap_or_default();

@@ -8,6 +8,8 @@
 //!
 //! Limits: without scripts the tables, the graph and the texts stay; pictures and curves need them.
 
+#![cfg_attr(not(test), warn(unreachable_pub))]
+
 mod escape;
 mod run;
 mod shell;

@@ -2,11 +2,11 @@
 
 use photocurrent_core::NodeError;
 use photocurrent_core::quantity::Duration;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// How the front end's delay is treated.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum FrontEndModel {
     /// No delay: V_FE = V_DC, tau = 0 in Eq. (7).
@@ -17,7 +17,8 @@ pub enum FrontEndModel {
 }
 
 /// How readout latency and refractory period are treated.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ReadoutModel {
     /// Not at all: Eq. (8).
@@ -28,7 +29,8 @@ pub enum ReadoutModel {
 }
 
 /// Which photocurrent sets the time constant of an interval.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum TauChoice {
     /// The one at its start, as Eqs. (2) and (3) are printed.
@@ -39,7 +41,8 @@ pub enum TauChoice {
 }
 
 /// How exactly Eq. (13) is minimised.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
     /// Sixteen pixels at once in single precision: costs to four digits, more than ten times as fast. Pixels near a fold are solved in double precision.
@@ -50,7 +53,8 @@ pub enum Precision {
 }
 
 /// Which frames are solved together.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Joint {
     /// Two consecutive frames at a time.
@@ -61,7 +65,8 @@ pub enum Joint {
 }
 
 /// Where the first unknown of a window stands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum FirstKnot {
     /// At the window's start, so that the first event's step counts too.
@@ -72,35 +77,36 @@ pub enum FirstKnot {
 }
 
 /// How the MAP estimate is made.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct SolveOptions {
     /// How the front end's delay is treated.
     pub front_end: FrontEndModel,
     /// Standard deviation of an event as a part of its threshold; absent = chosen for each block of 16 rows so that frames
     /// that are held out are predicted best.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub event_noise: Option<f64>,
     /// Model error of a frame value, as a part of it, in addition to the noise that the sensor description states, 1 DN, and what pixels without
     /// events show beyond that.
-    #[schemars(range(min = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0)))]
     pub frame_noise: f64,
     /// Knots near events lie at most this far apart; in quiet gaps they widen with the distance from an event, to 8 ms or a 64th of the frame period.
-    #[schemars(extend("x-min" = "10 us"))]
+    #[cfg_attr(feature = "schema", schemars(extend("x-min" = "10 us")))]
     pub knot_spacing: Duration,
     /// Every knot of the tracks carries a standard deviation: what measurements and prior leave open, widened where frames that are held out
     /// show that to be too little.
     pub sigma: bool,
     /// How often the light is solved again with what the description's `[effects]` did to events at the light found before; 0 = `[effects]` are left as they are, in events
     /// and frames; absent = 2, or 4 where effects mix the photocurrent of neighbours. Without `[effects]` it has no effect.
-    #[schemars(range(max = 20))]
+    #[cfg_attr(feature = "schema", schemars(range(max = 20)))]
     pub undo_rounds: Option<u32>,
     /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
     /// plane `implausible` of `map` states how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub plausible_range: f64,
     /// Most steps tried for one problem; more than 5 make it follow its own estimate.
-    #[schemars(range(min = 1, max = 5))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 5)))]
     pub max_iterations: u32,
 }
 
@@ -120,7 +126,8 @@ impl Default for SolveOptions {
 }
 
 /// How Eq. (13) is solved.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct PaperOptions {
     /// How the front end's delay is treated.
@@ -136,17 +143,17 @@ pub struct PaperOptions {
     /// Where the first unknown of a window stands.
     pub first_knot: FirstKnot,
     /// Weight of a squared frame residual, per DN^2; the paper has 1.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub cis_weight: f64,
     /// Weight of a squared event residual, per natural-log unit squared; the paper has 1.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub evs_weight: f64,
     /// How far the light of a pixel may rise above that of its brightest frame, natural-log units: what is brighter is held there, the pixel is counted and the
     /// plane `implausible` of `map` states how far it went. 3 is a factor of 20. Raise it for lights that flash between frames, or beyond saturation.
-    #[schemars(extend("exclusiveMinimum" = 0.0))]
+    #[cfg_attr(feature = "schema", schemars(extend("exclusiveMinimum" = 0.0)))]
     pub plausible_range: f64,
     /// Most steps tried for one problem.
-    #[schemars(range(min = 1, max = 10000))]
+    #[cfg_attr(feature = "schema", schemars(range(min = 1, max = 10000)))]
     pub max_iterations: u32,
 }
 

@@ -9,11 +9,11 @@ use photocurrent_core::quantity::Duration;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{EventsMeta, NodeError, Sensor};
 use photocurrent_sensor::effects::clock_offset::ClockOffset;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Which stamp dates an event.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Stamp {
     /// The in-pixel time where there is one, else the off-pixel time less the smallest latency.

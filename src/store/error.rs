@@ -121,7 +121,7 @@ pub(crate) struct Mistakes {
 
 impl Mistakes {
     /// The value, or its mistakes noted.
-    pub fn take<T>(&mut self, result: Result<T, StoreError>) -> Option<T> {
+    pub(crate) fn take<T>(&mut self, result: Result<T, StoreError>) -> Option<T> {
         match result {
             Ok(value) => return Some(value),
             Err(StoreError::Several { mistakes, .. }) => self.found.extend(mistakes),
@@ -131,12 +131,12 @@ impl Mistakes {
     }
 
     /// Nothing wrong so far?
-    pub fn is_empty(&self) -> bool {
+    pub(crate) fn is_empty(&self) -> bool {
         self.found.is_empty()
     }
 
     /// Everything noted, as one error.
-    pub fn finish(mut self, path: &Path) -> Result<(), StoreError> {
+    pub(crate) fn finish(mut self, path: &Path) -> Result<(), StoreError> {
         match self.found.len() {
             0 => Ok(()),
             1 => Err(self.found.remove(0)),

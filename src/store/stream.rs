@@ -7,7 +7,7 @@ use crate::error::StoreError;
 use crate::hdf::write::{ColumnWriter, GridWriter};
 use crate::hdf::{Opened, locked};
 use crate::layout::create_group;
-use crate::recording::write::{whole_file, write_colour, write_times};
+use crate::recording::whole::{whole_file, write_colour, write_times};
 use crate::recording::{DnType, FORMAT};
 use photocurrent_core::{Colour, Extent};
 use std::path::Path;

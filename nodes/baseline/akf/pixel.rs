@@ -2,7 +2,7 @@
 
 use super::events::{Key, PixelList, PixelLists};
 use super::sequence::{Control, Course, Phase, Span, What, Window};
-use super::{Sequence, Settings, Variant};
+use super::settings::{Sequence, Settings, Variant};
 
 /// Everything that all pixels share.
 pub struct Shared<'a> {

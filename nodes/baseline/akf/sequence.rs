@@ -4,7 +4,7 @@
 //! the first event past an instant. So this is worked out first, from the order of all events; afterwards every pixel runs by itself.
 
 use super::events::Key;
-use super::{Sequence, Variant};
+use super::settings::{Sequence, Variant};
 use photocurrent_core::Exposure;
 
 /// Where in one event's turn something happens.

@@ -1,6 +1,6 @@
 //! Where an edge is: the centroid of the derivative of every line, and a straight line or a parabola through them.
 
-use super::{Direction, Fit, Lines, Refusal};
+use super::types::{Direction, Fit, Lines, Refusal};
 
 /// Positions that scatter more than this about the fitted line are no straight edge, pixels.
 const MOST_SCATTER: f64 = 2.0;

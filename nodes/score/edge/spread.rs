@@ -1,7 +1,7 @@
 //! The edge spread function: pixels by their distance to the edge, plateaus, and where thresholds are crossed.
 
 use super::line::Line;
-use super::{Direction, Lines, Refusal};
+use super::types::{Direction, Lines, Refusal};
 use photocurrent_core::table::percentile;
 use std::collections::BTreeMap;
 

@@ -3,7 +3,7 @@
 //! The mixing is that of two inks: ON events take green and blue away from the white, OFF events take red and green away. So a pixel that saw
 //! only one polarity is a pure tint, and one that saw both (something narrow passed) is purple-grey to black instead of looking idle.
 
-use super::Crop;
+use super::shown::Crop;
 use photocurrent_core::events::EventRow;
 use photocurrent_core::{Colour, EventStream, NodeError, Rows, TimeSpan};
 use photocurrent_solve::co_located::CoLocated;

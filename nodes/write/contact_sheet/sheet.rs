@@ -1,7 +1,7 @@
 //! The sheet itself: where things stand on it, and how a value becomes dots.
 
 use super::super::font;
-use super::{Crop, Shown};
+use super::shown::{Crop, Shown};
 
 /// Dots between things.
 pub(super) const GAP: u32 = 6;

@@ -5,8 +5,7 @@
 //! recording; its window is not taken, as the files are named whole. What the command line states comes first.
 
 use crate::args::DiagnoseOptions;
-use crate::case::usage;
-use crate::common::Failure;
+use crate::failure::{Failure, usage};
 use crate::file_kind::{FileKind, Reader};
 use crate::parts::Parts;
 use photocurrent_core::quantity::InputPath;

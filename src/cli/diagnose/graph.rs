@@ -2,8 +2,8 @@
 
 use super::given::Given;
 use crate::args::DiagnoseOptions;
-use crate::case::usage;
-use crate::common::{Failure, failed_nodes};
+use crate::common::failed_nodes;
+use crate::failure::{Failure, usage};
 use crate::progress::Watcher;
 use crate::run::stop_on_signal;
 use photocurrent_core::{Digest, Node, Sensor};

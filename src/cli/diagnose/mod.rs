@@ -1,13 +1,14 @@
 //! `photocurrent diagnose`: looks at what it is given ([`given`]), runs the stages as a graph ([`graph`]), puts the report in place and prints its summary.
 
-mod given;
+pub(crate) mod given;
 mod graph;
 
 pub use given::Given;
 
 use crate::args::DiagnoseOptions;
-use crate::case::{self, Unread, usage};
-use crate::common::{Done, Failure, human_seconds};
+use crate::case::{self, Unread};
+use crate::failure::{Done, Failure, usage};
+use crate::numbers::human_seconds;
 use crate::terminal::{print, say};
 use photocurrent_diagnosis::diagnose::broken;
 use photocurrent_diagnosis::page::{page, readable, with_names};

@@ -1,10 +1,11 @@
 //! What is found in the files, and what has to be proposed because they do not state it.
 
+use super::fill::Fill;
 use super::units::DENSE;
 use super::window::Window;
-use super::{hazards, readings, units, usage, window};
-use crate::common::Failure;
+use super::{hazards, readings, units, window};
 use crate::declared::DeclaredOptions;
+use crate::failure::{Failure, usage};
 use crate::parts::Parts;
 use photocurrent_core::quantity::Duration;
 use photocurrent_core::{FramesMeta, TimeSpan};
@@ -14,33 +15,13 @@ use photocurrent_formats::placed::PartOf;
 use photocurrent_formats::survey::{Most, survey};
 use photocurrent_formats::{EventCursor, Format, FormatError, Recording, StampRole, Transfer, joined};
 use photocurrent_nodes::estimate::{Estimate, Proposals, proposals};
-use photocurrent_nodes::read::foreign::{All, Size, takes};
+use photocurrent_nodes::read::foreign::{All, Size};
+use photocurrent_nodes::read::formats::takes;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// A value that no file states.
-pub struct Fill {
-    /// The parameter.
-    pub name: &'static str,
-    /// As TOML.
-    pub value: String,
-    /// Why this value, and what depends on it.
-    pub why: String,
-    /// Is it a question that the user has to check (`FILL:`), or settled by what was found?
-    pub is_open: bool,
-}
-
-impl Fill {
-    /// A proposal that is marked.
-    pub fn open(name: &'static str, value: String, why: impl Into<String>) -> Fill {
-        Fill { name, value, why: why.into(), is_open: true }
-    }
-
-    /// A correction that is stated with its reason.
-    pub fn settled(name: &'static str, value: String, why: impl Into<String>) -> Fill {
-        Fill { name, value, why: why.into(), is_open: false }
-    }
-}
+/// The format whose reader takes no window.
+pub const OWN: &str = "recording";
 
 /// Everything that the manifest and the description are made of.
 pub struct Facts {
@@ -247,7 +228,7 @@ fn settle(parts: &Parts, all: &mut All, fills: &mut Vec<Fill>) -> Result<(Box<dy
 
 fn open(parts: &Parts, all: &All) -> Result<(Box<dyn Recording>, Arranged), FormatError> {
     let mut settings = all.settings();
-    if parts.format.id == super::text::OWN {
+    if parts.format.id == OWN {
         // The reader of our own recordings keeps their clock.
         settings.zero = Some(Duration::new(0));
     }

@@ -1,15 +1,15 @@
 //! What `inspect` finds, `init` acts on: each finding of the part that is read has the consequence that [`photocurrent_formats::hazard::consequence`] lists.
 
-use super::facts::Fill;
+use super::fill::Fill;
 use super::readings::Reading;
-use super::usage;
-use crate::common::Failure;
+use crate::failure::{Failure, usage};
 use photocurrent_core::Extent;
 use photocurrent_formats::hazard::{self, Consequence, Finding, Severity};
+use photocurrent_formats::survey::Interval;
 use photocurrent_formats::survey::Survey;
-use photocurrent_formats::survey::lag::Interval;
 use photocurrent_formats::{Format, Mirror, Pictures, Shift};
-use photocurrent_nodes::read::foreign::{All, Size, takes};
+use photocurrent_nodes::read::foreign::{All, Size};
+use photocurrent_nodes::read::formats::takes;
 
 /// What was done about the findings.
 #[derive(Default)]
@@ -196,7 +196,7 @@ mod tests {
     use photocurrent_formats::hazard::consequence::CONSEQUENCES;
     use photocurrent_formats::survey::lag::LagSurvey;
     use photocurrent_formats::survey::pictures::{FramesSurvey, ValuesSurvey};
-    use photocurrent_formats::{FrameStamp, FramesAbout, format};
+    use photocurrent_formats::{FrameStamp, FramesAbout, catalog};
 
     /// Ten frames, of which one repeats the one before.
     struct Film(FramesAbout);
@@ -230,7 +230,7 @@ mod tests {
         let reading = Reading { extent, ..reading };
         let (film, mut all) = (film(), All { start: Some(photocurrent_core::quantity::Duration::new(0)), ..All::default() });
         let numbers: Vec<usize> = (5..15).collect();
-        let npz = format::named("npz").unwrap();
+        let npz = catalog::named("npz").unwrap();
         let acts = act(&survey(), &[finding], npz, Some((&film, &numbers)), Some(&reading), accepted, &mut all);
         (acts, all)
     }

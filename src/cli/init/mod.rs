@@ -4,6 +4,7 @@
 //! there is a picture after two commands, and what the picture depends on stands in it to be corrected.
 
 mod facts;
+mod fill;
 mod hazards;
 mod pairing;
 mod readings;
@@ -12,7 +13,7 @@ mod units;
 mod window;
 
 use crate::args::InitOptions;
-use crate::common::{Done, Failure};
+use crate::failure::{Done, usage};
 use crate::terminal::say;
 use std::path::{Path, PathBuf};
 
@@ -29,14 +30,14 @@ pub fn init(options: &InitOptions) -> Done {
     let folder = manifest.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let found = facts::collect(&options.files, &options.declared, &options.accept)?;
     for path in &found.inputs {
-        crate::common::must_be_utf8(path)?;
+        crate::failure::must_be_utf8(path)?;
     }
     let relative = |path: &Path| relative_to(folder, path);
     let name = manifest.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let sensor_name = sensor.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    crate::common::write_whole(manifest, text::manifest(&found, &name, &sensor_name, &relative).as_bytes())?;
+    crate::failure::write_whole(manifest, text::manifest(&found, &name, &sensor_name, &relative).as_bytes())?;
     if found.sensor_text.is_none() {
-        crate::common::write_whole(&sensor, text::sensor(&found).as_bytes())?;
+        crate::failure::write_whole(&sensor, text::sensor(&found).as_bytes())?;
     }
     talk(options, &found, manifest, &sensor);
     Ok(if found.losses.is_empty() { 0 } else { 3 })
@@ -70,10 +71,6 @@ fn talk(options: &InitOptions, found: &facts::Facts, manifest: &Path, sensor: &P
     }
     say!("next: photocurrent run {}", manifest.display());
     say!("then: photocurrent diagnose {}", manifest.display());
-}
-
-fn usage(message: String) -> Failure {
-    Failure::Other { message, code: 2 }
 }
 
 /// A path as a manifest in `folder` names it: relative where both lie in one place, whole otherwise.

@@ -5,15 +5,16 @@
 //!
 //! Limits: a picture that is lost between others whose stamps are all there has no first stamp that fits; then nothing is proposed.
 
-use super::facts::Fill;
+use super::fill::Fill;
 use super::readings;
-use crate::common::Failure;
+use crate::failure::Failure;
 use crate::parts::Parts;
 use photocurrent_core::quantity::Duration;
 use photocurrent_formats::pairings::{Comparison, Way, compare, likeliest_line};
 use photocurrent_formats::survey::alternatives::{Alternative, LEAST_EXPLAINED, Much, compare as compare_readings};
 use photocurrent_formats::{FormatError, Recording, StampRole, joined};
-use photocurrent_nodes::read::foreign::{All, takes};
+use photocurrent_nodes::read::foreign::All;
+use photocurrent_nodes::read::formats::takes;
 
 /// Is it open how pictures and times are paired? So it is for every trigger line whose strobe is not stated, and where a reader refuses to pair.
 pub fn is_open(all: &All, error: Option<&FormatError>) -> bool {

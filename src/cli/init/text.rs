@@ -1,12 +1,10 @@
 //! The manifest and the sensor description, as text with the reason on every line that is not certain.
 
-use super::facts::{Facts, Fill};
+use super::facts::{Facts, OWN};
+use super::fill::Fill;
 use super::window::Window;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-
-/// The format whose reader takes no window.
-pub const OWN: &str = "recording";
 
 /// A text in quotes, escaped as TOML wants.
 fn quoted(text: &str) -> String {

@@ -5,13 +5,14 @@
 //!
 //! Limits: rates are those of cameras with frames (some 1 to 1,000 events a pixel and second, 10 to 1,000 frames a second, none below 0.2); a time lapse is proposed wrongly.
 
-use super::facts::Fill;
+use super::fill::Fill;
 use crate::parts::Parts;
 use photocurrent_formats::gather::{Scan, scan};
 use photocurrent_formats::hazard::time;
 use photocurrent_formats::pictures::PictureFiles;
 use photocurrent_formats::{Declared, FormatError, Pairing, TimeUnit, joined};
-use photocurrent_nodes::read::foreign::{All, takes};
+use photocurrent_nodes::read::foreign::All;
+use photocurrent_nodes::read::formats::takes;
 
 const UNITS: [TimeUnit; 4] = [TimeUnit::S, TimeUnit::Ms, TimeUnit::Us, TimeUnit::Ns];
 

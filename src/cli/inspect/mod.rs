@@ -7,8 +7,8 @@
 mod screen;
 
 use crate::args::InspectOptions;
-use crate::common::{Done, Failure};
 use crate::declared::refused;
+use crate::failure::{Done, Failure};
 use crate::file_kind::need_data;
 use crate::parts::Parts;
 use crate::terminal::{print, print_json, say};

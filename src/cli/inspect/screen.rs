@@ -1,6 +1,6 @@
 //! One screen of facts about a recording, and what is to be said of it.
 
-use crate::common::human_bytes;
+use crate::numbers::human_bytes;
 use photocurrent_formats::hazard::{Finding, Severity, percent, time};
 use photocurrent_formats::survey::lines::LineSurvey;
 use photocurrent_formats::survey::pictures::{FramesSurvey, Spread};

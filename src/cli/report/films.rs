@@ -4,7 +4,8 @@
 //! down to [`FEWEST`]; if that is not enough, pictures get half the size, and again.
 
 use super::run::{Output, Run, Styles};
-use crate::common::{Failure, human_bytes};
+use crate::failure::Failure;
+use crate::numbers::human_bytes;
 use photocurrent_core::{Extent, Sensor, Value};
 use photocurrent_nodes::show::{Shown, Tone};
 use photocurrent_page::{Film, Group, Mark, Picture, RunPage, png_uri};

@@ -10,7 +10,8 @@ mod run;
 mod scores;
 
 use crate::args::ReportOptions;
-use crate::common::{Done, Failure, human_bytes, write_whole};
+use crate::failure::{Done, Failure, write_whole};
+use crate::numbers::human_bytes;
 use crate::terminal::{print, say};
 use photocurrent_page::RunPage;
 use run::Run;

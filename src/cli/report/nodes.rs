@@ -1,7 +1,7 @@
 //! Graphs with times and states, what nodes said, failures, and where the numbers come from.
 
 use super::run::Run;
-use crate::common::{human_bytes, human_seconds, print_count};
+use crate::numbers::{human_bytes, human_seconds, print_count};
 use crate::run_record::{TaskRecord, VariantRecord};
 use photocurrent_core::context::LOSS;
 use photocurrent_engine::End;

@@ -2,7 +2,7 @@
 
 use super::films::sensor;
 use super::run::{Output, Run, Styles};
-use crate::common::Failure;
+use crate::failure::Failure;
 use photocurrent_core::{NodeError, TimeSpan, Value};
 use photocurrent_nodes::show::{Photocurrent, Seen, Shown, Tone, lively, seen, solved};
 use photocurrent_page::{Bar, Event, Group, Pixel, Residual, RunPage, Solved};

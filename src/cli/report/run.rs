@@ -1,7 +1,7 @@
 //! A finished run: what it says of itself, its cache, and what its outputs are called.
 
 use crate::args::ReportOptions;
-use crate::common::Failure;
+use crate::failure::Failure;
 use crate::file_kind::FileKind;
 use crate::run_record::{FILE, Part, RunRecord, TaskRecord, VariantRecord, check_same_manifest};
 use photocurrent_core::{TimeSpan, Value};

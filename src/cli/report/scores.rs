@@ -2,7 +2,7 @@
 
 use super::run::{Run, Styles};
 use crate::args::{Among, Pooled};
-use crate::common::Failure;
+use crate::failure::Failure;
 use crate::table::formats::{self, Mark as Standing, Style};
 use crate::table::grid::{Grid, Request};
 use crate::table::records::{Choice, Record, levels_of, read};

@@ -2,8 +2,7 @@
 
 use super::formats::Style;
 use super::grid::Grid;
-use super::usage;
-use crate::common::Failure;
+use crate::failure::{Failure, usage};
 use photocurrent_nodes::write::figure::{Figure, Panel, Series};
 use std::path::Path;
 

@@ -1,8 +1,7 @@
 //! Reads lines of scores and says where each stands on the axes.
 
-use super::usage;
 use crate::args::Pooled;
-use crate::common::Failure;
+use crate::failure::{Failure, usage};
 use crate::file_kind::FileKind;
 use crate::run_record::check_same_manifest;
 use serde_json::Value;

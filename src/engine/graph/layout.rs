@@ -47,7 +47,7 @@ pub(super) struct Layout {
 }
 
 impl Layout {
-    pub fn of(drawing: &Drawing) -> Layout {
+    pub(super) fn of(drawing: &Drawing) -> Layout {
         let takers = |from: usize, port: &str| drawing.edges.iter().filter(|edge| edge.from == from && edge.from_port == port).count();
         let is_named = |edge: &Edge| NAMED.contains(&edge.data_type.as_str()) && takers(edge.from, &edge.from_port) >= MANY;
         let layers = drawing.layers(|edge| !is_named(edge));

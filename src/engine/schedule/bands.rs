@@ -3,7 +3,8 @@
 //! A node whose output rows reach only a known number of input rows may be run band by band; the height is the largest with which inputs and
 //! outputs of one band fit into the task's share. Results do not depend on the height: that is a promise of the nodes, tested with every one.
 
-use crate::plan::{Plan, Task};
+use crate::plan::Plan;
+use crate::task::Task;
 use photocurrent_core::ports::PortValues;
 use photocurrent_core::{EventsMeta, Grain, LightMeta, Meta, Rows, TracksMeta, Value};
 
@@ -100,7 +101,7 @@ pub(crate) struct Cutter<'a> {
 
 impl<'a> Cutter<'a> {
     /// For `rows` of a task, whose wanted outputs look like `outputs`.
-    pub fn new(bands: &'a Bands, rows: Rows, outputs: &[&Meta], inputs: &'a PortValues) -> Cutter<'a> {
+    pub(crate) fn new(bands: &'a Bands, rows: Rows, outputs: &[&Meta], inputs: &'a PortValues) -> Cutter<'a> {
         // What could not be counted when the run was planned is as much larger as the inputs turned out to be.
         let larger = f64::max(banded_bytes(inputs, bands.rows, bands.rows) as f64 / (bands.planned_inputs as f64).max(1.0), 1.0);
         let bytes_of = |meta: &&Meta| (meta.estimated_bytes() as f64 * if meta.is_counted() { 1.0 } else { larger }) as u64;
@@ -109,17 +110,17 @@ impl<'a> Cutter<'a> {
     }
 
     /// The first row that is still to be produced.
-    pub fn at(&self) -> Option<u32> {
+    pub(crate) fn at(&self) -> Option<u32> {
         (!self.left.is_empty()).then_some(self.left.start)
     }
 
     /// Somebody else gave the rows up to this one.
-    pub fn skip_to(&mut self, row: u32) {
+    pub(crate) fn skip_to(&mut self, row: u32) {
         self.left.start = row.min(self.left.end);
     }
 
     /// The next band, which ends at `limit` at the latest; one, perhaps without rows, for what cannot be cut.
-    pub fn next(&mut self, limit: u32) -> Option<Rows> {
+    pub(crate) fn next(&mut self, limit: u32) -> Option<Rows> {
         let (bands, left) = (self.bands, self.left);
         let Some(halo) = bands.halo else {
             return self.last_height.replace(0).is_none().then_some(left);
@@ -147,14 +148,14 @@ impl<'a> Cutter<'a> {
     }
 
     /// Learns what the outputs of a band really take.
-    pub fn learn(&mut self, band: Rows, outputs: u64) {
+    pub(crate) fn learn(&mut self, band: Rows, outputs: u64) {
         if !band.is_empty() {
             self.row_outputs = outputs / 4 * CAUTION_QUARTERS / band.len() as u64;
         }
     }
 
     /// What a single row takes, without those around it, and what it may, in bytes, where that is too much; known after the first band.
-    pub fn too_much(&self) -> Option<(u64, u64)> {
+    pub(crate) fn too_much(&self) -> Option<(u64, u64)> {
         let is_known = self.last_height.is_some() && self.bands.halo.is_some() && self.bands.forced.is_none() && !self.left.is_empty();
         let row = Rows { start: self.left.start, end: self.left.start + 1 };
         let needed = || banded_bytes(self.inputs, self.bands.rows, row) + COPIES * self.row_outputs;
@@ -185,17 +186,6 @@ pub(crate) fn inputs_of(inputs: &PortValues, bands: &Bands, band: Rows) -> PortV
     let reach = band.with_halo(halo, bands.rows);
     let cut = |value: &Value| if is_cut(value, bands.rows) { value.cut(reach) } else { value.clone() };
     inputs.iter().map(|(port, values)| (*port, values.iter().map(cut).collect())).collect()
-}
-
-/// About how many bytes the outputs of a task's smallest piece take: a row where the node may be cut, else everything.
-pub(crate) fn least_bytes(task: &Task) -> u64 {
-    let all: u64 = task.stored().map(|output| output.meta.estimated_bytes()).fold(0, u64::saturating_add);
-    let rows = task.stored().next().and_then(|output| output.meta.rows());
-    let same_rows = task.stored().all(|output| output.meta.rows() == rows);
-    match (task.grain, rows) {
-        (Grain::Pixel | Grain::Row { .. }, Some(rows)) if same_rows && task.export.is_none() && !rows.is_empty() => all / rows.len() as u64,
-        _ => all,
-    }
 }
 
 /// The largest height that fits, and 1 when none does. More rows never need less, so halving finds it.

@@ -2,7 +2,8 @@
 
 use super::writer::Said;
 use crate::key;
-use crate::plan::{Plan, Task, TaskId};
+use crate::plan::Plan;
+use crate::task::{Task, TaskId};
 use photocurrent_core::{Digest, Meta, Rows, Value};
 use photocurrent_store::{BandStore, Cache, KeptBand};
 use std::path::PathBuf;
@@ -27,14 +28,14 @@ pub(crate) struct Found {
 }
 
 impl Found {
-    pub fn rows(&self) -> Rows {
+    pub(super) fn rows(&self) -> Rows {
         self.band.rows()
     }
 }
 
 impl Kept {
     /// Looks into the cache and into `parts`; also gives what could not be read, as sentences.
-    pub fn open(plan: &Plan, cache: &Cache, parts: &[PathBuf]) -> (Kept, Vec<String>) {
+    pub(super) fn open(plan: &Plan, cache: &Cache, parts: &[PathBuf]) -> (Kept, Vec<String>) {
         let mut trouble = Vec::new();
         let mut kept = Kept { identities: key::identities(plan, cache), own: None, bands: Vec::new() };
         let own = cache.bands().map(Arc::new);
@@ -52,7 +53,7 @@ impl Kept {
     }
 
     /// The bands of a task, by first row.
-    pub fn of(&self, task: TaskId) -> Vec<Found> {
+    pub(super) fn of(&self, task: TaskId) -> Vec<Found> {
         let Some(identity) = self.identities[task] else { return Vec::new() };
         let mut found: Vec<Found> =
             self.bands.iter().filter(|(_, band)| band.identity == identity).map(|(store, band)| Found { store: store.clone(), band: band.clone() }).collect();
@@ -61,12 +62,12 @@ impl Kept {
     }
 
     /// Where a task's own bands are kept.
-    pub fn own(&self, task: TaskId) -> Option<(Arc<BandStore>, Digest)> {
+    pub(super) fn own(&self, task: TaskId) -> Option<(Arc<BandStore>, Digest)> {
         Some((self.own.clone()?, self.identities[task]?))
     }
 
     /// What a band has from `row` on, when it has that row and every output that is stored. A damaged one counts as missing: its rows are computed again.
-    pub fn load(&self, found: &Found, row: u32, task: &Task) -> Option<Loaded> {
+    pub(super) fn load(&self, found: &Found, row: u32, task: &Task) -> Option<Loaded> {
         let rows = Rows { start: row, end: found.rows().end };
         // Notes count what is in all rows of a band, so a band is taken whole or not at all.
         if found.rows().start != row || rows.is_empty() {

@@ -9,126 +9,28 @@
 
 mod bands;
 mod kept;
+mod shared;
 mod state;
 mod task;
 mod writer;
 
 use crate::blocks::is_of;
 use crate::export;
-use crate::observer::{End, Observer};
+use crate::observer::Observer;
 use crate::outcome::{Outcome, TaskOutcome};
-use crate::plan::{Plan, TaskId};
-pub(crate) use bands::{Cutter, cut, halo as halo_of, inputs_of, least_bytes};
-pub(crate) use kept::Kept;
+use crate::plan::Plan;
+use crate::task::TaskId;
+pub(crate) use bands::{Cutter, cut, halo as halo_of, inputs_of};
+use kept::Kept;
 use photocurrent_store::Cache;
+use shared::Shared;
+pub use shared::{Keep, Options};
 use state::{Claim, Phase, State};
-use std::collections::BTreeSet;
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 pub(crate) use task::checked;
 pub(crate) use writer::guarded;
-
-/// How to run.
-#[derive(Clone, Debug)]
-pub struct Options {
-    /// Tasks at the same time.
-    pub threads: usize,
-    /// Bytes that inputs, outputs and kept results may take together, about.
-    pub memory: u64,
-    /// Height of every row band; chosen from the budget when not given.
-    pub band_rows: Option<u32>,
-    /// Folder for exported files.
-    pub out_dir: PathBuf,
-    /// Nodes to run even when the cache has their results.
-    pub force: BTreeSet<String>,
-    /// Which bands are kept until their result is complete, so that a run that was stopped goes on from them.
-    pub keep: Keep,
-    /// Folders with bands that were made elsewhere ([`crate::run_part`]).
-    pub parts: Vec<PathBuf>,
-}
-
-/// Which bands are kept until their result is complete.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Keep {
-    /// Those that took longer to compute than to write.
-    #[default]
-    Costly,
-    /// All of a result that is cut.
-    All,
-}
-
-impl Default for Options {
-    fn default() -> Options {
-        Options {
-            threads: std::thread::available_parallelism().map_or(1, usize::from),
-            memory: default_memory(),
-            band_rows: None,
-            out_dir: PathBuf::from("out"),
-            force: BTreeSet::new(),
-            keep: Keep::default(),
-            parts: Vec::new(),
-        }
-    }
-}
-
-/// Half of what the machine has free, and 4 GiB where it does not say.
-pub fn default_memory() -> u64 {
-    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
-    let kilobytes = line.and_then(|line| line.trim().trim_end_matches("kB").trim().parse::<u64>().ok());
-    kilobytes.map_or(4 << 30, |kilobytes| kilobytes * 1024 / 2)
-}
-
-/// All memory that this process may ever have: the machine's, or less where a control group says so. `None` when neither is known.
-pub fn machine_memory() -> Option<u64> {
-    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"));
-    let total = line.and_then(|line| line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()).map(|kilobytes| kilobytes * 1024);
-    let limits = ["/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"];
-    let limits = limits.iter().filter_map(|path| std::fs::read_to_string(path).ok()?.trim().parse::<u64>().ok());
-    limits.chain(total).min()
-}
-
-/// What the workers share.
-pub(crate) struct Shared<'a> {
-    plan: &'a Plan,
-    cache: &'a Cache,
-    options: &'a Options,
-    observer: &'a dyn Observer,
-    cancel: &'a AtomicBool,
-    /// Bands that are there already.
-    kept: Kept,
-    state: Mutex<State>,
-    /// Rung whenever something changes that may let a worker go on.
-    changed: Condvar,
-}
-
-impl Shared<'_> {
-    fn state(&self) -> MutexGuard<'_, State> {
-        // A worker that panics while it holds the lock breaks the whole run anyway, through the scope.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn warn(&self, text: String) {
-        self.observer.warning(&text);
-        self.state().warnings.push(text);
-    }
-
-    /// Reports the end of a task and of what it takes with it.
-    fn announce(&self, ended: Vec<(TaskId, End)>) {
-        for (task, end) in ended {
-            let (seconds, bytes) = {
-                let state = self.state();
-                let slot = &state.slots[task];
-                (slot.seconds, slot.outputs.values().map(|output| output.bytes).sum())
-            };
-            self.observer.task_finished(task, end, seconds, bytes);
-        }
-        self.changed.notify_all();
-    }
-}
 
 /// Runs a plan. What goes wrong in a node is in the outcome; the run itself always comes to an end.
 ///

@@ -5,7 +5,8 @@
 
 use super::bands::Bands;
 use crate::observer::End;
-use crate::plan::{Plan, TaskId};
+use crate::plan::Plan;
+use crate::task::TaskId;
 use photocurrent_core::{Digest, NodeError, Value};
 use photocurrent_store::{Ingredients, StoredOutput};
 use std::collections::BTreeMap;
@@ -79,7 +80,7 @@ pub(crate) struct State {
 }
 
 impl State {
-    pub fn new(plan: &Plan, memory: u64, forced: impl Fn(TaskId) -> bool) -> State {
+    pub(super) fn new(plan: &Plan, memory: u64, forced: impl Fn(TaskId) -> bool) -> State {
         let slot = |task| Slot {
             phase: Phase::Waiting,
             force: forced(task),
@@ -105,7 +106,7 @@ impl State {
     }
 
     /// The next thing to do; marks it as taken.
-    pub fn claim(&mut self) -> Claim {
+    pub(super) fn claim(&mut self) -> Claim {
         if self.broken {
             return Claim::Stop;
         }
@@ -132,7 +133,7 @@ impl State {
     }
 
     /// A task that the cache does not have waits for memory; or for its twin, when another task is about to make the same.
-    pub fn admit(&mut self, task: TaskId, key: Digest, ingredients: Ingredients, bands: Bands) {
+    pub(super) fn admit(&mut self, task: TaskId, key: Digest, ingredients: Ingredients, bands: Bands) {
         let about_to_run = |slot: &Slot| matches!(slot.phase, Phase::Admitted | Phase::Running) && slot.key == Some(key);
         let twin = self.slots.iter().position(about_to_run);
         let slot = &mut self.slots[task];
@@ -150,13 +151,13 @@ impl State {
     }
 
     /// A running task stops running, however it went.
-    pub fn release(&mut self, task: TaskId) {
+    pub(super) fn release(&mut self, task: TaskId) {
         self.used -= self.estimate(task);
         self.running -= 1;
     }
 
     /// A task ended: what hangs on a failed one is skipped, and results that nobody waits for any more are let go.
-    pub fn finish(&mut self, plan: &Plan, task: TaskId, end: End) -> Vec<(TaskId, End)> {
+    pub(super) fn finish(&mut self, plan: &Plan, task: TaskId, end: End) -> Vec<(TaskId, End)> {
         self.slots[task].phase = Phase::Done(end);
         let mut ended = vec![(task, end)];
         if !matches!(end, End::Executed | End::Reused) {
@@ -195,7 +196,7 @@ impl State {
     }
 
     /// Nothing new begins: what waits ends as interrupted.
-    pub fn interrupt(&mut self) -> Vec<(TaskId, End)> {
+    pub(super) fn interrupt(&mut self) -> Vec<(TaskId, End)> {
         let mut ended = Vec::new();
         for (id, slot) in self.slots.iter_mut().enumerate() {
             if matches!(slot.phase, Phase::Waiting | Phase::Admitted) {
@@ -207,7 +208,7 @@ impl State {
     }
 
     /// A stored result of `producer` cannot be read: it is made again, and `consumer` waits for that. False when that was tried already.
-    pub fn send_back(&mut self, producer: TaskId, consumer: TaskId) -> bool {
+    pub(super) fn send_back(&mut self, producer: TaskId, consumer: TaskId) -> bool {
         // Two consumers may find the same damage; the second one only waits, or finds it repaired when it looks again. A result that is
         // damaged again and again means a failing disk.
         if self.ended_well(producer) && self.slots[producer].repaired >= 2 {

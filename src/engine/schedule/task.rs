@@ -1,13 +1,14 @@
 //! One task: looked up, and when the cache does not have it, run band by band, stored, and recorded last.
 
 use super::bands::{self, Cutter, same_meta};
+use super::shared::{Keep, Shared};
 use super::writer::{Message, Stored, guarded};
-use super::{Keep, Shared};
 use crate::blocks::extracted;
+use crate::budget::size;
 use crate::export::{Staging, StampedFile};
 use crate::key::{self, Reuse};
 use crate::observer::{End, Observer};
-use crate::plan::{Task, TaskId, size};
+use crate::task::{Task, TaskId};
 use crossbeam::channel::{Receiver, Sender, bounded};
 use photocurrent_core::context::{Common, Notes, Progress};
 use photocurrent_core::error::Trouble;

@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use crate::plan::TaskId;
+use crate::task::TaskId;
 
 /// What a finished task has in the store.
 pub(crate) type Stored = BTreeMap<String, StoredOutput>;

@@ -72,7 +72,7 @@ fn colour(stored: usize, filter: u32) -> Option<Colour> {
 
 /// Collects the frames while the packets are gone over.
 #[derive(Default)]
-pub struct Finder {
+pub(super) struct Finder {
     first: Option<(Extent, Colour, usize)>,
     stamps: Vec<FrameStamp>,
     places: Vec<u64>,
@@ -86,7 +86,7 @@ impl Finder {
     ///
     /// # Errors
     /// When the file cannot be read any more.
-    pub fn add(&mut self, packets: &mut Packets, packet: &Packet, stated: Option<Extent>, losses: &mut Losses) -> Result<(), FormatError> {
+    pub(super) fn add(&mut self, packets: &mut Packets, packet: &Packet, stated: Option<Extent>, losses: &mut Losses) -> Result<(), FormatError> {
         for k in 0..packet.number {
             let at = packet.content() + u64::from(k) * u64::from(packet.size);
             packets.fetch(at, FRAME_HEAD, &mut self.bytes)?;
@@ -130,7 +130,7 @@ impl Finder {
     }
 
     /// The frames; `None` without any.
-    pub fn finish(self, path: PathBuf, packets: Packets, mut notes: Vec<String>) -> Option<Frames> {
+    pub(super) fn finish(self, path: PathBuf, packets: Packets, mut notes: Vec<String>) -> Option<Frames> {
         let (extent, colour, stored) = self.first?;
         if self.invalid > 0 {
             notes.push(format!("{} frames are marked as invalid in the file; they are left out", self.invalid));
@@ -144,7 +144,7 @@ impl Finder {
 }
 
 /// The frames of a file.
-pub struct Frames {
+pub(super) struct Frames {
     path: PathBuf,
     about: FramesAbout,
     stored: usize,

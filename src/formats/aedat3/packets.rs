@@ -11,15 +11,15 @@ use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 /// Bytes of a header.
-pub const HEAD: u64 = 28;
+pub(super) const HEAD: u64 = 28;
 /// Events of signals: resets of the clock, edges on inputs.
-pub const SPECIAL: u16 = 0;
+pub(super) const SPECIAL: u16 = 0;
 /// Events of pixels.
-pub const POLARITY: u16 = 1;
+pub(super) const POLARITY: u16 = 1;
 /// Frames.
-pub const FRAME: u16 = 2;
+pub(super) const FRAME: u16 = 2;
 /// Bytes of a frame before its values.
-pub const FRAME_HEAD: u64 = 36;
+pub(super) const FRAME_HEAD: u64 = 36;
 /// Kinds that the format defines end below this.
 const KINDS: u16 = 32;
 /// No event of any kind is longer: a frame of 4096 x 4096 pixels with four channels.
@@ -31,7 +31,7 @@ const BUFFER: usize = 1 << 16;
 
 /// One packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Packet {
+pub(super) struct Packet {
     /// Where its header begins.
     pub at: u64,
     /// What its events are.
@@ -69,7 +69,7 @@ impl Packet {
     }
 
     /// Where the content begins.
-    pub fn content(&self) -> u64 {
+    pub(super) fn content(&self) -> u64 {
         self.at + HEAD
     }
 
@@ -78,20 +78,20 @@ impl Packet {
     }
 
     /// A stamp of this packet in ns: the clock's 31 bits, continued by the overflow; `None` for one that is negative.
-    pub fn time_ns(&self, stamp: i32) -> Option<i64> {
+    pub(super) fn time_ns(&self, stamp: i32) -> Option<i64> {
         let stamp = u32::try_from(stamp).ok()?;
         // 20 bits of overflow and 31 of the stamp: in ns below 2^61.
         Some((i64::from(self.overflow) << 31 | i64::from(stamp)) * 1000)
     }
 
     /// For messages.
-    pub fn place(&self) -> String {
+    pub(super) fn place(&self) -> String {
         format!("packet at byte {}", self.at)
     }
 }
 
 /// Walks from packet to packet.
-pub struct Packets {
+pub(super) struct Packets {
     path: PathBuf,
     file: BufReader<File>,
     /// Where the first header stands.
@@ -108,7 +108,7 @@ impl Packets {
     ///
     /// # Errors
     /// When the file cannot be opened.
-    pub fn open(path: &Path, first: u64) -> Result<Packets, FormatError> {
+    pub(super) fn open(path: &Path, first: u64) -> Result<Packets, FormatError> {
         let io = |error: std::io::Error| FormatError::io(path, &error);
         let file = File::open(path).map_err(io)?;
         let size = file.metadata().map_err(io)?.len();
@@ -116,12 +116,12 @@ impl Packets {
     }
 
     /// Goes back to the first packet.
-    pub fn rewind(&mut self) {
+    pub(super) fn rewind(&mut self) {
         self.at = self.first;
     }
 
     /// Where the walk stands, of how many bytes.
-    pub fn position(&self) -> (u64, u64) {
+    pub(super) fn position(&self) -> (u64, u64) {
         (self.at.min(self.size), self.size)
     }
 
@@ -129,7 +129,7 @@ impl Packets {
     ///
     /// # Errors
     /// When the file cannot be read any more.
-    pub fn next(&mut self) -> Result<Option<Packet>, FormatError> {
+    pub(super) fn next(&mut self) -> Result<Option<Packet>, FormatError> {
         if self.at >= self.size {
             return Ok(None);
         }
@@ -179,7 +179,7 @@ impl Packets {
     ///
     /// # Errors
     /// When the file cannot be read any more.
-    pub fn read(&mut self, packet: &Packet, from: u32, count: u32, bytes: &mut Vec<u8>) -> Result<(), FormatError> {
+    pub(super) fn read(&mut self, packet: &Packet, from: u32, count: u32, bytes: &mut Vec<u8>) -> Result<(), FormatError> {
         let size = u64::from(packet.size);
         let count = count.min(packet.number.saturating_sub(from));
         self.fetch(packet.content() + u64::from(from) * size, u64::from(count) * size, bytes)
@@ -189,7 +189,7 @@ impl Packets {
     ///
     /// # Errors
     /// When the file cannot be read any more.
-    pub fn fetch(&mut self, at: u64, length: u64, bytes: &mut Vec<u8>) -> Result<(), FormatError> {
+    pub(super) fn fetch(&mut self, at: u64, length: u64, bytes: &mut Vec<u8>) -> Result<(), FormatError> {
         bytes.clear();
         self.go_to(at)?;
         (&mut self.file).take(length).read_to_end(bytes).map_err(|error| FormatError::io(&self.path, &error))?;

@@ -18,7 +18,7 @@ const HEAD: u64 = 12;
 
 /// A packet's head.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Packet {
+pub(super) struct Packet {
     /// Where its head stands.
     pub at: u64,
     /// Its stream.
@@ -29,18 +29,18 @@ pub struct Packet {
 
 impl Packet {
     /// Where the next packet stands.
-    pub fn end(&self) -> u64 {
+    pub(super) fn end(&self) -> u64 {
         self.at + 8 + self.length
     }
 
     /// For messages.
-    pub fn place(&self) -> String {
+    pub(super) fn place(&self) -> String {
         format!("bytes {} to {}", self.at, self.end())
     }
 }
 
 /// A walk.
-pub struct Chain {
+pub(super) struct Chain {
     path: PathBuf,
     file: BufReader<File>,
     /// Where the file is read next.
@@ -64,7 +64,7 @@ impl Chain {
     ///
     /// # Errors
     /// When the file has gone.
-    pub fn new(path: &Path, header: &Arc<Header>, end: u64, buffer: usize) -> Result<Chain, FormatError> {
+    pub(super) fn new(path: &Path, header: &Arc<Header>, end: u64, buffer: usize) -> Result<Chain, FormatError> {
         let file = File::open(path).map_err(|error| FormatError::io(path, &error))?;
         let (raw, plain) = (Vec::new(), Plain::default());
         let file = BufReader::with_capacity(buffer, file);
@@ -72,12 +72,12 @@ impl Chain {
     }
 
     /// Where the walk stands, and where it ends.
-    pub fn position(&self) -> (u64, u64) {
+    pub(super) fn position(&self) -> (u64, u64) {
         (self.at.min(self.end), self.end)
     }
 
     /// Goes on at a packet.
-    pub fn go_to(&mut self, at: u64) {
+    pub(super) fn go_to(&mut self, at: u64) {
         self.at = at;
         self.unproven = None;
     }
@@ -115,7 +115,7 @@ impl Chain {
     ///
     /// # Errors
     /// When the file cannot be read.
-    pub fn next(&mut self, losses: &mut Losses) -> Result<Option<Packet>, FormatError> {
+    pub(super) fn next(&mut self, losses: &mut Losses) -> Result<Option<Packet>, FormatError> {
         if self.at >= self.end {
             return Ok(None);
         }
@@ -172,7 +172,7 @@ impl Chain {
     ///
     /// # Errors
     /// When the file cannot be read.
-    pub fn load(&mut self, packet: &Packet, wanted: usize, losses: &mut Losses) -> Result<bool, FormatError> {
+    pub(super) fn load(&mut self, packet: &Packet, wanted: usize, losses: &mut Losses) -> Result<bool, FormatError> {
         self.seek(packet.at + 8)?;
         let length = packet.length as usize;
         // No longer than the rest of the file: the head was held against it.
@@ -194,19 +194,19 @@ impl Chain {
     }
 
     /// Notes that a packet is damaged.
-    pub fn spoiled(&mut self, packet: &Packet, why: &str, losses: &mut Losses) {
+    pub(super) fn spoiled(&mut self, packet: &Packet, why: &str, losses: &mut Losses) {
         self.wasted += packet.length;
         self.unproven = Some(packet.at);
         losses.add("packets that are damaged", || packet.place(), || format!("the packet is damaged and left out: {why}"));
     }
 
     /// Notes that a packet is whole: its length is what it says.
-    pub fn proven(&mut self) {
+    pub(super) fn proven(&mut self) {
         self.unproven = None;
     }
 
     /// What [`Chain::load`] read.
-    pub fn content(&self) -> &[u8] {
+    pub(super) fn content(&self) -> &[u8] {
         self.plain.bytes()
     }
 }
@@ -215,7 +215,7 @@ impl Chain {
 ///
 /// # Errors
 /// When they are not there.
-pub fn read_at(path: &Path, at: u64, length: u64) -> Result<Vec<u8>, FormatError> {
+pub(super) fn read_at(path: &Path, at: u64, length: u64) -> Result<Vec<u8>, FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let mut file = File::open(path).map_err(io)?;
     file.seek(SeekFrom::Start(at)).map_err(io)?;

@@ -7,11 +7,11 @@
 use std::io::Read;
 
 /// No packet may be larger than this when it is decompressed: 8 million events, or a frame of 64 megapixels.
-pub const MOST_BYTES: usize = 1 << 27;
+pub(super) const MOST_BYTES: usize = 1 << 27;
 
 /// How packets are compressed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Compression {
+pub(super) enum Compression {
     /// Not at all.
     None,
     /// An LZ4 frame each.
@@ -22,7 +22,7 @@ pub enum Compression {
 
 impl Compression {
     /// From the number in the header.
-    pub fn of_code(code: i32) -> Option<Compression> {
+    pub(super) fn of_code(code: i32) -> Option<Compression> {
         match code {
             0 => Some(Compression::None),
             1 | 2 => Some(Compression::Lz4),
@@ -32,7 +32,7 @@ impl Compression {
     }
 
     /// For people.
-    pub fn name(self) -> &'static str {
+    pub(super) fn name(self) -> &'static str {
         match self {
             Compression::None => "none",
             Compression::Lz4 => "LZ4",
@@ -41,7 +41,7 @@ impl Compression {
     }
 
     /// Could a packet of `length` bytes begin so? `start` is its first four bytes.
-    pub fn begins(self, start: [u8; 4], length: u64) -> bool {
+    pub(super) fn begins(self, start: [u8; 4], length: u64) -> bool {
         match self {
             // A table begins with its own size.
             Compression::None => u64::from(u32::from_le_bytes(start)) + 4 == length,
@@ -56,7 +56,7 @@ const LZ4_LEGACY_MAGIC: [u8; 4] = [0x02, 0x21, 0x4c, 0x18];
 
 /// A buffer for decompressed packets, used again and again.
 #[derive(Default)]
-pub struct Plain {
+pub(super) struct Plain {
     /// Longer than what is in use: it is not cleared between packets.
     buffer: Vec<u8>,
     used: usize,
@@ -66,7 +66,7 @@ pub struct Plain {
 
 impl Plain {
     /// What was decompressed last.
-    pub fn bytes(&self) -> &[u8] {
+    pub(super) fn bytes(&self) -> &[u8] {
         &self.buffer[..self.used]
     }
 
@@ -74,7 +74,7 @@ impl Plain {
     ///
     /// # Errors
     /// When the bytes are damaged, or grow beyond [`MOST_BYTES`]: says why.
-    pub fn fill(&mut self, compression: Compression, packet: &[u8], wanted: usize) -> Result<(), String> {
+    pub(super) fn fill(&mut self, compression: Compression, packet: &[u8], wanted: usize) -> Result<(), String> {
         self.used = 0;
         match compression {
             Compression::None => {

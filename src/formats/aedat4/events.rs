@@ -2,10 +2,9 @@
 //!
 //! A packet (`EVTS`) is one vector of structures of 16 bytes: stamp in microseconds (i64), column and row (i16), polarity (u8), three bytes of nothing.
 
-use super::Inner;
 use super::chain::{Chain, Packet};
-use super::flat::Table;
-use super::index::{Mark, marks_by_reading};
+use super::index::{EVENT, Mark, elements, marks_by_reading};
+use super::shared::Inner;
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
 use crate::error::{Cause, FormatError, Loss};
 use crate::losses::Losses;
@@ -13,19 +12,11 @@ use crate::recording::EventCursor;
 use photocurrent_core::Extent;
 use std::sync::Arc;
 
-/// Bytes of an event.
-const EVENT: usize = 16;
-
 /// Stamps beyond this do not fit into nanoseconds of 64 bits.
 const MOST_US: i64 = i64::MAX / 1000;
 
-/// The bytes of a packet's events; `None` when the packet is damaged.
-pub fn elements(content: &[u8]) -> Option<&[u8]> {
-    Table::root(content, b"EVTS")?.vector(0, EVENT)
-}
-
 /// A walk through the events.
-pub struct Cursor {
+pub(super) struct Cursor {
     file: Arc<Inner>,
     chain: Chain,
     stream: u32,
@@ -42,7 +33,7 @@ impl Cursor {
     ///
     /// # Errors
     /// When the file has gone.
-    pub fn new(file: &Arc<Inner>, stream: u32, extent: Extent) -> Result<Cursor, FormatError> {
+    pub(super) fn new(file: &Arc<Inner>, stream: u32, extent: Extent) -> Result<Cursor, FormatError> {
         let chain = Chain::new(&file.path, &file.header, file.index.end, 1 << 16)?;
         Ok(Cursor { file: file.clone(), chain, stream, extent, rest: 0..0, packet: None, losses: Losses::default() })
     }

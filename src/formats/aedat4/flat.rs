@@ -15,7 +15,7 @@ fn u32_at(buffer: &[u8], at: usize) -> Option<usize> {
 
 /// A table in a buffer.
 #[derive(Clone, Copy, Debug)]
-pub struct Table<'a> {
+pub(super) struct Table<'a> {
     buffer: &'a [u8],
     /// Where the table stands.
     at: usize,
@@ -25,14 +25,14 @@ pub struct Table<'a> {
 
 impl<'a> Table<'a> {
     /// The root of a buffer that begins with its size; `identifier` is the four letters of its kind.
-    pub fn root(buffer: &'a [u8], identifier: &[u8; 4]) -> Option<Table<'a>> {
+    pub(super) fn root(buffer: &'a [u8], identifier: &[u8; 4]) -> Option<Table<'a>> {
         let size = u32_at(buffer, 0)?;
         let buffer = buffer.get(4..size.checked_add(4)?)?;
         Self::root_of(buffer, identifier)
     }
 
     /// The root of the beginning of such a buffer, of which the end may be missing.
-    pub fn root_of_start(buffer: &'a [u8], identifier: &[u8; 4]) -> Option<Table<'a>> {
+    pub(super) fn root_of_start(buffer: &'a [u8], identifier: &[u8; 4]) -> Option<Table<'a>> {
         Self::root_of(buffer.get(4..)?, identifier)
     }
 
@@ -61,33 +61,33 @@ impl<'a> Table<'a> {
     }
 
     /// A field of 64 bits; 0 when it is absent, as the format has it.
-    pub fn i64(&self, slot: usize) -> i64 {
+    pub(super) fn i64(&self, slot: usize) -> i64 {
         self.field(slot).and_then(|at| bytes(self.buffer, at)).map_or(0, i64::from_le_bytes)
     }
 
     /// A field of 32 bits; 0 when it is absent.
-    pub fn i32(&self, slot: usize) -> i32 {
+    pub(super) fn i32(&self, slot: usize) -> i32 {
         self.field(slot).and_then(|at| bytes(self.buffer, at)).map_or(0, i32::from_le_bytes)
     }
 
     /// A field of 16 bits; 0 when it is absent.
-    pub fn i16(&self, slot: usize) -> i16 {
+    pub(super) fn i16(&self, slot: usize) -> i16 {
         self.field(slot).and_then(|at| bytes(self.buffer, at)).map_or(0, i16::from_le_bytes)
     }
 
     /// A field of 8 bits; 0 when it is absent.
-    pub fn i8(&self, slot: usize) -> i8 {
+    pub(super) fn i8(&self, slot: usize) -> i8 {
         self.field(slot).and_then(|at| bytes(self.buffer, at)).map_or(0, i8::from_le_bytes)
     }
 
     /// A field that is a structure of two 32-bit numbers.
-    pub fn two_i32(&self, slot: usize) -> Option<(i32, i32)> {
+    pub(super) fn two_i32(&self, slot: usize) -> Option<(i32, i32)> {
         let at = self.field(slot)?;
         Some((i32::from_le_bytes(bytes(self.buffer, at)?), i32::from_le_bytes(bytes(self.buffer, at + 4)?)))
     }
 
     /// Has the table this field?
-    pub fn has(&self, slot: usize) -> bool {
+    pub(super) fn has(&self, slot: usize) -> bool {
         self.field(slot).is_some()
     }
 
@@ -99,12 +99,12 @@ impl<'a> Table<'a> {
     }
 
     /// How many elements a vector says to have; 0 when it is absent.
-    pub fn vector_length(&self, slot: usize) -> Option<usize> {
+    pub(super) fn vector_length(&self, slot: usize) -> Option<usize> {
         if self.has(slot) { self.vector_at(slot).map(|(_, count)| count) } else { Some(0) }
     }
 
     /// The bytes of a vector of elements of `size` bytes; empty when it is absent, `None` when it does not fit into the buffer.
-    pub fn vector(&self, slot: usize, size: usize) -> Option<&'a [u8]> {
+    pub(super) fn vector(&self, slot: usize, size: usize) -> Option<&'a [u8]> {
         if !self.has(slot) {
             return Some(&[]);
         }
@@ -113,7 +113,7 @@ impl<'a> Table<'a> {
     }
 
     /// The tables that a vector points to. Those that are damaged are `None`.
-    pub fn tables(&self, slot: usize) -> impl Iterator<Item = Option<Table<'a>>> + use<'a> {
+    pub(super) fn tables(&self, slot: usize) -> impl Iterator<Item = Option<Table<'a>>> + use<'a> {
         let buffer = self.buffer;
         let pointers = self.vector(slot, 4).unwrap_or_default();
         let start = self.vector_at(slot).map_or(0, |(start, _)| start);

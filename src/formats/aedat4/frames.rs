@@ -3,9 +3,9 @@
 //! A packet (`FRME`) is one frame: a plain stamp, start and end of the frame and of its exposure (all in microseconds), the type of its values after OpenCV
 //! (8 or 16 bits; grey, BGR or BGRA), size, position on the sensor, and the values row by row. Opening reads the beginnings of the packets only.
 
-use super::Inner;
 use super::chain::{Chain, Packet};
 use super::flat::Table;
+use super::shared::Inner;
 use crate::declared::StampRole;
 use crate::error::{FormatError, Loss};
 use crate::losses::Losses;
@@ -18,7 +18,7 @@ const TABLE_BYTES: usize = 1 << 10;
 
 /// How a frame's pixels stand in the file: OpenCV's type code.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PixelFormat {
+pub(super) struct PixelFormat {
     /// Channels in the file: 1 grey, 3 BGR, 4 BGRA.
     stored: usize,
     /// Bytes of one value, little-endian.
@@ -27,7 +27,7 @@ pub struct PixelFormat {
 
 impl PixelFormat {
     /// From OpenCV's code: three bits of depth, then the channels less one.
-    pub fn of_code(code: i8) -> Option<PixelFormat> {
+    pub(super) fn of_code(code: i8) -> Option<PixelFormat> {
         let bytes = match code & 7 {
             0 => 1,
             2 => 2,
@@ -94,7 +94,7 @@ impl Head {
 }
 
 /// The frames of a file.
-pub struct Frames {
+pub(super) struct Frames {
     about: FramesAbout,
     format: PixelFormat,
     packets: Vec<Packet>,
@@ -107,7 +107,7 @@ impl Frames {
     ///
     /// # Errors
     /// When the file cannot be read.
-    pub fn new(file: &Arc<Inner>, stated: Option<Extent>, notes: Vec<String>) -> Result<(Option<Frames>, Vec<Loss>), FormatError> {
+    pub(super) fn new(file: &Arc<Inner>, stated: Option<Extent>, notes: Vec<String>) -> Result<(Option<Frames>, Vec<Loss>), FormatError> {
         let mut losses = Losses::default();
         let mut chain = Chain::new(&file.path, &file.header, file.index.end, 1 << 12)?;
         let (mut stamps, mut packets) = (Vec::new(), Vec::new());

@@ -13,14 +13,14 @@ use std::io::Read;
 use std::path::Path;
 
 /// What every AEDAT4 file begins with.
-pub const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
+pub(super) const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
 
 /// A header that claims more than this is none.
 const MOST_HEADER: u64 = 1 << 26;
 
 /// What a stream's packets hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Content {
+pub(super) enum Content {
     /// Events.
     Events,
     /// Frames.
@@ -33,7 +33,7 @@ pub enum Content {
 
 /// One stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Stream {
+pub(super) struct Stream {
     /// Its number, which every packet bears.
     pub id: u32,
     /// What it holds.
@@ -50,7 +50,7 @@ pub struct Stream {
 
 /// What the head says.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Header {
+pub(super) struct Header {
     /// How packets are compressed.
     pub compression: Compression,
     /// Where the first packet stands.
@@ -68,7 +68,7 @@ impl Header {
     ///
     /// # Errors
     /// When it is not an AEDAT4 file, ends within its head, or the head is damaged.
-    pub fn read(path: &Path) -> Result<Header, FormatError> {
+    pub(super) fn read(path: &Path) -> Result<Header, FormatError> {
         let io = |error: std::io::Error| FormatError::io(path, &error);
         let mut file = File::open(path).map_err(io)?;
         let size = file.metadata().map_err(io)?.len();
@@ -109,7 +109,13 @@ impl Header {
     ///
     /// # Errors
     /// When there is none of that name.
-    pub fn choose(&self, path: &Path, content: Content, named: Option<&str>, field: &'static str) -> Result<(Option<&Stream>, Option<String>), FormatError> {
+    pub(super) fn choose(
+        &self,
+        path: &Path,
+        content: Content,
+        named: Option<&str>,
+        field: &'static str,
+    ) -> Result<(Option<&Stream>, Option<String>), FormatError> {
         let all: Vec<&Stream> = self.streams.iter().filter(|stream| stream.content == content).collect();
         let Some(wanted) = named else {
             let Some((first, rest)) = all.split_first() else { return Ok((None, None)) };
@@ -135,7 +141,7 @@ impl Header {
 
 impl Stream {
     /// For people: "0 EVTS `events` 346 x 260 of DAVIS346_00000336".
-    pub fn describe(&self) -> String {
+    pub(super) fn describe(&self) -> String {
         let name = self.name.as_ref().map(|name| format!(" `{name}`")).unwrap_or_default();
         let extent = self.extent.map(|extent| format!(" {extent}")).unwrap_or_default();
         let source = self.source.as_ref().map(|source| format!(" of {source}")).unwrap_or_default();

@@ -21,7 +21,7 @@ const MOST_TRIGGERS: usize = 1 << 20;
 
 /// A place to begin to read events.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Mark {
+pub(super) struct Mark {
     /// Where a packet of events stands.
     pub at: u64,
     /// The latest stamp of this packet and of those up to the next mark, us.
@@ -30,7 +30,7 @@ pub struct Mark {
 
 /// What is known of the packets.
 #[derive(Clone, Debug, Default)]
-pub struct Index {
+pub(super) struct Index {
     /// Where the packets end.
     pub end: u64,
     /// Places to begin to read events; without times when the file has no data table.
@@ -49,7 +49,7 @@ pub struct Index {
 
 /// Which streams are looked for.
 #[derive(Clone, Copy, Debug)]
-pub struct Wanted {
+pub(super) struct Wanted {
     /// Events.
     pub events: Option<u32>,
     /// Frames.
@@ -63,7 +63,7 @@ impl Index {
     ///
     /// # Errors
     /// When the file cannot be read.
-    pub fn new(path: &Path, header: &Arc<Header>, wanted: Wanted, losses: &mut Losses) -> Result<Index, FormatError> {
+    pub(super) fn new(path: &Path, header: &Arc<Header>, wanted: Wanted, losses: &mut Losses) -> Result<Index, FormatError> {
         let mut end = header.size;
         match header.table {
             Some(at) if at >= header.first && at < header.size => match table(path, header, at, wanted) {
@@ -162,17 +162,25 @@ fn walk(path: &Path, header: &Arc<Header>, end: u64, wanted: Wanted, losses: &mu
     Ok(index)
 }
 
+/// Bytes of an event.
+pub(super) const EVENT: usize = 16;
+
+/// The bytes of a packet's events; `None` when the packet is damaged.
+pub(super) fn elements(content: &[u8]) -> Option<&[u8]> {
+    Table::root(content, b"EVTS")?.vector(0, EVENT)
+}
+
 /// Marks with times for a file without a data table: every packet of events is read once.
 ///
 /// # Errors
 /// When the file cannot be read.
-pub fn marks_by_reading(path: &Path, header: &Arc<Header>, end: u64, stream: u32) -> Result<Vec<Mark>, FormatError> {
+pub(super) fn marks_by_reading(path: &Path, header: &Arc<Header>, end: u64, stream: u32) -> Result<Vec<Mark>, FormatError> {
     let (mut chain, mut losses, mut marks) = (Chain::new(path, header, end, 1 << 16)?, Losses::default(), Vec::new());
     while let Some(packet) = chain.next(&mut losses)? {
         if packet.stream != stream || !chain.load(&packet, usize::MAX, &mut losses)? {
             continue;
         }
-        if let Some(events) = super::events::elements(chain.content()) {
+        if let Some(events) = elements(chain.content()) {
             let stamps = events.chunks_exact(16).filter_map(|event| event.first_chunk::<8>()).map(|bytes| i64::from_le_bytes(*bytes));
             let latest_us = stamps.max().unwrap_or(i64::MIN);
             chain.proven();

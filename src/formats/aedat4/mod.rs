@@ -18,6 +18,7 @@ mod header;
 mod index;
 #[doc(hidden)]
 pub mod made;
+mod shared;
 #[cfg(test)]
 mod tests;
 mod triggers;
@@ -31,8 +32,9 @@ use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use chain::Chain;
 use frames::Frames;
 use header::{Content, Header, Stream};
-use index::{Index, Mark, Wanted};
+use index::{Index, Wanted};
 use photocurrent_core::Extent;
+use shared::Inner;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use triggers::Triggers;
@@ -46,26 +48,6 @@ fn recognises(probe: &Probe) -> bool {
 
 fn open(path: &Path, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     Ok(Box::new(Aedat4::open(path, declared)?))
-}
-
-/// What all parts of a recording share.
-pub(crate) struct Inner {
-    path: PathBuf,
-    header: Arc<Header>,
-    index: Index,
-    /// Marks with times, where they had to be found by reading.
-    marks: OnceLock<Vec<Mark>>,
-}
-
-impl Inner {
-    /// Where to begin to read events: from the data table, or found by `find` once.
-    fn marks(&self, find: impl FnOnce(&Inner) -> Result<Vec<Mark>, FormatError>) -> Result<&[Mark], FormatError> {
-        if let Some(marks) = self.index.marks.as_ref().or(self.marks.get()) {
-            return Ok(marks);
-        }
-        let found = find(self)?;
-        Ok(self.marks.get_or_init(|| found))
-    }
 }
 
 /// An opened file.
@@ -147,7 +129,7 @@ impl Aedat4 {
         while let Some(packet) = chain.next(&mut losses).ok()? {
             if packet.stream == stream.id
                 && chain.load(&packet, usize::MAX, &mut losses).ok()?
-                && let Some(first) = events::elements(chain.content()).and_then(|events| events.first_chunk::<8>())
+                && let Some(first) = index::elements(chain.content()).and_then(|events| events.first_chunk::<8>())
             {
                 return Some(i64::from_le_bytes(*first));
             }

@@ -3,9 +3,9 @@
 //! A packet (`TRIG`) is one vector of tables: stamp in microseconds (i64), kind (i8). Kinds 1 and 2 are edges on the input of the camera, 4 and
 //! 5 edges of its own signal generator; 6 to 9 are begin and end of frames and exposures: signals of the camera about itself, no edges of a line.
 
-use super::Inner;
 use super::chain::{Chain, Packet};
 use super::flat::Table;
+use super::shared::Inner;
 use crate::chunk::{Edge, Trigger};
 use crate::error::FormatError;
 use crate::losses::Losses;
@@ -27,7 +27,7 @@ const KINDS: [&str; 10] = [
 
 /// All trigger signals of a file.
 #[derive(Clone, Debug, Default)]
-pub struct Triggers {
+pub(super) struct Triggers {
     /// Edges: line 0 is the input, line 1 the generator.
     pub edges: Vec<Trigger>,
     /// How many of each kind.
@@ -41,7 +41,7 @@ impl Triggers {
     ///
     /// # Errors
     /// When the file cannot be read.
-    pub fn new(file: &Arc<Inner>, stream: u32) -> Result<Triggers, FormatError> {
+    pub(super) fn new(file: &Arc<Inner>, stream: u32) -> Result<Triggers, FormatError> {
         let mut chain = Chain::new(&file.path, &file.header, file.index.end, 1 << 12)?;
         let mut found = Triggers::default();
         match &file.index.triggers {
@@ -91,7 +91,7 @@ impl Triggers {
     }
 
     /// For people: "59 begins of frames, 59 ends of frames"; `None` without any.
-    pub fn describe(&self) -> Option<String> {
+    pub(super) fn describe(&self) -> Option<String> {
         let some: Vec<String> = self.counts.iter().zip(KINDS).filter(|(count, _)| **count > 0).map(|(count, kind)| format!("{count} {kind}")).collect();
         (!some.is_empty()).then(|| some.join(", "))
     }

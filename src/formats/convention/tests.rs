@@ -1,12 +1,12 @@
 //! Files with unusual conventions, written here, read as what they mean: numpy arrays, text and HDF5 alike.
 
-use crate::convention::Convention;
+use crate::catalog::named;
 use crate::csv::Csv;
 use crate::declared::{Counter, Declared, Polarity, TimeUnit};
 use crate::error::{Cause, FormatError};
-use crate::format::named;
 use crate::npy::tests::{npy, stored};
 use crate::npz::Npz;
+use crate::recording::Convention;
 use crate::recording::{EventCursor, Recording};
 use crate::text::tests::{collect, drain};
 use crate::{EventChunk, Loss};

@@ -27,17 +27,17 @@ pub(crate) struct Clock {
 
 impl Clock {
     /// A clock of so many bits.
-    pub fn new(bits: u32, slack: i64, tick_ns: i64) -> Clock {
+    pub(super) fn new(bits: u32, slack: i64, tick_ns: i64) -> Clock {
         Clock { period: 1 << bits, slack, tick_ns, ticks: None, before_leap: None }
     }
 
     /// Has it a time?
-    pub fn is_set(&self) -> bool {
+    pub(super) fn is_set(&self) -> bool {
         self.ticks.is_some()
     }
 
     /// The time, ns.
-    pub fn ns(&self) -> i64 {
+    pub(super) fn ns(&self) -> i64 {
         self.ticks.unwrap_or(0).saturating_mul(self.tick_ns).clamp(-FURTHEST_NS, FURTHEST_NS)
     }
 
@@ -48,7 +48,7 @@ impl Clock {
     }
 
     /// Takes a stored time. True if the one before it was a stray.
-    pub fn set(&mut self, raw: i64) -> bool {
+    pub(super) fn set(&mut self, raw: i64) -> bool {
         let Some(now) = self.ticks else {
             self.ticks = Some(raw);
             return false;

@@ -4,7 +4,7 @@
 //! Source: "DAT File Format" of the Prophesee documentation; for version 1 the loaders that the maker published for Matlab.
 //! The time wraps after 71 minutes; it goes on from one record to the next by the smallest step, forward or back.
 
-use super::Decoder;
+use super::decoder::Decoder;
 use super::faults::{BURST, Bounds, Buffer, Faults};
 use crate::chunk::{EventChunk, Trigger};
 use photocurrent_core::Extent;

@@ -7,8 +7,8 @@
 //! Two orders of the halves of an EVT2.1 word exist: little-endian as a whole, and "legacy" (IMX636), where the half with the kind comes first.
 
 use super::clock::Clock;
+use super::decoder::{Decoder, trigger};
 use super::faults::{BURST, Bounds, Buffer, Faults};
-use super::{Decoder, trigger};
 use crate::chunk::{EventChunk, Trigger};
 use photocurrent_core::Extent;
 

@@ -8,8 +8,8 @@
 //! has it. A lower time word that steps back is not a carry: cameras do write stamps out of order by some microseconds.
 
 use super::clock::Clock;
+use super::decoder::{Decoder, trigger};
 use super::faults::{BURST, Bounds, Buffer, Faults};
-use super::{Decoder, trigger};
 use crate::chunk::{EventChunk, Trigger};
 use photocurrent_core::Extent;
 

@@ -32,7 +32,7 @@ pub(crate) struct Bounds {
 
 impl Bounds {
     /// From an extent; without one, `most` in both directions.
-    pub fn new(extent: Option<Extent>, most: u16) -> Bounds {
+    pub(super) fn new(extent: Option<Extent>, most: u16) -> Bounds {
         let within = |n: u32| u16::try_from(n).unwrap_or(most).min(most);
         extent.map_or(Bounds { width: most, height: most }, |extent| Bounds { width: within(extent.width), height: within(extent.height) })
     }
@@ -57,13 +57,13 @@ pub(crate) struct Buffer {
 }
 
 impl Buffer {
-    pub fn new() -> Buffer {
+    pub(super) fn new() -> Buffer {
         Buffer { t: [0; N], x: [0; N], y: [0; N], on: [0; N], n: 0 }
     }
 
     /// Puts an event that stands only if `keep`.
     #[inline(always)]
-    pub fn put(&mut self, keep: bool, t: i64, x: u16, y: u16, on: u8) {
+    pub(super) fn put(&mut self, keep: bool, t: i64, x: u16, y: u16, on: u8) {
         let at = self.n % N;
         self.t[at] = t;
         self.x[at] = x;
@@ -73,20 +73,20 @@ impl Buffer {
     }
 
     /// How many events it holds.
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.n
     }
 
     /// Makes room for [`BURST`] events.
     #[inline]
-    pub fn pass(&mut self, out: &mut EventChunk) {
+    pub(super) fn pass(&mut self, out: &mut EventChunk) {
         if self.n > N - BURST {
             self.flush(out);
         }
     }
 
     /// Gives all events to `out`.
-    pub fn flush(&mut self, out: &mut EventChunk) {
+    pub(super) fn flush(&mut self, out: &mut EventChunk) {
         let n = self.n.min(N);
         out.t.extend_from_slice(&self.t[..n]);
         out.x.extend_from_slice(&self.x[..n]);

@@ -27,7 +27,7 @@ pub(crate) enum Encoding {
 
 impl Header {
     /// Reads the header at the head of a file; `None` where there is none.
-    pub fn parse(bytes: &[u8]) -> Option<Header> {
+    pub(super) fn parse(bytes: &[u8]) -> Option<Header> {
         let mut header = Header::default();
         let bytes = &bytes[..bytes.len().min(LONGEST)];
         loop {
@@ -45,7 +45,7 @@ impl Header {
     }
 
     /// The value of a key, in whatever case it is written; the first if there are several, none if it is empty.
-    pub fn get(&self, key: &str) -> Option<&str> {
+    pub(super) fn get(&self, key: &str) -> Option<&str> {
         let mut values = self.fields.iter().filter(|(k, _)| k.eq_ignore_ascii_case(key)).map(|(_, value)| value.as_str());
         values.find(|value| !value.is_empty())
     }
@@ -57,7 +57,7 @@ impl Header {
     }
 
     /// How the data are encoded; `None` where the file is no RAW file of ours.
-    pub fn encoding(&self) -> Option<Encoding> {
+    pub(super) fn encoding(&self) -> Option<Encoding> {
         if let Some(format) = self.get("format") {
             return match format.split(';').next().unwrap_or("").trim() {
                 "EVT2" | "EVT2.0" => Some(Encoding::Evt2),
@@ -75,7 +75,7 @@ impl Header {
     }
 
     /// Are the halves of EVT2.1 words swapped? As the header says; where it does not, as the camera that it names is known to write.
-    pub fn is_legacy(&self) -> bool {
+    pub(super) fn is_legacy(&self) -> bool {
         /// The first of the maker's systems that writes whole words.
         const FIRST_WHOLE: u32 = 0x37;
         match self.option("endianness").or(self.get("endianness")) {
@@ -95,7 +95,7 @@ impl Header {
     }
 
     /// Size of the pixel array: stated, or that of the sensor which the file names; and in the latter case from what it was taken.
-    pub fn extent(&self) -> Option<(Extent, Option<String>)> {
+    pub(super) fn extent(&self) -> Option<(Extent, Option<String>)> {
         let stated = self.stated_extent().map(|extent| (extent, None));
         stated
             .or_else(|| self.extent_of_sensor().map(|(extent, key, value)| (extent, Some(format!("size of the sensor that the header names: {key} {value}")))))
@@ -147,7 +147,7 @@ impl Header {
     }
 
     /// What the header says, for people.
-    pub fn facts(&self) -> Vec<(String, String)> {
+    pub(super) fn facts(&self) -> Vec<(String, String)> {
         let mut facts = Vec::new();
         let mut fact = |name: &str, value: Option<String>| facts.extend(value.map(|value| (name.into(), value)));
         let integrator = self.get("camera_integrator_name").or(self.get("integrator_name"));

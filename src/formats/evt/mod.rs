@@ -11,6 +11,7 @@
 
 mod clock;
 mod dat;
+mod decoder;
 mod evt2;
 mod evt3;
 pub mod evt3_writer;
@@ -27,7 +28,6 @@ pub use evt2::{Evt2Decoder, Evt21Decoder};
 pub use evt3::Evt3Decoder;
 pub use faults::Faults;
 
-use crate::chunk::{Edge, EventChunk, Trigger};
 use crate::declared::Declared;
 use crate::error::FormatError;
 use crate::format::{Format, Probe};
@@ -47,23 +47,6 @@ pub static EVT3: Format = Format { id: "evt3", name: "Prophesee RAW, EVT3", reco
 
 /// Decoded events.
 pub static DAT: Format = Format { id: "dat", name: "Prophesee DAT", recognises: is_dat, open: open_dat };
-
-/// What the reader of a file needs of a decoder.
-pub(crate) trait Decoder: Clone + Send + Sync + 'static {
-    /// Bytes of a word.
-    const WORD: usize;
-
-    /// Decodes whole words; gives the number of bytes that were used.
-    fn decode(&mut self, bytes: &[u8], out: &mut EventChunk, triggers: &mut Vec<Trigger>) -> usize;
-
-    /// What was left out so far.
-    fn faults(&self) -> &Faults;
-}
-
-/// A trigger edge: bit 0 of its word is the level after it.
-fn trigger(t: i64, word: u16, line: u16) -> Trigger {
-    Trigger { t, line, edge: if word & 1 == 1 { Edge::Rising } else { Edge::Falling } }
-}
 
 fn is_raw(probe: &Probe, encoding: Encoding) -> bool {
     Header::parse(&probe.head).is_some_and(|header| header.encoding() == Some(encoding))

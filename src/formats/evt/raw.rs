@@ -3,8 +3,9 @@
 //! The index has the state of the decoder every few megabytes, and the latest stamp before it. It grows on the way, whoever reads; a jump beyond it
 //! decodes from its end. All cursors of a recording share it.
 
+use super::decoder::Decoder;
+use super::faults::Faults;
 use super::header::{self, Header};
-use super::{Decoder, Faults};
 use crate::bias;
 use crate::chunk::{EventChunk, Trigger};
 use crate::error::{Cause, FormatError, Loss};

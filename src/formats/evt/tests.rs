@@ -1,5 +1,6 @@
 //! Decoders against words made by hand after the published layouts, and the writer against the decoder.
 
+use super::decoder::Decoder;
 use super::evt3_writer::Writer;
 use super::*;
 use crate::chunk::{Edge, EventChunk, Trigger};

@@ -10,7 +10,7 @@
 mod common;
 
 use common::{Random, Seed, mutate, read, seeds};
-use photocurrent_formats::format;
+use photocurrent_formats::catalog;
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -96,7 +96,7 @@ fn rate_of(seed: &Seed) -> f64 {
     const READS: usize = 20;
     let place = scratch();
     let path = seed.write(place.path(), None);
-    let format = format::named(seed.format).unwrap();
+    let format = catalog::named(seed.format).unwrap();
     let start = Instant::now();
     for _ in 0..READS {
         read(&path, format, &seed.declared);
@@ -106,7 +106,7 @@ fn rate_of(seed: &Seed) -> f64 {
 
 /// Reads so many changed copies of one recording; gives the number of failures.
 fn fuzz(seed: &Seed, inputs: u64, first_seed: u64, start: Instant) -> u64 {
-    let format = format::named(seed.format).unwrap();
+    let format = catalog::named(seed.format).unwrap();
     let mut random = Random::new(first_seed);
     let place = scratch();
     let mut before: Option<Seed> = None;

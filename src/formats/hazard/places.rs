@@ -1,9 +1,10 @@
 //! How frames and events lie on each other, as values that a reader takes: for whoever writes a manifest.
 
-use super::Limits;
+use super::limits::Limits;
 use crate::declared::{Mirror, Shift};
 use crate::survey::grid::GridSurvey;
-use crate::survey::lag::{Interval, LagSurvey};
+use crate::survey::interval::Interval;
+use crate::survey::lag::LagSurvey;
 
 /// The way in which frames are mirrored against events, where that is clear, with the correlation there.
 pub fn mirror_of(lag: &LagSurvey, limits: &Limits) -> Option<(Mirror, f64)> {

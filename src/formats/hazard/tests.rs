@@ -3,7 +3,8 @@
 use super::*;
 use crate::error::{FormatError, Loss};
 use crate::recording::{EventCursor, EventsAbout, FrameStamp, FramesAbout, Pictures, Recording};
-use crate::survey::lag::{Interval, LagSurvey};
+use crate::survey::interval::Interval;
+use crate::survey::lag::LagSurvey;
 use crate::survey::{Most, survey};
 use crate::{Edge, EventChunk, StampRole, Transfer, Trigger};
 use photocurrent_core::random::Random;

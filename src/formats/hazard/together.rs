@@ -2,7 +2,8 @@
 
 use super::{Finding, Limits, Severity, count, mirror_of, percent, shift_of, time};
 use crate::survey::grid::GridSurvey;
-use crate::survey::lag::{Interval, LagSurvey};
+use crate::survey::interval::Interval;
+use crate::survey::lag::LagSurvey;
 use crate::survey::lines::LineSurvey;
 use crate::survey::pictures::FramesSurvey;
 use crate::survey::{EventsSurvey, Survey};

@@ -1,10 +1,11 @@
 //! Files that end too early. What is left of one is compared with the whole of it, which other tests compare with formulas.
 #![allow(clippy::unwrap_used)]
 
+use crate::catalog::recognise;
 use crate::chunk::EventChunk;
 use crate::declared::Declared;
 use crate::error::{FormatError, Loss};
-use crate::format::{Format, recognise};
+use crate::format::Format;
 use crate::recording::EventCursor;
 use photocurrent_core::{Colour, Extent};
 use photocurrent_store::stream::{StreamedFrames, StreamedRecording};

@@ -18,7 +18,7 @@ use std::sync::Arc;
 mod folder;
 
 /// DSEC.
-pub static FORMAT: Format = Format { id: "dsec", name: "DSEC HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format = Format { id: "dsec", name: "DSEC HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     if probe.names.is_some() {

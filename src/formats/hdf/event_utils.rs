@@ -15,7 +15,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// event_utils' HDF5.
-pub static FORMAT: Format = Format { id: "event_utils_hdf5", name: "event_utils HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format =
+    Format { id: "event_utils_hdf5", name: "event_utils HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     holds(probe, &["events/xs", "events/ys", "events/ts", "events/ps"])

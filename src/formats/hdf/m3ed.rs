@@ -15,7 +15,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// M3ED.
-pub static FORMAT: Format = Format { id: "m3ed", name: "M3ED HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format = Format { id: "m3ed", name: "M3ED HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     holds(probe, &["prophesee/left/t"]) || holds(probe, &["prophesee/right/t"])

@@ -12,15 +12,16 @@
 //! | [`v2e`] | `events` N x 4: t, x, y, p | u32 us | `frame`, `frame_ts` |
 //! | [`event_utils`] | `events/{xs,ys,ts,ps}` | f64 s | `images/image000000000` with attributes |
 
-pub mod dsec;
-pub mod event_utils;
-pub mod m3ed;
-pub mod mvsec;
-pub mod prophesee;
-pub mod recording;
+pub(crate) mod dsec;
+pub(crate) mod event_utils;
+pub(crate) mod m3ed;
+pub(crate) mod mvsec;
+pub(crate) mod prophesee;
+pub(crate) mod recording;
+mod refusal;
 mod stack;
 mod table;
-pub mod v2e;
+pub(crate) mod v2e;
 pub mod write;
 
 #[cfg(test)]
@@ -28,31 +29,17 @@ mod cut_tests;
 #[cfg(test)]
 mod tests;
 
-use crate::convention::{Convention, Lazy, Rules, Settled};
+use crate::convention::{Lazy, Rules, Settled};
 use crate::error::{Cause, FormatError, Loss};
 use crate::format::Probe;
-use crate::recording::{EventCursor, EventsAbout, Pictures, Recording, not_read};
+use crate::recording::{Convention, EventCursor, EventsAbout, Pictures, Recording, not_read};
 use crate::{Declared, chunk::Trigger};
 use photocurrent_core::Extent;
-use photocurrent_store::StoreError;
 use photocurrent_store::foreign::{ForeignDataset, ForeignFile};
+use refusal::{COPY, refused};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use table::{EventTable, TableCursor};
-
-/// What to do about a damaged file.
-const COPY: &str = "the file is damaged: copy or record it again";
-
-/// Turns an error of the store into one of this crate.
-pub(crate) fn refused(path: &Path, error: StoreError) -> FormatError {
-    match error {
-        StoreError::Content { path, at, found, expected, hint } => FormatError::new(&path, format!("found {found}"), hint).at(at).expected(expected),
-        StoreError::NotReadable { path, found, hint } => FormatError::new(&path, found, hint),
-        StoreError::Io { path, source, .. } => FormatError::io(&path, &source),
-        StoreError::Library { path, at, doing, detail } => FormatError::new(&path, format!("cannot {doing}: {detail}"), COPY).at(at),
-        other => FormatError::new(path, other.to_string(), COPY),
-    }
-}
 
 fn open_file(path: &Path) -> Result<ForeignFile, FormatError> {
     ForeignFile::open(path).map_err(|error| refused(path, error))

@@ -13,7 +13,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// MVSEC.
-pub static FORMAT: Format = Format { id: "mvsec", name: "MVSEC HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format = Format { id: "mvsec", name: "MVSEC HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     holds(probe, &["davis/left/events"]) || holds(probe, &["davis/right/events"])

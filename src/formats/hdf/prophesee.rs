@@ -14,7 +14,7 @@ use photocurrent_store::foreign::ForeignFile;
 use std::path::Path;
 
 /// Prophesee's HDF5.
-pub static FORMAT: Format = Format { id: "prophesee_hdf5", name: "Prophesee HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format = Format { id: "prophesee_hdf5", name: "Prophesee HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 /// Attributes that people want to see.
 const FACTS: [&str; 8] = ["serial_number", "generation", "integrator_name", "plugin_integrator_name", "system_ID", "camera_integrator_name", "date", "version"];

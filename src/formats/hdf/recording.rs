@@ -14,7 +14,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Our own recordings.
-pub static FORMAT: Format = Format { id: "recording", name: "photocurrent recording", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format =
+    Format { id: "recording", name: "photocurrent recording", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     let says_so = |value: Option<Value>| value.is_some_and(|value| value.text() == Some("photocurrent-recording/1"));

@@ -59,7 +59,13 @@ impl Stack {
     ///
     /// # Errors
     /// When the dataset holds no frames, or it stays open which stamp belongs to which.
-    pub fn of_dataset(path: &Path, dataset: ForeignDataset, stamps: Vec<FrameStamp>, order: Order, declared: Option<&Declared>) -> Result<Stack, FormatError> {
+    pub(super) fn of_dataset(
+        path: &Path,
+        dataset: ForeignDataset,
+        stamps: Vec<FrameStamp>,
+        order: Order,
+        declared: Option<&Declared>,
+    ) -> Result<Stack, FormatError> {
         let wrong = || {
             let expected = "[frames, height, width], with 1 or 3 channels last";
             FormatError::new(path, format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected(expected)
@@ -85,11 +91,11 @@ impl Stack {
     }
 
     /// Datasets by name, one for each stamp of `about`.
-    pub fn of_each(file: &ForeignFile, names: Vec<String>, order: Order, about: FramesAbout) -> Stack {
+    pub(super) fn of_each(file: &ForeignFile, names: Vec<String>, order: Order, about: FramesAbout) -> Stack {
         Stack { path: file.path().into(), from: From::Each(file.clone(), names), order, about, lost: None }
     }
 
-    pub fn about_mut(&mut self) -> &mut FramesAbout {
+    pub(super) fn about_mut(&mut self) -> &mut FramesAbout {
         &mut self.about
     }
 }

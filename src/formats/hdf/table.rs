@@ -3,7 +3,7 @@
 //! A piece is read and unpacked at a time, a few chunks in parallel. Numbers of any type are accepted; what the reader made of them is said in notes.
 //! Seeking halves the time column, a row at a time, and goes back a little further so that small disorder leaves nothing out.
 
-use super::refused;
+use super::refusal::refused;
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
 use crate::convention::{NONE, Rules, Tally};
 use crate::error::{Cause, FormatError, Loss};
@@ -51,7 +51,7 @@ pub(super) struct EventTable {
 
 impl EventTable {
     /// Of columns of their own: x, y, t, p, and t_in where it exists.
-    pub fn of_columns(file: &ForeignFile, names: [&str; 4], t_in: Option<&str>) -> Result<EventTable, FormatError> {
+    pub(super) fn of_columns(file: &ForeignFile, names: [&str; 4], t_in: Option<&str>) -> Result<EventTable, FormatError> {
         let path = file.path();
         let mut sources = Vec::new();
         let mut column = |name: &str| {
@@ -69,7 +69,7 @@ impl EventTable {
     }
 
     /// Of members x, y, t, p of a compound.
-    pub fn of_compound(file: &ForeignFile, name: &str) -> Result<EventTable, FormatError> {
+    pub(super) fn of_compound(file: &ForeignFile, name: &str) -> Result<EventTable, FormatError> {
         let dataset = dataset(file, name)?;
         let member = |member: &str| {
             let missing = || FormatError::new(file.path(), format!("there is no member `{member}`"), "is this the file that you meant?").at(dataset.at());
@@ -80,7 +80,7 @@ impl EventTable {
     }
 
     /// Of a table [N, 4]; at which of its columns x, y, t, p stand.
-    pub fn of_rows(file: &ForeignFile, name: &str, order: [usize; 4]) -> Result<EventTable, FormatError> {
+    pub(super) fn of_rows(file: &ForeignFile, name: &str, order: [usize; 4]) -> Result<EventTable, FormatError> {
         let dataset = dataset(file, name)?;
         let wrong = || {
             FormatError::new(file.path(), format!("the shape {:?}", dataset.shape()), "is this the file that you meant?").at(dataset.at()).expected("[N, 4]")
@@ -100,7 +100,7 @@ impl EventTable {
     }
 
     /// What is known before reading, with notes on unusual types.
-    pub fn about(&self, notes: Vec<String>) -> EventsAbout {
+    pub(super) fn about(&self, notes: Vec<String>) -> EventsAbout {
         let unit = match self.unit_ns {
             1 => "nanoseconds",
             1000 => "microseconds",
@@ -133,7 +133,7 @@ impl EventTable {
     }
 
     /// The smallest and largest polarity of the first events, for a note on -1/+1.
-    pub fn polarity_note(&self) -> Option<String> {
+    pub(super) fn polarity_note(&self) -> Option<String> {
         let block = self.sources[self.p.source].rows_at(0..self.count.min(1000)).ok()?;
         let mut p = Vec::new();
         block.integers(self.p.field, &mut p);
@@ -260,7 +260,7 @@ impl Coordinates {
 
 impl EventTable {
     /// Counts what all rows hold that can be read.
-    pub fn tally(&self, tally: &mut Tally) -> Result<(), FormatError> {
+    pub(super) fn tally(&self, tally: &mut Tally) -> Result<(), FormatError> {
         let (mut x, mut y, mut p, mut t) = (Vec::new(), Vec::new(), Vec::new(), Stamps::default());
         for first in (0..self.count).step_by(PIECE) {
             let rows = first..self.count.min(first + PIECE);
@@ -302,7 +302,7 @@ pub(super) struct TableCursor {
 }
 
 impl TableCursor {
-    pub fn new(table: Arc<EventTable>, rules: Rules) -> TableCursor {
+    pub(super) fn new(table: Arc<EventTable>, rules: Rules) -> TableCursor {
         let ready = EventChunk { t_in: table.t_in.map(|_| Vec::new()), ..EventChunk::default() };
         TableCursor {
             table,

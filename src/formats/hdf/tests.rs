@@ -1,9 +1,9 @@
 //! Files in `data/formats` are written by h5py (see the script in that folder); what they hold follows formulas that are repeated here.
 #![allow(clippy::unwrap_used)]
 
+use crate::catalog::recognise;
 use crate::chunk::{Edge, EventChunk, Trigger};
 use crate::declared::Declared;
-use crate::format::recognise;
 use crate::recording::Recording;
 use photocurrent_core::{Colour, Extent};
 use std::path::{Path, PathBuf};

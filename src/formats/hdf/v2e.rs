@@ -14,7 +14,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// v2e's HDF5.
-pub static FORMAT: Format = Format { id: "v2e_hdf5", name: "v2e HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
+pub(crate) static FORMAT: Format = Format { id: "v2e_hdf5", name: "v2e HDF5", recognises, open: |path, declared| with_cut(open(path, declared)) };
 
 fn recognises(probe: &Probe) -> bool {
     probe.is_hdf5()

@@ -1,7 +1,7 @@
 //! What lies in an HDF5 file of no known layout, and in a folder that is no recording.
 
 use super::Instead;
-use crate::format::recognise;
+use crate::catalog::recognise;
 use photocurrent_store::foreign::ForeignFile;
 use std::path::Path;
 

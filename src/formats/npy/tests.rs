@@ -1,9 +1,10 @@
 //! Arrays written by numpy 2 and by hand, read as events and frames.
 
+use crate::catalog::recognise;
 use crate::declared::{Column, Declared, TimeUnit};
 use crate::error::FormatError;
 use crate::event_utils_memmap::Memmap;
-use crate::format::{Probe, recognise};
+use crate::format::Probe;
 use crate::hs_ergb::HsErgb;
 use crate::npy::header::{self, Element, Kind};
 use crate::npz::{self, Npz};

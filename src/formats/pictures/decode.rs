@@ -4,6 +4,8 @@
 //! Values are those that are stored: no profile and no gamma is applied. Alpha is left out, a palette is looked up, 1 to 4 bits are widened to 8.
 //! A header may claim any size; memory is taken only when the file could hold it: deflate packs at most 1032 : 1, LZW less.
 
+pub use super::head::Head;
+use super::head::{PACKED, check_size};
 use super::jpeg;
 use crate::error::FormatError;
 use photocurrent_core::{Colour, Extent, Rows};
@@ -13,26 +15,6 @@ use std::path::Path;
 use tiff::ColorType;
 use tiff::decoder::{Decoder as Tiff, DecodingResult, Limits};
 use tiff::tags::Tag;
-
-/// What a header says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Head {
-    /// Size.
-    pub extent: Extent,
-    /// Grey, or three channels.
-    pub colour: Colour,
-    /// Bits of a value; 32 are floats.
-    pub bits: u32,
-    /// Are there values of alpha, which are left out?
-    pub has_alpha: bool,
-    /// Does the picture say that its values are encoded as sRGB?
-    pub says_srgb: bool,
-    /// More pictures in the same file, which are not read.
-    pub has_more: bool,
-}
-
-/// Most that is packed into a byte.
-const PACKED: u64 = 1100;
 
 fn damaged(path: &Path, what: impl std::fmt::Display) -> FormatError {
     FormatError::new(path, format!("the picture cannot be read: {what}"), "leave it out, or copy it again")
@@ -216,18 +198,6 @@ pub(crate) fn read_of(coding: Coding, bytes: &[u8], values: &mut Vec<f32>) -> Re
         Coding::Jpeg => jpeg::read(bytes, values),
         Coding::Tiff => Err("TIFF is not read in messages".into()),
     }
-}
-
-/// Most pixels of a frame: 16,384 x 16,384.
-const LARGEST: u64 = 1 << 28;
-
-/// Could so many bytes hold so many pixels?
-pub(crate) fn check_size(bytes: u64, extent: Extent, bits_a_pixel: u64) -> Result<(), String> {
-    let pixels = u64::from(extent.width) * u64::from(extent.height);
-    if pixels == 0 || pixels > LARGEST || pixels.saturating_mul(bits_a_pixel) / 8 > bytes.saturating_mul(PACKED) {
-        return Err(format!("its header claims {extent} pixels, which {bytes} bytes cannot hold"));
-    }
-    Ok(())
 }
 
 fn open_png(path: &Path) -> Result<(png::Reader<BufReader<File>>, Head), FormatError> {

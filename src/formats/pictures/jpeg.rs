@@ -6,7 +6,7 @@
 //!
 //! Limits: four channels (CMYK), lossless and arithmetic coding and 12 bits are refused; a profile or a rotation that a picture carries is not applied.
 
-use super::decode::{Head, check_size};
+use super::head::{Head, check_size};
 use photocurrent_core::{Colour, Extent};
 use zune_jpeg::JpegDecoder;
 use zune_jpeg::zune_core::bytestream::ZCursor;

@@ -8,7 +8,7 @@
 //! Limits: a first pulse and a last picture that are both missing leave no trace in counts, numbers and periods. Only events show that: see
 //! [`crate::pairings`].
 
-use super::place::{Times, remainder, stated};
+use super::partners::{Times, remainder};
 use super::stamps::Row;
 use crate::declared::{Declared, Pairing};
 use crate::error::FormatError;
@@ -297,6 +297,12 @@ fn numbers(names: &[String]) -> Option<Vec<i64>> {
         let column: Option<Vec<i64>> = all.iter().map(|groups| groups[n]).collect();
         column.filter(|column| column.windows(2).all(|pair| pair[0] < pair[1]))
     })
+}
+
+/// One of several ways to pair, as it is stated, and what it leaves over.
+pub(crate) fn stated(candidate: &Candidate, with_by: bool) -> String {
+    let by = if with_by { format!(", `pairing = \"{}\"`", candidate.by.name()) } else { String::new() };
+    format!("`first_pulse = {}`{by}", candidate.first)
 }
 
 #[cfg(test)]

@@ -1,35 +1,14 @@
 //! Gives every picture its time: by name where the stamps have names, else by [`super::pairing`].
 
-use super::pairing::{Candidate, Sides, Unclear, periods};
+use super::files::{Found, PictureFiles};
+use super::pairing::{Candidate, Sides, Unclear, periods, stated};
+use super::partners::{Times, alone, remainder};
 use super::stamps::{self, Row, Stamps};
-use super::{Found, PictureFiles};
 use crate::declared::{Declared, Pairing, Transfer};
 use crate::error::FormatError;
 use crate::recording::{FrameStamp, FramesAbout};
 use std::collections::HashMap;
 use std::path::Path;
-
-/// What times are, for messages.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Times {
-    /// Pulses of this trigger line.
-    Pulses(u16),
-    /// Stamps of a file.
-    Stamps,
-}
-
-impl Times {
-    fn one(self) -> &'static str {
-        if self == Times::Stamps { "stamp" } else { "pulse" }
-    }
-
-    fn many(self) -> String {
-        match self {
-            Times::Pulses(line) => format!("pulses of trigger line {line}"),
-            Times::Stamps => "stamps".into(),
-        }
-    }
-}
 
 /// Entries that are named one by one.
 const NAMED: usize = 5;
@@ -125,14 +104,6 @@ fn name(found: &Found, picture: usize) -> String {
     if found.names[picture].is_empty() { format!("frame {picture}") } else { found.names[picture].clone() }
 }
 
-/// Pictures without a time, and times without a picture.
-fn alone(pictures: usize, rows: &[Row], pairs: &[(usize, usize)]) -> (Vec<usize>, Vec<usize>) {
-    let (mut has_time, mut has_picture) = (vec![false; pictures], vec![false; rows.len()]);
-    pairs.iter().for_each(|(picture, row)| (has_time[*picture], has_picture[*row]) = (true, true));
-    let none = |has: Vec<bool>| has.into_iter().enumerate().filter(|(_, has)| !has).map(|(n, _)| n).collect::<Vec<_>>();
-    (none(has_time), none(has_picture).into_iter().filter(|row| rows[*row].is_whole).collect())
-}
-
 /// What has no partner, for the user.
 fn left_out(found: &Found, rows: &[Row], candidate: &Candidate, pairs: &[(usize, usize)], times: Times) -> Vec<String> {
     let (pictures, unused) = alone(found.names.len(), rows, pairs);
@@ -161,19 +132,6 @@ fn left_out(found: &Found, rows: &[Row], candidate: &Candidate, pairs: &[(usize,
         notes.push(format!("{} pictures belong to a pulse of which an edge is missing and were left out: {}", broken.len(), list(&broken)));
     }
     notes
-}
-
-/// One of several ways to pair, as it is stated, and what it leaves over.
-pub(crate) fn stated(candidate: &Candidate, with_by: bool) -> String {
-    let by = if with_by { format!(", `pairing = \"{}\"`", candidate.by.name()) } else { String::new() };
-    format!("`first_pulse = {}`{by}", candidate.first)
-}
-
-/// How many of both sides a candidate leaves without a partner: "1 picture and 2 pulses have no partner".
-pub(crate) fn remainder(pictures: usize, rows: &[Row], pairs: &[(usize, usize)], times: Times) -> String {
-    let (pictures, unused) = alone(pictures, rows, pairs);
-    let count = |n: usize, what: &str| format!("{n} {what}{}", if n == 1 { "" } else { "s" });
-    format!("{} and {} without a partner", count(pictures.len(), "picture"), count(unused.len(), times.one()))
 }
 
 fn question(path: &Path, found: &Found, stamps: &Stamps, sides: &Sides, unclear: &Unclear, times: Times) -> FormatError {

@@ -8,7 +8,7 @@ use crate::decimal::Decimal;
 use crate::declared::{Declared, StampRole, TimeUnit};
 use crate::error::FormatError;
 use crate::evidence::{self, Of, unit_name, unit_named};
-use crate::text::{Separator, is_comment};
+use crate::text::fields::{Separator, is_comment};
 use std::path::Path;
 
 /// Largest file that is read: a million frames with long names.

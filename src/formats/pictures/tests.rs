@@ -1,10 +1,10 @@
 //! Folders of small pictures, stamps files, trigger edges and Y4M files made here, read as frames.
 
+use crate::catalog::recognise;
 use crate::chunk::{Edge, Trigger};
 use crate::declared::{Declared, StampRole, Strobe, TimeUnit, Transfer};
 use crate::error::FormatError;
 use crate::event_camera_dataset::EventCameraDataset;
-use crate::format::recognise;
 use crate::joined::{Joined, with_declared_frames};
 use crate::npy::tests::bytes;
 use crate::pictures::stamps::{self, Stamps};

@@ -6,10 +6,10 @@
 //!
 //! Limits: encrypted bags and version 1 are refused by name.
 
+use super::contents::{Contents, Piece, Survey};
 use super::messages::Serial;
-use super::records::{Container, Source, Topic};
+use super::piece::{Container, Source, Topic};
 use super::wire::label;
-use super::{Contents, Piece, scan};
 use crate::error::FormatError;
 use crate::losses::Losses;
 use std::collections::BTreeMap;
@@ -18,15 +18,15 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// The first line.
-pub const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
+pub(crate) const MAGIC: &[u8] = b"#ROSBAG V2.0\n";
 /// Record of a message.
-pub const MESSAGE: u8 = 2;
+pub(crate) const MESSAGE: u8 = 2;
 const BAG_HEADER: u8 = 3;
 const INDEX: u8 = 4;
 const CHUNK: u8 = 5;
 const CHUNK_INFO: u8 = 6;
 /// Record of a connection.
-pub const CONNECTION: u8 = 7;
+pub(crate) const CONNECTION: u8 = 7;
 
 /// More than any header of a record has.
 const MOST_HEADER: u64 = 1 << 16;
@@ -66,17 +66,17 @@ fn field_time(header: &[u8], name: &str) -> Option<i64> {
 }
 
 /// What a record is.
-pub fn op(header: &[u8]) -> Option<u8> {
+pub(crate) fn op(header: &[u8]) -> Option<u8> {
     field(header, "op")?.first().copied()
 }
 
 /// Connection and time of receipt of a message.
-pub fn message_head(header: &[u8]) -> Option<(u32, i64)> {
+pub(crate) fn message_head(header: &[u8]) -> Option<(u32, i64)> {
     Some((field_u32(header, "conn")?, field_time(header, "time")?))
 }
 
 /// A connection, from header and data of its record.
-pub fn topic(header: &[u8], data: &[u8]) -> Option<Topic> {
+pub(crate) fn topic(header: &[u8], data: &[u8]) -> Option<Topic> {
     let name = label(field(header, "topic")?);
     let type_name = label(field(data, "type").unwrap_or_default());
     Some(Topic { id: field_u32(header, "conn")?, name, type_name, schema: 0, serial: Serial::Ros1, messages: None })
@@ -111,7 +111,7 @@ fn outer(file: &mut File, size: u64, at: u64) -> std::io::Result<Option<Outer>> 
 ///
 /// # Errors
 /// `Ok(Err)` says why there is no chunk to read there.
-pub fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<Result<Source, String>> {
+pub(crate) fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<Result<Source, String>> {
     let Some(record) = outer(&mut file, size, piece.at)? else { return Ok(Err("no record begins where the index says".into())) };
     if op(&record.header) != Some(CHUNK) {
         return Ok(Err("no chunk begins where the index says".into()));
@@ -128,7 +128,7 @@ pub fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<R
 ///
 /// # Errors
 /// When the file cannot be read, or is no bag of this version.
-pub fn open(path: &Path) -> Result<Contents, FormatError> {
+pub(crate) fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let mut file = File::open(path).map_err(io)?;
     let size = file.metadata().map_err(io)?.len();
@@ -160,7 +160,7 @@ pub fn open(path: &Path) -> Result<Contents, FormatError> {
             format!("the bag has no index at its end: its recorder was stopped, or it is cut off; its {} chunks were read one by one", contents.pieces.len());
         losses.add("indexes that are missing", || format!("byte {size}"), || what);
         contents.losses = losses;
-        contents = scan::survey(contents)?;
+        contents = survey(contents)?;
     } else {
         contents.losses = losses;
     }

@@ -4,7 +4,7 @@
 //! So `header.stamp` minus the first event's sensor time is the offset of the clocks plus a delay of zero or more, and the smallest of many such
 //! differences is nearest to the offset. It is taken over the first packets and then held: stamps jitter by milliseconds, the sensor's clock does not.
 
-use super::Contents;
+use super::contents::Contents;
 use super::messages::EventPacket;
 use super::packets::{Encoding, PacketDecoder};
 use super::topics::Group;
@@ -22,7 +22,7 @@ const START_BYTES: usize = 4096;
 
 /// How sensor times become ROS times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shift {
+pub(crate) struct Shift {
     /// Is added to sensor times, ns.
     pub ns: i64,
     /// By how much the differences spread over the packets that were looked at, ns.
@@ -35,7 +35,7 @@ pub struct Shift {
 ///
 /// # Errors
 /// When the file has gone.
-pub fn shift(contents: &Arc<Contents>, group: &Group, encoding: Encoding) -> Result<Option<Shift>, FormatError> {
+pub(crate) fn shift(contents: &Arc<Contents>, group: &Group, encoding: Encoding) -> Result<Option<Shift>, FormatError> {
     let mut walker = Walker::new(contents, &group.ids());
     let mut decoder = PacketDecoder::new(encoding, None);
     let (mut chunk, mut triggers) = (EventChunk::default(), Vec::new());

@@ -1,9 +1,9 @@
 //! Walks over the events of one topic.
 
-use super::Contents;
+use super::contents::Contents;
 use super::messages::{Event, EventArray, EventPacket, Kind};
 use super::packets::{Encoding, PacketDecoder};
-use super::records::Envelope;
+use super::piece::Envelope;
 use super::topics::Group;
 use super::walk::Walker;
 use super::wire::{Layout, Wire, label};
@@ -19,7 +19,7 @@ const PACKET_PART: usize = 1 << 15;
 
 /// Where the events come from.
 #[derive(Clone)]
-pub struct Stream {
+pub(crate) struct Stream {
     /// The file.
     pub contents: Arc<Contents>,
     /// The topic.
@@ -41,7 +41,7 @@ enum Pending {
 }
 
 /// A cursor over the events of a topic.
-pub struct Cursor {
+pub(crate) struct Cursor {
     stream: Stream,
     walker: Walker,
     decoder: Option<PacketDecoder>,
@@ -58,7 +58,7 @@ pub struct Cursor {
 
 impl Cursor {
     /// At the first event.
-    pub fn new(stream: Stream) -> Cursor {
+    pub(crate) fn new(stream: Stream) -> Cursor {
         let walker = Walker::new(&stream.contents, &stream.group.ids());
         Cursor { stream, walker, decoder: None, last: None, lost_wraps: false, wraps_ns: 0, pending: None, triggers: Vec::new() }
     }

@@ -3,8 +3,10 @@
 //! The order is that of `metadata.yaml`; where that is missing or damaged, that of the names, numbers by value. Connections of several files are kept apart
 //! and belong together by the names of their topics.
 
+use super::contents::{Contents, Part, Piece};
+use super::piece::Topic;
 use super::wire::label;
-use super::{Contents, mcap, sqlite};
+use super::{mcap, scan, sqlite};
 use crate::error::FormatError;
 use crate::losses::Losses;
 use crate::pictures::names::natural;
@@ -13,7 +15,7 @@ use std::io::Read;
 use std::path::Path;
 
 /// The file that describes the others.
-pub const METADATA: &str = "metadata.yaml";
+pub(crate) const METADATA: &str = "metadata.yaml";
 /// No description of a bag is larger.
 const MOST_METADATA: u64 = 4 << 20;
 /// Files of a bag.
@@ -36,13 +38,13 @@ struct Information {
 }
 
 /// Does a name look like that of a file of messages, compressed or not?
-pub fn is_storage(name: &str) -> bool {
+pub(crate) fn is_storage(name: &str) -> bool {
     let name = name.strip_suffix(".zstd").unwrap_or(name);
     !name.starts_with('.') && (name.ends_with(".db3") || name.ends_with(".mcap"))
 }
 
 /// What a file is when a whole file was compressed: "a bag in SQLite"; `None` for any other.
-pub fn packed_kind(head: &[u8]) -> Option<&'static str> {
+pub(crate) fn packed_kind(head: &[u8]) -> Option<&'static str> {
     if !head.starts_with(ZSTD) {
         return None;
     }
@@ -55,7 +57,7 @@ pub fn packed_kind(head: &[u8]) -> Option<&'static str> {
 }
 
 /// The refusal of a file that was compressed as a whole.
-pub fn packed(path: &Path, what: &str) -> FormatError {
+pub(crate) fn packed(path: &Path, what: &str) -> FormatError {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let hint = format!("decompress it with `zstd -d {name}` and name the result, or the folder of the bag");
     FormatError::new(path, format!("a file of a bag of ROS 2 ({what}) that is compressed as a whole by Zstandard"), hint)
@@ -66,21 +68,21 @@ pub fn packed(path: &Path, what: &str) -> FormatError {
 ///
 /// # Errors
 /// When it is none.
-pub fn open_file(path: &Path) -> Result<Contents, FormatError> {
+pub(crate) fn open_file(path: &Path) -> Result<Contents, FormatError> {
     let mut head = Vec::new();
     let read = std::fs::File::open(path).and_then(|file| file.take(4096).read_to_end(&mut head));
     read.map_err(|error| FormatError::io(path, &error))?;
     if let Some(what) = packed_kind(&head) {
         return Err(packed(path, what));
     }
-    if head.starts_with(mcap::MAGIC) { mcap::open(path) } else { sqlite::open(path) }
+    if head.starts_with(mcap::MAGIC) { mcap::open(path, scan::survey) } else { sqlite::open(path) }
 }
 
 /// Opens the files of a folder.
 ///
 /// # Errors
 /// When no file of messages is there, or none can be read.
-pub fn open(path: &Path, names: &[String]) -> Result<Contents, FormatError> {
+pub(crate) fn open(path: &Path, names: &[String]) -> Result<Contents, FormatError> {
     let mut losses = Losses::default();
     let information = information(path, &mut losses);
     let mut there: Vec<&String> = names.iter().filter(|name| is_storage(name)).collect();
@@ -177,13 +179,13 @@ fn join(mut all: Contents, next: Contents, name: &str) -> Contents {
     // Below 2^16 files of 2^16 connections each.
     let first_id = file as u32 * IDS;
     for part in next.parts {
-        all.parts.push(super::Part { first_id, before: all.size, ..part });
+        all.parts.push(Part { first_id, before: all.size, ..part });
     }
     all.size = all.size.saturating_add(next.size);
-    all.topics.extend(next.topics.into_iter().map(|topic| super::records::Topic { id: topic.id + first_id, ..topic }));
+    all.topics.extend(next.topics.into_iter().map(|topic| Topic { id: topic.id + first_id, ..topic }));
     all.pieces.extend(next.pieces.into_iter().map(|piece| {
         let counts = piece.counts.map(|counts| counts.into_iter().map(|(id, count)| (id + first_id, count)).collect());
-        super::Piece { file, counts, ..piece }
+        Piece { file, counts, ..piece }
     }));
     all.files.extend(next.files);
     if file == 0 {

@@ -6,10 +6,10 @@
 //!
 //! Limits: checksums are not compared; attachments and metadata are not read.
 
+use super::contents::{Contents, Piece, Survey};
 use super::messages::Serial;
-use super::records::{Container, Record, Source, Topic};
+use super::piece::{Container, Record, Source, Topic};
 use super::wire::label;
-use super::{Contents, Piece, scan};
 use crate::error::{Cause, FormatError};
 use crate::losses::Losses;
 use std::collections::BTreeMap;
@@ -18,22 +18,22 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// The first and the last bytes.
-pub const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+pub(crate) const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 const HEADER: u8 = 1;
 const FOOTER: u8 = 2;
 /// Record of a type of messages.
-pub const SCHEMA: u8 = 3;
+pub(crate) const SCHEMA: u8 = 3;
 /// Record of a channel.
-pub const CHANNEL: u8 = 4;
+pub(crate) const CHANNEL: u8 = 4;
 /// Record of a message.
-pub const MESSAGE: u8 = 5;
+pub(crate) const MESSAGE: u8 = 5;
 const CHUNK: u8 = 6;
 const CHUNK_INDEX: u8 = 8;
 const STATISTICS: u8 = 11;
 const DATA_END: u8 = 15;
 
 /// Bytes of a message's content before its own bytes: channel, sequence, two times.
-pub const MESSAGE_HEAD: usize = 22;
+pub(crate) const MESSAGE_HEAD: usize = 22;
 /// Opcode, length, content of the footer, magic bytes.
 const TAIL: u64 = 9 + 20 + 8;
 /// Names and indices in a summary are not longer.
@@ -75,20 +75,20 @@ fn time(ns: u64) -> i64 {
 }
 
 /// Channel and time of receipt of a message.
-pub fn message_head(head: &[u8; MESSAGE_HEAD]) -> (u32, i64) {
+pub(crate) fn message_head(head: &[u8; MESSAGE_HEAD]) -> (u32, i64) {
     let [a, b, _, _, _, _, t @ .., _, _, _, _, _, _, _, _] = *head;
     (u32::from(u16::from_le_bytes([a, b])), time(u64::from_le_bytes(t)))
 }
 
 /// A type of messages.
-pub fn schema(content: &[u8]) -> Option<Record> {
+pub(crate) fn schema(content: &[u8]) -> Option<Record> {
     let mut fields = Fields(content);
     let id = fields.u16()?;
     Some(Record::Schema(id, label(fields.string()?)))
 }
 
 /// A channel; its type is filled in when its schema is known.
-pub fn channel(content: &[u8]) -> Option<Topic> {
+pub(crate) fn channel(content: &[u8]) -> Option<Topic> {
     let mut fields = Fields(content);
     let id = u32::from(fields.u16()?);
     let schema = fields.u16()?;
@@ -102,7 +102,7 @@ pub fn channel(content: &[u8]) -> Option<Topic> {
 }
 
 /// Gives every channel the name of its schema.
-pub fn name_types(topics: &mut [Topic], schemas: &BTreeMap<u16, String>) {
+pub(crate) fn name_types(topics: &mut [Topic], schemas: &BTreeMap<u16, String>) {
     for topic in topics {
         if let Some(name) = schemas.get(&topic.schema) {
             topic.type_name.clone_from(name);
@@ -126,7 +126,7 @@ fn outer(file: &mut File, size: u64, at: u64) -> std::io::Result<Option<(u8, u64
 ///
 /// # Errors
 /// `Ok(Err)` says why there is nothing to read there.
-pub fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<Result<Source, String>> {
+pub(crate) fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<Result<Source, String>> {
     if let Some(length) = piece.length {
         file.seek(SeekFrom::Start(piece.at))?;
         return Ok(Ok(Source::plain(file, length.min(size - piece.at))));
@@ -157,7 +157,7 @@ pub fn open_piece(mut file: File, size: u64, piece: &Piece) -> std::io::Result<R
 ///
 /// # Errors
 /// When the file cannot be read, or is no MCAP.
-pub fn open(path: &Path) -> Result<Contents, FormatError> {
+pub(crate) fn open(path: &Path, survey: Survey) -> Result<Contents, FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let mut file = File::open(path).map_err(io)?;
     let size = file.metadata().map_err(io)?.len();
@@ -189,7 +189,7 @@ pub fn open(path: &Path) -> Result<Contents, FormatError> {
             losses.add("summaries that are missing or damaged", || format!("byte {size}"), || what);
         }
         contents.losses = losses;
-        contents = scan::survey(contents)?;
+        contents = survey(contents)?;
     }
     Ok(contents)
 }

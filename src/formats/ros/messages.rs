@@ -7,7 +7,7 @@ use photocurrent_core::Extent;
 
 /// What the messages of a topic are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub(crate) enum Kind {
     /// Events one by one: `dvs_msgs/EventArray`, `prophesee_event_msgs/EventArray`.
     EventArray,
     /// Events in the sensor's own encoding: `event_camera_msgs/EventPacket`.
@@ -21,7 +21,7 @@ pub enum Kind {
 }
 
 /// What messages of a type are: `dvs_msgs/EventArray` in ROS 1, `dvs_msgs/msg/EventArray` in ROS 2.
-pub fn kind_of(type_name: &str) -> Kind {
+pub(crate) fn kind_of(type_name: &str) -> Kind {
     match type_name.replace("/msg/", "/").as_str() {
         "dvs_msgs/EventArray" | "prophesee_event_msgs/EventArray" => Kind::EventArray,
         // The older name of the same message.
@@ -34,7 +34,7 @@ pub fn kind_of(type_name: &str) -> Kind {
 
 /// How the messages of a topic are serialised, from what the container calls it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Serial {
+pub(crate) enum Serial {
     /// ROS 1.
     Ros1,
     /// CDR of ROS 2.
@@ -45,7 +45,7 @@ pub enum Serial {
 
 impl Serial {
     /// The first field of such a message; `None` when it does not begin as one.
-    pub fn wire(self, bytes: &[u8]) -> Option<Wire<'_>> {
+    pub(crate) fn wire(self, bytes: &[u8]) -> Option<Wire<'_>> {
         match self {
             Serial::Ros1 => Some(Wire::ros1(bytes)),
             Serial::Cdr => Wire::cdr(bytes),
@@ -72,7 +72,7 @@ fn extent(width: u32, height: u32) -> Option<Extent> {
 
 /// Events one by one: what stands before them.
 #[derive(Clone, Copy, Debug)]
-pub struct EventArray {
+pub(crate) struct EventArray {
     /// Size of the pixel array, when stated.
     pub extent: Option<Extent>,
     /// How many events the message claims to have.
@@ -85,10 +85,10 @@ pub struct EventArray {
 
 impl EventArray {
     /// Bytes of an event in ROS 1: x, y, seconds, nanoseconds, polarity. CDR aligns them, and no event is shorter.
-    pub const EVENT_BYTES: usize = 13;
+    pub(crate) const EVENT_BYTES: usize = 13;
 
     /// Reads what stands before the events.
-    pub fn read(mut wire: Wire<'_>) -> Option<EventArray> {
+    pub(crate) fn read(mut wire: Wire<'_>) -> Option<EventArray> {
         header(&mut wire)?;
         let height = wire.u32()?;
         let width = wire.u32()?;
@@ -99,7 +99,7 @@ impl EventArray {
 
 /// One event of an array.
 #[derive(Clone, Copy, Debug)]
-pub struct Event {
+pub(crate) struct Event {
     /// Column.
     pub x: u16,
     /// Row.
@@ -113,14 +113,14 @@ pub struct Event {
 impl Event {
     /// Reads the next event.
     #[inline]
-    pub fn read(wire: &mut Wire<'_>) -> Option<Event> {
+    pub(crate) fn read(wire: &mut Wire<'_>) -> Option<Event> {
         Some(Event { x: wire.u16()?, y: wire.u16()?, stamp: wire.stamp()?, on: wire.u8()? != 0 })
     }
 }
 
 /// Events in the sensor's own encoding.
 #[derive(Clone, Copy, Debug)]
-pub struct EventPacket<'a> {
+pub(crate) struct EventPacket<'a> {
     /// The ROS time that the driver gives to the packet.
     pub stamp: Stamp,
     /// Size of the pixel array, when stated.
@@ -141,7 +141,7 @@ pub struct EventPacket<'a> {
 
 impl<'a> EventPacket<'a> {
     /// Reads a packet.
-    pub fn read(mut wire: Wire<'a>) -> Option<EventPacket<'a>> {
+    pub(crate) fn read(mut wire: Wire<'a>) -> Option<EventPacket<'a>> {
         let stamp = header(&mut wire)?;
         let height = wire.u32()?;
         let width = wire.u32()?;
@@ -156,7 +156,7 @@ impl<'a> EventPacket<'a> {
 
 /// A picture: what stands before its values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ImageHead<'a> {
+pub(crate) struct ImageHead<'a> {
     /// When it was taken, as the driver says.
     pub stamp: Stamp,
     /// Width and height.
@@ -175,7 +175,7 @@ pub struct ImageHead<'a> {
 
 impl<'a> ImageHead<'a> {
     /// Reads what stands before the values.
-    pub fn read(mut wire: Wire<'a>) -> Option<ImageHead<'a>> {
+    pub(crate) fn read(mut wire: Wire<'a>) -> Option<ImageHead<'a>> {
         let stamp = header(&mut wire)?;
         let height = wire.u32()?;
         let width = wire.u32()?;
@@ -189,7 +189,7 @@ impl<'a> ImageHead<'a> {
 
 /// A compressed picture: what stands before its bytes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct CompressedHead<'a> {
+pub(crate) struct CompressedHead<'a> {
     /// When it was taken, as the driver says.
     pub stamp: Stamp,
     /// What was compressed and how, as the driver says: `jpeg`, `bgr8; jpeg compressed bgr8`, `16UC1; png compressed`.
@@ -202,7 +202,7 @@ pub struct CompressedHead<'a> {
 
 impl<'a> CompressedHead<'a> {
     /// Reads what stands before the bytes.
-    pub fn read(mut wire: Wire<'a>) -> Option<CompressedHead<'a>> {
+    pub(crate) fn read(mut wire: Wire<'a>) -> Option<CompressedHead<'a>> {
         let stamp = header(&mut wire)?;
         let format = wire.string()?;
         let length = wire.u32()?;

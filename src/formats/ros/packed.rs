@@ -2,7 +2,7 @@
 //!
 //! No message of ROS 2 begins as such a frame does: its first byte is 0.
 
-use super::records::{Envelope, MOST_MESSAGE};
+use super::piece::{Envelope, MOST_MESSAGE};
 use std::io::Read;
 
 const MAGIC: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
@@ -11,7 +11,7 @@ const MAGIC: &[u8] = &[0x28, 0xb5, 0x2f, 0xfd];
 ///
 /// # Errors
 /// When the message cannot be decompressed, or is too long.
-pub fn unpack(envelope: Envelope, most: u64, body: &mut Vec<u8>) -> Result<Envelope, String> {
+pub(super) fn unpack(envelope: Envelope, most: u64, body: &mut Vec<u8>) -> Result<Envelope, String> {
     if !body.starts_with(MAGIC) {
         return Ok(envelope);
     }

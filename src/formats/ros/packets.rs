@@ -12,7 +12,7 @@ use photocurrent_core::Extent;
 
 /// How the events of a packet are encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Encoding {
+pub(crate) enum Encoding {
     /// Prophesee EVT3.
     Evt3,
     /// Prophesee EVT2.
@@ -30,11 +30,11 @@ pub enum Encoding {
 }
 
 /// Names of the encodings that are read, for messages.
-pub const NAMES: &str = "evt3, evt2, evt21, mono, trigger, libcaer, libcaer_cmp";
+pub(crate) const NAMES: &str = "evt3, evt2, evt21, mono, trigger, libcaer, libcaer_cmp";
 
 impl Encoding {
     /// By the name in a packet.
-    pub fn named(name: &[u8]) -> Option<Encoding> {
+    pub(crate) fn named(name: &[u8]) -> Option<Encoding> {
         Some(match name {
             b"evt3" => Encoding::Evt3,
             b"evt2" => Encoding::Evt2,
@@ -48,7 +48,7 @@ impl Encoding {
     }
 
     /// The name in a packet.
-    pub fn name(self) -> &'static str {
+    pub(crate) fn name(self) -> &'static str {
         match self {
             Encoding::Evt3 => "evt3",
             Encoding::Evt2 => "evt2",
@@ -61,12 +61,12 @@ impl Encoding {
     }
 
     /// Do times count from when the sensor was started, not from the epoch of ROS?
-    pub fn has_sensor_clock(self) -> bool {
+    pub(crate) fn has_sensor_clock(self) -> bool {
         !matches!(self, Encoding::Libcaer | Encoding::LibcaerCmp)
     }
 
     /// After which time the stored times begin again, ns; `None` where a packet says on its own what it counts from.
-    pub fn wrap_ns(self) -> Option<i64> {
+    pub(crate) fn wrap_ns(self) -> Option<i64> {
         match self {
             Encoding::Evt3 => Some((1 << 24) * 1000),
             Encoding::Evt2 | Encoding::Evt21 => Some((1 << 34) * 1000),
@@ -75,13 +75,13 @@ impl Encoding {
     }
 
     /// Step of the times, ns.
-    pub fn tick_ns(self) -> i64 {
+    pub(crate) fn tick_ns(self) -> i64 {
         if matches!(self, Encoding::Mono | Encoding::Trigger) { 1 } else { 1000 }
     }
 }
 
 /// Decodes packets of one connection; words go on from packet to packet.
-pub struct PacketDecoder {
+pub(crate) struct PacketDecoder {
     encoding: Encoding,
     extent: Option<Extent>,
     words: Words,
@@ -112,7 +112,7 @@ struct Own {
 
 impl PacketDecoder {
     /// At the beginning of a stream.
-    pub fn new(encoding: Encoding, extent: Option<Extent>) -> PacketDecoder {
+    pub(crate) fn new(encoding: Encoding, extent: Option<Extent>) -> PacketDecoder {
         let words = match encoding {
             Encoding::Evt3 => Words::Evt3(Box::new(Evt3Decoder::new().with_extent(extent))),
             Encoding::Evt2 => Words::Evt2(Box::new(Evt2Decoder::new().with_extent(extent))),
@@ -123,12 +123,12 @@ impl PacketDecoder {
     }
 
     /// What it decodes.
-    pub fn encoding(&self) -> Encoding {
+    pub(crate) fn encoding(&self) -> Encoding {
         self.encoding
     }
 
     /// What was left out so far.
-    pub fn faults(&self) -> Faults {
+    pub(crate) fn faults(&self) -> Faults {
         match &self.words {
             Words::Evt3(decoder) => *decoder.faults(),
             Words::Evt2(decoder) => *decoder.faults(),
@@ -138,7 +138,7 @@ impl PacketDecoder {
     }
 
     /// Begins a packet: what its times count from, and the order of its bytes. Words of Prophesee are little-endian whatever the machine.
-    pub fn begin(&mut self, time_base: u64, big: bool) {
+    pub(crate) fn begin(&mut self, time_base: u64, big: bool) {
         if let Words::Own(own) = &mut self.words {
             // A base beyond 2^61 ns (73 years) is damaged; times must stay so small that their sums are no overflow.
             let base = i64::try_from(time_base).unwrap_or(i64::MAX).min(1 << 61);
@@ -147,7 +147,7 @@ impl PacketDecoder {
     }
 
     /// Decodes the next bytes of a packet, an even number of words but at its end; appends events and edges, ns on the encoding's clock.
-    pub fn decode(&mut self, bytes: &[u8], out: &mut EventChunk, triggers: &mut Vec<Trigger>) {
+    pub(crate) fn decode(&mut self, bytes: &[u8], out: &mut EventChunk, triggers: &mut Vec<Trigger>) {
         match &mut self.words {
             Words::Evt3(decoder) => {
                 decoder.decode(bytes, out, triggers);

@@ -4,9 +4,9 @@
 //! A picture's place is kept as (piece, byte), 16 bytes; its values are read when they are wanted. Stored values are given as they are. Compressed pictures
 //! (`sensor_msgs/CompressedImage`) are PNG or JPEG, by their first bytes; their `format` names the mosaic when it was compressed as one channel.
 
-use super::Contents;
+use super::contents::Contents;
 use super::messages::{CompressedHead, ImageHead, Kind, Serial};
-use super::records::Envelope;
+use super::piece::Envelope;
 use super::topics::Group;
 use super::walk::Walker;
 use super::wire::{Stamp, label};
@@ -203,7 +203,7 @@ fn is_depth(format: &[u8]) -> bool {
 }
 
 /// The pictures of a topic.
-pub struct Images {
+pub(crate) struct Images {
     contents: Arc<Contents>,
     group: Group,
     form: Form,
@@ -218,7 +218,7 @@ impl Images {
     ///
     /// # Errors
     /// When the file has gone, or its pictures have an encoding that is not read.
-    pub fn survey(contents: &Arc<Contents>, group: &Group, note: Option<String>) -> Result<(Option<Images>, Losses), FormatError> {
+    pub(crate) fn survey(contents: &Arc<Contents>, group: &Group, note: Option<String>) -> Result<(Option<Images>, Losses), FormatError> {
         let head_bytes = if group.kind == Kind::Image { HEAD_BYTES } else { COMPRESSED_HEAD_BYTES };
         let mut walker = Walker::new(contents, &group.ids()).heads(head_bytes);
         let mut images: Option<Images> = None;

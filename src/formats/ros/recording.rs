@@ -1,7 +1,7 @@
 //! A bag, MCAP file or database as a recording: its event topic, its image topic, what else it has.
 
-use super::Contents;
 use super::clock::{self, Shift};
+use super::contents::Contents;
 use super::events::{Cursor, Stream};
 use super::messages::Kind;
 use super::packets::Encoding;
@@ -42,7 +42,7 @@ struct Survey {
 ///
 /// # Errors
 /// When it is not clear which topics are meant, or when events or pictures are in an encoding that is not read.
-pub fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
+pub(crate) fn open(contents: Contents, declared: &Declared) -> Result<Box<dyn Recording>, FormatError> {
     let contents = Arc::new(contents);
     let groups = topics::groups(&contents);
     let mut facts = contents.facts.clone();

@@ -1,10 +1,10 @@
 //! Bags of ROS 2: the one that the library rosbags wrote (`data/formats/make_rosbag2.py`), and others made here; cut, changed, split, compressed.
 
 use super::testing::{McapWriter, Packing, Wire, compressed_image, db3, event_array, image};
+use crate::catalog::recognise;
 use crate::chunk::EventChunk;
 use crate::declared::Declared;
 use crate::error::FormatError;
-use crate::format::recognise;
 use crate::recording::Recording;
 use photocurrent_core::{Colour, Extent, colour::Order};
 use std::path::Path;
@@ -193,7 +193,7 @@ fn a_folder_of_mcap_files_is_a_bag_as_well() {
     let recording = bench.whole("");
     assert_eq!(events(&*recording), (some(80), vec![]));
     // Manifests that name read/mcap go on.
-    let by_mcap = (crate::format::named("mcap").unwrap().open)(bench.0.path(), &Declared::default()).unwrap();
+    let by_mcap = (crate::catalog::named("mcap").unwrap().open)(bench.0.path(), &Declared::default()).unwrap();
     assert_eq!(events(&*by_mcap).0, some(80));
 }
 

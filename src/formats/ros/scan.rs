@@ -1,8 +1,8 @@
 //! Reads a file through once where it has no index: which topics it has, how many messages, in which pieces.
 
-use super::mcap;
-use super::records::{Record, Topic};
-use super::{Contents, walk};
+use super::contents::Contents;
+use super::piece::{Record, Topic};
+use super::{mcap, walk};
 use crate::error::FormatError;
 use std::collections::BTreeMap;
 
@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 ///
 /// # Errors
 /// When the file cannot be opened any more.
-pub fn survey(mut contents: Contents) -> Result<Contents, FormatError> {
+pub(crate) fn survey(mut contents: Contents) -> Result<Contents, FormatError> {
     let mut topics: BTreeMap<u32, Topic> = BTreeMap::new();
     let mut schemas: BTreeMap<u16, String> = BTreeMap::new();
     let mut counts: BTreeMap<u32, u64> = BTreeMap::new();

@@ -9,10 +9,10 @@
 //!
 //! Limits: messages that a recorder left in a write-ahead log (`.db3-wal`) are not read, with a loss that says how to bring them in.
 
+use super::contents::{Contents, Database, Piece};
 use super::messages::Serial;
-use super::records::{Container, Envelope, MOST_MESSAGE, Record, Topic};
+use super::piece::{Container, Envelope, MOST_MESSAGE, Record, Topic};
 use super::wire::label;
-use super::{Contents, Piece};
 use crate::error::FormatError;
 use crate::losses::Losses;
 use rusqlite::config::DbConfig;
@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// The first bytes.
-pub const MAGIC: &[u8] = b"SQLite format 3\0";
+pub(crate) const MAGIC: &[u8] = b"SQLite format 3\0";
 /// Bytes of the header of a database.
 const HEAD: usize = 100;
 /// Rows of a piece, and bytes of its messages, at most (one message may be longer).
@@ -39,15 +39,6 @@ const BATCH: usize = 256;
 const MOST_TOPICS: usize = 1 << 16;
 /// After so many damaged places the rest of a file is given up.
 const MOST_GAPS: usize = 1 << 12;
-
-/// What is known of a database, for those who read its rows.
-#[derive(Clone, Debug, Default)]
-pub struct Database {
-    /// Is the file shorter than its header says?
-    cut: bool,
-    /// Numbers in `topics`, and what messages call them here.
-    ids: BTreeMap<i64, u32>,
-}
 
 /// Opens a database for reading.
 fn connect(path: &Path, cut: bool) -> Result<Connection, String> {
@@ -125,7 +116,7 @@ fn lines(connection: &Connection, after: i64, last: i64, found: &mut VecDeque<Li
 ///
 /// # Errors
 /// When the file cannot be read, or is no database of rosbag2.
-pub fn open(path: &Path) -> Result<Contents, FormatError> {
+pub(crate) fn open(path: &Path) -> Result<Contents, FormatError> {
     let io = |error: std::io::Error| FormatError::io(path, &error);
     let mut file = File::open(path).map_err(io)?;
     let size = file.metadata().map_err(io)?.len();
@@ -321,7 +312,7 @@ impl Builder {
 }
 
 /// Walks over the messages of one piece.
-pub struct Rows {
+pub(crate) struct Rows {
     connection: Connection,
     database: Arc<Database>,
     first: i64,
@@ -336,7 +327,7 @@ impl Rows {
     ///
     /// # Errors
     /// When the file can no longer be opened as a database.
-    pub fn open(path: &Path, database: &Arc<Database>, (first, last): (i64, i64)) -> Result<Rows, String> {
+    pub(crate) fn open(path: &Path, database: &Arc<Database>, (first, last): (i64, i64)) -> Result<Rows, String> {
         let connection = connect(path, database.cut)?;
         Ok(Rows { connection, database: database.clone(), first, last, passed: None, ahead: VecDeque::new() })
     }
@@ -346,12 +337,12 @@ impl Rows {
     }
 
     /// The next row as an offset from the first.
-    pub fn at(&self) -> u64 {
+    pub(crate) fn at(&self) -> u64 {
         self.passed.map_or(0, |row| self.offset(row).saturating_add(1))
     }
 
     /// Goes on at an offset that a message had.
-    pub fn forward(&mut self, offset: u64) {
+    pub(crate) fn forward(&mut self, offset: u64) {
         let row = self.first.wrapping_add(offset.cast_signed());
         self.ahead.retain(|line| line.row >= row);
         self.passed = row.checked_sub(1).filter(|passed| *passed >= self.first);
@@ -361,7 +352,7 @@ impl Rows {
     ///
     /// # Errors
     /// When the rows cannot be read further.
-    pub fn next(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
+    pub(crate) fn next(&mut self, wanted: &dyn Fn(u32) -> bool, most: u64, body: &mut Vec<u8>) -> Result<Option<Record>, String> {
         if self.ahead.is_empty() {
             let after = self.passed.unwrap_or(self.first.saturating_sub(1));
             let end = lines(&self.connection, after, self.last, &mut self.ahead);

@@ -1,10 +1,10 @@
 //! Bags and MCAP files made byte by byte, read back; cut off at every length; changed at every byte.
 
 use super::testing::{BagWriter, McapWriter, Packing, Wire, event_array, event_packet, evt3, image};
+use crate::catalog::recognise;
 use crate::chunk::EventChunk;
 use crate::declared::Declared;
 use crate::error::FormatError;
-use crate::format::recognise;
 use crate::recording::Recording;
 use photocurrent_core::{Colour, Extent};
 use proptest::prelude::*;

@@ -1,6 +1,6 @@
 //! Which topic the events come from, and which the pictures: the only one, or the one that the user names.
 
-use super::Contents;
+use super::contents::Contents;
 use super::messages::{EventArray, EventPacket, Kind, Serial, kind_of};
 use super::packets::{self, Encoding};
 use super::walk::Walker;
@@ -11,7 +11,7 @@ use std::sync::Arc;
 
 /// A topic: all its connections.
 #[derive(Clone, Debug)]
-pub struct Group {
+pub(crate) struct Group {
     /// Its name.
     pub name: String,
     /// Type of its messages.
@@ -26,24 +26,24 @@ pub struct Group {
 
 impl Group {
     /// Numbers of its connections.
-    pub fn ids(&self) -> Vec<u32> {
+    pub(crate) fn ids(&self) -> Vec<u32> {
         self.connections.iter().map(|(id, _)| *id).collect()
     }
 
     /// How messages of a connection are serialised.
-    pub fn serial(&self, id: u32) -> Option<Serial> {
+    pub(crate) fn serial(&self, id: u32) -> Option<Serial> {
         self.connections.iter().find(|(known, _)| *known == id).map(|(_, serial)| *serial)
     }
 
     /// For people: "/dvs/events (dvs_msgs/EventArray, 12 messages)".
-    pub fn describe(&self) -> String {
+    pub(crate) fn describe(&self) -> String {
         let count = self.messages.map(|count| format!(", {count} messages")).unwrap_or_default();
         format!("{} ({}{count})", self.name, self.type_name)
     }
 }
 
 /// All topics of a file, in the order in which they appear.
-pub fn groups(contents: &Contents) -> Vec<Group> {
+pub(crate) fn groups(contents: &Contents) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     for topic in &contents.topics {
         let kind = if topic.serial == Serial::Other { Kind::Other } else { kind_of(&topic.type_name) };
@@ -65,14 +65,14 @@ pub fn groups(contents: &Contents) -> Vec<Group> {
 }
 
 /// A topic that was chosen, and a note that names the others where it was not the only one.
-pub type Chosen<'a> = Option<(&'a Group, Option<String>)>;
+pub(crate) type Chosen<'a> = Option<(&'a Group, Option<String>)>;
 
 /// Chooses among topics: the one that is `named`; the only one; of several with events the first by name; of several with pictures the one of the camera
 /// whose events are read, which shares the beginning of its name with them ([`kin`]). `None` when there is none and none is named.
 ///
 /// # Errors
 /// When no topic with pictures shares a name with the events more than the others, or when the named one is not there.
-pub fn choose<'a>(
+pub(crate) fn choose<'a>(
     contents: &Contents,
     groups: &'a [Group],
     named: Option<&str>,
@@ -125,12 +125,12 @@ fn kin<'a>(groups: &'a [Group], name: &str) -> Option<&'a Group> {
 }
 
 /// Depth in a form of its own, by the name that `image_transport` gives the topic.
-pub fn is_depth(group: &Group) -> bool {
+pub(crate) fn is_depth(group: &Group) -> bool {
     group.kind == Kind::CompressedImage && group.name.ends_with("/compressedDepth")
 }
 
 /// The topics with pictures among which one is chosen: depth, and compressed copies of pictures that are there as they were, only when they are named.
-pub fn with_pictures(groups: &[Group], named: Option<&str>) -> Vec<Group> {
+pub(crate) fn with_pictures(groups: &[Group], named: Option<&str>) -> Vec<Group> {
     let is_sent = |group: &&Group| matches!(group.kind, Kind::Image | Kind::CompressedImage) && group.messages != Some(0);
     let all: Vec<&Group> = groups.iter().filter(is_sent).collect();
     let is_named = |group: &Group| named.is_some_and(|named| named.trim_start_matches('/') == group.name.trim_start_matches('/'));
@@ -143,7 +143,7 @@ pub fn with_pictures(groups: &[Group], named: Option<&str>) -> Vec<Group> {
 
 /// What the first message of an event topic says.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum First {
+pub(crate) enum First {
     /// Events one by one.
     Array(Option<Extent>),
     /// Packets in this encoding.
@@ -158,7 +158,7 @@ pub enum First {
 ///
 /// # Errors
 /// When the file has gone.
-pub fn first(contents: &Arc<Contents>, group: &Group) -> Result<First, FormatError> {
+pub(crate) fn first(contents: &Arc<Contents>, group: &Group) -> Result<First, FormatError> {
     let mut walker = Walker::new(contents, &group.ids());
     while let Some(envelope) = walker.advance()? {
         let Some(wire) = group.serial(envelope.id).and_then(|serial| serial.wire(&walker.body)) else { continue };
@@ -177,7 +177,7 @@ pub fn first(contents: &Arc<Contents>, group: &Group) -> Result<First, FormatErr
 }
 
 /// The refusal of packets in an encoding that is not read.
-pub fn unknown_encoding(contents: &Contents, group: &Group, encoding: &str) -> FormatError {
+pub(crate) fn unknown_encoding(contents: &Contents, group: &Group, encoding: &str) -> FormatError {
     let found = format!("packets of {} have the encoding `{encoding}`", group.name);
     FormatError::new(&contents.path, found, "convert the topic with event_camera_tools, or record it in one of these encodings").expected(packets::NAMES)
 }

@@ -1,8 +1,10 @@
 //! Walks over the messages of some topics, through all pieces of a file, and goes to a message by its place.
 
-use super::records::{Container, Envelope, Record, Records};
+use super::contents::Contents;
+use super::piece::{Container, Envelope, Record};
+use super::records::Records;
 use super::sqlite::Rows;
-use super::{Contents, bag, mcap, packed};
+use super::{bag, mcap, packed};
 use crate::error::FormatError;
 use crate::losses::Losses;
 use std::fs::File;
@@ -12,7 +14,7 @@ use std::sync::Arc;
 ///
 /// # Errors
 /// When the file has gone; `Ok(Err)` says why the piece cannot be read.
-pub fn open_piece(contents: &Contents, index: usize) -> Result<Result<Records, String>, FormatError> {
+pub(crate) fn open_piece(contents: &Contents, index: usize) -> Result<Result<Records, String>, FormatError> {
     let Some(piece) = contents.pieces.get(index) else { return Ok(Err("there is no such piece".into())) };
     let Some(part) = contents.parts.get(piece.file) else { return Ok(Err("there is no such file".into())) };
     let io = |error: std::io::Error| FormatError::io(&part.path, &error);
@@ -32,7 +34,7 @@ pub fn open_piece(contents: &Contents, index: usize) -> Result<Result<Records, S
 }
 
 /// A place between messages.
-pub struct Walker {
+pub(crate) struct Walker {
     contents: Arc<Contents>,
     /// Connections whose messages are given.
     wanted: Vec<u32>,
@@ -48,30 +50,30 @@ pub struct Walker {
 
 impl Walker {
     /// Before the first message.
-    pub fn new(contents: &Arc<Contents>, wanted: &[u32]) -> Walker {
+    pub(crate) fn new(contents: &Arc<Contents>, wanted: &[u32]) -> Walker {
         Walker { contents: contents.clone(), wanted: wanted.to_vec(), most: u64::MAX, piece: 0, records: None, body: Vec::new(), losses: Losses::default() }
     }
 
     /// Keeps only the first bytes of every message.
     #[must_use]
-    pub fn heads(mut self, most: u64) -> Walker {
+    pub(crate) fn heads(mut self, most: u64) -> Walker {
         self.most = most;
         self
     }
 
     /// The piece of the message that was given last.
-    pub fn piece(&self) -> usize {
+    pub(crate) fn piece(&self) -> usize {
         self.piece
     }
 
     /// Goes to the start of a piece.
-    pub fn go_to(&mut self, piece: usize) {
+    pub(crate) fn go_to(&mut self, piece: usize) {
         self.piece = piece;
         self.records = None;
     }
 
     /// Where the walker stands, in bytes of the file, to a piece.
-    pub fn position(&self) -> u64 {
+    pub(crate) fn position(&self) -> u64 {
         let before = |file: usize| self.contents.parts.get(file).map_or(0, |part| part.before);
         self.contents.pieces.get(self.piece).map_or(self.contents.size, |piece| before(piece.file).saturating_add(piece.at))
     }
@@ -80,7 +82,7 @@ impl Walker {
     ///
     /// # Errors
     /// When the file has gone.
-    pub fn advance(&mut self) -> Result<Option<Envelope>, FormatError> {
+    pub(crate) fn advance(&mut self) -> Result<Option<Envelope>, FormatError> {
         let contents = self.contents.clone();
         while let Some(piece) = contents.pieces.get(self.piece) {
             if self.records.is_none() {
@@ -120,7 +122,7 @@ impl Walker {
     ///
     /// # Errors
     /// When the file has gone; `Ok(Err)` says why the message cannot be read any more.
-    pub fn fetch(&mut self, piece: usize, offset: u64) -> Result<Result<Envelope, String>, FormatError> {
+    pub(crate) fn fetch(&mut self, piece: usize, offset: u64) -> Result<Result<Envelope, String>, FormatError> {
         if self.piece != piece || self.records.as_ref().is_none_or(|records| records.at() > offset) {
             self.piece = piece;
             self.records = None;

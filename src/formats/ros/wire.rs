@@ -6,7 +6,7 @@
 
 /// How a message is serialised.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Layout {
+pub(crate) enum Layout {
     /// ROS 1: packed, little-endian.
     Ros1,
     /// CDR, as ROS 2 writes it.
@@ -23,7 +23,7 @@ const CDR_NOTE: usize = 4;
 
 /// A place in a message.
 #[derive(Clone, Copy, Debug)]
-pub struct Wire<'a> {
+pub(crate) struct Wire<'a> {
     bytes: &'a [u8],
     at: usize,
     layout: Layout,
@@ -31,12 +31,12 @@ pub struct Wire<'a> {
 
 impl<'a> Wire<'a> {
     /// The first field of a ROS 1 message.
-    pub fn ros1(bytes: &'a [u8]) -> Wire<'a> {
+    pub(crate) fn ros1(bytes: &'a [u8]) -> Wire<'a> {
         Wire { bytes, at: 0, layout: Layout::Ros1 }
     }
 
     /// The first field of a CDR message; `None` when its four bytes name another representation.
-    pub fn cdr(bytes: &'a [u8]) -> Option<Wire<'a>> {
+    pub(crate) fn cdr(bytes: &'a [u8]) -> Option<Wire<'a>> {
         // The second byte: 0 and 1 are CDR, 6 and 7 plain CDR of the second version; odd is little-endian. Others hold parameter lists.
         let (big, widest) = match bytes.get(..2)? {
             [0, 0] => (true, 8),
@@ -49,23 +49,18 @@ impl<'a> Wire<'a> {
     }
 
     /// Goes on in a message at a place that [`Wire::at`] gave.
-    pub fn resume(bytes: &'a [u8], at: usize, layout: Layout) -> Wire<'a> {
+    pub(crate) fn resume(bytes: &'a [u8], at: usize, layout: Layout) -> Wire<'a> {
         Wire { bytes, at, layout }
     }
 
     /// The place of the next field, in bytes from the start of the message.
-    pub fn at(&self) -> usize {
+    pub(crate) fn at(&self) -> usize {
         self.at
     }
 
     /// How the message is serialised.
-    pub fn layout(&self) -> Layout {
+    pub(crate) fn layout(&self) -> Layout {
         self.layout
-    }
-
-    /// Bytes that are left.
-    pub fn left(&self) -> usize {
-        self.bytes.len().saturating_sub(self.at)
     }
 
     fn align(&mut self, size: usize) {
@@ -89,31 +84,31 @@ impl<'a> Wire<'a> {
 
     /// The next field, a byte.
     #[inline]
-    pub fn u8(&mut self) -> Option<u8> {
+    pub(crate) fn u8(&mut self) -> Option<u8> {
         self.number::<1>().map(|[byte]| byte)
     }
 
     /// The next field.
     #[inline]
-    pub fn u16(&mut self) -> Option<u16> {
+    pub(crate) fn u16(&mut self) -> Option<u16> {
         self.number().map(u16::from_le_bytes)
     }
 
     /// The next field.
     #[inline]
-    pub fn u32(&mut self) -> Option<u32> {
+    pub(crate) fn u32(&mut self) -> Option<u32> {
         self.number().map(u32::from_le_bytes)
     }
 
     /// The next field.
     #[inline]
-    pub fn u64(&mut self) -> Option<u64> {
+    pub(crate) fn u64(&mut self) -> Option<u64> {
         self.number().map(u64::from_le_bytes)
     }
 
     /// The next field, a time of seconds and nanoseconds, in ns. Nanoseconds of a whole second or more are kept: see [`Stamp::is_sound`].
     #[inline]
-    pub fn stamp(&mut self) -> Option<Stamp> {
+    pub(crate) fn stamp(&mut self) -> Option<Stamp> {
         let seconds = self.u32()?;
         let nanoseconds = self.u32()?;
         let seconds = match self.layout {
@@ -124,7 +119,7 @@ impl<'a> Wire<'a> {
     }
 
     /// The next field, a string without its final zero byte, or a sequence of bytes: which of both is the caller's to say.
-    pub fn string(&mut self) -> Option<&'a [u8]> {
+    pub(crate) fn string(&mut self) -> Option<&'a [u8]> {
         let bytes = self.sequence()?;
         Some(match self.layout {
             Layout::Ros1 => bytes,
@@ -133,7 +128,7 @@ impl<'a> Wire<'a> {
     }
 
     /// The next field, a sequence of bytes.
-    pub fn sequence(&mut self) -> Option<&'a [u8]> {
+    pub(crate) fn sequence(&mut self) -> Option<&'a [u8]> {
         let length = usize::try_from(self.u32()?).ok()?;
         let bytes = self.bytes.get(self.at..self.at.checked_add(length)?)?;
         self.at += length;
@@ -143,7 +138,7 @@ impl<'a> Wire<'a> {
 
 /// A time of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stamp {
+pub(crate) struct Stamp {
     /// Nanoseconds in all.
     pub ns: i64,
     nanoseconds: u32,
@@ -151,12 +146,12 @@ pub struct Stamp {
 
 impl Stamp {
     /// Are its nanoseconds less than a second? Where they are not, the bytes are damaged or are no such time.
-    pub fn is_sound(&self) -> bool {
+    pub(crate) fn is_sound(&self) -> bool {
         self.nanoseconds < 1_000_000_000
     }
 }
 /// Text of a file for a message: no control characters, not longer than a line.
-pub fn label(bytes: &[u8]) -> String {
+pub(crate) fn label(bytes: &[u8]) -> String {
     const MOST: usize = 120;
     let clean = |c: char| if c.is_control() { '?' } else { c };
     // No character has more than four bytes: this many hold what is shown.

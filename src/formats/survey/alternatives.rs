@@ -27,7 +27,7 @@
 //! Limits: no reading is preferred where nothing moves. Of a picture that moves one way, a shift along the motion and lateness explain the same; that shows as two readings close
 //! to each other. Of [`PAIRS`] pairs of frames the [`A_PAIR`] tiles that change most are evaluated.
 
-use super::lag::Interval;
+use super::interval::Interval;
 use super::pictures::middle;
 use super::places::MOST_PIXELS;
 use crate::chunk::EventChunk;

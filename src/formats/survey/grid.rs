@@ -3,7 +3,7 @@
 //! [`photocurrent_sensor::estimate::displacement`] holds the two against each other. Limits: of [`PAIRS`] pairs the [`A_PAIR`] patches that change most; frames must
 //! have the events' pixels or a whole multiple.
 
-use super::lag::Interval;
+use super::interval::Interval;
 use crate::recording::FramesAbout;
 use photocurrent_core::Extent;
 use photocurrent_sensor::estimate::{FRAME_SIDE, Patch, REACH, SIDE, displacement};
@@ -61,7 +61,7 @@ pub(super) struct Grid {
 
 impl Grid {
     /// For pairs of frames (the later one, and the middles of both exposures); none where sizes do not agree.
-    pub fn new(about: &FramesAbout, events: Extent, pairs: &[(usize, i64, i64)], period_ns: i64) -> Option<Grid> {
+    pub(super) fn new(about: &FramesAbout, events: Extent, pairs: &[(usize, i64, i64)], period_ns: i64) -> Option<Grid> {
         let times = about.extent.width / events.width.max(1);
         if times == 0 || (events.width * times, events.height * times) != (about.extent.width, about.extent.height) || pairs.is_empty() {
             return None;
@@ -72,7 +72,7 @@ impl Grid {
     }
 
     /// Takes the values of a frame; `dark` is added before the logarithm.
-    pub fn picture(&mut self, frame: usize, values: &[f32], dark: f32) {
+    pub(super) fn picture(&mut self, frame: usize, values: &[f32], dark: f32) {
         let is_later = self.wanted.binary_search_by_key(&frame, |wanted| wanted.0);
         let is_earlier = self.wanted.binary_search_by_key(&(frame + 1), |wanted| wanted.0).is_ok();
         if is_later.is_err() && !is_earlier {
@@ -146,7 +146,7 @@ impl Grid {
 
     /// Takes an event inside of the array.
     #[inline]
-    pub fn event(&mut self, t_ns: i64, x: usize, y: usize, is_on: bool) {
+    pub(super) fn event(&mut self, t_ns: i64, x: usize, y: usize, is_on: bool) {
         let (column, row, across) = (x / SIDE, y / SIDE, self.across());
         if column >= across {
             return;
@@ -161,7 +161,7 @@ impl Grid {
     }
 
     /// What they show, with events later than frames by about `offset_ns`.
-    pub fn survey(self, offset_ns: f64) -> Option<GridSurvey> {
+    pub(super) fn survey(self, offset_ns: f64) -> Option<GridSurvey> {
         let patches: Vec<Patch> = self.pairs.into_iter().flat_map(|pair| pair.patches).collect();
         let offsets: Vec<f64> = (-AROUND..=AROUND).map(|n| offset_ns + n as f64 * OFFSET_STEP * self.period_ns as f64).collect();
         displacement(&patches, &offsets).map(|found| GridSurvey {

@@ -9,6 +9,7 @@
 //! Limits: places are several pixels wide, so that fine motion shows less; what a scene without motion hides stays hidden.
 
 use super::grid::{Grid, GridSurvey};
+use super::interval::Interval;
 use super::pictures::middle;
 use super::places::MOST_PIXELS;
 use crate::declared::Transfer;
@@ -28,15 +29,6 @@ const MOST_COUNTERS: usize = 1 << 24;
 const DELAY_SHARE: f64 = 0.5;
 /// A step of the grey scale: added before the logarithm, as parts of the largest value, so that darkness is finite.
 const DARK: f32 = 1.0 / 255.0;
-
-/// A value with its interval.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Interval {
-    /// The value.
-    pub value: f64,
-    /// Its 95 % interval.
-    pub ci95: (f64, f64),
-}
 
 impl From<Estimate> for Interval {
     fn from(estimate: Estimate) -> Interval {
@@ -121,7 +113,7 @@ pub(super) struct Panel {
 
 impl Panel {
     /// For frames that will be read, in order; none when there are too few, or sizes are unknown.
-    pub fn new(about: &FramesAbout, events: Option<Extent>, chosen: &[usize], stated: &Stated) -> Option<Panel> {
+    pub(super) fn new(about: &FramesAbout, events: Option<Extent>, chosen: &[usize], stated: &Stated) -> Option<Panel> {
         let extent = events.unwrap_or(about.extent);
         if extent.pixels() == 0 || extent.pixels() > MOST_PIXELS || about.extent.pixels() == 0 || chosen.len() < 2 {
             return None;
@@ -179,7 +171,7 @@ impl Panel {
     }
 
     /// Takes the values of a frame.
-    pub fn picture(&mut self, frame: usize, values: &[f32]) {
+    pub(super) fn picture(&mut self, frame: usize, values: &[f32]) {
         let Ok(found) = self.at.binary_search_by_key(&frame, |at| at.0) else { return };
         let row_values = self.frame.width as usize * self.channels;
         if values.len() < row_values * self.frame.height as usize {
@@ -220,7 +212,7 @@ impl Panel {
 
     /// Takes an event.
     #[inline]
-    pub fn event(&mut self, t: i64, x: u16, y: u16, on: u8) {
+    pub(super) fn event(&mut self, t: i64, x: u16, y: u16, on: u8) {
         if u32::from(x) >= self.width || u32::from(y) >= self.height {
             return;
         }
@@ -255,7 +247,7 @@ impl Panel {
         }
     }
 
-    pub fn survey(mut self) -> Option<LagSurvey> {
+    pub(super) fn survey(mut self) -> Option<LagSurvey> {
         let rest: Vec<_> = self.centring.rest().collect();
         rest.into_iter().for_each(|(pixel, t, is_on)| self.put(pixel, t, is_on));
         let pairs = self.panel.pairs();

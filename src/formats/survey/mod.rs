@@ -17,6 +17,7 @@
 
 pub mod alternatives;
 pub mod grid;
+pub(crate) mod interval;
 pub mod lag;
 pub mod lines;
 pub mod phase;
@@ -26,9 +27,11 @@ pub mod rate;
 pub mod readout;
 pub mod stamps;
 
+pub use interval::Interval;
+
 use crate::chunk::EventChunk;
-use crate::convention::Convention;
 use crate::error::{Cause, FormatError, Loss};
+use crate::recording::Convention;
 use crate::recording::Recording;
 use lag::{LagSurvey, Panel, Stated, StatedFrontEnd};
 use lines::LineSurvey;

@@ -51,7 +51,7 @@ pub(super) struct Phase {
 
 impl Phase {
     /// With the instants at which frames begin, and the pixels whose rows are distinguished; none when there are too few frames to be in step with.
-    pub fn new(mut starts: Vec<i64>, extent: Extent) -> Option<Phase> {
+    pub(super) fn new(mut starts: Vec<i64>, extent: Extent) -> Option<Phase> {
         starts.sort_unstable();
         starts.dedup();
         let zero = Phase {
@@ -71,7 +71,7 @@ impl Phase {
 
     /// Takes an event.
     #[inline]
-    pub fn add(&mut self, t: i64, y: u16, on: u8) {
+    pub(super) fn add(&mut self, t: i64, y: u16, on: u8) {
         let is_here = self.now != usize::MAX && self.starts[self.now] <= t && t < self.starts[self.now + 1];
         if !is_here {
             let next = self.starts.partition_point(|start| *start <= t);
@@ -107,7 +107,7 @@ impl Phase {
         self.counts = [(0, 0); PHASES];
     }
 
-    pub fn survey(mut self) -> Option<PhaseSurvey> {
+    pub(super) fn survey(mut self) -> Option<PhaseSurvey> {
         self.close();
         if self.frames < 2 {
             return None;

@@ -205,7 +205,7 @@ pub(super) struct Values {
 
 impl Values {
     /// Takes what was read of a frame.
-    pub fn add(&mut self, frame: usize, values: &[f32]) {
+    pub(super) fn add(&mut self, frame: usize, values: &[f32]) {
         let found = &mut self.found;
         if found.read.is_empty() {
             (found.min, found.max) = (f64::INFINITY, f64::NEG_INFINITY);
@@ -248,14 +248,14 @@ impl Values {
     }
 
     /// A frame that could not be read.
-    pub fn unreadable(&mut self, frame: usize, error: &FormatError) {
+    pub(super) fn unreadable(&mut self, frame: usize, error: &FormatError) {
         self.found.unreadable_frames.push(frame);
         if self.found.unreadable.len() < MOST_LISTED {
             self.found.unreadable.push(error.to_string().replace("\n  hint: ", "; "));
         }
     }
 
-    pub fn survey(mut self) -> ValuesSurvey {
+    pub(super) fn survey(mut self) -> ValuesSurvey {
         let finite = self.found.values - self.found.nan - self.found.infinite;
         if finite == 0 {
             (self.found.min, self.found.mean, self.found.max) = (0.0, 0.0, 0.0);

@@ -115,7 +115,7 @@ pub(super) struct Places {
 }
 
 impl Places {
-    pub fn new() -> Places {
+    pub(super) fn new() -> Places {
         Places {
             rows: Vec::new(),
             columns: Vec::new(),
@@ -131,7 +131,7 @@ impl Places {
 
     /// Takes an event.
     #[inline]
-    pub fn add(&mut self, t: i64, x: u16, y: u16, on: u8) {
+    pub(super) fn add(&mut self, t: i64, x: u16, y: u16, on: u8) {
         let (column, row) = (usize::from(x), usize::from(y));
         if column >= self.columns.len() || row >= self.rows.len() {
             self.columns.resize(self.columns.len().max(column + 1), 0);
@@ -176,7 +176,7 @@ impl Places {
         *last = now;
     }
 
-    pub fn survey(self, stated: Option<Extent>) -> PlacesSurvey {
+    pub(super) fn survey(self, stated: Option<Extent>) -> PlacesSurvey {
         let mut found = PlacesSurvey {
             largest: (self.largest.0.into(), self.largest.1.into()),
             smallest: (self.smallest.0.min(self.largest.0).into(), self.smallest.1.min(self.largest.1).into()),

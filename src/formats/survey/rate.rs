@@ -46,13 +46,13 @@ pub(super) struct Rate {
 }
 
 impl Rate {
-    pub fn new() -> Rate {
+    pub(super) fn new() -> Rate {
         Rate { start: 0, bin: FIRST_BIN_NS, counts: vec![0; BINS], ends: vec![None; BINS], is_empty: true }
     }
 
     /// Takes an event at `t`, ns.
     #[inline]
-    pub fn add(&mut self, t: i64) {
+    pub(super) fn add(&mut self, t: i64) {
         if self.is_empty {
             self.is_empty = false;
             self.start = i128::from(t);
@@ -89,7 +89,7 @@ impl Rate {
         }
     }
 
-    pub fn survey(self) -> RateSurvey {
+    pub(super) fn survey(self) -> RateSurvey {
         let (Some(first), Some(last)) = (self.counts.iter().position(|n| *n > 0), self.counts.iter().rposition(|n| *n > 0)) else {
             return RateSurvey::default();
         };

@@ -60,14 +60,14 @@ struct Line {
 
 impl Readout {
     /// For an array of a height; none without rows.
-    pub fn new(extent: Extent) -> Option<Readout> {
+    pub(super) fn new(extent: Extent) -> Option<Readout> {
         let counts = || Counts { all: 0, counts: vec![0; GROUPS * BANDS * BINS] };
         (extent.height > 0).then(|| Readout { height: extent.height, of_sign: [counts(), counts()] })
     }
 
     /// Takes an event at a phase, 0 to 1, of a frame.
     #[inline]
-    pub fn add(&mut self, frame: usize, phase: f64, y: u16, on: u8) {
+    pub(super) fn add(&mut self, frame: usize, phase: f64, y: u16, on: u8) {
         if u32::from(y) >= self.height {
             return;
         }
@@ -78,7 +78,7 @@ impl Readout {
     }
 
     /// The lines of both signs, OFF first; those of a sign with few events, or without a group to measure in, are left out.
-    pub fn survey(&self, period_ns: f64) -> Vec<ReadoutSurvey> {
+    pub(super) fn survey(&self, period_ns: f64) -> Vec<ReadoutSurvey> {
         let found = |sign: usize| Some(ReadoutSurvey { is_on: sign == 1, ..self.of_sign[sign].line(period_ns, self.height)? });
         (0..2).filter_map(found).collect()
     }

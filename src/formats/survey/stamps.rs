@@ -75,7 +75,7 @@ pub(super) struct Stamps {
 }
 
 impl Stamps {
-    pub fn new(tick_ns: i64) -> Stamps {
+    pub(super) fn new(tick_ns: i64) -> Stamps {
         let tick_ns = tick_ns.max(1);
         // Singles of [2^k, 2^(k+1)) seconds are 2^(k-23) s apart: the first octave in which that is wide enough.
         let seconds = libm::exp2(libm::ceil(libm::log2(FLOAT_STEPS * tick_ns as f64 * 1e-9)) + 23.0);
@@ -102,7 +102,7 @@ impl Stamps {
 
     /// Takes the next stamp, ns.
     #[inline]
-    pub fn add(&mut self, t: i64) {
+    pub(super) fn add(&mut self, t: i64) {
         let first = *self.first.get_or_insert(t);
         let from_first = t.abs_diff(first);
         // The greatest common divisor changes a few dozen times at most.
@@ -153,7 +153,7 @@ impl Stamps {
         }
     }
 
-    pub fn survey(mut self) -> StampsSurvey {
+    pub(super) fn survey(mut self) -> StampsSurvey {
         self.examples.sort_by_key(|one| one.event);
         let common = self.exact.iter().enumerate().max_by_key(|(steps, count)| (**count, std::cmp::Reverse(*steps))).filter(|(_, count)| **count > 0);
         StampsSurvey {

@@ -4,7 +4,7 @@
 mod common;
 
 use common::{Random, Seed, mutate, read, seeds};
-use photocurrent_formats::{FORMATS, format};
+use photocurrent_formats::{FORMATS, catalog};
 
 /// Changed copies of every seed: HDF5 files are slower to open than all others together.
 fn copies(seed: &Seed) -> usize {
@@ -32,7 +32,7 @@ fn every_format_has_a_seed_that_is_read_whole() {
 fn changed_files_of_every_format_are_survived() {
     let mut random = Random::new(22);
     for seed in seeds::all() {
-        let format = format::named(seed.format).unwrap();
+        let format = catalog::named(seed.format).unwrap();
         for _ in 0..copies(&seed) {
             let folder = tempfile::tempdir().unwrap();
             let changed = mutate(&seed, &mut random);

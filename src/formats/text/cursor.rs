@@ -1,7 +1,8 @@
 //! Walks over a text file of any size, one block at a time.
 
+use super::fields::is_comment;
+use super::layout::Layout;
 use super::line::{self, Event};
-use super::{Layout, is_comment};
 use crate::chunk::{CHUNK_EVENTS, EventChunk};
 use crate::convention::Tally;
 use crate::error::{Cause, FormatError, Loss};

@@ -1,6 +1,7 @@
 //! One line of text becomes one event, or the reason why not.
 
-use super::{Layout, Separator};
+use super::fields::Separator;
+use super::layout::Layout;
 use crate::convention::NONE;
 use crate::decimal::Decimal;
 use crate::declared::Column;

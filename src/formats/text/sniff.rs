@@ -3,7 +3,7 @@
 //! A header line may hold units (`t [us]`, `timestamp_us`) and the size of the array as faery writes it (`x@320`). A comment may hold them too
 //! (`# time_unit=us width=346 height=260`), or the names of the columns, as numpy writes them. E2VID's files begin with a line `width height`.
 
-use super::{Separator, is_comment};
+use super::fields::{Separator, is_comment};
 use crate::decimal::Decimal;
 use crate::declared::{Column, TimeUnit};
 use crate::error::FormatError;

@@ -4,7 +4,7 @@ use super::data::{Mark, RunPage, Verdict};
 use crate::escape::escaped;
 use std::fmt::Write;
 
-pub fn lead(page: &RunPage) -> String {
+pub(super) fn lead(page: &RunPage) -> String {
     let mut html = String::new();
     for about in &page.about {
         let _ = writeln!(html, "<p>{}</p>", escaped(about));
@@ -34,7 +34,7 @@ fn code_spans(text: &str) -> String {
     parts.map(|(at, part)| if at % 2 == 1 { format!("<code>{}</code>", escaped(part)) } else { escaped(part) }).collect()
 }
 
-pub fn verdict(page: &RunPage, copies: &mut Vec<String>) -> String {
+pub(super) fn verdict(page: &RunPage, copies: &mut Vec<String>) -> String {
     if page.verdicts.is_empty() {
         return "<p class=\"missing\">The run has no scores: connect a node <code>score/...</code> to what it renders. Without a truth, <code>split/frames</code> and \
                 <code>score/heldout</code> compare with frames that were held out.</p>\n"
@@ -86,7 +86,7 @@ fn table(verdict: &Verdict, copies: &mut Vec<String>) -> String {
     html
 }
 
-pub fn pictures(page: &RunPage) -> String {
+pub(super) fn pictures(page: &RunPage) -> String {
     let mut html = String::new();
     for (at, group) in page.groups.iter().enumerate() {
         if page.groups.len() > 1 {
@@ -130,7 +130,7 @@ pub fn pictures(page: &RunPage) -> String {
     html
 }
 
-pub fn curves(page: &RunPage) -> String {
+pub(super) fn curves(page: &RunPage) -> String {
     if page.curves.is_empty() {
         return "<p class=\"missing\">The run has no scores of single frames, so there are no curves.</p>\n".into();
     }
@@ -146,7 +146,7 @@ fn panels(from: usize, count: usize) -> String {
     format!("<div class=\"panels\">\n{each}</div>\n")
 }
 
-pub fn pixel(page: &RunPage) -> String {
+pub(super) fn pixel(page: &RunPage) -> String {
     if page.groups.is_empty() {
         return notes(&page.pixel_notes);
     }
@@ -172,13 +172,13 @@ pub fn pixel(page: &RunPage) -> String {
     html
 }
 
-pub fn edges(page: &RunPage) -> String {
+pub(super) fn edges(page: &RunPage) -> String {
     let mut html = if page.edges.is_empty() { String::new() } else { panels(page.curves.len(), page.edges.len()) };
     html += &notes(&page.edge_notes);
     html
 }
 
-pub fn graphs(page: &RunPage) -> String {
+pub(super) fn graphs(page: &RunPage) -> String {
     let mut html = String::new();
     for graph in &page.graphs {
         if page.graphs.len() > 1 {
@@ -207,7 +207,7 @@ pub fn graphs(page: &RunPage) -> String {
     html
 }
 
-pub fn hazards(page: &RunPage) -> String {
+pub(super) fn hazards(page: &RunPage) -> String {
     if page.hazards.is_empty() {
         return "<p>No node reported anything unusual about its data.</p>\n".into();
     }
@@ -224,7 +224,7 @@ pub fn hazards(page: &RunPage) -> String {
     serious.into_iter().chain(others).map(one).collect()
 }
 
-pub fn provenance(page: &RunPage) -> String {
+pub(super) fn provenance(page: &RunPage) -> String {
     let mut html = list(&page.provenance);
     if !page.cards.is_empty() {
         html += "<h3 id=\"cards\">Metric cards</h3>\n";

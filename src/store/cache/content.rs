@@ -4,7 +4,8 @@
 //! is placed under a lock that is held only for that moment, and a reader that finds a pair that does not fit looks again under the same lock.
 
 use super::files::{self, Identity};
-use super::{Cache, StoredOutput, lock_file};
+use super::folder::{Cache, lock_file};
+use super::record::StoredOutput;
 use crate::error::StoreError;
 use crate::layout::{ValueWriter, open_stored};
 use photocurrent_core::{DataType, Digest, Meta, Value};

@@ -23,7 +23,7 @@ pub(super) struct Owner {
 
 impl Owner {
     /// Takes a name in `folder` and removes what dead owners left there.
-    pub fn new(folder: &Path) -> Result<Owner, StoreError> {
+    pub(super) fn new(folder: &Path) -> Result<Owner, StoreError> {
         let owner = loop {
             let random = RandomState::new().build_hasher().finish();
             let stem = format!("p{}-{random:016x}", std::process::id());
@@ -41,7 +41,7 @@ impl Owner {
     }
 
     /// A name that nobody else uses.
-    pub fn temporary(&self, extension: &str) -> PathBuf {
+    pub(super) fn temporary(&self, extension: &str) -> PathBuf {
         self.folder.join(format!("{}-{}.{extension}", self.stem, self.next.fetch_add(1, Ordering::Relaxed)))
     }
 
@@ -69,7 +69,7 @@ impl Owner {
     }
 
     /// Writes a small file: afterwards it is there with these bytes, or as it was before.
-    pub fn write(&self, target: &Path, bytes: &[u8]) -> Result<(), StoreError> {
+    pub(super) fn write(&self, target: &Path, bytes: &[u8]) -> Result<(), StoreError> {
         let temporary = self.temporary("part");
         let written = File::create(&temporary).and_then(|mut file| file.write_all(bytes).and_then(|_| file.sync_all()));
         let result = written.map_err(|error| StoreError::io(&temporary, "write a file", error)).and_then(|_| rename(&temporary, target));
@@ -160,7 +160,7 @@ pub(super) struct Identity {
 }
 
 impl Identity {
-    pub fn of(path: &Path) -> std::io::Result<Identity> {
+    pub(super) fn of(path: &Path) -> std::io::Result<Identity> {
         use std::os::unix::fs::MetadataExt;
         let metadata = std::fs::metadata(path)?;
         let ns = |seconds: i64, ns: i64| seconds.saturating_mul(1_000_000_000).saturating_add(ns);

@@ -1,7 +1,9 @@
 //! Housekeeping: what is there, how large it is, what may go, and whether it is whole.
 
 use super::content::{data_path, sum_path};
-use super::{Cache, Lookup, StoredOutput, files, lock_file, make_folders, memory, read_record};
+use super::folder::{Cache, Lookup, lock_file, make_folders, read_record};
+use super::record::StoredOutput;
+use super::{files, memory};
 use crate::error::StoreError;
 use crate::layout::open_stored;
 use photocurrent_core::Digest;

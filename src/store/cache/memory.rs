@@ -1,7 +1,7 @@
 //! Small memories: digests of outside files, and which key a node had last time.
 
-use super::Cache;
 use super::files::{Identity, hash_file, names_in};
+use super::folder::Cache;
 use crate::error::StoreError;
 use photocurrent_core::Digest;
 use photocurrent_core::digest::DigestBuilder;

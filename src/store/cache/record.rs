@@ -260,11 +260,11 @@ mod outputs_text {
         None(String),
     }
 
-    pub fn serialize<S: Serializer>(outputs: &BTreeMap<String, Option<StoredOutput>>, serializer: S) -> Result<S::Ok, S::Error> {
+    pub(super) fn serialize<S: Serializer>(outputs: &BTreeMap<String, Option<StoredOutput>>, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_map(outputs.iter().map(|(port, output)| (port, output.map_or(Output::None("none".into()), Output::Stored))))
     }
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, Option<StoredOutput>>, D::Error> {
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, Option<StoredOutput>>, D::Error> {
         let outputs = BTreeMap::<String, Output>::deserialize(deserializer)?;
         let output = |output| match output {
             Output::Stored(stored) => Ok(Some(stored)),
@@ -279,11 +279,11 @@ mod outputs_text {
 mod seed_text {
     use serde::{Deserialize, Deserializer, Serializer};
 
-    pub fn serialize<S: Serializer>(seed: &Option<u64>, serializer: S) -> Result<S::Ok, S::Error> {
+    pub(super) fn serialize<S: Serializer>(seed: &Option<u64>, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_str(&seed.unwrap_or_default())
     }
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u64>, D::Error> {
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<u64>, D::Error> {
         String::deserialize(deserializer)?.parse().map(Some).map_err(serde::de::Error::custom)
     }
 }
@@ -301,13 +301,13 @@ mod params_text {
         params: serde_json::Map<String, Value>,
     }
 
-    pub fn serialize<S: Serializer>(params: &Params, serializer: S) -> Result<S::Ok, S::Error> {
+    pub(super) fn serialize<S: Serializer>(params: &Params, serializer: S) -> Result<S::Ok, S::Error> {
         let readable = without_nulls(&Value::Object(params.readable.clone()));
         let params = Text { params_canonical: params.canonical.clone(), params: readable.as_object().cloned().unwrap_or_default() };
         params.serialize(serializer)
     }
 
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Params, D::Error> {
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Params, D::Error> {
         let text = Text::deserialize(deserializer)?;
         Ok(Params { canonical: text.params_canonical, readable: text.params })
     }

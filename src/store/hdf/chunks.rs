@@ -66,7 +66,7 @@ pub(crate) struct Hole {
 
 impl Chunks {
     /// Of a dataset that passed the checks of [`Opened::dataset`]. Elements have `memory`'s size and, without `native`, its bytes as they are stored.
-    pub fn new(opened: &Opened, at: &str, dataset: Dataset, memory: Datatype, native: bool) -> Chunks {
+    pub(crate) fn new(opened: &Opened, at: &str, dataset: Dataset, memory: Datatype, native: bool) -> Chunks {
         let (shape, item) = locked(|| (dataset.shape(), memory.size()));
         let packed = if native { locked(|| packed_form(&dataset, &memory, item)) } else { None };
         let whole_rows = whole_rows(opened, &dataset, &shape, item);
@@ -74,13 +74,13 @@ impl Chunks {
     }
 
     /// Keeps up to `bytes` of unpacked chunks, one at least, for readers that come back to the same chunks.
-    pub fn keeping(self, bytes: usize) -> Chunks {
+    pub(crate) fn keeping(self, bytes: usize) -> Chunks {
         Chunks { recent: Some(Recent { budget: bytes, kept: Mutex::default() }), ..self }
     }
 
     /// Fills `out` with the box that begins at `start` and has `count` elements along each dimension, last dimension fastest. A damaged chunk is an
     /// error, or a hole when `holes` are collected.
-    pub fn read(&self, start: &[usize], count: &[usize], out: &mut [u8], mut holes: Option<&mut Vec<Hole>>) -> Result<(), StoreError> {
+    pub(crate) fn read(&self, start: &[usize], count: &[usize], out: &mut [u8], mut holes: Option<&mut Vec<Hole>>) -> Result<(), StoreError> {
         let inside = start.len() == self.shape.len() && count.len() == self.shape.len();
         let inside = inside && (0..self.shape.len()).all(|d| start[d].checked_add(count[d]).is_some_and(|end| end <= self.shape[d]));
         if !inside || out.len() != count.iter().product::<usize>() * self.item {
@@ -121,7 +121,7 @@ impl Chunks {
 
     /// Makes the calls that reading makes, some of them: a few chunks are looked up and, where they are small, read as they are stored; without chunks, the
     /// first and the last row are read. Starts no thread and unpacks nothing.
-    pub fn try_out(&self) {
+    pub(crate) fn try_out(&self) {
         let rows = self.shape.first().copied().unwrap_or(1);
         let row = self.shape.iter().skip(1).fold(self.item, |bytes, &n| bytes.saturating_mul(n));
         if rows == 0 || row == 0 {

@@ -27,7 +27,7 @@ const LONGEST: usize = 256;
 
 impl Superblock {
     /// Of a file whose signature stands at a place; `None` when there is no whole superblock of a known version.
-    pub fn read(file: &mut File, at: u64) -> Option<Superblock> {
+    pub(super) fn read(file: &mut File, at: u64) -> Option<Superblock> {
         let mut bytes = Vec::new();
         file.seek(SeekFrom::Start(at)).ok()?;
         file.take(LONGEST as u64).read_to_end(&mut bytes).ok()?;
@@ -129,7 +129,7 @@ fn refusal(path: &Path, superblock: Superblock, bytes: u64, why: &str) -> StoreE
 #[cfg(unix)]
 mod mapped {
     use super::*;
-    use crate::hdf::{locked, short};
+    use crate::hdf::library::{locked, short};
     use hdf5_sys::h5::herr_t;
     use hdf5_sys::h5fd::{H5FD_file_image_callbacks_t, H5FD_file_image_op_t};
     use hdf5_sys::{h5f, h5p};
@@ -169,7 +169,7 @@ mod mapped {
         0
     }
 
-    pub fn open(path: &Path, superblock: Superblock, bytes: u64) -> Result<hdf5::File, StoreError> {
+    pub(super) fn open(path: &Path, superblock: Superblock, bytes: u64) -> Result<hdf5::File, StoreError> {
         let refused = |why: &str| refusal(path, superblock, bytes, why);
         let file = File::open(path).map_err(|error| StoreError::io(path, "open the file", error))?;
         let length = usize::try_from(bytes).map_err(|_| refused("it is too large for this system"))?;

@@ -15,7 +15,7 @@ pub(crate) struct Grid<T> {
 
 impl<T: Item> Grid<T> {
     /// Opens `/name`; `None` when there is none. Refuses another number type, naming both.
-    pub fn open(opened: &Opened, name: &str) -> Result<Option<Grid<T>>, StoreError> {
+    pub(crate) fn open(opened: &Opened, name: &str) -> Result<Option<Grid<T>>, StoreError> {
         let at = format!("/{name}");
         let Some(dataset) = opened.dataset(name)? else { return Ok(None) };
         let found = opened.wrap(&at, "read the number type", locked(|| dataset.dtype().and_then(|dtype| dtype.to_descriptor())))?;
@@ -31,12 +31,12 @@ impl<T: Item> Grid<T> {
     }
 
     /// Keeps up to `bytes` of unpacked chunks, for readers that come back for the next frame of the same chunks.
-    pub fn keeping(self, bytes: usize) -> Grid<T> {
+    pub(crate) fn keeping(self, bytes: usize) -> Grid<T> {
         Grid { chunks: self.chunks.keeping(bytes), ..self }
     }
 
     /// The numbers of the box that begins at `start` and has `count` numbers along each dimension, last dimension fastest.
-    pub fn read(&self, start: &[usize], count: &[usize]) -> Result<Vec<T>, StoreError> {
+    pub(crate) fn read(&self, start: &[usize], count: &[usize]) -> Result<Vec<T>, StoreError> {
         // A box that is not inside is refused below, before it is trusted in size.
         let inside = start.len() == count.len() && count.iter().zip(&self.shape).all(|(count, length)| count <= length);
         let mut values = vec![T::default(); if inside { count.iter().product() } else { 0 }];
@@ -45,7 +45,7 @@ impl<T: Item> Grid<T> {
     }
 
     /// All numbers of a column, or a part of it.
-    pub fn column(&self, range: std::ops::Range<usize>) -> Result<Vec<T>, StoreError> {
+    pub(crate) fn column(&self, range: std::ops::Range<usize>) -> Result<Vec<T>, StoreError> {
         self.read(&[range.start], &[range.len()])
     }
 }

@@ -12,12 +12,15 @@ pub(crate) mod codec;
 mod cut;
 pub(crate) mod grid;
 mod guard;
+mod library;
 pub(crate) mod number;
 pub(crate) mod pack;
 pub(crate) mod pipeline;
 pub(crate) mod text;
 mod trial;
 pub(crate) mod write;
+
+pub(crate) use library::{locked, short};
 
 use crate::error::StoreError;
 use cut::Superblock;
@@ -26,7 +29,6 @@ use hdf5::{Dataset, File, Group};
 use pipeline::Pipeline;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
-use std::sync::LazyLock;
 
 /// A number that can stand in a dataset.
 pub(crate) trait Item: hdf5::H5Type + bytemuck::Pod + Default + Send + Sync {}
@@ -42,22 +44,6 @@ const LARGEST_CHUNK: u64 = 1 << 30;
 /// Groups in groups are followed so far: no layout that is read has half as many.
 const DEEPEST: usize = 10;
 
-/// Runs library calls under the library's lock, with its printing off and the doors to other files shut.
-pub(crate) fn locked<T>(calls: impl FnOnce() -> T) -> T {
-    static SHUT: LazyLock<()> = LazyLock::new(|| {
-        hdf5::sync::sync(|| {
-            let mut no_plugins = 0;
-            // SAFETY: both are plain calls into an initialised library, under its lock; the pointer is valid for the call.
-            unsafe {
-                hdf5_sys::h5l::H5Lunregister(hdf5_sys::h5l::H5L_type_t::H5L_TYPE_EXTERNAL);
-                hdf5_sys::h5pl::H5PLset_loading_state(&mut no_plugins);
-            }
-        });
-    });
-    LazyLock::force(&SHUT);
-    hdf5::sync::sync(calls)
-}
-
 /// An open file and its name, for messages.
 #[derive(Clone)]
 pub(crate) struct Opened {
@@ -71,14 +57,14 @@ pub(crate) struct Opened {
 
 impl Opened {
     /// Opens a file from outside for reading: tried in a process of its own first, and as far as it goes when it is cut.
-    pub fn read(path: &Path) -> Result<Opened, StoreError> {
+    pub(crate) fn read(path: &Path) -> Result<Opened, StoreError> {
         refuse_what_is_not_hdf5(path)?;
         trial::pass(path)?;
         Opened::open(path)
     }
 
     /// Opens a file that we wrote for reading: whole or not at all.
-    pub fn read_ours(path: &Path) -> Result<Opened, StoreError> {
+    pub(crate) fn read_ours(path: &Path) -> Result<Opened, StoreError> {
         let Start { bytes, .. } = refuse_what_is_not_hdf5(path)?;
         Opened::whole(path, bytes)
     }
@@ -105,12 +91,12 @@ impl Opened {
     }
 
     /// "the file is cut at byte 1000 of 2000", of one that ends before its stated end.
-    pub fn cut(&self) -> Option<String> {
+    pub(crate) fn cut(&self) -> Option<String> {
         self.stated_bytes.map(|stated| format!("the file is cut at byte {} of {stated}", self.bytes))
     }
 
     /// Creates, replacing what is there.
-    pub fn create(path: &Path) -> Result<Opened, StoreError> {
+    pub(crate) fn create(path: &Path) -> Result<Opened, StoreError> {
         let file = locked(|| File::create(path)).map_err(|error| StoreError::Library {
             path: path.into(),
             at: "/".into(),
@@ -121,17 +107,17 @@ impl Opened {
     }
 
     /// Turns a library error into ours.
-    pub fn wrap<T>(&self, at: &str, doing: &'static str, result: hdf5::Result<T>) -> Result<T, StoreError> {
+    pub(crate) fn wrap<T>(&self, at: &str, doing: &'static str, result: hdf5::Result<T>) -> Result<T, StoreError> {
         result.map_err(|error| StoreError::Library { path: self.path.clone(), at: at.into(), doing, detail: short(&error) })
     }
 
     /// An error about something inside.
-    pub fn content(&self, at: &str, found: impl Into<String>, expected: impl Into<String>, hint: impl Into<String>) -> StoreError {
+    pub(crate) fn content(&self, at: &str, found: impl Into<String>, expected: impl Into<String>, hint: impl Into<String>) -> StoreError {
         StoreError::content(&self.path, at, found, expected, hint)
     }
 
     /// A group of the root; `None` when there is none.
-    pub fn group(&self, name: &str) -> Result<Option<Group>, StoreError> {
+    pub(crate) fn group(&self, name: &str) -> Result<Option<Group>, StoreError> {
         if !locked(|| self.file.link_exists(name)) {
             return Ok(None);
         }
@@ -139,13 +125,13 @@ impl Opened {
     }
 
     /// Is there a link of this name, `group/group/name`, and to each of its groups?
-    pub fn exists(&self, name: &str) -> bool {
+    pub(crate) fn exists(&self, name: &str) -> bool {
         let ends = name.match_indices('/').map(|(at, _)| at).chain([name.len()]);
         name.split('/').count() <= DEEPEST && locked(|| ends.into_iter().all(|end| self.file.link_exists(&name[..end])))
     }
 
     /// A dataset, `group/name` or `name`, after the checks of this module; `None` when there is none.
-    pub fn dataset(&self, name: &str) -> Result<Option<Dataset>, StoreError> {
+    pub(crate) fn dataset(&self, name: &str) -> Result<Option<Dataset>, StoreError> {
         if !self.exists(name) {
             return Ok(None);
         }
@@ -201,11 +187,6 @@ fn hint_for(detail: &str) -> &'static str {
     } else {
         "the file is probably cut short or damaged: copy or record it again"
     }
-}
-
-/// The library's message in one line: the deepest frame says most, and the rest repeats it.
-pub(crate) fn short(error: &hdf5::Error) -> String {
-    error.to_string().lines().next().unwrap_or("no reason given").to_string()
 }
 
 /// How an HDF5 file begins.

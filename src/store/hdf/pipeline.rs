@@ -91,7 +91,7 @@ pub(crate) struct Pipeline {
 
 impl Pipeline {
     /// Of a dataset's creation properties; the name of the first filter that is not known. To be called under the library's lock.
-    pub fn of(properties: hid_t) -> Result<Pipeline, String> {
+    pub(crate) fn of(properties: hid_t) -> Result<Pipeline, String> {
         // SAFETY: plain queries of a live identifier; the buffers have the stated lengths.
         let count = unsafe { H5Pget_nfilters(properties) };
         if !(0..=MOST_FILTERS).contains(&count) {
@@ -117,12 +117,12 @@ impl Pipeline {
     }
 
     /// So many times can a chunk be larger than its stored bytes.
-    pub fn largest_ratio(&self) -> u64 {
+    pub(crate) fn largest_ratio(&self) -> u64 {
         self.steps.iter().map(|step| step.largest_ratio()).max().unwrap_or(1)
     }
 
     /// Undoes the filters of a chunk, but for those that its mask leaves out, and fills `out`; the reason in words when the bytes are not what they should be.
-    pub fn undo(&self, bytes: Vec<u8>, mask: u32, out: &mut [u8]) -> Filled {
+    pub(crate) fn undo(&self, bytes: Vec<u8>, mask: u32, out: &mut [u8]) -> Filled {
         let applied: Vec<Step> = self.steps.iter().enumerate().filter(|(at, _)| is_applied(*at, mask)).map(|(_, step)| *step).collect();
         let mut bytes = bytes;
         for (at, step) in applied.iter().enumerate().rev() {

@@ -21,13 +21,13 @@ impl Opened {
     }
 
     /// A text attribute; `None` when absent.
-    pub fn text_attribute(&self, location: &Location, at: &str, name: &str) -> Result<Option<String>, StoreError> {
+    pub(crate) fn text_attribute(&self, location: &Location, at: &str, name: &str) -> Result<Option<String>, StoreError> {
         let Some(attribute) = self.attribute(location, at, name)? else { return Ok(None) };
         self.text(&format!("{at}: attribute `{name}`"), &attribute).map(Some)
     }
 
     /// An integer attribute; `None` when absent.
-    pub fn integer_attribute(&self, location: &Location, at: &str, name: &str) -> Result<Option<i64>, StoreError> {
+    pub(crate) fn integer_attribute(&self, location: &Location, at: &str, name: &str) -> Result<Option<i64>, StoreError> {
         let Some(attribute) = self.attribute(location, at, name)? else { return Ok(None) };
         let at = format!("{at}: attribute `{name}`");
         let wrong = |found: String| self.content(&at, found, "one integer", "write the attribute as an integer scalar");
@@ -43,7 +43,7 @@ impl Opened {
     }
 
     /// One text, of an attribute or a scalar dataset.
-    pub fn text(&self, at: &str, container: &Container) -> Result<String, StoreError> {
+    pub(crate) fn text(&self, at: &str, container: &Container) -> Result<String, StoreError> {
         let wrong = |found: String| self.content(at, found, "one UTF-8 text", "write it as a scalar string");
         let dtype = self.wrap(at, "read its type", locked(|| container.dtype()))?;
         let kind = self.wrap(at, "read its type", locked(|| dtype.to_descriptor()))?;
@@ -96,26 +96,26 @@ impl Opened {
     }
 
     /// Writes a text attribute.
-    pub fn set_text_attribute(&self, location: &Location, name: &str, text: &str) -> Result<(), StoreError> {
+    pub(crate) fn set_text_attribute(&self, location: &Location, name: &str, text: &str) -> Result<(), StoreError> {
         let at = format!("attribute `{name}`");
         let value = self.variable(&at, text)?;
         self.wrap(&at, "write it", locked(|| location.new_attr::<VarLenUnicode>().create(name).and_then(|attribute| attribute.write_scalar(&value))))
     }
 
     /// Writes an integer attribute.
-    pub fn set_integer_attribute(&self, location: &Location, name: &str, value: i64) -> Result<(), StoreError> {
+    pub(crate) fn set_integer_attribute(&self, location: &Location, name: &str, value: i64) -> Result<(), StoreError> {
         let result = locked(|| location.new_attr::<i64>().create(name).and_then(|attribute| attribute.write_scalar(&value)));
         self.wrap(&format!("attribute `{name}`"), "write it", result)
     }
 
     /// Writes a number as an attribute.
-    pub fn set_number_attribute(&self, location: &Location, name: &str, value: f64) -> Result<(), StoreError> {
+    pub(crate) fn set_number_attribute(&self, location: &Location, name: &str, value: f64) -> Result<(), StoreError> {
         let result = locked(|| location.new_attr::<f64>().create(name).and_then(|attribute| attribute.write_scalar(&value)));
         self.wrap(&format!("attribute `{name}`"), "write it", result)
     }
 
     /// Writes a scalar text as a dataset: an attribute holds 64 kB at most.
-    pub fn set_text(&self, name: &str, text: &str) -> Result<(), StoreError> {
+    pub(crate) fn set_text(&self, name: &str, text: &str) -> Result<(), StoreError> {
         let at = format!("/{name}");
         let value = self.variable(&at, text)?;
         let result = locked(|| {

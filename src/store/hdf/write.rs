@@ -23,7 +23,7 @@ pub(crate) struct GridWriter {
 impl GridWriter {
     /// Creates `/name` with shuffle and deflate; `growing` lets the first dimension grow later.
     /// A shape without numbers is stored without chunks, and nothing may be written to it.
-    pub fn create<T: Item>(opened: &Opened, name: &str, shape: &[usize], chunk: &[usize], growing: bool) -> Result<GridWriter, StoreError> {
+    pub(crate) fn create<T: Item>(opened: &Opened, name: &str, shape: &[usize], chunk: &[usize], growing: bool) -> Result<GridWriter, StoreError> {
         let at = format!("/{name}");
         let dataset = locked(|| {
             // Times of modification would make equal contents unequal files.
@@ -38,12 +38,12 @@ impl GridWriter {
     }
 
     /// The dataset, for its attributes.
-    pub fn dataset(&self) -> &Dataset {
+    pub(crate) fn dataset(&self) -> &Dataset {
         &self.dataset
     }
 
     /// Writes whole chunks, each with its origin and padded to full size; packs them in parallel.
-    pub fn write<T: Item, C: AsRef<[T]> + Sync>(&self, chunks: &[(Vec<usize>, C)]) -> Result<(), StoreError> {
+    pub(crate) fn write<T: Item, C: AsRef<[T]> + Sync>(&self, chunks: &[(Vec<usize>, C)]) -> Result<(), StoreError> {
         let packed: Vec<(Vec<u8>, u32)> = threads::map(chunks, |(_, values)| pack(values.as_ref()));
         for ((origin, _), (bytes, mask)) in chunks.iter().zip(packed) {
             let offset: Vec<hsize_t> = origin.iter().map(|&o| o as hsize_t).collect();
@@ -75,17 +75,17 @@ pub(crate) struct ColumnWriter<T> {
 
 impl<T: Item> ColumnWriter<T> {
     /// Of the dataset `/name`, which comes into being with the first full chunk, or at the end.
-    pub fn new(opened: &Opened, name: &str) -> ColumnWriter<T> {
+    pub(crate) fn new(opened: &Opened, name: &str) -> ColumnWriter<T> {
         ColumnWriter { opened: opened.clone(), name: name.into(), writer: None, written: 0, pending: Vec::new() }
     }
 
     /// Numbers so far.
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.written + self.pending.len()
     }
 
     /// Adds numbers.
-    pub fn append(&mut self, values: &[T]) -> Result<(), StoreError> {
+    pub(crate) fn append(&mut self, values: &[T]) -> Result<(), StoreError> {
         for part in values.chunks(COLUMN_BATCH * COLUMN_CHUNK) {
             self.pending.extend_from_slice(part);
             if self.pending.len() >= COLUMN_BATCH * COLUMN_CHUNK {
@@ -122,7 +122,7 @@ impl<T: Item> ColumnWriter<T> {
     }
 
     /// Writes the rest and gives the dataset, for its attributes.
-    pub fn finish(mut self) -> Result<GridWriter, StoreError> {
+    pub(crate) fn finish(mut self) -> Result<GridWriter, StoreError> {
         if !self.pending.is_empty() {
             // A short column gets one chunk of its own length.
             let chunk = if self.writer.is_some() { COLUMN_CHUNK } else { self.pending.len().min(COLUMN_CHUNK) };

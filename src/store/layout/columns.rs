@@ -5,8 +5,8 @@ use crate::hdf::Opened;
 use crate::hdf::grid::Grid;
 use crate::hdf::write::ColumnWriter;
 use crate::threads;
+use photocurrent_core::handle::InTime;
 use photocurrent_core::handle::{Band, BandMeta, BandSource, Handle};
-use photocurrent_core::in_time::InTime;
 use photocurrent_core::value::ValueDigest;
 use photocurrent_core::{DataError, Digest, EventBand, EventStream, EventsMeta, Rows, TimeSpan};
 use std::ops::Range;
@@ -46,7 +46,7 @@ pub(super) struct EventsBody {
 }
 
 impl EventsBody {
-    pub fn create(opened: &Opened, meta: &EventsMeta) -> Result<EventsBody, StoreError> {
+    pub(super) fn create(opened: &Opened, meta: &EventsMeta) -> Result<EventsBody, StoreError> {
         create_group(opened, "events")?;
         Ok(EventsBody {
             x: ColumnWriter::new(opened, "events/x"),
@@ -58,7 +58,7 @@ impl EventsBody {
         })
     }
 
-    pub fn append(&mut self, opened: &Opened, part: &EventStream, digest: &mut ValueDigest) -> Result<(), StoreError> {
+    pub(super) fn append(&mut self, opened: &Opened, part: &EventStream, digest: &mut ValueDigest) -> Result<(), StoreError> {
         each_band(part, digest, |band| {
             if band.t_in.is_some() != self.t_in.is_some() || band.step.is_some() != self.step.is_some() {
                 return Err(StoreError::Misuse { path: opened.path.clone(), what: "a band has other event columns than its stream announces".into() });
@@ -78,7 +78,7 @@ impl EventsBody {
         })
     }
 
-    pub fn finish(self, opened: &Opened) -> Result<(), StoreError> {
+    pub(super) fn finish(self, opened: &Opened) -> Result<(), StoreError> {
         self.x.finish()?;
         self.p.finish()?;
         let times = [Some(self.t.finish()?), self.t_in.map(ColumnWriter::finish).transpose()?];

@@ -40,7 +40,7 @@ pub(crate) struct StripWriter {
 
 impl StripWriter {
     /// Creates the dataset. `tail` are the dimensions after the rows: `[w]` or `[w, channels]`.
-    pub fn create<T: crate::hdf::Item>(opened: &Opened, name: &str, frames: usize, height: usize, tail: &[usize]) -> Result<StripWriter, StoreError> {
+    pub(crate) fn create<T: crate::hdf::Item>(opened: &Opened, name: &str, frames: usize, height: usize, tail: &[usize]) -> Result<StripWriter, StoreError> {
         let row_values: usize = tail.iter().product();
         let row_bytes = row_values * 4;
         let strip_rows = rows_per_chunk(height, frames * row_bytes);
@@ -53,12 +53,12 @@ impl StripWriter {
     }
 
     /// The dataset, for its attributes.
-    pub fn dataset(&self) -> &hdf5::Dataset {
+    pub(crate) fn dataset(&self) -> &hdf5::Dataset {
         self.writer.dataset()
     }
 
     /// Adds the next rows of all frames; `convert` makes what is stored of a DN.
-    pub fn append<T: crate::hdf::Item>(&mut self, block: &FrameBlock, convert: impl Fn(f32) -> T + Sync) -> Result<(), StoreError> {
+    pub(crate) fn append<T: crate::hdf::Item>(&mut self, block: &FrameBlock, convert: impl Fn(f32) -> T + Sync) -> Result<(), StoreError> {
         for row in block.rows.iter() {
             let in_strip = self.next_row % self.strip_rows;
             for frame in block.frames.clone() {
@@ -106,7 +106,7 @@ impl StripWriter {
     }
 
     /// How many rows of a part to read at once.
-    pub fn rows_at_once(&self) -> u32 {
+    pub(crate) fn rows_at_once(&self) -> u32 {
         let per_row = (self.frames * self.row_values * 4).max(1);
         (COPIED_BYTES / per_row).clamp(1, 64) as u32
     }
@@ -116,12 +116,12 @@ impl StripWriter {
 pub(super) struct FramesBody(StripWriter);
 
 impl FramesBody {
-    pub fn create(opened: &Opened, meta: &FramesMeta) -> Result<FramesBody, StoreError> {
+    pub(super) fn create(opened: &Opened, meta: &FramesMeta) -> Result<FramesBody, StoreError> {
         create_group(opened, "frames")?;
         StripWriter::create::<f32>(opened, "frames/dn", meta.times.len(), meta.extent.height as usize, &[meta.row_values()]).map(FramesBody)
     }
 
-    pub fn append(&mut self, part: &FrameSequence, digest: &mut ValueDigest) -> Result<(), StoreError> {
+    pub(super) fn append(&mut self, part: &FrameSequence, digest: &mut ValueDigest) -> Result<(), StoreError> {
         for rows in part.rows().bands(self.0.rows_at_once()) {
             let block = part.read_rows(rows).map_err(StoreError::Source)?;
             let digests: Vec<Digest> = threads::map(&rows.iter().collect::<Vec<u32>>(), |row| block.row_digest(*row));
@@ -131,7 +131,7 @@ impl FramesBody {
         Ok(())
     }
 
-    pub fn finish(self) -> Result<(), StoreError> {
+    pub(super) fn finish(self) -> Result<(), StoreError> {
         // The last row of the sensor flushed everything.
         Ok(())
     }
@@ -147,7 +147,7 @@ pub(super) struct MapBody {
 }
 
 impl MapBody {
-    pub fn create(opened: &Opened, meta: &MapMeta) -> Result<MapBody, StoreError> {
+    pub(super) fn create(opened: &Opened, meta: &MapMeta) -> Result<MapBody, StoreError> {
         create_group(opened, "map")?;
         let (height, planes, width) = (meta.extent.height as usize, meta.planes.len(), meta.extent.width as usize);
         let chunk_rows = rows_per_chunk(height, planes * width * 4);
@@ -155,7 +155,7 @@ impl MapBody {
         Ok(MapBody { writer, chunk_rows, row_values: planes * width, first_row: 0, pending: Vec::new() })
     }
 
-    pub fn append(&mut self, part: &MapSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
+    pub(super) fn append(&mut self, part: &MapSet, digest: &mut ValueDigest) -> Result<(), StoreError> {
         each_band(part, digest, |band| {
             self.pending.extend_from_slice(&band.values);
             if self.pending.len() >= QUEUE * self.chunk_rows * self.row_values { self.flush(false) } else { Ok(()) }
@@ -179,7 +179,7 @@ impl MapBody {
         self.writer.write(&chunks)
     }
 
-    pub fn finish(mut self, opened: &Opened, meta: &Meta) -> Result<(), StoreError> {
+    pub(super) fn finish(mut self, opened: &Opened, meta: &Meta) -> Result<(), StoreError> {
         self.flush(true)?;
         let Meta::Map(meta) = meta else { return Ok(()) };
         opened.set_text_attribute(self.writer.dataset(), "planes", &meta.planes.join("\n"))

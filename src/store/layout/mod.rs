@@ -35,7 +35,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// The version of these layouts, as the attribute `format` says it.
-pub const FORMAT: &str = "photocurrent-artefact/1";
+pub(crate) const FORMAT: &str = "photocurrent-artefact/1";
 
 /// Writes one value, band by band from top to bottom.
 pub struct ValueWriter {

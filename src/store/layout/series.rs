@@ -22,7 +22,7 @@ pub(super) struct SeriesBody {
 }
 
 impl SeriesBody {
-    pub fn create<M: SeriesMeta>(opened: &Opened, meta: &M) -> Result<SeriesBody, StoreError> {
+    pub(super) fn create<M: SeriesMeta>(opened: &Opened, meta: &M) -> Result<SeriesBody, StoreError> {
         create_group(opened, M::NAME)?;
         let name = |column: &str| format!("{}/{column}", M::NAME);
         let mut pixel_offsets = ColumnWriter::new(opened, &name("pixel_offsets"));
@@ -32,7 +32,7 @@ impl SeriesBody {
         Ok(SeriesBody { t, photocurrent, sigma, pixel_offsets })
     }
 
-    pub fn append<M: SeriesMeta>(&mut self, part: &Handle<M>, digest: &mut ValueDigest) -> Result<(), StoreError> {
+    pub(super) fn append<M: SeriesMeta>(&mut self, part: &Handle<M>, digest: &mut ValueDigest) -> Result<(), StoreError> {
         each_band(part, digest, |band| {
             let before = self.t.len() as u64;
             let offsets: Vec<u64> = band.offsets()[1..].iter().map(|&offset| before + offset as u64).collect();
@@ -45,7 +45,7 @@ impl SeriesBody {
         })
     }
 
-    pub fn finish(self, opened: &Opened) -> Result<(), StoreError> {
+    pub(super) fn finish(self, opened: &Opened) -> Result<(), StoreError> {
         opened.set_text_attribute(self.t.finish()?.dataset(), "unit", "ns")?;
         self.photocurrent.finish()?;
         if let Some(sigma) = self.sigma {

@@ -1,6 +1,6 @@
 //! Events of a recording: by time in the file, by row band in memory, checked on the way.
 
-use super::{check_column, column, group_integer, has_group, required};
+use super::checked::{check_column, column, group_integer, has_group, required};
 use crate::error::{Mistakes, StoreError};
 use crate::hdf::Opened;
 use crate::hdf::grid::Grid;
@@ -35,7 +35,7 @@ struct Block {
 }
 
 impl Events {
-    pub fn open(opened: &Opened, extent: Extent) -> Result<Option<Events>, StoreError> {
+    pub(super) fn open(opened: &Opened, extent: Extent) -> Result<Option<Events>, StoreError> {
         if !has_group(opened, "events") {
             return Ok(None);
         }
@@ -70,7 +70,7 @@ impl Events {
     }
 
     /// The events of some rows; the first call checks all events of the file.
-    pub fn read(&self, opened: &Opened, rows: Rows) -> Result<EventBand, StoreError> {
+    pub(super) fn read(&self, opened: &Opened, rows: Rows) -> Result<EventBand, StoreError> {
         let mut checks = (!self.checked.load(Ordering::Acquire)).then(Checks::default);
         let mut kept = Kept::new(rows, self.t_in.is_some());
         for start in (0..self.count).step_by(BLOCK) {

@@ -1,6 +1,6 @@
 //! Frames and true frames of a recording: the header checked at once, the numbers read lazily.
 
-use super::{check_column, group_integer, has_group, required};
+use super::checked::{check_column, group_integer, has_group, required};
 use crate::error::{Mistakes, StoreError};
 use crate::hdf::Opened;
 use crate::hdf::grid::{Grid, number_type};
@@ -37,7 +37,7 @@ pub(super) struct Numbers {
 }
 
 impl Numbers {
-    pub fn number_type(&self) -> &'static str {
+    pub(super) fn number_type(&self) -> &'static str {
         match self.stored {
             Stored::F32(_) => "f32",
             Stored::U16(_) => "u16",
@@ -99,7 +99,7 @@ impl FrameSource for Numbers {
 }
 
 impl Frames {
-    pub fn open(opened: &Opened, extent: Option<Extent>) -> Result<Option<Frames>, StoreError> {
+    pub(super) fn open(opened: &Opened, extent: Option<Extent>) -> Result<Option<Frames>, StoreError> {
         if !has_group(opened, "frames") {
             return Ok(None);
         }
@@ -171,7 +171,7 @@ pub(super) struct TruthFrames {
 }
 
 impl TruthFrames {
-    pub fn open(opened: &Opened, extent: Option<Extent>) -> Result<Option<TruthFrames>, StoreError> {
+    pub(super) fn open(opened: &Opened, extent: Option<Extent>) -> Result<Option<TruthFrames>, StoreError> {
         if !has_group(opened, "truth") {
             return Ok(None);
         }

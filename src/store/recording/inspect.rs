@@ -1,6 +1,6 @@
 //! A summary of a recording, from its header alone.
 
-use super::Recording;
+use super::file::Recording;
 use photocurrent_core::time::NS_PER_S;
 use photocurrent_core::{Colour, TimeSpan};
 use serde::Serialize;

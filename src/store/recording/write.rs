@@ -2,15 +2,14 @@
 //!
 //! The file appears whole or not at all. Events are brought from the order of rows into that of time through a temporary file where they are many ([`super::by_time`]).
 
-use super::FORMAT;
 use super::by_time::{Sizes, for_slices_of_time};
-use super::rendered::write_numbers;
+use super::checked::FORMAT;
+use super::whole::{whole_file, write_colour, write_numbers, write_times};
 use crate::error::StoreError;
 use crate::hdf::Opened;
 use crate::hdf::write::ColumnWriter;
-use crate::layout::{close, create_group};
-use photocurrent_core::{Colour, EventStream, Extent, FrameSequence, Rows, Truth};
-use std::os::unix::fs::PermissionsExt;
+use crate::layout::create_group;
+use photocurrent_core::{EventStream, Extent, FrameSequence, Rows, Truth};
 use std::path::Path;
 
 /// How digital numbers are stored.
@@ -78,27 +77,6 @@ pub fn write_recording(path: &Path, content: &RecordingContent) -> Result<u64, S
     })
 }
 
-/// A file in a folder that has not got its name yet. Temporary files are private by default, and what becomes of this one is not: the umask still applies.
-///
-/// # Errors
-/// When the folder takes no file.
-pub fn unnamed_in(folder: &Path) -> std::io::Result<tempfile::NamedTempFile> {
-    tempfile::Builder::new().prefix(".").suffix(".part").permissions(std::fs::Permissions::from_mode(0o666)).tempfile_in(folder)
-}
-
-/// Lets `fill` write a new file next to `path`, and moves it there when it is complete and synced.
-pub(crate) fn whole_file<T>(path: &Path, fill: impl FnOnce(&Opened) -> Result<T, StoreError>) -> Result<T, StoreError> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let temporary = unnamed_in(folder).map_err(|error| StoreError::io(folder, "create a file in the folder", error))?;
-    let opened = Opened::create(temporary.path())?;
-    let filled = fill(&opened)?;
-    close(opened)?;
-    temporary.as_file().sync_all().map_err(|error| StoreError::io(path, "sync the file", error))?;
-    temporary.persist(path).map_err(|error| StoreError::io(path, "move the file to its place", error.error))?;
-    std::fs::File::open(folder).and_then(|folder| folder.sync_all()).map_err(|error| StoreError::io(folder, "sync the folder", error))?;
-    Ok(filled)
-}
-
 /// Data must have all rows, and `times` the extent of the sensor; any whole number of times without it.
 fn covers(path: &Path, what: &str, (extent, rows): (Extent, Rows), sensor: Extent, times: Option<u32>) -> Result<(), StoreError> {
     let multiple = extent.multiple_of(sensor);
@@ -136,12 +114,6 @@ fn write_events(opened: &Opened, events: &EventStream) -> Result<u64, StoreError
     Ok(count)
 }
 
-pub(crate) fn write_times(opened: &Opened, name: &str, times: Vec<i64>) -> Result<(), StoreError> {
-    let mut column = ColumnWriter::new(opened, name);
-    column.append(&times)?;
-    opened.set_text_attribute(column.finish()?.dataset(), "unit", "ns")
-}
-
 fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingContent) -> Result<(), StoreError> {
     let group = create_group(opened, "frames")?;
     opened.set_integer_attribute(&group, "row_time_ns", frames.meta.times.row_time_ns)?;
@@ -154,11 +126,6 @@ fn write_frames(opened: &Opened, frames: &FrameSequence, content: &RecordingCont
     let exposures = &frames.meta.times.exposures;
     write_times(opened, "frames/exposure_start", exposures.iter().map(|exposure| exposure.start.0).collect())?;
     write_times(opened, "frames/exposure_end", exposures.iter().map(|exposure| exposure.end.0).collect())
-}
-
-/// Grey goes without saying.
-pub(crate) fn write_colour(opened: &Opened, group: &hdf5::Group, colour: Colour) -> Result<(), StoreError> {
-    if colour == Colour::Mono { Ok(()) } else { opened.set_text_attribute(group, "colour", colour.name()) }
 }
 
 fn write_truth(opened: &Opened, truth: &FrameSequence) -> Result<(), StoreError> {

@@ -341,7 +341,7 @@ fn frame_times_survive_even_when_there_are_many() {
 #[test]
 fn a_window_of_stored_events_is_what_lies_within_it_however_long_a_row_is() {
     use photocurrent_core::events::Event;
-    use photocurrent_core::in_time::InTime;
+    use photocurrent_core::handle::InTime;
     let extent = Extent { width: 3, height: 4 };
     let mut random = photocurrent_core::random::Random::new(9, &[]);
     // Row 1 is longer than what is looked through, and has many equal stamps; row 3 has none.

@@ -6,61 +6,13 @@
 use crate::error::DataError;
 use crate::events::EventsMeta;
 use crate::extent::Rows;
-use crate::frames::{FrameSequence, FrameTimes, FramesMeta};
-use crate::handle::{Band, BandMeta, BandSource, Handle};
+use crate::frames::{FrameBlock, FrameSequence, FrameSource, FrameTimes, FramesMeta};
+use crate::handle::{BandMeta, BandSource, Handle, InTime};
 use crate::time::{Exposure, TimeSpan};
 use crate::tracks::TracksMeta;
-use crate::value::{DataType, Meta, Value};
+use crate::value::{Meta, Value};
 use std::ops::Range;
 use std::sync::Arc;
-
-/// A band whose data have stamps.
-pub trait InTime: Band {
-    /// Only what is stamped within the window.
-    fn within(&self, window: TimeSpan) -> Self;
-
-    /// Parts of the same rows, in order of time, as one.
-    ///
-    /// # Panics
-    /// When there is no part: a broken invariant of the engine.
-    fn follow(parts: Vec<Self>) -> Self;
-}
-
-/// Where the stamps of a rising list lie within the window.
-pub(crate) fn range_within(t: &[i64], window: TimeSpan) -> Range<usize> {
-    let (from, to) = (t.partition_point(|t| *t < window.start.0), t.partition_point(|t| *t < window.end.0));
-    from..to.max(from)
-}
-
-/// The ranges of a column, one after the other.
-pub(crate) fn gather<T: Copy>(ranges: &[Range<usize>], column: &[T]) -> Vec<T> {
-    let mut all = Vec::with_capacity(ranges.iter().map(Range::len).sum());
-    ranges.iter().for_each(|range| all.extend_from_slice(&column[range.clone()]));
-    all
-}
-
-/// Offsets of lists that have the lengths of ranges.
-pub(crate) fn offsets_of(ranges: &[Range<usize>]) -> Vec<usize> {
-    let mut offsets = vec![0];
-    ranges.iter().for_each(|range| offsets.push(offsets[offsets.len() - 1] + range.len()));
-    offsets
-}
-
-/// Lists of several parts, `(offsets, column)` each, so that the first lists of all parts stand together, then the second ones.
-pub(crate) fn interleaved<T: Copy>(parts: &[(&[usize], &[T])]) -> Vec<T> {
-    let lists = parts.first().map_or(0, |(offsets, _)| offsets.len().saturating_sub(1));
-    let mut all = Vec::with_capacity(parts.iter().map(|(_, column)| column.len()).sum());
-    for list in 0..lists {
-        parts.iter().for_each(|(offsets, column)| all.extend_from_slice(&column[offsets[list]..offsets[list + 1]]));
-    }
-    all
-}
-
-/// Offsets of lists that were [`interleaved`].
-pub(crate) fn interleaved_offsets(parts: &[&[usize]]) -> Vec<usize> {
-    let lists = parts.first().map_or(0, |offsets| offsets.len());
-    (0..lists).map(|list| parts.iter().map(|offsets| offsets[list]).sum()).collect()
-}
 
 struct Within<M: BandMeta> {
     of: Handle<M>,
@@ -97,7 +49,7 @@ impl<M: BandMeta> Handle<M>
 where
     M::Band: InTime,
 {
-    /// What of the data is stamped within the window; `meta` says what is known of it.
+    /// What of the data is stamped within the window; `meta` states what is known of it.
     #[must_use]
     pub fn within(&self, meta: Arc<M>, window: TimeSpan) -> Self {
         Handle::new(meta, self.rows(), Arc::new(Within { of: self.clone(), window }))
@@ -107,6 +59,33 @@ where
         let rows = parts.iter().map(|(part, _)| part.rows()).reduce(|all, rows| all.intersect(rows)).unwrap_or(Rows { start: 0, end: 0 });
         Handle::new(meta, rows, Arc::new(Joined(parts)))
     }
+}
+
+struct Following {
+    row_values: usize,
+    parts: Vec<FrameSequence>,
+}
+
+impl FrameSource for Following {
+    fn read(&self, frames: Range<usize>, rows: Rows) -> Result<FrameBlock, DataError> {
+        let mut dn = Vec::with_capacity(frames.len() * rows.len() * self.row_values);
+        let mut first = 0;
+        for part in &self.parts {
+            let (from, to) = (frames.start.max(first), frames.end.min(first + part.len()));
+            if from < to {
+                dn.extend(part.read(from - first..to - first, rows)?.dn);
+            }
+            first += part.len();
+        }
+        Ok(FrameBlock { frames, rows, row_values: self.row_values, dn })
+    }
+}
+
+/// Frames of the first part, then those of the next, without copying; `meta` states what is known of all.
+fn follow(meta: Arc<FramesMeta>, parts: Vec<FrameSequence>) -> FrameSequence {
+    let rows = parts.iter().map(FrameSequence::rows).reduce(|all, rows| all.intersect(rows));
+    let rows = rows.unwrap_or(Rows { start: 0, end: 0 });
+    FrameSequence::new(meta.clone(), rows, Arc::new(Following { row_values: meta.row_values(), parts }))
 }
 
 impl EventsMeta {
@@ -143,13 +122,6 @@ impl FramesMeta {
     #[must_use]
     pub fn within(&self, window: TimeSpan) -> FramesMeta {
         FramesMeta { times: self.times.select(&self.times.within(window, self.extent.height)), ..self.clone() }
-    }
-}
-
-impl DataType {
-    /// Does a window of time leave a part of such values? All others stay whole.
-    pub fn has_windows(self) -> bool {
-        matches!(self, DataType::Events | DataType::Frames)
     }
 }
 
@@ -227,7 +199,7 @@ impl Value {
             Meta::Events(meta) => Value::Events(Handle::joined(meta, of!(Events))),
             Meta::Tracks(meta) => Value::Tracks(Handle::joined(meta, of!(Tracks))),
             Meta::Frames(meta) => {
-                Value::Frames(FrameSequence::follow(meta, of!(Frames).into_iter().map(|(part, share)| part.select(part.meta.times.in_share(share))).collect()))
+                Value::Frames(follow(meta, of!(Frames).into_iter().map(|(part, share)| part.select(part.meta.times.in_share(share))).collect()))
             }
             _ => return Err(DataError::new("only events, frames and tracks are joined")),
         })
