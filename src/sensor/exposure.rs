@@ -176,7 +176,7 @@ impl<P: Copy + Into<f64>> Track for LogLinearTrack<'_, P> {
 }
 
 /// The mean of a photocurrent whose logarithm goes linearly from `first` to `last`: `(e^last - e^first) / (last - first)`.
-pub fn log_linear_mean(first: f64, last: f64) -> f64 {
+pub(crate) fn log_linear_mean(first: f64, last: f64) -> f64 {
     let rise = last - first;
     let ratio = if rise.abs() < 0.02 {
         1.0 + rise * (0.5 + rise * (1.0 / 6.0 + rise * (1.0 / 24.0 + rise * (1.0 / 120.0 + rise / 720.0))))

@@ -80,7 +80,7 @@ pub fn time_constant<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
 
 /// One over [`time_constant`], 1/s, with one division less: `i / (tau_0 i + alpha)`. `photocurrent` is positive; the ideal front end's rate is finite, 1e30/s.
 #[inline(always)]
-pub fn settling_rate<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
+pub(crate) fn settling_rate<S: Scalar>(front_end: &FrontEnd<S>, photocurrent: S) -> S {
     photocurrent / (front_end.tau_0_s * photocurrent + front_end.alpha_s).max(S::from_f64(TAU_FLOOR_S) * photocurrent)
 }
 

@@ -10,13 +10,15 @@
 //!
 //! - [`elementary`]: exponential and logarithm that vectorise.
 //! - [`scalar`]: the numbers the equations are written over: `f64`, dual numbers, lanes.
-//! - [`lanes`]: sixteen pixels side by side, as a number of the equations; [`wide`]: eight of them in double precision.
+//! - [`lanes`]: sixteen pixels side by side, as a number of the equations; `wide`: eight of them in double
+//! precision.
 //! - [`front_end`]: photocurrent to front-end voltage, a light-dependent low-pass, Eqs. (1)-(3).
-//! - [`comparator`]: when a voltage change becomes an event, Eq. (4).
+//! - `comparator`: when a voltage change becomes an event, Eq. (4).
 //! - [`readout`]: the voltage change missed during readout and refractory period, Eqs. (9)-(12).
 //! - [`pooling`]: the light of an event pixel that lies on several frame pixels or colours.
 //! - [`exposure`]: row timing and the exposure integral of a frame, Eq. (5).
 //! - [`forward`]: light in, events and frame values out, for one pixel.
+//! - [`array`](mod@array): what each pixel of a simulated array records.
 //! - [`model`]: a description in numbers.
 //! - [`conditional`]: recorded events and frames of one pixel, seen through any effects, given its light.
 //! - [`residuals`]: measured minus predicted for a candidate photocurrent, with its Jacobian.
@@ -29,7 +31,10 @@
 //! Results are the same bits on every machine: no fused multiply-add and no platform `exp` or `ln`
 //! ([`elementary`] and the `libm` crate instead). Keep it so; a method call such as `x.exp()` on an `f64` is the platform's.
 
-pub mod comparator;
+#![warn(unreachable_pub)]
+
+pub mod array;
+pub(crate) mod comparator;
 pub mod conditional;
 pub mod effects;
 pub mod elementary;
@@ -47,4 +52,4 @@ pub mod readout;
 pub mod residuals;
 pub mod scalar;
 pub mod undo;
-pub mod wide;
+pub(crate) mod wide;

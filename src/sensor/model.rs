@@ -75,23 +75,27 @@ impl Model {
         }
     }
 
-    /// Standard deviation of a frame value `dn` by the description, DN: `sqrt(read_noise_dn^2 + dn_per_electron x signal)`, where the signal is the value less the black level.
+    /// Standard deviation of a frame value `signal` DN above black, DN: `sqrt(read_noise_dn^2 +
+    /// dn_per_electron x signal)` by the description, and independent errors
+    /// that it does not state: of standard deviations `unstated_dn`, DN, and of a `share` of the signal. A
+    /// value below black has the noise of black.
     ///
     /// Source: the photon transfer relation (Janesick, Photon Transfer, 2007): the number of electrons has a Poisson distribution, and read noise adds in squares.
-    pub fn stated_frame_sigma_dn(&self, dn: f64) -> f64 {
-        let signal = f64::max(dn - self.number.black_level, 0.0);
-        libm::sqrt(self.read_noise_dn * self.read_noise_dn + self.dn_per_electron * signal)
+    pub fn frame_sigma_of_dn<const N: usize>(&self, signal: f64, unstated_dn: [f64; N], share: f64) -> f64 {
+        let signal = f64::max(signal, 0.0);
+        let dark = unstated_dn.iter().fold(self.read_noise_dn * self.read_noise_dn, |variance, sigma| variance + sigma * sigma);
+        let unstated = share * signal;
+        libm::sqrt(dark + self.dn_per_electron * signal + unstated * unstated)
     }
 
-    /// The same with independent errors that no description states, of standard deviations `unstated_dn`, DN: squares are added in the order given.
+    /// The same of a value `dn`, without a share.
     pub fn frame_sigma_with_dn<const N: usize>(&self, dn: f64, unstated_dn: [f64; N]) -> f64 {
-        let stated = self.stated_frame_sigma_dn(dn);
-        libm::sqrt(unstated_dn.iter().fold(stated * stated, |variance, sigma| variance + sigma * sigma))
+        self.frame_sigma_of_dn(dn - self.number.black_level, unstated_dn, 0.0)
     }
 
     /// The same of a value `signal` DN above black, where `dn` and a `share` of the signal are not stated.
     pub fn frame_sigma_dn(&self, signal: f64, (dn, share): (f64, f64)) -> f64 {
-        self.frame_sigma_with_dn(self.number.black_level + signal, [dn, share * signal])
+        self.frame_sigma_of_dn(signal, [dn, share * signal], 0.0)
     }
 }
 
@@ -108,7 +112,7 @@ mod tests {
         assert_eq!((model.pixel.front_end.tau_0_s, model.pixel.front_end.alpha_s, model.pixel.refractory_ns), (0.0, 2e-3, 1_000_000));
         assert!(model.pixel.threshold_off.is_nan() && model.number.gain.is_nan());
         // 0.5 DN an electron: 200 DN of light have a variance of 100.
-        assert!((model.stated_frame_sigma_dn(210.0) - libm::sqrt(9.0 + 100.0)).abs() < 1e-12);
+        assert!((model.frame_sigma_with_dn(210.0, []) - libm::sqrt(9.0 + 100.0)).abs() < 1e-12);
         let signal = 210.0 - model.number.black_level;
         assert!((model.frame_sigma_dn(signal, (4.0, 0.1)) - libm::sqrt(9.0 + 100.0 + 16.0 + 0.01 * signal * signal)).abs() < 1e-12);
     }

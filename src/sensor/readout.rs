@@ -25,7 +25,7 @@ pub const RATIO_LIMIT: f64 = 20.0;
 ///
 /// Time stamps are quantised (often to 1 us), so the armed time can come out as zero or negative;
 /// without this floor Eq. (9) divides by zero or flips the sign of the step.
-pub const ARMED_FLOOR_S: f64 = 5e-6;
+pub(crate) const ARMED_FLOOR_S: f64 = 5e-6;
 
 /// The signed log step from event `k` to event `k+1`, blind time included: Eqs. (9)-(12).
 ///

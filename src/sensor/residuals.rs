@@ -6,7 +6,7 @@
 //!
 //! Residuals are raw, in natural-log units (EVS) and DN (CIS). Times the square root of its weight, a row is whitened.
 
-use crate::front_end::{FrontEnd, settle, settled_photocurrent, settling, time_constant};
+use crate::front_end::{FrontEnd, settle, settled_photocurrent, time_constant};
 use crate::inverse::PixelProblem;
 use crate::scalar::Scalar;
 
@@ -50,7 +50,7 @@ fn root_mean(square: f64, count: usize) -> f64 {
 }
 
 /// How many rows `problem` has: one per interval between knots, then one per frame sample.
-pub fn row_count(problem: &PixelProblem<'_>) -> usize {
+pub(crate) fn row_count(problem: &PixelProblem<'_>) -> usize {
     problem.t_s.len().saturating_sub(1) + problem.frames.len()
 }
 
@@ -95,46 +95,24 @@ pub fn cost(problem: &PixelProblem<'_>, log_photocurrent: &[f64]) -> f64 {
     evs_cost + cis_cost
 }
 
-/// The dense Jacobian of [`residuals`] by the log photocurrents, by hand: row-major, [`row_count`] x N.
-///
-/// O(N (N + M)); for one pixel under study, not for a loop over pixels.
-pub fn jacobian(problem: &PixelProblem<'_>, log_photocurrent: &[f64]) -> Vec<f64> {
-    let knots = problem.t_s.len();
-    let mut rows = Vec::with_capacity(row_count(problem) * knots);
-    // dV(k) / du_j, updated from knot to knot.
-    let mut voltage_by_u = vec![0.0; knots];
-    voltage_by_u[0] = 1.0;
-    let mut voltage = log_photocurrent[0];
-    for k in 1..knots {
-        let (before, u) = (log_photocurrent[k - 1], log_photocurrent[k]);
-        let dt_s = problem.t_s[k] - problem.t_s[k - 1];
-        let photocurrent = settled_photocurrent(problem.tau_rule.pick(before, u));
-        let tau_s = time_constant(&problem.front_end, photocurrent);
-        let gamma = settling(dt_s, tau_s);
-        // d gamma / d ln i = exp(-dt / tau) (dt / tau^2) (alpha / i); zero without a light-dependent part.
-        let alpha_s = problem.front_end.alpha_s;
-        let gamma_by_u = if alpha_s == 0.0 { 0.0 } else { (1.0 - gamma) * dt_s / tau_s * (alpha_s / (photocurrent * tau_s)) };
-        let drive = u - voltage;
-        for j in 0..knots {
-            let mut step_by_u = -gamma * voltage_by_u[j];
-            if j == k {
-                step_by_u += gamma;
-            }
-            if j == problem.tau_rule.pick(k - 1, k) {
-                step_by_u += gamma_by_u * drive;
-            }
-            voltage_by_u[j] += step_by_u;
-            rows.push(-step_by_u);
-        }
-        voltage += gamma * drive;
-    }
-    for frame in problem.frames {
-        for (k, &u) in log_photocurrent.iter().enumerate() {
-            let seconds = held_s(problem.t_s, k, frame.start_s, frame.end_s);
-            rows.push(-problem.gain * seconds * settled_photocurrent(u));
+/// The dense Jacobian of [`residuals`] by the log photocurrents, by dual numbers, one pass per column:
+/// row-major, [`row_count`] x N.
+#[cfg(test)]
+pub(crate) fn jacobian(problem: &PixelProblem<'_>, log_photocurrent: &[f64]) -> Vec<f64> {
+    use crate::scalar::Dual;
+    let knots = log_photocurrent.len();
+    let front_end = problem.front_end.lift::<Dual<f64>>();
+    let mut jacobian = vec![0.0; row_count(problem) * knots];
+    let mut rows = Vec::new();
+    for column in 0..knots {
+        let lift = |(k, &u): (usize, &f64)| if k == column { Dual::variable(u) } else { Dual::constant(u) };
+        let lifted: Vec<_> = log_photocurrent.iter().enumerate().map(lift).collect();
+        residuals(problem, &front_end, &lifted, &mut rows);
+        for (row, residual) in rows.iter().enumerate() {
+            jacobian[row * knots + column] = residual.tangent;
         }
     }
-    rows
+    jacobian
 }
 
 /// Seconds that knot `k` holds inside an exposure: the first one from for ever, the last one for ever.
@@ -171,40 +149,11 @@ mod tests {
 
     const INDOOR: FrontEnd = FrontEnd { tau_0_s: 30e-6, alpha_s: 1e-4 };
 
-    /// The same Jacobian by dual numbers, one pass per column: what the one by hand is compared with.
-    fn jacobian_by_duals(problem: &PixelProblem<'_>, log_photocurrent: &[f64]) -> Vec<f64> {
-        let knots = log_photocurrent.len();
-        let front_end = problem.front_end.lift::<Dual<f64>>();
-        let mut jacobian = vec![0.0; row_count(problem) * knots];
-        let mut rows = Vec::new();
-        for column in 0..knots {
-            let lifted: Vec<_> = log_photocurrent.iter().enumerate().map(|(k, &u)| if k == column { Dual::variable(u) } else { Dual::constant(u) }).collect();
-            residuals(problem, &front_end, &lifted, &mut rows);
-            for (row, residual) in rows.iter().enumerate() {
-                jacobian[row * knots + column] = residual.tangent;
-            }
-        }
-        jacobian
-    }
-
-    #[test]
-    fn the_jacobian_by_hand_equals_the_one_by_dual_numbers() {
-        for tau_rule in [TauRule::Start, TauRule::End] {
-            for front_end in [INDOOR, FrontEnd::IDEAL, FrontEnd { tau_0_s: 2e-4, alpha_s: 0.0 }] {
-                let problem = problem(tau_rule, front_end);
-                let by_hand = jacobian(&problem, &U);
-                for (hand, dual) in by_hand.iter().zip(jacobian_by_duals(&problem, &U)) {
-                    assert!((hand - dual).abs() <= 1e-12 * (1.0 + dual.abs()), "{hand} against {dual}");
-                }
-            }
-        }
-    }
-
     #[test]
     fn the_jacobian_matches_central_differences() {
         for tau_rule in [TauRule::Start, TauRule::End] {
             let problem = problem(tau_rule, INDOOR);
-            let by_hand = jacobian(&problem, &U);
+            let by_duals = jacobian(&problem, &U);
             let (mut above, mut below) = (Vec::new(), Vec::new());
             for column in 0..U.len() {
                 let h = 1e-5;
@@ -215,9 +164,9 @@ mod tests {
                 residuals(&problem, &INDOOR, &moved, &mut below);
                 for row in 0..above.len() {
                     let numeric = (above[row] - below[row]) / (2.0 * h);
-                    let hand = by_hand[row * U.len() + column];
+                    let dual = by_duals[row * U.len() + column];
                     // Third derivatives of the CIS rows are near 300 DN: h^2 times that is 3e-8.
-                    assert!((hand - numeric).abs() < 1e-6 * (1.0 + hand.abs()), "{hand} against {numeric}");
+                    assert!((dual - numeric).abs() < 1e-6 * (1.0 + dual.abs()), "{dual} against {numeric}");
                 }
             }
         }

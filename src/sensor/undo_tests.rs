@@ -5,7 +5,7 @@ use crate::effects::from_description;
 use crate::exposure::DigitalNumber;
 use crate::forward::{Chain, FrameReadout, LOG_STEP, LinearLight, Noiseless, Pixel, read_frames, simulate};
 use crate::front_end::FrontEnd;
-use crate::map::{MapFrame, MapOptions, MapProblem, MapWorkspace, Noise, solve};
+use crate::map::{MapFrame, MapGroup, MapOptions, MapProblem, solve};
 use photocurrent_core::sensor::Reset;
 use serde_json::{Value, json};
 
@@ -69,24 +69,12 @@ fn error(model: &Model, undo: &Undo, (recorded, dn): &(Vec<MapEvent>, Vec<f64>),
     undo.frames(model, &SITE, &mut frames);
     frames.iter_mut().for_each(|frame| undo.raise(model, frame));
     let events: Vec<MapEvent> = recorded.iter().map(|event| undo.event(&SITE, event)).collect();
-    let (mut known, mut memory, mut workspace) = (Known { events: events.clone(), ..Known::default() }, Memory::default(), MapWorkspace::default());
+    let (mut known, mut memory, mut group) = (Known { events: events.clone(), ..Known::default() }, Memory::default(), MapGroup::default());
     let mut rms = f64::NAN;
     for _ in 0..=rounds {
-        let problem = MapProblem {
-            events: &known.events,
-            frames: &frames,
-            hints: &[],
-            start_ns: 0,
-            end_ns: END_NS,
-            sensor: model.map_sensor(),
-            noise: Noise::default(),
-            stamp_sigma_s: 0.0,
-            no_event_sigma: 0.03,
-            lost_before: &[],
-            beyond: &known.beyond,
-        };
+        let problem = MapProblem { no_event_sigma: 0.03, beyond: &known.beyond, ..MapProblem::new(model.map_sensor(), &known.events, &frames, (0, END_NS)) };
         // One start, so that what is left is of the effect and not of another way that the iteration took: with the usual second one a leak of 60 Hz keeps 0.48 of its harm instead of 0.32.
-        let found = solve(&problem, &MapOptions { max_iterations: 5, second: None, ..MapOptions::default() }, &mut workspace);
+        let found = solve(&problem, &MapOptions { max_iterations: 5, second: None, ..MapOptions::default() }, &mut group);
         let light = (found.t_ns.to_vec(), found.log_photocurrent.to_vec());
         let at = |t: i64| undo.own(crate::conditional::at(&light.0, &light.1, t)) - log_light(t);
         let squares: Vec<f64> = (20 * 20..220 * 20).map(|n| at(n * MS / 20)).map(|off| off * off).collect();

@@ -8,28 +8,28 @@ use crate::elementary;
 use crate::scalar::Scalar;
 
 /// How many lanes.
-pub const WIDTH: usize = 8;
+pub(crate) const WIDTH: usize = 8;
 
 /// One `f64` per lane.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[repr(C, align(64))]
-pub struct Wide(pub [f64; WIDTH]);
+pub(crate) struct Wide(pub [f64; WIDTH]);
 
 /// What lanes do, as bits of a number per lane: as wide as a number of [`Wide`], so that comparisons become vector instructions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(C, align(64))]
-pub struct Flags(pub [u64; WIDTH]);
+pub(crate) struct Flags(pub [u64; WIDTH]);
 
 impl Flags {
     /// `yes` where any of these bits is set, `no` elsewhere.
     #[inline(always)]
-    pub fn choose(self, bits: u64, yes: Wide, no: Wide) -> Wide {
+    pub(crate) fn choose(self, bits: u64, yes: Wide, no: Wide) -> Wide {
         self.any(Flags([bits; WIDTH]), yes, no)
     }
 
     /// The same with bits for each lane.
     #[inline(always)]
-    pub fn any(self, bits: Flags, yes: Wide, no: Wide) -> Wide {
+    pub(crate) fn any(self, bits: Flags, yes: Wide, no: Wide) -> Wide {
         let mut out = no;
         for n in 0..WIDTH {
             out.0[n] = if self.0[n] & bits.0[n] != 0 { yes.0[n] } else { no.0[n] };
@@ -40,13 +40,13 @@ impl Flags {
 
 impl Wide {
     /// Zero in every lane.
-    pub const ZERO: Wide = Wide([0.0; WIDTH]);
+    pub(crate) const ZERO: Wide = Wide([0.0; WIDTH]);
     /// One in every lane.
-    pub const ONE: Wide = Wide([1.0; WIDTH]);
+    pub(crate) const ONE: Wide = Wide([1.0; WIDTH]);
 
     /// `value` in every lane.
     #[inline(always)]
-    pub const fn splat(value: f64) -> Wide {
+    pub(crate) const fn splat(value: f64) -> Wide {
         Wide([value; WIDTH])
     }
 
@@ -70,7 +70,7 @@ impl Wide {
 
     /// `yes` where `self` equals `value`, `no` elsewhere.
     #[inline(always)]
-    pub fn equal(self, value: f64, yes: Wide, no: Wide) -> Wide {
+    pub(crate) fn equal(self, value: f64, yes: Wide, no: Wide) -> Wide {
         let mut out = no;
         for n in 0..WIDTH {
             out.0[n] = if self.0[n] == value { yes.0[n] } else { no.0[n] };
@@ -80,7 +80,7 @@ impl Wide {
 
     /// `yes` where `self` is above `limit`, `no` elsewhere and where either is NaN.
     #[inline(always)]
-    pub fn above(self, limit: Wide, yes: Wide, no: Wide) -> Wide {
+    pub(crate) fn above(self, limit: Wide, yes: Wide, no: Wide) -> Wide {
         let mut out = no;
         for n in 0..WIDTH {
             out.0[n] = if self.0[n] > limit.0[n] { yes.0[n] } else { no.0[n] };
@@ -90,13 +90,13 @@ impl Wide {
 
     /// The magnitude of each lane.
     #[inline(always)]
-    pub fn abs(self) -> Wide {
+    pub(crate) fn abs(self) -> Wide {
         self.map(|x| f64::from_bits(x.to_bits() & 0x7FFF_FFFF_FFFF_FFFF))
     }
 
     /// Exponent and mantissa, 1 to 2, of normal positive numbers: each lane is two to the power of the first times the second.
     #[inline(always)]
-    pub fn parts(self) -> (Wide, Wide) {
+    pub(crate) fn parts(self) -> (Wide, Wide) {
         // The biased exponent as a number: below 2^52 the bits are the number.
         let exponent = self.map(|x| f64::from_bits(0x4330_0000_0000_0000 | (x.to_bits() >> 52)) - (4_503_599_627_370_496.0 + 1023.0));
         (exponent, self.map(|x| f64::from_bits((x.to_bits() & 0x000F_FFFF_FFFF_FFFF) | 0x3FF0_0000_0000_0000)))
@@ -104,7 +104,7 @@ impl Wide {
 
     /// The square root of each lane.
     #[inline(always)]
-    pub fn sqrt(self) -> Wide {
+    pub(crate) fn sqrt(self) -> Wide {
         self.map(f64::sqrt)
     }
 }

@@ -3,7 +3,7 @@
 use crate::co_located::{CoLocated, values_of};
 use crate::options::{FrontEndModel, PaperOptions, ReadoutModel, SolveOptions};
 use crate::pixel_events::{Stamp, StepRule, check_events, clock_offset, left_out};
-use crate::row_solver::FrameNoise;
+use crate::row_solver::LEAST_FRAME_SIGMA_DN;
 use photocurrent_core::events::EventRow;
 use photocurrent_core::sensor::Reset;
 use photocurrent_core::{Between, EventStream, EventsMeta, FrameScale, FramesMeta, NodeError, Sensor, TracksMeta};
@@ -26,7 +26,8 @@ pub struct Model {
     pub(crate) undo_rounds: u32,
     /// Standard deviation of an event's stamp, from the width of its interval.
     pub(crate) stamp_sigma_s: f64,
-    pub(crate) frame_noise: FrameNoise,
+    /// Standard deviation of frame values that the description does not state, as a share of the signal.
+    pub(crate) frame_share: f64,
     pub(crate) plausible_range: f64,
 }
 
@@ -34,6 +35,11 @@ impl Model {
     /// The sensor, with the front end that is chosen.
     pub fn sensor(&self) -> SensorModel {
         self.sensor.clone()
+    }
+
+    /// Standard deviation of a frame value, `signal` DN above black, when `more_dn` is not stated.
+    pub(crate) fn frame_sigma_dn(&self, signal: f64, more_dn: f64) -> f64 {
+        self.sensor.frame_sigma_of_dn(signal, [LEAST_FRAME_SIGMA_DN, more_dn], self.frame_share)
     }
 
     /// What effects add to the photocurrent of the event path: problems are posed in the sum ([`Undo::added`]).
@@ -182,7 +188,7 @@ impl Model {
             undo,
             undo_rounds,
             stamp_sigma_s: events.t_resolution_ns.unwrap_or(0) as f64 * 1e-9 / libm::sqrt(12.0),
-            frame_noise: FrameNoise::new(&stated, frame_share),
+            frame_share,
             sensor: stated,
             plausible_range,
         })

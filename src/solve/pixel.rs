@@ -1,10 +1,12 @@
 //! One pixel by itself: its events and frame values to its light, without a recording around.
 
 use crate::options::{STEPS, SolveOptions};
-use crate::row_solver::{FrameNoise, NO_EVENT_SIGMA};
+use crate::row_solver::{LEAST_FRAME_SIGMA_DN, NO_EVENT_SIGMA};
 use photocurrent_core::events::Polarity;
 use photocurrent_core::{Exposure, NodeError, Sensor};
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapOptions, MapProblem, MapStatus, MapWorkspace, Noise, SecondStart, estimate};
+use photocurrent_sensor::map::{
+    MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapStatus, Noise, SecondStart, estimate,
+};
 use photocurrent_sensor::model::Model;
 
 /// The light of a pixel over time, log-linear between instants.
@@ -39,12 +41,11 @@ pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Expos
     let mut model = Model::of(sensor);
     model.pixel.front_end = crate::model::front_end(options.front_end, sensor)?;
     model.pixel.refractory_ns = refractory.ns();
-    let noise = FrameNoise::new(&model, options.frame_noise);
     let frame = |&(exposure, dn): &(Exposure, f64)| MapFrame {
         start_ns: exposure.start.0,
         end_ns: exposure.end.0,
         dn,
-        sigma_dn: noise.sigma_dn(dn - model.number.black_level, 0.0),
+        sigma_dn: model.frame_sigma_of_dn(dn - model.number.black_level, [LEAST_FRAME_SIGMA_DN, 0.0], options.frame_noise),
         saturated: dn >= model.saturation_dn,
     };
     let frames: Vec<MapFrame> = frames.iter().filter(|(_, dn)| dn.is_finite()).map(frame).collect();
@@ -60,17 +61,9 @@ pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Expos
         return Err(NodeError::usage("there is no frame value, and events alone leave the photocurrent's level open").hint("give at least one frame"));
     };
     let problem = MapProblem {
-        events: &events,
-        frames: &frames,
-        hints: &[],
-        start_ns,
-        end_ns,
-        sensor: model.map_sensor(),
         noise: options.event_noise.map_or_else(Noise::default, |event| Noise { event, ..Noise::default() }),
-        stamp_sigma_s: 0.0,
         no_event_sigma: NO_EVENT_SIGMA,
-        lost_before: &[],
-        beyond: &[],
+        ..MapProblem::new(model.map_sensor(), &events, &frames, (start_ns, end_ns))
     };
     let map = MapOptions {
         spacing_ns: options.knot_spacing.ns(),
@@ -79,8 +72,8 @@ pub fn solve_pixel(sensor: &Sensor, events: &[(i64, Polarity)], frames: &[(Expos
         second: Some(SecondStart::USUAL),
         ..MapOptions::default()
     };
-    let mut workspace = MapWorkspace::default();
-    let solution = photocurrent_sensor::map::solve(&problem, &map, &mut workspace);
+    let mut group = MapGroup::default();
+    let solution = photocurrent_sensor::map::solve(&problem, &map, &mut group);
     Ok(PixelTrack {
         t_ns: solution.t_ns.to_vec(),
         photocurrent: solution.log_photocurrent.iter().map(|log| libm::exp(*log)).collect(),

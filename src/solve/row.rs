@@ -197,13 +197,13 @@ impl RowData {
             let of_frames = exposures.iter().enumerate().map(|(l, exposure)| (f64::from(frames.row(l, row)[x]), exposure.length_ns() as f64 * 1e-9));
             self.plausible.push(Plausible::new(model, share, of_frames));
             self.unrest.push(shares.unrest(x, |above| {
-                let relative = model.frame_noise.sigma_dn(above, frame_dn) / above;
+                let relative = model.frame_sigma_dn(above, frame_dn) / above;
                 relative * relative
             }));
             let black_level = model.sensor.number.black_level;
             let of = |(l, exposure): (usize, &Exposure)| {
                 let dn = f64::from(frames.row(l, row)[x]);
-                let sigma_dn = share.sigma(model.frame_noise.sigma_dn(dn - black_level, frame_dn));
+                let sigma_dn = share.sigma(model.frame_sigma_dn(dn - black_level, frame_dn));
                 let saturated = dn >= model.sensor.saturation_dn;
                 dn.is_finite().then_some(MapFrame { start_ns: exposure.start.0, end_ns: exposure.end.0, dn, sigma_dn, saturated })
             };

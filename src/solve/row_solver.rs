@@ -27,29 +27,6 @@ const THINNED_TO: f64 = 2e-4;
 /// The same of the logarithm of its standard deviation.
 const SIGMA_THINNED_TO: f64 = 0.05;
 
-/// What the frames' noise is, as far as it is stated.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct FrameNoise {
-    read_dn: f64,
-    /// DN of one electron; 0 = photon noise unknown.
-    dn_per_electron: f64,
-    share: f64,
-}
-
-impl FrameNoise {
-    pub(crate) fn new(sensor: &photocurrent_sensor::model::Model, share: f64) -> FrameNoise {
-        FrameNoise { read_dn: sensor.read_noise_dn, dn_per_electron: sensor.dn_per_electron, share }
-    }
-
-    /// Standard deviation of a value, `signal` DN above black, when `more_dn` is not stated.
-    pub(crate) fn sigma_dn(&self, signal: f64, more_dn: f64) -> f64 {
-        let signal = f64::max(signal, 0.0);
-        let share = self.share * signal;
-        let read = self.read_dn * self.read_dn + LEAST_FRAME_SIGMA_DN * LEAST_FRAME_SIGMA_DN + more_dn * more_dn;
-        libm::sqrt(read + self.dn_per_electron * signal + share * share)
-    }
-}
-
 /// How the pixels of a row are solved.
 #[derive(Clone, Copy, Debug)]
 pub struct RowSetting {

@@ -12,7 +12,7 @@ use photocurrent_sensor::effects::Site;
 use photocurrent_sensor::forward::{Chain, LOG_STEP, LinearLight, Pixel, PixelNoise, simulate};
 use photocurrent_sensor::front_end::FrontEnd;
 use photocurrent_sensor::map::estimate::Choosing;
-use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, MapWorkspace, Noise, estimate, solve};
+use photocurrent_sensor::map::{MapEvent, MapFrame, MapGroup, MapOptions, MapProblem, MapSensor, MapStatus, MapTask, estimate, solve};
 
 const SPAN_NS: i64 = 250_000_000;
 const STEP_NS: i64 = 50_000;
@@ -36,9 +36,9 @@ fn main() {
     for kind in KINDS {
         let pixels = pixels(kind);
         let (mut knots, mut steps, mut events) = (0, 0, 0);
-        let mut workspace = MapWorkspace::default();
+        let mut group = MapGroup::default();
         for pixel in &pixels {
-            let solution = solve(&pixel.problem(), &five_steps(), &mut workspace);
+            let solution = solve(&pixel.problem(), &five_steps(), &mut group);
             assert!(solution.status != MapStatus::Failed, "a bench of double-integral estimates would flatter");
             knots += solution.t_ns.len();
             steps += solution.iterations * solution.t_ns.len();
@@ -141,19 +141,7 @@ impl Recorded {
             saturation_dn: f64::INFINITY,
         };
         let (events, frames) = (&self.events, &self.frames);
-        MapProblem {
-            events,
-            frames,
-            hints: &[],
-            start_ns: 0,
-            end_ns: SPAN_NS,
-            sensor,
-            noise: Noise::default(),
-            stamp_sigma_s: 0.0,
-            no_event_sigma: 0.03,
-            lost_before: &[],
-            beyond: &[],
-        }
+        MapProblem { no_event_sigma: 0.03, ..MapProblem::new(sensor, events, frames, (0, SPAN_NS)) }
     }
 }
 
@@ -165,8 +153,8 @@ fn events(pixels: &[Recorded]) -> ItemsCount {
 fn events_solved(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
-    let (mut workspace, options) = (MapWorkspace::default(), five_steps());
-    bencher.counter(events(&pixels)).bench_local(|| problems.iter().map(|problem| solve(problem, &options, &mut workspace).log_evidence).sum::<f64>());
+    let (mut group, options) = (MapGroup::default(), five_steps());
+    bencher.counter(events(&pixels)).bench_local(|| problems.iter().map(|problem| solve(problem, &options, &mut group).log_evidence).sum::<f64>());
 }
 
 /// The same, eight pixels at a time.
@@ -196,9 +184,9 @@ fn solve_in_groups(bencher: Bencher<'_, '_>, kind: &str, options: MapOptions) {
 fn knots_solved(bencher: Bencher<'_, '_>, kind: &str) {
     let pixels = pixels(kind);
     let problems: Vec<MapProblem<'_>> = pixels.iter().map(Recorded::problem).collect();
-    let (mut workspace, options) = (MapWorkspace::default(), five_steps());
-    let knots: usize = problems.iter().map(|problem| solve(problem, &options, &mut workspace).t_ns.len()).sum();
-    bencher.counter(ItemsCount::new(knots)).bench_local(|| problems.iter().map(|problem| solve(problem, &options, &mut workspace).log_evidence).sum::<f64>());
+    let (mut group, options) = (MapGroup::default(), five_steps());
+    let knots: usize = problems.iter().map(|problem| solve(problem, &options, &mut group).t_ns.len()).sum();
+    bencher.counter(ItemsCount::new(knots)).bench_local(|| problems.iter().map(|problem| solve(problem, &options, &mut group).log_evidence).sum::<f64>());
 }
 
 /// Noise and prior of a row from sixteen pixels: divide by the width of a row over sixteen for the share of a pixel.

@@ -12,7 +12,7 @@ use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, S
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "background_activity",
         stage: Stage::Comparator,
@@ -42,7 +42,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Noise events of both signs in every pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct BackgroundActivity {
+pub(super) struct BackgroundActivity {
     /// Events per second and pixel, at least zero.
     pub rate_hz: f64,
 }

@@ -13,7 +13,7 @@ use super::sought::{SHARE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "bandwidth_gradient",
         stage: Stage::FrontEnd,
@@ -43,7 +43,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A bandwidth that is linear in the column.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct BandwidthGradient {
+pub(super) struct BandwidthGradient {
     /// Relative change at the last column, above -1 and below 1; the first column has its opposite.
     pub fraction: f64,
 }

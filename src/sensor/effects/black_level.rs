@@ -13,7 +13,7 @@ use super::sought::{Field, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "black_level",
         stage: Stage::Exposure,
@@ -49,7 +49,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A real black level that differs from the stated one.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BlackLevel {
+pub(super) struct BlackLevel {
     /// Real DN of a dark pixel.
     pub black_level_dn: f64,
 }

@@ -11,7 +11,7 @@ use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, PixelEven
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "clock_drift",
         stage: Stage::Time,
@@ -45,14 +45,14 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A clock that runs at another rate.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ClockDrift {
+pub(super) struct ClockDrift {
     /// Relative error, any sign, far above -1.
     pub rate: f64,
 }
 
 impl ClockDrift {
     /// The recorded time of a true one, nanoseconds.
-    pub fn recorded(&self, t_ns: i64) -> i64 {
+    pub(super) fn recorded(&self, t_ns: i64) -> i64 {
         // Only the difference goes through f64: a whole stamp can be too long for it.
         t_ns + (t_ns as f64 * self.rate).round() as i64
     }

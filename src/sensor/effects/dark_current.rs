@@ -11,7 +11,7 @@ use super::sought::{Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "dark_current",
         stage: Stage::FrontEnd,
@@ -46,7 +46,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A current without light.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct DarkCurrent {
+pub(super) struct DarkCurrent {
     /// Photocurrent units, at least zero.
     pub current: f64,
 }

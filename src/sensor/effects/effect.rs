@@ -61,7 +61,7 @@ pub(crate) struct Streams {
 }
 
 impl Streams {
-    pub fn new(site: &Site, effect: &str) -> Streams {
+    pub(crate) fn new(site: &Site, effect: &str) -> Streams {
         let stream = |hook: u64| Random::new(site.seed, &[u64::from(site.x), u64::from(site.y), purpose_code(effect), hook]);
         Streams { thresholds: stream(1), reference: stream(2), latency: stream(3), spontaneous: stream(4), keeps: stream(5), stamp: stream(6) }
     }

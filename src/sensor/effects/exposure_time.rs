@@ -17,7 +17,7 @@ use photocurrent_core::Exposure;
 const MATTERS: Size = Size::Larger(&Size::Fixed(4e-6), &Size::Of(1.1, Measure::StampWidth));
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "exposure_time",
         stage: Stage::Exposure,
@@ -51,7 +51,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A real exposure length that differs from the stated one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct ExposureTime {
+pub(super) struct ExposureTime {
     /// Real minus stated length, nanoseconds.
     pub difference_ns: i64,
 }

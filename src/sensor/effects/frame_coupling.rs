@@ -15,7 +15,7 @@ use super::sought::{Measure, SPREAD, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, Impulse, ImpulseTarget, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "frame_coupling",
         stage: Stage::Readout,
@@ -71,7 +71,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A periodic disturbance of the front end, row by row.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameCoupling {
+pub(super) struct FrameCoupling {
     /// Jump of the voltage, natural-log units, positive towards ON.
     pub step: f64,
     /// Time between readouts, nanoseconds, positive.

@@ -13,7 +13,7 @@ use super::sought::{SPREAD, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit, row_random};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "frame_gain_steps",
         stage: Stage::Exposure,
@@ -53,7 +53,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A gain that jumps between groups of frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameGainSteps {
+pub(super) struct FrameGainSteps {
     /// Standard deviation of the logarithm of the factor, at least zero.
     pub sigma: f64,
     /// Frames that share a factor, at least one.
@@ -62,7 +62,7 @@ pub struct FrameGainSteps {
 
 impl FrameGainSteps {
     /// The factor of all pixels of a frame, 1 for the first `every`.
-    pub fn factor(&self, seed: u64, frame: usize) -> f64 {
+    pub(super) fn factor(&self, seed: u64, frame: usize) -> f64 {
         match frame / self.every {
             0 => 1.0,
             group => libm::exp(self.sigma * row_random(seed, group as u32, KIND.decl.id).normal()),

@@ -20,7 +20,7 @@ use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, 
 const FULL_SCALE: &[(&str, Size)] = &[("full_scale_dn", Size::Of(1.0, Measure::LargestDn))];
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "frame_nonlinearity",
         stage: Stage::Exposure,
@@ -75,7 +75,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A parabola between dark and full scale.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct FrameNonlinearity {
+pub(super) struct FrameNonlinearity {
     /// Error at half scale over full scale, -0.25 to 0.25 (the curve then still rises everywhere).
     pub fraction: f64,
     /// What full light lacks over what it reads, -0.4 to 10.

@@ -17,7 +17,7 @@ use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parame
 const NONE_S: f64 = 1e6;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "high_pass_front_end",
         stage: Stage::FrontEnd,
@@ -47,7 +47,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A high-pass before the comparator.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct HighPassFrontEnd {
+pub(super) struct HighPassFrontEnd {
     /// Time constant, seconds, positive; 1e6 or more = none.
     pub tau_s: f64,
 }

@@ -13,7 +13,7 @@ use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, S
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "hot_pixels",
         stage: Stage::Comparator,
@@ -59,7 +59,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A share of pixels that fire by themselves.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct HotPixels {
+pub(super) struct HotPixels {
     /// Share of the pixels, 0 to 1.
     pub fraction: f64,
     /// Events per second of a hot pixel, at least zero.
@@ -68,7 +68,7 @@ pub struct HotPixels {
 
 impl HotPixels {
     /// The sign of a hot pixel's events; none for a healthy pixel. The same at every call.
-    pub fn polarity(&self, site: &Site) -> Option<i8> {
+    pub(super) fn polarity(&self, site: &Site) -> Option<i8> {
         let mut own = site.random(KIND.decl.id);
         (own.uniform() < self.fraction).then(|| either(&mut own))
     }

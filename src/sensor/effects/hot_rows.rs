@@ -13,7 +13,7 @@ use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, S
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "hot_rows",
         stage: Stage::Comparator,
@@ -74,7 +74,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Which rows are hot.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Which {
+pub(super) enum Which {
     /// These, from 0.
     Listed(Vec<u32>),
     /// A share of all rows, 0 to 1, drawn from the seed.
@@ -83,7 +83,7 @@ pub enum Which {
 
 /// Rows that fire by themselves.
 #[derive(Clone, Debug, PartialEq)]
-pub struct HotRows {
+pub(super) struct HotRows {
     /// Which rows.
     pub which: Which,
     /// Events per second of each of their pixels, at least zero.
@@ -92,7 +92,7 @@ pub struct HotRows {
 
 impl HotRows {
     /// Whether the row is hot. The same at every call.
-    pub fn is_hot(&self, seed: u64, y: u32) -> bool {
+    pub(super) fn is_hot(&self, seed: u64, y: u32) -> bool {
         match &self.which {
             Which::Listed(rows) => rows.contains(&y),
             Which::Share(fraction) => row_random(seed, y, KIND.decl.id).uniform() < *fraction,

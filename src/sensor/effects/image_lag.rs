@@ -14,7 +14,7 @@ use super::sought::{SHARE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "image_lag",
         stage: Stage::Exposure,
@@ -44,7 +44,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Charge that is read one frame late.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ImageLag {
+pub(super) struct ImageLag {
     /// Share of the charge of the frame before, 0 to below 1.
     pub fraction: f64,
 }

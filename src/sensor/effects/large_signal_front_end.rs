@@ -15,7 +15,7 @@ use super::sought::{Search, Sought};
 use super::{Drive, Effect, EffectDecl, EffectKind, FrontEndModel, Parameters, Site, Stage};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "large_signal_front_end",
         stage: Stage::FrontEnd,
@@ -38,7 +38,7 @@ fn build(_parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// The exponential answer to large steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct LargeSignalFrontEnd;
+pub(super) struct LargeSignalFrontEnd;
 
 impl Effect for LargeSignalFrontEnd {
     fn id(&self) -> &'static str {

@@ -11,7 +11,7 @@ use super::sought::{RATE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, Leak, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "leak_events",
         stage: Stage::Reset,
@@ -45,7 +45,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A constant leak of the reference.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct LeakEvents {
+pub(super) struct LeakEvents {
     /// ON events per second in a static scene, at least zero.
     pub rate_hz: f64,
 }

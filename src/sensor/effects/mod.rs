@@ -11,51 +11,51 @@
 //! - [`parameters`]: the declaration, and reading parameters from a description.
 //! - [`sought`]: what a diagnosis must know of an effect.
 
-pub mod effect;
-pub mod parameters;
+pub(crate) mod effect;
+mod parameters;
 pub mod sought;
 
-pub mod background_activity;
-pub mod bandwidth_gradient;
-pub mod black_level;
+mod background_activity;
+mod bandwidth_gradient;
+mod black_level;
 pub mod blur;
-pub mod clock_drift;
+mod clock_drift;
 pub mod clock_offset;
 pub mod crosstalk;
-pub mod dark_current;
+mod dark_current;
 pub mod event_loss;
-pub mod exposure_time;
-pub mod frame_coupling;
-pub mod frame_gain_steps;
-pub mod frame_nonlinearity;
-pub mod high_pass_front_end;
-pub mod hot_pixels;
-pub mod hot_rows;
-pub mod image_lag;
-pub mod large_signal_front_end;
+mod exposure_time;
+mod frame_coupling;
+mod frame_gain_steps;
+mod frame_nonlinearity;
+mod high_pass_front_end;
+mod hot_pixels;
+mod hot_rows;
+mod image_lag;
+mod large_signal_front_end;
 pub mod lateral_inhibition;
-pub mod leak_events;
+mod leak_events;
 pub mod misalignment;
-pub mod parasitic_leak;
-pub mod readout_queue;
-pub mod refractory;
-pub mod refractory_light;
-pub mod refractory_spread;
-pub mod reset_memory;
-pub mod row_skew;
-pub mod row_time;
-pub mod second_pole;
-pub mod slew_limit;
-pub mod threshold_asymmetry;
-pub mod threshold_drift;
-pub mod threshold_gradient;
-pub mod threshold_mismatch;
-pub mod threshold_noise;
-pub mod threshold_scale;
-pub mod time_constant;
-pub mod timestamp_jitter;
-pub mod timestamp_quantization;
-pub mod vignetting;
+mod parasitic_leak;
+mod readout_queue;
+mod refractory;
+mod refractory_light;
+mod refractory_spread;
+mod reset_memory;
+mod row_skew;
+mod row_time;
+mod second_pole;
+mod slew_limit;
+mod threshold_asymmetry;
+mod threshold_drift;
+mod threshold_gradient;
+mod threshold_mismatch;
+mod threshold_noise;
+mod threshold_scale;
+mod time_constant;
+mod timestamp_jitter;
+mod timestamp_quantization;
+mod vignetting;
 
 pub use effect::{
     ArrayEvent, BURST_GAP_NS, Chance, Domain, Drive, Effect, FrontEndModel, History, Impulse, ImpulseTarget, Kernel, LastEvent, Latency, Leak, PixelEvent,

@@ -206,7 +206,7 @@ impl Parameters {
     }
 
     /// A time in whole nanoseconds, when it is given.
-    pub fn get_ns(&self, name: &str) -> Option<i64> {
+    pub(crate) fn get_ns(&self, name: &str) -> Option<i64> {
         self.get(name).map(|seconds| (seconds * 1e9).round() as i64)
     }
 
@@ -214,7 +214,7 @@ impl Parameters {
     ///
     /// # Errors
     /// When it is not given.
-    pub fn need_ns(&self, name: &str) -> Result<i64, String> {
+    pub(crate) fn need_ns(&self, name: &str) -> Result<i64, String> {
         self.need(name).map(|seconds| (seconds * 1e9).round() as i64)
     }
 

@@ -9,7 +9,7 @@ use super::sought::{Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, Leak, ParameterDecl, Parameters, Site, Stage, Thresholds, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "parasitic_leak",
         stage: Stage::Reset,
@@ -39,7 +39,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A leak of the reference that light drives.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ParasiticLeak {
+pub(super) struct ParasiticLeak {
     /// ln/s per photocurrent unit, at least zero.
     pub per_photocurrent_per_s: f64,
 }

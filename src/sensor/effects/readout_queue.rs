@@ -17,7 +17,7 @@ use photocurrent_core::random::Random;
 use std::collections::HashMap;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "readout_queue",
         stage: Stage::Readout,
@@ -52,7 +52,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// One server for the whole array.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct ReadoutQueue {
+pub(super) struct ReadoutQueue {
     /// Time for one event, nanoseconds, at least zero.
     pub service_ns: i64,
     /// The requests of a first pass, in order; empty before it.
@@ -70,7 +70,7 @@ struct Request {
 
 impl ReadoutQueue {
     /// The queue under the load of these events, in any order.
-    pub fn loaded(service_ns: i64, events: &[ArrayEvent]) -> ReadoutQueue {
+    pub(super) fn loaded(service_ns: i64, events: &[ArrayEvent]) -> ReadoutQueue {
         let mut keys: Vec<(i64, u32, u32)> = events.iter().map(|event| (event.event.t_in_ns, event.y, event.x)).collect();
         keys.sort_unstable();
         let mut queue = ReadoutQueue { service_ns, load: Vec::with_capacity(keys.len()) };
@@ -88,7 +88,7 @@ impl ReadoutQueue {
     }
 
     /// How long a request of a pixel at `t_ns` waits, nanoseconds; zero before a first pass.
-    pub fn wait_ns(&self, x: u32, y: u32, t_ns: i64) -> i64 {
+    pub(super) fn wait_ns(&self, x: u32, y: u32, t_ns: i64) -> i64 {
         let before = self.load.partition_point(|request| request.key < (t_ns, y, x));
         self.wait_behind(before.checked_sub(1).map(|last| &self.load[last]), t_ns)
     }

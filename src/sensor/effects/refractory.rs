@@ -10,10 +10,10 @@ use super::sought::{Field, Search, Size, Sought, TIME};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// A refractory period where none is stated, seconds: what spread and light act on.
-pub const SOME_REFRACTORY_S: f64 = 50e-6;
+pub(super) const SOME_REFRACTORY_S: f64 = 50e-6;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "refractory",
         stage: Stage::Reset,
@@ -50,7 +50,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// The true refractory period.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Refractory {
+pub(super) struct Refractory {
     /// Nanoseconds, at least zero.
     pub refractory_ns: i64,
 }

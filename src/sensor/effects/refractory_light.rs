@@ -14,7 +14,7 @@ use super::sought::{Applied, Companion, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "refractory_light",
         stage: Stage::Reset,
@@ -54,7 +54,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A refractory period that light shortens.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RefractoryLight {
+pub(super) struct RefractoryLight {
     /// Per photocurrent unit, at least zero.
     pub coefficient: f64,
 }

@@ -13,7 +13,7 @@ use super::sought::{Applied, Companion, SPREAD, Search, Size, Sought};
 use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "refractory_spread",
         stage: Stage::Reset,
@@ -53,7 +53,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A refractory period that differs from pixel to pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RefractorySpread {
+pub(super) struct RefractorySpread {
     /// Standard deviation of the period's logarithm, at least zero.
     pub sigma: f64,
 }

@@ -11,7 +11,7 @@ use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, 
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "reset_memory",
         stage: Stage::Reset,
@@ -41,7 +41,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// An incomplete reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ResetMemory {
+pub(super) struct ResetMemory {
     /// The part of the old reference that stays, between -1 and 1.
     pub fraction: f64,
 }

@@ -12,7 +12,7 @@ use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, P
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "row_skew",
         stage: Stage::Time,
@@ -59,7 +59,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A delay of stamps that depends on the row.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RowSkew {
+pub(super) struct RowSkew {
     /// Growth of the delay from one row to the next, nanoseconds, any sign.
     pub per_row_ns: i64,
     /// Standard deviation of a row's own delay, nanoseconds, at least zero.
@@ -68,7 +68,7 @@ pub struct RowSkew {
 
 impl RowSkew {
     /// Recorded minus true time in a row, nanoseconds.
-    pub fn delay_ns(&self, seed: u64, y: u32) -> i64 {
+    pub(super) fn delay_ns(&self, seed: u64, y: u32) -> i64 {
         let own = if self.sigma_ns > 0.0 { self.sigma_ns * row_random(seed, y, KIND.decl.id).normal() } else { 0.0 };
         self.per_row_ns * i64::from(y) + own.round() as i64
     }

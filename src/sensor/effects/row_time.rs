@@ -15,7 +15,7 @@ use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, RowSite, 
 use photocurrent_core::Exposure;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "row_time",
         stage: Stage::Exposure,
@@ -50,7 +50,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A real row time that differs from the stated one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct RowTime {
+pub(super) struct RowTime {
     /// Real delay from one row to the next, nanoseconds.
     pub row_time_ns: i64,
 }

@@ -11,7 +11,7 @@ use super::sought::{DELAY, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, SecondPole, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "second_pole",
         stage: Stage::FrontEnd,
@@ -58,7 +58,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Another low-pass behind the first.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SecondPoleEffect {
+pub(super) struct SecondPoleEffect {
     /// Its time constant.
     pub pole: SecondPole,
 }

@@ -25,7 +25,7 @@ const RISE: ParameterDecl = ParameterDecl {
 };
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "slew_limit",
         stage: Stage::FrontEnd,
@@ -56,7 +56,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Limits of the voltage's speed.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SlewLimit {
+pub(super) struct SlewLimit {
     /// Largest rise, ln/s, positive; infinite = no limit.
     pub rise_per_s: f64,
     /// Largest fall, ln/s, positive; infinite = no limit.

@@ -10,7 +10,7 @@ use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, 
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "threshold_asymmetry",
         stage: Stage::Comparator,
@@ -40,7 +40,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Thresholds that lie apart.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ThresholdAsymmetry {
+pub(super) struct ThresholdAsymmetry {
     /// Relative error of the ON threshold, and minus that of the OFF threshold; between -1 and 1.
     pub fraction: f64,
 }

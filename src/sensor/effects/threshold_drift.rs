@@ -14,7 +14,7 @@ use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, 
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "threshold_drift",
         stage: Stage::Comparator,
@@ -51,7 +51,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Thresholds that change linearly in time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ThresholdDrift {
+pub(super) struct ThresholdDrift {
     /// Relative growth per second, any sign.
     pub rate_per_s: f64,
 }

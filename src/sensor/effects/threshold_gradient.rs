@@ -11,7 +11,7 @@ use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, 
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "threshold_gradient",
         stage: Stage::Comparator,
@@ -41,7 +41,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Thresholds that change linearly along the columns.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ThresholdGradient {
+pub(super) struct ThresholdGradient {
     /// Relative change at the last column; the first has the opposite. Above -1 and below 1.
     pub fraction: f64,
 }

@@ -12,7 +12,7 @@ use super::{Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Para
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "threshold_mismatch",
         stage: Stage::Comparator,
@@ -50,7 +50,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A fixed offset of each pixel's thresholds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ThresholdMismatch {
+pub(super) struct ThresholdMismatch {
     /// Standard deviation over the pixels, natural-log units, at least zero.
     pub sigma: f64,
 }

@@ -13,7 +13,7 @@ use super::{Chance, Effect, EffectDecl, EffectKind, History, ParameterDecl, Para
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "threshold_noise",
         stage: Stage::Comparator,
@@ -48,7 +48,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A threshold that is redrawn at each reset.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ThresholdNoise {
+pub(super) struct ThresholdNoise {
     /// Standard deviation from reset to reset, natural-log units, at least zero.
     pub sigma: f64,
 }

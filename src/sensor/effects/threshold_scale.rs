@@ -10,7 +10,7 @@ use super::{Effect, EffectDecl, EffectKind, History, ParameterDecl, Parameters, 
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "threshold_scale",
         stage: Stage::Comparator,
@@ -51,7 +51,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A common relative error of both thresholds.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct ThresholdScale {
+pub(super) struct ThresholdScale {
     /// True over stated threshold, minus one; above -1.
     pub fraction: f64,
 }

@@ -9,7 +9,7 @@ use super::sought::{DELAY, Field, Measure, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, FrontEndModel, ParameterDecl, Parameters, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "time_constant",
         stage: Stage::FrontEnd,
@@ -47,7 +47,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// The true low-pass; what is absent is nominal.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TimeConstant {
+pub(super) struct TimeConstant {
     /// Seconds, at least zero.
     pub tau_0_s: Option<f64>,
     /// Seconds times photocurrent unit, at least zero.

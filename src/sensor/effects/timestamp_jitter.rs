@@ -12,7 +12,7 @@ use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, P
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "timestamp_jitter",
         stage: Stage::Time,
@@ -45,7 +45,7 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Stamps that scatter.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TimestampJitter {
+pub(super) struct TimestampJitter {
     /// Standard deviation, nanoseconds, at least zero.
     pub sigma_ns: f64,
 }

@@ -12,7 +12,7 @@ use super::{Chance, Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, P
 use photocurrent_core::random::Random;
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "timestamp_quantization",
         stage: Stage::Time,
@@ -42,14 +42,14 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// Stamps on a grid.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct TimestampQuantization {
+pub(super) struct TimestampQuantization {
     /// Distance of the grid, nanoseconds, at least zero; zero = no grid.
     pub step_ns: i64,
 }
 
 impl TimestampQuantization {
     /// The last instant of the grid that is not after `t_ns`.
-    pub fn grid(&self, t_ns: i64) -> i64 {
+    pub(super) fn grid(&self, t_ns: i64) -> i64 {
         // Euclidean, so that instants before zero also go down.
         if self.step_ns > 0 { t_ns - t_ns.rem_euclid(self.step_ns) } else { t_ns }
     }

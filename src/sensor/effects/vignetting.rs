@@ -16,7 +16,7 @@ use super::sought::{SHARE, Search, Size, Sought};
 use super::{Effect, EffectDecl, EffectKind, ParameterDecl, Parameters, Reading, Site, Stage, Unit};
 
 /// The catalogue entry.
-pub const KIND: EffectKind = EffectKind {
+pub(super) const KIND: EffectKind = EffectKind {
     decl: EffectDecl {
         id: "vignetting",
         stage: Stage::Exposure,
@@ -46,14 +46,14 @@ fn build(parameters: &Parameters) -> Result<Box<dyn Effect>, String> {
 
 /// A fall of the frames' light towards the corners.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Vignetting {
+pub(super) struct Vignetting {
     /// Share lost at the corners, below 1; negative = gained.
     pub falloff: f64,
 }
 
 impl Vignetting {
     /// The frames' share of the light at `radius`, 0 (centre) to 1 (corner).
-    pub fn share(&self, radius: f64) -> f64 {
+    pub(super) fn share(&self, radius: f64) -> f64 {
         let corner = 1.0 - self.falloff;
         let (loss, power) = if self.falloff >= 0.0 { (1.0 / corner, -2.0) } else { (corner, 2.0) };
         libm::pow(1.0 + radius * radius * (libm::sqrt(loss) - 1.0), power)

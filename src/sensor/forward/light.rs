@@ -74,7 +74,7 @@ pub(super) struct Piece {
 
 impl Piece {
     /// The photocurrent at an instant of the piece: the same bits as [`LinearLight::at`].
-    pub fn at(&self, t_ns: i64) -> f64 {
+    pub(super) fn at(&self, t_ns: i64) -> f64 {
         if self.first == self.last {
             return self.first;
         }
@@ -110,7 +110,7 @@ impl<'a> EventLight<'a> {
     /// # Panics
     ///
     /// When an effect makes a photocurrent that is not positive.
-    pub fn new(effects: &[Box<dyn Effect>], site: &Site, light: LinearLight<'a>, start_ns: i64, end_ns: i64) -> EventLight<'a> {
+    pub(super) fn new(effects: &[Box<dyn Effect>], site: &Site, light: LinearLight<'a>, start_ns: i64, end_ns: i64) -> EventLight<'a> {
         if effects.is_empty() {
             return EventLight { t_ns: Cow::Borrowed(light.t_ns), photocurrent: Cow::Borrowed(light.photocurrent) };
         }
@@ -131,7 +131,7 @@ impl<'a> EventLight<'a> {
     }
 
     /// As linear light.
-    pub fn get(&self) -> LinearLight<'_> {
+    pub(super) fn get(&self) -> LinearLight<'_> {
         LinearLight { t_ns: &self.t_ns, photocurrent: &self.photocurrent }
     }
 }

@@ -17,6 +17,23 @@
 //! Source: Eqs. (1)-(5) and Section 3; `V_ref` is latched at `t_off + t_rp` ("resample" reset), or moves by one threshold ("advance").
 //! Limits: one pixel, so a queue on the readout bus needs further passes ([`crate::effects::Effect::informed`]); no shot noise of the
 //! photocurrent: noise enters as a threshold that varies per event and as events without a crossing.
+//!
+//! # Example
+//!
+//! Light that doubles crosses three thresholds of 0.2:
+//!
+//! ```
+//! use photocurrent_sensor::forward::{LOG_STEP, LinearLight, Noiseless, Pixel, simulate_events};
+//! use photocurrent_sensor::front_end::FrontEnd;
+//!
+//! let (threshold_on, threshold_off) = (0.2, 0.2);
+//! let pixel = Pixel { front_end: FrontEnd::IDEAL, threshold_on, threshold_off, latency_ns: 0, latency_spread_ns: 0.0, refractory_ns: 0, log_step: LOG_STEP };
+//! let light = LinearLight::new(&[0, 10_000_000, 30_000_000], &[100.0, 100.0, 200.0]);
+//! let events = simulate_events(&pixel, &light, 0, 30_000_000, &mut Noiseless);
+//! assert!(events.iter().all(|event| event.polarity == 1));
+//! // 100 exp(0.2) is reached at 10 ms + 20 ms (exp(0.2) - 1) = 14.428 ms.
+//! assert_eq!((events.len(), events[0].t_in_ns / 1_000), (3, 14_428));
+//! ```
 
 pub mod neighbours;
 

@@ -56,7 +56,7 @@ pub fn mixed(kernel: &Kernel, light: impl Fn(&Tap) -> f64) -> f64 {
 }
 
 /// The logarithm of the weighted sum at `count` instants; `log_light` appends the log light of a tap at each of them.
-pub fn mixed_log(kernel: &Kernel, count: usize, mut log_light: impl FnMut(&Tap, &mut Vec<f64>)) -> Vec<f64> {
+pub(crate) fn mixed_log(kernel: &Kernel, count: usize, mut log_light: impl FnMut(&Tap, &mut Vec<f64>)) -> Vec<f64> {
     let (mut sum, mut log) = (vec![0.0; count], Vec::with_capacity(count));
     for tap in &kernel.taps {
         log.clear();

@@ -92,7 +92,7 @@ impl System<'_> {
     }
 
     /// What the comparator sees of a state or, as it is linear, of its rates.
-    pub fn output(&self, y: &State) -> f64 {
+    pub(super) fn output(&self, y: &State) -> f64 {
         if self.model.high_pass_s.is_finite() { self.before_high_pass(y) - y[2] } else { self.before_high_pass(y) }
     }
 
@@ -102,7 +102,7 @@ impl System<'_> {
     }
 
     /// One step of Rodas3 from `t_s` over `h`: the new state and the estimated error.
-    pub fn step(&self, t_s: f64, y: &State, h: f64) -> (State, f64) {
+    pub(super) fn step(&self, t_s: f64, y: &State, h: f64) -> (State, f64) {
         let (here, there) = (self.drives(t_s), self.drives(t_s + h));
         let start = self.rates(&here, y);
         let has_second = self.model.second_pole.is_some();
@@ -130,7 +130,7 @@ impl System<'_> {
     }
 
     /// A step from `t_s`, at most `most_s` long, whose error is within the tolerance; `guess_s` becomes the guess for the next one.
-    pub fn controlled_step(&self, t_s: f64, y: &State, most_s: f64, guess_s: &mut f64) -> (State, f64) {
+    pub(super) fn controlled_step(&self, t_s: f64, y: &State, most_s: f64, guess_s: &mut f64) -> (State, f64) {
         let mut h = f64::min(*guess_s, most_s);
         loop {
             let (end, error) = self.step(t_s, y, h);
@@ -161,7 +161,7 @@ pub(super) struct NumericResponse<'a> {
 
 impl<'a> NumericResponse<'a> {
     /// The step of `system` from `start` at `t_s` to `end` over `length_s`, with the drift of the comparator's input.
-    pub fn new(system: System<'a>, t_s: f64, start: State, end: &State, length_s: f64, drift: f64, drift_per_s: f64) -> Self {
+    pub(super) fn new(system: System<'a>, t_s: f64, start: State, end: &State, length_s: f64, drift: f64, drift_per_s: f64) -> Self {
         let first = (system.output(&start) + drift, system.output_rate(t_s, &start) + drift_per_s);
         let last = (system.output(end) + drift + drift_per_s * length_s, system.output_rate(t_s + length_s, end) + drift_per_s);
         NumericResponse { system, t_s, start, length_s, drift, drift_per_s, ends: [first, last] }

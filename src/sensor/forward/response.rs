@@ -92,7 +92,7 @@ const SETTLED: f64 = 1e-14;
 
 impl StepResponse {
     /// Step `n` from `voltage`, whose end is `end`.
-    pub fn new(steps: &Steps, n: usize, voltage: f64, end: f64, drift: f64, drift_per_s: f64) -> StepResponse {
+    pub(super) fn new(steps: &Steps, n: usize, voltage: f64, end: f64, drift: f64, drift_per_s: f64) -> StepResponse {
         let (settled, middle) = (steps.settled[n], steps.middle[n]);
         let ahead = voltage - settled;
         let ahead = if ahead.abs() < SETTLED { 0.0 } else { ahead };

@@ -42,7 +42,7 @@ pub(super) struct Steps {
 }
 
 impl Steps {
-    pub fn new() -> Steps {
+    pub(super) fn new() -> Steps {
         let (ends, each) = ([1.0; CHUNK + 8], [0.0; CHUNK]);
         Steps {
             count: 0,
@@ -62,12 +62,12 @@ impl Steps {
     }
 
     /// The voltage at the end of step `n` that starts at `voltage`.
-    pub fn end_voltage(&self, n: usize, voltage: f64) -> f64 {
+    pub(super) fn end_voltage(&self, n: usize, voltage: f64) -> f64 {
         self.settled[n] + (voltage - self.settled[n]) * self.kept[n] + self.driven[n]
     }
 
     /// The voltage's slope over sigma at the start and the end of step `n`, when it starts `ahead` of the settled one.
-    pub fn end_slopes(&self, n: usize, ahead: f64) -> [f64; 2] {
+    pub(super) fn end_slopes(&self, n: usize, ahead: f64) -> [f64; 2] {
         let pull = self.theta[n] * ahead;
         [-pull, self.driven_slope[n] - pull * self.kept[n]]
     }
@@ -75,7 +75,7 @@ impl Steps {
     /// Takes as many steps as fit from `from_ns` on, none beyond `limit_ns`. `next` is the first of the light's instants after `from_ns`.
     ///
     /// In a step the light changes by at most the factor `1 + change`, unless a nanosecond does more.
-    pub fn fill(&mut self, light: &LinearLight<'_>, next: &mut usize, from_ns: i64, limit_ns: i64, change: f64) {
+    pub(super) fn fill(&mut self, light: &LinearLight<'_>, next: &mut usize, from_ns: i64, limit_ns: i64, change: f64) {
         let (instants, values) = (light.t_ns, light.photocurrent);
         while *next < instants.len() && instants[*next] <= from_ns {
             *next += 1;
@@ -126,7 +126,7 @@ impl Steps {
     }
 
     /// Works out the answer of the low-pass to every step.
-    pub fn prepare(&mut self, front_end: &FrontEnd) {
+    pub(super) fn prepare(&mut self, front_end: &FrontEnd) {
         prepare(self, front_end);
     }
 }
@@ -187,7 +187,7 @@ pub(super) struct Weights {
 impl Weights {
     /// `w_0 = 1 - exp(-x)`, `w_k = 1 - k w_(k-1) / x`; for short times upwards from the series of `w_2 = 2 x sum of (-x)^n / (n + 3)!`.
     #[inline(always)]
-    pub fn after(x: f64) -> Weights {
+    pub(super) fn after(x: f64) -> Weights {
         const SHORT: f64 = 0.05;
         let constant = -elementary::exp_m1(-x);
         let per_long = 1.0 / if x < SHORT { SHORT } else { x };

@@ -54,7 +54,7 @@ impl Candidate {
     /// Takes `log_photocurrent` (the measured step where it lies beyond a fold) and follows Eq. (1).
     ///
     /// Like the other ways to fill a candidate, returns whether the cost is finite and every value in range.
-    pub fn set_log_photocurrent(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, log_photocurrent: impl Iterator<Item = f64>) -> bool {
+    pub(super) fn set_log_photocurrent(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, log_photocurrent: impl Iterator<Item = f64>) -> bool {
         self.resize(problem.t_s.len());
         for (k, u) in log_photocurrent.enumerate().take(problem.t_s.len()) {
             if k == 0 {
@@ -67,7 +67,7 @@ impl Candidate {
     }
 
     /// Starts at voltage `level` and makes the measured steps, as far as the front end can.
-    pub fn set_measured_steps(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, level: f64) -> bool {
+    pub(super) fn set_measured_steps(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, level: f64) -> bool {
         self.resize(problem.t_s.len());
         self.start(level);
         for k in 1..problem.t_s.len() {
@@ -77,7 +77,7 @@ impl Candidate {
     }
 
     /// Moves every unknown of `from` by `change`; `stages`, taken at `from`, say what the unknown of each knot is.
-    pub fn set_moved(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, from: &Candidate, stages: &[Stage], change: &[f64], held: Held) -> bool {
+    pub(super) fn set_moved(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, from: &Candidate, stages: &[Stage], change: &[f64], held: Held) -> bool {
         self.resize(problem.t_s.len());
         self.start(from.step[0] + change[0]);
         for (k, stage) in stages.iter().enumerate().skip(1) {
@@ -102,7 +102,7 @@ impl Candidate {
     }
 
     /// The largest change of a log photocurrent between two candidates.
-    pub fn distance(&self, other: &Candidate) -> f64 {
+    pub(super) fn distance(&self, other: &Candidate) -> f64 {
         let pairs = self.log_photocurrent.iter().zip(&other.log_photocurrent);
         pairs.fold(0.0, |largest, (a, b)| {
             let change = (a - b).abs();

@@ -17,7 +17,7 @@ pub(super) struct Chain {
 
 impl Chain {
     /// Factors the chain with `damping` added, and returns the curvature left for the free level (`P` at the first knot).
-    pub fn factor(&mut self, linear: &Linearised, damping: f64) -> f64 {
+    pub(super) fn factor(&mut self, linear: &Linearised, damping: f64) -> f64 {
         let knots = linear.stages.len();
         self.inverse_pivots.resize(knots, 1.0);
         self.has_fold = linear.has_fold();
@@ -38,7 +38,7 @@ impl Chain {
     }
 
     /// Minimises the chain's cost minus `pull(k) s_k` over all knots but the first, which is held at `level`.
-    pub fn solve(&self, linear: &Linearised, pull: impl Fn(usize) -> f64, level: f64, out: &mut [f64]) {
+    pub(super) fn solve(&self, linear: &Linearised, pull: impl Fn(usize) -> f64, level: f64, out: &mut [f64]) {
         if !self.has_fold {
             // Nothing answers to the voltage: every unknown minimises its own row.
             for (k, (out, inverse_pivot)) in out.iter_mut().zip(&self.inverse_pivots).enumerate() {

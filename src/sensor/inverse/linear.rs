@@ -95,7 +95,7 @@ pub(super) struct Linearised {
 
 impl Linearised {
     /// Linearises `problem` at `at`.
-    pub fn fill(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, at: &Candidate) {
+    pub(super) fn fill(&mut self, problem: &PixelProblem<'_>, overlap: &Overlap, at: &Candidate) {
         let knots = at.step.len();
         self.stages.clear();
         self.stages.push(Stage { step_s: 1.0, u_s: 1.0, ..Stage::default() });
@@ -118,17 +118,17 @@ impl Linearised {
     }
 
     /// Whether some knot lies at or near a fold.
-    pub fn has_fold(&self) -> bool {
+    pub(super) fn has_fold(&self) -> bool {
         self.charts().any(|chart| chart != Chart::Step)
     }
 
     /// Whether some knot is held at its fold.
-    pub fn has_held(&self) -> bool {
+    pub(super) fn has_held(&self) -> bool {
         self.charts().any(|chart| chart == Chart::Fold)
     }
 
     /// What the unknown of each knot is.
-    pub fn charts(&self) -> impl Iterator<Item = Chart> + '_ {
+    pub(super) fn charts(&self) -> impl Iterator<Item = Chart> + '_ {
         self.stages.iter().map(|stage| stage.chart)
     }
 }

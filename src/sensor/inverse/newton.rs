@@ -46,7 +46,7 @@ impl NewtonStep {
     /// Computes `change`; `damping` 0 is plain Gauss-Newton. Returns whether the step is finite.
     ///
     /// `dn` are the digital numbers predicted where `linear` was taken.
-    pub fn compute(&mut self, problem: &PixelProblem<'_>, linear: &Linearised, dn: &[f64], damping: f64) -> bool {
+    pub(super) fn compute(&mut self, problem: &PixelProblem<'_>, linear: &Linearised, dn: &[f64], damping: f64) -> bool {
         let (knots, frames) = (linear.stages.len(), problem.frames.len());
         self.resize(knots, frames);
         let level_curvature = self.chain.factor(linear, damping);

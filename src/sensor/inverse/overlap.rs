@@ -17,7 +17,7 @@ pub(super) struct Overlap {
 
 impl Overlap {
     /// Fills the table for `problem`, reusing its storage. A problem without knots gets one column.
-    pub fn fill(&mut self, problem: &PixelProblem<'_>) {
+    pub(super) fn fill(&mut self, problem: &PixelProblem<'_>) {
         let knots = problem.t_s.len().max(1);
         self.knots = knots;
         self.seconds.clear();
@@ -42,7 +42,7 @@ impl Overlap {
     }
 
     /// The overlaps of frame sample `l` with every knot that can matter, from the first one on.
-    pub fn row(&self, l: usize) -> &[f64] {
+    pub(super) fn row(&self, l: usize) -> &[f64] {
         let start = l * self.knots;
         &self.seconds[start..start + self.used[l]]
     }

@@ -6,13 +6,16 @@
 //! it is the weaker judge, because it assumes that the model is right.
 
 use super::frame_noise::NORMAL_MEDIAN;
+use super::group::MapGroup;
+use super::options::{Evidence, MapOptions, MapSolution, MapTask};
+use super::prior::{Local, Prior};
+use super::problem::{LoneEvents, MapFrame, MapProblem, Noise};
 use super::segment::collected_between;
-use super::{Evidence, Local, LoneEvents, MapFrame, MapGroup, MapOptions, MapProblem, MapSolution, MapTask, Noise, Prior};
 
 /// Standard deviations of an event that are tried, as parts of a threshold, largest first.
-pub const EVENT_NOISES: [f64; 5] = [0.32, 0.16, 0.08, 0.04, 0.02];
+pub(crate) const EVENT_NOISES: [f64; 5] = [0.32, 0.16, 0.08, 0.04, 0.02];
 /// Spreads of thresholds over the pixels that are tried, as parts of a threshold, in addition to none.
-pub const THRESHOLD_SPREADS: [f64; 2] = [0.07, 0.15];
+pub(crate) const THRESHOLD_SPREADS: [f64; 2] = [0.07, 0.15];
 /// With fewer events than this in all pixels together nothing is estimated.
 pub const FEWEST_EVENTS: usize = 40;
 /// Frames are held out where there are at least so many.
@@ -56,7 +59,7 @@ pub struct Choice {
 
 /// The priors that are tried where frames can be held out: the usual one, two for light that is hardly ever still (the second for smooth
 /// motion), one for edges that last longer, and Student's t of increments and of changes of slope.
-pub const PRIORS: [Prior; 6] = [
+pub(crate) const PRIORS: [Prior; 6] = [
     Prior::USUAL,
     Prior::Local(Local { floor_per_s: 60.0, ..Local::USUAL }),
     Prior::Local(Local { floor_per_s: 60.0, memory_s: 5e-3, ..Local::USUAL }),
@@ -131,7 +134,7 @@ pub fn choose(problems: &[MapProblem<'_>], event: Option<f64>, choosing: &Choosi
 }
 
 /// Is frame `l` of a pixel's `count` held out where a choice is judged by its prediction?
-pub fn is_held_out(l: usize, count: usize) -> bool {
+pub(crate) fn is_held_out(l: usize, count: usize) -> bool {
     count >= FEWEST_FRAMES && l % HELD_OUT == 1 && l + 1 < count
 }
 

@@ -12,7 +12,7 @@
 use super::{MapEvent, MapFrame};
 
 /// With fewer differences than this, noise is taken from the description.
-pub const FEWEST_DIFFERENCES: usize = 60;
+pub(crate) const FEWEST_DIFFERENCES: usize = 60;
 /// The median of the absolute value of a normal variable of unit variance.
 pub(super) const NORMAL_MEDIAN: f64 = 0.674_489_750_196_081_7;
 

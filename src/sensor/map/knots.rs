@@ -3,7 +3,7 @@
 //! Knots are put at every event (in-pixel time), at every instant when the reference is taken anew, and at the edges of exposures; and
 //! between them so that none lie further apart than asked for near events, and up to [`COARSEST`] times as far, or a 64th of the frame period, in long quiet gaps. What happens at a knot is a short list of [`Op`]s in causal order.
 
-use super::{LoneEvents, MapProblem};
+use super::problem::{LoneEvents, MapProblem};
 use photocurrent_core::sensor::Reset;
 
 /// In quiet gaps knots may lie so many times as far apart as near events.
@@ -84,7 +84,7 @@ impl Knots {
     /// Lays the knots of a pixel between its start and its end (both become knots), at most `spacing_ns` apart.
     ///
     /// Events, exposures and hints are inside that span; what lies outside is left away.
-    pub fn lay(&mut self, problem: &MapProblem<'_>, spacing_ns: i64) {
+    pub(super) fn lay(&mut self, problem: &MapProblem<'_>, spacing_ns: i64) {
         let (start_ns, end_ns, spacing) = (problem.start_ns, problem.end_ns, Spacing::of(problem, spacing_ns));
         self.mark(problem);
         self.t_ns.clear();
@@ -105,7 +105,7 @@ impl Knots {
     }
 
     /// Becomes the same as `other`.
-    pub fn copy(&mut self, other: &Knots) {
+    pub(super) fn copy(&mut self, other: &Knots) {
         self.t_ns.clone_from(&other.t_ns);
         self.first_op.clone_from(&other.first_op);
         self.ops.clone_from(&other.ops);
@@ -182,12 +182,12 @@ impl Knots {
     }
 
     /// The ops of knot `j`.
-    pub fn ops_of(&self, j: usize) -> std::ops::Range<usize> {
+    pub(super) fn ops_of(&self, j: usize) -> std::ops::Range<usize> {
         self.first_op[j] as usize..self.first_op[j + 1] as usize
     }
 
     /// Number of knots.
-    pub fn len(&self) -> usize {
+    pub(super) fn len(&self) -> usize {
         self.t_ns.len()
     }
 }
@@ -215,7 +215,7 @@ mod tests {
             saturation_dn: f64::INFINITY,
         };
         let (noise, stamp_sigma_s, no_event_sigma) = (Noise::default(), 0.0, 0.0);
-        MapProblem { events: &[], frames: &[], hints: &[], start_ns: 0, end_ns: 0, sensor, noise, stamp_sigma_s, no_event_sigma, lost_before: &[], beyond: &[] }
+        MapProblem { noise, stamp_sigma_s, no_event_sigma, ..MapProblem::new(sensor, &[], &[], (0, 0)) }
     }
 
     #[test]

@@ -7,7 +7,9 @@
 //!
 //! Limits: a stretch must hold the middle of an exposure and end with an event.
 
-use super::{Evidence, MapGroup, MapOptions, MapProblem, MapSolution, MapTask};
+use super::group::MapGroup;
+use super::options::{Evidence, MapOptions, MapSolution, MapTask};
+use super::problem::MapProblem;
 
 /// Pixels with an event or a frame that is further off than this, in squared standard deviations, are looked at.
 const SUSPICIOUS: f64 = 6.0;

@@ -1,7 +1,10 @@
 //! Claims about the misfit: measurements that are noisier than assumed show by how much.
 
 use super::*;
+use crate::front_end::FrontEnd;
+use crate::residuals::Misfit;
 use photocurrent_core::random::Random;
+use photocurrent_core::sensor::Reset;
 
 const SENSOR: MapSensor = MapSensor {
     front_end: FrontEnd::IDEAL,
@@ -67,20 +70,8 @@ fn misfit(event: f64, frame: f64) -> Misfit {
     known.sort_unstable();
     known.dedup();
     let hints: Vec<Hint> = known.into_iter().map(hint).collect();
-    let problem = MapProblem {
-        events: &events,
-        frames: &frames,
-        hints: &hints,
-        start_ns: 0,
-        end_ns: END_NS,
-        sensor: SENSOR,
-        noise: Noise { event: EVENT, ..Noise::default() },
-        stamp_sigma_s: 0.0,
-        no_event_sigma: 0.0,
-        lost_before: &[],
-        beyond: &[],
-    };
-    solve(&problem, &MapOptions::default(), &mut MapWorkspace::default()).misfit
+    let problem = MapProblem { hints: &hints, noise: Noise { event: EVENT, ..Noise::default() }, ..MapProblem::new(SENSOR, &events, &frames, (0, END_NS)) };
+    solve(&problem, &MapOptions::default(), &mut MapGroup::default()).misfit
 }
 
 #[test]

@@ -73,8 +73,6 @@ pub(super) struct Segments {
     pub per_s: Vec<f64>,
     /// Correlation of z with the segment before; 0 for the first.
     pub correlation: Vec<f64>,
-    /// Increment of log light per z: the square root of q; of an integrated walk, whose z is the slope, the length.
-    pub scale: Vec<f64>,
     /// s, seconds.
     pub reach_s: Vec<f64>,
     /// Variance of z given the one before: with local variance, one less the correlation's square.
@@ -83,27 +81,14 @@ pub(super) struct Segments {
     pub nearby: Vec<(u32, u32)>,
     pub per_nearby: Vec<f64>,
     pub middle_s: Vec<f64>,
-    energy: Vec<f64>,
-    /// Increment over its scale.
-    pub z: Vec<f64>,
 }
 
 impl Segments {
     /// Lengths, correlations and neighbourhoods of the segments between knots.
-    pub fn lay(&mut self, t_ns: &[i64], prior: &Prior) {
+    pub(super) fn lay(&mut self, t_ns: &[i64], prior: &Prior) {
         let knots = t_ns.len();
-        for column in [
-            &mut self.length_s,
-            &mut self.per_s,
-            &mut self.correlation,
-            &mut self.scale,
-            &mut self.reach_s,
-            &mut self.fresh,
-            &mut self.per_nearby,
-            &mut self.middle_s,
-            &mut self.energy,
-            &mut self.z,
-        ] {
+        for column in [&mut self.length_s, &mut self.per_s, &mut self.correlation, &mut self.reach_s, &mut self.fresh, &mut self.per_nearby, &mut self.middle_s]
+        {
             // All entries but the first are set below or before they are asked for; the first stays 0.
             column.resize(knots, 0.0);
         }
@@ -115,7 +100,6 @@ impl Segments {
                 self.fresh.fill(1.0);
             }
             Prior::IntegratedWalk { .. } => {
-                self.scale.copy_from_slice(&self.length_s);
                 self.correlation.fill(1.0);
                 if knots > 1 {
                     self.correlation[1] = 0.0;
@@ -143,61 +127,6 @@ impl Segments {
             self.nearby[j] = (low as u32, high as u32 - 1);
             self.per_nearby[j] = 1e9 / (t_ns[high - 1] - t_ns[low - 1]) as f64;
         }
-    }
-
-    /// Takes the variances from the slopes of `u`.
-    pub fn adapt(&mut self, u: &[f64], prior: &Prior) {
-        match *prior {
-            Prior::Local(ref local) => self.adapt_local(u, local),
-            Prior::Walk { per_s, nu } => {
-                for j in 1..u.len() {
-                    let w = u[j] - u[j - 1];
-                    self.scale[j] = ((nu * per_s * self.length_s[j] + w * w) / (nu + 1.0)).sqrt();
-                }
-            }
-            Prior::IntegratedWalk { per_s3, nu } => {
-                let mut before = None;
-                for j in 1..u.len() {
-                    let slope = (u[j] - u[j - 1]) * self.per_s[j];
-                    self.fresh[j] = before.map_or(FIRST_SLOPE_VARIANCE, |before: f64| {
-                        let change = slope - before;
-                        let apart_s = self.middle_s[j] - self.middle_s[j - 1];
-                        (nu * per_s3 * apart_s + change * change) / (nu + 1.0)
-                    });
-                    before = Some(slope);
-                }
-            }
-        }
-    }
-
-    fn adapt_local(&mut self, u: &[f64], prior: &Local) {
-        // energy[j] sums h slope^2 over segments 1..=j.
-        let mut sum = 0.0;
-        for j in 1..u.len() {
-            let w = u[j] - u[j - 1];
-            sum += w * w * self.per_s[j];
-            self.energy[j] = sum;
-        }
-        let floor = prior.floor_per_s * prior.floor_per_s;
-        for j in 1..u.len() {
-            let (low, high) = self.nearby[j];
-            let mean_square = f64::max(self.energy[high as usize] - self.energy[low as usize - 1], 0.0) * self.per_nearby[j];
-            self.scale[j] = self.reach_s[j] * (floor + mean_square).sqrt();
-        }
-    }
-
-    /// Twice the negative log of the prior's density at `u`, less constants.
-    pub fn cost(&mut self, u: &[f64]) -> f64 {
-        for j in 1..u.len() {
-            self.z[j] = (u[j] - u[j - 1]) * (1.0 / self.scale[j]);
-        }
-        let mut cost = 0.0;
-        for j in 1..u.len() {
-            // The first has no correlation.
-            let surprise = self.z[j] - self.correlation[j] * self.z[j - 1];
-            cost += surprise * surprise * (1.0 / self.fresh[j]);
-        }
-        cost
     }
 }
 
@@ -250,13 +179,13 @@ mod tests {
         for length_ns in [1_000, 1_990, 2_010, 250_000, 2_000_000, 16_000_000] {
             let mut segments = Segments::default();
             segments.lay(&[0, length_ns], &prior);
-            segments.adapt(&[1.0, 1.0], &prior);
+            let scale = 5.0 * segments.reach_s[1];
             // The double integral of floor^2 exp(-|s - t| / memory) over the segment, by midpoints.
             let (pieces, h) = (500, length_ns as f64 * 1e-9);
             let piece = h / f64::from(pieces);
             let covariance = |a: i32, b: i32| 25.0 * libm::exp(-f64::from((a - b).abs()) * piece / 2e-3);
             let variance: f64 = (0..pieces).map(|a| (0..pieces).map(|b| covariance(a, b)).sum::<f64>()).sum::<f64>() * piece * piece;
-            assert!((segments.scale[1] * segments.scale[1] / variance - 1.0).abs() < 1e-4, "{length_ns} ns");
+            assert!((scale * scale / variance - 1.0).abs() < 1e-4, "{length_ns} ns");
         }
     }
 
@@ -270,42 +199,6 @@ mod tests {
             let correlation = libm::exp(-apart_s / 2e-3);
             assert!((segments.correlation[j] - correlation).abs() < 1e-12);
             assert!((segments.fresh[j] - (1.0 - correlation * correlation)).abs() < 1e-12);
-        }
-    }
-
-    /// -2 log of Student's t of an increment with squared scale `square`, less constants.
-    fn student(increment: f64, square: f64, nu: f64) -> f64 {
-        (nu + 1.0) * libm::log(1.0 + increment * increment / (nu * square))
-    }
-
-    #[test]
-    fn the_weights_of_both_walks_have_the_gradient_of_students_t() {
-        let t_ns = [0, 250_000, 400_000, 1_400_000, 1_650_000];
-        let at = [4.0, 4.02, 4.3, 4.28, 4.9];
-        let seconds: Vec<f64> = t_ns.iter().map(|&t| t as f64 * 1e-9).collect();
-        let walk = |u: &[f64]| -> f64 { (1..5).map(|j| student(u[j] - u[j - 1], 1.0 * (seconds[j] - seconds[j - 1]), 1.0)).sum() };
-        let integrated_walk = |u: &[f64]| -> f64 {
-            let slope = |j: usize| (u[j] - u[j - 1]) / (seconds[j] - seconds[j - 1]);
-            let middle = |j: usize| 0.5 * (seconds[j] + seconds[j - 1]);
-            let first = slope(1) * slope(1) / FIRST_SLOPE_VARIANCE;
-            first + (2..5).map(|j| student(slope(j) - slope(j - 1), 3e6 * (middle(j) - middle(j - 1)), 3.0)).sum::<f64>()
-        };
-        type Cost<'a> = &'a dyn Fn(&[f64]) -> f64;
-        for (prior, cost) in [(Prior::Walk { per_s: 1.0, nu: 1.0 }, &walk as Cost<'_>), (Prior::IntegratedWalk { per_s3: 3e6, nu: 3.0 }, &integrated_walk)] {
-            let mut segments = Segments::default();
-            segments.lay(&t_ns, &prior);
-            segments.adapt(&at, &prior);
-            for j in 0..5 {
-                let slope = |of: &mut dyn FnMut(&[f64]) -> f64| {
-                    let (mut above, mut below) = (at, at);
-                    above[j] += 1e-6;
-                    below[j] -= 1e-6;
-                    (of(&above) - of(&below)) / 2e-6
-                };
-                let (expected, found) = (slope(&mut |u| cost(u)), slope(&mut |u| segments.cost(u)));
-                // Rounding of second-order terms over differences of a millionth.
-                assert!((found - expected).abs() < 1e-4 * (1.0 + expected.abs()), "{prior:?} at {j}: {found} against {expected}");
-            }
         }
     }
 }

@@ -23,75 +23,57 @@ pub fn ramp_voltage<S: Scalar>(front_end: &FrontEnd<S>, voltage: S, first: S, la
     voltage + settled * (first - voltage) + (S::from_f64(1.0) - lag) * (last - first)
 }
 
-/// What the segments of a pixel are made of, apart from the voltage they begin with: one entry a knot, for the segment that ends there.
-///
-/// Nothing here depends on the entry before, so that the loop becomes vector instructions.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Pieces {
-    /// What is left of a difference at the start: `exp(-h / tau)`.
-    pub left: Vec<f64>,
-    /// `(1 - left) tau / h`.
-    pub lag: Vec<f64>,
-    /// The derivative of the voltage by either end through the time constant: this times voltage less first log light, ...
-    pub through_gap: Vec<f64>,
-    /// ... plus this.
-    pub through_rise: Vec<f64>,
-    /// Light collected, photocurrent times seconds, ...
-    pub light: Vec<f64>,
-    /// ... and its derivative by the log light at the end. By both ends together it is the light itself.
-    pub light_by_last: Vec<f64>,
-    /// Square root of the photocurrent at each knot.
-    pub root: Vec<f64>,
+/// A segment's derivatives: of the voltage by voltage and both ends, of the scaled light by both ends.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Slopes<T> {
+    pub by_voltage: T,
+    /// By both ends together.
+    pub by_both: T,
+    pub by_last: T,
+    /// By both ends together.
+    pub light_by_both: T,
+    pub light_by_last: T,
 }
 
-impl Pieces {
-    /// Computes the segments between `u`, `length_s` long; entries 0 mean nothing.
-    pub fn fill(&mut self, front_end: &FrontEnd, u: &[f64], length_s: &[f64]) {
-        for column in [&mut self.left, &mut self.lag, &mut self.through_gap, &mut self.through_rise, &mut self.light, &mut self.light_by_last, &mut self.root] {
-            column.resize(u.len(), 0.0);
-        }
-        fill(self, front_end, u, length_s);
-    }
+/// A segment's voltage at its end.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Ramp<T> {
+    pub voltage: T,
+    /// Its derivative by the voltage at the start.
+    pub by_voltage: T,
+    /// By the log light at both ends together.
+    pub by_both: T,
+    /// By the log light at the end.
+    pub by_last: T,
+}
 
-    /// The voltage at the end of the segment to knot `j`, from `first` to `last`, and its derivatives, when it begins with `voltage`.
+impl<T: Scalar> Ramp<T> {
+    /// From `voltage`, `gap` above the first log light, with log light that rises by `rise`: `left` is what
+    /// is left of the gap, `follows` the part of the rise that
+    /// the voltage follows, and `through_tau` the derivative by either end through the time constant
+    /// ([`fill_pieces`]).
     #[inline(always)]
-    pub fn ramp(&self, j: usize, voltage: f64, first: f64, last: f64) -> Ramp {
-        let (gap, settled, follows) = (voltage - first, 1.0 - self.left[j], 1.0 - self.lag[j]);
-        let through_tau = self.through_gap[j] * gap + self.through_rise[j];
+    pub(super) fn of(voltage: T, gap: T, rise: T, left: T, follows: T, through_tau: T) -> Ramp<T> {
+        let settled = T::from_f64(1.0) - left;
         Ramp {
-            voltage: voltage + (follows * (last - first) - settled * gap),
-            by_voltage: self.left[j],
-            by_both: settled + 2.0 * through_tau,
+            voltage: voltage + (follows * rise - settled * gap),
+            by_voltage: left,
+            by_both: settled + T::from_f64(2.0) * through_tau,
             by_last: follows + through_tau,
         }
     }
 }
 
-/// A segment's voltage at its end.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Ramp {
-    pub voltage: f64,
-    /// Its derivative by the voltage at the start.
-    pub by_voltage: f64,
-    /// By the log light at both ends together.
-    pub by_both: f64,
-    /// By the log light at the end.
-    pub by_last: f64,
-}
-
-#[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
-fn fill(pieces: &mut Pieces, front_end: &FrontEnd, u: &[f64], length_s: &[f64]) {
-    let n = u.len();
-    let Pieces { left, lag, through_gap, through_rise, light, light_by_last, root } = pieces;
-    for (root, u) in root.iter_mut().zip(u) {
-        *root = exp(0.5 * *u);
-    }
-    let into = [&mut left[1..n], &mut lag[1..n], &mut through_gap[1..n], &mut through_rise[1..n], &mut light[1..n], &mut light_by_last[1..n]];
-    fill_pieces(front_end, &length_s[1..n], (&u[..n - 1], &u[1..]), (&root[..n - 1], &root[1..n]), into);
-}
-
-/// The columns of [`Pieces`], in their order, of segments with these lengths whose log light and whose root of the photocurrent go from the first of two
-/// columns to the second.
+/// What segments are made of, apart from the voltage they begin with, of segments with these lengths whose
+/// log light and whose root of the photocurrent go from
+/// the first of two columns to the second.
+///
+/// The columns: what is left of a difference at the start, `exp(-h / tau)`; the lag, `(1 - left) tau / h`;
+/// two for the derivative of the voltage by either end through
+/// the time constant, which is the first times voltage less first log light plus the second; light collected,
+/// photocurrent times seconds, which is its derivative by
+/// both ends together as well; and its derivative by the log light at the end. Nothing depends on the segment
+/// before, so that loops become vector instructions.
 #[inline(always)]
 pub(super) fn fill_pieces(front_end: &FrontEnd, length_s: &[f64], (first, last): (&[f64], &[f64]), (from, to): (&[f64], &[f64]), into: [&mut [f64]; 6]) {
     let n = length_s.len();
@@ -198,6 +180,15 @@ mod tests {
         FrontEnd { tau_0_s: 0.0, alpha_s: 0.0 },
     ];
 
+    /// The columns of the segments between `u`.
+    fn pieces(front_end: &FrontEnd, u: &[f64], length_s: f64) -> [Vec<f64>; 6] {
+        let n = u.len() - 1;
+        let root: Vec<f64> = u.iter().map(|u| exp(0.5 * u)).collect();
+        let mut pieces: [Vec<f64>; 6] = std::array::from_fn(|_| vec![0.0; n]);
+        fill_pieces(front_end, &vec![length_s; n], (&u[..n], &u[1..]), (&root[..n], &root[1..]), pieces.each_mut().map(|column| column.as_mut_slice()));
+        pieces
+    }
+
     /// The derivative of [`log_linear_mean`] by `last`.
     fn log_linear_mean_by_end(first: f64, last: f64) -> f64 {
         let rise = last - first;
@@ -213,9 +204,9 @@ mod tests {
     fn derivatives_by_hand_equal_those_of_dual_numbers() {
         for front_end in FRONT_ENDS {
             for (voltage, first, last, length_s) in [(4.0, 4.2, 4.1, 2e-4), (3.0, 4.6, 2.0, 1e-6), (-1.0, -2.0, 1.0, 5e-3)] {
-                let mut pieces = Pieces::default();
-                pieces.fill(&front_end, &[first, last], &[0.0, length_s]);
-                let ramp = pieces.ramp(1, voltage, first, last);
+                let [left, lag, by_gap, by_rise, ..] = pieces(&front_end, &[first, last], length_s).map(|column| column[0]);
+                let gap = voltage - first;
+                let ramp = Ramp::of(voltage, gap, last - first, left, 1.0 - lag, by_gap * gap + by_rise);
                 let lifted = front_end.lift::<Dual<f64>>();
                 let with = |which: usize| {
                     let lift = |k: usize, x: f64| if k == which { Dual::variable(x) } else { Dual::constant(x) };
@@ -245,14 +236,14 @@ mod tests {
     #[test]
     fn collected_light_and_its_derivatives_match_the_mean_of_an_exponential() {
         let u = [4.0, 4.0, 4.02, 1.0, 5.0, 1.0, 0.985, 0.96501, 0.94499];
-        let mut pieces = Pieces::default();
-        pieces.fill(&FRONT_ENDS[0], &u, &[2e-3; 9]);
+        let [.., all_light, all_by_last] = pieces(&FRONT_ENDS[0], &u, 2e-3);
         for j in 1..u.len() {
+            let (own_light, own_by_last) = (all_light[j - 1], all_by_last[j - 1]);
             let (light, by_last) = (2e-3 * log_linear_mean(u[j - 1], u[j]), 2e-3 * log_linear_mean_by_end(u[j - 1], u[j]));
-            assert!((pieces.light[j] / light - 1.0).abs() < 1e-13 && (pieces.light_by_last[j] / by_last - 1.0).abs() < 1e-11, "{j}");
+            assert!((own_light / light - 1.0).abs() < 1e-13 && (own_by_last / by_last - 1.0).abs() < 1e-11, "{j}");
             let h = 1e-5;
             let numeric = (collected(u[j - 1], u[j] + h, 2e-3) - collected(u[j - 1], u[j] - h, 2e-3)) / (2.0 * h);
-            assert!((pieces.light_by_last[j] / numeric - 1.0).abs() < 1e-7, "{j}");
+            assert!((own_by_last / numeric - 1.0).abs() < 1e-7, "{j}");
         }
     }
 

@@ -4,8 +4,8 @@
 //! the middles of two exposures the level goes over linearly, so that thresholds that are a little wrong do not add up. This is also
 //! the double-integral estimate of a pixel whose problem does not converge.
 
-use super::MapProblem;
 use super::knots::{Knots, Op};
+use super::problem::MapProblem;
 use super::segment::collect;
 
 /// A step takes this long, seconds, or since the event before when that is shorter.
@@ -26,7 +26,7 @@ pub(super) struct Start {
 
 impl Start {
     /// Fills `u` with the start at each knot.
-    pub fn fill(&mut self, problem: &MapProblem<'_>, knots: &Knots, u: &mut Vec<f64>) {
+    pub(super) fn fill(&mut self, problem: &MapProblem<'_>, knots: &Knots, u: &mut Vec<f64>) {
         for column in [&mut self.seconds, &mut self.current, &mut self.light, u] {
             column.resize(knots.len(), 0.0);
         }

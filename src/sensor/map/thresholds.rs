@@ -7,7 +7,7 @@
 //! of the thresholds off the stated ones, from the cost of the light of now: `sigma^2 P share / threshold`, where `share` is each polarity's part of
 //! the way that all events together have gone.
 
-use super::{MapProblem, Noise, Offsets};
+use super::problem::{MapProblem, Noise, Offsets};
 
 /// What is to be expected of the thresholds' offsets, when the prior's cost is `prior_cost` at these `offsets`.
 pub(super) fn expected(problem: &MapProblem<'_>, prior_cost: f64, offsets: &Offsets) -> Offsets {

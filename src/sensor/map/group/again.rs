@@ -2,39 +2,13 @@
 //!
 //! A second start takes three times as many steps as the first: lanes that ask for none would only wait for the others.
 
-use super::super::{Evidence, SecondStart};
+use super::super::options::{Evidence, MapSolution, MapTask, SecondStart};
+use super::super::problem::Offsets;
 use super::columns::misfits;
-use super::{LaneState, MapGroup, MapSolution, MapTask, Offsets, WIDTH, lanes_of};
+use super::lane::{LaneState, lanes_of};
+use super::solve::MapGroup;
+use crate::wide::WIDTH;
 use std::array::from_fn;
-
-/// Pixels that wait for a second start, with their first answers. Fewer than two groups of them.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Waiting {
-    /// Their places among the tasks.
-    places: Vec<usize>,
-    states: Vec<LaneState>,
-    /// Log light at their knots, one vector each; longer than `places`, for its memory.
-    light: Vec<Vec<f64>>,
-}
-
-impl Waiting {
-    fn push(&mut self, place: usize, state: LaneState, light: &mut Vec<f64>) {
-        let at = self.places.len();
-        self.places.push(place);
-        self.states.push(state);
-        if self.light.len() == at {
-            self.light.push(Vec::new());
-        }
-        std::mem::swap(&mut self.light[at], light);
-    }
-
-    /// Leaves the first `count` away.
-    fn leave(&mut self, count: usize) {
-        self.places.drain(..count);
-        self.states.drain(..count);
-        self.light.rotate_left(count);
-    }
-}
 
 impl MapGroup {
     /// Lets lanes that ask for a second start wait, and says which.
@@ -92,10 +66,7 @@ impl MapGroup {
                 continue;
             }
             *state = plain;
-            let (light, steps) = (&self.waiting.light[l], &self.lanes[l].stream.steps);
-            for (s, u) in self.u.iter_mut().enumerate() {
-                u.0[l] = steps.get(s).map_or(light[light.len() - 1], |step| light[step.knot as usize]);
-            }
+            self.lanes[l].stream.spread(&self.waiting.light[l], l, &mut self.u);
         }
         let common = self.common(&tasks);
         self.measure(&common);

@@ -1,8 +1,7 @@
 //! Eight pixels, interleaved: what is given at each step, and how light at the steps becomes predictions.
 
-use super::super::chain::Slopes;
 use super::super::prior::{FIRST_SLOPE_VARIANCE, Prior, Segments};
-use super::super::segment::fill_pieces;
+use super::super::segment::{Ramp, Slopes, fill_pieces};
 use super::passes::{Expected, Line, WideOffsets};
 use super::stream::{BOUND, EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, NO_EVENT, RISE, SEGMENT, Stream};
 use crate::elementary::exp;
@@ -71,7 +70,7 @@ impl Default for Family {
 
 impl Family {
     /// That of these priors, one a lane, which are of one family.
-    pub fn of(priors: [Prior; WIDTH]) -> Family {
+    pub(super) fn of(priors: [Prior; WIDTH]) -> Family {
         let wide = |of: fn(&Prior) -> f64| Wide(std::array::from_fn(|l| of(&priors[l])));
         let tails = |prior: &Prior| match *prior {
             Prior::Walk { nu, .. } | Prior::IntegratedWalk { nu, .. } => nu + 1.0,
@@ -118,7 +117,7 @@ pub(super) struct Cost {
 
 impl Columns {
     /// Interleaves the pixels; `u` becomes their start. Gives the number of steps.
-    pub fn fill(&mut self, common: &Common, pixels: &[Pixel<'_>; WIDTH], u: &mut Vec<Wide>) -> usize {
+    pub(super) fn fill(&mut self, common: &Common, pixels: &[Pixel<'_>; WIDTH], u: &mut Vec<Wide>) -> usize {
         let steps = pixels.iter().map(|pixel| pixel.stream.steps.len()).max().unwrap_or(0);
         let Columns { given, what, nearby, expected, energy } = self;
         given.resize(steps, Given::default());
@@ -164,7 +163,8 @@ impl Columns {
     }
 }
 
-/// Takes the prior's variances from the slopes of `u`, then its surprises and its cost: as [`Segments::adapt`] and [`Segments::cost`].
+/// Takes the prior's variances from the slopes of `u`, then its surprises and its cost: twice the negative
+/// log of its density at `u`, less constants.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 pub(super) fn adapt(columns: &mut Columns, common: &Common, u: &[Wide]) -> Wide {
     let steps = u.len();
@@ -251,7 +251,7 @@ struct Block {
     pieces: [[[f64; WIDTH]; BLOCK]; 6],
 }
 
-/// Runs the pixels at `u` with these offsets: as `Chain::run`. The prior's cost is that of the
+/// Runs the pixels at `u` with these offsets. The prior's cost is that of the
 /// scales and correlations that stand in `columns`.
 #[multiversion(targets("x86_64+avx512f+avx512dq+avx512vl+avx512bw+avx512cd", "x86_64+avx2", "aarch64+neon"))]
 pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &WideOffsets, lines: &mut [Line]) -> Cost {
@@ -286,15 +286,16 @@ pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &Wide
                 let piece = |n: usize| Wide(block.pieces[n][k]);
                 let (left, follows) = (is(piece(0), Wide::ONE), is(Wide::ONE - piece(1), Wide::ZERO));
                 let before = Wide(block.u[k]);
-                let (gap, settled) = (voltage - before, Wide::ONE - left);
+                let gap = voltage - before;
                 let through_tau = is(piece(2) * gap + piece(3), Wide::ZERO);
-                voltage = voltage + (follows * (here - before) - settled * gap);
+                let ramp = Ramp::of(voltage, gap, here - before, left, follows, through_tau);
+                voltage = ramp.voltage;
                 let light_by_both = given.exposure * piece(4);
                 light = light + light_by_both;
                 line.slopes = Slopes {
-                    by_voltage: left,
-                    by_both: settled + Wide::splat(2.0) * through_tau,
-                    by_last: follows + through_tau,
+                    by_voltage: ramp.by_voltage,
+                    by_both: ramp.by_both,
+                    by_last: ramp.by_last,
                     light_by_both,
                     light_by_last: given.exposure * piece(5),
                 };
@@ -344,7 +345,9 @@ pub(super) fn run(columns: &Columns, common: &Common, u: &[Wide], offsets: &Wide
     cost
 }
 
-/// How far each pixel's events and frames are from the predictions: as `Chain::misfit`.
+/// How far each pixel's events and frames are from the predictions, and the largest of the squares that are
+/// summed up; those that carry no information
+/// (unarmed events, lower bounds that hold) are left away.
 pub(super) fn misfits(lines: &[Line]) -> [(Misfit, f64); WIDTH] {
     let mut misfits = [(Misfit::default(), 0.0); WIDTH];
     for line in lines {

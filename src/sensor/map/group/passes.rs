@@ -1,9 +1,21 @@
-//! The two passes of [`super::super::smoother`] for eight pixels in step, with seven states, or five where thresholds are exact.
+//! One Gauss-Newton step of eight pixels: a Kalman pass forward, a Bryson-Frazier pass backward, both linear
+//! in the number of knots.
+//!
+//! The linearised pixel is a chain with seven states: the changes of log light, of its speed z, of the
+//! voltage, the light collected so far, the
+//! reference, and both thresholds (left away when those are exact). Only z is random; the others follow. The
+//! backward pass carries the gradient
+//! of the measurements (`lambda`) and, for standard deviations ([`super::variance`]), their curvature:
+//! nothing is ever inverted, so states without noise are no trouble.
 //!
 //! Pixels do different things at the same step, so every step does everything, and lanes choose: a measurement that a lane does not have weighs
 //! nothing there and leaves its numbers as they are, to the last bit.
+//!
+//! Source: A. E. Bryson and M. Frazier, "Smoothing for linear and nonlinear dynamic systems" (1963); the
+//! recursion as in G. J. Bierman (1973).
 
-use super::super::chain::Slopes;
+use super::super::problem::Offsets;
+use super::super::segment::Slopes;
 use super::super::state::{OFF, ON, R, S, State, Transition, U, V, Weight, Z, each_state};
 use super::stream::{EVENT, EXPOSE, FRAME, LATCH, LIGHT, MOVE, RISE, SEGMENT};
 use crate::scalar::Scalar;
@@ -61,7 +73,7 @@ pub(super) struct Memory<const N: usize> {
 
 impl<const N: usize> Memory<N> {
     /// For so many steps, of what every pass keeps.
-    pub fn make_room(&mut self, steps: usize) {
+    pub(super) fn make_room(&mut self, steps: usize) {
         let nothing = [Wide::ZERO; N];
         self.kept.resize(steps, Kept { gain: nothing, pull: Wide::ZERO, change: Wide::ZERO, row: nothing });
     }
@@ -73,7 +85,7 @@ impl<const N: usize> Default for Memory<N> {
     }
 }
 
-/// The [`super::Offsets`] of each lane.
+/// The [`Offsets`] of each lane.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct WideOffsets {
     pub reference: Wide,
@@ -83,12 +95,12 @@ pub(super) struct WideOffsets {
 
 impl WideOffsets {
     /// Moved by a share of `by`.
-    pub fn moved(&self, by: &WideOffsets, share: Wide) -> WideOffsets {
+    pub(super) fn moved(&self, by: &WideOffsets, share: Wide) -> WideOffsets {
         WideOffsets { reference: self.reference + share * by.reference, on: self.on + share * by.on, off: self.off + share * by.off }
     }
 
-    pub fn lane(&self, l: usize) -> super::Offsets {
-        super::Offsets { reference: self.reference.0[l], on: self.on.0[l], off: self.off.0[l] }
+    pub(super) fn lane(&self, l: usize) -> Offsets {
+        Offsets { reference: self.reference.0[l], on: self.on.0[l], off: self.off.0[l] }
     }
 }
 
@@ -124,7 +136,7 @@ pub(super) struct Evidence {
 
 impl Evidence {
     /// Log of the marginal likelihood of a lane's measurements.
-    pub fn log(&self, lane: usize) -> f64 {
+    pub(super) fn log(&self, lane: usize) -> f64 {
         const LOG_TWO_PI: f64 = 1.837_877_066_409_345_3;
         let log_information = libm::log(self.mantissa.0[lane]) + self.exponent.0[lane] * std::f64::consts::LN_2;
         -0.5 * (self.count.0[lane] * LOG_TWO_PI - log_information + self.squares.0[lane])
@@ -141,7 +153,8 @@ impl Evidence {
     }
 }
 
-/// What is known of the first step before any measurement, as in the solver of one pixel.
+/// What is known of the first step before any measurement: the pixel starts settled, voltage and log light
+/// are one, the reference is near.
 #[inline(always)]
 fn begin<const N: usize>(ask: &Ask<'_>) -> State<Wide, N> {
     let mut state = State::new();

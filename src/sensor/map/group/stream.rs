@@ -4,8 +4,8 @@
 //! steps, of which all but the first have no segment: nothing moves there. Pixels with fewer steps than their neighbours end with steps
 //! at which nothing happens.
 
-use super::super::MapProblem;
 use super::super::knots::{Knots, Op};
+use super::super::problem::MapProblem;
 use crate::wide::Wide;
 use photocurrent_core::sensor::Reset;
 
@@ -40,6 +40,8 @@ pub(super) struct Step {
     pub what: u64,
     pub target: f64,
     pub variance: f64,
+    /// What counts as it for the posterior variance, of a pseudo-measurement.
+    pub for_sigma: f64,
     /// Frame values, in standard deviations, per light on the segment; 0 between exposures.
     pub exposure: f64,
 }
@@ -54,7 +56,7 @@ pub(super) struct Stream {
 
 impl Stream {
     /// Writes down what happens at `knots`.
-    pub fn fill(&mut self, problem: &MapProblem<'_>, knots: &Knots) {
+    pub(super) fn fill(&mut self, problem: &MapProblem<'_>, knots: &Knots) {
         let MapProblem { sensor, noise, frames, hints, .. } = problem;
         self.steps.clear();
         self.first_step.clear();
@@ -84,6 +86,7 @@ impl Stream {
                     Op::Hint(l) => {
                         let hint = &hints[l as usize];
                         self.measure(LIGHT, hint.log_photocurrent, hint.variance);
+                        self.last().for_sigma = hint.for_sigma;
                     }
                     Op::Fire { event, polarity, armed, .. } => {
                         fires = true;
@@ -106,14 +109,21 @@ impl Stream {
     }
 
     /// Of the values of a lane at each step, those at each knot: all steps of a knot have one light, and its last what is known after all that happens there.
-    pub fn of_knots(&self, steps: &[Wide], lane: usize, knots: &mut Vec<f64>) {
+    pub(super) fn of_knots(&self, steps: &[Wide], lane: usize, knots: &mut Vec<f64>) {
         let ends = self.first_step.iter().skip(1).map(|first| *first as usize).chain([self.steps.len()]);
         knots.clear();
         knots.extend(ends.map(|end| steps[end - 1].0[lane]));
     }
 
+    /// A lane of the values at each step becomes those at the knots; behind the pixel's end the last.
+    pub(super) fn spread(&self, knots: &[f64], lane: usize, steps: &mut [Wide]) {
+        for (s, value) in steps.iter_mut().enumerate() {
+            value.0[lane] = self.steps.get(s).map_or(knots[knots.len() - 1], |step| knots[step.knot as usize]);
+        }
+    }
+
     fn begin(&mut self, knot: usize, what: u64, exposure: f64) {
-        self.steps.push(Step { knot: knot as u32, what, target: 0.0, variance: 1.0, exposure });
+        self.steps.push(Step { knot: knot as u32, what, target: 0.0, variance: 1.0, for_sigma: 1.0, exposure });
     }
 
     fn last(&mut self) -> &mut Step {

@@ -1,4 +1,5 @@
-//! Posterior variances of log light for eight pixels in step: the backward pass of [`super::super::smoother`] with the curvature of the measurements, lanes
+//! Posterior variances of log light for eight pixels in step: the backward pass with the curvature of the
+//! measurements, lanes
 //! choosing as in [`super::passes`].
 
 use super::super::curvature::Curvature;
