@@ -10,7 +10,6 @@ use crate::instead::explained;
 use crate::known::with_known_camera;
 use crate::pictures::PictureFiles;
 use crate::placed::placed;
-use crate::recording::Convention;
 use crate::recording::{EventCursor, EventsAbout, Pictures, Recording};
 use crate::restamped::restamped;
 use std::path::{Path, PathBuf};
@@ -117,17 +116,7 @@ impl Recording for Joined {
         self.events.triggers()
     }
 
-    fn sensor_text(&self) -> Option<&str> {
-        self.events.sensor_text()
-    }
-
-    fn facts(&self) -> Vec<(String, String)> {
-        self.events.facts()
-    }
-
-    fn conventions(&self) -> Vec<Convention> {
-        self.events.conventions()
-    }
+    crate::recording::forward!(events, without losses and files);
 
     fn losses(&self) -> Vec<Loss> {
         let mut losses = self.events.losses();

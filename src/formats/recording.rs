@@ -56,9 +56,21 @@ pub trait Recording: Send + Sync {
     fn files(&self) -> Vec<PathBuf>;
 }
 
-/// What a recording that changes another one's events or frames passes on from the field that holds it: description, facts, conventions, losses and files.
+/// What a recording that changes another one's events or frames passes on from the field that holds it: description, facts, conventions, and, unless it has
+/// its own, losses and files.
 macro_rules! forward {
     ($field:ident) => {
+        $crate::recording::forward!($field, without losses and files);
+
+        fn losses(&self) -> Vec<$crate::error::Loss> {
+            self.$field.losses()
+        }
+
+        fn files(&self) -> Vec<std::path::PathBuf> {
+            self.$field.files()
+        }
+    };
+    ($field:ident, without losses and files) => {
         fn sensor_text(&self) -> Option<&str> {
             self.$field.sensor_text()
         }
@@ -69,14 +81,6 @@ macro_rules! forward {
 
         fn conventions(&self) -> Vec<$crate::recording::Convention> {
             self.$field.conventions()
-        }
-
-        fn losses(&self) -> Vec<$crate::error::Loss> {
-            self.$field.losses()
-        }
-
-        fn files(&self) -> Vec<std::path::PathBuf> {
-            self.$field.files()
         }
     };
 }

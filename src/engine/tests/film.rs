@@ -1,6 +1,6 @@
 //! Toys in time: a film, a node that says how much of it it sees, and one that writes down what it was given.
 
-use super::toys::{NoParams, Nothing, decl, meta};
+use super::toys::{Nothing, decl, head, meta};
 use photocurrent_core::{Context, Decl, Exposure, Extent, FrameBlock, FrameSequence, Grain, MapBand, MapSet, Meta, Node, NodeError, PortMetas, testing};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -51,12 +51,7 @@ impl ReadFilm {
 
 impl Node for ReadFilm {
     const DECL: Decl = decl("read/film", Grain::Whole);
-    type Params = FilmParams;
-    type In = Nothing;
-    type Out = Film;
-    fn build(params: FilmParams) -> Result<Self, NodeError> {
-        Ok(ReadFilm(params))
-    }
+    head!(ReadFilm(FilmParams), Nothing => Film);
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         Ok(vec![Meta::Frames(self.film().meta)])
     }
@@ -71,12 +66,7 @@ pub struct Seen;
 impl Node for Seen {
     const DECL: Decl = decl("solve/seen", Grain::Pixel);
     const LOCAL_IN_TIME: bool = true;
-    type Params = NoParams;
-    type In = Film;
-    type Out = SeenOut;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Seen)
-    }
+    head!(Seen, Film => SeenOut);
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         Ok(vec![Meta::Frames(inputs.frames("frames")?.clone()), Meta::Map(Arc::new(meta(EXTENT.width, EXTENT.height)))])
     }
@@ -96,12 +86,7 @@ pub struct WriteLast;
 
 impl Node for WriteLast {
     const DECL: Decl = Decl { exports: true, ..decl("write/last", Grain::Whole) };
-    type Params = NoParams;
-    type In = Film;
-    type Out = Nothing;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(WriteLast)
-    }
+    head!(WriteLast, Film => Nothing);
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         Ok(Vec::new())
     }

@@ -38,6 +38,33 @@ pub const fn decl(kind: &'static str, grain: Grain) -> Decl {
     Decl { kind, about: "A toy.", revision: 1, grain, draws: false, exports: false, sources: &[], example: "" }
 }
 
+/// The part of a toy that all of them have: its types, how it is built, and the plan of those that give a plane like their own.
+macro_rules! head {
+    ($name:ident $(($params:ty))?, $in:ty => $out:ty; plans its plane) => {
+        head!($name $(($params))?, $in => $out);
+        fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
+            Ok(vec![super::toys::plane_meta(inputs)])
+        }
+    };
+    ($name:ident, $in:ty => $out:ty) => {
+        type Params = super::toys::NoParams;
+        type In = $in;
+        type Out = $out;
+        fn build(_: Self::Params) -> Result<Self, NodeError> {
+            Ok($name)
+        }
+    };
+    ($name:ident($params:ty), $in:ty => $out:ty) => {
+        type Params = $params;
+        type In = $in;
+        type Out = $out;
+        fn build(params: $params) -> Result<Self, NodeError> {
+            Ok($name(params))
+        }
+    };
+}
+pub(crate) use head;
+
 photocurrent_core::ports! {
     /// Nothing.
     pub struct Nothing {}
@@ -91,12 +118,7 @@ impl Default for SourceParams {
 
 impl Node for Source {
     const DECL: Decl = decl("read/source", Grain::Whole);
-    type Params = SourceParams;
-    type In = Nothing;
-    type Out = Plane;
-    fn build(params: SourceParams) -> Result<Self, NodeError> {
-        Ok(Source(params))
-    }
+    head!(Source(SourceParams), Nothing => Plane);
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         Ok(vec![Meta::Map(Arc::new(meta(self.0.width, self.0.height)))])
     }
@@ -184,15 +206,7 @@ pub struct Scale(ScaleParams);
 
 impl Node for Scale {
     const DECL: Decl = decl("solve/scale", Grain::Pixel);
-    type Params = ScaleParams;
-    type In = Plane;
-    type Out = Plane;
-    fn build(params: ScaleParams) -> Result<Self, NodeError> {
-        Ok(Scale(params))
-    }
-    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        Ok(vec![plane_meta(inputs)])
-    }
+    head!(Scale(ScaleParams), Plane => Plane; plans its plane);
     fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
         Ok(Plane { plane: map_pixels(&input.plane, cx, |value| value * self.0.factor as f32)? })
     }
@@ -207,15 +221,7 @@ pub struct Smooth;
 
 impl Node for Smooth {
     const DECL: Decl = decl("refine/smooth", Grain::Row { halo: 1 });
-    type Params = NoParams;
-    type In = Plane;
-    type Out = Plane;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Smooth)
-    }
-    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        Ok(vec![plane_meta(inputs)])
-    }
+    head!(Smooth, Plane => Plane; plans its plane);
     fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
         let all = input.plane.meta.extent.rows();
         let around = input.plane.read(cx.rows().with_halo(1, all))?;
@@ -236,15 +242,7 @@ pub struct Sign;
 
 impl Node for Sign {
     const DECL: Decl = decl("refine/sign", Grain::Pixel);
-    type Params = NoParams;
-    type In = Plane;
-    type Out = Plane;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Sign)
-    }
-    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        Ok(vec![plane_meta(inputs)])
-    }
+    head!(Sign, Plane => Plane; plans its plane);
     fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
         Ok(Plane { plane: map_pixels(&input.plane, cx, f32::signum)? })
     }
@@ -255,15 +253,7 @@ pub struct Couple;
 
 impl Node for Couple {
     const DECL: Decl = decl("refine/couple", Grain::Pixel);
-    type Params = NoParams;
-    type In = Plane;
-    type Out = Plane;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Couple)
-    }
-    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        Ok(vec![plane_meta(inputs)])
-    }
+    head!(Couple, Plane => Plane; plans its plane);
     fn grain(&self, inputs: &PortMetas) -> Grain {
         if matches!(plane_meta(inputs), Meta::Map(map) if map.extent.width > 4) { Grain::Whole } else { Grain::Pixel }
     }
@@ -294,12 +284,7 @@ pub struct Split;
 
 impl Node for Split {
     const DECL: Decl = decl("split/halves", Grain::Pixel);
-    type Params = NoParams;
-    type In = Plane;
-    type Out = Halves;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Split)
-    }
+    head!(Split, Plane => Halves);
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         let absent = Meta::Absent { data_type: DataType::Frames, why: "the toy has no frames".into() };
         Ok(vec![plane_meta(inputs), plane_meta(inputs), absent])
@@ -315,15 +300,7 @@ pub struct Noise;
 
 impl Node for Noise {
     const DECL: Decl = Decl { draws: true, ..decl("simulate/noise", Grain::Pixel) };
-    type Params = NoParams;
-    type In = Plane;
-    type Out = Plane;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Noise)
-    }
-    fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
-        Ok(vec![plane_meta(inputs)])
-    }
+    head!(Noise, Plane => Plane; plans its plane);
     fn run(&self, input: Plane, cx: &Context) -> Result<Plane, NodeError> {
         let mut band = input.plane.read(cx.rows())?;
         for y in cx.rows().iter() {
@@ -357,12 +334,7 @@ pub struct Sum;
 
 impl Node for Sum {
     const DECL: Decl = decl("score/sum", Grain::Whole);
-    type Params = NoParams;
-    type In = Planes;
-    type Out = Scores;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Sum)
-    }
+    head!(Sum, Planes => Scores);
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         Ok(vec![Meta::Table(Arc::new(TableMeta { scores: true }))])
     }
@@ -392,12 +364,7 @@ pub struct Frames;
 
 impl Node for Frames {
     const DECL: Decl = decl("read/frames", Grain::Whole);
-    type Params = NoParams;
-    type In = Nothing;
-    type Out = FramesOut;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Frames)
-    }
+    head!(Frames, Nothing => FramesOut);
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         Ok(vec![Meta::Frames(testing::frames(3, 4, 2).meta)])
     }
@@ -411,12 +378,7 @@ pub struct Grey;
 
 impl Node for Grey {
     const DECL: Decl = decl("refine/grey", Grain::Frame);
-    type Params = NoParams;
-    type In = FramesOut;
-    type Out = FramesOut;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Grey)
-    }
+    head!(Grey, FramesOut => FramesOut);
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         Ok(vec![Meta::Frames(inputs.frames("frames")?.clone())])
     }
@@ -430,12 +392,7 @@ pub struct Write;
 
 impl Node for Write {
     const DECL: Decl = Decl { exports: true, ..decl("write/text", Grain::Whole) };
-    type Params = NoParams;
-    type In = Plane;
-    type Out = Nothing;
-    fn build(_: NoParams) -> Result<Self, NodeError> {
-        Ok(Write)
-    }
+    head!(Write, Plane => Nothing);
     fn plan(&self, _: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         Ok(Vec::new())
     }

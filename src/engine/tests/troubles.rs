@@ -1,6 +1,6 @@
 //! Toys that go wrong in a way asked for, and one that is heavy.
 
-use super::toys::{AddParams, Plane, decl, map_pixels, meta, plane_meta};
+use super::toys::{AddParams, Plane, decl, head, map_pixels, meta, plane_meta};
 use photocurrent_core::document::Problem;
 use photocurrent_core::{Context, Decl, Grain, MapBand, MapSet, Meta, Node, NodeError, PortMetas};
 use schemars::JsonSchema;
@@ -42,12 +42,7 @@ pub struct Trouble(TroubleParams);
 
 impl Node for Trouble {
     const DECL: Decl = decl("solve/trouble", Grain::Pixel);
-    type Params = TroubleParams;
-    type In = Plane;
-    type Out = Plane;
-    fn build(params: TroubleParams) -> Result<Self, NodeError> {
-        Ok(Trouble(params))
-    }
+    head!(Trouble(TroubleParams), Plane => Plane);
     fn plan(&self, inputs: &PortMetas) -> Result<Vec<Meta>, NodeError> {
         if matches!(self.0.mischief, Mischief::Complains) {
             return Err(NodeError::usage("the description has a mistake").problems(vec![Problem::new("line 3 is wrong")]));
