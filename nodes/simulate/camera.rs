@@ -11,10 +11,11 @@ use photocurrent_core::events::{Event, Polarity};
 use photocurrent_core::quantity::{Duration, Rate};
 use photocurrent_core::random::Random;
 use photocurrent_core::{Colour, DataType, EventsMeta, Exposure, Extent, FrameScale, FrameTimes, FramesMeta, NodeError, Sensor, TimeSpan};
+use photocurrent_sensor::array::{self, Array};
 use photocurrent_sensor::effects::{ArrayEvent, Effect, Site, from_description};
 use photocurrent_sensor::exposure::DigitalNumber;
 use photocurrent_sensor::forward::neighbours::halo;
-use photocurrent_sensor::forward::{Chain, Fired, FrameReadout, LinearLight, PixelNoise, read_frames, simulate};
+use photocurrent_sensor::forward::{Fired, LinearLight, TOLERANCE};
 use photocurrent_sensor::model::Model;
 use photocurrent_solve::co_located::{channel_gains, gain_of};
 use photocurrent_solve::pixel_events::StepRule;
@@ -128,11 +129,7 @@ impl Camera {
 
     /// Gives the effects that couple all pixels what the whole array does; `load` is in order of true off-pixel time.
     pub fn inform(&mut self, load: &[ArrayEvent]) {
-        for (effect, _) in self.effects.iter_mut().zip(&self.coupling).filter(|(_, couples)| **couples) {
-            if let Some(informed) = effect.informed(load) {
-                *effect = informed;
-            }
-        }
+        array::inform(&mut self.effects, load);
     }
 
     /// How much later than without load an event of pixel (x, y) that fires at `t_in_ns` resets its pixel, nanoseconds.
@@ -150,16 +147,22 @@ impl Camera {
 
     /// Everything that pixel (x, y) fires in `seen`, the light of the event path: lost events, and those that leave after the end, too.
     pub fn fired(&self, x: u32, y: u32, seen: &LinearLight) -> Vec<Fired> {
-        let chain = Chain { pixel: self.model.pixel, reset: self.model.reset, effects: &self.effects, tolerance: photocurrent_sensor::forward::TOLERANCE };
-        let mut noise = Noise { random: Random::new(self.seed, &[x.into(), y.into(), 1]), sigma: self.model.threshold_noise };
-        simulate(&chain, &self.site(self.events.extent, x, y), seen, self.span.start.0, self.span.end.0, &mut noise)
+        self.array().fired(&self.site(self.events.extent, x, y), seen, self.draws(x, y))
+    }
+
+    fn array(&self) -> Array<'_> {
+        let span = (self.span.start.0, self.span.end.0);
+        Array { model: &self.model, effects: &self.effects, tolerance: TOLERANCE, span }
+    }
+
+    /// The random numbers of the events of pixel (x, y).
+    fn draws(&self, x: u32, y: u32) -> Random {
+        Random::new(self.seed, &[x.into(), y.into(), 1])
     }
 
     /// Appends what event pixel (x, y) records of `seen`, the light of the event path.
     pub fn record(&self, x: u32, y: u32, seen: &LinearLight, events: &mut Vec<Event>) {
-        for fired in self.fired(x, y, seen) {
-            // What leaves the array after the end is no part of the recording.
-            let Some(event) = fired.recorded.filter(|_| fired.left_ns < self.span.end.0) else { continue };
+        for event in self.array().recorded(&self.site(self.events.extent, x, y), seen, self.draws(x, y)) {
             let polarity = if event.polarity > 0 { Polarity::On } else { Polarity::Off };
             events.push(Event { x: x as u16, y: y as u16, polarity, t: event.t_off_ns, t_in: Some(event.t_in_ns) });
         }
@@ -169,25 +172,11 @@ impl Camera {
     pub fn frame_values(&self, value: u32, y: u32, light: &LinearLight) -> Vec<f64> {
         let gain = gain_of(self.model.number.gain, &self.channel_gains, self.frames.colour, value, y);
         let number = DigitalNumber { gain, ..self.model.number };
-        let readout = FrameReadout { number, saturation: self.model.saturation_dn, row_time_ns: self.frames.times.row_time_ns };
         let exposures: Vec<Exposure> = (0..self.frames.times.len()).map(|l| self.frames.times.exposure(l, y)).collect();
         let mut random = Random::new(self.seed, &[value.into(), y.into(), 2]);
         let site = self.site(self.frames.extent, value / self.frames.channels(), y);
-        read_frames(&readout, &self.effects, &site, light, &exposures).into_iter().map(|dn| recorded(&self.model, dn, &mut random)).collect()
-    }
-}
-
-struct Noise {
-    random: Random,
-    sigma: f64,
-}
-
-impl PixelNoise for Noise {
-    fn uniform(&mut self) -> f64 {
-        self.random.uniform()
-    }
-    fn threshold_offset(&mut self) -> f64 {
-        if self.sigma == 0.0 { 0.0 } else { self.sigma * self.random.normal() }
+        let exact = self.array().frame_values(&site, light, number, &exposures);
+        exact.into_iter().map(|dn| recorded(&self.model, dn, &mut random)).collect()
     }
 }
 

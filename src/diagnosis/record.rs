@@ -9,9 +9,10 @@ use crate::sample::Sample;
 use photocurrent_core::random::Random;
 use photocurrent_scene::case::{Case, CaseFrames, PixelEvents, Recorded};
 use photocurrent_scene::nominal::Nominal;
+use photocurrent_sensor::array::{self, Array};
 use photocurrent_sensor::effects::{ArrayEvent, Effect, Kernel, PixelEvent, Tap, from_description};
+use photocurrent_sensor::forward::LinearLight;
 use photocurrent_sensor::forward::neighbours::{joined, mixed, stand_in};
-use photocurrent_sensor::forward::{Chain, FrameReadout, LinearLight, PixelNoise, read_frames, simulate};
 use rayon::prelude::*;
 use serde_json::{Map, Value};
 use std::cell::Cell;
@@ -54,22 +55,19 @@ pub fn record(case: &Case, nominal: &Nominal, sample: &Sample, scene: &Curves, m
     let effects = effects_of(case, more)?;
     let kernel = joined(&effects).map_err(|why| why.to_string())?.filter(|_| !conditions.is_mixed);
     let effects: &[Box<dyn Effect>] = &effects;
-    let number = FrameReadout { number: nominal.number, saturation: nominal.saturation_dn, row_time_ns: nominal.row_time_ns };
+    let array = Array { model: nominal, effects, tolerance: TOLERANCE, span: case.span };
     let one = |n: usize| -> (Vec<Recorded>, Vec<f32>) {
         let pixel = sample.pixels[n] as usize;
         let own = linear(scene, n);
         let seen = kernel.as_ref().map_or_else(|| own.clone(), |kernel| mix(case, sample, scene, kernel, n));
         let site = case.site(pixel, conditions.seed);
-        let chain = Chain { pixel: nominal.pixel, reset: nominal.reset, effects, tolerance: TOLERANCE };
-        let mut noise = Draws { random: Random::new(conditions.seed, &[pixel as u64, 1]), sigma: nominal.threshold_noise };
-        let light = LinearLight::new(&seen.0, &seen.1);
-        let fired = simulate(&chain, &site, &light, case.span.0, case.span.1, &mut noise);
-        let kept = fired.into_iter().filter(|fired| fired.left_ns < case.span.1).filter_map(|fired| fired.recorded);
-        let events = kept.map(|event| on_grid(case, nominal, &event)).collect();
+        let draws = Random::new(conditions.seed, &[pixel as u64, 1]);
+        let recorded = array.recorded(&site, &LinearLight::new(&seen.0, &seen.1), draws);
+        let events = recorded.map(|event| on_grid(case, nominal, &event)).collect();
         let mut random = Random::new(conditions.seed, &[pixel as u64, 2]);
         let frames = case.frames.as_ref().map_or_else(Vec::new, |frames| {
             let exposures: Vec<_> = (0..frames.times.len()).map(|l| frames.times.exposure(l, site.y)).collect();
-            let dn = read_frames(&number, effects, &site, &LinearLight::new(&own.0, &own.1), &exposures);
+            let dn = array.frame_values(&site, &LinearLight::new(&own.0, &own.1), nominal.number, &exposures);
             let noisy = |dn: f64| {
                 let sigma = nominal.frame_sigma_with_dn(dn, [conditions.frame_share * (dn - nominal.number.black_level), conditions.frame_dn]);
                 (dn + sigma * random.normal()).min(nominal.saturation_dn) as f32
@@ -118,11 +116,7 @@ fn inform(case: &Case, effects: &mut [Box<dyn Effect>]) {
         load.extend(case.events.of(pixel).iter().map(|event| ArrayEvent { x, y, event: as_pixel_event(event) }));
     }
     load.sort_by_key(|event| event.event.t_off_ns);
-    for effect in effects {
-        if let Some(informed) = effect.informed(&load) {
-            *effect = informed;
-        }
-    }
+    array::inform(effects, &load);
 }
 
 fn as_pixel_event(event: &Recorded) -> PixelEvent {
@@ -203,20 +197,6 @@ fn mix(case: &Case, sample: &Sample, scene: &Curves, kernel: &Kernel, n: usize) 
         })
         .collect();
     (instants, light)
-}
-
-struct Draws {
-    random: Random,
-    sigma: f64,
-}
-
-impl PixelNoise for Draws {
-    fn uniform(&mut self) -> f64 {
-        self.random.uniform()
-    }
-    fn threshold_offset(&mut self) -> f64 {
-        if self.sigma == 0.0 { 0.0 } else { self.sigma * self.random.normal() }
-    }
 }
 
 #[cfg(test)]

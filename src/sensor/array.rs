@@ -35,7 +35,7 @@ impl Array<'_> {
     }
 
     /// What is recorded of that: what leaves the array after the end is no part of the recording.
-    pub fn recorded(&self, site: &Site, seen: &LinearLight<'_>, random: Random) -> impl Iterator<Item = PixelEvent> {
+    pub fn recorded(&self, site: &Site, seen: &LinearLight<'_>, random: Random) -> impl Iterator<Item = PixelEvent> + use<> {
         let end_ns = self.span.1;
         self.fired(site, seen, random).into_iter().filter(move |fired| fired.left_ns < end_ns).filter_map(|fired| fired.recorded)
     }

@@ -16,7 +16,7 @@
 /// assert_eq!(fired_polarity(0.25, 0.0, 0.2, 0.3), Some(1));
 /// assert_eq!(fired_polarity(-0.25, 0.0, 0.2, 0.3), None);
 /// ```
-pub(crate) fn fired_polarity(front_end_voltage: f64, reference_voltage: f64, threshold_on: f64, threshold_off: f64) -> Option<i8> {
+pub fn fired_polarity(front_end_voltage: f64, reference_voltage: f64, threshold_on: f64, threshold_off: f64) -> Option<i8> {
     let change = front_end_voltage - reference_voltage;
     if change >= threshold_on {
         Some(1)
@@ -28,7 +28,7 @@ pub(crate) fn fired_polarity(front_end_voltage: f64, reference_voltage: f64, thr
 }
 
 /// The signed log step an event of `polarity` (+1 or -1) stands for: the `c(k)` of Eq. (8).
-pub(crate) fn signed_step(polarity: i8, threshold_on: f64, threshold_off: f64) -> f64 {
+pub fn signed_step(polarity: i8, threshold_on: f64, threshold_off: f64) -> f64 {
     if polarity > 0 { threshold_on } else { -threshold_off }
 }
 

@@ -13,7 +13,7 @@
 //! - [`lanes`]: sixteen pixels side by side, as a number of the equations; `wide`: eight of them in double
 //! precision.
 //! - [`front_end`]: photocurrent to front-end voltage, a light-dependent low-pass, Eqs. (1)-(3).
-//! - `comparator`: when a voltage change becomes an event, Eq. (4).
+//! - [`comparator`]: when a voltage change becomes an event, Eq. (4).
 //! - [`readout`]: the voltage change missed during readout and refractory period, Eqs. (9)-(12).
 //! - [`pooling`]: the light of an event pixel that lies on several frame pixels or colours.
 //! - [`exposure`]: row timing and the exposure integral of a frame, Eq. (5).
@@ -34,7 +34,7 @@
 #![warn(unreachable_pub)]
 
 pub mod array;
-pub(crate) mod comparator;
+pub mod comparator;
 pub mod conditional;
 pub mod effects;
 pub mod elementary;

@@ -3,9 +3,9 @@
 //! Every way to fill one ends in the same state equation, Eq. (1) with Eqs. (2), (3) and (6), evaluated forward.
 
 use super::interval::{Settling, fold, reach_step, settling_at};
-use super::linear::{Chart, Stage};
 use super::overlap::Overlap;
 use super::problem::{LOG_PHOTOCURRENT_MAX, LOG_PHOTOCURRENT_MIN, PixelProblem};
+use super::stage::{Chart, Stage};
 use crate::front_end::{TauRule, settled_photocurrent};
 
 /// A step is limited to this many natural-log units where the log photocurrent itself is the unknown.

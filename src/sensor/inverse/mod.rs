@@ -55,6 +55,7 @@ mod problem;
 mod reference_tests;
 #[cfg(test)]
 mod round_trip_tests;
+mod stage;
 #[cfg(test)]
 mod tests;
 

@@ -1,7 +1,7 @@
 //! The solver against algebra, limits and symmetries; the reference problems are in `reference_tests`.
 
 use super::candidate::Held;
-use super::linear::Chart;
+use super::stage::Chart;
 use super::*;
 use crate::front_end::{FrontEnd, TauRule};
 use nalgebra::{DMatrix, DVector};

@@ -9,7 +9,7 @@
 //!
 //! Limits: one number for all values, however bright; where everything moves, noise is taken from the description.
 
-use super::{MapEvent, MapFrame};
+use super::problem::{MapEvent, MapFrame};
 
 /// With fewer differences than this, noise is taken from the description.
 pub(crate) const FEWEST_DIFFERENCES: usize = 60;
